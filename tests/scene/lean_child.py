@@ -4,15 +4,15 @@ import json
 import sys
 from pathlib import Path
 
+from tipforce.scene.reader import read_scene
 from tipforce.scene.run import Options, run_scene
-from tipforce.scene.schema import read_scene
 
 CALLS = {"contact": 0, "force": 0}
 
 
 def count_calls() -> None:
     """Count what a node computes, at the places where it does."""
-    from tipforce.fingertip.active_calibration import Active
+    from tipforce.fingertip.calibration import Active
     from tipforce.sensor.contact import scalar
 
     contact, force = scalar.contact, Active.force
@@ -34,7 +34,7 @@ def main(path: str, duration: str) -> None:
     count_calls()
     outcome = run_scene(read_scene(path), Path(path).parent, Options(duration_s=float(duration) if duration else None))
     told = {
-        "modules": sorted(name for name in sys.modules if name.partition(".")[0] == "tipforce"),
+        "modules": sorted(name for name in sys.modules if name.startswith(("tipforce", "canopen_device"))),
         "packages": sorted({name.partition(".")[0] for name in sys.modules}),
         "built": list(outcome.built),
         "frames": {str(can_id): count for can_id, count in outcome.frames_by_id.items()},

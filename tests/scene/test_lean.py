@@ -14,8 +14,9 @@ from typing import Any
 
 import pytest
 
-from tipforce.scene.scene_parts import computes, identifiers, parts
-from tipforce.scene.schema import Scene, read_scene
+from tipforce.scene.reader import read_scene
+from tipforce.scene.registry import identifiers, parts
+from tipforce.scene.schema import Scene
 
 ROOT = Path(__file__).parents[2]
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
@@ -65,7 +66,7 @@ def check_lean(scene: Scene, told: dict[str, Any]) -> None:
     built = [part for part in parts(scene) if part.built]
     declared = {module for part in built for module in part.modules}
     on_demand = {module for part in built for module in part.on_demand}
-    named = {name for name in declared if name.startswith("tipforce")}
+    named = {name for name in declared if name.startswith(("tipforce", "canopen_device"))}
     assert set(told["modules"]) - on_demand == named - on_demand
     assert named <= set(told["modules"])
     foreign = tuple(sorted(name for name in declared if name in FOREIGN))
@@ -113,37 +114,9 @@ def test_what_does_without_a_lost_gauge_is_loaded_when_one_is_lost(tmp_path: Pat
         assert ("tipforce.sensor.contact.scalar_redundancy" in told["modules"]) == loaded
 
 
-def test_the_scenes_are_found() -> None:
-    assert {path.stem for path in SCENES} == {
-        "drift", "dying-gauge", "full", "grasp", "grooves", "overload", "static", "tap",
-    }  # fmt: skip
-
-
 def test_full_names_every_part_but_the_bus_and_static_the_fewest() -> None:
     by_name = {path.stem: [part.name for part in parts(read_scene(path)) if part.built] for path in SCENES}
     every = {part.name for part in parts(read_scene(SCENES[0]))}
     assert every - set(by_name["full"]) == {"bus", "calibration file", "spare gauges"}
     assert all(set(by_name["static"]) <= set(names) for names in by_name.values())
     assert len(by_name["static"]) < min(len(names) for stem, names in by_name.items() if stem != "static")
-
-
-@pytest.mark.parametrize(
-    ("pdos", "status", "calibration", "force", "contact"),
-    [
-        (("contact",), True, "model", True, True),
-        (("contact",), False, "model", True, True),
-        (("gauges",), True, "model", True, True),
-        (("gauges",), False, "model", False, False),
-        (("force",), False, "model", True, False),
-        (("health",), True, "model", True, False),
-        ((), True, "model", False, False),
-        (("gauges", "contact"), True, "none", False, False),
-    ],
-)
-def test_what_a_node_computes_follows_from_what_it_sends(
-    pdos: tuple[Any, ...], status: bool, calibration: str, force: bool, contact: bool
-) -> None:
-    from tipforce.scene.schema import Nodes
-
-    found = computes(Nodes(ids=(1,), pdos=pdos, status=status, calibration=calibration))
-    assert (bool(found[0]), bool(found[1])) == (force, contact)

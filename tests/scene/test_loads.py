@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from tipforce.scene import schema
 from tipforce.scene.loads import LoadHistory, load_history
 from tipforce.scene.results import applied_at
-from tipforce.sensor.calibration.grooves import paper_grooves
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.calibration.simulation import paper_grooves
+from tipforce.sensor.contact.estimate import force_vector
 
 NUMBERS = st.floats(-1e3, 1e3, allow_subnormal=False)
 

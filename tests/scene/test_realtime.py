@@ -13,8 +13,9 @@ from can.interfaces.virtual import VirtualBus
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.network.open_bus import open_bus
 from tipforce.scene import realtime
+from tipforce.scene.reader import read_scene
 from tipforce.scene.run import Options, Outcome, run_scene
-from tipforce.scene.schema import Bus, read_scene
+from tipforce.scene.schema import Bus
 
 SCENES = Path(__file__).parents[2] / "scenes"
 

@@ -12,13 +12,13 @@ import pytest
 from msgspec.structs import replace
 
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.scene.loads import load_of
+from tipforce.scene.reader import read_scene
+from tipforce.scene.registry import bus_load, identifiers
 from tipforce.scene.run import Options, Outcome, run_scene
-from tipforce.scene.scene_parts import bus_load, identifiers
-from tipforce.scene.schema import Scene, read_scene
+from tipforce.scene.schema import Scene
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix
 
@@ -240,11 +240,6 @@ def test_the_tip_swings_as_an_independent_integration_says(tmp_path: Path, monke
 def test_options_that_are_not_allowed(options: dict[str, float], told: str) -> None:
     with pytest.raises(InputError, match=told):
         run(read_scene(SCENES / "static.toml"), **options)
-
-
-def test_a_log_that_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no-such does not exist; create it first"):
-        run(read_scene(SCENES / "static.toml"), log=str(tmp_path / "no-such" / "x.log"))
 
 
 def test_the_bus_load_is_that_of_the_standard_frame() -> None:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from canopen_device.core.node import Device
 from fingertip.finger import SATURATED, STALE, UNKNOWN, record
 from sources.iio_tree import Tree
-from tipforce.device.node import Device
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources import iio_sysfs

@@ -1,57 +1,47 @@
 """Build the nodes of a scene: each with a simulated source, its calibration and only the PDOs that the scene names.
 
-``built`` collects the names of the parts (parts.py) where each is built, so that a test can compare the output of
-`tipforce scene explain` with a run.
+What a node gets is decided by ``parts``; modules of a part are imported where it is built.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
-from tipforce.device import codes, communication
-from tipforce.device.node import Device
+from canopen_device.core import codes, communication
+from canopen_device.core.node import Device
+from canopen_device.paths_below import below
 from tipforce.dictionary import indices, table
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.paths_below import below
 from tipforce.scene import schema
-from tipforce.scene.loads import LoadHistory, load_of
-from tipforce.scene.sources import Clock, source_of
+from tipforce.scene.loads import LoadHistory, Triple, load_of
+from tipforce.scene.registry import Pdo, chosen_parts, node_pdos
 from tipforce.sensor.structure.layouts import layout
 from tipforce.sources.simulated import SimulatedSource
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration
+    from tipforce.sources.dynamic_load import Coefficients
+    from tipforce.sources.front_end import FrontEnd
 
     Frame = tuple[int, bytes]
 
-PDO_NAMES = {"gauges": "Gauges", "contact": "Contact", "force": "Force", "health": "Health"}
 FAULTS = {"stuck": 1, "open": 2, "saturate": 3, "silent": 4, "drift": 5}  # 2200h:1
 FILTERS = {"moving_average": 1, "repeating_average": 2, "first_order": 100}  # 61A0h
-_STATUS = (indices.STATUS, 0)
-
-Mapping = tuple[tuple[int, int, int], ...]  # (index, sub, bits)
 
 
-@dataclass(frozen=True, slots=True)
-class Pdo:
-    """A TPDO that a node sends: ``mapping`` is set only if it is not the default one."""
+class Clock:
+    """Start of the scene in the node's microseconds. Simulated time begins at 0."""
 
-    name: str
-    number: int
-    can_id: int
-    mapping: Mapping
-    remapped: bool
-    transmission: int
-    event_ms: int
+    __slots__ = ("start_us",)
 
-    @property
-    def length(self) -> int:
-        """Data bytes."""
-        return sum(bits for _, _, bits in self.mapping) // 8
+    def __init__(self) -> None:
+        self.start_us = 0
 
 
 @dataclass(slots=True)
@@ -79,10 +69,7 @@ class Finger:
                 self._write(indices.FILTER_CONSTANT, gauge, "<H", self.group.filter_constant)
                 self._write(indices.FILTER_TYPE, gauge, "<B", FILTERS[self.group.filter])
         if self.calibration is not None:
-            record = self.calibration.record()
-            self._download(indices.CALIBRATION_STAGED_RECORD, 0, record)
-            self._write(indices.CALIBRATION_CHECK, 1, "<I", self.calibration.crc32())
-            self._write(indices.CALIBRATION_COMMIT, 0, "<I", table.SIGNATURE_COMMIT)
+            commit_calibration(self.device, self.calibration)
         for number, _, base, *_ in table.tpdos(self.gauges):
             cob_id = (base + self.node_id if base else 0) | codes.NO_RTR
             self._write(communication.TPDO + number - 1, 1, "<I", cob_id | codes.COB_ID_INVALID)
@@ -101,63 +88,53 @@ class Finger:
         self._write(communication.TPDO + pdo.number - 1, 1, "<I", pdo.can_id | codes.NO_RTR)
 
     def _write(self, index: int, sub: int, packing: str, value: int) -> None:
-        self._download(index, sub, struct.pack(packing, value))
-
-    def _download(self, index: int, sub: int, data: bytes) -> None:
-        abort = self.device.od.download(index, sub, data)
-        if abort:
-            raise InputError(f"node {self.node_id} rejects 0x{index:04X}:{sub:02X}: abort 0x{abort:08X}")
+        download(self.device, index, sub, struct.pack(packing, value))
 
 
-def node_pdos(group: schema.Nodes, node_id: int) -> tuple[Pdo, ...]:
-    """Return the TPDOs that a node sends, in order."""
-    wanted = {PDO_NAMES[name] for name in group.pdos}
-    found = []
-    for number, name, base, _enabled, transmission, event_ms, mapped in table.tpdos(len(layout(group.layout))):
-        if name in wanted:
-            default = tuple((index, sub, table.mapped_bits(index)) for index, sub in mapped)
-            mapping = default if group.status else tuple(one for one in default if one[:2] != _STATUS)
-            found.append(Pdo(name, number, base + node_id, mapping, mapping != default, transmission, event_ms))
-    return tuple(found)
+def download(device: Device, index: int, sub: int, data: bytes) -> None:
+    """Write an object of a simulated node without a bus. Raises InputError if the node rejects it."""
+    abort = device.od.download(index, sub, data)
+    if abort:
+        raise InputError(f"node {device.node_id} rejects 0x{index:04X}:{sub:02X}: abort 0x{abort:08X}")
 
 
-def build(scene: schema.Scene, folder: Path, built: list[str]) -> list[Finger]:
+def commit_calibration(device: Device, calibration: Calibration) -> None:
+    """Stage, check and commit a calibration without a bus. Raises InputError if the node rejects it."""
+    download(device, indices.CALIBRATION_STAGED_RECORD, 0, calibration.record())
+    download(device, indices.CALIBRATION_CHECK, 1, struct.pack("<I", calibration.crc32()))
+    download(device, indices.CALIBRATION_COMMIT, 0, struct.pack("<I", table.SIGNATURE_COMMIT))
+
+
+def build(scene: schema.Scene, folder: Path) -> list[Finger]:
     """Return the fingers of a scene, not booted. ``folder``: the directory of relative calibration files.
 
-    The name of each part that is built is appended to ``built``. Raises InputError for an invalid calibration file, for
-    one with another number of gauges, and for a layout whose gauges cannot separate the forces.
+    Raises InputError for an invalid calibration file, for one with another number of gauges, and for a layout whose
+    gauges cannot separate the forces.
     """
-    return [_finger(scene, group, node_id, folder, built) for group in scene.nodes for node_id in group.ids]
+    return [_finger(scene, group, node_id, folder) for group in scene.nodes for node_id in group.ids]
 
 
-def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path, built: list[str]) -> Finger:
+def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path) -> Finger:
+    chosen = chosen_parts(scene, node_id)
     gauges = len(layout(group.layout))
-    load = load_of(scene, node_id)
-    if group.filter is not None:
-        built.append("filter")
-    clock = Clock()
-    source = source_of(scene, group, node_id, load, clock, built)
-    calibration = _calibration(scene, group, source, folder, built)
+    load, clock = load_of(scene, node_id), Clock()
+    source = _source(scene, group, node_id, load, clock, chosen)
+    calibration = None
+    if "calibration file" in chosen:
+        calibration = _calibration_file(folder, group.calibration, gauges)
+    elif "calibration" in chosen:
+        calibration = _model_calibration(scene, group, source)
     device = fingertip_node(node_id, source, gauges, serial=node_id)
     return Finger(node_id, gauges, device, source, load, node_pdos(group, node_id), calibration, group, clock)
 
 
-def _calibration(
-    scene: schema.Scene, group: schema.Nodes, source: SimulatedSource, folder: Path, built: list[str]
-) -> Calibration | None:
-    if group.calibration == "none":
-        return None
-    built.append("calibration")
-    if group.calibration == "model":
-        return _model_calibration(scene, group, source)
-    from tipforce.host.configuration.calibration_file import read_calibration
+def _calibration_file(folder: Path, name: str, gauges: int) -> Calibration:
+    from tipforce.host.configuration.calibration import read_calibration
 
-    built.append("calibration file")
-    found = read_calibration(below(folder, group.calibration, "nodes.calibration"))
-    gauges = len(layout(group.layout))
-    if found.gauges != gauges:
-        raise InputError(f"calibration {group.calibration}: it is for {found.gauges} gauges, the layout has {gauges}")
-    return found
+    calibration = read_calibration(below(folder, name, "nodes.calibration"))
+    if calibration.gauges != gauges:
+        raise InputError(f"calibration {name}: it is for {calibration.gauges} gauges, the layout has {gauges}")
+    return calibration
 
 
 def _model_calibration(scene: schema.Scene, group: schema.Nodes, source: SimulatedSource) -> Calibration:
@@ -181,3 +158,116 @@ def _model_calibration(scene: schema.Scene, group: schema.Nodes, source: Simulat
         tip_radius_m=FABRICATED.r_m,
         pull=group.sense == "pull",
     )
+
+
+def _source(
+    scene: schema.Scene,
+    group: schema.Nodes,
+    node_id: int,
+    load: LoadHistory | None,
+    clock: Clock,
+    chosen: frozenset[str],
+) -> SimulatedSource:
+    """Return the gauge source of one node. Raises InputError for a front end that is not allowed."""
+    options: dict[str, Any] = {}
+    seed = 256 * scene.seed + 2 * node_id
+    noise = scene.noise or schema.Noise()
+    if group.offset_microstrain:
+        options["offset_microstrain"] = group.offset_microstrain
+    if "noise" in chosen:
+        options |= {"noise_microstrain": noise.gauge_microstrain, "seed": seed}
+    if "front end" in chosen:
+        options["front_end"] = _front_end(scene.front_end, noise.one_over_f_microstrain, seed + 1)
+    if load is None:
+        return SimulatedSource([(0.0, 0.0, 0.0)] * len(layout(group.layout)), **options)
+    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce.sensor.structure.strain import strain_matrix
+
+    if "dynamics" in chosen:
+        options["forces"] = _swinging(scene.dynamics or schema.Dynamics(), load, clock)
+    elif "load history" in chosen:
+        options["forces"] = _following(load, clock)
+    source = SimulatedSource(strain_matrix(FABRICATED, group.layout).tolist(), **options)
+    if load.constant:
+        source.load = load.at(0.0)
+    return source
+
+
+def _following(load: LoadHistory, clock: Clock) -> Callable[[int], Triple]:
+    """Return F1, F2, F3 of the load at a time of the node."""
+    return lambda now_us: load.force(1e-6 * (now_us - clock.start_us))
+
+
+def _swinging(dynamics: schema.Dynamics, load: LoadHistory, clock: Clock) -> Callable[[int], Triple]:
+    """Return the elastic force at the time of a conversion; the tip starts in equilibrium under its load.
+
+    Steps of ``step_us`` from the start; a conversion between two steps gets the force of the earlier one.
+    """
+    from tipforce.sources.dynamic_load import DynamicForces, DynamicLoad
+
+    coefficients = _coefficients(dynamics.damping_ratio, dynamics.step_us)
+    forces = DynamicForces(DynamicLoad(coefficients), _following(load, clock), dynamics.step_us)
+    begun = False
+
+    def force(now_us: int) -> Triple:
+        nonlocal begun
+        if not begun:
+            begun = True
+            forces(clock.start_us)
+        return forces(now_us)
+
+    return force
+
+
+@lru_cache(maxsize=8)
+def _coefficients(damping_ratio: float, step_us: int) -> Coefficients:
+    """Return the coefficients, cached because the fingers of one scene are identical."""
+    from tipforce.sensor.dynamics.first_order_hold import node_coefficients
+    from tipforce.sensor.dynamics.model import modes
+    from tipforce.sensor.structure.geometry import FABRICATED
+
+    return cast("Coefficients", node_coefficients(modes(FABRICATED, damping_ratio), 1e-6 * step_us))
+
+
+def _front_end(given: schema.FrontEnd | None, one_over_f: float | None, seed: int) -> FrontEnd:
+    from tipforce.sources.front_end import Bridge, FrontEnd
+
+    options: dict[str, Any] = {"one_over_f": one_over_f, "seed": seed}
+    try:
+        if given is not None:
+            options |= {
+                "bits": given.bits,
+                "gain": given.gain,
+                "reference_volts": given.reference_volts,
+                "temperature": given.temperature_degC,
+                "apparent_strain": given.apparent_microstrain_per_degC,
+                "gain_drift_ppm": given.gain_drift_ppm_per_degC,
+            }
+            if given.bridge is not None:
+                options["bridge"] = Bridge(given.bridge, given.gauge_factor, given.excitation_volts)
+        return FrontEnd(**options)
+    except ValueError as error:
+        raise InputError(f"[front_end] {error}") from None
+
+
+def sync_times(scene: schema.Scene, duration_s: float) -> list[int]:
+    """Return the times of all SYNCs, microseconds: the first one period after the start."""
+    if scene.sync_hz is None:
+        return []
+    count = int(duration_s * scene.sync_hz + 1e-9)
+    return [round(1e6 * k / scene.sync_hz) for k in range(1, count + 1)]
+
+
+def fault_events(scene: schema.Scene, fingers: Sequence[Finger]) -> list[tuple[int, Finger, int, int, float]]:
+    """Return (t_us, finger, 2200h:1, gauge, magnitude) in the order of time; a fault of 0 ends one."""
+    by_id = {finger.node_id: finger for finger in fingers}
+    events = []
+    for fault in scene.faults:
+        for node_id in fault.nodes:
+            at_us = round(1e6 * fault.at_s)
+            events.append((at_us, 1, by_id[node_id], FAULTS[fault.kind], fault.gauge, fault.microstrain_per_s))
+            if fault.until_s is not None:
+                events.append((round(1e6 * fault.until_s), 0, by_id[node_id], 0, fault.gauge, 0.0))
+    # At equal times the end of a fault comes first: another fault may start then.
+    events.sort(key=lambda event: event[:2])
+    return [(at_us, *rest) for at_us, _order, *rest in events]  # type: ignore[misc]

@@ -55,9 +55,9 @@ def load_of(scene: schema.Scene, node_id: int) -> LoadHistory | None:
     """Return the load of a node, None if the scene names none."""
     for load in scene.loads:
         if not load.nodes or node_id in load.nodes:
-            found = load_history(load, node_id)
-            if found is not None:
-                return found
+            history = load_history(load, node_id)
+            if history is not None:
+                return history
     return None
 
 
@@ -87,11 +87,11 @@ def _magnitudes(load: schema.Ramp | schema.Tap | schema.Grasp, node_id: int) -> 
     if isinstance(load, schema.Ramp):
         return [(load.start_s, load.from_N), (load.end_s, load.to_N)]
     if isinstance(load, schema.Tap):
-        found = []
+        magnitudes = []
         for t in sorted(load.at_s):
             peak = t + 1e-3 * load.rise_ms
-            found += [(t, 0.0), (peak, load.P_N), (peak + 1e-3 * load.fall_ms, 0.0)]
-        return found
+            magnitudes += [(t, 0.0), (peak, load.P_N), (peak + 1e-3 * load.fall_ms, 0.0)]
+        return magnitudes
     finger = _finger(load, node_id)
     P, t = (0.0, 0.0) if finger is None else (finger.P_N, load.start_s + finger.delay_s)
     closed = t + load.close_s

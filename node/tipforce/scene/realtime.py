@@ -16,16 +16,15 @@ from typing import Any
 
 import can
 
-from tipforce.device.codes import NMT_COB_ID, SYNC_COB_ID
+from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
+from canopen_device.running import loop
+from canopen_device.running.ports import PythonCanPort, SocketCanPort
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FrameBuffer
 from tipforce.host.network.open_bus import open_bus
-from tipforce.running import loop
-from tipforce.running.ports import PythonCanPort, SocketCanPort
 from tipforce.scene import schema
-from tipforce.scene.build import Finger
-from tipforce.scene.recording import Recording
-from tipforce.scene.simulate import fault_events, sync_times
+from tipforce.scene.build import Finger, fault_events, sync_times
+from tipforce.scene.outputs import Recording
 
 _LOG = logging.getLogger(__name__)
 _AFTER_ERROR_S = 0.05

@@ -1,30 +1,32 @@
-"""Evaluate the frames of a run, finger by finger, and compare them with the applied load."""
+"""Evaluate the frames of a run, finger by finger; compare them with the applied load and with the expectations."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from canopen_device.core.codes import EMCY_BASE
 from tipforce.arrays import BoolArray, FloatArray
-from tipforce.device.codes import EMCY_BASE
+from tipforce.samples.reasons import CAUSES
 from tipforce.scene import schema
-from tipforce.scene.build import PDO_NAMES, Finger
+from tipforce.scene.build import Finger
 from tipforce.scene.loads import UNLOADED, LoadHistory
+from tipforce.scene.registry import PDO_NAMES
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.decoder import Decoder, Samples
     from tipforce.host.frames.frame_array import FrameArray
 
-
+Emcy = Sequence[tuple[float, str]]  # (t_s, error code)
 QUANTITIES = ("P", "phi", "theta")
 _NO_PDO = "contact PDO not sent"
-# Why P is unknown, and why an angle is while P is not: the first that holds counts. False: the bit is clear.
-_P_REASONS = (("fault", True), ("stale", True), ("saturated", True), ("calibrated", False))
-_ANGLE_REASONS = (("contact", False), ("misses_tip", True), ("theta_unresolved", True))
-_NAMES = {("calibrated", False): "not calibrated", ("contact", False): "no contact"}
+# Why P is unknown, and why an angle is while P is not: the first that holds counts.
+_P_CAUSES = {"fault": "fault", "stale": "stale", "saturated": "saturated", "uncalibrated": "not calibrated"}
+_ANGLE_CAUSES = {"no_contact": "no contact", "misses_tip": "misses_tip", "theta_unresolved": "theta_unresolved"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,10 +47,10 @@ class Contact:
     @property
     def error(self) -> FloatArray:
         """Estimate minus applied, (k, 3), angles wrapped; NaN where unknown, and for angles at zero applied force."""
-        found = self.estimated - self.applied
-        found[:, 1:] = (found[:, 1:] + 180.0) % 360.0 - 180.0
-        found[self.applied[:, 0] == 0.0, 1:] = np.nan
-        return found
+        error = self.estimated - self.applied
+        error[:, 1:] = (error[:, 1:] + 180.0) % 360.0 - 180.0
+        error[self.applied[:, 0] == 0.0, 1:] = np.nan
+        return error
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,23 +82,23 @@ def decoder_of(fingers: Sequence[Finger]) -> dict[int, Decoder]:
     """Return the shared decoder for each number of gauges, with the mappings that are not the default ones."""
     from tipforce.host.decoding.decoder import Decoder
 
-    found: dict[int, Decoder] = {}
+    decoders: dict[int, Decoder] = {}
     for gauges in sorted({finger.gauges for finger in fingers}):
         of_kind = [finger for finger in fingers if finger.gauges == gauges]
-        decoder = found[gauges] = Decoder(gauges, [finger.node_id for finger in of_kind])
+        decoder = decoders[gauges] = Decoder(gauges, [finger.node_id for finger in of_kind])
         for finger in of_kind:
             for pdo in finger.pdos:
                 if pdo.remapped:
                     decoder.remap(finger.node_id, pdo.name, pdo.can_id, pdo.mapping)
-    return found
+    return decoders
 
 
 def decode(fingers: Sequence[Finger], frames: FrameArray) -> dict[tuple[int, str], Samples]:
     """Return the decoded values by (node-id, message name)."""
-    found: dict[tuple[int, str], Samples] = {}
+    messages: dict[tuple[int, str], Samples] = {}
     for decoder in decoder_of(fingers).values():
-        found |= decoder.decode(frames)
-    return found
+        messages |= decoder.decode(frames)
+    return messages
 
 
 def contact_of(
@@ -112,8 +114,6 @@ def contact_of(
     applied = applied_at(finger.load, t_s)
     closed = None
     if slit is not None:
-        from tipforce.scene.slit import slit_closed
-
         closed = slit_closed(slit, applied)
     return Contact(t_s, estimated, applied, flags, closed)
 
@@ -166,24 +166,25 @@ def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: lis
 
 
 def _missing(contact: Contact, syncs: int) -> dict[str, int]:
-    found: dict[str, int] = {}
+    counts: dict[str, int] = {}
     P_unknown = np.isnan(contact.estimated[:, 0])
     angle_unknown = ~P_unknown & np.isnan(contact.estimated[:, 1:]).any(axis=1)
-    for left, reasons in ((P_unknown, _P_REASONS), (angle_unknown, _ANGLE_REASONS)):
+    for left, causes in ((P_unknown, _P_CAUSES), (angle_unknown, _ANGLE_CAUSES)):
         rest = left.copy()
-        for name, value in reasons:
-            if name in contact.flags:
-                hit = rest & (contact.flags[name] == value)
-                _count(found, _NAMES.get((name, value), name), int(hit.sum()))
+        for cause, name in causes.items():
+            flag, is_set, _ = CAUSES[cause]
+            if flag in contact.flags:
+                hit = rest & (contact.flags[flag] == is_set)
+                _count(counts, name, int(hit.sum()))
                 rest &= ~hit
-        _count(found, "not said", int(rest.sum()))
-    _count(found, "no frame", syncs - len(contact.t_s))
-    return found
+        _count(counts, "not said", int(rest.sum()))
+    _count(counts, "no frame", syncs - len(contact.t_s))
+    return counts
 
 
-def _count(found: dict[str, int], name: str, count: int) -> None:
+def _count(counts: dict[str, int], name: str, count: int) -> None:
     if count > 0:
-        found[name] = found.get(name, 0) + count
+        counts[name] = counts.get(name, 0) + count
 
 
 def _counts(known: BoolArray) -> tuple[int, int, int]:
@@ -194,3 +195,120 @@ def _counts(known: BoolArray) -> tuple[int, int, int]:
 def _triple(values: Sequence[float]) -> tuple[float, float, float]:
     a, b, c = values
     return a, b, c
+
+
+def slit_closed(slit: schema.Slit, applied: FloatArray) -> BoolArray:
+    """Return whether a static load would close the slit, (k,): the simulated gauges stay linear, real ones do not.
+
+    applied: (k, 3), P newtons, phi and theta degrees.
+    """
+    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce.sensor.structure.limits import closing_load
+
+    directions, which = np.unique(applied[:, 1:], axis=0, return_inverse=True)
+    limits = [
+        closing_load(FABRICATED, math.radians(theta), math.radians(phi), 1e-3 * slit.gap_mm)
+        for phi, theta in directions.tolist()
+    ]
+    closed: BoolArray = applied[:, 0] >= np.array(limits)[which.reshape(-1)]
+    return closed
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One expectation for one node."""
+
+    node_id: int
+    expected: str
+    found: str
+    ok: bool | None
+    """None: not evaluated, because the run ended before the expectation's time."""
+
+
+def judge(
+    scene: schema.Scene,
+    duration_s: float,
+    syncs: Sequence[float],
+    contacts: Mapping[int, Contact | None],
+    emcys: Mapping[int, Emcy],
+) -> list[Check]:
+    """Return every expectation, for every node to which it applies. ``syncs``: their times, seconds."""
+    checks = []
+    for expect in scene.expect:
+        # On a bus the last response arrives shortly after the end: without to_s it still counts.
+        until = math.inf if expect.to_s is None else expect.to_s
+        needs_s = scene.duration_s if expect.to_s is None else expect.to_s
+        when = f"{expect.from_s:g} s to {needs_s:g} s: "
+        for node_id in expect.nodes or scene.node_ids:
+            total = sum(expect.from_s <= t <= until for t in syncs)
+            contact = contacts.get(node_id)
+            inside = None if contact is None else _cut(contact, expect.from_s, until)
+            emcy = [code for t, code in emcys.get(node_id, ()) if expect.from_s <= t <= until]
+            for name, measured, ok in _checks(expect, inside, total, emcy):
+                checks.append(Check(node_id, when + name, measured, ok if needs_s <= duration_s else None))
+    return checks
+
+
+def _cut(contact: Contact, from_s: float, until_s: float) -> Contact:
+    rows = (contact.t_s >= from_s) & (contact.t_s <= until_s)
+    flags = {name: column[rows] for name, column in contact.flags.items()}
+    closed = None if contact.slit_closed is None else contact.slit_closed[rows]
+    return Contact(contact.t_s[rows], contact.estimated[rows], contact.applied[rows], flags, closed)
+
+
+def _checks(
+    expect: schema.Expect, contact: Contact | None, syncs: int, emcy: Sequence[str]
+) -> Iterator[tuple[str, str, bool]]:
+    """Return (what is expected, what was found, whether it holds)."""
+    yield from _errors(expect, contact)
+    known = 0 if contact is None else int(np.isfinite(contact.estimated[:, 0]).sum())
+    share = known / syncs if syncs else 0.0
+    if expect.P_known_at_least is not None:
+        yield (
+            f"P known in at least {expect.P_known_at_least:g} of the SYNCs",
+            f"{share:.4g}",
+            (share >= expect.P_known_at_least),
+        )
+    if expect.P_known_at_most is not None:
+        yield (
+            f"P known in at most {expect.P_known_at_most:g} of the SYNCs",
+            f"{share:.4g}",
+            (bool(syncs) and share <= expect.P_known_at_most),
+        )
+    flags = {} if contact is None else contact.flags
+    for name in expect.status_seen:
+        count = int(flags[name].sum()) if name in flags else 0
+        yield f"status {name}", f"in {count} samples", count > 0
+    for name in expect.status_never:
+        # A bit that was never sent was not seen clear either.
+        count = int(flags[name].sum()) if name in flags else -1
+        yield f"never status {name}", f"in {count} samples" if count >= 0 else "status not sent", count == 0
+    if expect.slit_closes is not None:
+        closed = 0 if contact is None or contact.slit_closed is None else int(contact.slit_closed.sum())
+        word = "closes" if expect.slit_closes else "stays open"
+        yield f"slit {word}", f"closed in {closed} samples", (closed > 0) == expect.slit_closes
+    for code in expect.emcy_seen:
+        yield f"EMCY {code}", ", ".join(sorted(set(emcy))) or "none", code in emcy
+    if expect.emcy_none:
+        yield "no EMCY", ", ".join(sorted(set(emcy))) or "none", not emcy
+
+
+def _errors(expect: schema.Expect, contact: Contact | None) -> Iterator[tuple[str, str, bool]]:
+    """Yield the bounds of errors. A bound without a known sample fails."""
+    error = None if contact is None else contact.error
+    limits = (
+        ("largest", (expect.P_error_N, expect.phi_error_deg, expect.theta_error_deg)),
+        ("RMS", (expect.P_rms_N, expect.phi_rms_deg, expect.theta_rms_deg)),
+    )
+    for word, triple in limits:
+        for k, limit in enumerate(triple):
+            if limit is None:
+                continue
+            unit = "N" if k == 0 else "deg"
+            column = np.zeros(0) if error is None else error[np.isfinite(error[:, k]), k]
+            text = f"{word} error of {QUANTITIES[k]} at most {limit:g} {unit}"
+            if not len(column):
+                yield text, "no sample with a known value", False
+                continue
+            size = float(np.max(np.abs(column)) if word == "largest" else np.sqrt(np.mean(column * column)))
+            yield text, f"{size:.4g} {unit}", size <= limit

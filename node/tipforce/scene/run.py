@@ -9,19 +9,18 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
+from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
 from tipforce.errors import InputError
 from tipforce.scene import schema
-from tipforce.scene.build import Finger, build
-from tipforce.scene.simulate import simulate, sync_times
+from tipforce.scene.build import Finger, build, fault_events, sync_times
+from tipforce.scene.registry import built_parts
 
 if TYPE_CHECKING:
-    from tipforce.host.decoding.decoder import Samples
     from tipforce.host.frames.frame_array import FrameArray
-    from tipforce.scene.expectations import Check
-    from tipforce.scene.recording import Recording
-    from tipforce.scene.results import Contact, FingerResult
+    from tipforce.scene.results import Check, FingerResult
 
-    Messages = dict[tuple[int, str], Samples]
+    Frame = tuple[int, bytes]
+    Emit = Callable[[int, int, bytes], None]  # t_us, can_id, data
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,88 +84,105 @@ def run_scene(
 
     Raises InputError for files that cannot be read or written, EnvironmentLackError for a bus that cannot be opened.
     """
-    from tipforce.scene.recording import Recording
+    from tipforce.scene.outputs import Recording
 
     scene, duration_s = with_options(scene, options)
-    built = ["nodes"]
-    fingers = build(scene, folder, built)
-    built += _named_without_object(scene)
+    fingers = build(scene, folder)
     on_bus = scene.bus is not None or options.realtime
     name = "sim0" if scene.bus is None else scene.bus.channel or scene.bus.interface or "can"
     with Recording(scene.outputs.log, name) as recording:
         if on_bus:
             from tipforce.scene.realtime import run_on_bus
 
-            built.append("bus")
             run_on_bus(scene, fingers, duration_s, recording, advance)
         else:
             simulate(scene, fingers, duration_s, recording.add, lambda t_us: advance(1e-6 * t_us))
         frames = recording.frames()
-    return _account(scene, fingers, duration_s, recording, frames, built)
-
-
-def _named_without_object(scene: schema.Scene) -> list[str]:
-    """Parts that are an act of the run, not an object that build() makes."""
-    found = ["recording"]
-    if scene.sync_hz is not None:
-        found.append("SYNC")
-    if scene.faults:
-        found.append("faults")
-    if scene.slit is not None:
-        found.append("slit")
-    if scene.outputs.log is not None:
-        found.append("log")
-    return found
+    built = built_parts(scene, *(("bus",) if on_bus else ()))
+    return _account(scene, fingers, duration_s, frames, recording.counts, built)
 
 
 def _account(
     scene: schema.Scene,
     fingers: Sequence[Finger],
     duration_s: float,
-    recording: Recording,
     frames: FrameArray,
-    built: list[str],
+    frames_by_id: dict[int, int],
+    built: tuple[str, ...],
 ) -> Outcome:
     """Decode the frames, check the expectations, write the table and the plot."""
-    from tipforce.scene import results
+    from tipforce.scene import outputs, results
 
-    messages: Messages = {}
-    if any(finger.pdos for finger in fingers):
-        built.append("decoder")
-        messages = results.decode(fingers, frames)
+    messages = results.decode(fingers, frames) if "decoder" in built else {}
     syncs = [t_us / 1e6 for t_us in sync_times(scene, duration_s)]
     contacts = {finger.node_id: results.contact_of(finger, messages, scene.slit) for finger in fingers}
     emcys = {finger.node_id: results.emcy_of(finger.node_id, frames) for finger in fingers}
-    checks: list[Check] = []
-    if scene.expect:
-        from tipforce.scene.expectations import judge
-
-        built.append("expectations")
-        checks = judge(scene, duration_s, syncs, contacts, emcys)
-    files = _write(scene, fingers, messages, contacts, built)
-    found = tuple(
+    checks = results.judge(scene, duration_s, syncs, contacts, emcys)
+    if scene.outputs.table is not None:
+        outputs.write_table(scene.outputs.table, messages)
+    if scene.outputs.plot is not None:
+        outputs.write_plot(scene.outputs.plot, scene.title or "scene", list(contacts), contacts)
+    finger_results = tuple(
         results.finger_result(finger, len(syncs), contacts[finger.node_id], emcys[finger.node_id]) for finger in fingers
     )
-    unique = tuple(dict.fromkeys(built))
-    return Outcome(found, tuple(checks), unique, dict(recording.counts), files, duration_s, len(syncs))
+    files = tuple(path for path in (scene.outputs.log, scene.outputs.table, scene.outputs.plot) if path is not None)
+    return Outcome(finger_results, tuple(checks), built, frames_by_id, files, duration_s, len(syncs))
 
 
-def _write(
-    scene: schema.Scene,
-    fingers: Sequence[Finger],
-    messages: Messages,
-    contacts: dict[int, Contact | None],
-    built: list[str],
-) -> tuple[str, ...]:
-    outputs = scene.outputs
-    if outputs.table is not None:
-        from tipforce.scene.table_file import write_table
+def simulate(
+    scene: schema.Scene, fingers: Sequence[Finger], duration_s: float, emit: Emit, advance: Callable[[int], None]
+) -> None:
+    """Run the hand for ``duration_s``; ``emit`` gets every frame in order, ``advance`` gets the time now and then.
 
-        built.append("table")
-        write_table(outputs.table, messages)
-    if outputs.plot is not None:
-        from tipforce.scene.plot import write_plot
+    A frame's time is the time of its transmit request: transmission time on the bus is not simulated.
+    """
+    end_us = round(1e6 * duration_s)
+    hand = _Hand(fingers, emit, end_us)
+    events = [event for event in fault_events(scene, fingers)[::-1] if event[0] <= end_us]
+    for number, t_us in enumerate(sync_times(scene, duration_s)):
+        while events and events[-1][0] <= t_us:
+            hand.inject(*events.pop())
+        hand.expire(t_us)
+        hand.say(t_us, SYNC_COB_ID, b"")
+        if number % 1024 == 0:
+            advance(t_us)
+    for event in reversed(events):
+        hand.inject(*event)
+    hand.expire(end_us + 1)
+    advance(end_us)
 
-        built.append("plot")
-        write_plot(outputs.plot, scene, [finger.node_id for finger in fingers], contacts)
-    return tuple(path for path in (outputs.log, outputs.table, outputs.plot) if path is not None)
+
+class _Hand:
+    """The booted and started nodes, and the due times of their timers."""
+
+    def __init__(self, fingers: Sequence[Finger], emit: Emit, end_us: int) -> None:
+        self._fingers = fingers
+        self._emit = emit
+        self._due = [end_us + 1] * len(fingers)  # due time of each node's next timer
+        for finger in fingers:
+            for can_id, data in finger.boot(0):
+                emit(0, can_id, data)
+        self.say(0, NMT_COB_ID, b"\x01\x00")
+
+    def say(self, t_us: int, can_id: int, data: bytes) -> None:
+        """Send one frame of the scene's master to every node."""
+        self._emit(t_us, can_id, data)
+        frames = ((can_id, data),)
+        for place in range(len(self._fingers)):
+            self._step(place, t_us, frames)
+
+    def expire(self, until_us: int) -> None:
+        """Step each node with a timer due before a time, in the order of the due times."""
+        while (t_us := min(self._due)) < until_us:
+            self._step(self._due.index(t_us), t_us, ())
+
+    def inject(self, at_us: int, finger: Finger, fault: int, gauge: int, magnitude: float) -> None:
+        """Start or end a fault."""
+        self.expire(at_us)
+        finger.source.set_fault(fault, gauge, magnitude, at_us)
+
+    def _step(self, place: int, t_us: int, frames: Sequence[Frame]) -> None:
+        sent, due_us = self._fingers[place].device.step(t_us, frames)
+        for can_id, data in sent:
+            self._emit(t_us, can_id, data)
+        self._due[place] = due_us

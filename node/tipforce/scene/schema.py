@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
-
-from tipforce.paths_below import below
-from tipforce.toml_table import convert, read_table
 
 MAX_NODES = 32
 
@@ -248,15 +244,3 @@ class Scene(_Table, frozen=True, kw_only=True):
     def group(self, node_id: int) -> Nodes:
         """Return the [[nodes]] table of a node."""
         return next(group for group in self.nodes if node_id in group.ids)
-
-
-def read_scene(path: str | Path) -> Scene:
-    """Read and check a scene file. Raises InputError naming the place, the value and what is allowed."""
-    from tipforce.scene.check import check_scene
-
-    scene = convert(Scene, read_table(path, f"scene {path}"), f"scene {path}")
-    check_scene(scene, f"scene {path}")
-    for key, output in msgspec.structs.asdict(scene.outputs).items():
-        if output is not None:
-            below("", output, f"scene {path}: outputs.{key}")
-    return scene

@@ -7,22 +7,22 @@ import math
 import os
 import threading
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
+from canopen_device.core import codes
+from canopen_device.core.node import Device
+from canopen_device.running import loop
+from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.store import MemoryStore
 from tipforce.arrays import floats
-from tipforce.device import codes
-from tipforce.device.node import Device
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.measurement_rows import LARGEST_MICROSTRAIN, MOST_LOAD_NEWTONS
+from tipforce.host.configuration.measurements import LARGEST_MICROSTRAIN, MOST_LOAD_NEWTONS
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.open_bus import open_bus
-from tipforce.running import loop
-from tipforce.running.ports import PythonCanPort
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import layout_code
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
@@ -97,9 +97,7 @@ class SimulatedBus(Bus):
     def __enter__(self) -> SimulatedBus:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _run(self, devices: Sequence[Device], port: PythonCanPort) -> None:
@@ -161,25 +159,20 @@ def simulated_hand(
     sources: dict[int, SimulatedSource] = {}
     A = strain_matrix(FABRICATED, layout)
     for node_id in chosen:
-        flash: dict[str, bytes] = {}
+        store = MemoryStore()
         source = SimulatedSource(A.tolist(), noise_microstrain, seed=seed + node_id)
         source.load = loads.get(node_id, NO_LOAD)
         sources[node_id] = source
-
-        def save(group: str, data: bytes, flash: dict[str, bytes] = flash) -> bool:
-            flash[group] = data
-            return True
-
-        devices[node_id] = fingertip_node(node_id, source, len(A), 1000 + node_id, save, flash.get)
-    found = SimulatedBus(devices, sources, **bus)
+        devices[node_id] = fingertip_node(node_id, source, len(A), 1000 + node_id, store.save, store.load)
+    bus_of_fingers = SimulatedBus(devices, sources, **bus)
     try:
         for node_id in chosen if calibrated else ():
             sense = _pulls(sources[node_id].load) if pull is None else pull
-            found.finger(node_id).apply_calibration(beam_calibration(layout, sense, noise_microstrain))
+            bus_of_fingers.finger(node_id).apply_calibration(beam_calibration(layout, sense, noise_microstrain))
     except BaseException:
-        found.close()
+        bus_of_fingers.close()
         raise
-    return found
+    return bus_of_fingers
 
 
 def check_noise(noise_microstrain: float) -> None:

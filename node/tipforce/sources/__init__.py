@@ -1,10 +1,10 @@
 """Gauge sources of a node: simulated, with a front end and dynamics, replayed, and Linux Industrial I/O."""
 
-from tipforce._lazy import lazy
+from canopen_device.lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from tipforce.sources.dynamic_forces import DynamicForces as DynamicForces
+    from tipforce.sources.dynamic_load import DynamicForces as DynamicForces
     from tipforce.sources.dynamic_load import DynamicLoad as DynamicLoad
     from tipforce.sources.front_end import Bridge as Bridge
     from tipforce.sources.front_end import FrontEnd as FrontEnd
@@ -15,30 +15,12 @@ if TYPE_CHECKING:
     from tipforce.sources.replay import ReplaySource as ReplaySource
     from tipforce.sources.simulated import SimulatedSource as SimulatedSource
 
-_MODULES = {
-    "SimulatedSource": "simulated",
-    "FrontEnd": "front_end",
-    "Bridge": "front_end",
-    "Temperature": "front_end",
-    "WhiteNoise": "front_end",
-    "OneOverFNoise": "front_end",
-    "DynamicLoad": "dynamic_load",
-    "DynamicForces": "dynamic_forces",
-    "ReplaySource": "replay",
-    "IioSource": "iio",
+_NAMES = {
+    "simulated": ("SimulatedSource",),
+    "front_end": ("FrontEnd", "Bridge", "Temperature", "WhiteNoise", "OneOverFNoise"),
+    "dynamic_load": ("DynamicLoad", "DynamicForces"),
+    "replay": ("ReplaySource",),
+    "iio": ("IioSource",),
 }
-__all__ = [
-    "Bridge",
-    "DynamicForces",
-    "DynamicLoad",
-    "FrontEnd",
-    "IioSource",
-    "OneOverFNoise",
-    "ReplaySource",
-    "SimulatedSource",
-    "Temperature",
-    "WhiteNoise",
-]
-
 if not TYPE_CHECKING:
-    __getattr__, __dir__ = lazy(__name__, _MODULES)
+    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

@@ -57,8 +57,8 @@ def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
     """Return one channel of a scan: shifted, masked to its bits, sign-extended."""
     code = (">" if kind.big_endian else "<") + _CODES[kind.storage_bits].upper()
     stored: int = struct.unpack_from(code, scan, offset)[0]
-    found = stored >> kind.shift & (1 << kind.bits) - 1
-    return found - (1 << kind.bits) if kind.signed and found >> kind.bits - 1 else found
+    value = stored >> kind.shift & (1 << kind.bits) - 1
+    return value - (1 << kind.bits) if kind.signed and value >> kind.bits - 1 else value
 
 
 class BufferedDevice:
@@ -99,9 +99,9 @@ class BufferedDevice:
         self.path = path = at_same_place(self.path)
         self._write("buffer/enable", "0")
         types = [(channel, self._enable(channel)) for channel in self._present()]
-        found = [(channel, int((path / "scan_elements" / f"in_{channel}_index").read_text()), kind)
+        enabled = [(channel, int((path / "scan_elements" / f"in_{channel}_index").read_text()), kind)
                  for channel, kind in types if kind is not None]  # fmt: skip
-        self._layout = layout_of(found, self.channels)
+        self._layout = layout_of(enabled, self.channels)
         with contextlib.suppress(OSError):  # older kernels have only one clock, the time of day
             self._write("current_timestamp_clock", CLOCK)
         self._monotonic = self._layout.stamp is not None and self._clock() == CLOCK
@@ -138,11 +138,7 @@ class BufferedDevice:
             return ""
 
     def _write(self, name: str, text: str) -> None:
-        fd = os.open(self.path / name, os.O_WRONLY | os.O_TRUNC)  # never create: sysfs either has the file or not
-        try:
-            os.write(fd, text.encode())
-        finally:
-            os.close(fd)
+        iio_sysfs.write_attribute(self.path / name, text)
 
     def read(self, now_us: int) -> tuple[int, ...] | None:
         """Return the newest scan up to ``now_us``, or None if there was none since the last call.
@@ -152,10 +148,10 @@ class BufferedDevice:
         if not self.path.is_dir():
             raise FileNotFoundError(2, "No such device")
         self._fetch()
-        found = None
+        newest = None
         while self._scans and (not self._monotonic or self._scans[0][0] <= now_us):
-            found = self._scans.popleft()[1]
-        return found
+            newest = self._scans.popleft()[1]
+        return newest
 
     def _fetch(self) -> None:
         """Read the kernel's data. An incomplete scan waits for the rest."""
@@ -199,11 +195,11 @@ class BufferedDevice:
 
 def triggers(root: Path = iio_sysfs.ROOT) -> dict[str, Path]:
     """Return the triggers of the bus by name."""
-    found = {}
+    by_name = {}
     for entry in sorted(root.glob("trigger*")):
         with contextlib.suppress(OSError):
-            found[(entry / "name").read_text().strip()] = entry
-    return found
+            by_name[(entry / "name").read_text().strip()] = entry
+    return by_name
 
 
 def own_trigger(device: Device, root: Path = iio_sysfs.ROOT) -> str | None:
@@ -222,12 +218,7 @@ def make_hrtimer(name: str, frequency_hz: float, root: Path = iio_sysfs.ROOT, co
         if not configfs.is_dir():
             raise FileNotFoundError(2, f"{configfs} is missing")
         (configfs / name).mkdir(exist_ok=True)
-        path = triggers(root)[name]
-        fd = os.open(path / "sampling_frequency", os.O_WRONLY | os.O_TRUNC)
-        try:
-            os.write(fd, f"{frequency_hz:.0f}".encode())
-        finally:
-            os.close(fd)
+        iio_sysfs.write_attribute(triggers(root)[name] / "sampling_frequency", f"{frequency_hz:.0f}")
     except (OSError, KeyError) as error:
         raise EnvironmentLackError(
             f"hrtimer trigger: {error}; as root: `modprobe iio-trig-hrtimer` and "

@@ -59,11 +59,11 @@ class ScanType(NamedTuple):
 
 def devices(root: Path = ROOT) -> list[Device]:
     """Return all devices (no triggers), by number; empty if the kernel has no Industrial I/O."""
-    found = []
+    present = []
     for entry in root.glob("iio:device*"):
         path = Path(os.path.realpath(entry))
-        found.append(Device(entry.name, _text(path / "name"), _text(path / "label"), path.parent.name, path))
-    return sorted(found, key=lambda device: _natural(device.number))
+        present.append(Device(entry.name, _text(path / "name"), _text(path / "label"), path.parent.name, path))
+    return sorted(present, key=lambda device: _natural(device.number))
 
 
 def find(wanted: str, root: Path = ROOT) -> Device:
@@ -134,6 +134,11 @@ def temperature(path: Path, channel: str) -> int:
     except FileNotFoundError:
         scale, offset = attribute(path, channel, "scale"), attribute(path, channel, "offset")
         thousandths = (raw_value(path, channel) + (offset or 0.0)) * (1.0 if scale is None else scale)
+    return hundredths_degC(thousandths)
+
+
+def hundredths_degC(thousandths: float) -> int:
+    """Return a temperature in thousandths of a degree as in 2122h."""
     hundredths = 0.1 * thousandths
     return round(hundredths) if -32767.5 < hundredths < 32767.5 else UNKNOWN_TEMPERATURE
 
@@ -182,10 +187,10 @@ def at_same_place(path: Path) -> Path:
     """
     if path.is_dir():
         return path
-    found = sorted(path.parent.glob("iio:device*"))
-    if len(found) != 1:
+    present = sorted(path.parent.glob("iio:device*"))
+    if len(present) != 1:
         raise FileNotFoundError(2, "No such device")
-    return found[0]
+    return present[0]
 
 
 def temperature_of(path: Path, channel: str | None) -> int:
@@ -194,6 +199,15 @@ def temperature_of(path: Path, channel: str | None) -> int:
         return UNKNOWN_TEMPERATURE if channel is None else temperature(path, channel)
     except OSError:
         return UNKNOWN_TEMPERATURE
+
+
+def write_attribute(file: Path, text: str) -> None:
+    """Write a file of sysfs, which either has it or not: it is never created. Raises OSError."""
+    fd = os.open(file, os.O_WRONLY | os.O_TRUNC)
+    try:
+        os.write(fd, text.encode())
+    finally:
+        os.close(fd)
 
 
 def _integer(file: Path) -> int:

@@ -2,7 +2,7 @@
 
 import math
 
-from tipforce.device import codes
+from canopen_device.core import codes
 from tipforce.dictionary import indices, table
 from tipforce.fingertip.source import Reading, Source, convert
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from random import Random
 
-    from tipforce.device.node import Device
-    from tipforce.device.object_dictionary import Value
+    from canopen_device.core.node import Device
+    from canopen_device.core.object_dictionary import Value
 
     from .front_end import FrontEnd
 
@@ -150,13 +150,13 @@ class SimulatedSource(Source):
     def _microstrains(self, force: "Forces", now_us: int) -> "list[float]":
         f1, f2, f3 = force
         gauss, noise = self._gauss, self.noise_microstrain
-        found = [
+        microstrains = [
             1e6 * (c1 * f1 + c2 * f2 + c3 * f3) + offset + gauss(0.0, noise)
             for (c1, c2, c3), offset in zip(self.rows, self.offset_microstrain)  # noqa: B905 (not in MicroPython)
         ]
-        if self.fault == DRIFT and 0 < self.fault_gauge <= len(found):
-            found[self.fault_gauge - 1] += self.fault_magnitude * 1e-6 * (now_us - self._fault_since_us)
-        return found
+        if self.fault == DRIFT and 0 < self.fault_gauge <= len(microstrains):
+            microstrains[self.fault_gauge - 1] += self.fault_magnitude * 1e-6 * (now_us - self._fault_since_us)
+        return microstrains
 
 
 def _force(load: "Forces") -> "Forces":

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from bench.honesty import INVISIBLE, Rig, cells, drifting, false_alarms, row_of, verdict
 
 from tipforce.errors import InputError
+from tipforce.sensor.calibration.data import require_degrees, require_order, require_size
 from tipforce.sensor.calibration.distributions import variance_factors
-from tipforce.sensor.calibration.drift_choice import best_fit
-from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration
-from tipforce.sensor.calibration.plausibility import require_degrees, require_order, require_size
-from tipforce.sensor.calibration.rejections import rejections
+from tipforce.sensor.calibration.fit import Model, Readings, best_fit, fit_calibration
+from tipforce.sensor.calibration.outliers import rejections
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
-from tipforce.sensor.calibration.validity import overload_newtons, redundancy_limit
+from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import layout
 from tipforce.sensor.structure.strain import strain_matrix
+from tipforce_lab.report.studies.honesty import GAUGES
 
 CLEAN = Faults(
     drift_strain=0.0, groove_scatter_rad=0.0, hang_scatter_rad=0.0, outlier_share=0.0, saturation=None
@@ -136,36 +136,28 @@ def test_the_redundancy_limit_covers_what_the_calibration_may_contradict() -> No
     assert overload_newtons(FABRICATED, 200e6) < overload_newtons(FABRICATED)
 
 
-def test_ok_means_ok_for_three_gauges(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(Path(__file__).parents[3])
-    from bench.honesty import row_of
-    from bench.honesty_study import Rig, cells
-
+def test_ok_means_ok_for_three_gauges() -> None:
     clean, rail, warm, si = cells(3, Rig(8, 2, 1), ("clean", "rail", "warm, calibrated cold", "SI units"), 6)
-    assert (clean.calibrations, clean.wrong) == (6, 0)
-    assert clean.ok_share > 0.98
-    assert 0.85 < clean.covered_share < 1.0
-    assert rail.ok == warm.ok == 0
-    assert sum(si.refused.values()) == si.calibrations == 1
+    assert (clean.counts["calibrations"], clean.counts["wrong"]) == (6, 0)
+    assert clean.ratio("ok", "rows") > 0.98
+    assert 0.85 < clean.ratio("covered", "ok") < 1.0
+    assert rail.counts["ok"] == warm.counts["ok"] == 0
+    assert si.refused.total() == si.counts["calibrations"] == 1
     assert row_of(si)[-1] == "good: refused"
 
 
-def test_ok_means_ok_for_five_gauges(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(Path(__file__).parents[3])
-    from bench.honesty import verdict
-    from bench.honesty_study import GAUGES, INVISIBLE, Rig, cells, drifting, false_alarms
-
-    found = {cell.fault: cell for cell in cells(5, Rig(), ("clean", "drift", "gain"), 4)}
-    clean, drift, gain = (found[name] for name in ("clean", "drift", "gain"))
-    assert (clean.wrong, drift.wrong) == (0, 0)
+def test_ok_means_ok_for_five_gauges() -> None:
+    by_fault = {cell.fault: cell for cell in cells(5, Rig(), ("clean", "drift", "gain"), 4)}
+    clean, drift, gain = (by_fault[name] for name in ("clean", "drift", "gain"))
+    assert (clean.counts["wrong"], drift.counts["wrong"]) == (0, 0)
     # A tenth more of a gauge passes where the force is small: what it may do there is in the uncertainty.
     assert verdict(gain) == "good"
-    assert 0.2 < gain.ok_share < 0.8
-    assert clean.ok_share > 0.99
+    assert 0.2 < gain.ratio("ok", "rows") < 0.8
+    assert clean.ratio("ok", "rows") > 0.99
     assert clean.u_over_error < 1.2
-    assert 0.0 < drift.ok_share < 0.3
+    assert 0.0 < drift.ratio("ok", "rows") < 0.3
     # The layout has one gauge whose fault passes as a force; the verdict has the figure.
-    hidden = next(cell for name, cell in found.items() if name.endswith(INVISIBLE))
+    hidden = next(cell for name, cell in by_fault.items() if name.endswith(INVISIBLE))
     assert hidden.shares.keys() == {"S_H"}
     assert verdict(hidden).startswith("cannot tell: of its own noise the residuals show, at least, S_H")
     samples, wrong, known = drifting(GAUGES.index("L"), 2)

@@ -19,7 +19,7 @@ from tipforce.sensor.calibration.fit import (
     linear_fit,
 )
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import POINTS, layout
 from tipforce.sensor.structure.strain import condition_number, strain_matrix

@@ -11,8 +11,8 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.distributions import f_quantile, t_quantile
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration
-from tipforce.sensor.calibration.grooves import paper_grooves
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.calibration.simulation import paper_grooves
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 

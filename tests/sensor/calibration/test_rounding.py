@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration
-from tipforce.sensor.calibration.rounding import DIGITS, matrix_to_digits, rounded, to_digits
+from tipforce.sensor.calibration.result import DIGITS, matrix_to_digits, rounded, to_digits
 from tipforce.sensor.calibration.simulation import Simulated, simulate
 
 

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from math import inf, nan, sqrt
-from pathlib import Path
 
 import numpy as np
 import pytest
+from bench import fault_detection
+from bench.coverage import DELTAS_DEG, QUICK_TRIALS, SNRS, failures, report, study, without_the_one
+from bench.fault_detection import FIVE, SIX, false_alarms, rates, weights
 
 from tipforce.errors import InputError
-from tipforce.sensor.contact.first_order import CURVATURE_LIMIT, curvature, first_order_holds
-from tipforce.sensor.contact.force import force_vector
-
-ROOT = Path(__file__).parents[3]
+from tipforce.sensor.contact.estimate import CURVATURE_LIMIT, curvature, first_order_holds, force_vector
 
 
-def test_quick_study(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(ROOT)
-    from bench.coverage import report
-    from bench.coverage_study import DELTAS_DEG, QUICK_TRIALS, SNRS, failures, study, without_the_one
-
+def test_quick_study() -> None:
     cells = study(QUICK_TRIALS)
     assert len(cells) == len(SNRS) * len(DELTAS_DEG) * (1 + 3 + 2 * 2 * 3)
     # Three standard deviations of a count of so many trials on top of the two points.
@@ -33,17 +28,16 @@ def test_quick_study(monkeypatch: pytest.MonkeyPatch) -> None:
         # An interval that misses the truth without a flag is hardly more frequent than its 5 %.
         assert cell.silent_percent < 5.0 + 2.0 + 300.0 * sqrt(0.05 * 0.95 / QUICK_TRIALS)
     isotropic = [c for c in cells if c.layout == "isotropic" and c.delta_deg == 90]
-    assert all(82.0 < c.theta_percent < 92.0 for c in isotropic)  # what the flag warns of
+    assert all(82.0 < c.percents[2] < 92.0 for c in isotropic)  # what the flag warns of
     one = without_the_one(np.random.default_rng(1), QUICK_TRIALS)
     push = one[1]
     assert (push["grooves_to_deg"], push["sense"]) == (90.0, "push")
     assert push["leverage_ratio"] == pytest.approx(3.7, abs=0.1)
     assert float(push["P_percent_with"]) == pytest.approx(95.0, abs=1.5)
     assert float(push["P_percent_without"]) < 92.0
-    for markdown in (False, True):
-        text = report(cells, one, QUICK_TRIALS, markdown)
-        assert "grooves to 90 deg, push" in text.lower()
-        assert "95.0" in text
+    text = report(cells, one, QUICK_TRIALS)
+    assert "grooves to 90 deg, push" in text.lower()
+    assert "95.0" in text
 
 
 def test_curvature_is_the_change_of_the_slope() -> None:
@@ -90,10 +84,7 @@ def test_edges() -> None:
         curvature([1.0, 0.0, 0.0], np.eye(2))
 
 
-def test_quick_fault_detection(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(ROOT)
-    from bench.fault_detection import FIVE, SIX, false_alarms, rates, report, weights
-
+def test_quick_fault_detection() -> None:
     five, six = rates(FIVE, 1000), rates(SIX, 200)
     for rate in five:
         assert rate.wrong < 3.0
@@ -112,4 +103,4 @@ def test_quick_fault_detection(monkeypatch: pytest.MonkeyPatch) -> None:
     for alarm, error in (diagonal, same):
         assert alarm < 1.0
         assert error < 0.04
-    assert "isolated" in report({5: five, 6: six}, alarms, weighed, 1000, True)
+    assert "isolated" in fault_detection.report({5: five, 6: six}, alarms, weighed, 1000)

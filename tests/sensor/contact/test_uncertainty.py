@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.estimate import contacts, miss_uncertainties, standard_uncertainties
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import contacts, force_vector, miss_uncertainties, standard_uncertainties
 
 FloatArray = npt.NDArray[np.float64]
 UPPER = np.triu_indices(3)

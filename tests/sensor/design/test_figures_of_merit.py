@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import contacts, force_vector, standard_uncertainties
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.limits import worst_stress
 from tipforce.sensor.structure.strain import condition_number, noise_gain, strain_matrix
@@ -59,17 +58,6 @@ def test_worst_stress_and_strain_over_all_angles() -> None:
     assert worst_strain(A, 4.4) == pytest.approx(largest, rel=1e-3)
     assert worst_stress(FABRICATED, 4.4) == pytest.approx(largest * FABRICATED.youngs_modulus_pascals, rel=1e-3)
     assert worst_stress(FABRICATED, 4.4) == pytest.approx(187.0e6, rel=1e-3)
-
-
-def test_a_singular_matrix_has_infinite_uncertainty() -> None:
-    got = merit(np.ones((3, 3)), NOISE, LOADS)
-    assert (got.u_theta_deg, got.smallest_singular_value, got.condition_number) == (math.inf, 0.0, math.inf)
-
-
-# --- the bound on the condition number ------------------------------------------------------------------------------
-
-
-# --- what is refused ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.calibration.grooves import paper_grooves
+from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce_lab.design.paper_figures import simulate_groove_errors
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.gauge_positions import gauge_matrix
+from tipforce.sensor.structure.gauges import gauge_matrix
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.limits import slit_closure, worst_stress

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
@@ -12,14 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.eigen import jacobi
-from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_cylinder, modes
+from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_cylinder, jacobi, modes
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame
-from tipforce_lab.dynamics.sampling import (
-    frequency_of_error,
-    quasi_static_error,
-)
+from tipforce_lab.dynamics.sampling import frequency_of_error, quasi_static_error
 
 JOINT = RigidBody(1e-9, 0.0, 1e-15)
 
@@ -97,49 +92,6 @@ def test_the_static_limit_returns_the_applied_force(
         rtol=0.0,
         atol=1e-7 * (arms + vertical).max(),
     )
-
-
-@pytest.mark.parametrize("h1_m", [1e-9, 1e-8, 1e-6, 1e-4, 1e-2])
-def test_thin_beams_beside_a_thick_one_keep_their_digits(h1_m: float) -> None:
-    # Stiffness ratios to 5e14: eigenvalues against the characteristic cubic in 80-digit arithmetic.
-    body = replace(FABRICATED, h1_m=h1_m)
-    arms, vertical = compliances(Frame(body))
-    wanted = cubic_roots(half_cylinder(body).matrix(body.r_m), arms + vertical)
-    np.testing.assert_allclose(1.0 / modes(body).omega_rad_s[::-1] ** 2, wanted, rtol=1e-12)
-
-
-def cubic_roots(
-    mass: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    compliance: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-) -> list[float]:
-    """Eigenvalues of compliance times mass, smallest first, by Newton's method from below on det(C - mu M^-1)."""
-    with localcontext() as context:
-        context.prec = 80
-        M = [[Decimal(float(x)) for x in row] for row in mass]
-        C = [[Decimal(float(x)) for x in row] for row in compliance]
-        P = [[sum(C[i][k] * M[k][j] for k in range(3)) for j in range(3)] for i in range(3)]
-        trace = P[0][0] + P[1][1] + P[2][2]
-        minors = sum((P[i][i] * P[j][j] - P[i][j] * P[j][i] for i, j in ((0, 1), (0, 2), (1, 2))), Decimal(0))
-        det = sum(
-            (P[0][i] * (P[1][j] * P[2][k] - P[1][k] * P[2][j]) for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))),
-            Decimal(0),
-        )
-        roots, coefficients = [], [Decimal(1), -trace, minors, -det]
-        while len(coefficients) > 1:
-            mu = Decimal(0)
-            for _ in range(500):
-                value = slope = Decimal(0)
-                for c in coefficients:
-                    slope, value = slope * mu + value, value * mu + c
-                mu -= value / slope
-                if abs(value / slope) < mu * Decimal(10) ** -60:
-                    break
-            roots.append(float(mu))
-            reduced = [coefficients[0]]
-            for c in coefficients[1:-1]:
-                reduced.append(c + mu * reduced[-1])
-            coefficients = reduced
-        return roots
 
 
 @settings(max_examples=60, deadline=None)

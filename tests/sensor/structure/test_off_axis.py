@@ -11,7 +11,7 @@ import pytest
 from numpy.polynomial import Legendre, Polynomial
 
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauge_shift import GaugePosition, nominal_position, strain_row
+from tipforce.sensor.structure.gauges import GaugePosition, nominal_position, strain_row
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import POINTS
 from tipforce.sensor.structure.off_axis import (

@@ -1,21 +1,76 @@
-"""What goes into a calibration fit: readings under known loads, how they came about, and their checks."""
+"""What goes into a calibration fit: readings under known loads, how they came about, and the checks of both.
+
+The checks name shapes and values, limits of a converter that nobody stated, angles in radians,
+other units, swapped gauges.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray, floats
+from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
-from tipforce.sensor.calibration.rails import rails
 from tipforce.sensor.calibration.regressors import DRIFTS
-from tipforce.sensor.structure.gauge_positions import Gauge, gauge_matrix
+from tipforce.sensor.structure.gauges import Gauge, gauge_matrix
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES
+
+
+class Rail(NamedTuple):
+    """An extreme that repeats."""
+
+    whose: str
+    """SG2 reads, or gauges read."""
+    strain: float
+    rows: tuple[int, ...]
+
+    def words(self, lines: IntArray | None = None) -> str:
+        """As a sentence; ``lines``: of the file, (m,), else rows from 0."""
+        places = [int(row) if lines is None else int(lines[row]) for row in self.rows]
+        what = "rows" if lines is None else "lines"
+        return (
+            f"{self.whose} exactly {self.strain * 1e6:g} microstrain, the extreme, in {len(places)} rows "
+            f"({what} {', '.join(map(str, places[:5]))}{', ...' if len(places) > 5 else ''})"
+        )
+
+
+def rails(strain: FloatArray, loads: FloatArray, limit: FloatArray) -> list[Rail]:
+    """Return the extremes that look like a limit below the stated one.
+
+    strain: (m, n); loads: (m, 3), P, phi, theta; limit: (n,), inf where none is stated. An extreme is a rail where
+    it comes in rows of different loads, or in three rows, and more often than any other reading: readings that are
+    rounded, or free of noise, repeat everywhere. Looked at are both extremes of each gauge, and the largest reading
+    of either sign of all together, for the gauges of one converter have one limit.
+    """
+    inside, loaded = np.abs(strain) < limit, loads[:, 0] > 0.0
+    extremes = []
+    for k, readings in enumerate(strain.T):
+        some = readings[inside[:, k]]
+        for extreme in {float(some.max(initial=0.0)), float(some.min(initial=0.0))} - {0.0}:
+            same = readings == extreme
+            if _repeats(np.flatnonzero(same), readings[~same & inside[:, k] & loaded], loads):
+                extremes.append(Rail(f"SG{k + 1} reads", extreme, tuple(np.flatnonzero(same).tolist())))
+    if extremes or not inside.any():
+        return extremes
+    size = np.abs(strain)
+    largest = float(size[inside].max())
+    same = size == largest
+    if largest and _repeats(np.flatnonzero(same.any(axis=1)), size[inside & ~same & loaded[:, np.newaxis]], loads):
+        rows = np.flatnonzero(same.any(axis=1))
+        extremes.append(Rail("several gauges read", largest, tuple(rows.tolist())))
+    return extremes
+
+
+def _repeats(rows: IntArray, others: FloatArray, loads: FloatArray) -> bool:
+    usual = int(np.unique(others, return_counts=True)[1].max(initial=1))
+    different = len(np.unique(loads[rows], axis=0)) > 1
+    return bool((loads[rows, 0] > 0.0).all() and len(rows) > usual and (different or len(rows) > 2))
+
 
 LOSSES = ("huber", "soft_l1", "none")
 LEAST, MOST = 1e-50, 1e50
@@ -131,11 +186,11 @@ def _check_rails(strain: FloatArray, loads: FloatArray, model: Model) -> None:
     limits = np.broadcast_to(floats("rail", limit), strain.shape[1])
     if model.saturation_strain is not None and np.isinf(limits).all():
         return
-    found = rails(strain, loads, limits)
-    if found:
+    repeated = rails(strain, loads, limits)
+    if repeated:
         raise InputError(
-            f"{found[0].words()}: that is what a converter's limit looks like: state it (saturation_strain), or inf if "
-            "the readings have none"
+            f"{repeated[0].words()}: that is what a converter's limit looks like: state it (saturation_strain), or inf "
+            "if the readings have none"
         )
 
 
@@ -186,3 +241,60 @@ def _check_finite(name: str, values: FloatArray) -> None:
     if wrong.any():
         place = ", ".join(str(int(i)) for i in np.argwhere(wrong)[0])
         raise InputError(f"{name}[{place}] = {values[wrong][0]}: allowed are finite numbers")
+
+
+STANDARD_GRAVITY = 9.80665
+LIKE, UNLIKE = 0.95, 0.8
+"""Cosine of the angle between rows of A, as measured and by theory: the same gauge, and another one."""
+_SUSPECTS = {
+    1e-6: "strain in SI units where microstrain is meant (multiply SG1.. by 1e6)",
+    1e6: "microstrain given twice (multiply SG1.. by 1e-6)",
+    1e-3: "strain in millistrain, or loads in millinewtons (a factor of 1000)",
+    1e3: "strain in nanostrain, or loads in kilonewtons (a factor of 1000)",
+    STANDARD_GRAVITY / 1000.0: "loads in grams (multiply P_N by 0.00980665)",
+    STANDARD_GRAVITY: "loads in kilograms (multiply P_N by 9.80665)",
+}
+"""Response over theory -> what gives it."""
+
+
+def require_degrees(readings: Readings) -> None:
+    """Raise InputError where all directions of loads fit into a turn in radians: they were meant as degrees."""
+    loaded = np.asarray(readings.P_newtons) > 0.0
+    phi, theta = (np.degrees(np.asarray(values)[loaded]) for values in (readings.phi_rad, readings.theta_rad))
+    if (np.abs(phi) <= 2.0 * np.pi).all() and (np.abs(theta) <= 2.0 * np.pi).all() and len(np.unique(theta)) > 2:
+        raise InputError(
+            f"theta_deg runs from {theta.min():.4g} to {theta.max():.4g}, phi_deg as little: those look like radians; "
+            "allowed are degrees (multiply phi_deg and theta_deg by 57.29578)"
+        )
+
+
+def require_size(A: FloatArray, theory: FloatArray, allowed: float, whose: str) -> None:
+    """Raise InputError where the response to a newton is not as large as theory says, with the factor it suspects.
+
+    A, theory: (n, 3), strain per newton. allowed: factor to either side.
+    """
+    size = np.linalg.norm(A, axis=1) / np.linalg.norm(theory, axis=1)
+    ratio = float(np.exp(np.median(np.log(size))))
+    if 1.0 / allowed <= ratio <= allowed:
+        return
+    factor = min(_SUSPECTS, key=lambda one: abs(np.log(one / ratio)))
+    near = abs(np.log(factor / ratio)) < np.log(3.0)
+    words = _SUSPECTS[factor] if near else "another unit of strain or load, or another gauge factor"
+    raise InputError(
+        f"the gauges respond {ratio:.3g} times as much as beam theory says for {whose} (allowed {1.0 / allowed:.2g} to "
+        f"{allowed:g}): suspected is {words}; for another structure give --layout FILE with its dimensions"
+    )
+
+
+def require_order(A: FloatArray, theory: FloatArray, layout: str) -> None:
+    """Raise InputError where two gauges respond as theory says of each other, and not as it says of themselves."""
+    unit = [rows / np.linalg.norm(rows, axis=1, keepdims=True) for rows in (A, theory)]
+    like = np.abs(unit[0] @ unit[1].T)
+    for i in range(len(A)):
+        for k in range(i + 1, len(A)):
+            if min(like[i, k], like[k, i]) > LIKE and max(like[i, i], like[k, k]) < UNLIKE:
+                raise InputError(
+                    f"SG{i + 1} and SG{k + 1} look swapped: each responds as beam theory says of the other in {layout} "
+                    f"(cosine {like[i, k]:.2f} and {like[k, i]:.2f}, of its own place {like[i, i]:.2f} and "
+                    f"{like[k, k]:.2f}): exchange their columns, or give --layout in the order of the columns"
+                )

@@ -3,6 +3,7 @@
 The gauges are the noisy side and the loads are known, so V = A F + b is fitted and then inverted (the paper
 fits F = C V). Loads whose direction is uncertain weigh less, tares carry the offset through its drift, rows
 that disagree are named and left out, saturated readings too, and what the rows cannot show is refused by name.
+``best_fit`` chooses the drift, and whether offsets follow temperature, by what predicts left-out rows best.
 """
 
 from __future__ import annotations
@@ -17,8 +18,7 @@ from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
 from tipforce.sensor.calibration.identify import FORCES, require_clear, require_seen
-from tipforce.sensor.calibration.nonlinearity import nonlinearity
-from tipforce.sensor.calibration.problem import Problem, Solution, pick
+from tipforce.sensor.calibration.outliers import corner, outlying, rejections, suspects
 from tipforce.sensor.calibration.regressors import (
     OffsetBasis,
     bad_tares,
@@ -26,21 +26,21 @@ from tipforce.sensor.calibration.regressors import (
     grooves,
     offset_basis,
     reference_map,
+    tare_groups,
 )
-from tipforce.sensor.calibration.rejections import rejections
 from tipforce.sensor.calibration.result import Fit, LoadResidual, covariance_of_estimate, kronecker
-from tipforce.sensor.calibration.solve import solve
-from tipforce.sensor.calibration.start import corner, outlying, suspects
+from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
 from tipforce.sensor.calibration.statistics import Left, Scales, result
-from tipforce.sensor.calibration.temperature import (
+from tipforce.sensor.calibration.terms import (
     CHANCE,
     Temperature,
     factor,
     gain_of,
+    nonlinearity,
     offsets_of,
     reference_temperature_degC,
 )
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 
 __all__ = [
     "Fit", "LoadResidual", "Model", "Prior", "Readings",
@@ -85,14 +85,14 @@ def _with_gain(readings: Readings, model: Model) -> Fit:
         return replace(fitted.fit, temperature=none)
     fitted_gain = False
     for _ in range(MAX_GAIN_PASSES):
-        more, u = gain_of(fitted.problem, fitted.found, change)
+        more, u = gain_of(fitted.problem, fitted.solution, change)
         significant = abs(gain + more) > u * factor(fitted.fit.dof, CHANCE)
         if not significant or abs(more) < 0.01 * u:
             break
         gain, fitted_gain = gain + more, True
         fitted = _fitted(readings, model, gain)
     offsets, u_offsets = offsets_of(
-        fitted.problem, fitted.found, change, fitted.basis.temperature_span_K, fitted.scales.strain
+        fitted.problem, fitted.solution, change, fitted.basis.temperature_span_K, fitted.scales.strain
     )
     k = factor(fitted.fit.dof)
     shown = Temperature(
@@ -107,7 +107,7 @@ class _Fitted(NamedTuple):
 
     fit: Fit
     problem: Problem
-    found: Solution
+    solution: Solution
     basis: OffsetBasis
     scales: Scales
 
@@ -120,7 +120,7 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
     saturated = np.abs(V) >= limit
     near, robust = np.zeros_like(saturated), model.loss != "none"
     outlier = _suspected(readings, model, scales, ~saturated)
-    found: Solution | None = None
+    solution: Solution | None = None
     settled = False
     for count in range(MAX_PASSES):
         counted = ~(saturated | near)
@@ -128,30 +128,30 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
         basis = _basis(readings, model, keep & counted.all(axis=1))
         problem = pick(_problem(readings, model, scales, basis, counted, gain_per_K), keep)
         singular = _require_seen(problem, basis, scales)
-        found = solve(problem, model.loss, corner(V.shape[1]), found)
-        _require_clear(found, basis, scales)
+        solution = solve(problem, model.loss, corner(V.shape[1]), solution)
+        _require_clear(solution, basis, scales)
         before, near_before = outlier, near
-        outlier = outlying(problem, found, counted)
+        outlier = outlying(problem, solution, counted)
         # A tare that is odd beside its loads yet fits between its neighbours comes and goes: it is kept.
         outlier = outlier & before if count >= SETTLING_PASSES else outlier
-        spread = np.sqrt(np.diagonal(found.R, axis1=1, axis2=2))
-        near = ~saturated & (np.abs(V - found.residual) + MARGIN * spread >= limit)
+        spread = np.sqrt(np.diagonal(solution.R, axis1=1, axis2=2))
+        near = ~saturated & (np.abs(V - solution.residual) + MARGIN * spread >= limit)
         near = near | near_before if count >= SETTLING_PASSES else near
         if np.array_equal(near, near_before) and (np.array_equal(outlier, before) or not robust):
             settled = True
             break
-    assert found is not None
+    assert solution is not None
     left = Left(outlier, saturated, near)
-    fit = result(readings, model, scales, basis, problem, found, singular, left)
+    fit = result(readings, model, scales, basis, problem, solution, singular, left)
     largest = float(readings.P_newtons.max())
-    straight = nonlinearity(problem, found, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
+    straight = nonlinearity(problem, solution, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
     if straight is not None and not straight.significant and outlier.any():
         # A fault that grows with the load is first thrown out as outliers: those rows have a say, too.
         every = problem._replace(observed=counted)
-        other = nonlinearity(every, found, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
+        other = nonlinearity(every, solution, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
         straight = other if other is not None and rejections(fit, readings) else straight
-    fit = replace(fit, nonlinearity=straight, converged=found.converged and settled)
-    return _Fitted(fit, problem, found, basis, scales)
+    fit = replace(fit, nonlinearity=straight, converged=solution.converged and settled)
+    return _Fitted(fit, problem, solution, basis, scales)
 
 
 def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
@@ -236,7 +236,64 @@ def _require_seen(problem: Problem, basis: OffsetBasis, scales: Scales) -> Float
     return require_seen(g, observed, names, scales.newtons)
 
 
-def _require_clear(found: Solution, basis: OffsetBasis, scales: Scales) -> None:
+def _require_clear(solution: Solution, basis: OffsetBasis, scales: Scales) -> None:
     L = reference_map(basis)
-    covariance = np.einsum("ip,kplq,jq->kilj", L, found.covariance, L)
-    require_clear(found.coefficients @ L.T, covariance, (*FORCES, "offset"), scales.newtons)
+    covariance = np.einsum("ip,kplq,jq->kilj", L, solution.covariance, L)
+    require_clear(solution.coefficients @ L.T, covariance, (*FORCES, "offset"), scales.newtons)
+
+
+SMALLEST_SPAN_K = 0.5
+"""Change of temperature below which its effect on the offsets is not asked for."""
+
+
+def best_fit(readings: Readings, model: Model) -> tuple[Fit, Model, dict[str, float]]:
+    """Return the fit of the drift that the hold-out score prefers, its model, and the scores by name.
+
+    Candidates: no drift, linear where the rows have times, tare where unloaded readings at two times allow it; each
+    also with a temperature coefficient of the offsets where temperatures change. Raises InputError as
+    fit_calibration() does where no candidate can be fitted.
+    """
+    fits: dict[str, tuple[Fit, Model]] = {}
+    refused: InputError | None = None
+    for drift in _drifts(readings, model):
+        for warm in (False, True) if _warms(readings, model) else (False,):
+            tried = replace(model, drift=drift, temperature=warm)  # type: ignore[arg-type]
+            try:
+                fits[f"{drift} and temperature" if warm else drift] = fit_calibration(readings, tried), tried
+            except InputError as error:
+                refused = refused or error
+    if not fits:
+        raise refused or InputError("no model can be fitted to these rows")
+    if refused is not None and "none" not in fits:
+        raise refused
+    best = max(fits, key=lambda name: fits[name][0].hold_out_score)
+    return *fits[best], {name: fit.hold_out_score for name, (fit, _) in fits.items()}
+
+
+def fit_with_drift(readings: Readings, model: Model) -> tuple[Fit, Model, dict[str, float]]:
+    """Return the same for the drift of the model alone; only the temperature coefficient is chosen."""
+    fits = []
+    for warm in (False, True) if _warms(readings, model) else (False,):
+        tried = replace(model, temperature=warm)
+        try:
+            fits.append((fit_calibration(readings, tried), tried))
+        except InputError:
+            if not fits:
+                raise
+    fit, model = max(fits, key=lambda one: one[0].hold_out_score)
+    return fit, model, {model.drift: fit.hold_out_score}
+
+
+def _drifts(readings: Readings, model: Model) -> list[str]:
+    if not model.offset or readings.t_s is None:
+        return ["none"]
+    drifts = ["none", "linear"] if np.ptp(readings.t_s) > 0.0 else ["none"]
+    usable = np.ones(len(readings.P_newtons), dtype=np.bool_)
+    if len(tare_groups(np.asarray(readings.P_newtons) == 0.0, usable)) > 2:
+        drifts.append("tare")
+    return drifts
+
+
+def _warms(readings: Readings, model: Model) -> bool:
+    T = readings.temperature_degC
+    return bool(model.offset and T is not None and np.isfinite(T).all() and np.ptp(T) >= SMALLEST_SPAN_K)

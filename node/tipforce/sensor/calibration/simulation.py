@@ -1,18 +1,40 @@
-"""Simulated calibrations: the paper's grooves and weights on a sensor with faults, and the truth beside them."""
+"""The paper's grooves (section 4.1), and simulated calibrations in them: a sensor with faults, and the truth."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray
-from tipforce.sensor.calibration.grooves import paper_grooves
 from tipforce.sensor.calibration.regressors import grooves
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import Layout
+from tipforce.sensor.structure.published import X_GROOVES_DEG, Y_GROOVES_DEG
 from tipforce.sensor.structure.strain import strain_matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grooves:
+    """Directions in which a rope pulls, one entry per groove."""
+
+    theta_rad: FloatArray
+    phi_rad: FloatArray
+    along_x: npt.NDArray[np.bool_]
+
+
+def paper_grooves() -> Grooves:
+    """Return the 19 grooves of section 4.1.
+
+    The paper does not state their sense; a rope can only pull away from the tip. So grooves along x pull to +x
+    (phi = 0) if theta is below 90 degrees and to -x (phi = 180) above; grooves along y pull up (phi = 90).
+    """
+    along_x = np.array([True] * len(X_GROOVES_DEG) + [False] * len(Y_GROOVES_DEG))
+    theta = np.radians(X_GROOVES_DEG + Y_GROOVES_DEG)
+    phi = np.where(along_x, np.where(theta < 0.5 * np.pi, 0.0, np.pi), 0.5 * np.pi)
+    return Grooves(theta, phi, along_x)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,155 @@ import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
-from tipforce.sensor.calibration import variances
-from tipforce.sensor.calibration.problem import NOISE_FLOOR, Problem, Scatter, Solution
+
+NOISE_FLOOR = 1e-7
+"""Smallest standard deviation of the gauges, as a fraction of the readings: keeps exact data invertible."""
+
+
+class Scatter(NamedTuple):
+    """Variances of load directions, in units of the stated ones."""
+
+    groove: float
+    hang: float
+
+
+class Problem(NamedTuple):
+    """Rows of one calibration, scaled so that readings and loads are near one; m rows, n gauges, p unknowns each."""
+
+    V: FloatArray
+    """(m, n)."""
+    g: FloatArray
+    """(m, p): F1, F2, F3, then the columns of the offset."""
+    D: FloatArray
+    """(m, 3, 2): D D^T is the covariance of F from the stated scatter of load directions."""
+    groove: IntArray
+    """(m,): which rows share one error of direction, counted from 0."""
+    weight: FloatArray
+    """(m,): the gauge noise of a row is Sigma / weight."""
+    observed: BoolArray
+    """(m, n): False where a reading is left out (saturated, or its row an outlier)."""
+    Sigma: FloatArray | None
+    """Gauge noise (n, n) where it is stated; None to estimate it."""
+    prior_mean: FloatArray
+    """(n, 3)."""
+    prior_information: FloatArray
+    """(n,): one over the variance of each entry of a row of A; zero without a prior."""
+    kinks: BoolArray
+    """(p,): coefficients around zero, of a variance that is estimated for each gauge: the restlessness of its drift."""
+    scatter: Scatter | None = None
+    """Where it is known; None to estimate it."""
+
+
+class Solution(NamedTuple):
+    """What solve() found."""
+
+    coefficients: FloatArray
+    """(n, p)."""
+    covariance: FloatArray
+    """(n, p, n, p)."""
+    Sigma: FloatArray
+    """Gauge noise, (n, n), for a row of weight one."""
+    kink_variance: FloatArray
+    """(n,)."""
+    scatter: Scatter
+    residual: FloatArray
+    """(m, n), of every row, used or not; what the groove's own angle explains is taken off."""
+    unexplained: FloatArray
+    """(m, n): reading less fit, the groove's angle left in."""
+    R: FloatArray
+    """(m, n, n): the covariance of each row's own noise."""
+    R_inverse: FloatArray
+    """(m, n, n): its inverse over the readings that count, zero elsewhere."""
+    H: FloatArray
+    """(m, n, n): the covariance of each row's fitted value, with the groove's angle."""
+    distance: FloatArray
+    """(m,): squared Mahalanobis distance of each row, by the fit without that row."""
+    leverage: FloatArray
+    """(m,): share of a row in its own fitted value, 0 to 1; 0 for a row that is not used."""
+    angle: FloatArray
+    """(grooves, 2): expected error of direction of each groove, in its standard deviations."""
+    angle_decided: FloatArray
+    """(grooves,): how many of its two angles the data decide."""
+    absorbed: FloatArray
+    """(m,): readings' worth of a row that the fit and the groove's angle have taken up."""
+    dof: float
+    """Rows less unknowns, per gauge; fractional with a prior or with readings left out."""
+    converged: bool
+
+
+def pick(problem: Problem, rows: BoolArray) -> Problem:
+    """Return the problem with the readings of the other rows left out."""
+    return problem._replace(observed=problem.observed & rows[:, np.newaxis])
+
+
+START_RESTLESS, SMALLEST_RESTLESS = 0.05, 1e-5
+"""Standard deviation of a drift's kinks, as a fraction of the readings: to begin with, and at least."""
+STATED_WORTH = 6.0
+"""The stated scatter of a groove counts as so many observed angles: a few grooves show little of their own."""
+START_HANG, HANG_WORTH = 0.1, 1.0
+"""Variance of the angle that is new in every row, in units of the stated one, before any data; it counts as so many
+observed angles."""
+LARGEST_SCATTER = 100.0
+"""Of both variances: ten times the stated angle is a fault and no scatter."""
+
+
+def _scatter_of(problem: Problem, solution: Solution, u: FloatArray) -> Scatter:
+    """The variances of load directions: squares of the angles over how many of them the data decide (MacKay)."""
+    groove = STATED_WORTH + solution.scatter.groove * float(np.square(solution.angle).sum())
+    groove /= STATED_WORTH + float(solution.angle_decided.sum())
+    pull = (solution.coefficients[:, :3] @ problem.D).transpose(0, 2, 1) @ solution.R_inverse
+    e = np.where(problem.observed, solution.residual, 0.0)
+    # A row that disagrees must not pass for one whose direction strays: it counts by the square of its weight.
+    share = np.square(u)
+    angle = solution.scatter.hang * (pull @ e[..., np.newaxis])[..., 0]
+    decided = solution.scatter.hang * np.einsum("i,ijk,ikl,ijl->", share, pull, solution.R - solution.H, pull)
+    hang = HANG_WORTH * START_HANG + float((share * np.square(angle).sum(axis=1)).sum())
+    hang /= HANG_WORTH + max(float(decided), 0.0)
+    return Scatter(min(groove, LARGEST_SCATTER), min(hang, LARGEST_SCATTER))
+
+
+def _kink_variance_of(problem: Problem, solution: Solution) -> FloatArray:
+    """The variance of each gauge's kinks: their squares over the number of them that the data decide (MacKay)."""
+    if not problem.kinks.any():
+        return solution.kink_variance
+    kinks = solution.coefficients[:, problem.kinks]
+    own = np.einsum("kpkp->kp", solution.covariance)[:, problem.kinks]
+    decided = np.maximum((1.0 - own / solution.kink_variance[:, np.newaxis]).sum(axis=1), 0.01)
+    variance: FloatArray = np.clip(np.square(kinks).sum(axis=1) / decided, SMALLEST_RESTLESS**2, 1e6)
+    return variance
+
+
+def _noise_of(problem: Problem, solution: Solution) -> FloatArray:
+    """One step of expectation-maximisation for the gauge noise, restricted likelihood, readings left out imputed.
+
+    The load-direction part of a residual is taken off by its expectation; e e^T + H undoes what the fit has
+    absorbed. Without direction scatter its fixed point is the sum of e e^T over (rows - unknowns).
+    """
+    used = problem.observed.any(axis=1)
+    row_noise = solution.Sigma / problem.weight[:, np.newaxis, np.newaxis]
+    gain = row_noise @ solution.R_inverse
+    e = np.where(problem.observed, solution.residual, 0.0)
+    spread = e[:, :, np.newaxis] * e[:, np.newaxis, :] + solution.H
+    expected = gain @ spread @ gain.transpose(0, 2, 1) + row_noise - gain @ row_noise
+    total: FloatArray = (problem.weight[:, np.newaxis, np.newaxis] * expected)[used].mean(axis=0)
+    return 0.5 * (total + total.T) + NOISE_FLOOR**2 * np.eye(total.shape[0])
+
+
+def _longer(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Expectation-maximisation creeps, but never turns: go nearly twice as far while the result stays a covariance."""
+    far = after + 0.9 * (after - before)
+    return far if np.linalg.eigvalsh(far)[0] > 0.3 * np.linalg.eigvalsh(after)[0] else after
+
+
+def _loss_weights(distance: FloatArray, loss: str, cut: float) -> FloatArray:
+    """Return the weight of each row, (m,), from its squared distance in standard deviations: 1 near 0."""
+    d = np.sqrt(np.maximum(distance, 0.0)) / cut
+    if loss == "huber":
+        return 1.0 / np.maximum(d, 1.0)
+    if loss == "soft_l1":
+        return 1.0 / np.sqrt(1.0 + d * d)
+    return np.ones_like(d)
+
 
 MAX_STEPS, BOLD_STEPS = 300, 25
 """After the bold steps the weights of rows stay, and each step goes half as far: a row whose weight moves the groove's
@@ -30,42 +177,38 @@ def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None
     estimated and nothing is left to estimate it from.
     """
     A, Sigma = _start(problem) if start is None else (start.coefficients[:, :3], start.Sigma)
-    restless = np.full(len(A), variances.START_RESTLESS**2) if start is None else start.kink_variance
-    scatter = (
-        (Scatter(1.0, variances.START_HANG) if start is None else start.scatter)
-        if problem.D.any()
-        else Scatter(0.0, 0.0)
-    )
+    restless = np.full(len(A), START_RESTLESS**2) if start is None else start.kink_variance
+    scatter = (Scatter(1.0, START_HANG) if start is None else start.scatter) if problem.D.any() else Scatter(0.0, 0.0)
     scatter = scatter if problem.scatter is None else problem.scatter
     u = np.ones(len(problem.V))
     converged = False
     for count in range(MAX_STEPS):
         calm = count >= BOLD_STEPS
-        found = _step(problem, A, Sigma, restless, scatter, u)
-        change = np.abs(found.coefficients[:, :3] - A).max() / max(np.abs(A).max(), 1e-300)
-        A = found.coefficients[:, :3]
-        weights = variances.loss_weights(found.distance, loss, cut)
+        solution = _step(problem, A, Sigma, restless, scatter, u)
+        change = np.abs(solution.coefficients[:, :3] - A).max() / max(np.abs(A).max(), 1e-300)
+        A = solution.coefficients[:, :3]
+        weights = _loss_weights(solution.distance, loss, cut)
         weights = u if calm else weights
         change = max(change, 0.01 * float(np.abs(weights - u).max()))
         u = weights
-        restless = variances.kink_variance(problem, found)
+        restless = _kink_variance_of(problem, solution)
         if problem.D.any() and problem.scatter is None:
-            scatter, before = variances.scatter(problem, found, u), scatter
+            scatter, before = _scatter_of(problem, solution, u), scatter
             scatter = Scatter(*(0.5 * (a + b) for a, b in zip(scatter, before, strict=True))) if calm else scatter
             change = max(change, 0.001 * max(abs(a - b) / (a + 0.01) for a, b in zip(scatter, before, strict=True)))
         if problem.Sigma is None:
-            if found.dof < 0.5:
+            if solution.dof < 0.5:
                 raise InputError(
                     f"{int(problem.observed.any(axis=1).sum())} rows for {problem.g.shape[1]} unknowns of each gauge "
                     "leave no residuals to estimate the noise from: add rows, or state the gauge noise"
                 )
-            after = variances.noise(problem, found)
-            Sigma, moved = after if calm else variances.longer(Sigma, after), Sigma
+            after = _noise_of(problem, solution)
+            Sigma, moved = after if calm else _longer(Sigma, after), Sigma
             change = max(change, 0.01 * float(np.abs(Sigma - moved).max() / np.abs(Sigma).max()))
         if change < TOLERANCE:
             converged = True
             break
-    return found._replace(converged=converged)
+    return solution._replace(converged=converged)
 
 
 class Extra(NamedTuple):
@@ -79,18 +222,18 @@ class Extra(NamedTuple):
     """(n, p): those of the fit beside them."""
 
 
-def extra(problem: Problem, found: Solution, columns: FloatArray) -> Extra:
+def extra(problem: Problem, solution: Solution, columns: FloatArray) -> Extra:
     """Return coefficients of further columns (m, n, k), strain per unit of each, by the noise that the fit has found.
 
     Raises LinAlgError where the rows do not determine them.
     """
     n, p, k = problem.V.shape[1], problem.g.shape[1], columns.shape[2]
-    AD = found.coefficients[:, :3] @ problem.D
-    whitener = _whitener(found.R, problem.observed)
+    AD = solution.coefficients[:, :3] @ problem.D
+    whitener = _whitener(solution.R, problem.observed)
     X = (whitener[:, :, :, np.newaxis] * problem.g[:, np.newaxis, np.newaxis, :]).reshape(len(AD), n, n * p)
     rows = np.concatenate((X, whitener @ columns, whitener @ problem.V[..., np.newaxis]), axis=-1)
-    effect = _Effect.of(whitener @ (np.sqrt(found.scatter.groove) * AD), problem.groove)
-    prior = np.insert(_prior_rows(problem, found.kink_variance), [n * p] * k, 0.0, axis=1)
+    effect = _Effect.of(whitener @ (np.sqrt(solution.scatter.groove) * AD), problem.groove)
+    prior = np.insert(_prior_rows(problem, solution.kink_variance), [n * p] * k, 0.0, axis=1)
     beta, root = _solved(effect.marginal(rows).reshape(-1, n * p + k + 1), prior, n * p + k)
     added = root[n * p :]
     return Extra(beta[n * p :], added @ added.T, beta[: n * p].reshape(n, p))

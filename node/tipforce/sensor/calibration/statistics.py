@@ -1,4 +1,4 @@
-"""From the solved calibration to its result: scales undone, intervals, residuals by load, condition numbers."""
+"""From the solved calibration to its result (scales undone, intervals, residuals by load), and where it is valid."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray
+from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import Model, Readings
-from tipforce.sensor.calibration.distributions import t_quantile
-from tipforce.sensor.calibration.problem import Problem, Solution
+from tipforce.sensor.calibration.distributions import f_quantile, t_quantile, variance_factors
 from tipforce.sensor.calibration.regressors import OffsetBasis, reference_map
 from tipforce.sensor.calibration.result import Fit, LoadResidual
+from tipforce.sensor.calibration.solve import Problem, Solution
+from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.limits import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.strain import condition_number, row_equilibrated_condition_number
 
 HOLD_OUT_CAP = 8.0
@@ -73,24 +77,24 @@ def result(
     scales: Scales,
     basis: OffsetBasis,
     problem: Problem,
-    found: Solution,
+    solution: Solution,
     singular: FloatArray,
     left: Left,
 ) -> Fit:
     """Return the Fit in SI units."""
     L = reference_map(basis)
-    at_reference = found.coefficients @ L.T * scales.strain
+    at_reference = solution.coefficients @ L.T * scales.strain
     A = at_reference[:, :3] / scales.newtons
     n = A.shape[0]
     unit = np.array([1.0 / scales.newtons] * 3 + [1.0] * (len(L) - 3)) * scales.strain
     covariance = np.zeros((n, 4, n, 4))
-    solved = np.einsum("ip,kplq,jq->kilj", L, found.covariance, L)
+    solved = np.einsum("ip,kplq,jq->kilj", L, solution.covariance, L)
     covariance[:, : len(L), :, : len(L)] = solved * unit[:, np.newaxis, np.newaxis] * unit
-    Sigma = found.Sigma * scales.strain**2
+    Sigma = solution.Sigma * scales.strain**2
     C = left_inverse(A, Sigma)
-    residual = found.unexplained * scales.strain
-    noise_dof = found.dof if model.noise_strain is None else float("inf")
-    sigma0, loaded, unloaded = _sizes(problem, found, readings.P_newtons > 0.0)
+    residual = solution.unexplained * scales.strain
+    noise_dof = solution.dof if model.noise_strain is None else float("inf")
+    sigma0, loaded, unloaded = _sizes(problem, solution, readings.P_newtons > 0.0)
     return Fit(
         C=C,
         A=A,
@@ -98,54 +102,54 @@ def result(
         C_uncertainty=matrix_uncertainty(A, C, Sigma, covariance[:, :3, :, :3]),
         coverage_factor=t_quantile(0.975, noise_dof),
         noise_covariance_strain2=Sigma,
-        residual_covariance_strain2=_residual_covariance(problem, residual, found.dof),
-        N=_normal_matrix(problem, found, L, scales.newtons),
+        residual_covariance_strain2=_residual_covariance(problem, residual, solution.dof),
+        N=_normal_matrix(problem, solution, L, scales.newtons),
         parameter_covariance=covariance,
         sigma0=sigma0,
         sigma0_loaded=loaded,
         sigma0_unloaded=unloaded,
-        dof=found.dof,
+        dof=solution.dof,
         noise_dof=noise_dof,
         condition_number=condition_number(A),
         row_equilibrated_condition_number=row_equilibrated_condition_number(A),
         design_singular_values=singular,
         residual_strain=residual,
-        offset_at_rows_strain=problem.g[:, 3:] @ found.coefficients[:, 3:].T * scales.strain,
-        distance=np.sqrt(np.maximum(found.distance, 0.0)),
-        leverage=found.leverage,
+        offset_at_rows_strain=problem.g[:, 3:] @ solution.coefficients[:, 3:].T * scales.strain,
+        distance=np.sqrt(np.maximum(solution.distance, 0.0)),
+        leverage=solution.leverage,
         used=problem.observed,
         outliers=tuple(int(row) for row in np.flatnonzero(left.outlier)),
         saturated=_places(left.saturated),
         near_limit=_places(left.near_limit),
-        loads=_by_load(readings, problem.observed, residual, C, found.leverage),
+        loads=_by_load(readings, problem.observed, residual, C, solution.leverage),
         drift=model.drift,
         loss=model.loss,
-        groove_scatter=float(np.sqrt(found.scatter.groove)),
-        hang_scatter=float(np.sqrt(found.scatter.hang)),
-        hold_out_score=_hold_out_score(problem, found),
+        groove_scatter=float(np.sqrt(solution.scatter.groove)),
+        hang_scatter=float(np.sqrt(solution.scatter.hang)),
+        hold_out_score=_hold_out_score(problem, solution),
     )
 
 
-def _hold_out_score(problem: Problem, found: Solution) -> float:
+def _hold_out_score(problem: Problem, solution: Solution) -> float:
     """See Fit.hold_out_score: a row that was fitted is predicted with the covariance R (R - H)^-1 R, others R + H."""
     used = problem.observed.any(axis=1)
-    n = found.R.shape[1]
-    left = found.R - found.H + 1e-9 * found.R
-    inside = 2.0 * np.linalg.slogdet(found.R)[1] - np.linalg.slogdet(left)[1]
-    size = np.where(used, inside, np.linalg.slogdet(found.R + found.H)[1])
-    return float(-0.5 * np.sum(size + np.minimum(found.distance, HOLD_OUT_CAP * n)))
+    n = solution.R.shape[1]
+    left = solution.R - solution.H + 1e-9 * solution.R
+    inside = 2.0 * np.linalg.slogdet(solution.R)[1] - np.linalg.slogdet(left)[1]
+    size = np.where(used, inside, np.linalg.slogdet(solution.R + solution.H)[1])
+    return float(-0.5 * np.sum(size + np.minimum(solution.distance, HOLD_OUT_CAP * n)))
 
 
 def _places(mask: BoolArray) -> tuple[tuple[int, int], ...]:
     return tuple((int(row), int(gauge)) for row, gauge in np.argwhere(mask))
 
 
-def _sizes(problem: Problem, found: Solution, loaded: BoolArray) -> tuple[float, float, float]:
+def _sizes(problem: Problem, solution: Solution, loaded: BoolArray) -> tuple[float, float, float]:
     """sigma0 of all rows, of the loaded ones, of the unloaded ones."""
     counts = problem.observed.sum(axis=1)
-    inverse = found.R_inverse
-    squares = np.einsum("ik,ikl,il->i", found.residual, inverse, found.residual)
-    free = counts - found.absorbed
+    inverse = solution.R_inverse
+    squares = np.einsum("ik,ikl,il->i", solution.residual, inverse, solution.residual)
+    free = counts - solution.absorbed
 
     def size(rows: BoolArray) -> float:
         total = float(free[rows].sum())
@@ -165,13 +169,13 @@ def _residual_covariance(problem: Problem, residual: FloatArray, dof: float) -> 
     return S
 
 
-def _normal_matrix(problem: Problem, found: Solution, L: FloatArray, newtons: float) -> FloatArray:
+def _normal_matrix(problem: Problem, solution: Solution, L: FloatArray, newtons: float) -> FloatArray:
     """N for A and the offset at the last row, in newtons: the other coefficients of a drift are eliminated."""
     used = problem.observed.any(axis=1)
     g = problem.g[used] * np.sqrt(problem.weight[used])[:, np.newaxis]
     unit = np.array([newtons] * 3 + [1.0] * (len(L) - 3))
     # Kinks are held towards zero; in units of noise, as the sum is, differently for each gauge: their mean.
-    held = float(np.mean(np.diag(found.Sigma) / found.kink_variance))
+    held = float(np.mean(np.diag(solution.Sigma) / solution.kink_variance))
     information = g.T @ g + held * np.diag(problem.kinks.astype(np.float64))
     # A prior may have stood in for loads: only then can the sum itself be singular.
     N = information if np.array_equal(L, np.eye(len(L))) else np.linalg.inv(L @ np.linalg.pinv(information) @ L.T)
@@ -188,7 +192,7 @@ def _by_load(
         P = float(readings.P_newtons[row])
         load = (P, float(readings.phi_rad[row]), float(readings.theta_rad[row])) if P > 0.0 else (0.0, 0.0, 0.0)
         groups.setdefault(load, []).append(int(row))
-    found = []
+    by_load = []
     for load in sorted(groups, key=lambda load: load[0] > 0.0):
         rows = groups[load]
         counted = observed[rows]
@@ -200,5 +204,53 @@ def _by_load(
         complete = counted.all(axis=1)
         force = residual[rows][complete] @ C.T
         newtons = np.sqrt(np.square(force).mean(axis=0)) if complete.any() else np.full(3, np.nan)
-        found.append(LoadResidual(*load, tuple(rows), mean, rms, newtons, float(leverage[rows].max())))
-    return tuple(found)
+        by_load.append(LoadResidual(*load, tuple(rows), mean, rms, newtons, float(leverage[rows].max())))
+    return tuple(by_load)
+
+
+FALSE_ALARM_RATE = 1e-6
+"""Of the redundancy check, per sample."""
+_THETA_DEG = np.arange(0.0, 181.0, 15.0)
+_DELTA_DEG = np.arange(-75.0, 76.0, 15.0)
+
+
+def redundancy_limit(
+    A: FloatArray, Sigma: FloatArray, parameter_covariance: FloatArray, dof: float, largest_newtons: float
+) -> float:
+    """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges.
+
+    Of chi-square by the record's noise, which is wider than Sigma by variance_factors().
+
+    A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom;
+    parameter_covariance: (n, 4, n, 4). Chi-square is weighed by Sigma alone: what the calibration itself may
+    contradict, at the worst load up to ``largest_newtons``, and that Sigma is an estimate (Hotelling) widen it.
+    Raises InputError for a covariance that is not positive definite, or with no more than n - 2 degrees of freedom.
+    """
+    n = len(A)
+    if n == 3:
+        return 0.0
+    spare = n - 3
+    wider = variance_factors(dof, spare)[0]
+    try:
+        lower = np.linalg.cholesky(Sigma)
+    except np.linalg.LinAlgError:
+        raise InputError("the gauges' noise covariance is not positive definite") from None
+    outside = np.linalg.qr(np.linalg.solve(lower, A), mode="complete")[0][:, 3:]
+    parity = np.linalg.solve(lower.T, outside)  # (n, spare): readings to independent contradictions of variance 1
+    theta, delta = (grid.ravel() for grid in np.meshgrid(np.radians(_THETA_DEG), np.radians(_DELTA_DEG)))
+    F = force_vector(largest_newtons, theta + delta, theta)
+    G = np.concatenate((np.concatenate((F, -F)), np.ones((2 * len(F), 1))), axis=1)
+    kernel = np.einsum("ka,kilj,lb->abij", parity, parameter_covariance, parity)
+    added = np.einsum("gi,abij,gj->gab", G, kernel, G)
+    widest = float(np.linalg.eigvalsh(0.5 * (added + added.transpose(0, 2, 1)))[:, -1].max())
+    if np.isinf(dof) or dof > 1e6:
+        dof = 1e6
+    chance = f_quantile(1.0 - FALSE_ALARM_RATE, spare, dof - spare + 1.0)
+    limit = spare * dof / (dof - spare + 1.0) * chance * (1.0 + max(widest, 0.0))
+    return limit / wider
+
+
+def overload_newtons(geometry: Geometry, yield_pascals: float | None = None, gap_m: float = PAPER_SLIT_M) -> float:
+    """Return the smallest load, over all contacts and directions, that closes the slit or reaches the yield stress."""
+    slit = gap_m / slit_closure(geometry, 1.0)
+    return slit if yield_pascals is None else min(slit, yield_pascals / worst_stress(geometry, 1.0))

@@ -19,8 +19,6 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.beam_mass import beam_mass_matrix
-from tipforce.sensor.dynamics.eigen import jacobi
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame, FrameModel
 
@@ -55,9 +53,7 @@ class RigidBody:
         """Return the mass matrix (3, 3) in the coordinates y, kg."""
         m, offset = self.mass_kg, self.centroid_m / r_m
         # A rotation by +rotation moves the centre of mass, above the origin, towards -x.
-        return np.array(
-            [[m, 0.0, 0.0], [0.0, self.inertia_kg_m2 / r_m / r_m, -m * offset], [0.0, -m * offset, m]],
-        )
+        return np.array([[m, 0.0, 0.0], [0.0, self.inertia_kg_m2 / r_m / r_m, -m * offset], [0.0, -m * offset, m]])
 
 
 def half_cylinder(geometry: Geometry, density_kg_m3: float = STEEL_DENSITY) -> RigidBody:
@@ -169,3 +165,88 @@ def _damping(damping_ratio: float | Sequence[float], n: int) -> FloatArray:
     if not ((zeta >= 0.0) & (zeta <= HIGHEST_DAMPING_RATIO)).all():
         raise InputError(f"damping_ratio = {zeta.tolist()}: allowed is 0 to {HIGHEST_DAMPING_RATIO:g}")
     return np.broadcast_to(zeta, (n,)).copy()
+
+
+def beam_mass_matrix(geometry: Geometry, density_kg_m3: float, model: FrameModel) -> FloatArray:
+    """Return the mass matrix (6, 6), kg, for (motion of the joint, motion of the tip relative to it), each as y.
+
+    Beams deform as their end loads bend them (Hermite's cubic along, linear stretch); shear, root compliance, rotatory
+    inertia and the beams' own inner modes are neglected.
+    """
+    g = geometry
+    inner = 0.5 * g.h2_m if model.finite_joint else 0.0
+    total = np.zeros((6, 6))
+    for sign in (-1.0, 1.0):
+        local = _local_mass(g.a_m - inner, g.h1_m * g.width_m * density_kg_m3)
+        near = _end(g, (sign * inner, 0.0), (sign, 0.0))
+        far = _end(g, (sign * g.a_m, 0.0), (sign, 0.0))
+        ends = np.block([[near, np.zeros((3, 3))], [far, far]])
+        total += ends.T @ local @ ends
+    local = _local_mass(g.d_m, g.h2_m * g.width_m * density_kg_m3)
+    on_joint = _end(g, (0.0, -0.5 * g.h1_m), (0.0, 1.0))
+    total[:3, :3] += on_joint.T @ local[3:, 3:] @ on_joint
+    return total
+
+
+def _local_mass(length: float, mass_per_length: float) -> FloatArray:
+    """Return rows along, across, rotation at either end (Przemieniecki, Theory of Matrix Structural Analysis, 11.3)."""
+    L = length
+    bend = np.array(
+        [
+            [156.0, 22.0 * L, 54.0, -13.0 * L],
+            [22.0 * L, 4.0 * L * L, 13.0 * L, -3.0 * L * L],
+            [54.0, 13.0 * L, 156.0, -22.0 * L],
+            [-13.0 * L, -3.0 * L * L, -22.0 * L, 4.0 * L * L],
+        ]
+    )
+    M = np.zeros((6, 6))
+    M[np.ix_([0, 3], [0, 3])] = np.array([[140.0, 70.0], [70.0, 140.0]])
+    M[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])] = bend
+    return M * (mass_per_length * L / 420.0)
+
+
+def _end(geometry: Geometry, place: tuple[float, float], direction: tuple[float, float]) -> FloatArray:
+    """Return the local displacement (along, across, rotation) of a place per body motion y = (v, r rotation, u)."""
+    (x, y), (c, s), r = place, direction, geometry.r_m
+    u, v = np.array([0.0, -y / r, 1.0]), np.array([1.0, x / r, 0.0])
+    return np.array([c * u + s * v, -s * u + c * v, [0.0, 1.0 / r, 0.0]])
+
+
+_SWEEPS = 60
+
+
+def jacobi(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (values (n,), vectors (n, n) as columns), largest value first, by Jacobi's rotations.
+
+    Unlike numpy.linalg.eigh, whose errors are a fraction of the largest eigenvalue, the relative error of each
+    eigenvalue is rounding times the condition number of the matrix with its diagonal scaled to 1 (Demmel and Veselic
+    1992): a thin beam's stiffness beside a thick one's keeps its digits. A rotation is skipped only where the entry is
+    small against the geometric mean of its two diagonal entries.
+    """
+    A, Q = matrix.copy(), np.eye(len(matrix))
+    pairs = [(i, j) for i in range(len(A)) for j in range(i + 1, len(A))]
+    for _ in range(_SWEEPS):
+        rotated = False
+        for i, j in pairs:
+            if abs(A[i, j]) > 1e-17 * math.sqrt(abs(A[i, i])) * math.sqrt(abs(A[j, j])):
+                rotated = _rotate(A, Q, i, j) or rotated
+        if not rotated:
+            break
+    order = np.argsort(-np.diagonal(A))
+    return np.diagonal(A)[order], Q[:, order]
+
+
+def _rotate(A: FloatArray, Q: FloatArray, i: int, j: int) -> bool:
+    """Apply one rotation that makes A[i, j] zero; return False if it changes nothing."""
+    a, b, g = float(A[i, i]), float(A[j, j]), float(A[i, j])
+    half = 0.5 * (b - a) / g
+    tangent = math.copysign(1.0, half) / (abs(half) + math.hypot(1.0, half))
+    c = 1.0 / math.hypot(1.0, tangent)
+    s = tangent * c
+    for M in (A.T, A, Q):  # rows, then columns: A.T is a view
+        x, y = M[:, i].copy(), M[:, j].copy()
+        M[:, i], M[:, j] = c * x - s * y, s * x + c * y
+    # Set the exact diagonal: the products above would leave rounding of the larger entry in the smaller.
+    A[i, i], A[j, j] = a - tangent * g, b + tangent * g
+    A[i, j] = A[j, i] = 0.0
+    return a != A[i, i] or b != A[j, j] or abs(tangent) > 1e-16

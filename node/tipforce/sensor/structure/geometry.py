@@ -50,12 +50,6 @@ def _check_positive(name: str, value: object) -> None:
 
 
 FABRICATED = Geometry(
-    a_m=15e-3,
-    d_m=15e-3,
-    r_m=15e-3,
-    h1_m=0.4e-3,
-    h2_m=0.653e-3,
-    width_m=10e-3,
-    youngs_modulus_pascals=205e9,
+    a_m=15e-3, d_m=15e-3, r_m=15e-3, h1_m=0.4e-3, h2_m=0.653e-3, width_m=10e-3, youngs_modulus_pascals=205e9
 )
 """The body of section 4.2 (its "b" is d); Young's modulus is assumed, for steel AISI 4340."""

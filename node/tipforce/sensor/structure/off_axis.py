@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauge_shift import GaugePosition, nominal_position
+from tipforce.sensor.structure.gauges import GaugePosition, nominal_position
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import Layout, layout
 
@@ -99,11 +99,7 @@ def torsion_constants(width_m: float, thickness_m: float) -> tuple[float, float]
 
 
 def wrench_strain_matrix(
-    geometry: Geometry,
-    gauges: list[PlacedGauge],
-    *,
-    warping_held: bool = False,
-    poisson_ratio: float = POISSON_RATIO,
+    geometry: Geometry, gauges: list[PlacedGauge], *, warping_held: bool = False, poisson_ratio: float = POISSON_RATIO
 ) -> FloatArray:
     """Return the strain per unit of a wrench on the tip, shape (n, 6), tension positive.
 

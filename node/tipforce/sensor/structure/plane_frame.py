@@ -26,8 +26,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauge_positions import Gauge, place
-from tipforce.sensor.structure.gauge_shift import GaugePosition
+from tipforce.sensor.structure.gauges import Gauge, GaugePosition, place
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import POINTS
 

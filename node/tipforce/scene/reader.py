@@ -1,25 +1,32 @@
-"""Check a scene beyond its types: unique node-ids, one load per finger, PDOs that need a SYNC, and similar rules."""
+"""Read a scene file, and check it beyond its types: unique node-ids, one load per finger, PDOs that need a SYNC."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import pairwise
+from pathlib import Path
 
+import msgspec
+
+from canopen_device.paths_below import below
+from canopen_device.toml_table import convert, read_table
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.errors import InputError
 from tipforce.scene import schema
 from tipforce.scene.loads import load_history
+from tipforce.scene.registry import SYNCHRONOUS
 from tipforce.sensor.structure.layouts import layout
 
-SYNCHRONOUS = ("gauges", "contact", "force")
 
-
-def check_scene(scene: schema.Scene, place: str) -> None:
-    """Check a scene. Raises InputError naming the place, the value and what is allowed."""
-    _check_nodes(scene, place)
-    _check_loads(scene, place)
-    _check_faults(scene, place)
-    _check_expectations(scene, place)
+def read_scene(path: str | Path) -> schema.Scene:
+    """Read and check a scene file. Raises InputError naming the place, the value and what is allowed."""
+    scene = convert(schema.Scene, read_table(path, f"scene {path}"), f"scene {path}")
+    for check in (_check_nodes, _check_loads, _check_faults, _check_expectations):
+        check(scene, f"scene {path}")
+    for key, output in msgspec.structs.asdict(scene.outputs).items():
+        if output is not None:
+            below("", output, f"scene {path}: outputs.{key}")
+    return scene
 
 
 def _check_nodes(scene: schema.Scene, place: str) -> None:

@@ -1,4 +1,4 @@
-"""Is a gauge, or the structure, straight? A quadratic term of each gauge beside the linear fit, with its interval."""
+"""Terms beside the linear fit, each with its interval: a quadratic one of each gauge, and what temperature does."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.calibration.distributions import f_quantile, t_quantile
-from tipforce.sensor.calibration.problem import Problem, Solution
-from tipforce.sensor.calibration.solve import Extra, extra
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.calibration.solve import Extra, Problem, Solution, extra
+from tipforce.sensor.contact.estimate import force_vector
 
 FALSE_ALARM = 0.005
 """Chance that a straight sensor is called nonlinear."""
@@ -34,7 +33,7 @@ class Nonlinearity:
 
 def nonlinearity(
     problem: Problem,
-    found: Solution,
+    solution: Solution,
     C: FloatArray,
     sigma0: float,
     scale_strain: float,
@@ -46,18 +45,18 @@ def nonlinearity(
     C: (3, n) newtons per unit strain; the scales are those of the problem. Residuals larger than the model expects
     (sigma0 above 1) widen the intervals.
     """
-    n, A = problem.V.shape[1], found.coefficients[:, :3]
+    n, A = problem.V.shape[1], solution.coefficients[:, :3]
     strain = problem.g[:, :3] @ A.T
     trials: list[tuple[float, bool, Extra]] = []
     for odd in (False, True):
         try:
-            term = extra(problem, found, _square(strain, odd)[:, :, np.newaxis] * np.eye(n))
+            term = extra(problem, solution, _square(strain, odd)[:, :, np.newaxis] * np.eye(n))
             term = term._replace(covariance=term.covariance * max(1.0, sigma0 if np.isfinite(sigma0) else 1.0) ** 2)
             size = float(term.value @ np.linalg.solve(term.covariance, term.value))
         except np.linalg.LinAlgError:
             continue
         trials.append((size, odd, term))
-    dof = found.dof - 1.0
+    dof = solution.dof - 1.0
     if not trials or dof < 1.0:
         return None
     size, odd, term = max(trials, key=lambda trial: trial[0])
@@ -88,3 +87,65 @@ def _relative_error(term: Extra, C: FloatArray, odd: bool, P: float) -> float:
     radial = np.einsum("ij,ij->i", off[:, [0, 2]], along)
     across = off[:, 0] * along[:, 1] - off[:, 2] * along[:, 0]
     return float(max(np.sqrt(np.mean(radial**2)), np.sqrt(np.mean(across**2)))) / P
+
+
+CHANCE = 0.005
+"""That a gain which does not depend on temperature is corrected for it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Temperature:
+    """Coefficients against the mean temperature of the rows: V = (1 + gain dT) A F + offset + offset_per_K dT."""
+
+    reference_degC: float
+    lowest_degC: float
+    highest_degC: float
+    offset_strain_per_K: FloatArray
+    """(n,): estimates; they count in the fit where ``offset_fitted``."""
+    offset_half_width: FloatArray
+    """Half of the 95 % intervals, (n,); NaN where the rows show nothing of it."""
+    offset_fitted: bool
+    gain_per_K: float
+    gain_half_width: float
+    gain_fitted: bool
+
+
+def reference_temperature_degC(temperature_degC: FloatArray) -> float:
+    """Return the temperature that coefficients are counted from: the mean of the rows, to a hundredth of a degree."""
+    return round(float(np.mean(temperature_degC)), 2)
+
+
+def gain_of(problem: Problem, solution: Solution, change_K: FloatArray) -> tuple[float, float]:
+    """Return (gain per kelvin beyond that of the problem, its standard uncertainty); NaN where no row shows it."""
+    span = float(np.abs(change_K).max())
+    strain = problem.g[:, :3] @ solution.coefficients[:, :3].T
+    try:
+        term = extra(problem, solution, (strain * (change_K / max(span, 1e-300))[:, np.newaxis])[:, :, np.newaxis])
+    except np.linalg.LinAlgError:
+        return 0.0, float("nan")
+    return float(term.value[0]) / span, float(np.sqrt(term.covariance[0, 0])) / span
+
+
+def offsets_of(
+    problem: Problem, solution: Solution, change_K: FloatArray, fitted_span_K: float, strain: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return (offset per kelvin, standard uncertainty), (n,) each, strain: of the fit, or as a further column.
+
+    fitted_span_K: kelvins per unit of the fit's last column; 0 where it has no column of temperature.
+    """
+    n, p = problem.V.shape[1], problem.g.shape[1]
+    if fitted_span_K:
+        last = np.arange(n) * p + p - 1
+        variance = np.diagonal(solution.covariance.reshape(n * p, n * p))[last]
+        return solution.coefficients[:, -1] * strain / fitted_span_K, np.sqrt(variance) * strain / fitted_span_K
+    span = float(np.abs(change_K).max())
+    try:
+        term = extra(problem, solution, (change_K / max(span, 1e-300))[:, np.newaxis, np.newaxis] * np.eye(n))
+    except np.linalg.LinAlgError:
+        return np.zeros(n), np.full(n, np.nan)
+    return term.value * strain / span, np.sqrt(np.diagonal(term.covariance)) * strain / span
+
+
+def factor(dof: float, chance: float = 0.05) -> float:
+    """Return how many standard uncertainties are beyond chance, to both sides."""
+    return t_quantile(1.0 - 0.5 * chance, max(dof, 1.0))

@@ -1,4 +1,4 @@
-"""Strain at any place along the two beams: Table 1 made continuous, for gauges beside its points.
+"""Gauges at points of Table 1 or anywhere along the beams: their strain, Table 1 made continuous, and rules for a set.
 
 Between its ends a beam carries no load, so the strain on its surface varies linearly along it. A gauge of finite
 length therefore reads the strain at its middle, exactly; one of 1 mm that begins at a corner reads 0.5 mm from it.
@@ -6,6 +6,7 @@ length therefore reads the strain at its middle, exactly; one of 1 mm that begin
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -14,7 +15,8 @@ import numpy.typing as npt
 from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.layouts import POINTS, Layout, layout
+from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES, POINTS, Layout, layout
+from tipforce.sensor.structure.strain import strain_matrix
 
 Beam = Literal["H", "V"]
 Side = Literal["left", "right"]
@@ -85,8 +87,8 @@ def shifted(geometry: Geometry, gauge: str | GaugePosition, shift_m: float) -> G
     Positive is inward: away from the nearer end of the beam. Raises InputError for an unknown point; a shift
     beyond the beam is rejected by strain_row().
     """
-    place = nominal_position(geometry, gauge) if isinstance(gauge, str) else gauge
-    return place._replace(position_m=place.position_m + _inward(geometry, place) * shift_m)
+    spot = place(geometry, gauge)
+    return spot._replace(position_m=spot.position_m + _inward(geometry, spot) * shift_m)
 
 
 def shifted_matrix(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) -> FloatArray:
@@ -103,15 +105,15 @@ def shifted_matrix(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) 
         raise InputError(f"shifts_m has the shape {shifts.shape}: allowed is (..., {len(points)}) or a scalar")
     rows = []
     for index, point in enumerate(points):
-        place = nominal_position(geometry, point)
-        position_m = place.position_m + _inward(geometry, place) * shifts[..., index]
-        rows.append(strain_row(geometry, place.beam, place.side, position_m, place.face))
+        spot = nominal_position(geometry, point)
+        position_m = spot.position_m + _inward(geometry, spot) * shifts[..., index]
+        rows.append(strain_row(geometry, spot.beam, spot.side, position_m, spot.face))
     return np.stack(rows, axis=-2)
 
 
-def _inward(geometry: Geometry, place: GaugePosition) -> float:
-    length = geometry.a_m if place.beam == "H" else geometry.d_m
-    return 1.0 if place.position_m < 0.5 * length else -1.0
+def _inward(geometry: Geometry, spot: GaugePosition) -> float:
+    length = geometry.a_m if spot.beam == "H" else geometry.d_m
+    return 1.0 if spot.position_m < 0.5 * length else -1.0
 
 
 def _horizontal(
@@ -141,3 +143,52 @@ def _check_place(beam: str, side: str, face: str) -> None:
             f"gauge place beam {beam!r}, side {side!r}, face {face!r}: allowed are H or V, left or right, "
             "lower or upper"
         )
+
+
+Gauge = str | GaugePosition
+"""A point of Table 1 by its name, or a place along a beam."""
+
+
+def place(geometry: Geometry, gauge: Gauge) -> GaugePosition:
+    """Return the position of a gauge. Raises InputError for an unknown point."""
+    return nominal_position(geometry, gauge) if isinstance(gauge, str) else gauge
+
+
+def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ...]:
+    """Return the gauges, SG1 first, if they are valid.
+
+    Raises InputError for fewer than 3 or more than 8, an unknown point, beam, side or face, a position off its
+    beam, or two gauges at one place.
+    """
+    if not MIN_GAUGES <= len(gauges) <= MAX_GAUGES:
+        raise InputError(f"a layout of {len(gauges)} gauge points: allowed are {MIN_GAUGES} to {MAX_GAUGES}")
+    seen: dict[GaugePosition, Gauge] = {}
+    for gauge in gauges:
+        spot = place(geometry, gauge)
+        strain_row(geometry, *spot)
+        if spot.beam == "V":
+            spot = spot._replace(face="lower")  # the face has no effect there
+        if spot in seen:
+            raise InputError(f"gauge point {gauge_name(gauge)} is given more than once: each place is allowed once")
+        seen[spot] = gauge
+    return tuple(gauges)
+
+
+def gauge_matrix(geometry: Geometry, gauges: Sequence[Gauge]) -> FloatArray:
+    """Return the strain per newton of F, shape (n, 3), tension positive: Table 1, made continuous.
+
+    The points' rows are bit-identical to strain_matrix(). Raises InputError as check_gauges() does, and for
+    a beam too thin for floating point.
+    """
+    check_gauges(geometry, gauges)
+    table = dict(zip(POINTS, strain_matrix(geometry, POINTS), strict=True))
+    rows = [table[gauge] if isinstance(gauge, str) else strain_row(geometry, *gauge) for gauge in gauges]
+    return np.array(rows, dtype=np.float64)
+
+
+def gauge_name(gauge: Gauge) -> str:
+    """Return the gauge for display: `K_H`, or `H right 1.33` (beam, side, millimetres from the joint)."""
+    if isinstance(gauge, str):
+        return gauge
+    upper = " upper" if gauge.beam == "H" and gauge.face == "upper" else ""
+    return f"{gauge.beam} {gauge.side}{upper} {1e3 * gauge.position_m:.2f}"

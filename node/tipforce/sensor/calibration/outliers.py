@@ -1,14 +1,17 @@
-"""Which rows of a calibration look wrong before anything is fitted: least trimmed squares, and the cut for outliers."""
+"""Rows that a fit leaves out: suspects before it, outliers of it, and when it is the model that is wrong."""
 
 from __future__ import annotations
 
-from math import sqrt
+from math import comb, sqrt
 
 import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
+from tipforce.sensor.calibration.data import Readings
 from tipforce.sensor.calibration.distributions import f_quantile
-from tipforce.sensor.calibration.problem import NOISE_FLOOR, Problem, Solution
+from tipforce.sensor.calibration.regressors import grooves
+from tipforce.sensor.calibration.result import Fit
+from tipforce.sensor.calibration.solve import NOISE_FLOOR, Problem, Solution
 
 FALSE_ALARM = 0.01
 """Chance that a fit without any outlier names one."""
@@ -33,19 +36,19 @@ def squared_cuts(m: int, count: int, dof: FloatArray) -> FloatArray:
     return np.where(able, cuts, np.inf)
 
 
-def outlying(problem: Problem, found: Solution, judged: BoolArray) -> BoolArray:
+def outlying(problem: Problem, solution: Solution, judged: BoolArray) -> BoolArray:
     """Return which rows are outliers of a fit, (m,): those left out of it are judged again.
 
     judged: (m, n), the readings that count where a row is not an outlier.
     """
     counts = judged.sum(axis=1)
     used = problem.observed.any(axis=1)
-    dof = noise_dof(problem, found)
+    dof = noise_dof(problem, solution)
     # The row's own residual has widened the noise that it is judged by: undo it.
-    own = found.distance * (1.0 - 1.0 / dof) / (1.0 - np.minimum(found.distance / dof, 0.9))
-    distance = np.where(used, own, found.distance)
+    own = solution.distance * (1.0 - 1.0 / dof) / (1.0 - np.minimum(solution.distance / dof, 0.9))
+    distance = np.where(used, own, solution.distance)
     # A row that alone carries a coefficient fits itself: nothing can be said of it.
-    fair = (counts > 0) & ~(used & (found.leverage > 0.999))
+    fair = (counts > 0) & ~(used & (solution.leverage > 0.999))
     outlier = np.zeros(len(counts), dtype=np.bool_)
     for count in np.unique(counts[fair]):
         rows = fair & (counts == count)
@@ -53,19 +56,19 @@ def outlying(problem: Problem, found: Solution, judged: BoolArray) -> BoolArray:
     return outlier
 
 
-def noise_dof(problem: Problem, found: Solution) -> FloatArray:
+def noise_dof(problem: Problem, solution: Solution) -> FloatArray:
     """Return with how many degrees of freedom the noise of each row is known, (m,), at least 2 (Satterthwaite).
 
     Only the gauge noise is estimated, and only by the part of each residual that neither the fit nor the
     scatter of load directions has taken up; where the stated scatter rules, a row's noise is well known.
     """
     if problem.Sigma is not None:
-        return np.full(len(found.R), 1e6)
-    inverse = found.R_inverse
-    noise = found.Sigma / problem.weight[:, np.newaxis, np.newaxis]
-    free = noise @ inverse @ (found.R - found.H) @ inverse
+        return np.full(len(solution.R), 1e6)
+    inverse = solution.R_inverse
+    noise = solution.Sigma / problem.weight[:, np.newaxis, np.newaxis]
+    free = noise @ inverse @ (solution.R - solution.H) @ inverse
     total = float(np.einsum("ikl,ilk->", free, free)) / problem.V.shape[1]
-    share = np.einsum("ikl,ilk->i", noise, np.linalg.inv(found.R)) / problem.V.shape[1]
+    share = np.einsum("ikl,ilk->i", noise, np.linalg.inv(solution.R)) / problem.V.shape[1]
     dof: FloatArray = np.maximum(total / np.square(share), 2.0)
     return dof
 
@@ -129,3 +132,58 @@ def _fitted(g: FloatArray, V: FloatArray, chosen: IntArray) -> tuple[FloatArray,
     beta: FloatArray = np.asarray(np.linalg.solve(normal, sub.transpose(0, 2, 1) @ V[chosen]), dtype=np.float64)
     squares: FloatArray = np.square(V - g @ beta).sum(axis=2)
     return beta, squares
+
+
+LARGEST_SHARE = 0.05
+CHANCE = 0.01
+"""That rows left out by chance gather as much as these; for all places together."""
+
+
+def rejections(fit: Fit, readings: Readings) -> list[str]:
+    """Return why the rows left out as outliers speak against the model; empty where they do not."""
+    m = len(readings.P_newtons)
+    out = np.zeros(m, dtype=np.bool_)
+    out[list(fit.outliers)] = True
+    reasons = []
+    if out.sum() > LARGEST_SHARE * m:
+        reasons.append(
+            f"{int(out.sum())} of {m} rows ({100.0 * out.mean():.0f} %) are left out as outliers, over "
+            f"{LARGEST_SHARE:.0%}: loads, times or the model (--drift, --angle-scatter, --saturation) are wrong"
+        )
+    places = _places(readings)
+    for words, rows in places:
+        here, count = int((out & rows).sum()), int(rows.sum())
+        if here >= 3 and _at_least(here, int(out.sum()), count, m) < CHANCE / len(places):
+            reasons.append(
+                f"{here} of the {int(out.sum())} rows left out are {words} ({count} of {m} rows): a fault that depends "
+                "on it is no outlier"
+            )
+    return reasons
+
+
+def _places(readings: Readings) -> list[tuple[str, BoolArray]]:
+    """Where rows may gather: high loads, warm or cold ones, one direction."""
+    P = readings.P_newtons
+    loaded = P > 0.0
+    high = np.median(P[loaded]) < P if (P[loaded] > np.median(P[loaded])).any() else P.max() <= P
+    places = [("at high load", np.asarray(high & loaded))]
+    T = readings.temperature_degC
+    if T is not None and np.ptp(T) > 1.0:
+        third = T.min() + np.ptp(T) / 3.0
+        places += [("warm", np.asarray(third + np.ptp(T) / 3.0 < T)), ("cold", np.asarray(third > T))]
+    groove = grooves(readings.phi_rad, readings.theta_rad)
+    for one in np.unique(groove[loaded]):
+        rows = loaded & (groove == one)
+        first = int(np.argmax(rows))
+        phi, theta = np.degrees(readings.phi_rad[first]), np.degrees(readings.theta_rad[first])
+        places.append((f"at phi {phi:g}, theta {theta:g} degrees", np.asarray(rows)))
+    for phi in np.unique(np.round(readings.phi_rad[loaded], 6)):
+        rows = loaded & (np.abs(readings.phi_rad - phi) < 1e-6)
+        places.append((f"of loads along phi {np.degrees(phi):g} degrees", np.asarray(rows)))
+    return [(words, rows) for words, rows in places if 0 < rows.sum() < 0.7 * len(P)]
+
+
+def _at_least(here: int, out: int, count: int, m: int) -> float:
+    """The chance that of ``out`` rows among m at least ``here`` fall on ``count`` given ones (hypergeometric)."""
+    ways = sum(comb(count, k) * comb(m - count, out - k) for k in range(here, min(out, count) + 1))
+    return ways / comb(m, out)

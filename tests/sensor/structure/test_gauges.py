@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauge_shift import (
+from tipforce.sensor.structure.gauges import (
     GaugePosition,
     nominal_position,
     position_matrix,

@@ -1,0 +1,346 @@
+"""The parts of a scene: the key that names each, why it is left out, its modules, and the frames that a run sends.
+
+``parts`` is the one list: a run builds what it names, `tipforce scene explain` prints it, the costs are measured by it.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+from canopen_device.core.codes import HEARTBEAT_BASE, NMT_COB_ID, SYNC_COB_ID
+from tipforce.dictionary import indices, table
+from tipforce.scene import schema
+from tipforce.scene.loads import LoadHistory, load_of
+from tipforce.sensor.structure.layouts import layout
+
+PDO_NAMES = {"gauges": "Gauges", "contact": "Contact", "force": "Force", "health": "Health"}
+SYNCHRONOUS = ("gauges", "contact", "force")
+_STATUS = (indices.STATUS, 0)
+_OWN = ("tipforce", "canopen_device")
+
+Mapping = tuple[tuple[int, int, int], ...]  # (index, sub, bits)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One part of a scene."""
+
+    name: str
+    built: bool
+    why: str
+    """The key that names it, or the missing key."""
+    imports: tuple[str, ...] = ()
+    on_demand_imports: tuple[str, ...] = ()
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """Modules that it loads; third-party packages by package name."""
+        return loaded_by(*self.imports)
+
+    @property
+    def on_demand(self) -> tuple[str, ...]:
+        """Modules that it may load during the run."""
+        return loaded_by(*self.on_demand_imports)
+
+
+# Modules imported for a part in addition to those already loaded.
+_STRUCTURE = ("tipforce.sensor.structure.strain",)
+_DYNAMICS = (
+    "tipforce.sensor.dynamics.first_order_hold", "tipforce.sensor.dynamics.model", "tipforce.sources.dynamic_load",
+)  # fmt: skip
+_NODES = (  # the dictionary imports its tables where a node is made
+    "tipforce.scene.run", "tipforce.scene.reader", "tipforce.dictionary.table_objects",
+)  # fmt: skip
+# In the order in which they are built: of each node, and of the run.
+_OF_A_NODE = (
+    "nodes", "filter", "noise", "front end", "1/f noise", "temperature", "structure", "load history", "dynamics",
+    "calibration", "calibration file",
+)  # fmt: skip
+_OF_THE_RUN = (
+    "recording", "SYNC", "faults", "slit", "log", "bus", "decoder", "expectations", "table", "plot",
+)  # fmt: skip
+
+
+def parts(scene: schema.Scene, node_id: int | None = None) -> list[Part]:
+    """Return every possible part of the scene, or of one node in it, built or not, in signal order."""
+    node_ids = scene.node_ids if node_id is None else (node_id,)
+    groups = scene.nodes if node_id is None else (scene.group(node_id),)
+    loads = [load_of(scene, each) for each in node_ids]
+    return [*_load_parts(scene, loads), *_electronics(scene), *_node_parts(scene, groups), *_frame_parts(scene, groups)]
+
+
+def chosen_parts(scene: schema.Scene, node_id: int | None = None) -> frozenset[str]:
+    """Return the names of the parts that the scene, or one node in it, needs."""
+    return frozenset(part.name for part in parts(scene, node_id) if part.built)
+
+
+def built_parts(scene: schema.Scene, *more: str) -> tuple[str, ...]:
+    """Return the names of the parts that a run makes, with ``more``, in the order in which it first does."""
+    of_nodes = (chosen_parts(scene, node_id) for node_id in scene.node_ids)
+    built = [name for chosen in of_nodes for name in _OF_A_NODE if name in chosen]
+    chosen = chosen_parts(scene).union(more)
+    return tuple(dict.fromkeys([*built, *(name for name in _OF_THE_RUN if name in chosen)]))
+
+
+def computes(group: schema.Nodes) -> tuple[str, str]:
+    """Return why a node computes force and contact: the first reason of each, empty if it does not.
+
+    The status byte 2120h contains the contact bit, so a calibrated node that sends it must compute the contact.
+    """
+    if group.calibration == "none" or not group.pdos:
+        return "", ""
+    status = "status byte 2120h" if group.status and set(group.pdos) & set(SYNCHRONOUS) else ""
+    contact = "contact PDO" if "contact" in group.pdos else status
+    force = next((f"{name} PDO" for name in ("force", "contact") if name in group.pdos), status)
+    if not force and "health" in group.pdos:
+        force = "health PDO (2123h)"
+    return force, contact
+
+
+def _part(name: str, why: str | None, without: str, *modules: str) -> Part:
+    """Return a part, built with the reason ``why``, or omitted with the reason ``without``."""
+    return Part(name, bool(why), why or without, modules)
+
+
+def _load_parts(scene: schema.Scene, loads: Sequence[LoadHistory | None]) -> Iterator[Part]:
+    loaded = any(load is not None for load in loads)
+    moving = any(load is not None and not load.constant for load in loads)
+    swinging = scene.dynamics is not None and loaded
+    published = any(isinstance(load, schema.Grooves) for load in scene.loads)
+    yield _part("structure", "[[loads]]" if loaded else "", "no [[loads]]: the gauges are unloaded", *_STRUCTURE)
+    yield _part(
+        "load history",
+        "[[loads]] that change" if moving else "[dynamics]" if swinging else "",
+        "every load is static" if loaded else "no [[loads]]",
+        *(("tipforce.sensor.structure.published",) if published else ()),
+    )
+    yield _part(
+        "dynamics",
+        "[dynamics]" if swinging else "",
+        "no [[loads]]" if scene.dynamics else "no [dynamics]: the gauges follow the load without delay",
+        *_DYNAMICS,
+    )
+
+
+def _electronics(scene: schema.Scene) -> Iterator[Part]:
+    front, noise = scene.front_end, scene.noise or schema.Noise()
+    white, pink = noise.gauge_microstrain, noise.one_over_f_microstrain
+    named = "[front_end]" if front else "noise.one_over_f_microstrain" if pink else ""
+    temperature = front is not None and front.temperature_degC is not None
+    yield _part(
+        "noise",
+        f"noise.gauge_microstrain = {white:g}" if white else "",
+        "no noise.gauge_microstrain: no random numbers",
+        "random",
+    )
+    yield _part(
+        "1/f noise",
+        f"noise.one_over_f_microstrain = {pink:g}" if pink else "",
+        "no noise.one_over_f_microstrain",
+        "random",
+    )
+    yield _part("front end", named, "no [front_end]: an ideal converter of 16 bits", "tipforce.sources.front_end")
+    yield _part("temperature", "front_end.temperature_degC" if temperature else "", "no front_end.temperature_degC")
+
+
+def _node_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator[Part]:
+    calibrated = [group.calibration for group in groups if group.calibration != "none"]
+    file = next((name for name in calibrated if name != "model"), None)
+    filtered = next((group.filter for group in groups if group.filter), None)
+    force, contact = (next((why for why in reasons if why), "") for reasons in zip(*map(computes, groups), strict=True))
+    yield _part("nodes", f"[[nodes]]: {len(scene.node_ids)}", "", *_NODES)
+    yield _part(
+        "calibration",
+        f'nodes.calibration = "{calibrated[0]}"' if calibrated else "",
+        'nodes.calibration = "none"',
+        *(("tipforce.host.configuration.calibration",) if calibrated else ()),
+        *(_STRUCTURE if "model" in calibrated else ()),
+    )
+    named = "" if file is None else f'"{file}"'
+    yield _part("calibration file", named, "none is named", "tipforce.host.configuration.calibration_file")
+    yield _part(
+        "filter", f'nodes.filter = "{filtered}"' if filtered else "", "no nodes.filter", "tipforce.fingertip.filters"
+    )
+    nobody = "" if calibrated else "no node is calibrated"
+    yield _part("force in the node", force, nobody or "no PDO that has or needs it")
+    yield _part("contact in the node", contact, nobody or "no contact PDO, and no status byte 2120h that needs it")
+    spare = any(group.calibration != "none" and len(layout(group.layout)) > 3 for group in groups)
+    yield Part(
+        "spare gauges",
+        spare,
+        "a calibrated layout of more than 3 gauges; used after the loss of one"
+        if spare
+        else "no calibrated node has more than 3",
+        on_demand_imports=("tipforce.sensor.contact.scalar_redundancy",),
+    )
+    yield _part("SYNC", f"sync_hz = {scene.sync_hz:g}" if scene.sync_hz else "", "no sync_hz")
+    yield _part("faults", f"[[faults]]: {len(scene.faults)}" if scene.faults else "", "no [[faults]]")
+
+
+def _frame_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator[Part]:
+    """Yield the parts that process the frames."""
+    out, bus = scene.outputs, scene.bus
+    pdos = list(dict.fromkeys(pdo for group in groups for pdo in group.pdos))
+    named = bus.interface or bus.channel or "python-can's configuration" if bus else ""
+    yield _part(
+        "bus", f"[bus]: {named}" if bus else "", "no [bus]: simulated time, no bus at all", "tipforce.scene.realtime"
+    )
+    yield _part("recording", "every frame, for the parts below", "", "tipforce.scene.outputs", "tipforce.scene.results")
+    yield _part(
+        "decoder", f"nodes.pdos: {', '.join(pdos)}" if pdos else "", "no nodes.pdos", "tipforce.host.decoding.decoder"
+    )
+    yield _part(
+        "slit", f"slit.gap_mm = {scene.slit.gap_mm:g}" if scene.slit else "", "no [slit]: not checked",
+        "tipforce.sensor.structure.limits",
+    )  # fmt: skip
+    yield _part("expectations", f"[[expect]]: {len(scene.expect)}" if scene.expect else "", "no [[expect]]")
+    yield _part(
+        "log",
+        f'outputs.log = "{out.log}"' if out.log else "",
+        "no outputs.log: no file",
+        "tipforce.host.logs.candump",
+        "tipforce.host.logs.candump_format",
+    )
+    yield _part("table", f'outputs.table = "{out.table}"' if out.table else "", "no outputs.table: no file")
+    yield _part(
+        "plot", f'outputs.plot = "{out.plot}"' if out.plot else "", "no outputs.plot: no matplotlib",
+        "matplotlib",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Pdo:
+    """A TPDO that a node sends: ``mapping`` is set only if it is not the default one."""
+
+    name: str
+    number: int
+    can_id: int
+    mapping: Mapping
+    remapped: bool
+    transmission: int
+    event_ms: int
+
+    @property
+    def length(self) -> int:
+        """Data bytes."""
+        return sum(bits for _, _, bits in self.mapping) // 8
+
+
+def node_pdos(group: schema.Nodes, node_id: int) -> tuple[Pdo, ...]:
+    """Return the TPDOs that a node sends, in order."""
+    wanted = {PDO_NAMES[name] for name in group.pdos}
+    sent = []
+    for number, name, base, _enabled, transmission, event_ms, mapped in table.tpdos(len(layout(group.layout))):
+        if name in wanted:
+            default = tuple((index, sub, table.mapped_bits(index)) for index, sub in mapped)
+            mapping = default if group.status else tuple(entry for entry in default if entry[:2] != _STATUS)
+            sent.append(Pdo(name, number, base + node_id, mapping, mapping != default, transmission, event_ms))
+    return tuple(sent)
+
+
+@dataclass(frozen=True, slots=True)
+class Identifier:
+    """A COB-ID that a scene sends."""
+
+    can_id: int
+    what: str
+    rate_hz: float
+    """0: once, or on an event."""
+    data_bytes: int
+
+    @property
+    def bits(self) -> tuple[int, int]:
+        """Bits of one frame on the wire, interframe space included: without stuff bits, and with the maximum."""
+        bits = 47 + 8 * self.data_bytes
+        return bits, bits + (33 + 8 * self.data_bytes) // 4
+
+
+def identifiers(scene: schema.Scene) -> list[Identifier]:
+    """Return every COB-ID that a run is certain to send, in order."""
+    sent = [Identifier(NMT_COB_ID, "NMT start", 0.0, 2)]
+    if scene.sync_hz is not None:
+        sent.append(Identifier(SYNC_COB_ID, "SYNC", scene.sync_hz, 0))
+    for node_id in scene.node_ids:
+        group = scene.group(node_id)
+        for pdo in node_pdos(group, node_id):
+            rate_hz = 1e3 / pdo.event_ms if pdo.event_ms else scene.sync_hz or 0.0
+            sent.append(Identifier(pdo.can_id, f"node {node_id} {pdo.name}", rate_hz, pdo.length))
+        beat = 1e3 / group.heartbeat_ms if group.heartbeat_ms else 0.0
+        what = "boot-up, heartbeat" if beat else "boot-up"
+        sent.append(Identifier(HEARTBEAT_BASE + node_id, f"node {node_id} {what}", beat, 1))
+    return sorted(sent, key=lambda identifier: identifier.can_id)
+
+
+def bus_load(scene: schema.Scene) -> tuple[float, float]:
+    """Return the share of the scene's bit rate, without stuff bits and with the maximum; above 1 it does not fit."""
+    sent = identifiers(scene)
+    sums = [sum(identifier.rate_hz * identifier.bits[k] for identifier in sent) for k in (0, 1)]
+    return sums[0] / scene.bit_rate, sums[1] / scene.bit_rate
+
+
+def loaded_by(*names: str) -> tuple[str, ...]:
+    """Return the project's modules and the third-party packages that importing ``names`` loads, sorted.
+
+    Imports inside functions and under ``if TYPE_CHECKING`` are excluded: they load on demand. Third-party packages
+    are listed by their top-level name; the standard library only if ``names`` contains it.
+    """
+    modules: set[str] = set()
+    pending = list(names)
+    while pending:
+        name = pending.pop()
+        if name in modules:
+            continue
+        modules.add(name)
+        if name.partition(".")[0] in _OWN:
+            pending += _imports(name)
+    return tuple(sorted(modules))
+
+
+@cache
+def _imports(name: str) -> tuple[str, ...]:
+    """Yield the imports of one module of tipforce, its parent package included."""
+    spec = find_spec(name)
+    assert spec is not None, name
+    assert spec.origin is not None, name
+    parent = name.rpartition(".")[0]
+    package = name if spec.submodule_search_locations is not None else parent
+    tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
+    modules = {module for node in _statements(tree) for module in _targets(node, package)}
+    return tuple(modules | ({parent} if parent else set()))
+
+
+def _statements(tree: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield node
+        elif isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            continue
+        elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            yield from _statements(node)
+
+
+def _targets(node: ast.Import | ast.ImportFrom, package: str) -> Iterator[str]:
+    if isinstance(node, ast.Import):
+        names = [alias.name for alias in node.names]
+    else:
+        base = package.rsplit(".", node.level - 1)[0] if node.level else ""
+        module = ".".join(filter(None, (base, node.module)))
+        names = [f"{module}.{alias.name}" if _is_module(f"{module}.{alias.name}") else module for alias in node.names]
+    for name in names:
+        first = name.partition(".")[0]
+        if first in _OWN:
+            yield name
+        elif first not in sys.stdlib_module_names:
+            yield first
+
+
+def _is_module(name: str) -> bool:
+    """Return whether a name is a module of tipforce, not an attribute of one."""
+    folder = Path(__file__).parents[2].joinpath(*name.split("."))
+    return name.partition(".")[0] in _OWN and (folder.with_suffix(".py").exists() or (folder / "__init__.py").exists())

@@ -1,0 +1,293 @@
+"""Gauge layouts by name or file: I, II, III (their mirrors I', II', III'), or a TOML file.
+
+The file lists the gauges, SG1 first, and the dimensions of the body if they differ from the paper's::
+
+    points = ["K_H", "S_H", "U"]        # points of Table 1
+
+or gauges at any position along the beams, or both::
+
+    points = [
+        { beam = "H", side = "left", position_mm = 1.08 },
+        { beam = "H", side = "right", position_mm = 1.08, face = "lower" },
+        "U",
+    ]
+    gauge_length_mm = 1.0
+
+    [geometry]
+    a_m = 0.015
+    d_m = 0.015
+    r_m = 0.015
+    h1_m = 0.0004
+    h2_m = 0.000653
+    width_m = 0.01
+    youngs_modulus_pascals = 205e9
+
+points: three to eight. beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative
+("left") or positive x ("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam
+from the joint: on H from the middle of the body up to a, on V from the lower side of the horizontal beam up to d.
+face: on H "lower" (towards the fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge
+of the design; it changes no number, because strain is linear along a beam. [geometry] needs all seven keys, in
+metres and Pa. A [bridge] table states the wiring of the gauges to a real converter (``BridgeTable``); only
+`tipforce node --source iio:...` reads it::
+
+    [bridge]
+    kind = "full"            # or "quarter", "half"
+    gauge_factor = 2.1
+    excitation_volts = 3.3
+    gain = 100.0             # of an amplifier before the converter; a list: one per gauge
+    zero_volts = 1.65        # at the converter with no strain
+
+The scaling 6120h to 6123h is computed from it and the converter's scale: (raw + offset) * scale is the voltage at the
+converter in millivolts (Linux, sysfs-bus-iio). The bridge gives gauge factor * arms * excitation volts per unit strain
+(``front_end.Bridge``), times the gain of an amplifier, on top of the voltage at no strain.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import msgspec
+
+from canopen_device.toml_table import convert, read_table
+from tipforce.errors import InputError
+from tipforce.output_file import LAYOUT, write_file
+from tipforce.sensor.structure.gauges import Gauge, GaugePosition, check_gauges
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS, layout
+
+if TYPE_CHECKING:
+    from tipforce.dictionary.table import Converter
+
+_I16 = 0x7FFF
+_FULL_MICROSTRAIN = 1000.0  # the process value of the second scaling point, 6123h
+
+
+class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
+    beam: Literal["H", "V"]
+    side: Literal["left", "right"]
+    position_mm: float
+    face: Literal["lower", "upper"] | None = None
+
+
+class _Body(msgspec.Struct):
+    """[geometry]. Unknown keys are ignored."""
+
+    a_m: float
+    d_m: float
+    r_m: float
+    h1_m: float
+    h2_m: float
+    width_m: float
+    youngs_modulus_pascals: float
+
+
+class BridgeTable(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
+    """How the gauges are wired to the converter; one description for all of them."""
+
+    kind: Literal["quarter", "half", "full"] = "quarter"
+    gauge_factor: float = 2.0
+    excitation_volts: float = 3.3
+    gain: float | list[float] = 1.0
+    """Gain of an amplifier between bridge and converter, one for all or one per gauge; negative: inputs swapped."""
+    zero_volts: float = 0.0
+    """Voltage at the converter with no strain: the amplifier's zero output."""
+    volts_per_count: float | None = None
+    """Used only if the converter states no scale."""
+    count_range: tuple[int, int] | None = None
+    """The converter's lowest and highest count, if the driver does not state them."""
+    supply: str | None = None
+    """DEVICE/CHANNEL that measures the excitation, compared with ``excitation_volts``."""
+    supply_divider: float = 1.0
+    """Excitation divided by the voltage at that channel."""
+    supply_tolerance: float = 0.05
+    """Relative tolerance of the excitation."""
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
+    points: tuple[str | _Place, ...]
+    gauge_length_mm: float | None = None
+    geometry: _Body | None = None
+    bridge: BridgeTable | None = None
+
+
+def read_bridge(name_or_path: str) -> BridgeTable | None:
+    """Return the [bridge] table of a layout file; None for a layout by name and for a file without one.
+
+    Raises InputError naming the place and what is allowed.
+    """
+    if name_or_path in LAYOUTS:
+        return None
+    content = _content(name_or_path)
+    try:
+        _geometry(content)
+        if content.bridge is not None:
+            _check_bridge(content.bridge)
+    except InputError as error:
+        raise InputError(f"layout {name_or_path}: {error}") from None
+    return content.bridge
+
+
+def read_layout(name_or_path: str) -> tuple[Geometry, tuple[Gauge, ...]]:
+    """Return (geometry, gauges) for gauge_matrix(): points of Table 1 by name, others as GaugePosition.
+
+    Raises InputError naming the place and what is allowed.
+    """
+    if name_or_path in LAYOUTS:
+        return FABRICATED, layout(name_or_path)
+    content = _content(name_or_path)
+    try:
+        if content.gauge_length_mm is not None and not 0.0 < content.gauge_length_mm < float("inf"):
+            raise InputError(f"gauge_length_mm = {content.gauge_length_mm!r}: allowed is a positive length")
+        geometry = _geometry(content)
+        return geometry, _gauges(geometry, content.points)
+    except InputError as error:
+        raise InputError(f"layout {Path(name_or_path)}: {error}") from None
+
+
+def _content(name_or_path: str) -> _File:
+    place = f"layout {Path(name_or_path)}"
+    try:
+        content = read_table(name_or_path, place)
+    except InputError as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
+        raise InputError(
+            f"layout {name_or_path!r}: neither one of {', '.join(LAYOUTS)} nor a file; "
+            'a layout file has a line like points = ["K_H", "S_H", "U"]'
+        ) from None
+    return convert(_File, content, place, finite=False)  # the checks below name non-finite numbers and what is allowed
+
+
+def layout_text(
+    geometry: Geometry, gauges: Sequence[Gauge], gauge_length_m: float | None = None, comment: str = ""
+) -> str:
+    """Return the text of a layout file that reads back to these gauges; ``comment`` becomes its first lines.
+
+    Raises InputError for gauges that are not usable.
+    """
+    import tomli_w
+
+    points: list[str | _Place] = []
+    for gauge in check_gauges(geometry, gauges):
+        if isinstance(gauge, str):
+            points.append(gauge)
+        else:
+            face: Literal["upper"] | None = "upper" if gauge.beam == "H" and gauge.face == "upper" else None
+            points.append(_Place(gauge.beam, gauge.side, gauge.position_m * 1e3, face))
+    length_mm = None if gauge_length_m is None else gauge_length_m * 1e3
+    content = msgspec.to_builtins(_File(tuple(points), length_mm))
+    content["geometry"] = msgspec.to_builtins(geometry)
+    head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+    return head + tomli_w.dumps(content)
+
+
+def write_layout(
+    path: str | Path,
+    geometry: Geometry,
+    gauges: Sequence[Gauge],
+    gauge_length_m: float | None = None,
+    comment: str = "",
+) -> None:
+    """Write layout_text() to a file. Raises InputError for an unusable path, WriteError if writing fails."""
+    write_file(path, layout_text(geometry, gauges, gauge_length_m, comment), LAYOUT)
+
+
+def _geometry(content: _File) -> Geometry:
+    if content.geometry is None:
+        return FABRICATED
+    sizes = msgspec.structs.asdict(content.geometry)
+    for name, value in sizes.items():
+        low, high, unit = (1.0, 1e15, "Pa") if name == "youngs_modulus_pascals" else (1e-6, 10.0, "m")
+        if not low <= value <= high:
+            raise InputError(f"geometry {name} = {value!r}: allowed is {low:g} to {high:g} {unit}")
+    return Geometry(**sizes)
+
+
+def _gauges(geometry: Geometry, points: Sequence[str | _Place]) -> tuple[Gauge, ...]:
+    names = [point for point in points if isinstance(point, str)]
+    if len(names) == len(points):
+        return layout(names)
+    return check_gauges(geometry, [point if isinstance(point, str) else _position(point) for point in points])
+
+
+def _position(point: _Place) -> GaugePosition:
+    if point.beam == "V" and point.face is not None:
+        raise InputError(f"face = {point.face!r} on beam V: allowed on beam H only; on V the side determines the face")
+    return GaugePosition(point.beam, point.side, point.position_mm / 1e3, point.face or "lower")
+
+
+# --- the wiring of the gauges ---------------------------------------------------------------------------------------
+
+
+class ChannelScale(NamedTuple):
+    """What the driver states about one channel."""
+
+    millivolts_per_count: float | None
+    offset_counts: float
+    why: str
+    """The reason for a missing scale; empty if there is a scale."""
+
+
+def _check_bridge(table: BridgeTable) -> None:
+    """Raises InputError that names a number outside the allowed range."""
+    for name in ("gauge_factor", "excitation_volts", "supply_divider", "supply_tolerance"):
+        _finite(name, getattr(table, name), positive=True)
+    _finite("zero_volts", table.zero_volts)
+    for gain in table.gain if isinstance(table.gain, list) else [table.gain]:
+        if _finite("gain", gain) == 0.0:
+            raise InputError("[bridge] gain = 0: allowed are numbers other than 0")
+    if table.volts_per_count is not None:
+        _finite("volts_per_count", table.volts_per_count, positive=True)
+    if table.count_range is not None and table.count_range[0] >= table.count_range[1]:
+        raise InputError(f"[bridge] count_range = {list(table.count_range)}: allowed is [lowest, highest]")
+
+
+def converter_of(table: BridgeTable, channels: Sequence[ChannelScale], names: Sequence[str], bits: int) -> Converter:
+    """Return the converter for the dictionary, with the scaling points of each gauge.
+
+    Raises InputError if a channel has no scale and the table states none.
+    """
+    from tipforce.sources.front_end import Bridge
+
+    bridge = Bridge(table.kind, table.gauge_factor, table.excitation_volts)
+    gains = table.gain if isinstance(table.gain, list) else [table.gain] * len(channels)
+    if len(gains) != len(channels):
+        raise InputError(f"[bridge] gain: {len(gains)} numbers for {len(channels)} gauges")
+    points = []
+    for channel, gain, name in zip(channels, gains, names, strict=True):
+        volts_per_count = _volts_per_count(table, channel, name)
+        zero = table.zero_volts / volts_per_count - channel.offset_counts
+        points.append((zero, zero + _FULL_MICROSTRAIN * gain * bridge.volts_per_microstrain / volts_per_count))
+    per_microstrain = abs(points[0][1] - points[0][0]) / _FULL_MICROSTRAIN
+    fits = all(abs(count) <= _I16 for pair in points for count in pair)
+    return (bits if fits else max(bits, 17)), per_microstrain, tuple(points)
+
+
+def ends_fit(ends: tuple[int, int]) -> int:
+    """Return the bits that a signed integer needs for a converter's range: 16 or more."""
+    bits = 16
+    while not -(1 << bits - 1) <= ends[0] <= ends[1] < 1 << bits - 1:
+        bits += 1
+    return bits
+
+
+def _volts_per_count(table: BridgeTable, channel: ChannelScale, name: str) -> float:
+    if table.volts_per_count is not None:
+        return table.volts_per_count
+    if channel.millivolts_per_count is None:
+        raise InputError(
+            f"{name}: {channel.why}; state the converter's step in the layout file: "
+            "[bridge] volts_per_count = (reference voltage / number of counts)"
+        )
+    if not (math.isfinite(channel.millivolts_per_count) and channel.millivolts_per_count > 0.0):
+        raise InputError(f"{name}: scale {channel.millivolts_per_count!r}; state [bridge] volts_per_count")
+    return 1e-3 * channel.millivolts_per_count
+
+
+def _finite(name: str, value: float, positive: bool = False) -> float:
+    if not math.isfinite(value) or (positive and value <= 0.0):
+        raise InputError(f"[bridge] {name} = {value!r}: allowed is a {'positive' if positive else 'finite'} number")
+    return value
