@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.mujoco import fingertip_mjcf
 from tipforce.sensor import FABRICATED
+from tipforce_robots.mujoco import fingertip_mjcf
 
 FloatArray = npt.NDArray[np.float64]
 R = FABRICATED.r_m

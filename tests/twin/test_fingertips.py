@@ -11,9 +11,9 @@ import pytest
 
 from tipforce import Calibration, Status, estimate
 from tipforce.errors import InputError
-from tipforce.mujoco import Fingertips
 from tipforce.scene import beam_calibration
 from tipforce.sensor import FABRICATED, strain_matrix
+from tipforce_robots.mujoco import Fingertips
 from twin.models import R, external_wrench, pressed, push
 
 SITES = {"thumb": "thumb_tip"}
@@ -179,8 +179,8 @@ def test_without_mujoco_it_is_one_line() -> None:
     code = (
         "import sys; sys.modules['mujoco'] = None\n"
         "from tipforce.errors import EnvironmentLackError\n"
-        "from tipforce.mujoco import fingertip_mjcf; fingertip_mjcf()\n"
-        "try:\n    from tipforce.mujoco import Fingertips\n"
+        "from tipforce_robots.mujoco import fingertip_mjcf; fingertip_mjcf()\n"
+        "try:\n    from tipforce_robots.mujoco import Fingertips\n"
         "except EnvironmentLackError as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -14,8 +14,8 @@ from gymnasium.utils.env_checker import check_env
 import tipforce
 from tipforce.errors import InputError
 from tipforce.host import Decoder, open_log
-from tipforce.learning import Observations, observation, observation_space, recorded_observations
-from tipforce.mujoco import GraspEnv
+from tipforce_robots.learning import Observations, observation, observation_space, recorded_observations
+from tipforce_robots.mujoco import GraspEnv
 from tipforce_tools.cli.main import main
 
 
@@ -144,10 +144,10 @@ def _part(node: tipforce.NodeLog, at: np.ndarray) -> tipforce.NodeLog:
 def test_without_gymnasium_it_is_one_line_and_torch_is_never_needed() -> None:
     code = (
         "import sys; sys.modules['gymnasium'] = sys.modules['torch'] = None\n"
-        "import tipforce.learning, tipforce.errors\n"
-        "from tipforce.learning import observation, recorded_observations\n"
-        "for use in (lambda: tipforce.learning.observation_space(1), lambda: tipforce.mujoco.GraspEnv):\n"
-        "    import tipforce.mujoco\n"
+        "import tipforce_robots.learning, tipforce.errors\n"
+        "from tipforce_robots.learning import observation, recorded_observations\n"
+        "for use in (lambda: tipforce_robots.learning.observation_space(1), lambda: tipforce_robots.mujoco.GraspEnv):\n"
+        "    import tipforce_robots.mujoco\n"
         "    try: use()\n"
         "    except tipforce.errors.EnvironmentLackError as error: print(error)"
     )

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.mujoco import fingertip_mjcf
 from tipforce.sensor import FABRICATED
 from tipforce.sensor.dynamics.model import half_cylinder, modes
+from tipforce_robots.mujoco import fingertip_mjcf
 from tipforce_tools.cli.main import main
 
 

@@ -16,7 +16,7 @@ import grasp
 import tipforce
 from grasp_controller import ASKED_NEWTONS, control
 from tipforce.errors import InputError
-from tipforce.mujoco import Fingertips, TwinNodes
+from tipforce_robots.mujoco import Fingertips, TwinNodes
 from twin.models import pressed, push
 
 SITES = {"thumb": "thumb_tip"}
@@ -104,7 +104,7 @@ def test_it_follows_the_clock_and_says_what_it_lost(
     data = mujoco.MjData(model)
     nodes = TwinNodes(Fingertips(model, SITES), data, buses[0])
     clock, steps = itertools.count(0.0, 0.1), itertools.count()
-    monkeypatch.setattr("tipforce.mujoco.serving.time", SimpleNamespace(monotonic=lambda: next(clock)))
+    monkeypatch.setattr("tipforce_robots.mujoco.serving.time", SimpleNamespace(monotonic=lambda: next(clock)))
     lost_s = nodes.follow_clock(lambda: mujoco.mj_step(model, data), lambda: next(steps) == 100)
     assert data.time == pytest.approx(0.05)
     assert lost_s == pytest.approx(10.0, abs=0.4)  # 100 steps of 0.5 ms while the clock goes 0.1 s in each

@@ -20,11 +20,7 @@ HERE = Path(__file__).parent
 @pytest.fixture(scope="module")
 def received(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, Any]]]:
     """Messages by topic."""
-    hand = [
-        sys.executable,
-        str(HERE / "loopback_hand.py"),
-        str(tmp_path_factory.mktemp("hand")),
-    ]
+    hand = [sys.executable, str(HERE / "loopback_hand.py"), str(tmp_path_factory.mktemp("hand"))]
     reader = [os.environ["TIPFORCE_ROS_PYTHON"], str(HERE / "rclpy_reader.py"), *hand]
     environment = {
         name: text for name, text in os.environ.items() if not name.startswith(("ROS_", "CYCLONEDDS_", "FASTDDS_"))

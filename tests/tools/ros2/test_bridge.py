@@ -14,12 +14,12 @@ import rosless
 from tipforce.errors import InputError
 from tipforce.host.logs.reader import open_log
 from tipforce.shipped_files import shipped_folder
+from tipforce.watching.feeds import FrameFeed
+from tipforce.watching.fingers import Finger
+from tipforce.watching.frame_sources import LogSource
+from tipforce_robots.ros2 import cdr
+from tipforce_robots.ros2.bridge import PERIOD_NS, Bridge
 from tipforce_tools.cli.main import main
-from tipforce_tools.monitor.sources import LogSource
-from tipforce_tools.ros2 import definitions
-from tipforce_tools.ros2.bridge import PERIOD_NS, Bridge
-from tipforce_tools.ros2.feeds import ListenFeed
-from tipforce_tools.view.fingers import Finger
 from tools.decode.logs import START_US, decode, log_lines, number, rows_of, write_log
 
 EMCY = "(1700000000.100010) vcan0 085#3050100000000000"
@@ -57,7 +57,7 @@ def published(log: Path, *fingers: Finger) -> tuple[Topics, list[dict[str, Any]]
     topics: Any = Topics()
     events: list[dict[str, Any]] = []
     with open_log(log) as reader:
-        feed = ListenFeed(LogSource(reader, math.inf, PERIOD_NS), Finger, 3, fingers)
+        feed = FrameFeed(LogSource(reader, math.inf, PERIOD_NS), Finger, 3, fingers)
         bridge = Bridge(feed, topics, "/tipforce", 3, False)
         while not feed.ended:
             events += bridge.step()
@@ -92,14 +92,14 @@ def test_the_wrenches_of_a_log_are_those_of_decode(log: Path) -> None:
 def test_topics_types_and_profiles(log: Path) -> None:
     topics, events = published(log, Finger(1, "thumb"))
     assert topics.kinds == {
-        "/diagnostics": (definitions.DIAGNOSTICS, "events"),
+        "/diagnostics": (cdr.DIAGNOSTICS, "events"),
         **{
             f"/tipforce/{name}/{what}": profile
             for name in ("thumb", "finger_5")
             for what, profile in (
-                ("wrench", (definitions.WRENCH, "sensor data")),
-                ("contact", (definitions.CONTACT, "sensor data")),
-                ("info", (definitions.FINGERTIP, "static")),
+                ("wrench", (cdr.WRENCH, "sensor data")),
+                ("contact", (cdr.CONTACT, "sensor data")),
+                ("info", (cdr.FINGERTIP, "static")),
             )
         },
     }
@@ -114,7 +114,7 @@ def test_the_command_publishes_a_log(
     log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     topics = Topics()
-    monkeypatch.setattr("tipforce_tools.ros2.dds.RosDomain", lambda _domain: topics)
+    monkeypatch.setattr("tipforce_robots.ros2.dds.RosDomain", lambda _domain: topics)
     assert main(["ros2", str(log), "--speed", "inf", "--nodes", "5", "--namespace", "left", "--json"]) == 0
     out, err = capsys.readouterr()
     count = len(topics.messages["/left/finger_5/wrench"])

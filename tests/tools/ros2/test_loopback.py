@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tipforce.host.decoding.contacts import Status
+from tipforce.samples.reasons import Status
 
 LOOPBACK = 'ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && exec "$@"'
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import rosless
 
-from tipforce.host.decoding.contacts import Status
+from tipforce.samples.columns import Block
+from tipforce.samples.reasons import Status
 from tipforce.shipped_files import shipped_folder
-from tipforce_tools.ros2 import cdr, dds, definitions
-from tipforce_tools.ros2 import diagnostics as diagnosing
-from tipforce_tools.ros2.messages import TipMessages, TipSamples
+from tipforce_robots.ros2 import cdr, dds
+from tipforce_robots.ros2 import messages as diagnosing
+from tipforce_robots.ros2.messages import TipMessages
 
 PACKAGE = shipped_folder("ros2") / "tipforce_msgs"
 T_NS = 1_700_000_000_123_456_789
@@ -25,18 +26,18 @@ def _known_to_rosless() -> None:
     assert set(rosless.register_path(str(PACKAGE))) == {"tipforce_msgs/msg/Contact", "tipforce_msgs/msg/Fingertip"}
 
 
-def samples(*contacts: tuple[float, float, float], status: int = 3, gauges: int = 3) -> TipSamples:
+def samples(*contacts: tuple[float, float, float], status: int = 3, gauges: int = 3) -> Block:
     k = len(contacts)
     times = T_NS + 2_000_000 * np.arange(k)
     strain = np.arange(float(k * gauges)).reshape(k, gauges)
     u = np.full((k, 3), 0.01)
-    return TipSamples(times, np.arange(k), np.array(contacts), u, np.full(k, status, dtype=np.uint16), strain)
+    return Block(times, np.array(contacts), u, strain, np.full(k, status, dtype=np.uint16))
 
 
 def test_a_wrench_is_the_force_and_its_moment_about_the_centre_of_the_tip() -> None:
     tip = TipMessages("thumb_tip", 5, 0.015)
     t_ns, [message] = tip.wrenches(samples((4.4, 120.0, 75.0)))
-    found: Any = rosless.decode(definitions.WRENCH, message)
+    found: Any = rosless.decode(cdr.WRENCH, message)
     assert (found.header.frame_id, found.header.stamp.sec, found.header.stamp.nanosec) == (
         "thumb_tip", 1_700_000_000, 123_456_789,
     )  # fmt: skip
@@ -54,24 +55,26 @@ def test_what_is_unknown_gives_no_wrench_and_nan_in_the_contact() -> None:
     t_ns, messages = tip.wrenches(rows)
     assert t_ns.tolist() == [T_NS + 2_000_000]
     assert len(messages) == 1
-    found: list[Any] = [rosless.decode(definitions.CONTACT, message) for message in tip.contacts(rows)]
+    found: list[Any] = [rosless.decode(cdr.CONTACT, message) for message in tip.contacts(rows, np.arange(4))]
     assert [one.number for one in found] == [0, 1, 2, 3]
     values = np.array([[one.force, one.direction, one.angle] for one in found])
     expected = rows.contact * [1.0, np.pi / 180, np.pi / 180]
     np.testing.assert_allclose(values, expected, rtol=1e-15)
-    assert [list(one.microstrain) for one in found] == rows.microstrain.tolist()
+    assert [list(one.microstrain) for one in found] == rows.gauges.tolist()
     assert {one.status for one in found} == {3}
 
 
 def test_the_bits_of_a_contact_are_those_of_status() -> None:
-    assert definitions.constants_of(definitions.CONTACT) == {bit.name: bit.value for bit in Status}
+    assert cdr.constants_of(cdr.CONTACT) == {bit.name: bit.value for bit in Status}
 
 
 @pytest.mark.parametrize("gauges", [0, 3, 8])
 @pytest.mark.parametrize("frame_id", ["a_tip", "middle_tip"])
 def test_cyclone_serialises_the_same_bytes(gauges: int, frame_id: str) -> None:
-    [message] = TipMessages(frame_id, 7, 0.015).contacts(samples((4.4, 90.0, 45.0), gauges=gauges))
-    found: Any = dds.idl_type(definitions.CONTACT).deserialize(message)
+    [message] = TipMessages(frame_id, 7, 0.015).contacts(
+        samples((4.4, 90.0, 45.0), gauges=gauges), np.zeros(1, np.int64)
+    )
+    found: Any = dds.idl_type(cdr.CONTACT).deserialize(message)
     assert (found.header.frame_id, found.node_id, found.force, len(found.microstrain)) == (frame_id, 7, 4.4, gauges)
     again: bytes = found.serialize(use_version_2=False)
     assert again == message + bytes(-len(message) % 4)
@@ -87,11 +90,11 @@ def test_the_idl_declares_the_same_messages() -> None:
         for name, body in re.findall(r"@final struct (\w+)_ \{(.*?)\};", structs, re.S)
     }
     assert set(declared) == {
-        "builtin_interfaces/msg/Time", "std_msgs/msg/Header", definitions.CONTACT, definitions.FINGERTIP,
+        "builtin_interfaces/msg/Time", "std_msgs/msg/Header", cdr.CONTACT, cdr.FINGERTIP,
     }  # fmt: skip
     for kind, found in declared.items():
         expected = []
-        for field in definitions.fields_of(kind):
+        for field in cdr.fields_of(kind):
             one = types.get(field.kind, field.kind.replace("/", "::").replace("msg::", "msg::dds_::"))
             one = one + "_" if "::" in one else one
             expected.append((one if field.size else f"sequence<{one}>", field.name))
@@ -112,6 +115,6 @@ def test_diagnostics_say_what_the_samples_of_a_period_said() -> None:
     assert (tip.status("")["level"], tip.status("")["level"]) == (diagnosing.WARN, diagnosing.STALE)
     tip.add(samples((NAN, NAN, NAN), status=0))
     assert tip.status("")["message"] == "not calibrated (1 of 1 samples)"
-    read: Any = rosless.decode(definitions.DIAGNOSTICS, diagnosing.array(T_NS, [found]))
+    read: Any = rosless.decode(cdr.DIAGNOSTICS, diagnosing.array(T_NS, [found]))
     assert (read.status[0].level, read.status[0].hardware_id, len(read.status[0].values)) == (2, "node 5", 6)
-    assert cdr.encode(definitions.EMPTY, {}) == b"\x00\x01\x00\x00\x00"
+    assert cdr.encode(cdr.EMPTY, {}) == b"\x00\x01\x00\x00\x00"

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.learning.spaces import observation, observation_space
-from tipforce.mujoco.models import grasp_model
-from tipforce.mujoco.twin import Fingertips
+from tipforce_robots.learning.observations import observation, observation_space
+from tipforce_robots.mujoco.models import grasp_model
+from tipforce_robots.mujoco.twin import Fingertips
 
 try:
     import gymnasium
@@ -72,10 +72,10 @@ class GraspEnv(gymnasium.Env[dict[str, Any], npt.NDArray[np.float32]]):
         self._data.ctrl[:2] = MOST_NEWTONS * float(action[0])
         self._data.ctrl[2] = LIFT_M if self._data.time >= LIFT_AT_S else 0.0
         mujoco.mj_step(self._model, self._data, _STEPS)
-        found, info = self._observed()
+        observed, info = self._observed()
         fallen = bool(self._data.body("ball").xpos[2] < self._data.body("hand").xpos[2] - 0.015)
         reward = -float(np.abs(info["true_newtons"] - self._asked).mean()) - (100.0 if fallen else 0.0)
-        return found, reward, fallen, bool(self._data.time >= EPISODE_S - 1e-9), info
+        return observed, reward, fallen, bool(self._data.time >= EPISODE_S - 1e-9), info
 
     def _observed(self) -> tuple[dict[str, Any], dict[str, Any]]:
         samples = self._tips.read(self._data)

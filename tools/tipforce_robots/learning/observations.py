@@ -1,19 +1,84 @@
-"""A recording as observations: the samples of all nodes on one time axis, and windows of them for training."""
+"""One observation of n fingers: values, uncertainties and a validity mask, (n, 3) each, for P, phi and theta.
+
+``values`` and ``uncertainties`` are float32, P in newtons and the angles in radians; ``valid`` is int8, 1 or 0. A value
+that is unknown, or beyond the bounds of the space, is 0 with ``valid`` 0 and the largest uncertainty of the space. So
+is the uncertainty of a value where it is not known; the value stays valid then.
+
+A recording is observations on one time axis, and windows of them for training.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from math import pi
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.errors import InputError
+from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.decoding.log import Log
-from tipforce.learning.spaces import masked
+from tipforce.samples.record import Contact
 
+if TYPE_CHECKING:
+    from gymnasium import spaces
 FloatArray = npt.NDArray[np.float64]
+Observation = dict[str, npt.NDArray[np.float32] | npt.NDArray[np.int8]]
+"""``values``, ``uncertainties`` and ``valid``."""
+LARGEST = np.array([32.767, pi, pi], dtype=np.float32)
+"""Of P, as INTEGER16 in mN on the bus, and of the angles; of their uncertainties as well."""
+_LEAST = np.array([0.0, -pi, -pi], dtype=np.float32)
+
+
+class HasContact(Protocol):
+    """A sample of a simulation: ``tipforce_robots.mujoco.TwinSample``."""
+
+    @property
+    def contact(self) -> Contact:
+        """The sample as the host has it."""
+
+
+def observation_space(fingers: int) -> spaces.Dict:
+    """Return the space of ``observation`` for this number of fingers.
+    Raises InputError for a number below 1, EnvironmentLackError where gymnasium is not installed.
+    """
+    try:
+        from gymnasium import spaces
+    except ImportError:
+        raise EnvironmentLackError('gymnasium is not installed: pip install "tipforce[gymnasium]"') from None
+    if fingers < 1:
+        raise InputError(f"fingers = {fingers}: allowed is 1 or more")
+    largest = np.tile(LARGEST, (fingers, 1))
+    return spaces.Dict(
+        {
+            "values": spaces.Box(np.tile(_LEAST, (fingers, 1)), largest),
+            "uncertainties": spaces.Box(np.zeros_like(largest), largest),
+            "valid": spaces.MultiBinary((fingers, 3)),
+        }
+    )
+
+
+def observation(row: Mapping[str, Contact] | Mapping[str, HasContact]) -> Observation:
+    """Return one row of fingers, in its order: a ``HandRow``, or what ``Fingertips.read`` returned."""
+    contacts = [one if isinstance(one, Contact) else one.contact for one in row.values()]
+    values = [(one.P_newtons, one.phi_deg, one.theta_deg) for one in contacts]
+    uncertainties = [(one.u_P_newtons, one.u_phi_deg, one.u_theta_deg) for one in contacts]
+    return masked(np.array(values), np.array(uncertainties))
+
+
+def masked(values: FloatArray, uncertainties: FloatArray) -> Observation:
+    """Return the observation of values and uncertainties (..., 3), P in newtons and angles in degrees, NaN unknown."""
+    known_values, u = values.astype(np.float32), uncertainties.astype(np.float32)
+    for array in (known_values, u):
+        array[..., 1:] *= np.float32(pi / 180.0)
+    with np.errstate(invalid="ignore"):
+        valid = (known_values >= _LEAST) & (known_values <= LARGEST)
+        known = valid & (u >= 0.0) & (u <= LARGEST)
+    known_values[~valid] = 0.0
+    return {"values": known_values, "uncertainties": np.where(known, u, LARGEST), "valid": valid.astype(np.int8)}
+
+
 _GAP_PERIODS = 1.5  # between two samples of a window: more is a gap
 
 
@@ -48,16 +113,16 @@ class Observations:
             gaps = np.cumsum(np.concatenate([[0], steps > _GAP_PERIODS * np.median(steps)]))
             whole = gaps[length - 1 :] == gaps[:starts]
         chosen = whole[::stride]
-        found: dict[str, npt.NDArray[Any]] = {}
+        arrays: dict[str, npt.NDArray[Any]] = {}
         for field in fields(self):
             array = getattr(self, field.name)
             if not starts:
-                found[field.name] = np.zeros((0, length, *array.shape[1:]), array.dtype)
+                arrays[field.name] = np.zeros((0, length, *array.shape[1:]), array.dtype)
                 continue
             view = np.lib.stride_tricks.sliding_window_view(array, length, axis=0)
             view = np.moveaxis(view, -1, 1)[::stride]
-            found[field.name] = view if chosen.all() else view[chosen]
-        return Observations(**found)
+            arrays[field.name] = view if chosen.all() else view[chosen]
+        return Observations(**arrays)
 
 
 def recorded_observations(log: Log, node_ids: Sequence[int] | None = None) -> Observations:
@@ -81,8 +146,8 @@ def recorded_observations(log: Log, node_ids: Sequence[int] | None = None) -> Ob
         at = nearest[near]
         for array, names in ((values, _VALUES), (uncertainties, _UNCERTAINTIES)):
             array[near, k] = np.stack([getattr(node, name)[at] for name in names], axis=-1)
-    found = masked(values, uncertainties)
-    return Observations(t_s, **found)  # type: ignore[arg-type]
+    arrays = masked(values, uncertainties)
+    return Observations(t_s, **arrays)  # type: ignore[arg-type]
 
 
 _VALUES = ("P_newtons", "phi_deg", "theta_deg")

@@ -6,32 +6,32 @@ inertia of the tip itself are not in the contacts.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from tipforce.device import communication
-from tipforce.device.node import Device
-from tipforce.dictionary import indices, table
+from canopen_device.core import communication
+from canopen_device.core.node import Device
+from canopen_device.running.store import MemoryStore
 from tipforce.errors import InputError
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.calibration import CALIBRATION_GROUP
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding import status_words
-from tipforce.host.decoding.contacts import Contact, Status
-from tipforce.mujoco.contacts import TipContacts, Wrench
-from tipforce.mujoco.load import Load, Vector
+from tipforce.samples import reasons
+from tipforce.samples.reasons import Status
+from tipforce.samples.record import Contact
+from tipforce.scene.build import commit_calibration, download
 from tipforce.scene.simulated_bus import beam_calibration, check_noise
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
+from tipforce_robots.mujoco.load import Load, TipContacts, Vector, Wrench
 
 if TYPE_CHECKING:
     import mujoco
 
-    from tipforce.device.node import Frame
+    from canopen_device.core.node import Frame
     from tipforce.fingertip.sample import Sample
 
 _NAN = float("nan")
@@ -61,8 +61,8 @@ class TwinSample:
     @property
     def status(self) -> Status:
         """2120h, and bits 12 to 15 of 2124h, as in ``tipforce.Contact``."""
-        found = self._sample.status() | self._sample.faults & status_words.JUDGED
-        return Status(found | (status_words.LEFT_OUT if self._sample.spared else 0))
+        bits = self._sample.status() | self._sample.faults & reasons.JUDGED
+        return Status(bits | (reasons.LEFT_OUT if self._sample.spared else 0))
 
     @property
     def F_newtons(self) -> Vector:
@@ -159,13 +159,13 @@ class Fingertips:
         of ``data`` went back (call ``reset``), or for data of another model.
         """
         now_us = self.at(data)
-        loads, t_s, found = self._present(), 1e-6 * now_us, {}
+        loads, t_s, samples = self._present(), 1e-6 * now_us, {}
         for k, (name, node_id) in enumerate(self.node_ids.items()):
             self.devices[k].now_us = now_us
             fingertip = self._fingertips[k]
             fingertip.on_sync(now_us, 0)
-            found[name] = TwinSample(name, node_id, t_s, fingertip.sample, loads[k])
-        return found
+            samples[name] = TwinSample(name, node_id, t_s, fingertip.sample, loads[k])
+        return samples
 
     def loads(self, data: mujoco.MjData) -> dict[str, Load]:
         """Return the true load of each finger; no sample is taken. Raises InputError as ``read`` does."""
@@ -202,23 +202,11 @@ class Fingertips:
 
     def _node(self, node_id: int, source: SimulatedSource) -> Device:
         """Return a node that is powered on and has stored the calibration."""
-        flash: dict[str, bytes] = {}
-
-        def save(group: str, content: bytes) -> bool:
-            flash[group] = content
-            return True
-
-        device = fingertip_node(node_id, source, len(self._rows), 1000 + node_id, save, flash.get)
+        store = MemoryStore()
+        device = fingertip_node(node_id, source, len(self._rows), 1000 + node_id, store.save, store.load)
         self.boot_frames += device.step(0)[0]
-        for index, sub, content in (
-            (indices.CALIBRATION_STAGED_RECORD, 0, self._calibration.record()),
-            (indices.CALIBRATION_CHECK, 1, struct.pack("<I", self._calibration.crc32())),
-            (indices.CALIBRATION_COMMIT, 0, struct.pack("<I", table.SIGNATURE_COMMIT)),
-            (communication.STORE_PARAMETERS, CALIBRATION_GROUP, b"save"),
-        ):
-            abort = device.od.download(index, sub, content)
-            if abort:
-                raise InputError(f"calibration: node {node_id} rejects 0x{index:04X}:{sub:02X}: abort 0x{abort:08X}")
+        commit_calibration(device, self._calibration)
+        download(device, communication.STORE_PARAMETERS, CALIBRATION_GROUP, b"save")
         return device
 
 
@@ -232,7 +220,7 @@ def _node_ids(fingers: list[str], chosen: Mapping[str, int] | None) -> dict[str,
         raise InputError("sites: allowed is one finger or more")
     if chosen is not None and set(chosen) != set(fingers):
         raise InputError(f"node_ids of {', '.join(chosen)}: allowed are those of {', '.join(fingers)}")
-    found = {name: k if chosen is None else chosen[name] for k, name in enumerate(fingers, 1)}
-    if len(set(found.values())) != len(found) or not all(1 <= node_id <= 127 for node_id in found.values()):
-        raise InputError(f"node_ids {list(found.values())}: allowed are different ones from 1 to 127")
-    return found
+    by_finger = {name: k if chosen is None else chosen[name] for k, name in enumerate(fingers, 1)}
+    if len(set(by_finger.values())) != len(by_finger) or not all(1 <= node_id <= 127 for node_id in by_finger.values()):
+        raise InputError(f"node_ids {list(by_finger.values())}: allowed are different ones from 1 to 127")
+    return by_finger

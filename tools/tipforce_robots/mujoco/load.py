@@ -1,9 +1,9 @@
-"""Contacts of a MuJoCo model that act on fingertips: which geoms are whose, and the wrench on each tip."""
+"""The load on fingertips of a MuJoCo model: which geoms are whose, the wrench on each tip, and what its gauges see."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import sqrt
+from math import hypot, sqrt
 
 import numpy as np
 
@@ -38,10 +38,10 @@ class TipContacts:
 
         Torque of a contact (``condim`` 4 and 6) counts. A contact of two fingers loads both, with opposite signs.
         """
-        found: list[Wrench | None] = [None] * len(self.sites)
+        wrenches: list[Wrench | None] = [None] * len(self.sites)
         count = data.ncon
         if not count:
-            return found
+            return wrenches
         contacts, owners = data.contact, self._owners
         model, buffer, contact_force = self._model, self._force, mujoco.mj_contactForce
         geoms, frames, positions = contacts.geom.tolist(), contacts.frame.tolist(), contacts.pos.tolist()
@@ -53,11 +53,11 @@ class TipContacts:
             contact_force(model, data, k, buffer)
             force, frame, position = buffer.tolist(), frames[k], positions[k]
             if two >= 0:  # the frame's x points from geom 1 to geom 2; the force is that on geom 2
-                found[two] = _added(found[two], data.site_xpos[self.sites[two]].tolist(), force, frame, position)
+                wrenches[two] = _added(wrenches[two], data.site_xpos[self.sites[two]].tolist(), force, frame, position)
             if one >= 0:
                 force = [-component for component in force]
-                found[one] = _added(found[one], data.site_xpos[self.sites[one]].tolist(), force, frame, position)
-        return found
+                wrenches[one] = _added(wrenches[one], data.site_xpos[self.sites[one]].tolist(), force, frame, position)
+        return wrenches
 
 
 def _added(
@@ -83,11 +83,11 @@ def _added(
 
 
 def _site(model: mujoco.MjModel, finger: str, site: str) -> int:
-    found: int = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
-    if found < 0:
+    number: int = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
+    if number < 0:
         names = [model.site(k).name for k in range(model.nsite)]
         raise InputError(f"finger {finger}: site {site!r}: allowed are {', '.join(filter(None, names)) or 'none'}")
-    return found
+    return number
 
 
 def _owners(model: mujoco.MjModel, fingers: list[str], sites: list[int]) -> list[int]:
@@ -110,3 +110,75 @@ def _owners(model: mujoco.MjModel, fingers: list[str], sites: list[int]) -> list
         if finger not in owners:
             raise InputError(f"finger {name}: the body of its site has no geom: allowed is one that can be touched")
     return [*owners, -1]  # of a contact with a flex, whose geom is -1
+
+
+Vector = tuple[float, float, float]
+
+
+class Load:
+    """The load on one tip at one time step; vectors (3,) are along x, y and z of the site (``mjcf.py``).
+
+    ``F_newtons`` are F1, F2, F3, equation (16) of the paper: all that the gauges see.
+    """
+
+    __slots__ = ("F_newtons", "_axes", "_rows", "_wrench")
+
+    def __init__(self, axes: list[float], wrench: Wrench, r_m: float, strain_per_newton: list[Vector]) -> None:
+        """``axes``: the site's rotation by rows."""
+        a, b, c, d, e, f, g, h, i = self._axes = axes
+        fx, fy, fz, mx, my, mz, _total, _count = self._wrench = wrench
+        self.F_newtons: Vector = b * fx + e * fy + h * fz, (c * mx + f * my + i * mz) / r_m, a * fx + d * fy + g * fz
+        self._rows = strain_per_newton
+
+    @property
+    def contacts(self) -> int:
+        """Contacts on the tip."""
+        return self._wrench[7]
+
+    @property
+    def sum_newtons(self) -> float:
+        """The magnitudes of the contact forces, added up."""
+        return self._wrench[6]
+
+    @property
+    def force_newtons(self) -> Vector:
+        """The sum of the contact forces."""
+        F = self.F_newtons
+        c, f, i = self._axes[2::3]
+        fx, fy, fz = self._wrench[:3]
+        return F[2], F[0], c * fx + f * fy + i * fz
+
+    @property
+    def moment_newton_metres(self) -> Vector:
+        """Their moment about the site."""
+        a, b, c, d, e, f, g, h, i = self._axes
+        mx, my, mz = self._wrench[3:6]
+        return a * mx + d * my + g * mz, b * mx + e * my + h * mz, c * mx + f * my + i * mz
+
+    @property
+    def microstrain(self) -> list[float]:
+        """The strain of each gauge, without offset and noise."""
+        f1, f2, f3 = self.F_newtons
+        return [1e6 * (c1 * f1 + c2 * f2 + c3 * f3) for c1, c2, c3 in self._rows]
+
+    @property
+    def P_newtons(self) -> float:
+        """The force in the sensor's plane."""
+        return hypot(self.F_newtons[0], self.F_newtons[2])
+
+    @property
+    def unseen_newtons(self) -> float:
+        """The force out of the sensor's plane, along z, which the gauges do not see."""
+        return abs(self.force_newtons[2])
+
+    @property
+    def unseen_newton_metres(self) -> float:
+        """The moment about x and y, which the gauges do not see: of forces along z, and of contacts off the plane."""
+        moment = self.moment_newton_metres
+        return hypot(moment[0], moment[1])
+
+    @property
+    def cancelled_newtons(self) -> float:
+        """By how much the magnitudes of several contact forces exceed that of their sum; the gauges see the sum."""
+        x, y, z = self.force_newtons
+        return max(0.0, self.sum_newtons - sqrt(x * x + y * y + z * z))

@@ -28,11 +28,7 @@ _PREFIX = re.compile(r"[A-Za-z0-9_.-]*")
 
 
 def fingertip_mjcf(
-    prefix: str = "",
-    *,
-    rigid: bool = False,
-    damping_ratio: float = DAMPING_RATIO,
-    geometry: Geometry = FABRICATED,
+    prefix: str = "", *, rigid: bool = False, damping_ratio: float = DAMPING_RATIO, geometry: Geometry = FABRICATED
 ) -> str:
     """Return the MJCF text of a model with one fingertip, to attach to a hand.
 
@@ -112,12 +108,12 @@ def _element(parent: ElementTree.Element, tag: str, **attributes: str) -> Elemen
 
 
 def _half_cylinder_vertices(g: Geometry) -> list[float]:
-    found: list[float] = []
+    vertices: list[float] = []
     for k in range(FACETS + 1):
         angle = math.pi * k / FACETS
         for z in (-0.5 * g.width_m, 0.5 * g.width_m):
-            found += (round(g.r_m * math.cos(angle), 12), round(g.r_m * math.sin(angle), 12), z)
-    return found
+            vertices += (round(g.r_m * math.cos(angle), 12), round(g.r_m * math.sin(angle), 12), z)
+    return vertices
 
 
 def _numbers(*values: float) -> str:

@@ -13,9 +13,9 @@ from typing import Any
 
 import msgspec
 
-from tipforce.host.decoding import status_words
+from tipforce.samples import reasons
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce_tools.ros2.cdr import stamp
+from tipforce_robots.ros2.cdr import stamp
 
 SCHEMA_NAME, FRAME_ID = "foxglove.SceneUpdate", "tipforce"
 METRES_PER_NEWTON = 0.005
@@ -87,9 +87,9 @@ def _entity(
 
 def _said(contact: tuple[float, float, float], status: int) -> str:
     if math.isnan(contact[0]):
-        return ", ".join(status_words.why_no_force(status)) or status_words.UNKNOWN_TO_THE_NODE
+        return ", ".join(reasons.why_no_force(status)) or reasons.UNKNOWN_TO_THE_NODE
     text = f"{contact[0]:.2f} N"
-    return text if all(map(math.isfinite, contact)) else f"{text}, {status_words.why_no_angle(status) or 'no angle'}"
+    return text if all(map(math.isfinite, contact)) else f"{text}, {reasons.why_no_angle(status) or 'no angle'}"
 
 
 def _arrow(x_m: float, contact: tuple[float, float, float], radius_m: float) -> dict[str, Any]:

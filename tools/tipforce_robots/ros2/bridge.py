@@ -5,20 +5,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from tipforce.errors import InputError, TipforceError
-from tipforce_tools.cli.ros2_bus import ros_name
-from tipforce_tools.ros2 import cdr
-from tipforce_tools.ros2 import diagnostics as diagnosing
-from tipforce_tools.ros2.definitions import CONTACT, DIAGNOSTICS, EMPTY, FINGERTIP, WRENCH
-from tipforce_tools.ros2.messages import TipMessages, TipSamples
+from tipforce.samples.columns import Block
+from tipforce_robots.ros2 import cdr
+from tipforce_robots.ros2 import messages as diagnosing
+from tipforce_robots.ros2.bus_file import ros_name
+from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, EMPTY, FINGERTIP, WRENCH
+from tipforce_robots.ros2.messages import TipMessages
 
 if TYPE_CHECKING:
     from tipforce.host.hand.events import Event
-    from tipforce_tools.ros2.dds import RosDomain
-    from tipforce_tools.ros2.feeds import Feed
-    from tipforce_tools.view.blocks import Block
-    from tipforce_tools.view.fingers import Finger
+    from tipforce.watching.feeds import Feed
+    from tipforce.watching.fingers import Finger
+    from tipforce_robots.ros2.dds import RosDomain
 
 PERIOD_NS = 1_000_000_000
 _TAKE_S = 0.02
@@ -48,10 +49,10 @@ class Tip:
         header = {"stamp": cdr.stamp(t_ns), "frame_id": self._frame_id}
         self._info.publish(cdr.encode(FINGERTIP, {"header": header, **self._about}), t_ns)
 
-    def publish(self, samples: TipSamples) -> None:
-        """Publish a contact for each sample, and a wrench where the force is known."""
+    def publish(self, samples: Block, numbers: npt.NDArray[np.int64]) -> None:
+        """Publish a contact for each sample, with its number (k,), and a wrench where the force is known."""
         self.diagnostics.add(samples)
-        for message, t_ns in zip(self.messages.contacts(samples), samples.t_ns.tolist(), strict=True):
+        for message, t_ns in zip(self.messages.contacts(samples, numbers), samples.t_ns.tolist(), strict=True):
             self._contact.publish(message, t_ns)
         known_ns, messages = self.messages.wrenches(samples)
         self.wrenches += len(messages)
@@ -104,8 +105,8 @@ class Bridge:
     def report(self, now_ns: int) -> None:
         """Publish the state of the hand, and begin the next period."""
         if self._due_ns:
-            found = [tip.diagnostics.status(self._feed.state(tip.node_id)) for tip in self.tips.values()]
-            self._send(now_ns, [self._bus(), *found])
+            tips = [tip.diagnostics.status(self._feed.state(tip.node_id)) for tip in self.tips.values()]
+            self._send(now_ns, [self._bus(), *tips])
         self._due_ns = now_ns + PERIOD_NS
         self._period_rows = 0
 
@@ -118,8 +119,7 @@ class Bridge:
         for k, finger in enumerate(self._feed.fingers):
             microstrain = strains[:, k] if sent[k] else strains[:, k, :0]
             contact, u = block.contact[:, k].astype(np.float64), block.u[:, k].astype(np.float64)
-            samples = TipSamples(block.t_ns, numbers, contact, u, block.status[:, k], microstrain)
-            self.tips[finger.node_id].publish(samples)
+            self.tips[finger.node_id].publish(Block(block.t_ns, contact, u, microstrain, block.status[:, k]), numbers)
 
     def _tare(self, tip: Tip) -> dict[str, Any]:
         try:

@@ -21,7 +21,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.ros2.definitions import fields_of
+from tipforce_robots.ros2.cdr import fields_of
 
 Profile = Literal["sensor data", "events", "static"]
 
@@ -142,9 +142,9 @@ def dds_name(topic: str) -> str:
 
 def namespace(text: str) -> str:
     """Return an absolute namespace without a slash at its end. Raises InputError for one that ROS 2 would refuse."""
-    found = "/" + text.strip("/")
-    if found == "/" or re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", found):
-        return "" if found == "/" else found
+    absolute = "/" + text.strip("/")
+    if absolute == "/" or re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", absolute):
+        return "" if absolute == "/" else absolute
     raise InputError(f"--namespace {text!r}: allowed are letters, digits and _, parts separated by /")
 
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce_tools.cli import common
+from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
-    from tipforce_tools.ros2.bridge import Bridge
-    from tipforce_tools.ros2.feeds import Feed
+    from tipforce.watching.feeds import Feed
+    from tipforce_robots.ros2.bridge import Bridge
 
 DESCRIPTION = """\
 Publish each fingertip's force and contact at each SYNC, and diagnostics once a second and at each event, as ROS 2
@@ -54,7 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="log: times recorded speed (default 1)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this time")
     common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -63,12 +63,12 @@ def run(args: argparse.Namespace) -> int:
     Raises InputError, and EnvironmentLackError for a missing package, a bus that fails, or DDS that does not start.
     """
     _check(args)
-    from tipforce_tools.ros2.bridge import Bridge
-    from tipforce_tools.ros2.dds import RosDomain, domain_id, namespace
+    from tipforce_robots.ros2.bridge import Bridge
+    from tipforce_robots.ros2.dds import RosDomain, domain_id, namespace
 
     prefix, domain = namespace(args.namespace), domain_id(args.domain)
     with ExitStack() as opened:
-        feed, gauges = opened.enter_context(_feed(args))
+        feed, gauges = _feed(args, opened)
         bridge = Bridge(feed, RosDomain(domain), prefix, gauges, args.allow_tare)
         common.note(args, f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
         try:
@@ -84,7 +84,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    common.set_up_logging(args)
     if find_spec("cyclonedds") is None:
         raise EnvironmentLackError("ros2 needs cyclonedds: `pip install 'tipforce[ros2]'`")
     if args.seconds is not None and not args.seconds > 0:
@@ -101,8 +100,8 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _publish(args: argparse.Namespace, feed: Feed, bridge: Bridge) -> None:
+    from tipforce_robots.ros2.messages import OK
     from tipforce_tools.cli.main import terminate_as_interrupt
-    from tipforce_tools.ros2.diagnostics import OK
 
     terminate_as_interrupt()
     end_s = math.inf if args.seconds is None else time.monotonic() + args.seconds
@@ -122,53 +121,40 @@ def _say_end(args: argparse.Namespace, bridge: Bridge) -> None:
     common.note(args, f"{bridge.rows} rows, {bridge.wrenches} wrenches of {counted(len(found), 'finger')} published")
 
 
-@contextmanager
-def _feed(args: argparse.Namespace) -> Iterator[tuple[Feed, int]]:
-    """Yield what to publish from, and the number of gauges."""
-    with ExitStack() as opened:
-        if args.source is None or Path(args.source).suffix != ".toml":
-            yield _listen(args, opened), args.gauges
-            return
-        from tipforce.host.hand.file import read_hand
-        from tipforce_tools.view.command import hand_fingers
+def _feed(args: argparse.Namespace, opened: ExitStack) -> tuple[Feed, int]:
+    """Return what to publish from, and the number of gauges."""
+    from tipforce.watching.feeds import FrameFeed, HandFeed
+    from tipforce.watching.fingers import finger_maker, hand_fingers
+    from tipforce.watching.frame_sources import BusSource, LogSource
 
-        file = read_hand(args.source)
-        fingers, gauges = hand_fingers(args, file), file.finger[0].gauges
-        if args.no_bring_up:
-            from tipforce.host.live.receive import open_receiver
-            from tipforce.host.live.receive_group import ReceiverGroup
-            from tipforce_tools.monitor.sources import BusSource
-            from tipforce_tools.ros2.feeds import ListenFeed
-
-            receiver = opened.enter_context(open_receiver({**file.bus, **common.bus_options(args)}))
-            yield ListenFeed(BusSource(ReceiverGroup([receiver])), lambda _node_id: None, gauges, fingers), gauges
-            return
-        from dataclasses import replace
-
-        from tipforce.host.hand.hand import Hand
-        from tipforce_tools.ros2.feeds import HandFeed
-
-        hand = opened.enter_context(Hand.from_file(file, **common.bus_options(args)))
-        for report in hand.bring_up():
-            common.note(args, str(report))
-        # For the uncertainties: a finger without a calibration in the file has its own.
-        calibrations = [hand.calibration(plan) for plan in file.finger]
-        feed = HandFeed(hand, [replace(tip, calibration=own) for tip, own in zip(fingers, calibrations, strict=True)])
-        hand.start()
-        yield feed, gauges
-
-
-def _listen(args: argparse.Namespace, opened: ExitStack) -> Feed:
-    from tipforce_tools.cli.listening import open_targets
-    from tipforce_tools.monitor.sources import BusSource, LogSource
-    from tipforce_tools.ros2.bridge import PERIOD_NS
-    from tipforce_tools.ros2.feeds import ListenFeed
-    from tipforce_tools.view.command import finger_maker
-
-    maker = finger_maker(args)
     if args.source is None:
-        return ListenFeed(BusSource(opened.enter_context(open_targets((), args))), maker, args.gauges)
-    from tipforce.host.logs.reader import open_log
+        from tipforce_tools.cli.listening import open_targets
 
-    log = opened.enter_context(open_log(args.source))
-    return ListenFeed(LogSource(log, args.speed, PERIOD_NS), maker, args.gauges)
+        source = BusSource(opened.enter_context(open_targets((), args)))
+        return FrameFeed(source, finger_maker(args.nodes), args.gauges), args.gauges
+    if Path(args.source).suffix != ".toml":
+        from tipforce.host.logs.reader import open_log
+        from tipforce_robots.ros2.bridge import PERIOD_NS
+
+        log = LogSource(opened.enter_context(open_log(args.source)), args.speed, PERIOD_NS)
+        return FrameFeed(log, finger_maker(args.nodes), args.gauges), args.gauges
+    from tipforce.host.hand.file import read_hand
+
+    file = read_hand(args.source)
+    fingers, gauges = hand_fingers(file), file.finger[0].gauges
+    if args.no_bring_up:
+        from tipforce.host.live.receive import open_receiver
+        from tipforce.host.live.receive_group import ReceiverGroup
+
+        receiver = opened.enter_context(open_receiver({**file.bus, **bus_options(args)}))
+        return FrameFeed(BusSource(ReceiverGroup([receiver])), lambda _node_id: None, gauges, fingers), gauges
+    from tipforce.host.hand.hand import Hand
+
+    hand = opened.enter_context(Hand.from_file(file, **bus_options(args)))
+    for report in hand.bring_up():
+        common.note(args, str(report))
+    # For the uncertainties: a finger without a calibration in the file has its own.
+    calibrations = [hand.calibration(plan) for plan in file.finger]
+    feed = HandFeed(hand, [replace(tip, calibration=own) for tip, own in zip(fingers, calibrations, strict=True)])
+    hand.start()
+    return feed, gauges

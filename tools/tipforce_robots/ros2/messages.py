@@ -1,4 +1,9 @@
-"""The state of a hand as diagnostic_msgs: once a second, and at each event."""
+"""Samples of one fingertip as messages: wrench and contact of each, and the state of the hand as diagnostics.
+
+The frame ``<finger>_tip`` has its origin at the centre of the tip: x is the direction of F3 and y of F1 (docs/
+mechanics.md), z is normal to the plane of the beams, right-handed. So the force is P (cos phi, sin phi, 0), and the
+torque about the origin r P sin(phi - theta) = r F2, around z.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +11,54 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from tipforce.host.decoding import status_words
-from tipforce.host.decoding.contacts import Status
-from tipforce_tools.ros2 import cdr
-from tipforce_tools.ros2.definitions import DIAGNOSTICS
-from tipforce_tools.ros2.messages import TipSamples
+from tipforce.samples import reasons
+from tipforce.samples.columns import Block
+from tipforce.samples.reasons import Status
+from tipforce_robots.ros2 import cdr
+from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, WRENCH
+
+
+def wrench_known(samples: Block) -> npt.NDArray[np.bool_]:
+    """Return (k,) where P, phi and theta are all known."""
+    return np.asarray(np.isfinite(samples.contact).all(axis=1))
+
+
+class TipMessages:
+    """Serialise the samples of one fingertip."""
+
+    def __init__(self, frame_id: str, node_id: int, tip_radius_m: float) -> None:
+        self._frame_id, self._node_id, self._radius_m = frame_id, node_id, tip_radius_m
+        torque = {"wrench.force.z": 0.0, "wrench.torque.x": 0.0, "wrench.torque.y": 0.0}
+        self._wrench = cdr.Layout(WRENCH, {"header.frame_id": frame_id, **torque})
+        self._contact: dict[int, cdr.Layout] = {}
+
+    def wrenches(self, samples: Block) -> tuple[npt.NDArray[np.int64], list[bytes]]:
+        """Return the stamps (j,) and the messages of the samples whose force is known."""
+        known = wrench_known(samples)
+        t_ns = samples.t_ns[known]
+        rows = self._wrench.rows(len(t_ns))
+        P, (phi, theta) = samples.contact[known, 0], np.radians(samples.contact[known, 1:]).T
+        cdr.set_stamps(rows, t_ns)
+        rows["wrench.force.x"], rows["wrench.force.y"] = P * np.cos(phi), P * np.sin(phi)
+        rows["wrench.torque.z"] = self._radius_m * P * np.sin(phi - theta)
+        return t_ns, cdr.split(rows)
+
+    def contacts(self, samples: Block, numbers: npt.NDArray[np.int64]) -> list[bytes]:
+        """Return a message for each sample; ``numbers`` (k,) of the samples, -1 for none."""
+        n = samples.gauges.shape[1]
+        if n not in self._contact:
+            constants = {"header.frame_id": self._frame_id, "node_id": self._node_id}
+            self._contact[n] = cdr.Layout(CONTACT, constants, {"microstrain": n})
+        rows = self._contact[n].rows(len(samples))
+        cdr.set_stamps(rows, samples.t_ns)
+        rows["number"], rows["status"], rows["microstrain"] = numbers, samples.status, samples.gauges
+        for values, suffix in ((samples.contact, ""), (samples.u, "_uncertainty")):
+            rows["force" + suffix] = values[:, 0]
+            rows["direction" + suffix], rows["angle" + suffix] = np.radians(values[:, 1]), np.radians(values[:, 2])
+        return cdr.split(rows)
+
 
 OK, WARN, ERROR, STALE = range(4)
 """Levels of diagnostic_msgs/DiagnosticStatus."""
@@ -29,9 +76,9 @@ class TipDiagnostics:
         self.name, self.hardware_id = name, f"node {node_id}"
         self._counts = {"samples": 0, "without force": 0, "wrenches": 0}
         self._unknown = self._doubtful = 0
-        self._last: TipSamples | None = None
+        self._last: Block | None = None
 
-    def add(self, samples: TipSamples) -> None:
+    def add(self, samples: Block) -> None:
         """Add samples of this period."""
         if not len(samples):
             return
@@ -39,7 +86,7 @@ class TipDiagnostics:
         counts = self._counts
         counts["samples"] += int(np.count_nonzero(samples.status & np.uint16(Status.NO_ANSWER) == 0))
         counts["without force"] += int(np.count_nonzero(~known))
-        counts["wrenches"] += int(np.count_nonzero(samples.known))
+        counts["wrenches"] += int(np.count_nonzero(wrench_known(samples)))
         self._unknown |= int(np.bitwise_or.reduce(samples.status[~known], initial=0))
         if not known.all():  # a bit that should be set and is not
             calibrated = samples.status[~known] & np.uint16(Status.CALIBRATED)
@@ -68,10 +115,10 @@ class TipDiagnostics:
         if self._last is None:
             return STALE, "no sample"
         if counts["without force"]:
-            why = ", ".join(status_words.why_no_force(self._unknown)) or status_words.UNKNOWN_TO_THE_NODE
+            why = ", ".join(reasons.why_no_force(self._unknown)) or reasons.UNKNOWN_TO_THE_NODE
             rows = max(counts["samples"], counts["without force"])
             return ERROR, f"{why} ({counts['without force']} of {rows} samples)"
-        doubts = status_words.doubts(self._doubtful)
+        doubts = reasons.doubts(self._doubtful)
         if doubts:
             return WARN, ", ".join(doubts)
         return OK, "contact" if int(self._last.status[-1]) & Status.CONTACT else "no contact"

@@ -8,17 +8,17 @@ from math import isfinite
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from tipforce.device import codes
+from canopen_device.core import codes
+from canopen_device.running.loop import say_stopped
+from canopen_device.running.ports import PythonCanPort
 from tipforce.errors import InputError
-from tipforce.mujoco.twin import Fingertips
-from tipforce.running.loop import say_stopped
-from tipforce.running.ports import PythonCanPort
+from tipforce_robots.mujoco.twin import Fingertips
 
 if TYPE_CHECKING:
     import can
     import mujoco
 
-    from tipforce.running.loop import Frame
+    from canopen_device.running.loop import Frame
 
     Step = Callable[[], object]
     """Advances the model by one time step: ``lambda: mujoco.mj_step(model, data)``, with what the model's user adds."""

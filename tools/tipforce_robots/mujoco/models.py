@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.mujoco.mjcf import FIXTURE_DEPTH_M, fingertip_mjcf
 from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce_robots.mujoco.mjcf import FIXTURE_DEPTH_M, fingertip_mjcf
 
 try:
     import mujoco

@@ -1,0 +1,1 @@
+"""Plug-ins for robots: ROS 2 and MCAP, fingertips of a MuJoCo model, observations for learning."""
