@@ -2,7 +2,7 @@
 
 import time
 
-from tipforce.device import lss
+from canopen_device.core import lss
 from tipforce.fingertip.node import fingertip_node
 
 TYPE_CHECKING = False

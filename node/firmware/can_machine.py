@@ -1,6 +1,6 @@
 """CAN driver for ``machine.CAN``, which MicroPython has after 1.27, for a controller inside the microcontroller."""
 
-from tipforce.device import codes
+from canopen_device.core import codes
 
 from .can_port import STATE_ACTIVE, STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
 

@@ -9,7 +9,7 @@ PS2; PS2 is 2 at least and more than SJW. Configuration mode clears the error co
 
 import time
 
-from tipforce.device import codes
+from canopen_device.core import codes
 
 from .can_port import STATE_ACTIVE, STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
 

@@ -3,8 +3,8 @@
 Frames are (can_id, data) with the flags of SocketCAN in can_id, as in the device core.
 """
 
-from tipforce.device import codes
-from tipforce.device.bus_faults import ACTIVE, BUS_OFF, CONTROLLER, TRANSMIT_OVERFLOW, WARNING
+from canopen_device.core import codes
+from canopen_device.core.emcy import ACTIVE, BUS_OFF, CONTROLLER, TRANSMIT_OVERFLOW, WARNING
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

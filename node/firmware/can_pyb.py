@@ -1,6 +1,6 @@
 """CAN driver for ``pyb.CAN`` on an STM32, for MicroPython before ``machine.CAN``."""
 
-from tipforce.device import codes
+from canopen_device.core import codes
 
 from .can_port import STATE_ACTIVE, STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
 

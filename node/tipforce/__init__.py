@@ -18,22 +18,25 @@
 - any CANopen device from its EDS or DCF: ``device_from_eds("drive.eds", 5)``; on a bus, for tests of a master:
   ``with simulated_device("drive.eds", 5, bus) as drive: drive[0x6064] = 100``
 
-The public names are those in ``__all__`` here and in ``tipforce.host``, ``tipforce.sensor``, ``tipforce.device``,
-``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.eds``, ``tipforce.machine``, ``tipforce.running``,
-``tipforce.scene``, ``tipforce.mujoco`` and ``tipforce.learning``. They follow semantic versioning: until 1.0 a minor
-version may change them, as the changelog states. All else may change without notice.
+The public names are those in ``__all__`` here and in ``tipforce.host``, ``tipforce.sensor``, ``tipforce.fingertip``,
+``tipforce.sources``, ``tipforce.scene``, ``tipforce_robots.mujoco`` and ``tipforce_robots.learning``, and in
+``canopen_device``, ``canopen_device.eds``, ``canopen_device.machine`` and ``canopen_device.running``. They follow
+semantic versioning: until 1.0 a minor version may change them, as the changelog states. All else may change without
+notice.
 
 Names carry units (``force_newtons``, ``theta_rad``), shapes are written as (n, 3), NaN means unknown. All errors
 that tipforce raises on purpose are ``TipforceError``; the message says what to do next.
 """
 
-from tipforce._lazy import lazy
+from canopen_device.lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from tipforce.dictionary.table import SOFTWARE_VERSION as __version__  # noqa: N811
-    from tipforce.eds.load import EdsWarning as EdsWarning
-    from tipforce.eds.load import device_from_eds as device_from_eds
+    from canopen_device.eds.load import EdsWarning as EdsWarning
+    from canopen_device.eds.load import device_from_eds as device_from_eds
+    from canopen_device.machine.device import SimulatedDevice as SimulatedDevice
+    from canopen_device.machine.running import simulated_device as simulated_device
+    from tipforce.dictionary.table import SOFTWARE_VERSION
     from tipforce.errors import DuplicateNodeError as DuplicateNodeError
     from tipforce.errors import EnvironmentLackError as EnvironmentLackError
     from tipforce.errors import InputError as InputError
@@ -43,92 +46,50 @@ if TYPE_CHECKING:
     from tipforce.errors import SdoAbortError as SdoAbortError
     from tipforce.errors import TipforceError as TipforceError
     from tipforce.host.configuration.calibration import Calibration as Calibration
-    from tipforce.host.decoding.contacts import Contact as Contact
-    from tipforce.host.decoding.contacts import Contacts as Contacts
-    from tipforce.host.decoding.contacts import Status as Status
+    from tipforce.host.decoding.estimates import Contacts as Contacts
     from tipforce.host.decoding.estimates import estimate as estimate
     from tipforce.host.decoding.log import Log as Log
     from tipforce.host.decoding.log import NodeLog as NodeLog
     from tipforce.host.decoding.log import read_log as read_log
     from tipforce.host.hand.hand import Hand as Hand
-    from tipforce.host.hand.hand_row import HandRow as HandRow
+    from tipforce.host.hand.rows import HandRow as HandRow
     from tipforce.host.network.bus import Bus as Bus
-    from tipforce.host.network.bus import open_connection as open
     from tipforce.host.network.finger import Finger as Finger
-    from tipforce.machine.device import SimulatedDevice as SimulatedDevice
-    from tipforce.machine.running import simulated_device as simulated_device
+    from tipforce.samples.reasons import Status as Status
+    from tipforce.samples.record import Contact as Contact
     from tipforce.scene.simulated_bus import SimulatedBus as SimulatedBus
     from tipforce.scene.simulated_bus import simulated_finger as simulated_finger
     from tipforce.scene.simulated_bus import simulated_hand as simulated_hand
     from tipforce.sensor.calibration.data import Readings as Readings
     from tipforce.sensor.calibration.fit import fit_calibration as fit_calibration
 
-_MODULES = {
-    "open": "host.network.bus:open_connection",
-    "Bus": "host.network.bus",
-    "Finger": "host.network.finger",
-    "Contact": "host.decoding.contacts",
-    "Contacts": "host.decoding.contacts",
-    "Status": "host.decoding.contacts",
-    "Hand": "host.hand.hand",
-    "HandRow": "host.hand.hand_row",
-    "Calibration": "host.configuration.calibration",
-    "estimate": "host.decoding.estimates",
-    "fit_calibration": "sensor.calibration.fit",
-    "Readings": "sensor.calibration.data",
-    "read_log": "host.decoding.log",
-    "Log": "host.decoding.log",
-    "NodeLog": "host.decoding.log",
-    "simulated_finger": "scene.simulated_bus",
-    "simulated_hand": "scene.simulated_bus",
-    "SimulatedBus": "scene.simulated_bus",
-    "device_from_eds": "eds.load",
-    "EdsWarning": "eds.load",
-    "simulated_device": "machine.running",
-    "SimulatedDevice": "machine.device",
-    "TipforceError": "errors",
-    "InputError": "errors",
-    "NoResponseError": "errors",
-    "NoNewSampleError": "errors",
-    "SdoAbortError": "errors",
-    "RefusedError": "errors",
-    "DuplicateNodeError": "errors",
-    "EnvironmentLackError": "errors",
-    "__version__": "dictionary.table:SOFTWARE_VERSION",
-}
-__all__ = [
-    "Bus",
-    "Calibration",
-    "Contact",
-    "Contacts",
-    "DuplicateNodeError",
-    "EdsWarning",
-    "EnvironmentLackError",
-    "Finger",
-    "Hand",
-    "HandRow",
-    "InputError",
-    "Log",
-    "NoNewSampleError",
-    "NoResponseError",
-    "NodeLog",
-    "Readings",
-    "RefusedError",
-    "SdoAbortError",
-    "SimulatedBus",
-    "SimulatedDevice",
-    "Status",
-    "TipforceError",
-    "__version__",
-    "device_from_eds",
-    "estimate",
-    "fit_calibration",
-    "open",
-    "read_log",
-    "simulated_device",
-    "simulated_finger",
-    "simulated_hand",
-]
+    open, __version__ = Bus.open, SOFTWARE_VERSION
 
+_NAMES = {
+    "host.network.bus": ("open:open_connection", "Bus"),
+    "host.network.finger": ("Finger",),
+    "samples.record": ("Contact",),
+    "host.decoding.estimates": ("Contacts", "estimate"),
+    "samples.reasons": ("Status",),
+    "host.hand.hand": ("Hand",),
+    "host.hand.rows": ("HandRow",),
+    "host.configuration.calibration": ("Calibration",),
+    "sensor.calibration.fit": ("fit_calibration",),
+    "sensor.calibration.data": ("Readings",),
+    "host.decoding.log": ("read_log", "Log", "NodeLog"),
+    "scene.simulated_bus": ("simulated_finger", "simulated_hand", "SimulatedBus"),
+    "/canopen_device": ("device_from_eds", "EdsWarning", "simulated_device", "SimulatedDevice"),
+    "errors": (
+        "TipforceError",
+        "InputError",
+        "NoResponseError",
+        "NoNewSampleError",
+        "SdoAbortError",
+        "RefusedError",
+        "DuplicateNodeError",
+        "EnvironmentLackError",
+    ),
+    "dictionary.table": ("__version__:SOFTWARE_VERSION",),
+}
 if not TYPE_CHECKING:
-    __getattr__, __dir__ = lazy(__name__, _MODULES)
+    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

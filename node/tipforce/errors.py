@@ -1,12 +1,20 @@
 """Errors of tipforce: each message names the place, the value and what is allowed."""
 
+from canopen_device.errors import CanopenDeviceError as TipforceError
+from canopen_device.errors import EnvironmentLackError, InputError
 
-class TipforceError(Exception):
-    """Base of every error that tipforce raises on purpose."""
-
-
-class InputError(TipforceError):
-    """A file, an argument or a value of the user is invalid; the text names it and what is allowed."""
+__all__ = [
+    "DuplicateNodeError",
+    "EnvironmentLackError",
+    "InputError",
+    "LogError",
+    "NoNewSampleError",
+    "NoResponseError",
+    "RefusedError",
+    "SdoAbortError",
+    "TipforceError",
+    "WriteError",
+]
 
 
 class LogError(InputError):
@@ -39,7 +47,3 @@ class RefusedError(TipforceError):
 
 class DuplicateNodeError(TipforceError):
     """Two nodes use one node-id, so no value of it is known; the text says how to give one of them another."""
-
-
-class EnvironmentLackError(TipforceError):
-    """The machine lacks an interface, a kernel module, a program or a permission; the text says how to provide it."""

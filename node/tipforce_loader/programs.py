@@ -104,7 +104,7 @@ class Programs:
         except OSError:
             return image.FLASH_FAILED, None
 
-    # --- for ``tipforce.device.program`` ----------------------------------------------------------------------
+    # --- for ``canopen_device.core.program`` ----------------------------------------------------------------------
 
     @property
     def busy(self) -> bool:

@@ -1,22 +1,21 @@
 """The fingertip as the application of a CANopen device: latch a sample, answer for the live objects (CiA 404)."""
 
-from tipforce.device import codes, communication, emcy
-from tipforce.device.node import Application, Device
-from tipforce.device.sync import OVERFLOW
+from canopen_device.core import codes, communication, emcy
+from canopen_device.core.node import Application, Device
+from canopen_device.core.sync import OVERFLOW
 from tipforce.dictionary import indices, table
 from tipforce.sensor.contact import scalar
 
 from .calibration import CALIBRATION_GROUP, Calibration
 from .channels import Channels
-from .interrupts import Interrupts
-from .reporting import Reports
+from .reporting import Interrupts, Reports
 from .sample import NO_TARE, Sample
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from tipforce.device.object_dictionary import ObjectDictionary, Value
+    from canopen_device.core.object_dictionary import ObjectDictionary, Value
 
     from .filters import Filtering
     from .source import Reading, Source

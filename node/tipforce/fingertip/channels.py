@@ -2,8 +2,8 @@
 
 from math import sqrt
 
-from tipforce.device import codes
-from tipforce.device.object_dictionary import encode, real32
+from canopen_device.core import codes
+from canopen_device.core.object_dictionary import encode, real32
 from tipforce.dictionary import indices, table
 from tipforce.sensor.contact import scalar
 
@@ -13,10 +13,10 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from tipforce.device.object_dictionary import ObjectDictionary, Value
+    from canopen_device.core.object_dictionary import ObjectDictionary, Value
 
-    from .active_calibration import Active
     from .application import Fingertip
+    from .calibration import Active
 
 MAX_I16, MAX_I32 = 0x7FFF, 0x7FFFFFFF
 NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h

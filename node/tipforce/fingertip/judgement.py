@@ -10,7 +10,7 @@ from tipforce.sensor.contact import scalar
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from .active_calibration import Active, Check, Covariance
+    from .calibration import Active, Check, Covariance
 
 RELEASE = 0.95  # of the overload force: an overload ends below
 UNSTATED_KELVIN = 10.0  # standard uncertainty of a temperature that neither 2122h nor 2112h:3 and 4 tell
@@ -111,10 +111,10 @@ class Judgement:
                 moved = [m + _dot(row, active.per_kelvin) for m, row in zip(moved, matrix)]  # noqa: B905
             found = _with(found, self._kelvin * moved[0], self._kelvin * moved[1], self._kelvin * moved[2])
         if self._faults:
-            from tipforce.sensor.contact import scalar_parity  # a node with three gauges does without
+            from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
 
             k11, k12, k13, k22, k23, k33 = found
-            d11, d12, d13, d22, d23, d33 = scalar_parity.doubt(matrix, active.noise, self._faults)
+            d11, d12, d13, d22, d23, d33 = scalar_redundancy.doubt(matrix, active.noise, self._faults)
             found = k11 + d11, k12 + d12, k13 + d13, k22 + d22, k23 + d23, k33 + d33
         return found
 
@@ -156,10 +156,10 @@ def magnitude(force: "tuple[float, float, float]") -> float:
 
 
 def _judged(check: "Check", V: "list[float]", extra: "list[float] | None") -> "tuple[int, list[tuple[float, float]]]":
-    from tipforce.sensor.contact import scalar_parity  # a node with three gauges does without
+    from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
 
     W, shown, alarm, exclusion = check
-    _chi_square, bits, faults = scalar_parity.judge(W, shown, V, extra, alarm, exclusion)
+    _chi_square, bits, faults = scalar_redundancy.judge(W, shown, V, extra, alarm, exclusion)
     return bits, faults
 
 

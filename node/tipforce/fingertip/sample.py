@@ -1,7 +1,7 @@
 """One latched sample: from counts to strain, force, contact and uncertainty, each computed when first asked for."""
 
-from tipforce.device.codes import NEVER_US
-from tipforce.device.object_dictionary import real32
+from canopen_device.core.codes import NEVER_US
+from canopen_device.core.object_dictionary import real32
 from tipforce.dictionary import table
 from tipforce.sensor.contact import scalar
 
@@ -11,7 +11,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from .active_calibration import Active, Covariance
+    from .calibration import Active, Covariance
     from .judgement import Judgement
     from .source import Reading
 

@@ -4,7 +4,7 @@ from collections import namedtuple
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from tipforce.device.node import Device
+    from canopen_device.core.node import Device
     from tipforce.dictionary.table import Converter
 
 # counts: one integer per gauge; faults: bits of 2124h from 8 up; temperature: 0.01 degC or -0x8000 for unknown.
