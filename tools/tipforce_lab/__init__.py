@@ -1,6 +1,6 @@
 """Studies of the sensor: design, impacts, integrators, finite elements, error budgets, and the report."""
 
-from tipforce._lazy import lazy
+from canopen_device.lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -18,36 +18,14 @@ if TYPE_CHECKING:
     from tipforce_lab.dynamics.sampling import frequency_of_error as frequency_of_error
     from tipforce_lab.dynamics.slit import slit_stop as slit_stop
 
-_MODULES = {
-    "budget": "design.error_budget",
-    "shared_gauge_disagreement": "design.tables",
-    "shift_to_reach": "design.paper_figures",
-    "condition_numbers_by_unit": "design.tables",
-    "table_1": "design.tables",
-    "table_2": "design.tables",
-    "table_3": "design.tables",
-    "Striker": "dynamics.impact",
-    "impact": "dynamics.impact",
-    "overload": "dynamics.impact",
-    "rk4_stability_limit": "dynamics.integrators",
-    "frequency_of_error": "dynamics.sampling",
-    "slit_stop": "dynamics.slit",
+_NAMES = {
+    "design.error_budget": ("budget",),
+    "design.tables": ("shared_gauge_disagreement", "condition_numbers_by_unit", "table_1", "table_2", "table_3"),
+    "design.paper_figures": ("shift_to_reach",),
+    "dynamics.impact": ("Striker", "impact", "overload"),
+    "dynamics.integrators": ("rk4_stability_limit",),
+    "dynamics.sampling": ("frequency_of_error",),
+    "dynamics.slit": ("slit_stop",),
 }
-__all__ = [
-    "Striker",
-    "budget",
-    "condition_numbers_by_unit",
-    "frequency_of_error",
-    "impact",
-    "overload",
-    "rk4_stability_limit",
-    "shared_gauge_disagreement",
-    "shift_to_reach",
-    "slit_stop",
-    "table_1",
-    "table_2",
-    "table_3",
-]
-
 if not TYPE_CHECKING:
-    __getattr__, __dir__ = lazy(__name__, _MODULES)
+    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

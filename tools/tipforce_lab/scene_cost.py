@@ -15,12 +15,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+import msgspec
 from msgspec.structs import replace
 
 from tipforce.scene import schema
 from tipforce.scene.loads import load_of
+from tipforce.scene.reader import read_scene
+from tipforce.scene.registry import Part, parts
 from tipforce.scene.run import Options, Outcome, run_scene
-from tipforce.scene.scene_parts import Part, parts
 from tipforce.shipped_files import shipped_folder
 from tipforce_lab.report.study import Effort, Point, Series, Study, quartiles
 
@@ -116,14 +118,8 @@ def _stand_still(scene: schema.Scene) -> schema.Scene:
     return replace(scene, loads=tuple(loads))
 
 
-def _no_white(scene: schema.Scene) -> schema.Scene:
-    noise = scene.noise or schema.Noise()
-    return replace(scene, noise=replace(noise, gauge_microstrain=None))
-
-
-def _no_pink(scene: schema.Scene) -> schema.Scene:
-    noise = scene.noise or schema.Noise()
-    return replace(scene, noise=replace(noise, one_over_f_microstrain=None))
+def _noise(scene: schema.Scene, **changes: object) -> schema.Scene:
+    return replace(scene, noise=replace(scene.noise or schema.Noise(), **changes))
 
 
 def _no_temperature(scene: schema.Scene) -> schema.Scene:
@@ -151,9 +147,9 @@ _TAKE: tuple[tuple[str, Callable[[schema.Scene], schema.Scene]], ...] = (
     ("contact in the node", lambda scene: _nodes(scene, calibration="none")),
     ("decoder", lambda scene: _nodes(scene, pdos=())),
     ("temperature", _no_temperature),
-    ("1/f noise", _no_pink),
+    ("1/f noise", lambda scene: _noise(scene, one_over_f_microstrain=None)),
     ("front end", lambda scene: replace(scene, front_end=None)),
-    ("noise", _no_white),
+    ("noise", lambda scene: _noise(scene, gauge_microstrain=None)),
     ("load history", _stand_still),
     ("structure", lambda scene: replace(scene, loads=())),
 )
@@ -243,8 +239,6 @@ def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
     A module counts for the first part that lists it; a package of others counts with all its own imports.
     """
     with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
-        import msgspec
-
         text = msgspec.json.encode(_in_folder(replace(scene, bus=None), Path(folder))).decode()
         words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, text, str(path.parent)]
         done = subprocess.run(words, capture_output=True, text=True, check=True)
@@ -275,10 +269,6 @@ STEPS = len(SCENES)
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     """Return the study of the report: each scene with its parts removed in sequence, down to the bare nodes."""
-    from msgspec.structs import replace
-
-    from tipforce.scene.schema import read_scene
-
     series = []
     for name in SCENES:
         path = shipped_folder("scenes") / f"{name}.toml"

@@ -45,15 +45,21 @@ def waiting(dut: Dut) -> None:
     say(dut, 0x04, 0)
 
 
+def slave_answer(dut: Dut) -> bytes:
+    """The answer of the slave; without one the case is not applicable."""
+    answer = dut.heard(SLAVE)
+    if answer is None:
+        raise NotApplicableError("no LSS slave")
+    return answer.data
+
+
 @contextmanager
 def configuring(dut: Dut, numbers: list[int] | None = None) -> Iterator[list[int]]:
     """Configuration state within, waiting state after; not applicable without LSS. Yields the identity."""
     own = identity(dut) if numbers is None else numbers
     select(dut, own)
-    answer = dut.heard(SLAVE)
-    if answer is None:
-        raise NotApplicableError("no LSS slave")
-    check(answer.data[0] == 0x44, "7E4#44...", answer.data.hex(" "))
+    data = slave_answer(dut)
+    check(data[0] == 0x44, "7E4#44...", data.hex(" "))
     try:
         yield own
     finally:
@@ -93,12 +99,10 @@ def global_mode(dut: Dut, mode: int) -> None:
 @case("CiA 305 6.3.2", "switch state selective: answer 44h, then configuration", needs=IDENTITY)
 def selective(dut: Dut) -> None:
     select(dut, identity(dut))
-    answer = dut.heard(SLAVE)
-    if answer is None:
-        raise NotApplicableError("no LSS slave")
+    data = slave_answer(dut)
     configured = in_configuration(dut)
     waiting(dut)
-    check(answer.data == b"\x44" + bytes(7) and configured, "44h and the configuration state", answer.data.hex(" "))
+    check(data == b"\x44" + bytes(7) and configured, "44h and the configuration state", data.hex(" "))
 
 
 @case("CiA 305 6.3.2", "switch state selective with another {1}: silence", needs=IDENTITY, each=list(enumerate(PARTS)))

@@ -15,11 +15,9 @@ import numpy as np
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.output_file import save_figure
-from tipforce.sensor.calibration.grooves import paper_grooves
-from tipforce.sensor.contact.estimate import standard_uncertainties
-from tipforce.sensor.contact.first_order import first_order_holds
-from tipforce.sensor.contact.force import force_vector
-from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
+from tipforce.sensor.calibration.simulation import paper_grooves
+from tipforce.sensor.contact.estimate import first_order_holds, force_vector, standard_uncertainties
+from tipforce.sensor.structure.gauges import GaugePosition, strain_row
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
@@ -267,12 +265,6 @@ def _along_y(loads: Loads) -> BoolArray:
     """Return which loads hang along y rather than along x."""
     along_y: BoolArray = np.abs(np.sin(loads.phi_rad)) > np.abs(np.cos(loads.phi_rad))
     return along_y
-
-
-def _covariance(errors: FloatArray) -> FloatArray:
-    """Return the sum of outer products, (m, 3, 3), of errors (q, m, 3)."""
-    by_load = errors.transpose(1, 2, 0)
-    return np.asarray(by_load @ by_load.transpose(0, 2, 1), dtype=np.float64)
 
 
 def _row(cause: str, covariance_F: FloatArray, F: FloatArray, pull: bool) -> Row:

@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauge_positions import Gauge, gauge_matrix
-from tipforce.sensor.structure.gauge_shift import nominal_position
+from tipforce.sensor.structure.gauges import Gauge, gauge_matrix, nominal_position
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.limits import slit_closure, worst_stress
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame, FrameModel

@@ -15,7 +15,7 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import half_cylinder, modes
-from tipforce.sensor.structure.gauge_shift import shifted_matrix
+from tipforce.sensor.structure.gauges import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, Layout
 from tipforce.sensor.structure.limits import PAPER_SLIT_M, slit_closure, worst_stress
@@ -107,55 +107,30 @@ MATERIALS = (
 )
 
 
-class Figures(NamedTuple):
-    """One body of one material with one layout."""
-
-    strain_per_newton: float
-    """The largest anywhere on the beams, over all loads."""
-    noise_gain_newtons: float
-    """sqrt(trace(C C^T)), newtons per unit strain."""
-    yield_newtons: float
-    """Smallest load, over all contacts and directions, that reaches the yield stress."""
-    slit_newtons: float
-    """And that closes a slit of PAPER_SLIT_M."""
-    frequency_hz: float
-    """Lowest natural frequency, massless beams."""
-
-    @property
-    def largest_newtons(self) -> float:
-        """The largest load that neither yields nor closes the slit."""
-        return min(self.yield_newtons, self.slit_newtons)
-
-
-def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Figures:
-    """Return the figures of a body made of a material. Raises InputError for an unusable layout."""
+def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record:
+    """Return the figures of a body made of a material, keys as in _FIGURES_COLUMNS: loads over all contacts and
+    directions that reach the yield stress, or close a slit of PAPER_SLIT_M. Raises InputError for an unusable layout.
+    """
     body = replace(geometry, youngs_modulus_pascals=material.youngs_modulus_pascals)
-    stress = worst_stress(body, 1.0)
+    stress, noise = worst_stress(body, 1.0), noise_gain(calibration_matrix(body, gauges))
     moving = modes(body, 0.0, half_cylinder(body, material.density_kg_m3))
-    return Figures(
-        stress / material.youngs_modulus_pascals, noise_gain(calibration_matrix(body, gauges)),
-        material.yield_pascals / stress, PAPER_SLIT_M / slit_closure(body, 1.0),
-        float(min(moving.omega_rad_s)) / (2.0 * math.pi),
-    )  # fmt: skip
+    yield_newtons, slit_newtons = material.yield_pascals / stress, PAPER_SLIT_M / slit_closure(body, 1.0)
+    return {
+        "strain_ue": stress / material.youngs_modulus_pascals * CALIBRATION_WEIGHT_NEWTONS * MICRO,
+        "noise_gain_N_per_ue": noise / MICRO,
+        "yield_N": yield_newtons,
+        "slit_N": slit_newtons,
+        "largest_N": min(yield_newtons, slit_newtons),
+        "range_over_noise": min(yield_newtons, slit_newtons) / noise * MICRO,
+        "frequency_hz": float(min(moving.omega_rad_s)) / (2.0 * math.pi),
+    }
 
 
-class Scaled(NamedTuple):
-    """A body scaled down, and what gauges of the same length make of it."""
+def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: bool) -> Record:
+    """Return the record of a body with lengths and width times ``scale``; thicknesses as well, or kept.
 
-    geometry: Geometry
-    figures: Figures
-    condition: float
-    """Gauges at their points."""
-    condition_of_gauges: float
-    """Gauges of GAUGE_LENGTH_M that begin at the points: their middles are half of it inward."""
-    condition_of_shift: float
-    """These, and the last one another 0.2 mm inward: how much the place of the gauges matters."""
-
-
-def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: bool) -> Scaled:
-    """Return a body with lengths and width times ``scale``; thicknesses as well, or kept.
-
-    Stress per newton grows as 1 / scale^2 in the first case, and is the same in the second (a / (b h^2)).
+    Stress per newton grows as 1 / scale^2 in the first case, and is the same in the second (a / (b h^2)). Condition
+    numbers of gauges at their points, of those of GAUGE_LENGTH_M that begin there, and with the last 0.2 mm inward.
     """
     g = geometry
     body = replace(g, a_m=scale * g.a_m, d_m=scale * g.d_m, r_m=scale * g.r_m, width_m=scale * g.width_m)
@@ -164,10 +139,16 @@ def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: boo
     half = 0.5 * GAUGE_LENGTH_M
     matrix = strain_matrix(body, gauges)
     off = [half] * (len(matrix) - 1) + [half + 0.2e-3]
-    return Scaled(
-        body, figures_of(body, STEEL_4340, gauges), condition_number(matrix),
-        condition_number(shifted_matrix(body, gauges, half)), condition_number(shifted_matrix(body, gauges, off)),
-    )  # fmt: skip
+    return {
+        "beams": "kept" if keep_thickness else "scaled",
+        "r_mm": body.r_m * MM,
+        "h_mm": [body.h1_m * MM, body.h2_m * MM],
+        "slenderness": body.a_m / body.h1_m,
+        **figures_of(body, STEEL_4340, gauges),
+        "condition": condition_number(matrix),
+        "condition_of_gauges": condition_number(shifted_matrix(body, gauges, half)),
+        "condition_of_shift": condition_number(shifted_matrix(body, gauges, off)),
+    }
 
 
 MM, MICRO = 1e3, 1e6
@@ -236,18 +217,6 @@ def _comparators_notes(geometry: Geometry) -> list[str]:
     ]  # fmt: skip
 
 
-def _figures(figures: Figures) -> Record:
-    return {
-        "strain_ue": figures.strain_per_newton * CALIBRATION_WEIGHT_NEWTONS * MICRO,
-        "noise_gain_N_per_ue": figures.noise_gain_newtons / MICRO,
-        "yield_N": figures.yield_newtons,
-        "slit_N": figures.slit_newtons,
-        "largest_N": figures.largest_newtons,
-        "range_over_noise": figures.largest_newtons / figures.noise_gain_newtons * MICRO,
-        "frequency_hz": figures.frequency_hz,
-    }
-
-
 _FIGURES_COLUMNS = {
     "strain_ue": "microstrain at 4.4 N",
     "noise_gain_N_per_ue": "noise N/ue",
@@ -265,7 +234,7 @@ def materials_section(geometry: Geometry) -> Section:
         {
             "material": material.name, "E_GPa": material.youngs_modulus_pascals / 1e9,
             "yield_MPa": material.yield_pascals / 1e6,
-            **_figures(figures_of(geometry, material, "I")),
+            **figures_of(geometry, material, "I"),
         }
         for material in MATERIALS
     ]  # fmt: skip
@@ -288,20 +257,7 @@ _MATERIALS = [
 
 def scaling_section(geometry: Geometry) -> Section:
     """Return smaller fingertips (the paper's section 5): all dimensions scaled, and with the thicknesses kept."""
-    records: list[Record] = []
-    for keep in (False, True):
-        for scale in SCALES:
-            smaller = scaled(geometry, scale, "I", keep)
-            records.append(
-                {
-                    "beams": "kept" if keep else "scaled", "r_mm": smaller.geometry.r_m * MM,
-                    "h_mm": [smaller.geometry.h1_m * MM, smaller.geometry.h2_m * MM],
-                    "slenderness": smaller.geometry.a_m / smaller.geometry.h1_m,
-                    **_figures(smaller.figures),
-                    "condition": smaller.condition, "condition_of_gauges": smaller.condition_of_gauges,
-                    "condition_of_shift": smaller.condition_of_shift,
-                }
-            )  # fmt: skip
+    records = [scaled(geometry, scale, "I", keep) for keep in (False, True) for scale in SCALES]
     return Section("scaling", "Section 5. Smaller fingertips of AISI 4340, case I", _SCALING_COLUMNS, records, _SCALING)
 
 

@@ -14,10 +14,9 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.calibration.grooves import Grooves, paper_grooves
-from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
-from tipforce.sensor.contact.force import force_from_strain, force_vector
-from tipforce.sensor.structure.gauge_shift import shifted_matrix
+from tipforce.sensor.calibration.simulation import Grooves, paper_grooves
+from tipforce.sensor.contact.estimate import contacts, force_from_strain, force_vector, standard_uncertainties
+from tipforce.sensor.structure.gauges import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, Layout, layout
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
@@ -270,12 +269,7 @@ def off_axis_section(geometry: Geometry) -> Section:
     records = []
     for case, (name, offset_m, angle_rad), held in itertools.product(CASES, placements, (False, True)):
         placed = partial(
-            apparent_force,
-            geometry,
-            case,
-            lateral_offset_m=offset_m,
-            misalignment_rad=angle_rad,
-            warping_held=held,
+            apparent_force, geometry, case, lateral_offset_m=offset_m, misalignment_rad=angle_rad, warping_held=held
         )
         z, centre, inward = placed(along_z), placed(off_centre), placed(along_z, inward_m=0.5 * GAUGE_LENGTH_M)
         records.append(

@@ -14,8 +14,8 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.output_file import make_folder, save_figure
-from tipforce.sensor.calibration.grooves import paper_grooves
-from tipforce.sensor.structure.gauge_shift import nominal_position
+from tipforce.sensor.calibration.simulation import paper_grooves
+from tipforce.sensor.structure.gauges import nominal_position
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches
@@ -140,22 +140,29 @@ def condition_and_noise() -> Figure:
     """Draw all regular layouts of three points: condition number against noise gain."""
     figure = new_figure(5.6, 3.8)
     axes = figure.subplots()
-    rows = [row for row in ranked_layouts(FABRICATED) if row.condition < 20.0]
+    rows = [row for row in ranked_layouts(FABRICATED) if row["condition"] < 20.0]
     axes.loglog(
-        [1e-6 * row.noise for row in rows],
-        [row.condition for row in rows],
+        [row["noise_gain_N_per_ue"] for row in rows],
+        [row["condition"] for row in rows],
         "o",
         color=GREY,
         markersize=4,
         label="other layouts (mirrors coincide)",
     )
     for row in rows:
-        if row.case:
-            colour, _, marker = STYLES[CASES.index(row.case)]
-            axes.plot(1e-6 * row.noise, row.condition, marker, color=colour, markersize=8, label=f"case {row.case}")
+        if row["case"]:
+            colour, _, marker = STYLES[CASES.index(row["case"])]
+            axes.plot(
+                row["noise_gain_N_per_ue"],
+                row["condition"],
+                marker,
+                color=colour,
+                markersize=8,
+                label=f"case {row['case']}",
+            )
     axes.annotate(
         "L, T, S_H (2.622)",
-        (1e-6 * rows[2].noise, rows[2].condition),
+        (rows[2]["noise_gain_N_per_ue"], rows[2]["condition"]),
         (10, -14),
         textcoords="offset points",
         arrowprops={"arrowstyle": "-", "color": GREY},
@@ -163,7 +170,7 @@ def condition_and_noise() -> Figure:
     )
     axes.annotate(
         "L or R, with T or U and K_V or S_V",
-        (1e-6 * rows[4].noise, rows[4].condition),
+        (rows[4]["noise_gain_N_per_ue"], rows[4]["condition"]),
         (12, -6),
         textcoords="offset points",
         fontsize=8,

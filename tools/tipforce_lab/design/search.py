@@ -18,7 +18,7 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.gauge_shift import GaugePosition
+from tipforce.sensor.structure.gauges import GaugePosition
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.limits import PAPER_SLIT_M, AnyArray, slit_compliance, worst_stress
 from tipforce_lab.design.merit import PAPER_LOAD_NEWTONS, LoadSet

@@ -209,28 +209,23 @@ def _table_3_notes(geometry: Geometry) -> list[str]:
 
 def ranking_section(geometry: Geometry) -> Section:
     """Return the check of section 3.2's claim: all layouts of three points, by four figures of merit."""
-    rows = ranked_layouts(geometry)
     ranks = {
-        by: {row.points: 1 + index for index, row in enumerate(ranked_layouts(geometry, by))}
-        for by in ("equilibrated", "noise")
+        by: {row["gauges"]: 1 + index for index, row in enumerate(ranked_layouts(geometry, by))}
+        for by in ("row_equilibrated", "noise_gain_N_per_ue")
     }
     groups = ties(ranked_layouts(geometry, "thin"), "thin")
-    tied = {row.points: 1 + index for index, group in enumerate(groups) for row in group}
+    tied = {row["gauges"]: 1 + index for index, group in enumerate(groups) for row in group}
     records = [
         {
             "rank": 1 + index,
-            "case": row.case,
-            "gauges": row.points,
-            "mirror": row.mirrored,
-            "condition": row.condition,
-            "thin": row.thin,
-            "thin_tie": tied.get(row.points),
-            "row_equilibrated": row.equilibrated,
-            "rank_row_equilibrated": ranks["equilibrated"][row.points],
-            "noise_gain_N_per_ue": row.noise / MICRO,
-            "rank_noise": ranks["noise"][row.points],
+            **{key: row[key] for key in ("case", "gauges", "mirror", "condition", "thin")},
+            "thin_tie": tied.get(row["gauges"]),
+            "row_equilibrated": row["row_equilibrated"],
+            "rank_row_equilibrated": ranks["row_equilibrated"][row["gauges"]],
+            "noise_gain_N_per_ue": row["noise_gain_N_per_ue"],
+            "rank_noise": ranks["noise_gain_N_per_ue"][row["gauges"]],
         }
-        for index, row in enumerate(rows)
+        for index, row in enumerate(ranked_layouts(geometry))
     ]
     columns = {
         "rank": "rank",

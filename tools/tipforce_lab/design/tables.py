@@ -9,15 +9,15 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 from math import atan2, cos, degrees, hypot, pi, radians, sin
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.contact.force import force_vector
-from tipforce.sensor.structure.gauge_shift import shifted_matrix
+from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.structure.gauges import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES
@@ -179,69 +179,55 @@ def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, f
     return {unit: condition_number(matrix * np.array([1.0, u / geometry.r_m, 1.0])) for unit, u in metres.items()}
 
 
-Figure = Literal["condition", "thin", "equilibrated", "noise"]
+FIGURES = ("condition", "thin", "row_equilibrated", "noise_gain_N_per_ue")
 
 
-class RankedLayout(NamedTuple):
-    """One pair of mirrored layouts, which share every figure. Infinite if they cannot separate the three forces."""
+def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
+    """Return the 28 mirrored pairs of layouts of three points, which share every figure, best first.
 
-    points: tuple[str, ...]
-    mirrored: tuple[str, ...]
-    """The same points if a layout is its own mirror (none of three points is)."""
-    case: str
-    """I, II, III, or empty."""
-    condition: float
-    thin: float
-    """Condition number in the thin-beam limit."""
-    equilibrated: float
-    """Condition number with every row scaled to unit length."""
-    noise: float
-    """sqrt(trace(C C^T)), newtons per unit strain."""
-
-
-def ranked_layouts(geometry: Geometry, by: Figure = "condition") -> list[RankedLayout]:
-    """Return the 28 mirrored pairs of layouts of three points, best first. Raises InputError for an unknown figure."""
-    if by not in ("condition", "thin", "equilibrated", "noise"):
-        raise InputError(f"rank by {by!r}: allowed are condition, thin, equilibrated, noise")
-    by_mirror: dict[frozenset[frozenset[str]], RankedLayout] = {}
+    Keys: case (I, II, III, or empty), gauges, mirror, and FIGURES: condition number, that of the thin-beam limit, that
+    with every row scaled to unit length, newtons of noise per microstrain; infinite if a layout cannot separate the
+    three forces. Raises InputError for an unknown figure.
+    """
+    if by not in FIGURES:
+        raise InputError(f"rank by {by!r}: allowed are {', '.join(FIGURES)}")
+    by_mirror: dict[frozenset[frozenset[str]], Record] = {}
     for points in itertools.combinations(POINTS, 3):
         pair = frozenset((frozenset(points), frozenset(mirror(points))))
         if pair not in by_mirror:
             by_mirror[pair] = _ranked(geometry, points)
-    return sorted(by_mirror.values(), key=lambda row: (round(getattr(row, by), 9), row.condition))
+    return sorted(by_mirror.values(), key=lambda row: (round(row[by], 9), row["condition"]))
 
 
-def ties(rows: list[RankedLayout], by: Figure, tolerance: float = 1e-6) -> list[list[RankedLayout]]:
+def ties(rows: list[Record], by: str, tolerance: float = 1e-6) -> list[list[Record]]:
     """Return the groups of rows whose figures agree within a relative tolerance, in order; infinite ones left out."""
-    groups: list[list[RankedLayout]] = []
+    groups: list[list[Record]] = []
     for row in rows:
-        value = getattr(row, by)
-        if not np.isfinite(value):
+        if not np.isfinite(row[by]):
             continue
-        if groups and abs(value - getattr(groups[-1][0], by)) <= tolerance * value:
+        if groups and abs(row[by] - groups[-1][0][by]) <= tolerance * row[by]:
             groups[-1].append(row)
         else:
             groups.append([row])
     return [group for group in groups if len(group) > 1]
 
 
-def _ranked(geometry: Geometry, points: tuple[str, ...]) -> RankedLayout:
+def _ranked(geometry: Geometry, points: tuple[str, ...]) -> Record:
     names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
     case = names.get(frozenset(points), "")
-    if case:
-        points = LAYOUTS[case]
+    points = LAYOUTS[case] if case else points
     matrix = strain_matrix(geometry, points)
     regular = int(np.linalg.matrix_rank(matrix)) == 3
     thin = condition_number(thin_limit_matrix(points))
-    return RankedLayout(
-        points,
-        mirror(points),
-        case,
-        condition_number(matrix) if regular else float("inf"),
-        thin if thin < 1e12 else float("inf"),  # singular: rounding makes it barely regular
-        row_equilibrated_condition_number(matrix) if regular else float("inf"),
-        noise_gain(np.linalg.pinv(matrix)) if regular else float("inf"),
-    )
+    return {
+        "case": case,
+        "gauges": points,
+        "mirror": mirror(points),
+        "condition": condition_number(matrix) if regular else float("inf"),
+        "thin": thin if thin < 1e12 else float("inf"),  # singular: rounding makes it barely regular
+        "row_equilibrated": row_equilibrated_condition_number(matrix) if regular else float("inf"),
+        "noise_gain_N_per_ue": noise_gain(np.linalg.pinv(matrix)) / 1e6 if regular else float("inf"),
+    }
 
 
 class RoundingRange(NamedTuple):

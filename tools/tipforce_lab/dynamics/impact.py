@@ -204,8 +204,7 @@ def impact(
     if striker.exponent != 1.0:
         if slit is not None:
             raise InputError("a Hertzian contact and a slit in one run: allowed is a linear contact with a slit")
-
-        return Impact(*hertz_impact(modes, striker, until_s, t, start))
+        return hertz_impact(modes, striker, until_s, t, start)
     assembly = Assembly(modes, striker, slit)
     march = touching(assembly, assembly.start(start))
     rows = _Rows(assembly, march)
@@ -217,11 +216,7 @@ def impact(
 
 
 def overload(
-    modes: Modes,
-    slit: SlitStop,
-    times_s: npt.ArrayLike,
-    loads_newtons: npt.ArrayLike,
-    start: State | None = None,
+    modes: Modes, slit: SlitStop, times_s: npt.ArrayLike, loads_newtons: npt.ArrayLike, start: State | None = None
 ) -> Impact:
     """Return the response of a structure with a stop to a load that is linear between its samples, (m,) and (m, 3).
 
@@ -294,15 +289,15 @@ _ABSOLUTE = 1e-16
 
 def hertz_impact(
     modes: Modes | None, striker: Striker, until_s: float, times_s: FloatArray, start: State | None
-) -> tuple[tuple[Touch, ...], FloatArray, FloatArray, FloatArray, float, State]:
-    """Return the fields of ``impact.Impact``; see there. Raises EnvironmentLackError without scipy."""
+) -> Impact:
+    """Return the course of an impact with Hertzian contact. Raises EnvironmentLackError without scipy."""
     run = _Run(modes, striker, start, times_s, until_s)
     while run.time_s < until_s:
         run.contact()
         run.free()
     rows = np.array(run.rows).reshape(-1, 7)
     body_speed, structure = run.assembly.body_speed(run.state), run.assembly.structure(run.state)
-    return tuple(run.touches), rows[:, :3], rows[:, 3:6], rows[:, 6:], body_speed, structure
+    return Impact(tuple(run.touches), rows[:, :3], rows[:, 3:6], rows[:, 6:], body_speed, structure)
 
 
 class _Run:

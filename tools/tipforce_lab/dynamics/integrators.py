@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.first_order_hold import State
-from tipforce.sensor.dynamics.mode_step import hold
+from tipforce.sensor.dynamics.first_order_hold import State, hold
 from tipforce.sensor.dynamics.model import HIGHEST_DAMPING_RATIO, Modes
 from tipforce_lab.dynamics.impact import Assembly, Striker
 

@@ -18,8 +18,6 @@ from tipforce.sensor.dynamics.first_order_hold import checked_loads
 from tipforce.sensor.dynamics.model import Modes
 from tipforce_lab.dynamics.switched import exponential
 
-ComplexArray = npt.NDArray[np.complex128]
-
 
 def quasi_static_error(modes: Modes, frequency_hz: npt.ArrayLike) -> FloatArray:
     """Return the largest error of the elastic force relative to a sinusoidal load, (...).

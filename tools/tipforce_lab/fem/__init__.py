@@ -1,6 +1,6 @@
 """Plane-stress finite elements of the body (extra ``fem``): outline, mesh, solution, strain of gauges."""
 
-from tipforce._lazy import lazy
+from canopen_device.lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -10,20 +10,10 @@ if TYPE_CHECKING:
     from tipforce_lab.fem.plane_stress import Model as Model
     from tipforce_lab.fem.plane_stress import solve as solve
 
-_MODULES = {
-    "Model": "plane_stress",
-    "Resolution": "mesh",
-    "corner_exponent": "gauges",
-    "solve": "plane_stress",
-    "strain_matrix": "gauges",
+_NAMES = {
+    "plane_stress": ("Model", "solve"),
+    "mesh": ("Resolution",),
+    "gauges": ("corner_exponent", "strain_matrix"),
 }
-__all__ = [
-    "Model",
-    "Resolution",
-    "corner_exponent",
-    "solve",
-    "strain_matrix",
-]
-
 if not TYPE_CHECKING:
-    __getattr__, __dir__ = lazy(__name__, _MODULES)
+    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -12,9 +12,8 @@ from typing import Any
 
 from tipforce.output_file import HTML, JSON_LINES, write_file
 from tipforce_lab.report import plots, text
-from tipforce_lab.report.cases import Case
 from tipforce_lab.report.run import Item, Report
-from tipforce_lab.report.study import Grid, Study
+from tipforce_lab.report.study import Case, Grid, Study
 from tipforce_lab.report.text import advice, verdict
 
 
@@ -114,18 +113,16 @@ def _advice(report: Report) -> list[str]:
         return []
     rows = []
     for choice in advices:
-        need, method, error, time = map(escape, text.shown_advice(choice))
+        study, need, method, error, time = map(escape, choice)
         rows.append(
-            f'<tr><th scope="row"><a href="#{escape(choice.study)}">{need}</a></th><td>{method}</td>'
+            f'<tr><th scope="row"><a href="#{study}">{need}</a></th><td>{method}</td>'
             f'<td class="number">{error}</td><td>{time}</td></tr>'
         )
-    head = '<th scope="col">need</th><th scope="col">method</th><th scope="col" class="number">error</th>'
-    head += '<th scope="col">processor time</th>'
-    table = f'<table class="advice"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+    table = _html_table("advice", ["", "", ' class="number"', ""], text.ADVICE_HEADS, rows)
     return [
         '<h2 id="advice">Which method for which need</h2>',
         '<p class="note">The least processor time among those whose error is small enough for the need.</p>',
-        f'<div class="wide">{table}</div>',
+        table,
     ]
 
 
@@ -146,18 +143,19 @@ def _study(study: Study) -> str:
 
 
 def _table(study: Study) -> str:
-    heads = ["method", "setting", study.error_unit, *(["root mean square"] if text.has_rms(study) else [])]
-    heads += [study.work_unit.replace("s per", "time per"), "quartiles"]
-    heads += ["processor", "runs"] if text.has_cpu(study) else ["runs"]
-    rows = []
-    for series in study.series:
-        for number, point in enumerate(series.points):
-            method, setting, *numbers = map(escape, text.cells(study, series.method if not number else "", point))
-            cells = "".join(f'<td class="number">{value}</td>' for value in numbers)
-            rows.append(f'<tr><th scope="row">{method}</th><td>{setting}</td>{cells}</tr>')
-    kinds = ["", "", *[' class="number"'] * (len(heads) - 2)]
-    head = "".join(f'<th scope="col"{kind}>{escape(name)}</th>' for name, kind in zip(heads, kinds, strict=True))
-    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+    heads, rows = [head for head, _ in text.columns(study)], []
+    for row in text.rows(study):
+        method, setting, *numbers = map(escape, row)
+        cells = "".join(f'<td class="number">{value}</td>' for value in numbers)
+        rows.append(f'<tr><th scope="row">{method}</th><td>{setting}</td>{cells}</tr>')
+    return _html_table("", ["", "", *[' class="number"'] * (len(heads) - 2)], heads, rows)
+
+
+def _html_table(name: str, kinds: Sequence[str], heads: Sequence[str], rows: Sequence[str]) -> str:
+    """Return a table of rows of HTML that scrolls sideways; kinds: attributes of each heading."""
+    head = "".join(f'<th scope="col"{kind}>{escape(text)}</th>' for kind, text in zip(kinds, heads, strict=True))
+    start = f'<table class="{name}">' if name else "<table>"
+    return f'<div class="wide">{start}<thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
 
 
 def _grid(grid: Grid) -> str:
@@ -167,14 +165,15 @@ def _grid(grid: Grid) -> str:
         for name, cell, reason, over in zip(grid.methods, row.cells, row.reasons, row.over, strict=True):
             kind = ("doubt" if reason else "broken") if over else "held" if not cell.wrong else ""
             note = f' title="{escape(reason)}"' if reason else ""
-            told = f"<b>{escape(text.shown_counts(cell))}</b>" if over else escape(text.shown_counts(cell))
-            cells.append(f'<td data-name="{escape(name)}" class="{kind}"{note}>{told}</td>')
+            counts = escape(text.shown_counts(cell))
+            shown = f"<b>{counts}</b>" if over else counts
+            cells.append(f'<td data-name="{escape(name)}" class="{kind}"{note}>{shown}</td>')
         rows.append(f'<tr><th scope="row" class="key">{escape(row.name)}</th>{"".join(cells)}</tr>')
     head = "".join(f'<th scope="col">{escape(name)}</th>' for name in (grid.corner, *grid.methods))
-    told = "".join(f"<li>{escape(one)}</li>" for one in [*grid.remarks, *text.grid_reasons(grid)])
+    remarks = "".join(f"<li>{escape(remark)}</li>" for remark in [*grid.remarks, *text.grid_reasons(grid)])
     return "\n".join(
         (
-            f'<section id="{escape(grid.key)}"><h2>{escape(grid.title)}</h2><ul>{told}</ul>',
+            f'<section id="{escape(grid.key)}"><h2>{escape(grid.title)}</h2><ul>{remarks}</ul>',
             '<p class="note">Share of the rows that are shown as ok, and how many of those are wrong. Bold: more than '
             "1 in 10,000; the list above has the reason where the data cannot tell.</p>",
             f'<div class="wide"><table class="cases grid"><thead><tr>{head}</tr></thead>',
@@ -209,6 +208,4 @@ def _case_table(cases: list[Case]) -> str:
             f'<tr id="case-{escape(case.key)}"><th scope="row" class="key">{escape(case.key)}</th>'
             f'<td class="outcome {"held" if case.held else "broken"}">{outcome}</td>{cells}</tr>'
         )
-    head = "".join(f'<th scope="col">{name}</th>' for name in ("case", "outcome", "situation", "claim", "seen"))
-    body = f'<table class="cases"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
-    return f'<div class="wide">{body}</div>'
+    return _html_table("cases", [""] * 5, ("case", "outcome", "situation", "claim", "seen"), rows)

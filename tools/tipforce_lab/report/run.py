@@ -11,8 +11,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from tipforce.errors import EnvironmentLackError, InputError, TipforceError
-from tipforce_lab.report.cases import Case, all_cases
-from tipforce_lab.report.study import Effort, Grid, Study
+from tipforce_lab.report.study import Case, Effort, Grid, Study, all_cases
 
 STUDIES: dict[str, tuple[str, str]] = {
     "structure": ("tipforce_lab.report.studies.structure", "structure models: beams, frame, finite elements"),
@@ -118,8 +117,9 @@ class Run:
         self._modules: list[tuple[str, Any]] = []
         self._cases: list[Case] = []
         for key in selection.studies:
-            with_lack = _guarded(lambda key=key: importlib.import_module(STUDIES[key][0]))  # type: ignore[misc]
-            self._keep(key, with_lack, lambda module, key=key: self._modules.append((key, module)))  # type: ignore[misc]
+            module = self._guarded(key, lambda key=key: importlib.import_module(STUDIES[key][0]))  # type: ignore[misc]
+            if module is not None:
+                self._modules.append((key, module))
         if selection.cases:
             self._cases = matching(all_cases(), selection.cases)
         self.steps = sum(int(module.STEPS) for _, module in self._modules) + len(self._cases)
@@ -128,54 +128,42 @@ class Run:
         """Run all; yield each study and case when done. The studies run first and alone, because they are timed."""
         yield from self.report.left_out
         for key, module in self._modules:
-            before = len(self.report.left_out)
-            results = _guarded(lambda module=module: module.studies(self.report.effort, advance))  # type: ignore[misc]
-            self._keep(key, results, self.report.add)
-            yield from self.report.left_out[before:]
-            if not isinstance(results, _Lack):
-                yield from results
+            results = self._guarded(key, lambda module=module: module.studies(self.report.effort, advance))  # type: ignore[misc]
+            if results is None:
+                yield self.report.left_out[-1]
+                continue
+            self.report.add(results)
+            yield from results
         for case in self._cases:
             self.report.cases.append(case)
             yield case
             advance()
 
-    def _keep(self, key: str, result: Any, take: Callable[[Any], object]) -> None:
-        if isinstance(result, _Lack):
-            self.report.left_out.append(LeftOut(key, result.reason, result.failed))
-        else:
-            take(result)
+    def _guarded(self, key: str, work: Callable[[], Any]) -> Any:
+        """Return the result of ``work``; None, noted as left out, where something prevents it."""
+        try:
+            return work()
+        except ModuleNotFoundError as error:
+            lack = LeftOut(key, *_lack_of_module(error))
+        except TipforceError as error:
+            lack = LeftOut(key, str(error), not isinstance(error, EnvironmentLackError))
+        except Exception as error:  # a fault in one study must not end the others
+            last = traceback.extract_tb(error.__traceback__)[-1]
+            place = f"{last.name}(), line {last.lineno} of {last.filename.rsplit('/')[-1]}"
+            lack = LeftOut(key, f"{type(error).__name__} in {place}: {error}", True)
+        self.report.left_out.append(lack)
+        return None
 
 
-@dataclass(frozen=True, slots=True)
-class _Lack:
-    reason: str
-    failed: bool
-
-
-def _guarded(work: Callable[[], Any]) -> Any:
-    """Return the result of ``work``, or the lack that prevented it."""
-    try:
-        return work()
-    except ModuleNotFoundError as error:
-        return _lack_of_module(error)
-    except TipforceError as error:
-        return _Lack(str(error), failed=not isinstance(error, EnvironmentLackError))
-    except Exception as error:  # a fault in one study must not end the others
-        return _Lack(_place_and_text(error), failed=True)
-
-
-def _lack_of_module(error: ModuleNotFoundError) -> _Lack:
+def _lack_of_module(error: ModuleNotFoundError) -> tuple[str, bool]:
+    """Return the reason, and whether it is a failure."""
     name = (error.name or "").split(".")[0]
     if name in ("tipforce", "tipforce_lab"):
-        return _Lack(f"not part of this installation ({error.name})", failed=True)
-    hint = f'pip install "tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all' if name in _EXTRAS else (
-        'pip install "tipforce[report]"')  # fmt: skip
-    return _Lack(f"{name} is not installed: {hint}", failed=False)
-
-
-def _place_and_text(error: Exception) -> str:
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__} in {last.name}(), line {last.lineno} of {last.filename.rsplit('/')[-1]}: {error}"
+        return f"not part of this installation ({error.name})", True
+    hint = 'pip install "tipforce[report]"'
+    if name in _EXTRAS:
+        hint = f'pip install "tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all'
+    return f"{name} is not installed: {hint}", False
 
 
 def machine() -> dict[str, str]:

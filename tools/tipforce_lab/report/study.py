@@ -1,11 +1,14 @@
-"""Error against run time: the data of a study, and the timing of a method."""
+"""What a report holds: studies with the timing of a method, grids, and the recorded extreme cases."""
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib import resources
 from statistics import median, quantiles
+from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,3 +200,30 @@ class Grid:
     methods: tuple[str, ...]
     rows: tuple[GridRow, ...]
     remarks: tuple[str, ...] = ()
+
+
+Outcome = Literal["pass", "bounded", "flagged", "refused"]
+"""pass: the result is right to rounding. bounded: its error has a stated bound. flagged: the value is marked (NaN,
+unknown, a status bit, EMCY). refused: an error or abort code names the place, and nothing changed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """An extreme case, as the tests recorded it."""
+
+    key: str
+    """"area.what", unique: "contact.denormal_load"."""
+    situation: str
+    """The extreme input, with its numbers."""
+    outcome: Outcome
+    claim: str
+    """One sentence."""
+    held: bool
+    figures: str
+    """What the test observed, one line."""
+
+
+def all_cases() -> list[Case]:
+    """Return every recorded case, in the order of the report."""
+    lines = resources.files(__package__).joinpath("cases.jsonl").read_text(encoding="utf-8").splitlines()
+    return [Case(**json.loads(line)) for line in lines]

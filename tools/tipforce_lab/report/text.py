@@ -3,32 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from tipforce_lab.report.cases import Case, Outcome
-from tipforce_lab.report.run import Item, Report
-from tipforce_lab.report.study import Counted, Grid, Need, Point, Study
+from tipforce_lab.report.run import Item, LeftOut, Report
+from tipforce_lab.report.study import Case, Counted, Grid, Need, Outcome, Study
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 
-@dataclass(frozen=True, slots=True)
-class Advice:
-    """One need and the method for it."""
-
-    study: str
-    """Key of the study that says so."""
-    need: str
-    method: str
-    """With its setting; "" where no method is exact enough."""
-    error: float
-    unit: str
-    """Of the error; "" for a relative one."""
-    seconds: float
-    """Processor time where it is known."""
-    work_unit: str
+ADVICE_HEADS = ("need", "method", "error", "processor time")
 
 
 def verdict(report: Report) -> list[str]:
@@ -47,18 +34,20 @@ def verdict(report: Report) -> list[str]:
     return sentences
 
 
-def advice(report: Report) -> list[Advice]:
-    """Return for each need of the studies the method with the least processor time whose error is small enough."""
-    return [_advice(study, need) for study in report.studies if study.series for need in study.needs]
+def advice(report: Report) -> list[tuple[str, ...]]:
+    """Return (study, *ADVICE_HEADS) for each need of the studies: the fastest method whose error is small enough."""
+    return [(study.key, *_advice(study, need)) for study in report.studies if study.series for need in study.needs]
 
 
-def _advice(study: Study, need: Need) -> Advice:
+def _advice(study: Study, need: Need) -> tuple[str, str, str, str]:
     choice = study.recommended(need)
     if choice is None:
-        return Advice(study.key, need.text, "", float("nan"), need.unit, float("nan"), study.work_unit)
+        return need.text, "none is exact enough", "", ""
     series, point = choice
     method = f"{series.method}, {point.setting}" if point.setting else series.method
-    return Advice(study.key, need.text, method, point.error, need.unit, point.timing.work_seconds, study.work_unit)
+    unit = study.work_unit.replace("s per", "per").split(" (")[0]
+    shown = f"{shown_time(point.timing.work_seconds)} {unit}"
+    return need.text, method, shown_advised_error(point.error, need.unit), shown
 
 
 def _cases(report: Report) -> str:
@@ -104,12 +93,7 @@ def shown_advised_error(error: float, unit: str) -> str:
     return f"{100.0 * error:.2g} %" if error >= 1e-5 else shown_error(error)
 
 
-def shown_quartiles(point: Point) -> str:
-    """Return the interquartile range of the runs."""
-    return f"{shown_time(point.timing.first_quartile_s)} - {shown_time(point.timing.third_quartile_s)}"
-
-
-def has_cpu(study: Study) -> bool:
+def _has_cpu(study: Study) -> bool:
     """Return whether the processor time of any point is known beside its wall time."""
     return any(point.timing.cpu_seconds is not None for series in study.series for point in series.points)
 
@@ -128,20 +112,7 @@ def shown_counts(cell: Counted) -> str:
     return f"{100.0 * cell.ok / max(cell.rows, 1):.0f} % ok, {cell.wrong} wrong"
 
 
-def shown_advice(choice: Advice) -> tuple[str, str, str, str]:
-    """Return need, method, error, time."""
-    if not choice.method:
-        return choice.need, "none is exact enough", "", ""
-    unit = choice.work_unit.replace("s per", "per")
-    return (
-        choice.need,
-        choice.method,
-        shown_advised_error(choice.error, choice.unit),
-        f"{shown_time(choice.seconds)} {unit.split(' (')[0]}",
-    )
-
-
-def has_rms(study: Study) -> bool:
+def _has_rms(study: Study) -> bool:
     """Return whether any point has a root mean square besides its error."""
     return any(point.rms_error is not None for series in study.series for point in series.points)
 
@@ -155,7 +126,10 @@ def summary(report: Report) -> str:
     """Return the number of studies, of cases by outcome, and the claims that did not hold."""
     counts = Counter(case.outcome for case in report.cases if case.held)
     failed = [case.key for case in report.cases if not case.held]
-    parts = [_counted(len(report.studies), "study", "studies"), _counted(len(report.cases), "extreme case")]
+    parts = [
+        _counted(len(report.studies), "study", "studies"),
+        _counted(len(report.cases), "extreme case", "extreme cases"),
+    ]
     parts += [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
     if failed:
         parts.append(f"{len(failed)} NOT AS CLAIMED ({', '.join(failed)})")
@@ -164,8 +138,8 @@ def summary(report: Report) -> str:
     return ", ".join(parts)
 
 
-def _counted(count: int, one: str, many: str = "") -> str:
-    return f"{count} {one if count == 1 else many or one + 's'}"
+def _counted(count: int, singular: str, plural: str) -> str:
+    return f"{count} {singular if count == 1 else plural}"
 
 
 def print_report(console: Console, report: Report) -> None:
@@ -188,23 +162,18 @@ def print_report(console: Console, report: Report) -> None:
     console.print(summary(report))
 
 
-def _print_study(console: Console, study: Study) -> None:
+def _table(title: str, **options: Any) -> Table:
     from rich.table import Table
 
-    table = Table(title=f"{study.title} ({study.key})", title_justify="left")
-    table.add_column("method", ratio=4)
-    table.add_column("setting", ratio=3)
-    table.add_column(study.error_unit, ratio=2, justify="right")
-    if has_rms(study):
-        table.add_column("root mean square", justify="right")
-    table.add_column(study.work_unit.replace("s per", "time per"), justify="right", no_wrap=True)
-    table.add_column("quartiles", no_wrap=True)
-    if has_cpu(study):
-        table.add_column("processor", justify="right", no_wrap=True)
-    table.add_column("runs", justify="right")
-    for series in study.series:
-        for number, point in enumerate(series.points):
-            table.add_row(*cells(study, series.method if not number else "", point))
+    return Table(title=title, title_justify="left", **options)
+
+
+def _print_study(console: Console, study: Study) -> None:
+    table = _table(f"{study.title} ({study.key})")
+    for head, options in columns(study):
+        table.add_column(head, **options)
+    for row in rows(study):
+        table.add_row(*row)
     console.print()
     console.print(table)
     console.print(f"reference: {shown_reference(study)}")
@@ -214,36 +183,53 @@ def _print_study(console: Console, study: Study) -> None:
         console.print(f"- left out: {method}: {reason}")
 
 
-def cells(study: Study, method: str, point: Point) -> list[str]:
-    """Return one row of a study's table."""
-    row = [method, point.setting, shown_error(point.error)]
-    if has_rms(study):
-        row.append("" if point.rms_error is None else shown_error(point.rms_error))
-    row += [shown_time(point.timing.seconds), shown_quartiles(point)]
-    if has_cpu(study):
-        row.append("" if point.timing.cpu_seconds is None else shown_time(point.timing.cpu_seconds))
-    return [*row, str(point.timing.runs)]
+def columns(study: Study) -> list[tuple[str, dict[str, Any]]]:
+    """Return heading and rich's options of each column of a study's table."""
+    number: dict[str, Any] = {"justify": "right"}
+    time: dict[str, Any] = {**number, "no_wrap": True}
+    return [
+        ("method", {"ratio": 4}),
+        ("setting", {"ratio": 3}),
+        (study.error_unit, {"ratio": 2, **number}),
+        *([("root mean square", number)] if _has_rms(study) else []),
+        (study.work_unit.replace("s per", "time per"), time),
+        ("quartiles", {"no_wrap": True}),
+        *([("processor", time)] if _has_cpu(study) else []),
+        ("runs", number),
+    ]
 
 
-def _print_advice(console: Console, choices: list[Advice]) -> None:
-    from rich.table import Table
+def rows(study: Study) -> Iterator[list[str]]:
+    """Yield the cells of each row of a study's table; the method stands in its first row."""
+    for series in study.series:
+        for number, point in enumerate(series.points):
+            row = [series.method if not number else "", point.setting, shown_error(point.error)]
+            if _has_rms(study):
+                row.append("" if point.rms_error is None else shown_error(point.rms_error))
+            timing = point.timing
+            row += [shown_time(timing.seconds)]
+            row += [f"{shown_time(timing.first_quartile_s)} - {shown_time(timing.third_quartile_s)}"]
+            if _has_cpu(study):
+                row.append("" if timing.cpu_seconds is None else shown_time(timing.cpu_seconds))
+            yield [*row, str(timing.runs)]
 
+
+def _print_advice(console: Console, choices: list[tuple[str, ...]]) -> None:
     if not choices:
         return
-    table = Table(title="Which method for which need", title_justify="left")
-    for name in ("need", "method", "error", "processor time"):
+    table = _table("Which method for which need")
+    for name in ADVICE_HEADS:
         table.add_column(name, justify="right" if name == "error" else "left")
-    for choice in choices:
-        table.add_row(*shown_advice(choice))
+    for _, *cells in choices:
+        table.add_row(*cells)
     console.print()
     console.print(table)
 
 
 def _print_grid(console: Console, grid: Grid) -> None:
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=grid.title, title_justify="left")
+    table = _table(grid.title)
     for name in (grid.corner, *grid.methods):
         table.add_column(name)
     for row in grid.rows:
@@ -268,12 +254,9 @@ def grid_reasons(grid: Grid) -> list[str]:
 
 
 def _print_cases(console: Console, cases: list[Case]) -> None:
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(
-        title="Extreme cases, as the tests of this version recorded them", title_justify="left", show_lines=True
-    )
+    table = _table("Extreme cases, as the tests of this version recorded them", show_lines=True)
     table.add_column("case", overflow="fold", ratio=2)
     table.add_column("outcome", no_wrap=True)
     table.add_column("situation: claim", ratio=4)
@@ -298,15 +281,12 @@ def head_record(report: Report) -> dict[str, Any]:
 
 def conclusions(report: Report) -> dict[str, Any]:
     """Return the verdict and the advice of a finished report, for JSON."""
-    return {"verdict": verdict(report), "advice": [shown_advice(choice) for choice in advice(report)]}
+    return {"verdict": verdict(report), "advice": [cells for _, *cells in advice(report)]}
 
 
 def record(item: Item) -> dict[str, Any]:
-    """Return a study, a case, or a part left out as a JSON record."""
-    if isinstance(item, Study):
-        return {"record": "study", **asdict(item)}
-    if isinstance(item, Grid):
-        return {"record": "grid", **asdict(item)}
-    if isinstance(item, Case):
-        return {"record": "case", **asdict(item)}
-    return {"record": "left out", "key": item.key, "reason": item.reason, "failed": item.failed}
+    """Return a study, a grid, a case, or a part left out as a JSON record."""
+    return {"record": _RECORDS[type(item)], **asdict(item)}
+
+
+_RECORDS = {Study: "study", Grid: "grid", Case: "case", LeftOut: "left out"}

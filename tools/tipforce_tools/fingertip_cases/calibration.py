@@ -9,8 +9,8 @@ import struct
 from canopen_conformance.case import CheckError, Service, check
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, Abort
-from tipforce.device import codes
-from tipforce.dictionary import table
+from canopen_device.core import codes
+from tipforce.dictionary import table, table_objects
 from tipforce_tools.fingertip_cases.profile import gauges, settle
 
 calibration = Service("calibration", own=True)
@@ -24,7 +24,7 @@ def record(dut: Dut, **changed: float) -> bytes:
     """A calibration record of which gauges 1 to 3 give F1 to F3; ``changed`` names fields as "2110:4" says it."""
     values: list[float] = []
     n = gauges(dut)
-    fields = table.staged(n)
+    fields = table_objects.staged(n)
     for index, sub, kind in fields:
         value = 0.0
         if index == 0x2100 and sub in (1, n + 2, 2 * n + 3):
@@ -79,7 +79,7 @@ def staged_size(dut: Dut, more: int, code: int) -> None:
 
 @calibration("tipforce 2141h", "a load sense of 2 in a record is refused")
 def staged_sense(dut: Dut) -> None:
-    fields = table.staged(gauges(dut))
+    fields = table_objects.staged(gauges(dut))
     at = fields.index((0x2110, 6, "B"))
     place = struct.calcsize("<" + "".join(kind for _index, _sub, kind in fields[:at]))
     data = record(dut)

@@ -205,62 +205,55 @@ def silent_client(dut: Dut, started: bool, _when: str) -> None:
     dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
 
 
-def record(dut: Dut) -> bytes:
-    """A record for 2141h that is not the present one."""
-    return bytes(len(dut.read(0x2141)) - 1) + b"\1"
+def begin_record(dut: Dut) -> tuple[bytes, int]:
+    """Initiate the block download of a record that is not the present one; the record, and its number of segments."""
+    data = bytes(len(dut.read(0x2141)) - 1) + b"\1"
+    begin_block_download(dut, 0x2141, len(data))
+    return data, -(-len(data) // 7)
+
+
+def end_record(dut: Dut, data: bytes, acknowledged: int) -> None:
+    """The answer to the last block, the end of the transfer, and the record that is read back."""
+    dut.answer(f"A2 {acknowledged:02X} ..")
+    end_block_download(dut, data)
+    dut.answer("A1")
+    check(dut.read(0x2141) == data, "the record that was written", "another one")
 
 
 @download("CiA 301 7.2.4.3.10", "many segments: the whole record is written", needs=RECORD)
 def many(dut: Dut) -> None:
-    data = record(dut)
-    begin_block_download(dut, 0x2141, len(data))
-    last = -(-len(data) // 7)
+    data, last = begin_record(dut)
     for number in range(1, last + 1):
         segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
-    dut.answer(f"A2 {last:02X} ..")
-    end_block_download(dut, data)
-    dut.answer("A1")
-    check(dut.read(0x2141) == data, "the record that was written", "another one")
+    end_record(dut, data, last)
 
 
 @download(
     "CiA 301 7.2.4.3.10", "a segment is lost: ackseq names the one before it, and the rest is sent again", needs=RECORD
 )
 def lost_segment(dut: Dut) -> None:
-    data = record(dut)
-    begin_block_download(dut, 0x2141, len(data))
-    last = -(-len(data) // 7)
+    data, last = begin_record(dut)
     for number in range(1, last + 1):
         if number != 3:
             segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
     dut.answer("A2 02 ..")
     for number in range(1, last - 1):
         segment(dut, number, data[7 * number + 7 : 7 * number + 14], number == last - 2)
-    dut.answer(f"A2 {last - 2:02X} ..")
-    end_block_download(dut, data)
-    dut.answer("A1")
-    check(dut.read(0x2141) == data, "the record that was written", "another one")
+    end_record(dut, data, last - 2)
 
 
 @download("CiA 301 7.2.4.3.10", "a segment that comes twice counts once", needs=RECORD)
 def twice(dut: Dut) -> None:
-    data = record(dut)
-    begin_block_download(dut, 0x2141, len(data))
-    last = -(-len(data) // 7)
+    data, last = begin_record(dut)
     for number in range(1, last + 1):
         for _ in range(2 if number == 2 else 1):
             segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
-    dut.answer(f"A2 {last:02X} ..")
-    end_block_download(dut, data)
-    dut.answer("A1")
-    check(dut.read(0x2141) == data, "the record that was written", "another one")
+    end_record(dut, data, last)
 
 
 @download("CiA 301 7.2.4.3.10", "the last segment is lost: the server says after a while what it has", needs=RECORD)
 def lost_last(dut: Dut) -> None:
-    data = record(dut)
-    begin_block_download(dut, 0x2141, len(data))
-    last = -(-len(data) // 7)
+    data, last = begin_record(dut)
     for number in range(1, last):
         segment(dut, number, data[7 * number - 7 : 7 * number])
     dut.answer(f"A2 {last - 1:02X} ..", within_ms=900)

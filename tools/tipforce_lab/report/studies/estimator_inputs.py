@@ -9,7 +9,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 
 from tipforce.arrays import FloatArray, IntArray
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 

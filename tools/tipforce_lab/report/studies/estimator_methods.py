@@ -22,7 +22,7 @@ import numpy as np
 
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import EnvironmentLackError
-from tipforce.fingertip.active_calibration import Active
+from tipforce.fingertip.calibration import Active
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import estimate as estimate_in_bulk
 from tipforce_lab.report.studies.estimator_inputs import COUNT_BITS, LSB_MICROSTRAIN, Contacts

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,12 +27,21 @@ FLOAT64, FLOAT32, NAIVE32 = "numpy float64 (the host's)", "numpy float32", "nump
 NODE, MICROPYTHON = "node, one sample at a time", "node on MicroPython"
 WRAPS, INT16, INT32 = "int16 C, 32-bit accumulator", "int16 C, 64-bit accumulator", "int32 C, CORDIC"
 INT32_TABLE = "int32 C, arctangent table"
+_INSIDE = "REAL32 C"
 
 _REFERENCE = f"the formula in decimal arithmetic with {DIGITS} digits, on the same counts and the same float64 C"
 _INTEGERS = "The times of the integer methods are those of numpy on this machine, not of a microcontroller."
 
-# (method, setting) -> its preparation. Not MicroPython, which times itself.
-_METHODS: dict[str, dict[str, Callable[[Contacts], methods.Method]]] = {
+Prepare = Callable[[Contacts], methods.Method]
+
+
+def _in_integers(C: int, readings: int, sums: int, arctangent: methods.Arctangent) -> Prepare:
+    """Return the method with these widths in bits."""
+    form = methods.Format(C, readings, sums, arctangent)
+    return lambda given: methods.in_integers(given, form)
+
+
+_METHODS: dict[str, dict[str, Prepare]] = {
     FLOAT64: {"float64 C": methods.bulk_float64},
     FLOAT32: {"float32 C": lambda given: methods.single_precision(given, True)},
     NAIVE32: {"float32 C": lambda given: methods.single_precision(given, False)},
@@ -41,27 +50,24 @@ _METHODS: dict[str, dict[str, Callable[[Contacts], methods.Method]]] = {
         "REAL32 object": lambda given: methods.on_the_node(given, "REAL32"),
         "inside, REAL32 C": lambda given: methods.on_the_node(given, "inside"),
     },
+    WRAPS: {f"{n}-bit C": _in_integers(n, 16, 32, methods.cordic(16)) for n in (8, 12, 14, 16)},
+    INT16: {f"{n}-bit C": _in_integers(n, 16, 64, methods.cordic(16)) for n in (8, 12, 16)},
+    INT32: {f"{n} iterations": _in_integers(32, 24, 64, methods.cordic(n)) for n in (8, 12, 16, 20, 28)},
+    INT32_TABLE: {f"{n} entries": _in_integers(32, 24, 64, methods.table(n)) for n in (16, 64, 256, 1024)},
 }
-_FORMATS: dict[str, dict[str, methods.Format]] = {
-    WRAPS: {f"{bits}-bit C": methods.Format(bits, 16, 32, methods.cordic(16)) for bits in (8, 12, 14, 16)},
-    INT16: {f"{bits}-bit C": methods.Format(bits, 16, 64, methods.cordic(16)) for bits in (8, 12, 16)},
-    INT32: {f"{n} iterations": methods.Format(32, 24, 64, methods.cordic(n)) for n in (8, 12, 16, 20, 28)},
-    INT32_TABLE: {f"{n} entries": methods.Format(32, 24, 64, methods.table(n)) for n in (16, 64, 256, 1024)},
-}
-STEPS = 2 * (sum(map(len, _METHODS.values())) + sum(map(len, _FORMATS.values())) + 1)
+"""Method -> setting -> its preparation. Not MicroPython, which times itself."""
+STEPS = 2 * (sum(map(len, _METHODS.values())) + 1)
 
 
-@dataclass(frozen=True, slots=True)
-class _Found:
+class _Result(NamedTuple):
     """One setting of one method."""
 
-    setting: str
     estimate: methods.Estimate
     timing: Timing
 
 
-_Ran = tuple[dict[str, list[_Found]], dict[str, str]]
-"""Results of each method by setting, and the methods that did not run, with the reason."""
+_Results = dict[str, dict[str, _Result]]
+"""By method and setting."""
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
@@ -70,64 +76,50 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     k = effort.pick(400, 4000)
     usual = contacts(rng, k, near, corners=True)
     sliding = contacts(rng, k, tangent)
-    results, left_out = _run(usual, effort, advance)
-    found_sliding, _ = _run_again(sliding, effort, (results, left_out), advance)
+    left_out: dict[str, str] = {}
+    results = _run(usual, effort, left_out, advance)
+    results_sliding = _run(sliding, effort, left_out, advance, results)
     angle = _angle_study(usual, results, left_out)
-    return [
-        _force_study(usual, results, left_out),
-        angle,
-        _tangent_study(sliding, found_sliding, left_out, angle),
-    ]
+    return [_force_study(usual, results, left_out), angle, _tangent_study(sliding, results_sliding, left_out, angle)]
 
 
-def _run(given: Contacts, effort: Effort, advance: Callable[[], None]) -> _Ran:
-    """Run all methods on these contacts, timed."""
-    results: dict[str, list[_Found]] = {}
-    for method, setting, work in _prepared(given):
-        results.setdefault(method, []).append(_Found(setting, work(), timed(work, effort, units=len(given.counts))))
-        advance()
-    left_out = {}
-    try:
-        results[MICROPYTHON] = [_Found("REAL32 C", *methods.on_micropython(given, effort))]
-    except EnvironmentLackError as lack:
-        left_out[MICROPYTHON] = str(lack)
-    advance()
-    return results, left_out
+def _run(
+    given: Contacts,
+    effort: Effort,
+    left_out: dict[str, str],
+    advance: Callable[[], None],
+    known: _Results | None = None,
+) -> _Results:
+    """Run all methods on these contacts: timed, or with the times of ``known``, whose work is the same.
 
-
-def _run_again(given: Contacts, effort: Effort, before: _Ran, advance: Callable[[], None]) -> _Ran:
-    """Run the same methods on other contacts; the work, and so the times, are the same."""
-    known, left_out = before
-    results: dict[str, list[_Found]] = {}
-    for method, setting, work in _prepared(given):
-        here = results.setdefault(method, [])
-        here.append(_Found(setting, work(), known[method][len(here)].timing))
-        advance()
-    if MICROPYTHON in known:
-        estimate, _ = methods.on_micropython(given, effort)
-        results[MICROPYTHON] = [_Found("REAL32 C", estimate, known[MICROPYTHON][0].timing)]
-    advance()
-    return results, left_out
-
-
-def _prepared(given: Contacts) -> Iterator[tuple[str, str, methods.Method]]:
+    A method that does not run is entered in left_out with the reason, and not tried again.
+    """
+    results: _Results = {}
     for method, settings in _METHODS.items():
         for setting, prepare in settings.items():
-            yield method, setting, prepare(given)
-    for method, forms in _FORMATS.items():
-        for setting, form in forms.items():
-            yield method, setting, methods.in_integers(given, form)
+            work = prepare(given)
+            timing = known[method][setting].timing if known else timed(work, effort, units=len(given.counts))
+            results.setdefault(method, {})[setting] = _Result(work(), timing)
+            advance()
+    if MICROPYTHON not in left_out:
+        try:
+            estimate, timing = methods.on_micropython(given, effort)
+            timing = known[MICROPYTHON][_INSIDE].timing if known else timing
+            results[MICROPYTHON] = {_INSIDE: _Result(estimate, timing)}
+        except EnvironmentLackError as lack:
+            left_out[MICROPYTHON] = str(lack)
+    advance()
+    return results
 
 
-def _series(results: dict[str, list[_Found]], error: Callable[[methods.Estimate], FloatArray]) -> tuple[Series, ...]:
+def _series(results: _Results, error: Callable[[methods.Estimate], FloatArray]) -> tuple[Series, ...]:
     series = []
     for method, settings in results.items():
         points = []
-        for result in settings:
+        for setting, result in settings.items():
             off = error(result.estimate)
-            points.append(
-                Point(result.setting, float(np.abs(off).max()), result.timing, float(np.sqrt(np.mean(off**2))))
-            )
+            rms = float(np.sqrt(np.mean(off**2)))
+            points.append(Point(setting, float(np.abs(off).max()), result.timing, rms))
         series.append(Series(method, tuple(points)))
     return tuple(series)
 
@@ -167,13 +159,14 @@ def _study(
     )  # fmt: skip
 
 
-def _force_study(given: Contacts, results: dict[str, list[_Found]], left_out: dict[str, str]) -> Study:
+def _force_study(given: Contacts, results: _Results, left_out: dict[str, str]) -> Study:
     def error(estimate: methods.Estimate) -> FloatArray:
         return errors(estimate[0], given.P_newtons) / given.full_scale_newtons
 
     # P does not depend on the arctangent: one setting of the integers is enough.
     kept = {method: settings for method, settings in results.items() if method != INT32_TABLE}
-    series = _series({**kept, INT32: kept[INT32][-1:]}, error)
+    finest = "28 iterations"
+    series = _series({**kept, INT32: {finest: kept[INT32][finest]}}, error)
     worst = _worst(series)
     half_lsb = 2.0**-COUNT_BITS
     single = worst[FLOAT32, "float32 C"]
@@ -197,7 +190,7 @@ def _angle_error(given: Contacts) -> Callable[[methods.Estimate], FloatArray]:
     return lambda estimate: errors(estimate[1], given.theta_deg, 360.0)
 
 
-def _angle_study(given: Contacts, results: dict[str, list[_Found]], left_out: dict[str, str]) -> Study:
+def _angle_study(given: Contacts, results: _Results, left_out: dict[str, str]) -> Study:
     series = _series(results, _angle_error(given))
     worst = _worst(series)
     remarks = (
@@ -215,15 +208,15 @@ def _angle_study(given: Contacts, results: dict[str, list[_Found]], left_out: di
     return _study(about, need, _inputs(given, "at least 0.1 in |cos(delta)| from tangency"), series, left_out, remarks)
 
 
-def _same_on_micropython(results: dict[str, list[_Found]]) -> list[str]:
+def _same_on_micropython(results: _Results) -> list[str]:
     if MICROPYTHON not in results:
         return []
-    there, here = results[MICROPYTHON][0].estimate, results[NODE][-1].estimate
+    there, here = results[MICROPYTHON][_INSIDE].estimate, results[NODE]["inside, REAL32 C"].estimate
     apart = max(float(np.abs(b - a).max()) for a, b in zip(there, here, strict=True))
     return [f"The node's code gives the same under MicroPython and CPython, to {apart:.1g} N and degrees."]
 
 
-def _tangent_study(given: Contacts, results: dict[str, list[_Found]], left_out: dict[str, str], away: Study) -> Study:
+def _tangent_study(given: Contacts, results: _Results, left_out: dict[str, str], away: Study) -> Study:
     series = _series(results, _angle_error(given))
     worst, worst_away = _worst(series), _worst(away.series)
     single, double, naive = (FLOAT32, "float32 C"), (FLOAT64, "float64 C"), (NAIVE32, "float32 C")

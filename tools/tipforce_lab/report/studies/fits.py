@@ -10,9 +10,8 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration, linear_fit
-from tipforce.sensor.calibration.grooves import paper_grooves
-from tipforce.sensor.calibration.simulation import true_matrix, unseen_forces
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.calibration.simulation import paper_grooves, true_matrix, unseen_forces
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, quartiles, timed
 
 LOADS = (6, 12, 25, 50, 100, 200)

@@ -19,22 +19,21 @@ from typing import Literal
 import numpy as np
 
 import tipforce
+from canopen_device.core import codes
 from tipforce.arrays import BoolArray, FloatArray, IntArray
-from tipforce.device import codes
 from tipforce.fingertip.application import Fingertip
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import read_calibration
+from tipforce.host.configuration.calibration import Calibration, read_calibration
 from tipforce.host.decoding.contact_columns import FLAGS, ContactColumns
-from tipforce.host.decoding.contacts import Status
 from tipforce.host.decoding.sample_table import Table, computed, flag
+from tipforce.samples.reasons import Status
 from tipforce.scene import schema
 from tipforce.scene.build import build
 from tipforce.scene.loads import load_of
 from tipforce.scene.results import applied_at
-from tipforce.scene.simulate import simulate
-from tipforce.sensor.calibration.grooves import paper_grooves
+from tipforce.scene.run import simulate
+from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_lab.report.study import Counted, Effort, Grid, GridRow
@@ -221,7 +220,7 @@ class _Samples:
 
 def _recorded(folder: Path, scene: schema.Scene) -> _Samples:
     """Run the scene's node in simulated time, and keep its sample at each SYNC."""
-    (finger,) = build(scene, folder, [])
+    (finger,) = build(scene, folder)
     application = finger.device.application
     assert isinstance(application, Fingertip)
     rows: list[tuple[float, ...]] = []
@@ -260,9 +259,14 @@ def _shown(samples: _Samples, calibration: Calibration) -> Iterator[tuple[FloatA
     yield _decoded(samples, calibration)
     for temperature in (samples.temperature_degC, None):
         estimated = tipforce.estimate(calibration, samples.microstrain, temperature_degC=temperature)
-        flagged = estimated.status & ~np.uint16(Status.CONTACT | Status.CALIBRATED)
-        ok = np.isfinite(estimated.P_newtons) & (flagged == 0) & estimated.has(Status.CONTACT)
-        yield estimated.P_newtons, estimated.u_P_newtons, ok
+        yield estimated.P_newtons, estimated.u_P_newtons, says_ok(estimated)
+
+
+def says_ok(estimated: tipforce.Contacts) -> BoolArray:
+    """Return which rows have a known P and no flag but those of the contact itself."""
+    flagged = estimated.status & ~np.uint16(Status.CONTACT | Status.CALIBRATED)
+    ok: BoolArray = np.isfinite(estimated.P_newtons) & (flagged == 0) & estimated.has(Status.CONTACT)
+    return ok
 
 
 def _decoded(samples: _Samples, calibration: Calibration) -> tuple[FloatArray, FloatArray, BoolArray]:

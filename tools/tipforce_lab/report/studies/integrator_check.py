@@ -14,8 +14,7 @@ import scipy.integrate
 import scipy.linalg
 
 from tipforce.arrays import FloatArray
-from tipforce.sensor.dynamics.beam_mass import beam_mass_matrix
-from tipforce.sensor.dynamics.model import STEEL_DENSITY, compliances, half_cylinder
+from tipforce.sensor.dynamics.model import STEEL_DENSITY, beam_mass_matrix, compliances, half_cylinder
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame
 from tipforce_lab.dynamics.impact import Striker

@@ -12,6 +12,7 @@ from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing
 
 if TYPE_CHECKING:
     from tipforce.arrays import FloatArray
+    from tipforce.sensor.dynamics.model import Modes
     from tipforce_lab.dynamics.integrators import Load, Problem
 
 
@@ -71,71 +72,56 @@ def _checked(name: str, beams_with_mass: bool, *words: object) -> FloatArray:
 
 
 def _smooth() -> _Task:
-    import numpy as np
-
-    from tipforce.sensor.dynamics.model import modes
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_lab.dynamics import integrators
-    from tipforce_lab.dynamics.integrators import Problem
-
-    body, F, duration = modes(FABRICATED, _DAMPING), np.array(_FORCE), 0.04
-    t = np.linspace(0.0, duration, _SAMPLES + 1)
-
-    def load(time_s: float) -> FloatArray:
-        bell: FloatArray = F * (0.5 - 0.5 * math.cos(2.0 * math.pi * time_s / duration))
-        return bell
-
-    return _Task(
-        "integrators-smooth", "Smooth load: one raised cosine of 40 ms, damping 1 %", Problem(body), load, duration, t,
-        integrators.raised_cosine(body, F, duration, t), "steady state and free motion in closed form", 1e-14,
-        _held(body, load, duration), None, "simulate a slowly changing load", lambda: _checked("smooth", False, F, t),
+    duration = 0.04
+    return _loaded(
+        "integrators-smooth", "Smooth load: one raised cosine of 40 ms, damping 1 %", duration,
+        lambda time_s: 0.5 - 0.5 * math.cos(2.0 * math.pi * time_s / duration),
+        "raised_cosine", (duration,), "steady state and free motion in closed form",
+        "simulate a slowly changing load", "smooth", (),
     )  # fmt: skip
 
 
 def _step() -> _Task:
+    return _loaded(
+        "integrators-step", "A step of the load, beams with mass (modes from 92 Hz to 77 kHz), damping 1 %", 0.02,
+        lambda _time_s: 1.0, "step", (), "free motion in closed form, from 0 to each time",
+        "simulate a sudden load on a stiff structure", "step", (), beams_with_mass=True,
+    )  # fmt: skip
+
+
+def _tap() -> _Task:
+    tap = 1e-3
+    return _loaded(
+        "integrators-tap", "A tap: half a sine of 1 ms, then 19 ms of ringing, damping 1 %", 0.02,
+        lambda time_s: math.sin(math.pi * time_s / tap) if time_s < tap else 0.0,
+        "half_sine", (tap,), "harmonic and free motion in closed form", "simulate a tap", "half_sine", (tap,),
+    )  # fmt: skip
+
+
+def _loaded(
+    key: str, title: str, duration_s: float, factor: Callable[[float], float], closed_form: str,
+    sizes: tuple[float, ...], reference: str, need: str, check: str, check_sizes: tuple[float, ...],
+    beams_with_mass: bool = False,
+) -> _Task:  # fmt: skip
+    """Return the task of a load that is a factor times one force; its reference is a closed form of integrators.py."""
     import numpy as np
 
     from tipforce.sensor.dynamics.model import STEEL_DENSITY, modes
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce_lab.dynamics import integrators
-    from tipforce_lab.dynamics.integrators import Problem
 
     # The mass of the beams adds modes to 77 kHz: stiff.
-    body, F, duration = modes(FABRICATED, _DAMPING, beam_density_kg_m3=STEEL_DENSITY), np.array(_FORCE), 0.02
-    t = np.linspace(0.0, duration, _SAMPLES + 1)
+    body = modes(FABRICATED, _DAMPING, beam_density_kg_m3=STEEL_DENSITY if beams_with_mass else 0.0)
+    F, t = np.array(_FORCE), np.linspace(0.0, duration_s, _SAMPLES + 1)
 
     def load(time_s: float) -> FloatArray:
-        del time_s
-        return F
+        force: FloatArray = F * factor(time_s)
+        return force
 
     return _Task(
-        "integrators-step", "A step of the load, beams with mass (modes from 92 Hz to 77 kHz), damping 1 %",
-        Problem(body), load, duration, t, integrators.step(body, F, t),
-        "free motion in closed form, from 0 to each time", 1e-14,
-        _held(body, load, duration), None, "simulate a sudden load on a stiff structure",
-        lambda: _checked("step", True, F, t),
-    )  # fmt: skip
-
-
-def _tap() -> _Task:
-    import numpy as np
-
-    from tipforce.sensor.dynamics.model import modes
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_lab.dynamics import integrators
-    from tipforce_lab.dynamics.integrators import Problem
-
-    body, F, duration, tap = modes(FABRICATED, _DAMPING), np.array(_FORCE), 0.02, 1e-3
-    t = np.linspace(0.0, duration, _SAMPLES + 1)
-
-    def load(time_s: float) -> FloatArray:
-        pulse: FloatArray = F * (math.sin(math.pi * time_s / tap) if time_s < tap else 0.0)
-        return pulse
-
-    return _Task(
-        "integrators-tap", "A tap: half a sine of 1 ms, then 19 ms of ringing, damping 1 %", Problem(body), load,
-        duration, t, integrators.half_sine(body, F, tap, t), "harmonic and free motion in closed form", 1e-14,
-        _held(body, load, duration), None, "simulate a tap", lambda: _checked("half_sine", False, F, tap, t),
+        key, title, integrators.Problem(body), load, duration_s, t,
+        getattr(integrators, closed_form)(body, F, *sizes, t), reference, 1e-14, _held(body, load, duration_s), None,
+        need, lambda: _checked(check, beams_with_mass, F, *check_sizes, t),
     )  # fmt: skip
 
 
@@ -165,14 +151,11 @@ def _impact() -> _Task:
     )  # fmt: skip
 
 
-def _held(body: object, load: Load, duration_s: float) -> Callable[[int], FloatArray]:
+def _held(body: Modes, load: Load, duration_s: float) -> Callable[[int], FloatArray]:
     """Run the held step with the sampling of the load, which its user needs, too: that is part of the time."""
     import numpy as np
 
     from tipforce.sensor.dynamics.first_order_hold import respond
-    from tipforce.sensor.dynamics.model import Modes
-
-    assert isinstance(body, Modes)
 
     def run(substeps: int) -> FloatArray:
         steps = _SAMPLES * substeps
@@ -304,11 +287,8 @@ def _remarks(task: _Task, series: list[Series]) -> list[str]:
     poles = np.linalg.eigvals(problem.A + contact)
     fastest = complex(poles[np.abs(poles).argmax()])
     limit_us = 1e6 * rk4_stability_limit(max(-fastest.real, 0.0) / abs(fastest)) / abs(fastest)
-    remarks = [
-        f"RK4's stability limit by theory, for the fastest mode while in contact, is a step of {limit_us:.4g} us."
-    ]
-    if problem.push is None:
-        remarks = [f"RK4's stability limit by theory, for the fastest mode, is a step of {limit_us:.4g} us."]
+    when = "" if problem.push is None else " while in contact"
+    remarks = [f"RK4's stability limit by theory, for the fastest mode{when}, is a step of {limit_us:.4g} us."]
     for method in series:
         unstable = [point.setting for point in method.points if math.isinf(point.error)]
         if unstable:

@@ -85,58 +85,47 @@ def _conditions(reference: _Reference, results: dict[str, list[_Found]]) -> Stud
     """Return the error of a model: the largest of the three cases."""
 
     def error(matrix: FloatArray) -> float:
-        return max(
-            abs(value / limit.value - 1.0)
-            for value, limit in zip(conditions(matrix), reference.conditions, strict=True)
-        )
+        pairs = zip(conditions(matrix), reference.conditions, strict=True)
+        return max(abs(value / limit.value - 1.0) for value, limit in pairs)
 
-    values = ", ".join(
-        f"{case} {limit.value:.4f} +- {limit.error:.4f}"
-        for case, limit in zip(CASES, reference.conditions, strict=True)
-    )
-    known = max(limit.error / limit.value for limit in reference.conditions)
-    key = "structure-condition"
-    return Study(
-        key,
-        _TITLES[key],
-        "relative error of the condition number, the largest of cases I, II, III",
-        "s per structure (mesh to strain matrix)",
-        f"{_what(reference)}: {values}",
-        known,
-        _series(results, error),
-        remarks=(_against_uniform(results, error), _beams_against_meshes(results, error)),
-        needs=(Need("rank gauge layouts, condition number to 6 %", 0.06), Need("condition number to 0.5 %", 5e-3)),
-    )
+    limits = zip(CASES, reference.conditions, strict=True)
+    values = ", ".join(f"{case} {limit.value:.4f} +- {limit.error:.4f}" for case, limit in limits)
+    return _study(
+        "structure-condition", "relative error of the condition number, the largest of cases I, II, III",
+        f"{_what(reference)}: {values}", max(limit.error / limit.value for limit in reference.conditions),
+        results, error,
+        (Need("rank gauge layouts, condition number to 6 %", 0.06), Need("condition number to 0.5 %", 5e-3)),
+    )  # fmt: skip
 
 
 def _matrices(reference: _Reference, results: dict[str, list[_Found]]) -> Study:
     def error(matrix: FloatArray) -> float:
         return float(np.linalg.norm(matrix - reference.matrix) / np.linalg.norm(reference.matrix))
 
-    key = "structure-strain"
+    return _study(
+        "structure-strain", f"relative error of the strain matrix ({', '.join(GAUGES)}), Frobenius norm",
+        _what(reference), reference.matrix_error, results, error,
+        (Need("strain of a gauge to 5 %", 0.05), Need("strain of a gauge to 0.5 %", 5e-3)),
+    )  # fmt: skip
+
+
+def _study(
+    key: str, error_unit: str, reference: str, known: float, results: dict[str, list[_Found]],
+    error: Callable[[FloatArray], float], needs: tuple[Need, ...],
+) -> Study:  # fmt: skip
     return Study(
-        key,
-        _TITLES[key],
-        f"relative error of the strain matrix ({', '.join(GAUGES)}), Frobenius norm",
-        "s per structure (mesh to strain matrix)",
-        _what(reference),
-        reference.matrix_error,
-        _series(results, error),
-        remarks=(_against_uniform(results, error), _beams_against_meshes(results, error)),
-        needs=(Need("strain of a gauge to 5 %", 0.05), Need("strain of a gauge to 0.5 %", 5e-3)),
-    )
+        key, _TITLES[key], error_unit, "s per structure (mesh to strain matrix)", reference, known,
+        tuple(
+            Series(method, tuple(Point(result.setting, error(result.matrix), result.timing) for result in points))
+            for method, points in results.items()
+        ),
+        remarks=(_against_uniform(results, error), _beams_against_meshes(results, error)), needs=needs,
+    )  # fmt: skip
 
 
 def _what(reference: _Reference) -> str:
     levels = ", ".join(str(n) for n in reference.cells)
     return f"plane-stress FE of the stated outline, 1 mm gauges, graded meshes n = {levels} extrapolated"
-
-
-def _series(results: dict[str, list[_Found]], error: Callable[[FloatArray], float]) -> tuple[Series, ...]:
-    return tuple(
-        Series(method, tuple(Point(result.setting, error(result.matrix), result.timing) for result in points))
-        for method, points in results.items()
-    )
 
 
 def _against_uniform(results: dict[str, list[_Found]], error: Callable[[FloatArray], float]) -> str:
@@ -166,7 +155,7 @@ def conditions(matrix: FloatArray) -> list[float]:
 
 def _beam_models() -> dict[str, Matrix]:
     """Return models without a mesh. All but the first have the gauge positions of the finite elements."""
-    from tipforce.sensor.structure.gauge_shift import position_matrix
+    from tipforce.sensor.structure.gauges import position_matrix
     from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame
     from tipforce.sensor.structure.published import GAUGE_LENGTH_M
     from tipforce.sensor.structure.strain import strain_matrix
