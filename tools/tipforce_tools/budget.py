@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
@@ -16,19 +17,25 @@ if TYPE_CHECKING:
     from tipforce_lab.design.error_budget import Budget, Causes, Loads, Sensor
 
 
-_FLAGS = (
-    ("--noise", "UE", "gauge noise, microstrain (default: the file's covariance; 1 without a file)"),
-    ("--resolution", "UE", "one step of the gauge's converter, microstrain (default 0.1)"),
-    ("--gain", "%", "drift of each gauge's sensitivity, percent (default 0.1)"),
-    ("--offset", "UE", "drift of each gauge's zero, microstrain (default 1)"),
-    ("--temperature", "K", "change since the last tare, kelvin (default 1)"),
-    ("--hysteresis", "%", "of each gauge, percent of its largest strain under such a load (default 0.05)"),
-    ("--creep", "%", "growth of all strains while a load is held, percent (default 0.05)"),
-    ("--load-angle", "DEG", "scatter of each calibration load's direction, degrees (default 0.5)"),
-    ("--gravity", "DEG", "misalignment between x-loads and y-loads, degrees (default 0.5)"),
-    ("--gauge-shift", "MM", "shift of each gauge along its beam, millimetres, if C comes from theory (default 0.2)"),
-    ("--off-axis", "N", "load along the width of the beams, newtons (default 0.5)"),
-)
+_FLAGS: tuple[tuple[str, str, str, str, float], ...] = (
+    ("--noise", "UE", "gauge noise, microstrain (default: the file's covariance; 1 without a file)",
+     "noise_strain", 1e-6),
+    ("--resolution", "UE", "one step of the gauge's converter, microstrain (default 0.1)", "resolution_strain", 1e-6),
+    ("--gain", "%", "drift of each gauge's sensitivity, percent (default 0.1)", "gain", 1e-2),
+    ("--offset", "UE", "drift of each gauge's zero, microstrain (default 1)", "offset_strain", 1e-6),
+    ("--temperature", "K", "change since the last tare, kelvin (default 1)", "temperature_K", 1.0),
+    ("--hysteresis", "%", "of each gauge, percent of its largest strain under such a load (default 0.05)",
+     "hysteresis", 1e-2),
+    ("--creep", "%", "growth of all strains while a load is held, percent (default 0.05)", "creep", 1e-2),
+    ("--load-angle", "DEG", "scatter of each calibration load's direction, degrees (default 0.5)",
+     "load_angle_rad", math.pi / 180.0),
+    ("--gravity", "DEG", "misalignment between x-loads and y-loads, degrees (default 0.5)",
+     "gravity_rad", math.pi / 180.0),
+    ("--gauge-shift", "MM", "shift of each gauge along its beam, millimetres, if C comes from theory (default 0.2)",
+     "gauge_shift_m", 1e-3),
+    ("--off-axis", "N", "load along the width of the beams, newtons (default 0.5)", "off_axis_newtons", 1.0),
+)  # fmt: skip
+"""Flag, unit, help, field of ``error_budget.Causes`` and its size of one unit."""
 _MOST = 1e9
 """Limit of each cause in the unit of its flag, and of the load in newtons: its squares stay in range."""
 _QUANTITIES = (("P", "N", 1.0), ("phi", "deg", DEGREES), ("theta", "deg", DEGREES))
@@ -54,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--theta", type=float, metavar="DEG")
     parser.add_argument("--sense", choices=("push", "pull"), help="of the loads (default: that of the file, else push)")
     sizes = parser.add_argument_group("causes")
-    for flag, unit, text in _FLAGS:
+    for flag, unit, text, _, _ in _FLAGS:
         sizes.add_argument(flag, type=float, metavar=unit.replace("%", "PERCENT"), help=text)
     parser.add_argument("-o", "--output", metavar="FILE", help="a plot, .png or .svg")
     common.add_output_arguments(parser)
@@ -64,11 +71,10 @@ def run(args: argparse.Namespace) -> int:
     """Print the budget; return 0."""
     from tipforce_lab.design.error_budget import budget
 
-    common.set_up_logging(args)
     _check(args)
     calibration = None
     if args.file is not None:
-        from tipforce.host.configuration.calibration_file import read_calibration
+        from tipforce.host.configuration.calibration import read_calibration
 
         calibration = read_calibration(args.file)
     sensor = _sensor(args, calibration)
@@ -90,8 +96,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    for flag, _, _ in _FLAGS:
-        value = getattr(args, flag[2:].replace("-", "_"))
+    for flag, value in _given(args).items():
         if value is not None and not 0.0 <= value <= _MOST:
             raise InputError(f"{flag} {value}: allowed is 0 to {_MOST:g}")
     if not 1.0 / _MOST <= args.load <= _MOST:
@@ -111,10 +116,10 @@ def _check(args: argparse.Namespace) -> None:
 def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor:
     import numpy as np
 
-    from tipforce.sensor.structure.gauge_positions import gauge_matrix, place
+    from tipforce.sensor.structure.gauges import gauge_matrix, place
     from tipforce.sensor.structure.layouts import CASE_OF_CODE
+    from tipforce.sources.layout_file import read_layout
     from tipforce_lab.design.error_budget import Sensor
-    from tipforce_tools.cli.layout_file import read_layout
 
     name = args.layout
     if name is None:
@@ -162,28 +167,19 @@ def _loads(args: argparse.Namespace, calibration: Calibration | None, pull: bool
     return pad_loads(args.load, *pad, pull=pull)
 
 
+def _given(args: argparse.Namespace) -> dict[str, float | None]:
+    """Return the sizes of the causes by flag, in the unit of the flag; None for the default."""
+    return {flag: getattr(args, flag[2:].replace("-", "_")) for flag, *_ in _FLAGS}
+
+
 def _causes(args: argparse.Namespace, calibration: Calibration | None) -> Causes:
-    from tipforce_lab.design.error_budget import DEGREE, Causes
+    from tipforce_lab.design.error_budget import Causes
 
-    defaults = Causes()
-
-    def size(value: float | None, unit: float, default: float) -> float:
-        return default if value is None else value * unit
-
-    noise = 1.0 if args.noise is None and calibration is None else args.noise
-    return Causes(
-        noise_strain=None if noise is None else noise * 1e-6,
-        resolution_strain=size(args.resolution, 1e-6, defaults.resolution_strain),
-        gain=size(args.gain, 1e-2, defaults.gain),
-        offset_strain=size(args.offset, 1e-6, defaults.offset_strain),
-        temperature_K=size(args.temperature, 1.0, defaults.temperature_K),
-        hysteresis=size(args.hysteresis, 1e-2, defaults.hysteresis),
-        creep=size(args.creep, 1e-2, defaults.creep),
-        load_angle_rad=size(args.load_angle, DEGREE, defaults.load_angle_rad),
-        gravity_rad=size(args.gravity, DEGREE, defaults.gravity_rad),
-        gauge_shift_m=size(args.gauge_shift, 1e-3, defaults.gauge_shift_m),
-        off_axis_newtons=size(args.off_axis, 1.0, defaults.off_axis_newtons),
-    )
+    given = _given(args)
+    if calibration is None and args.noise is None:
+        given["--noise"] = 1.0
+    sizes = {field: value * unit for flag, _, _, field, unit in _FLAGS if (value := given[flag]) is not None}
+    return Causes(**sizes)
 
 
 def _records(error_budget: Budget) -> list[dict[str, object]]:

@@ -34,7 +34,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_case_arguments(parser, common.node_id)
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -54,7 +53,6 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if args.tolerance < 0:
         raise InputError(f"--tolerance {args.tolerance}: allowed is 0 or more")
-    common.set_up_logging(args)
     node = f"node {common.shown_id(args.node_id)}"
     if args.persistent:
         common.confirm(args, f"{node}: stored parameters return to defaults, node-id and bit rate are written")

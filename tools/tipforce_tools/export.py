@@ -78,10 +78,8 @@ def run(args: argparse.Namespace) -> int:
     if args.programs and args.eds:
         raise InputError("--programs: the objects are those of the file of --eds; leave one out")
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
-    if args.format == "c":
-        return _write_c(args, converter)
-    if args.format == "ros2":
-        return _write_ros2(args)
+    if args.format in ("c", "ros2"):
+        return _write_folder(args, converter)
     text = _text(args, converter)
     if not args.output or args.output == "-":
         print(text, end="")
@@ -96,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _text(args: argparse.Namespace, converter: Converter) -> str:
     if args.format == "mjcf":
-        from tipforce.mujoco.mjcf import fingertip_mjcf
+        from tipforce_robots.mujoco.mjcf import fingertip_mjcf
 
         return fingertip_mjcf(args.prefix, rigid=args.rigid, damping_ratio=args.damping_ratio)
     if args.format == "dbc":
@@ -120,30 +118,36 @@ def _text(args: argparse.Namespace, converter: Converter) -> str:
 
 def _xdd(args: argparse.Namespace, converter: Converter) -> str:
     """Return the XDD of a file, or of a fingertip."""
+    from canopen_device.eds.reader import describe, read_eds
+    from canopen_device.eds.sections import parse
+    from canopen_device.eds.xdd import xdd_text
     from tipforce.dictionary.eds import eds_text, file_name
-    from tipforce.eds.reader import describe, read_eds
-    from tipforce.eds.sections import parse
-    from tipforce.eds.xdd import xdd_text
 
     if args.eds:
-        found = read_eds(args.eds, args.node_id or 1)
-        for warning in found.warnings:
+        described = read_eds(args.eds, args.node_id or 1)
+        for warning in described.warnings:
             common.note(args, f"warning: {warning}")
-        return xdd_text(found)
+        return xdd_text(described, "tipforce")
     text = eds_text(args.gauges, args.simulated, converter, args.programs)
     path = Path(file_name(args.gauges, args.simulated, bits=converter[0]))
-    return xdd_text(describe(parse(text), path, text.encode(), 1))
+    return xdd_text(describe(parse(text), path, text.encode(), 1), "tipforce")
 
 
-def _write_ros2(args: argparse.Namespace) -> int:
-    from tipforce.host.hand.file import read_hand
-    from tipforce_tools.cli.ros2_bus import write_ros2_bus
-
-    if not args.hand:
+def _write_folder(args: argparse.Namespace, converter: Converter) -> int:
+    if args.format == "ros2" and not args.hand:
         raise InputError("--hand: `export ros2` needs the hand; add its file, for example --hand hand.toml")
     if not args.output or args.output == "-":
-        raise InputError("--output: `export ros2` writes several files; name a folder")
-    for path in write_ros2_bus(read_hand(args.hand), Path(args.output)):
+        raise InputError(f"--output: `export {args.format}` writes several files; name a folder")
+    if args.format == "ros2":
+        from tipforce.host.hand.file import read_hand
+        from tipforce_robots.ros2.bus_file import write_ros2_bus
+
+        paths = write_ros2_bus(read_hand(args.hand), Path(args.output))
+    else:
+        from tipforce_tools.export_c.files import write_c_files
+
+        paths = write_c_files(Path(args.output), args.gauges, converter)
+    for path in paths:
         common.note(args, str(path))
     return 0
 
@@ -154,15 +158,5 @@ def _values(args: argparse.Namespace) -> Values:
         return {}
     from tipforce.host.configuration.configuration_file import read_configuration
 
-    found = read_configuration(args.settings, args.node_id, args.gauges)
-    return {place: value for place, (_entry, value) in found.items()}
-
-
-def _write_c(args: argparse.Namespace, converter: Converter) -> int:
-    from tipforce_tools.export_c.files import write_c_files
-
-    if not args.output or args.output == "-":
-        raise InputError("--output: `export c` writes several files; name a folder")
-    for path in write_c_files(Path(args.output), args.gauges, converter):
-        common.note(args, str(path))
-    return 0
+    configuration = read_configuration(args.settings, args.node_id, args.gauges)
+    return {place: value for place, (_entry, value) in configuration.items()}

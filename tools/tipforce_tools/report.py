@@ -46,7 +46,6 @@ def run(args: argparse.Namespace) -> int:
     from tipforce_lab.report.run import Run, selected
     from tipforce_lab.report.study import Effort
 
-    common.set_up_logging(args)
     if args.list:
         _print_list(args)
         return 0
@@ -62,8 +61,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_list(args: argparse.Namespace) -> None:
-    from tipforce_lab.report.cases import all_cases
     from tipforce_lab.report.run import STABILITY, STUDIES
+    from tipforce_lab.report.study import all_cases
 
     rows = [(key, "study", what) for key, (_, what) in STUDIES.items()]
     rows.append((STABILITY, "cases", "all cases below"))

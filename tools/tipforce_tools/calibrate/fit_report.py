@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tipforce.host.configuration.calibration import Calibration
+from tipforce.arrays import FloatArray
+from tipforce.dictionary import indices
+from tipforce.host.configuration.calibration import RECORD, Calibration, stated
 from tipforce.host.configuration.measurements import Measurements
-from tipforce.sensor.calibration.fit import Fit, LoadResidual, Model, Readings
-from tipforce.sensor.calibration.rejections import rejections
+from tipforce.sensor.calibration.fit import Fit
+from tipforce.sensor.calibration.outliers import rejections
 from tipforce.sensor.contact.redundancy import detectable_strain, parity
-from tipforce.sensor.contact.scalar_parity import LEAST_SHARE
-from tipforce.sensor.structure.gauge_positions import gauge_matrix
+from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE
 from tipforce_tools.cli import common
-from tipforce_tools.cli.layout_file import read_layout
+
+if TYPE_CHECKING:
+    from tipforce_tools.calibrate.fitting import FitRequest, Fitted
 
 UE = 1e6
+_FIGURES = (
+    "dof", "coverage_factor", "sigma0", "sigma0_loaded", "sigma0_unloaded", "condition_number",
+    "row_equilibrated_condition_number", "drift", "loss",
+)  # fmt: skip
 
 
-def facts(path: str, data: Measurements, fit: Fit) -> dict[str, object]:
+def facts(path: str, result: Fitted) -> dict[str, object]:
     """What the [fit] table says of the data: counts, and the lines that were left out."""
+    data, fit = result.data, result.fit
     left = sorted({row for row, _ in (*fit.saturated, *fit.near_limit)})
     return {
         "data": str(path),
@@ -32,80 +41,81 @@ def facts(path: str, data: Measurements, fit: Fit) -> dict[str, object]:
     }
 
 
-def notes(
-    data: Measurements, fit: Fit, model: Model, layout: str | None, calibration: Calibration, scores: dict[str, float]
-) -> list[str]:
+def notes(result: Fitted, request: FitRequest) -> list[str]:
     """What a person should look at before he trusts the fit."""
-    found = [f"column {name} is not used" for name in data.ignored_columns]
+    data, fit, model, scores, layout = result.data, result.fit, result.model, result.scores, request.layout
+    lines = [f"column {name} is not used" for name in data.ignored_columns]
     if len(scores) > 1:
-        others = ", ".join(f"{name} {score:.1f}" for name, score in sorted(scores.items(), key=lambda one: -one[1]))
-        found.append(f"drift {fit.drift}: predicts left-out rows best (hold-out score: {others})")
+        others = ", ".join(f"{name} {score:.1f}" for name, score in sorted(scores.items(), key=lambda pair: -pair[1]))
+        lines.append(f"drift {fit.drift}: predicts left-out rows best (hold-out score: {others})")
     if fit.sigma0_loaded > 1.4 and (model.phi_scatter_rad or model.noise_strain is not None):
-        found.append(
+        lines.append(
             f"loaded rows scatter {fit.sigma0_loaded:.2g} times what the model expects: loads or gauges are less "
             "certain than stated (--noise)"
         )
     stray = max(fit.groove_scatter, fit.hang_scatter)
     if stray > 2.0:
-        found.append(f"load directions stray {stray:.1f} times as far as --angle-scatter says")
-    found.extend(_of_validity(fit, calibration, layout))
-    found.extend(
-        f"SG{gauge + 1}: its load response is opposite to beam theory for {layout}: is tension positive?"
-        for gauge in _opposite(fit, layout)
-    )
-    followed = [load for load in fit.loads if load.P_newtons > 0.0 and load.leverage > 0.9]
-    found.extend(
-        f"the fit follows {_load_words(load)} whatever it reads (leverage {load.leverage:.2f})" for load in followed
+        lines.append(f"load directions stray {stray:.1f} times as far as --angle-scatter says")
+    lines.extend(_of_validity(fit, result.calibration, layout))
+    if request.theory is not None:
+        opposite = np.flatnonzero((request.theory * fit.A).sum(axis=1) < 0.0)
+        text = f"its load response is opposite to beam theory for {layout}: is tension positive?"
+        lines.extend(f"SG{gauge + 1}: {text}" for gauge in opposite)
+    lines.extend(
+        f"the fit follows the load of {load.P_newtons:g} N at phi {math.degrees(load.phi_rad):g}, theta "
+        f"{math.degrees(load.theta_rad):g} whatever it reads (leverage {load.leverage:.2f})"
+        for load in fit.loads
+        if load.P_newtons > 0.0 and load.leverage > 0.9
     )
     if not data.unloaded.any() and model.offset:
-        found.append("no unloaded readings: the offsets rest on the loads alone")
-    found.append(
+        lines.append("no unloaded readings: the offsets rest on the loads alone")
+    lines.append(
         "a direction of gravity that is off by the same angle in all x- or all y-loads shows in no residual: "
         "1 degree costs about 1 % of P and 1 degree of phi or theta"
     )
-    return found
+    return lines
 
 
-def warnings(readings: Readings, fit: Fit) -> list[str]:
+def warnings(result: Fitted) -> list[str]:
     """What speaks against the fit: with --strict no file is written."""
-    found = rejections(fit, readings)
+    fit = result.fit
+    lines = rejections(fit, result.readings)
     if not fit.converged:
-        found.append("the fit has not converged: its numbers are those of the last step")
+        lines.append("the fit has not converged: its numbers are those of the last step")
     straight = fit.nonlinearity
     if straight is not None and straight.significant:
-        terms = ", ".join(
-            f"SG{k + 1} {0.1 * q:+.2g} +- {0.1 * half:.2g}"
-            for k, (q, half) in enumerate(zip(straight.per_strain, straight.half_width, strict=True))
-        )
-        found.append(
+        terms = _per_gauge(0.1 * straight.per_strain, 0.1 * straight.half_width)
+        lines.append(
             f"the response is not straight: {'odd' if straight.odd else 'even'} quadratic terms in % per 1000 "
             f"microstrain: {terms}; the file states {straight.model_uncertainty:.2g} of the force as model uncertainty"
         )
-    return found
+    return lines
+
+
+def _per_gauge(values: FloatArray, halves: FloatArray) -> str:
+    pairs = zip(values, halves, strict=True)
+    return ", ".join(f"SG{k + 1} {value:+.2g} +- {half:.2g}" for k, (value, half) in enumerate(pairs))
 
 
 def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list[str]:
     """Where the calibration is valid, and what of it is not known."""
-    n, found = fit.C.shape[1], []
+    n, lines = fit.C.shape[1], []
     if layout is None:
-        found.append("without --layout the overload force is not known")
+        lines.append("without --layout the overload force is not known")
     elif not calibration.overload_force_newtons:
-        found.append(
+        lines.append(
             "the data have loads beyond what closes the slit of this structure: the overload force is left unknown"
         )
     if not calibration.converter_limit_strain.any():
-        found.append("the converter's limit is not known (--saturation)")
+        lines.append("the converter's limit is not known (--saturation)")
     warm = fit.temperature
     if warm is None:
-        found.append("no temperatures: what a warm finger reads is not known")
+        lines.append("no temperatures: what a warm finger reads is not known")
     else:
         fitted = "" if warm.offset_fitted else ", not corrected"
-        terms = ", ".join(
-            f"SG{k + 1} {value * UE:+.2g} +- {half * UE:.2g}"
-            for k, (value, half) in enumerate(zip(warm.offset_strain_per_K, warm.offset_half_width, strict=True))
-        )
+        terms = _per_gauge(warm.offset_strain_per_K * UE, warm.offset_half_width * UE)
         gain = "" if warm.gain_fitted else ", not corrected"
-        found.append(
+        lines.append(
             f"{warm.lowest_degC:g} to {warm.highest_degC:g} degC: offsets change by {terms} microstrain/K{fitted}; "
             f"gain by {100 * warm.gain_per_K:+.2g} +- {100 * warm.gain_half_width:.2g} %/K{gain}"
         )
@@ -113,7 +123,7 @@ def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list
         model = parity(fit.C, calibration.covariance_strain2)
         share = model.visible * np.diag(calibration.covariance_strain2)
         smallest = detectable_strain(model, limit=calibration.redundancy_limit) * UE
-        found.append(
+        lines.append(
             f"redundancy: limit {calibration.redundancy_limit:.4g} of chi-square, a false alarm in a million samples; "
             "smallest fault that a sample shows: "
             + ", ".join(f"SG{k + 1} {size:.3g}" for k, size in enumerate(smallest))
@@ -121,15 +131,16 @@ def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list
         )
         blind = ", ".join(f"SG{k + 1} ({100.0 * share[k]:.2g} %)" for k in np.flatnonzero(share < LEAST_SHARE))
         if blind:
-            found.append(
+            lines.append(
                 f"the residuals show under {100.0 * LEAST_SHARE:.0f} % of the noise of {blind}: a smaller fault there "
                 "passes as a force, and the uncertainty does not contain it"
             )
-    return found
+    return lines
 
 
-def print_text(path: str, data: Measurements, fit: Fit, model: Model, notes: list[str]) -> None:
+def print_text(path: str, result: Fitted, notes: list[str]) -> None:
     """The account for people."""
+    data, fit, model = result.data, result.fit, result.model
     unloaded = int(data.unloaded.sum())
     print(f"{path}: {len(data.line) - unloaded} loaded and {unloaded} unloaded rows, {fit.A.shape[0]} gauges")
     scatter = math.degrees(model.phi_scatter_rad)
@@ -166,12 +177,11 @@ def left_out(data: Measurements, fit: Fit) -> list[str]:
     return lines
 
 
-def print_json(
-    path: str, data: Measurements, fit: Fit, calibration: Calibration, notes: list[str], warnings: list[str]
-) -> None:
+def print_json(path: str, result: Fitted, notes: list[str], warnings: list[str]) -> None:
     """Everything as one JSON line; NaN becomes null."""
+    data, fit, calibration = result.data, result.fit, result.calibration
     record = {
-        **facts(path, data, fit),
+        **facts(path, result),
         "matrix_newtons_per_strain": fit.C.tolist(),
         "matrix_interval_95": fit.C_interval.tolist(),
         "matrix_standard_uncertainty": fit.C_uncertainty.tolist(),
@@ -179,15 +189,7 @@ def print_json(
         "noise_covariance_microstrain2": (fit.noise_covariance_strain2 * UE**2).tolist(),
         "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * UE**2).tolist(),
         "normal_matrix": fit.N.tolist(),
-        "dof": fit.dof,
-        "coverage_factor": fit.coverage_factor,
-        "sigma0": fit.sigma0,
-        "sigma0_loaded": fit.sigma0_loaded,
-        "sigma0_unloaded": fit.sigma0_unloaded,
-        "condition_number": fit.condition_number,
-        "row_equilibrated_condition_number": fit.row_equilibrated_condition_number,
-        "drift": fit.drift,
-        "loss": fit.loss,
+        **{name: getattr(fit, name) for name in _FIGURES},
         "load_sense": "pull" if calibration.pull else "push",
         "crc32": f"0x{calibration.crc32():08X}",
         "loads": [
@@ -209,16 +211,9 @@ def print_json(
         "groove_scatter": fit.groove_scatter,
         "hang_scatter": fit.hang_scatter,
         "validity": {
-            name: getattr(calibration, name)
-            for name in (
-                "calibrated_force_newtons",
-                "overload_force_newtons",
-                "temperature_min_degC",
-                "temperature_max_degC",
-                "model_uncertainty",
-                "gain_temperature_per_K",
-                "redundancy_limit",
-            )
+            of.name: getattr(calibration, of.name)
+            for of in RECORD
+            if stated(of).place[0] >= indices.CALIBRATION_VALIDITY and not stated(of).shape
         },
         "warnings": warnings,
         "notes": notes,
@@ -254,15 +249,3 @@ def _print_loads(fit: Fit) -> None:
         force = "".join(f"{value:9.4f}" for value in load.rms_newtons)
         print(f"{load.P_newtons:8.3f}{place}{len(load.rows):6d}{strain}{force}{load.leverage:10.2f}")
     print()
-
-
-def _load_words(load: LoadResidual) -> str:
-    phi, theta = math.degrees(load.phi_rad), math.degrees(load.theta_rad)
-    return f"the load of {load.P_newtons:g} N at phi {phi:g}, theta {theta:g}"
-
-
-def _opposite(fit: Fit, layout: str | None) -> list[int]:
-    if layout is None:
-        return []
-    theory = gauge_matrix(*read_layout(layout))
-    return [int(k) for k in np.flatnonzero((theory * fit.A).sum(axis=1) < 0.0)]

@@ -10,6 +10,7 @@ from tipforce.errors import InputError
 from tipforce.output_file import CALIBRATION, check_output
 from tipforce_tools.calibrate import fit
 from tipforce_tools.cli import common
+from tipforce_tools.cli.request import request_of
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.capture import GaugeReader
@@ -22,7 +23,7 @@ AUTO_SCATTER_DEG, HAND_SCATTER_DEG = 0.0, 0.5  # a simulated load has its nomina
 MIN_SAMPLES, MAX_SAMPLES = 10, 100_000
 
 
-class Found(NamedTuple):
+class CheckedNode(NamedTuple):
     """Result of the check of the node."""
 
     client: FingertipClient
@@ -69,7 +70,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scatter.help = (scatter.help or "").replace("%(default)s", "0.5; --auto: 0")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -77,34 +77,37 @@ def run(args: argparse.Namespace) -> int:
     steps = _plan(args)
     _check(args)
     with common.open_connection(args) as connection:
-        found = check_node(connection, args)
-        common.note(args, found.text)
+        node = check_node(connection, args)
+        common.note(args, node.text)
         try:
-            return _guided(args, steps, found)
+            return _guided(args, steps, node)
         finally:
-            found.reader.stop()
+            node.reader.stop()
 
 
-def _guided(args: argparse.Namespace, steps: tuple[Step, ...], found: Found) -> int:
+def _guided(args: argparse.Namespace, steps: tuple[Step, ...], node: CheckedNode) -> int:
     from tipforce_tools.calibrate import guide_finish
+    from tipforce_tools.calibrate.fitting import FitRequest
     from tipforce_tools.calibrate.guide_session import Session
     from tipforce_tools.calibrate.guide_walk import Walk
 
-    identity, reader = found.identity, found.reader
+    identity, reader = node.identity, node.reader
     args.serial = identity.serial
-    guide_finish.check_model(args, identity.gauges)
+    request = request_of(FitRequest, args)
+    request.check_gauges(identity.gauges, "the node")
+    _ = request.model  # wrong flags of the fit show before an hour of weights
     path = Path(args.session or f"session-{identity.serial}.csv")
-    session = Session(path, steps, identity.serial, identity.gauges, found.temperature_degC is not None)
+    session = Session(path, steps, identity.serial, identity.gauges, node.temperature_degC is not None)
     loads = sum(step.mode != "tare" for step in steps)
     common.note(
         args, f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {reader.how}; session {path}"
     )
     if session.cut:
         common.note(args, f"session {path}: its last line was truncated by an interruption and is removed")
-    walk = Walk(args, steps, session, reader, found.client.sdo)
+    walk = Walk(args, steps, session, reader, node.client.sdo)
     try:
         while (outcome := walk.run()) == "done":
-            if guide_finish.finish(args, session, found.client) != "redo":
+            if guide_finish.finish(args, request, session, node.client) != "redo":
                 return 0
             walk.redo_last()
     except (KeyboardInterrupt, Exception):
@@ -114,7 +117,7 @@ def _guided(args: argparse.Namespace, steps: tuple[Step, ...], found: Found) -> 
     return 0 if outcome == "quit" else 1
 
 
-def check_node(connection: Bus, args: argparse.Namespace) -> Found:
+def check_node(connection: Bus, args: argparse.Namespace) -> CheckedNode:
     """Return the identity of the node, after checking that it measures.
 
     Raises NoResponseError without a node, InputError for another device or --auto with real gauges, RefusedError for
@@ -146,7 +149,7 @@ def check_node(connection: Bus, args: argparse.Namespace) -> Found:
     held = f"calibrated (CRC-32 0x{crc:08X})" if crc else "not calibrated yet"
     degrees = "temperature unknown" if temperature is None else f"{temperature:.2f} degC"
     text = f"{name}: {what}; {held}; {degrees}; measures, no fault"
-    return Found(client, reader, identity, temperature, text)
+    return CheckedNode(client, reader, identity, temperature, text)
 
 
 def _plan(args: argparse.Namespace) -> tuple[Step, ...]:

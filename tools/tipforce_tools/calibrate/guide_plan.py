@@ -24,12 +24,12 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from canopen_device.toml_table import convert, read_table
 from tipforce.errors import InputError
-from tipforce.host.configuration.measurement_rows import LARGEST_ANGLE_DEG
-from tipforce.sensor.calibration.grooves import paper_grooves
+from tipforce.host.configuration.measurements import LARGEST_ANGLE_DEG
 from tipforce.sensor.calibration.identify import FORCES, require_seen
-from tipforce.sensor.contact.force import force_vector
-from tipforce.toml_table import convert, read_table
+from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.structure.published import GROOVES_DEG
 
 GRAVITY = 9.80665  # m/s^2
 TARE_EVERY = 4
@@ -83,11 +83,12 @@ def groove_plan(weights: str, grooves: str) -> tuple[Step, ...]:
     Raises InputError for a weight or groove that is not allowed, and for loads that do not determine the matrix.
     """
     places = _grooves(grooves)
-    loads = [
-        Step(0, P, phi, theta, "pull", _hang(P, along, phi, theta))
-        for P in _weights(weights)
-        for along, phi, theta in places
-    ]
+    loads = []
+    for P in _weights(weights):
+        hang = f"hang {P:g} N ({P / GRAVITY * 1000:.4g} g) in the"
+        for along, phi, theta in places:
+            text = f"{hang} {along}-groove at theta = {theta:g} degrees (phi = {phi:g})"
+            loads.append(Step(0, P, phi, theta, "pull", text))
     return _numbered(_with_tares(loads, TARE_EVERY))
 
 
@@ -126,11 +127,6 @@ def _step(number: int, found: _FileStep) -> Step:
 _UNLOAD = "remove every load"
 
 
-def _hang(P: float, along: str, phi: float, theta: float) -> str:
-    grams = f"{P / GRAVITY * 1000:.4g} g"
-    return f"hang {P:g} N ({grams}) in the {along}-groove at theta = {theta:g} degrees (phi = {phi:g})"
-
-
 def _weights(text: str) -> list[float]:
     try:
         found = [float(word) for word in text.split(",")]
@@ -144,10 +140,7 @@ def _weights(text: str) -> list[float]:
 def _grooves(text: str) -> list[tuple[str, float, float]]:
     """Return (x or y, phi, theta) of each groove, degrees."""
     if text == "paper":
-        paper = paper_grooves()
-        columns = (paper.along_x.tolist(), np.degrees(paper.phi_rad).tolist(), np.degrees(paper.theta_rad).tolist())
-        rows = zip(*columns, strict=True)
-        return [("x" if along_x else "y", round(phi, 9), round(theta, 9)) for along_x, phi, theta in rows]
+        return [("y" if phi == 90.0 else "x", phi, theta) for phi, theta in GROOVES_DEG]
     found = []
     for word in text.split(","):
         parts = re.fullmatch(r"\s*([xy])(\d{1,3}(?:\.\d+)?)\s*", word)
@@ -174,13 +167,10 @@ def _numbered(steps: Sequence[Step]) -> tuple[Step, ...]:
     loads = [step for step in steps if step.mode != "tare"]
     if not loads:
         raise InputError("no step has a load: add at least one with P_N above 0")
-    _require_seen(steps, sum(step.P_newtons for step in loads) / len(loads))
-    return tuple(replace(step, number=k + 1) for k, step in enumerate(steps))
-
-
-def _require_seen(steps: Sequence[Step], typical_newtons: float) -> None:
-    """Raise InputError for loads that cannot determine the matrix, before they are applied."""
+    # Loads that cannot determine the matrix are refused before they are applied.
+    typical_newtons = sum(step.P_newtons for step in loads) / len(loads)
     P = np.array([step.P_newtons for step in steps])
     phi, theta = (np.radians([getattr(step, name) for step in steps]) for name in ("phi_deg", "theta_deg"))
     g = np.concatenate((force_vector(P, phi, theta) / typical_newtons, np.ones((len(steps), 1))), axis=1)
     require_seen(g, np.ones((len(steps), 1), dtype=np.bool_), (*FORCES, "offset"), typical_newtons)
+    return tuple(replace(step, number=k + 1) for k, step in enumerate(steps))

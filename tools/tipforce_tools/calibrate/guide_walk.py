@@ -1,4 +1,7 @@
-"""Execute the steps: show the instruction, wait, capture, check, write the row."""
+"""Execute the steps of a guided calibration: show the instruction, wait, capture, check, write the row.
+
+A capture is checked for quiet, new and complete samples; otherwise it is refused with a reason and a remedy.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,72 @@ from typing import Literal
 import numpy as np
 
 from tipforce.dictionary import objects as od
+from tipforce.dictionary import table
 from tipforce.errors import InputError, NoResponseError, TipforceError
-from tipforce.host.configuration.capture import Capture, GaugeReader
+from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
 from tipforce.host.network.sdo import SdoChannel
 from tipforce_tools.calibrate.guide_plan import EXTRA, EXTRA_TARE, Step
-from tipforce_tools.calibrate.guide_refusals import Limits, refusals
 from tipforce_tools.calibrate.guide_session import Session
 from tipforce_tools.cli import common
+
+
+def refusals(capture: Capture, max_std_microstrain: float, max_drift_microstrain: float) -> list[str]:
+    """Return the reasons to refuse a capture, each with its remedy, the most specific first; empty for a good one.
+
+    The limits are of the standard deviation of the readings of a gauge, and of the change of the straight line through
+    them from the first to the last.
+    """
+    texts = _unusable(capture)
+    if texts:
+        return texts
+    drift_u = capture.std * np.sqrt(12.0 / capture.count)
+    for k, (std, drift, u) in enumerate(zip(capture.std, capture.drift, drift_u, strict=True)):
+        if std > max_std_microstrain:
+            texts.append(
+                f"not quiet: SG{k + 1} scatters by {std:.1f} microstrain, allowed are {max_std_microstrain:g}: "
+                "wait until the weight is at rest; avoid contact and air flow (--max-std)"
+            )
+        elif abs(drift) > max(max_drift_microstrain, 4.0 * u):
+            texts.append(
+                f"not quiet: SG{k + 1} drifts by {drift:+.1f} microstrain within the capture, allowed are "
+                f"{max_drift_microstrain:g}: wait until rope and temperature have settled (--max-drift)"
+            )
+    still = np.ptp(capture.microstrain, axis=0) == 0.0
+    if not texts and still.any() and capture.count >= 20 and capture.std.max() >= 2.0 * RESOLUTION_MICROSTRAIN:
+        names = ", ".join(f"SG{k + 1}" for k in np.flatnonzero(still))
+        texts.append(f"stuck: {names} reads a constant value, other gauges do not: check the gauge's wiring")
+    return texts
+
+
+def _unusable(capture: Capture) -> list[str]:
+    of = f"of {capture.asked} samples"
+    texts = []
+    if capture.silent and not capture.count:
+        texts.append(
+            "silent: no gauge PDO on SYNC, although the node responds to SDO: "
+            "check for another NMT master and for bus overload; try again"
+        )
+    if capture.faulty:
+        names = [name.replace("_", " ") for bit, name, _ in table.FAULT_BITS if capture.faults >> bit & 1]
+        texts.append(
+            f"front-end fault in {capture.faulty} {of} (2124h = 0x{capture.faults:04X}"
+            f"{': ' + ', '.join(names) if names else ''}): check the wiring and the supply of the gauges"
+        )
+    hit = [f"SG{k + 1}" for k, count in enumerate(capture.saturated) if count]
+    if hit:
+        saturated = f"saturated: {', '.join(hit)} in up to {max(capture.saturated)} {of}"
+        texts.append(f"{saturated}: use a smaller weight, or check the gauge's wiring")
+    if not texts and capture.count < capture.asked:
+        if capture.repeated > capture.stale:
+            unchanged = f"the sample counter does not change ({capture.repeated} repeated)"
+            texts.append(f"{unchanged}: the node no longer measures: reset it")
+        else:
+            texts.append(
+                f"stale: only {capture.count} {of} were new ({capture.stale} stale, {capture.silent} missing): "
+                "the converter delivers no samples: check the node, or increase --period"
+            )
+    return texts
+
 
 Outcome = Literal["done", "quit", "refused"]
 
@@ -51,9 +113,8 @@ class Walk:
         self._session = session
         self._reader = reader
         self._sdo = sdo
-        self._limits = Limits(args.max_std, args.max_drift)
         self._skipped: set[int] = set()
-        missing = self._missing()
+        missing = [step for step in steps if step.number not in session.done]
         self._todo = deque(missing)
         if session.rows and missing:
             common.note(args, f"continuing: {len(session.done)} of {len(steps)} steps done, {len(missing)} to do")
@@ -65,7 +126,7 @@ class Walk:
         with self._self_loading():
             while self._todo:
                 step = self._todo[0]
-                self._say(self._title(step))
+                self._say(f"{self._name(step)}: {step.instruction}")
                 word = "" if self._args.auto else ask(f"  {KEYS} >")
                 if word == "q":
                     return "quit"
@@ -114,7 +175,7 @@ class Walk:
                     raise
                 self._say(f"  no capture: {error}")
                 return False
-            reasons = refusals(capture, self._limits)
+            reasons = refusals(capture, self._args.max_std, self._args.max_drift)
             if not reasons:
                 self._take(step, capture)
                 return True
@@ -171,15 +232,8 @@ class Walk:
 
     # --- output, progress bars, and loads of a simulated node ----------------------------------------------------
 
-    def _missing(self) -> list[Step]:
-        done = self._session.done
-        return [step for step in self._steps if step.number not in done]
-
     def _name(self, step: Step) -> str:
         return "the extra unloaded reading" if step.number == EXTRA else f"step {step.number} of {len(self._steps)}"
-
-    def _title(self, step: Step) -> str:
-        return f"{self._name(step)}: {step.instruction}"
 
     def _say(self, text: str) -> None:
         """Print a line for the user; with -q only if prompts follow, which need it."""

@@ -20,12 +20,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-store", action="store_true", help="apply only until the next reset")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Apply (return 0; raises RefusedError) or verify (return 0 if equal, 1 if different)."""
-    from tipforce.host.configuration.calibration_file import read_calibration
+    from tipforce.host.configuration.calibration import read_calibration
     from tipforce.host.network.finger import FingertipClient
 
     calibration = read_calibration(args.file)
@@ -38,21 +37,11 @@ def run(args: argparse.Namespace) -> int:
             generation = client.apply_calibration(
                 calibration, not args.no_store, lambda step: common.note(args, f"{name}: {step}")
             )
-            _say(args, {"node": args.node, "generation": generation, "crc32": f"0x{calibration.crc32():08X}"})
+            crc32 = f"0x{calibration.crc32():08X}"
+            record = {"node": args.node, "generation": generation, "crc32": crc32}
+            common.print_record(args, record, f"applied, generation {generation}, CRC-32 {crc32}")
             return 0
         differences = client.verify_calibration(calibration)
-    _say(args, {"node": args.node, "equal": not differences, "differences": differences})
+    compared = {"node": args.node, "equal": not differences, "differences": differences}
+    common.print_record(args, compared, "\n".join(differences) or "equal byte for byte")
     return 1 if differences else 0
-
-
-def _say(args: argparse.Namespace, record: dict[str, object]) -> None:
-    if args.json:
-        common.print_json(record)
-    elif "generation" in record:
-        print(f"applied, generation {record['generation']}, CRC-32 {record['crc32']}")
-    elif record["equal"]:
-        print("equal byte for byte")
-    else:
-        differences = record["differences"]
-        assert isinstance(differences, list)
-        print("\n".join(differences))

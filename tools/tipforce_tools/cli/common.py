@@ -12,7 +12,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
 from tipforce.errors import DuplicateNodeError, InputError, TipforceError
+from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.output import rich_console, visible_streams
+from tipforce_tools.cli.request import BusArguments, Output, SdoArguments, bus_options
 
 if TYPE_CHECKING:
     import can
@@ -33,7 +35,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def set_up_logging(args: argparse.Namespace) -> None:
+def set_up_logging(args: Output) -> None:
     """Log warnings of tipforce to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
     import logging
 
@@ -46,31 +48,23 @@ def set_up_logging(args: argparse.Namespace) -> None:
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add python-can's bus flags: -i -c -b --fd --data-bitrate --timing --bus-kwargs."""
-    from tipforce_tools.cli import bus_flags
-
+    """Add python-can's bus flags, -i -c -b --fd --data-bitrate --timing --bus-kwargs, and the output flags."""
     bus_flags.add_bus_arguments(parser)
+    add_output_arguments(parser)
 
 
 def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the bus flags, and the timeout and retries of SDO transfers."""
-    add_bus_arguments(parser)
+    """Add the bus flags, the timeout and retries of SDO transfers, and the output flags."""
+    bus_flags.add_bus_arguments(parser)
     group = parser.add_argument_group("SDO")
     group.add_argument(
         "--timeout", type=float, default=0.5, metavar="S", help="timeout of a response (default %(default)s s)"
     )
     group.add_argument("--retries", type=int, default=2, metavar="N", help="after a timeout (default %(default)s)")
+    add_output_arguments(parser)
 
 
-def bus_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the bus flags given, as keywords of ``can.Bus``."""
-    names = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing", "can_filters")
-    options = {name: getattr(args, name) for name in names if hasattr(args, name)}
-    options.update(getattr(args, "bus_kwargs", {}))
-    return options
-
-
-def open_bus(args: argparse.Namespace) -> can.BusABC:
+def open_bus(args: BusArguments) -> can.BusABC:
     """Open the bus named by the flags, python-can's configuration files and the environment."""
     from tipforce.host.network.open_bus import open_bus as open_bus_by_options
 
@@ -78,7 +72,7 @@ def open_bus(args: argparse.Namespace) -> can.BusABC:
 
 
 @contextmanager
-def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
+def open_connection(args: SdoArguments) -> Iterator[Bus]:
     """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one."""
     import threading
 
@@ -107,60 +101,59 @@ def number(text: str) -> float:
         return math.nan
 
 
+def _whole(text: str, low: int, high: float, allowed: str, base: int = 0) -> int:
+    """Parse a whole number within limits; base 0 takes `0x0A`, too. Raises ArgumentTypeError that says ``allowed``."""
+    try:
+        value = int(text, base)
+    except ValueError:
+        value = low - 1
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are {allowed}")
+    return value
+
+
 def count(text: str) -> int:
     """Parse a count for argparse: a whole number of at least 1."""
-    try:
-        found = int(text)
-    except ValueError:
-        found = 0
-    if found < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are whole numbers from 1")
-    return found
-
-
-def _integer(text: str, base: int = 0) -> int:
-    """Return the number that a text says, -1 where it says none."""
-    try:
-        return int(text, base)
-    except ValueError:
-        return -1
+    return _whole(text, 1, math.inf, "whole numbers from 1", 10)
 
 
 def seed(text: str) -> int:
     """Parse a seed of random numbers for argparse: a whole number from 0."""
-    found = _integer(text, 10)
-    if found < 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are whole numbers from 0")
-    return found
+    return _whole(text, 0, math.inf, "whole numbers from 0", 10)
 
 
 def unsigned32(text: str) -> int:
     """Parse an UNSIGNED32, `10` or `0x0A`, for argparse."""
-    found = _integer(text)
-    if not 0 <= found <= 0xFFFFFFFF:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are 0 to 0xFFFFFFFF")
-    return found
+    return _whole(text, 0, 0xFFFFFFFF, "0 to 0xFFFFFFFF")
 
 
-def seconds(text: str) -> float:
-    """Parse a time in seconds for argparse: more than 0."""
-    found = number(text)
-    if not 0 < found < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are seconds, more than 0")
-    return found
+def number_that(accepted: Callable[[float], bool], allowed: str) -> Callable[[str], float]:
+    """Return a parser for argparse of a number that is ``accepted``; ``allowed`` says what is: `are 0 to 9`."""
+
+    def parse(text: str) -> float:
+        value = number(text)
+        if not accepted(value):
+            raise argparse.ArgumentTypeError(f"{text!r}: allowed {allowed}")
+        return value
+
+    return parse
+
+
+seconds = number_that(lambda value: 0 < value < math.inf, "are seconds, more than 0")
+"""Parse a time in seconds for argparse: more than 0."""
 
 
 def node_id(text: str) -> int:
     """Parse a node-id, `10` or `0x0A`, for argparse."""
-    number = _integer(text)
-    if not 1 <= number <= 127:
-        raise argparse.ArgumentTypeError(f"node-id {text!r}: allowed are 1 to 127 (10 or 0x0A)")
-    return number
+    try:
+        return _whole(text, 1, 127, "1 to 127 (10 or 0x0A)")
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"node-id {error}") from None
 
 
 def node_ids(text: str) -> list[int]:
     """Parse a set of node-ids, `1,2,5-9`, for argparse; sorted, without duplicates."""
-    found: set[int] = set()
+    ids: set[int] = set()
     for part in text.split(","):
         ends = re.fullmatch(r"\s*(\w+)\s*(?:-\s*(\w+)\s*)?", part)
         if ends is None:
@@ -169,8 +162,8 @@ def node_ids(text: str) -> list[int]:
         last = node_id(ends[2]) if ends[2] else first
         if last < first:
             raise argparse.ArgumentTypeError(f"node-ids {part!r}: the second is smaller than the first")
-        found.update(range(first, last + 1))
-    return sorted(found)
+        ids.update(range(first, last + 1))
+    return sorted(ids)
 
 
 def shown_id(number: int) -> str:
@@ -184,6 +177,14 @@ def print_json(record: dict[str, Any]) -> None:
     Line and newline are one write: the events of a hand come from another thread.
     """
     sys.stdout.write(json_line(record) + "\n")
+
+
+def print_record(args: Output, record: dict[str, Any], text: str) -> None:
+    """Print the record as a JSON line with --json, otherwise the text that shows it."""
+    if args.json:
+        print_json(record)
+    else:
+        print(text)
 
 
 def json_line(record: dict[str, Any]) -> str:
@@ -201,7 +202,7 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def note(args: argparse.Namespace, text: str) -> None:
+def note(args: Output, text: str) -> None:
     """Print a line on stderr; nothing with -q."""
     if not args.quiet:
         print(text, file=sys.stderr)
@@ -209,7 +210,7 @@ def note(args: argparse.Namespace, text: str) -> None:
 
 @contextmanager
 def progress(
-    args: argparse.Namespace, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
+    args: Output, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
 ) -> Iterator[Callable[..., None]]:
     """Show a progress bar on stderr if it is a terminal, not with -q; call the result after each of ``total`` steps,
     or with the number of steps since the last call; with ``absolute`` with the number of all steps so far.
@@ -226,7 +227,7 @@ def progress(
         yield lambda steps=1: bar.update(task, **{"completed" if absolute else "advance": steps})
 
 
-def console(args: argparse.Namespace, *, stderr: bool = False) -> Console:
+def console(args: Output, *, stderr: bool = False) -> Console:
     """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width."""
     plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
     stream = sys.stderr if stderr else sys.stdout
@@ -237,7 +238,7 @@ def console(args: argparse.Namespace, *, stderr: bool = False) -> Console:
     return rich_console(stream, force_terminal=always, color_system=system, no_color=plain, width=width)
 
 
-def print_table(args: argparse.Namespace, table: Table) -> None:
+def print_table(args: Output, table: Table) -> None:
     """Print a table on stdout. In a narrow terminal it has no borders and words wrap; numbers do not.
 
     A truncated number (`4.…`) is useless, and a wrapped one appears beside the label of another. A word longer than
@@ -261,14 +262,14 @@ def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
 
 
-def confirm(args: argparse.Namespace, what: str) -> None:
+def confirm(args: BusArguments, what: str) -> None:
     """Ask before a persistent change on a real bus; not on virtual buses, nor with --yes.
 
     Raises InputError when the answer is no, or stdin is not a terminal.
     """
     options = bus_options(args)
     virtual = options.get("interface") in ("virtual", "udp_multicast") or "vcan" in str(options.get("channel", ""))
-    if args.yes or virtual:
+    if getattr(args, "yes", False) or virtual:
         return
     if not sys.stdin.isatty():
         raise InputError(f"{what}; stdin is not a terminal: add --yes to confirm")

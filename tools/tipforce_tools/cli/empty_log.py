@@ -16,8 +16,8 @@ PCAP = "pcap and pcapng"
 def no_frame(name: str, formats: Iterable[str], first_bad: object = None) -> LogError:
     """Return the error for the log ``name``; ``first_bad``: place of the first bad line and what was expected."""
     place = "stdin" if name == "-" else name
-    found = "" if first_bad is None else f" {first_bad};"
-    return LogError(f"{place}: no frames in it; is it a log?{found} known formats: {', '.join(formats)}")
+    bad = "" if first_bad is None else f" {first_bad};"
+    return LogError(f"{place}: no frames in it; is it a log?{bad} known formats: {', '.join(formats)}")
 
 
 def no_sample(name: str, frames: int, extended: int) -> LogError:

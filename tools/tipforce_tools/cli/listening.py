@@ -1,4 +1,4 @@
-"""Listeners on the buses of a command line, shared by `dump` and `log`."""
+"""Listeners on the buses of a command line, and the signals that end a command between two steps."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Self
 
-from tipforce_tools.cli import common
+from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
     from tipforce.host.live.receive_group import ReceiverGroup
-    from tipforce_tools.dump.targets import Target
+    from tipforce_tools.dump.output import Target
 
 
 def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | None = None) -> ReceiverGroup:
@@ -22,23 +22,18 @@ def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | 
 
     Raises EnvironmentLackError if a bus cannot be opened, after closing the others.
     """
-    from tipforce.host.live.can_filter import Selection
     from tipforce.host.live.receive import open_receiver
     from tipforce.host.live.receive_group import ReceiverGroup
-    from tipforce.host.live.receiver import TICK_S
+    from tipforce.host.live.receiver import TICK_S, Selection
 
     options = resolved_options(args, named=bool(targets))
     tick = TICK_S if tick_s is None else tick_s
     with ExitStack() as opened:
-        if targets:
-            receivers = [
-                opened.enter_context(
-                    open_receiver({**options, "channel": target.channel}, target.selection, tick_s=tick)
-                )
-                for target in targets
-            ]
-        else:
-            receivers = [opened.enter_context(open_receiver(options, Selection(), tick_s=tick))]
+        chosen = [({**options, "channel": target.channel}, target.selection) for target in targets]
+        receivers = [
+            opened.enter_context(open_receiver(of_bus, selection, tick_s=tick))
+            for of_bus, selection in chosen or [(options, Selection())]
+        ]
         opened.pop_all()
     return ReceiverGroup(receivers, tick_s=tick)
 
@@ -51,7 +46,7 @@ def resolved_options(args: Namespace, *, named: bool) -> dict[str, Any]:
     """
     import can
 
-    options = common.bus_options(args)
+    options = bus_options(args)
     if "interface" in options and (named or "channel" in options):
         return options
     try:
@@ -72,11 +67,12 @@ def counted(number: int, what: str) -> str:
 class StopSignals:
     """A context manager that records SIGINT and SIGTERM instead of raising, so that no received frame is lost.
 
-    The second signal raises KeyboardInterrupt, in case the command hangs.
+    The second signal raises KeyboardInterrupt, in case the command hangs, if its number is one of ``interrupts``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, interrupts: Sequence[int] = (signal.SIGINT, signal.SIGTERM)) -> None:
         self.stopped = False
+        self._interrupts = interrupts
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
@@ -89,7 +85,11 @@ class StopSignals:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def _stop(self, _number: int, _frame: object) -> None:
-        if self.stopped:
+    def __call__(self) -> bool:
+        """Return whether a signal has arrived."""
+        return self.stopped
+
+    def _stop(self, number: int, _frame: object) -> None:
+        if self.stopped and number in self._interrupts:
             raise KeyboardInterrupt
         self.stopped = True

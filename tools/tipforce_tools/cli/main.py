@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from canopen_device.visible_text import visible
 from tipforce.errors import (
     DuplicateNodeError,
     EnvironmentLackError,
@@ -18,32 +19,50 @@ from tipforce.errors import (
     TipforceError,
     WriteError,
 )
-from tipforce.visible_text import visible
 from tipforce_tools.cli.output import visible_streams
 
 if TYPE_CHECKING:
-    from tipforce_tools.cli.actions import CommandParser
+    from tipforce_tools.cli.actions import Actions, CommandParser
 
-# name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
-COMMANDS = {
+CALIBRATE = {
+    "fit": ("tipforce_tools.calibrate.fit", "fit a calibration to readings under known loads"),
+    "apply": ("tipforce_tools.calibrate.transfer", "write a calibration file to a node, verify and store it"),
+    "guide": ("tipforce_tools.calibrate.guide", "calibrate a node weight by weight and store the result; resumable"),
+    "verify": ("tipforce_tools.calibrate.transfer", "compare a calibration file with that of a node"),
+}
+SCENE = {"explain": ("tipforce_tools.scene.explain", "list what a scene builds, what it leaves out, and why")}
+DESIGN = {
+    "table": (
+        "tipforce_tools.design.tables:table",
+        "recompute the paper's tables and figures, beside the printed values",
+    ),
+    "sweep": (
+        "tipforce_tools.design.tables:sweep",
+        "compute condition number and noise over a dimension or a gauge shift",
+    ),
+    "optimise": ("tipforce_tools.design.optimise", "search better dimensions and gauge positions"),
+}
+
+# name -> (place, or the actions with a place each: ``actions.Actions``; one line of help)
+COMMANDS: dict[str, tuple[str | Actions, str]] = {
     "demo": ("tipforce_tools.demo.command", "calibrate, store, load, decode and compare simulated nodes; no hardware"),
-    "node": ("tipforce_tools.node.command", "run one fingertip node on a CAN bus"),
+    "node": ("tipforce_tools.node", "run one fingertip node on a CAN bus"),
     "run": ("tipforce_tools.scene.run", "run a scene: nodes, loads, faults and a recording, defined in a TOML file"),
     "simulate": ("tipforce_tools.simulate.command", "simulate CANopen devices from their EDS, or a machine in TOML"),
-    "scene": ("tipforce_tools.scene.command", "explain what a scene builds, what it leaves out, and why"),
-    "scan": ("tipforce_tools.network.scan", "list the nodes on the bus"),
-    "read": ("tipforce_tools.network.read", "read the contact of fingers, with its uncertainty"),
-    "sdo": ("tipforce_tools.sdo.command", "read or write one object of a node, or read all objects"),
-    "hand": ("tipforce_tools.hand.command", "commission and run a hand defined in a TOML file"),
-    "nmt": ("tipforce_tools.network.nmt", "start, stop or reset nodes, and wait for their heartbeats"),
+    "scene": (SCENE, "explain what a scene builds, what it leaves out, and why"),
+    "scan": ("tipforce_tools.network.nodes:scan", "list the nodes on the bus"),
+    "read": ("tipforce_tools.network.nodes:read", "read the contact of fingers, with its uncertainty"),
+    "sdo": ("tipforce_tools.network.sdo", "read or write one object of a node, or read all objects"),
+    "hand": ("tipforce_tools.network.hand", "commission and run a hand defined in a TOML file"),
+    "nmt": ("tipforce_tools.network.nodes:nmt", "start, stop or reset nodes, and wait for their heartbeats"),
     "lss": ("tipforce_tools.network.lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
     "firmware": (
         "tipforce_tools.network.firmware",
         "install a program on nodes with program slots, or show its version",
     ),
     "config": ("tipforce_tools.network.config", "show, apply, compare or save the settings of a node (TOML or DCF)"),
-    "calibrate": ("tipforce_tools.calibrate.command", "fit a calibration, write it to a node, verify it"),
-    "tare": ("tipforce_tools.network.tare", "set the present force as zero, show the tare, or clear it"),
+    "calibrate": (CALIBRATE, "fit a calibration, write it to a node, verify it"),
+    "tare": ("tipforce_tools.network.nodes:tare", "set the present force as zero, show the tare, or clear it"),
     "estimate": ("tipforce_tools.estimate.command", "compute contact from gauge readings, with standard uncertainties"),
     "budget": ("tipforce_tools.budget", "compute the error budget of P, phi and theta by cause"),
     "dump": ("tipforce_tools.dump.command", "print frames as candump does; with --decode also their contact values"),
@@ -54,13 +73,13 @@ COMMANDS = {
     "plot": ("tipforce_tools.plot.command", "plot the contact, gauges and faults of a log"),
     "monitor": ("tipforce_tools.monitor.command", "show a live table of the nodes on a bus or in a log"),
     "view": ("tipforce_tools.view.command", "serve a web page with the force on each fingertip, live or from a log"),
-    "ros2": ("tipforce_tools.ros2.command", "publish forces, contacts and diagnostics as ROS 2 topics, without ROS"),
+    "ros2": ("tipforce_tools.ros2", "publish forces, contacts and diagnostics as ROS 2 topics, without ROS"),
     "load": ("tipforce_tools.network.load", "measure the load of a bus, or compute that of a planned hand"),
-    "design": ("tipforce_tools.design.command", "recompute the paper's tables, sweep and optimise the structure"),
+    "design": (DESIGN, "recompute the paper's tables, sweep and optimise the structure"),
     "report": ("tipforce_tools.report", "measure error against run time, and check extreme cases"),
     "conformance": ("tipforce_tools.conformance", "test a CANopen device against the CiA standards, by clause"),
     "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the object dictionary"),
-    "completion": ("tipforce_tools.completion.command", "print a shell's TAB completion script for all commands"),
+    "completion": ("tipforce_tools.completion", "print a shell's TAB completion script for all commands"),
     "doctor": ("tipforce_tools.doctor.command", "find what this machine lacks for a working bus, with next steps"),
     "vcan": ("tipforce_tools.vcan.command", "run a command where vcan interfaces exist"),
 }
@@ -158,27 +177,30 @@ def _run(name: str, words: list[str]) -> int:
         near = difflib.get_close_matches(name, COMMANDS, 3)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
-    import importlib
+    from tipforce_tools.cli.actions import run_action, run_place
 
     parser = command_parser(name)
     # Flags may come between the positional words, but not inside another program's command line.
     passes_on = any(action.nargs == "..." for action in parser._actions)  # argparse.REMAINDER
     args = parser.parse_args(words) if passes_on else parser.parse_intermixed_args(words)
-    return int(importlib.import_module(COMMANDS[name][0]).run(args))
+    place = COMMANDS[name][0]
+    return run_place(place, args) if isinstance(place, str) else run_action(args, name, place)
 
 
 def command_parser(name: str) -> CommandParser:
     """Return the parser of the command ``name`` of COMMANDS."""
-    import importlib
     import re
 
-    from tipforce_tools.cli.actions import CommandParser
+    from tipforce_tools.cli.actions import CommandParser, add_action, functions
 
-    module_name, summary = COMMANDS[name]
+    place, summary = COMMANDS[name]
     parser = CommandParser(prog=f"tipforce {name}", description=summary[0].upper() + summary[1:] + ".")
     # argparse's own pattern takes -1.5e-3 and -1,0,0 for unknown flags.
     parser._negative_number_matcher = re.compile(r"-\.?\d")
-    importlib.import_module(module_name).add_arguments(parser)
+    if isinstance(place, str):
+        functions(place)[0](parser)
+    else:
+        add_action(parser, name, place)
     return parser
 
 

@@ -23,8 +23,8 @@ def check_one_node(path: str | Path, data: Measurements) -> None:
         rows = csv.reader(stream)
         header = [name.strip() for name in next(rows)]
         places = [header.index(name) for name in _COLUMNS if name in header]
-        found = {tuple(row[k].strip() for k in places) for row in rows if len(row) == len(header)}
-    nodes = sorted({" ".join(key) for key in found}, key=lambda text: (len(text), text))
+        senders = {tuple(row[k].strip() for k in places) for row in rows if len(row) == len(header)}
+    nodes = sorted({" ".join(key) for key in senders}, key=lambda text: (len(text), text))
     if len(nodes) > 1:
         shown = ", ".join(nodes[:_SHOWN]) + (", ..." if len(nodes) > _SHOWN else "")
         raise InputError(

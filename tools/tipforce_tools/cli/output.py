@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
-from tipforce.visible_text import visible_lines
+from canopen_device.visible_text import visible_lines
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -1,17 +1,24 @@
-"""Support for long-running services: real-time scheduling, locked memory, sd_notify, journal levels."""
+"""Support for long-running services: their bus, real-time scheduling, locked memory, sd_notify, journal levels."""
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import ctypes
 import logging
 import os
-import signal
 import socket
+import sys
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.cli import common
+from tipforce_tools.cli.request import bus_options
+
+if TYPE_CHECKING:
+    from canopen_device.running.loop import Port
 
 _LOG = logging.getLogger(__name__)
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h
@@ -96,31 +103,6 @@ class Notifier:
             self._socket = None
 
 
-class StopSignal:
-    """True after SIGTERM or SIGINT, so that a loop ends between two steps and never inside a write.
-
-    A second SIGINT interrupts at once.
-    """
-
-    def __init__(self) -> None:
-        self.came = False
-        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGTERM, signal.SIGINT)}
-
-    def _note(self, number: int, _frame: object) -> None:
-        if self.came and number == signal.SIGINT:
-            raise KeyboardInterrupt
-        self.came = True
-
-    def __call__(self) -> bool:
-        """Return whether a signal has arrived."""
-        return self.came
-
-    def restore(self) -> None:
-        """Restore the previous signal handlers."""
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-
 class _JournalFormatter(logging.Formatter):
     """Format ``<4>message``: the journal reads the number as the level (sd-daemon) and adds the time."""
 
@@ -139,3 +121,20 @@ def mark_levels_for_journal() -> None:
     if device and (device, inode) == (str(status.st_dev), str(status.st_ino)):
         for handler in logging.getLogger().handlers:
             handler.setFormatter(_JournalFormatter("%(name)s: %(message)s"))
+
+
+def open_port(args: argparse.Namespace) -> tuple[Port, str]:
+    """Return the port and its name: kernel sockets for SocketCAN, python-can for every other interface."""
+    from canopen_device.running.ports import PythonCanPort, SocketCanPort
+
+    options = bus_options(args)
+    if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:
+        try:
+            return SocketCanPort(options["channel"]), options["channel"]
+        except OSError as error:
+            raise EnvironmentLackError(
+                f"interface socketcan, channel {options['channel']}: {error.strerror}; `ip -br link` lists interfaces; "
+                "`tipforce vcan -- ...` provides vcan"
+            ) from error
+    bus = common.open_bus(args)
+    return PythonCanPort(bus), str(bus.channel_info)

@@ -39,7 +39,6 @@ def run(args: argparse.Namespace) -> int:
     """Show, check, compact or query. Raises InputError, EnvironmentLackError without DuckDB or pyarrow."""
     from tipforce.host.dataset.reader import opened
 
-    common.set_up_logging(args)
     if args.sql is not None:
         from tipforce_tools.dataset.sql import query
 

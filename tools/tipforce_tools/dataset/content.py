@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from tipforce.host.dataset.manifest import FOLDER, Manifest, files_of
+from tipforce.host.dataset.manifest import Manifest, files_of
 from tipforce.host.dataset.reader import tally
-from tipforce.host.dataset.store import Store
+from tipforce.host.dataset.store import FOLDER, Store
 from tipforce_tools.cli.listening import counted
 
 _MB = 1_000_000
@@ -62,7 +62,7 @@ def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str,
             }
             for one in manifest.sources
         ],
-        "unfinished_runs": len(_runs(store)),
+        "unfinished_runs": sum(name.endswith(".run") for name in store.names(FOLDER)),
         "wrong": wrong,
     }
 
@@ -86,10 +86,6 @@ def _calibrations(manifest: Manifest) -> list[tuple[tuple[str, int], list[tuple[
         if not of_node or of_node[-1][1] != crc:  # logs that were added apart tell it again
             of_node.append((t_ns, crc))
     return sorted(found.items())
-
-
-def _runs(store: Store) -> list[str]:
-    return [name for name in store.names(FOLDER) if name.endswith(".run")]
 
 
 def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[str]:

@@ -47,7 +47,10 @@ def query(args: Namespace, store: Store, manifest: Manifest) -> int:
         views(connection, store, manifest)
         text = args.sql
         if not args.unrestricted:
-            _restrict(connection, store, manifest)
+            allowed = [_path(store, path) for path in manifest.paths()]
+            connection.execute(f"set allowed_paths = {_list(allowed)}")
+            for setting in (f"memory_limit = '{MEMORY_MIB}MiB'", *_SETTINGS):
+                connection.execute(f"set {setting}")
             text = _select(duckdb, connection, text)
         with _limited_memory(not args.unrestricted):
             _print(connection, text, args)
@@ -65,18 +68,6 @@ def _reason(duckdb: Any, error: BaseException) -> str:
     if isinstance(error, duckdb.PermissionException):
         message += "; a query reads the dataset alone: --unrestricted lifts this limit"
     return " ".join(message.split())
-
-
-def _restrict(connection: Any, store: Store, manifest: Manifest) -> None:
-    connection.execute(f"set allowed_paths = {_list([_path(store, path) for path in _paths(manifest)])}")
-    for setting in (f"memory_limit = '{MEMORY_MIB}MiB'", *_SETTINGS):
-        connection.execute(f"set {setting}")
-
-
-def _paths(manifest: Manifest) -> list[str]:
-    """Return the files that the views read."""
-    events = [part.events.path for part in manifest.parts if part.events is not None]
-    return [file.path for file in manifest.files()] + events
 
 
 def _select(duckdb: Any, connection: Any, text: str) -> str:

@@ -12,10 +12,10 @@ from datetime import datetime
 from pathlib import Path
 
 from tipforce.errors import InputError
-from tipforce.host.dataset.manifest import is_dataset
-from tipforce.host.dataset.store import is_url, local_copy
-from tipforce.host.decoding.decoded_pdos import Layouts, signals_named, with_asked, with_dcf
-from tipforce.host.decoding.log_part import Reading, When, start_of
+from tipforce.host.dataset.reader import start_of
+from tipforce.host.dataset.store import is_dataset, is_url, local_copy
+from tipforce.host.decoding.log_part import Reading, When
+from tipforce.host.decoding.pdo_layout import Layouts, dcf_layout, node_layout, signals_named, with_layouts
 from tipforce.shipped_files import file_or_shipped
 from tipforce_tools.cli.eds_flag import eds_files
 
@@ -91,10 +91,13 @@ def layouts(args: Namespace) -> Layouts:
     dbc = str(file_or_shipped(args.dbc, "dbc")) if args.dbc else None
     found = Layouts(args.gauges or 3, None if args.nodes is None else tuple(args.nodes), dbc)
     if args.dcf:
-        found = with_dcf(found, args.dcf)
+        found = with_layouts(found, [dcf_layout(path) for path in args.dcf])
     if args.ask:
-        names = ("interface", "channel", "bitrate")
-        found = with_asked(found, args.ask, {name: getattr(args, name) for name in names})
+        from tipforce.host.network.bus import Bus
+        from tipforce.host.network.open_bus import open_bus
+
+        with Bus(open_bus(interface=args.interface, channel=args.channel, bitrate=args.bitrate)) as bus:
+            found = with_layouts(found, [node_layout(bus.sdo(node)) for node in args.ask])
     if args.gauges and found.gauges != args.gauges:
         raise InputError(f"--gauges {args.gauges}: the layouts are of nodes with {found.gauges}")
     return found

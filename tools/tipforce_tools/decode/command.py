@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs",
         type=int,
         metavar="N",
-        help="processes that decode and write parts of the logs (default: one per core)",
+        help="processes that decode and write parts of the logs (default: one; above 1 GB one per core)",
     )
     group.add_argument("--scheduler", metavar="ADDRESS", help="decode on a Dask cluster that can read the files")
     common.add_output_arguments(parser)

@@ -8,9 +8,9 @@ from itertools import groupby
 import msgspec
 import pyarrow.parquet as pq
 
-from tipforce.host.dataset.manifest import EVENTS, FOLDER, DataFile, Manifest, Part, files_of, joined
+from tipforce.host.dataset.manifest import EVENTS, DataFile, Manifest, Part, files_of, joined
 from tipforce.host.dataset.reader import damage_named
-from tipforce.host.dataset.store import Store
+from tipforce.host.dataset.store import FOLDER, Store
 from tipforce_tools.decode import parquet
 from tipforce_tools.decode.dataset_sink import BASE, put_file, rows_schema
 from tipforce_tools.decode.writers import Shape

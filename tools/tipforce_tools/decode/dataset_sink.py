@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.dataset.manifest import FOLDER, NO_DATE, ROWS, DataFile
-from tipforce.host.dataset.store import Store
+from tipforce.host.dataset.manifest import NO_DATE, ROWS, DataFile
+from tipforce.host.dataset.store import FOLDER, Store
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 from tipforce_tools.decode.writers import Shape

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -35,6 +34,8 @@ def write_events(output: str, events: Sequence[BusEvent]) -> None:
 
 def events_text(events: Sequence[BusEvent]) -> str:
     """Return the events as CSV."""
+    import csv
+
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(COLUMNS)

@@ -12,10 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
-from tipforce.output_file import PARQUET, NewFile
-from tipforce_tools.decode import parquet_join
 from tipforce_tools.decode.events import event_rows
-from tipforce_tools.decode.files import append_bytes
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 from tipforce_tools.decode.writers import Shape
 
@@ -105,31 +102,6 @@ def events_table(events: Sequence[BusEvent]) -> pa.Table:
     return pa.table([pa.array(column, kind) for column, kind in zip(columns, EVENTS.types, strict=True)], EVENTS)
 
 
-class FileWriter:
-    """One Parquet file."""
-
-    def __init__(self, path: Path, base: tuple[str, ...], inputs: Iterable[str] = ()) -> None:
-        """Raises InputError."""
-        self._file = NewFile(path, PARQUET, inputs)
-        self._shape = Shape(base)
-        self._parts = Parts(self._file.partial)
-
-    def write(self, table: Table) -> None:
-        """Append the rows of a table."""
-        self._shape.fits(table)
-        self._parts.add(arrow_table(self._shape.of(table), schema_of(self._shape)))
-
-    def close(self) -> None:
-        """Complete the file."""
-        self._parts.finish(schema_of(self._shape), self._shape.channel)
-        self._file.keep()
-
-    def abort(self) -> None:
-        """Remove the file."""
-        self._parts.abort()
-        self._file.drop()
-
-
 def write_part(path: Path, tables: Iterable[Table], shape: Shape) -> None:
     """Write one file with at least the columns of ``shape``, which grows by those of the tables. Raises OSError."""
     parts = Parts(path)
@@ -143,15 +115,9 @@ def write_part(path: Path, tables: Iterable[Table], shape: Shape) -> None:
         raise
 
 
-def join(paths: Sequence[Path], output: Path, shape: Shape) -> None:
+def join_widened(paths: Sequence[Path], output: Path, shape: Shape) -> None:
     """Join files to one with the columns of ``shape``, and remove them. Raises OSError."""
     schema = schema_of(shape)
-    if all(pq.read_schema(path) == schema for path in paths):
-        with output.open("wb") as out:
-            parquet_join.join(paths, out, append_bytes)
-        for path in paths:
-            path.unlink()
-        return
     with _open(output, schema) as writer:
         for path in paths:
             _copy_widened(path, writer, schema, shape.channel)

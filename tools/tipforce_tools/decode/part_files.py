@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO
 
 from tipforce.host.decoding.sample_table import Table
-from tipforce.output_file import CSV, JSON_LINES, PARQUET, NewFile
-from tipforce_tools.decode import text_rows
-from tipforce_tools.decode.files import append_bytes
-from tipforce_tools.decode.parts import Written
-from tipforce_tools.decode.writers import Shape, copy_widened
+from tipforce.output_file import NewFile
+from tipforce_tools.decode import parquet_join, text_rows
+from tipforce_tools.decode.parquet_join import append_bytes
+from tipforce_tools.decode.writers import KINDS, Shape, copy_widened, lines_of
 
-KINDS = {"csv": CSV, "jsonl": JSON_LINES, "parquet": PARQUET}
+Pieces = list[tuple[int, int]]
+"""From which byte of a part on rows have how many columns."""
 
 
 class PartFile:
-    """Writes part ``number`` beside the output, in its format; the record are the pieces of a CSV."""
+    """Writes a part beside the output, in its format."""
 
     def __init__(self, output: Path, kind: str) -> None:
         self._output, self._kind = output, kind
@@ -26,14 +27,14 @@ class PartFile:
         """Return the file of a part."""
         return self._output.with_name(f"{self._output.name}.{number}")
 
-    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> list[tuple[int, int]]:
+    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> Pieces:
         """Write the rows."""
         if self._kind == "parquet":
             from tipforce_tools.decode import parquet
 
             parquet.write_part(self.path(number), tables, shape)
-            return []
-        pieces: list[tuple[int, int]] = []
+            return [(0, len(shape.columns))]
+        pieces: Pieces = []
         with self.path(number).open("wb") as file:
             for table in tables:
                 if not shape.fits(table) or not pieces:
@@ -41,13 +42,8 @@ class PartFile:
                 if self._kind == "csv":
                     file.write(text_rows.csv_rows(shape.of(table), shape.base, shape.columns))
                 else:
-                    file.write(text_rows.json_rows(table, _json_base(table, shape)))
+                    file.write(lines_of(table, self._kind, shape.base))
         return pieces
-
-
-def _json_base(table: Table, shape: Shape) -> tuple[str, ...]:
-    several = len(table.channels) > 1 and text_rows.CHANNEL not in shape.base
-    return (shape.base[0], text_rows.CHANNEL, *shape.base[1:]) if several else shape.base
 
 
 class JoinedFile:
@@ -57,36 +53,51 @@ class JoinedFile:
         """Raises InputError."""
         self._file = NewFile(path, KINDS[kind], inputs)
         self._kind, self._shape = kind, shape
-        self.sink = PartFile(self._file.partial.absolute(), kind)
-        self._parts: list[Written] = []
+        self._beside = self._file.partial.absolute()
+        if self._file.partial == path:  # a device or a pipe
+            import tempfile
 
-    def add(self, part: Written) -> None:
-        """Take the next part."""
-        self._shape = part.shape
-        self._parts.append(part)
+            self._beside = Path(tempfile.gettempdir(), f".{path.name}.{os.getpid()}.part")
+        self.sink = PartFile(self._beside, kind)
+        self._parts: list[tuple[Path, Pieces]] = []
+
+    def add(self, number: int, pieces: Pieces, shape: Shape) -> None:
+        """Take the next part; ``shape``: its columns, and those of the parts in front."""
+        self._shape = shape
+        self._parts.append((self.sink.path(number), pieces))
         if self._kind == "jsonl":
             with self._file.partial.open("ab") as out:
-                self._append(part, out)
+                self._append(*self._parts.pop(), out)
 
     def close(self) -> None:
         """Complete the output."""
         if self._kind == "parquet":
-            from tipforce_tools.decode import parquet
-
-            paths = [self.sink.path(part.number) for part in self._parts]
-            parquet.join(paths, self._file.partial, self._shape)
+            self._join_parquet()
         elif self._kind == "csv":
             with self._file.partial.open("wb") as out:
                 out.write(text_rows.csv_header(self._shape.base, self._shape.columns))
                 out.flush()
                 for part in self._parts:
-                    self._append(part, out)
+                    self._append(*part, out)
         self._file.keep()
 
-    def _append(self, part: Written, out: BinaryIO) -> None:
-        path = self.sink.path(part.number)
-        pieces: Sequence[tuple[int, int]] = part.record
-        if self._kind == "csv" and any(count < len(self._shape.columns) for _, count in pieces):
+    def _join_parquet(self) -> None:
+        paths = [path for path, _ in self._parts]
+        if any(self._is_narrow(pieces) for _, pieces in self._parts):
+            from tipforce_tools.decode import parquet  # its import costs time
+
+            parquet.join_widened(paths, self._file.partial, self._shape)
+            return
+        with self._file.partial.open("wb") as out:
+            parquet_join.join(paths, out, append_bytes)
+        for path in paths:
+            path.unlink()
+
+    def _is_narrow(self, pieces: Pieces) -> bool:
+        return any(count < len(self._shape.columns) for _, count in pieces)
+
+    def _append(self, path: Path, pieces: Pieces, out: BinaryIO) -> None:
+        if self._kind == "csv" and self._is_narrow(pieces):
             copy_widened(path, pieces, self._shape, out)
         else:
             out.flush()
@@ -96,5 +107,5 @@ class JoinedFile:
     def abort(self) -> None:
         """Remove the output and the files of its parts."""
         self._file.drop()
-        for path in self._file.partial.parent.glob(f"{self._file.partial.name}.*"):
+        for path in self._beside.parent.glob(f"{self._beside.name}.*"):
             path.unlink()

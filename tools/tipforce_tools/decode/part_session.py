@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 import time
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from tipforce.errors import WriteError
-from tipforce.host.dataset.manifest import is_dataset
+from tipforce.host.dataset.store import is_dataset
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, Told
 from tipforce.host.logs.lines import is_plain, line_borders
@@ -28,14 +29,17 @@ from tipforce_tools.decode.text_rows import COUNTER, NODE, TIME
 from tipforce_tools.decode.writers import Shape
 
 if TYPE_CHECKING:
+    from tipforce_tools.decode.part_files import PartFile, Pieces
     from tipforce_tools.decode.parts import Sink, Workers, Written
 
-_SMALL_BYTES = 4_000_000  # of all logs: less is decoded before processes start
+_SMALL_BYTES = 1_000_000_000  # of all logs: to it one process needs less processor time and memory, and seconds
 _LEAST_PIECE_BYTES = 8_000_000  # minimum size of a piece
-_PIECE_BYTES = 32_000_000  # of a large log: its result fits in memory
+_PIECE_BYTES = 16_000_000  # of a large log: several results fit in memory
 _FOLLOW_S = 2.0  # between looks at a growing log
 _FOLLOWED_BYTES = 16_000_000  # of a part that is written again while its log grows
 _DATASET_PIECE_BYTES = 64_000_000  # a file per node of some megabytes
+FilePart: TypeAlias = "tuple[int, Pieces, Shape]"
+"""Number of a part, the record of its writing, and its columns after those of the parts in front."""
 JOINED = ("csv", "jsonl", "parquet")
 """Formats whose parts can be written apart."""
 
@@ -60,24 +64,52 @@ def write_parts(
     args: Namespace, kind: str, pieces: list[Piece], reading: Reading, recording: Recording,
     summary: summaries.Summary, bar: ProgressBar,
 ) -> None:  # fmt: skip
-    """Write all parts by workers. Raises as ``_write_all`` does."""
-    from tipforce_tools.decode.part_files import JoinedFile
+    """Write all parts by workers. Raises as ``write_file`` does."""
     from tipforce_tools.decode.parts import InOrder
 
-    shape = Shape((TIME, NODE, COUNTER))
-    inputs = [piece.name for piece in pieces]
-    output = JoinedFile(Path(args.output), kind, shape, inputs)
-    workers = _workers(args, reading, output.sink, len(pieces))
-    try:
+    def parts(sink: PartFile, shape: Shape) -> Iterator[FilePart]:
+        workers = _workers(args, reading, sink, len(pieces))
         for written in InOrder(pieces, recording, shape, workers, asked=reading.signals):
             summary.append(written.summary)
-            output.add(written)
+            yield written.number, written.record, written.shape
             bar.add(written.piece)
-        check_readable(args, recording.told)
+
+    write_file(args, kind, (TIME, NODE, COUNTER), [piece.name for piece in pieces], recording.told, parts)
+
+
+def write_file(
+    args: Namespace, kind: str, base: tuple[str, ...], inputs: Sequence[str], told: Told,
+    parts: Callable[[PartFile, Shape], Iterable[FilePart]],
+) -> None:  # fmt: skip
+    """Write one file from ``parts`` that are written to its sink; ``base``: the columns that every table has.
+
+    Raises InputError for a path that cannot be written, WriteError.
+    """
+    from tipforce_tools.decode.part_files import JoinedFile
+
+    shape = Shape(base)
+    output = JoinedFile(Path(args.output), kind, shape, inputs)
+    with aborted(args, output):
+        for part in parts(output.sink, shape):
+            output.add(*part)
+        check_readable(args, told)
         output.close()
-        write_events(args.output, recording.told.events())
+        write_events(args.output, told.events())
+
+
+class _Output(Protocol):
+    def abort(self) -> None: ...
+
+
+@contextmanager
+def aborted(args: Namespace, output: _Output) -> Iterator[None]:
+    """Abort an output where the block fails. Raises WriteError for an OSError of a file."""
+    try:
+        yield
     except OSError as error:
         output.abort()
+        if args.output in {None, "-"}:
+            raise
         raise WriteError(f"{args.output}: {error.strerror or error}; an old file is unchanged") from error
     except BaseException:
         output.abort()
@@ -86,7 +118,7 @@ def write_parts(
 
 def _workers(args: Namespace, reading: Reading, sink: Sink, parts: int) -> Workers:
     if args.scheduler is not None:
-        from tipforce_tools.decode.cluster import Cluster
+        from tipforce_tools.decode.processes import Cluster
 
         return Cluster(args.scheduler, reading, sink)
     from tipforce_tools.decode.processes import Processes

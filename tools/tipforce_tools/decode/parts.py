@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 from tipforce.errors import TipforceError
+from tipforce.host.decoding.counters import Tally
 from tipforce.host.decoding.decoded_part import DecodedPart, Ends, Start
 from tipforce.host.decoding.health import NAMES
 from tipforce.host.decoding.health_rows import EMCY, STATE, with_channel
@@ -19,7 +20,6 @@ from tipforce.host.decoding.log_part import Notes, Piece, Reading, StrictError
 from tipforce.host.decoding.recording import Recording, State
 from tipforce.host.decoding.sample_table import Column, Table, flag, in_order
 from tipforce.host.decoding.services import BusEvent
-from tipforce.host.decoding.tally import Tally
 from tipforce_tools.decode.summary import Summary
 from tipforce_tools.decode.writers import Shape
 
@@ -67,11 +67,8 @@ class Workers(Protocol):
     def decode(self, number: int, piece: Piece) -> None:
         """Begin to decode a part."""
 
-    def write(self, number: int, start: Start, shape: Shape) -> None:
-        """Complete and write a decoded part."""
-
-    def alone(self, number: int, state: State, shape: Shape, last: bool) -> None:
-        """Decode and write a part after the ones in front."""
+    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
+        """Complete and write a decoded part; after a ``State`` decode it after the ones in front."""
 
     def next(self) -> Event:
         """Wait for the next event. Raises EnvironmentLackError if a part cannot be finished."""
@@ -92,14 +89,12 @@ class Work:
         self._part = DecodedPart(self._piece, self._reading)
         return self._part.ends
 
-    def write(self, start: Start, shape: Shape, sink: Sink) -> Written:
-        """Complete and write the rows. Raises OSError."""
-        assert self._part is not None
-        return self._written(self._part.rows(start), shape, sink)
-
-    def alone(self, state: State, shape: Shape, last: bool, sink: Sink) -> Written:
-        """Decode and write the part where the parts in front of it are known. Raises TipforceError, OSError."""
-        recording = Recording(self._reading, state)
+    def write(self, before: Start | State, shape: Shape, last: bool, sink: Sink) -> Written:
+        """Complete and write the rows; after a ``State`` the part is decoded again. Raises TipforceError, OSError."""
+        if isinstance(before, Start):
+            assert self._part is not None
+            return self._written(self._part.rows(before), shape, sink)
+        recording = Recording(self._reading, before)
         found = self._written(self._tables(recording, last), shape, sink)
         found.state, found.notes = recording.state(), recording.told.notes
         found.events = recording.told.bus.found
@@ -135,14 +130,11 @@ class Here:
         self._pieces[number] = piece
         self._events.append(Event(number, Ends((), Tally(), Notes(piece.name))))
 
-    def write(self, number: int, start: Start, shape: Shape) -> None:
-        """Do nothing: no part is decoded on its own."""
-
-    def alone(self, number: int, state: State, shape: Shape, last: bool) -> None:
+    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
         """Decode and write a part."""
         work = Work(number, self._pieces.pop(number), self._reading)
         try:
-            self._events.append(Event(number, work.alone(state, shape, last, self._sink)))
+            self._events.append(Event(number, work.write(before, shape, last, self._sink)))
         except (TipforceError, OSError) as error:
             self._events.append(Event(number, error))
 
@@ -152,13 +144,6 @@ class Here:
 
     def close(self) -> None:
         """Do nothing."""
-
-
-class _Followed(NamedTuple):
-    state: State
-    frames: int
-    bad: dict[str, int]
-    events: list[BusEvent]
 
 
 class InOrder:
@@ -179,7 +164,7 @@ class InOrder:
         self._workers, self._asked, self._ends = workers, asked, ends
         self._known: dict[int, Ends | Exception] = {}
         self._written: dict[int, Written] = {}
-        self._followed_parts: dict[int, _Followed] = {}
+        self._followed_parts: dict[int, tuple[State, int, dict[str, int], list[BusEvent]]] = {}
         self._begun = self._followed = self._given = 0
         self._alone = False
 
@@ -194,7 +179,8 @@ class InOrder:
                 self._follow()
                 while self._given in self._written:
                     found = self._written.pop(self._given)
-                    self._complete(found)
+                    if found.number in self._followed_parts:
+                        found.state, found.frames, found.bad, found.events = self._followed_parts.pop(found.number)
                     self._given += 1
                     yield found
         finally:
@@ -229,17 +215,12 @@ class InOrder:
             start = self._recording.follow(ends, last=last)
             if start is None:
                 self._alone = True
-                self._workers.alone(number, self._recording.state(), self._shape.copy(), last)
+                self._workers.write(number, self._recording.state(), self._shape.copy(), last)
                 return
             self._shape.take(columns_of(ends, start, self._asked), start.channels)
-            self._followed_parts[number] = _Followed(self._recording.state(), *counts, start.events)
+            self._followed_parts[number] = (self._recording.state(), *counts, start.events)
             self._followed += 1
-            self._workers.write(number, start, self._shape.copy())
-
-    def _complete(self, found: Written) -> None:
-        followed = self._followed_parts.pop(found.number, None)
-        if followed is not None:
-            found.state, found.frames, found.bad, found.events = followed
+            self._workers.write(number, start, self._shape.copy(), last)
 
     def _raise(self, error: Exception) -> None:
         raise self._recording.numbered(error) if isinstance(error, StrictError) else error

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, TipforceError
-from tipforce.host.decoding.decoded_part import Start
+from tipforce.host.decoding.decoded_part import Ends, Start
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import State
 from tipforce_tools.decode.parts import Event, Sink, Work, Written
@@ -57,13 +57,9 @@ class Processes:
         self._busy[number] = self._idle.pop()
         self._order(number, ("decode", number, piece))
 
-    def write(self, number: int, start: Start, shape: Shape) -> None:
-        """Complete and write a decoded part."""
-        self._order(number, ("write", start, shape))
-
-    def alone(self, number: int, state: State, shape: Shape, last: bool) -> None:
-        """Decode and write a part after the ones in front."""
-        self._order(number, ("alone", state, shape, last))
+    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
+        """See ``Workers``."""
+        self._order(number, ("write", before, shape, last))
 
     def _order(self, number: int, order: tuple[Any, ...]) -> None:
         self._orders.setdefault(number, []).append(order)
@@ -126,9 +122,95 @@ def _serve(pipe: Any, inherited: list[Any], reading: Reading, sink: Sink) -> Non
                     work = Work(order[1], order[2], reading)
                     pipe.send(work.decode())
                 elif work is not None:
-                    write: Any = work.write if order[0] == "write" else work.alone
-                    done = write(*order[1:], sink)
+                    _, before, shape, last = order
+                    done = work.write(before, shape, last, sink)
                     work = None
                     pipe.send(done)
             except (TipforceError, OSError) as error:
                 pipe.send(error)
+
+
+CONNECT_S = 10
+"""Timeout of the scheduler's response."""
+_PER_THREAD = 2
+"""Parts in work for each thread of the cluster: one is decoded while another one waits for the parts in front."""
+
+
+class Cluster:
+    """The workers of a scheduler. They must see the logs and the output by the same names."""
+
+    def __init__(self, scheduler: str, reading: Reading, sink: Sink) -> None:
+        """Raises EnvironmentLackError without Dask or without a response of the scheduler."""
+        try:
+            import distributed
+        except ImportError:
+            raise EnvironmentLackError("--scheduler needs Dask: `pip install 'tipforce[dask]'`") from None
+        try:
+            self._client: Any = distributed.Client(scheduler, timeout=CONNECT_S)
+        except (OSError, ValueError) as error:
+            raise EnvironmentLackError(f"--scheduler {scheduler}: no response: {error}") from error
+        self._waiting: Any = distributed.as_completed([])
+        self._reading, self._sink = reading, sink
+        self._works: dict[int, Any] = {}
+        self._numbers: dict[str, int] = {}
+
+    @property
+    def free(self) -> int:
+        """How many parts can be begun now."""
+        threads: int = sum(self._client.nthreads().values())
+        return max(_PER_THREAD * max(threads, 1) - len(self._works), 0)
+
+    def decode(self, number: int, piece: Piece) -> None:
+        """Begin to decode a part."""
+        work = self._works[number] = self._client.submit(_decoded, number, piece, self._reading, pure=False)
+        self._wait(number, self._client.submit(_ends, work, pure=False, priority=1))
+
+    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
+        """See ``Workers``."""
+        order = self._works[number], before, shape, last, self._sink
+        self._wait(number, self._client.submit(_write, *order, pure=False, priority=2))
+
+    def _wait(self, number: int, future: Any) -> None:
+        self._numbers[future.key] = number
+        self._waiting.add(future)
+
+    def next(self) -> Event:
+        """Wait for the next event. Raises EnvironmentLackError for a part whose workers end again and again."""
+        import distributed
+
+        future = next(self._waiting)
+        number = self._numbers.pop(future.key)
+        try:
+            told = future.result()
+        except distributed.KilledWorker as error:
+            raise EnvironmentLackError(f"--scheduler: the workers of part {number} ended: {error}") from error
+        future.release()
+        if not isinstance(told, Ends):
+            self._works.pop(number).release()
+        return Event(number, told)
+
+    def close(self) -> None:
+        """End all work."""
+        self._works.clear()
+        self._client.close()
+
+
+def _decoded(number: int, piece: Piece, reading: Reading) -> tuple[Work, Ends | Exception]:
+    work = Work(number, piece, reading)
+    try:
+        return work, work.decode()
+    except (TipforceError, OSError) as error:
+        return work, error
+
+
+def _ends(decoded: tuple[Work, Ends | Exception]) -> Ends | Exception:
+    return decoded[1]
+
+
+def _write(
+    decoded: tuple[Work, Ends], before: Start | State, shape: Shape, last: bool, sink: Sink
+) -> Written | Exception:
+    try:
+        return decoded[0].write(before, shape, last, sink)
+    except (TipforceError, OSError) as error:
+        return error

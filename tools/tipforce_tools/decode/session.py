@@ -6,27 +6,39 @@ import sys
 from argparse import Namespace
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, cast
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from tipforce.errors import InputError, WriteError
-from tipforce.host.dataset.manifest import is_dataset
-from tipforce.host.dataset.store import is_url
-from tipforce.host.decoding import status_words
+from tipforce.errors import InputError
+from tipforce.host.dataset.reader import tables_of_logs
+from tipforce.host.dataset.store import is_dataset, is_url
 from tipforce.host.decoding.log_part import StrictError
-from tipforce.host.decoding.recording import Recording, Told
+from tipforce.host.decoding.recording import Recording, Tap, Told
 from tipforce.host.decoding.sample_table import Column, Table
-from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
+from tipforce.host.frames.frame_array import MAX_CHANNELS
+from tipforce.samples import reasons
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
 from tipforce_tools.decode import summary as summaries
 from tipforce_tools.decode.events import events_path, write_events
-from tipforce_tools.decode.part_session import JOINED, check_readable, in_parts, write_dataset, write_parts
+from tipforce_tools.decode.part_session import (
+    JOINED,
+    FilePart,
+    aborted,
+    check_readable,
+    in_parts,
+    write_dataset,
+    write_file,
+    write_parts,
+)
 from tipforce_tools.decode.progress import ProgressBar
-from tipforce_tools.decode.writers import FrameWriter, Writer, format_of, is_directory, open_writer
+from tipforce_tools.decode.text_rows import COUNTER, NODE, TIME
+from tipforce_tools.decode.writers import Shape, StreamWriter, check_format, format_of, is_directory
 
 if TYPE_CHECKING:
-    pass
+    from tipforce_robots.mcap_file import McapWriter
+    from tipforce_tools.decode.part_files import PartFile
 
 
 _FIRST_ROWS = 100_000  # inspected before the first is written, so that rare columns are known
@@ -45,7 +57,6 @@ def decode(args: Namespace) -> int:
     recording = Recording(reading)
     summary = summaries.Summary()
     bar = ProgressBar(names, args)
-    frames = _Frames() if kind == "mcap" else None
     directory = args.output is not None and is_directory(args.output)
     pieces = [] if directory else in_parts(args, kind, names)
     code, complete = 0, False
@@ -55,9 +66,7 @@ def decode(args: Namespace) -> int:
         elif pieces:
             write_parts(args, kind, pieces, reading, recording, summary, bar)
         else:
-            tables: Iterable[Table] = recording.tables_of_logs(names, bar if bar.wanted else None, frames)
-            tables = steps.resampled(summary.passing(steps.contact(tables)))
-            _write_all(args, kind, tables, steps, recording.told, frames)
+            _write_all(args, kind, names, steps, recording, summary, bar)
         complete = True
     except StrictError as error:
         bar.close()
@@ -96,9 +105,8 @@ class _Steps:
             from tipforce.host.decoding import contact_columns
 
             calibrations = contact_columns.read_calibrations(args.calibration)
-            gauges = contact_columns.gauges_of(calibrations)
             if not args.gauges and not args.dcf and not args.ask:
-                self.layouts = replace(self.layouts, gauges=gauges)
+                self.layouts = replace(self.layouts, gauges=contact_columns.gauges_of(calibrations))
             computed = {name: signal for name in names or () if (signal := contact_columns.is_computed(name))}
             rest = choice.checked_signals(self.layouts, tuple(n for n in names or () if n not in computed))
             asked = None
@@ -106,10 +114,7 @@ class _Steps:
                 left = iter(rest or ())
                 asked = tuple(computed[name] if name in computed else next(left, "") for name in names)
             self._contact = contact_columns.ContactColumns(calibrations, asked)
-            self.asked, self.signals = (
-                asked,
-                contact_columns.signals_needed(asked, gauges, contact_columns.temperature_needed(calibrations)),
-            )
+            self.asked, self.signals = asked, contact_columns.signals_needed(asked, calibrations)
         else:
             self.asked = self.signals = choice.checked_signals(self.layouts, names)
         self.rate_hz: float | None = args.resample
@@ -128,55 +133,50 @@ class _Steps:
         return tables if self._resampler is None else self._resampler.tables(tables)
 
 
-class _Frames:
-    """The frames of the logs, for a writer that keeps them, too."""
+def _write_all(args: Namespace, kind: str, names: Sequence[str], steps: _Steps, recording: Recording,
+               summary: summaries.Summary, bar: ProgressBar) -> None:  # fmt: skip
+    """Write the rows, which pass through this process. Raises as ``write_file`` does."""
 
-    def __init__(self) -> None:
-        self.writer: FrameWriter | None = None
+    def tables(tap: Tap | None = None) -> Iterable[Table]:
+        found = tables_of_logs(recording, names, bar if bar.wanted else None, tap)
+        return steps.resampled(summary.passing(steps.contact(found)))
 
-    def __call__(self, frames: FrameArray, channels: Sequence[str]) -> None:
-        if self.writer is not None:
-            self.writer.frames(frames, channels)
-
-
-def _write_all(
-    args: Namespace, kind: str, tables: Iterable[Table], steps: _Steps, told: Told, frames: _Frames | None
-) -> None:
+    told = recording.told
     if args.summary and args.output is None:
-        for _ in tables:
+        for _ in tables():
             pass
         check_readable(args, told)
         return
-    base = () if steps.rate_hz is not None else ("counter",)
-    inputs = [name for name in choice.logs(args.logs) if name != "-"]
-    writer = open_writer(args.output, kind, rate_base=base, inputs=inputs)
-    if frames is not None:
-        frames.writer = cast(FrameWriter, writer)
-    live = args.follow or args.output in {None, "-"}
-    try:
-        for table in tables if live else _looked_ahead(tables):
+    check_format(args.output, kind)
+    base = (TIME, NODE, *(() if steps.rate_hz is not None else (COUNTER,)))
+    inputs = [name for name in names if name != "-"]
+    to_file = args.output not in {None, "-"}
+    looked_ahead = _looked_ahead if to_file and not args.follow else iter
+    if to_file and kind in {"parquet", "csv"}:
+
+        def part(sink: PartFile, shape: Shape) -> Iterator[FilePart]:
+            yield 0, sink.write(0, looked_ahead(tables()), shape), shape
+
+        write_file(args, kind, base, inputs, told, part)
+        return
+    writer: StreamWriter | McapWriter = _mcap(args, inputs) if kind == "mcap" else StreamWriter(
+        args.output, kind, base, inputs)  # fmt: skip
+    with aborted(args, writer):
+        for table in looked_ahead(tables(writer.frames)):
             writer.write(table)
-        _complete(args, writer, told, frames)
-    except OSError as error:
-        writer.abort()
-        if args.output in {None, "-"}:
-            raise
-        raise WriteError(f"{args.output}: {error.strerror or error}; an old file is unchanged") from error
-    except BaseException:
-        writer.abort()
-        raise
-    left_out = getattr(writer, "left_out", None)
-    if left_out:
-        common.note(args, f"not in the CSV, because they appeared after its header: {', '.join(sorted(left_out))}")
+        check_readable(args, told)
+        writer.close(told.events())
+        if to_file:
+            write_events(args.output, told.events())
+    if writer.left_out:
+        left_out = ", ".join(sorted(writer.left_out))
+        common.note(args, f"not in the CSV, because they appeared after its header: {left_out}")
 
 
-def _complete(args: Namespace, writer: Writer, told: Told, frames: _Frames | None) -> None:
-    check_readable(args, told)
-    if frames is not None and frames.writer is not None:
-        frames.writer.events(told.events())
-    writer.close()
-    if args.output not in {None, "-"}:
-        write_events(args.output, told.events())
+def _mcap(args: Namespace, inputs: Sequence[str]) -> McapWriter:
+    from tipforce_robots.mcap_file import McapWriter
+
+    return McapWriter(Path(args.output), inputs)
 
 
 def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
@@ -202,7 +202,7 @@ def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: b
     for line in summaries.notes_lines(told):
         common.note(args, line)
     if told.unseen and not args.calibration:
-        common.note(args, status_words.not_seen(node for _, node in told.unseen))
+        common.note(args, reasons.not_seen(node for _, node in told.unseen))
     if complete and not summary.samples and told.notes:
         common.note(args, _nothing(args, told))
     if args.summary and not args.json:

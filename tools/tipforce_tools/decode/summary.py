@@ -11,24 +11,12 @@ import numpy.typing as npt
 
 from tipforce.host.decoding.recording import Told
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
+from tipforce.samples.reasons import CAUSES
+from tipforce_tools.decode.events import COLUMNS
 
 NO_FRAME, UNKNOWN = "no_frame", "unknown"
-_CONTACT = frozenset({"P", "phi", "theta", "F1", "F2", "F3"})
-_ANGLES = frozenset({"phi", "theta"})
-# (reason, its flag, whether a set flag means the reason, the signals; None: all)
-_REASONS: tuple[tuple[str, str, bool, frozenset[str] | None], ...] = (
-    ("contradiction", "fault_contradiction", True, _CONTACT),
-    ("overload", "fault_overload", True, _CONTACT),
-    ("fault", "fault", True, None),
-    ("stale", "stale", True, None),
-    ("uncalibrated", "calibrated", False, _CONTACT),
-    ("saturated", "saturated", True, _CONTACT),
-    ("no_contact", "contact", False, _ANGLES),
-    ("theta_unresolved", "theta_unresolved", True, frozenset({"theta"})),
-    ("misses_tip", "misses_tip", True, frozenset({"theta"})),
-)
 _EVENTS = {"emcy_reset": "EMCY no error", "boot_up": "boot-up", "state": "NMT state", "calibration": "calibration"}
-_ORDER = (*(reason for reason, *_ in _REASONS), UNKNOWN)
+_ORDER = (*CAUSES, UNKNOWN)
 
 
 @dataclass(slots=True)
@@ -65,12 +53,9 @@ class NodeSummary:
         self.samples += other.samples
         self.first_ns = min((t for t in (self.first_ns, other.first_ns) if t is not None), default=None)
         self.last_ns = max((t for t in (self.last_ns, other.last_ns) if t is not None), default=None)
-        for column, count in other.present.items():
-            self.present[column] = self.present.get(column, 0) + count
+        _add(self.present, other.present)
         for column, reasons in other.told.items():
-            mine = self.told.setdefault(column, {})
-            for reason, count in reasons.items():
-                mine[reason] = mine.get(reason, 0) + count
+            _add(self.told.setdefault(column, {}), reasons)
 
     def record(self, told: Told) -> dict[str, Any]:
         """Return the JSON record."""
@@ -120,11 +105,8 @@ class Summary:
         for number, key in enumerate(sorted_key[starts].tolist()):
             place = table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
             node = nodes[key] = self._nodes.setdefault(place, NodeSummary(*place))
-            node.samples += int(counts[number])
-            if table.timed:
-                low, high = int(lows[number]), int(highs[number])
-                node.first_ns = low if node.first_ns is None else min(node.first_ns, low)
-                node.last_ns = high if node.last_ns is None else max(node.last_ns, high)
+            span = (int(lows[number]), int(highs[number])) if table.timed else (None, None)
+            node.append(NodeSummary(*place, int(counts[number]), *span))
         for column in table.columns:
             if column.kind == "real":
                 absent = table.absent.get(column.name)
@@ -148,7 +130,7 @@ class Summary:
         absent = table.absent.get(column.name)
         if absent is not None:
             left &= ~absent[rows]
-        for reason, name, is_set, signals in _REASONS:
+        for reason, (name, is_set, signals) in CAUSES.items():
             if name in table.values and (signals is None or column.signal in signals):
                 told = left & (table.values[name][rows] == (1 if is_set else 0))
                 self._note(column, reason, rows[told], table, nodes)
@@ -172,20 +154,19 @@ class Summary:
 
 def bad_lines(told: Told) -> dict[str, int]:
     """Return the bad lines of all logs by reason."""
-    found: dict[str, int] = {}
-    for notes in told.notes:
-        for reason, count in notes.bad.items():
-            found[reason] = found.get(reason, 0) + count
-    return found
+    return _summed(notes.bad for notes in told.notes)
 
 
-def skipped(told: Told) -> dict[str, int]:
-    """Return the counts of frames without samples, of all logs, by kind."""
-    found: dict[str, int] = {}
-    for notes in told.notes:
-        for kind, count in notes.skipped.items():
-            found[kind] = found.get(kind, 0) + count
-    return found
+def _summed(counts: Iterable[dict[str, int]]) -> dict[str, int]:
+    total: dict[str, int] = {}
+    for of_log in counts:
+        _add(total, of_log)
+    return total
+
+
+def _add(counts: dict[str, int], more: dict[str, int]) -> None:
+    for name, count in more.items():
+        counts[name] = counts.get(name, 0) + count
 
 
 def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
@@ -197,17 +178,9 @@ def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
         "samples": summary.samples,
         "lost": sum(told.tally.lost().values()),
         "bad": bad_lines(told),
-        "skipped": skipped(told),
+        "skipped": _summed(notes.skipped for notes in told.notes),
         "events": [
-            {
-                "t_s": event.t_ns / 1_000_000_000,
-                "channel": event.channel,
-                "node": event.node_id,
-                "event": event.kind,
-                "code": event.code,
-                "text": event.text,
-            }
-            for event in told.events()
+            dict(zip(COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True)) for event in told.events()
         ],
         "nodes": [node.record(told) for node in summary.nodes()],
     }

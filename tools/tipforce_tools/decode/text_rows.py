@@ -4,12 +4,153 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import cache
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from tipforce.host.decoding import status_words
-from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
-from tipforce_tools.decode import cells
+from tipforce.host.decoding.sample_table import NO_COUNTER, NO_FLAG, Column, Table, Values, is_missing
+from tipforce.samples import reasons
+
+Cells = npt.NDArray[np.uint8]
+"""(k, width) characters; 0 means no character."""
+
+_MOST = 1 << 53
+_ZERO, _POINT, _MINUS = 48, 46, 45
+
+
+@cache
+def _four_digits() -> npt.NDArray[np.uint32]:
+    """Return the text of 0000 to 9999, each as one number of four bytes."""
+    n = np.arange(10_000)
+    digits = np.stack([n // 1000, n // 100 % 10, n // 10 % 10, n % 10], axis=-1).astype(np.uint8) + _ZERO
+    return digits.view(np.uint32)[:, 0]
+
+
+def digits_of(number: npt.NDArray[Any], width: int) -> Cells:
+    """Format non-negative numbers (k,) with leading zeros: (k, width)."""
+    groups = -(-width // 4)
+    text = np.empty((len(number), groups), dtype=np.uint32)
+    left: npt.NDArray[Any] = number.astype(np.uint32 if width <= 9 else np.uint64)
+    for group in range(groups - 1, 0, -1):
+        above = left // 10_000
+        text[:, group] = _four_digits()[left - above * 10_000]
+        left = above
+    text[:, 0] = _four_digits()[left]
+    return text.view(np.uint8)[:, 4 * groups - width :]
+
+
+def whole_cells(number: npt.NDArray[np.int64], digits: int = 0) -> Cells:
+    """Format integers (k,) with the last ``digits`` after a decimal point."""
+    size = np.abs(number)
+    width = max(len(str(int(size.max(initial=0)))), digits + 1)
+    cells = digits_of(size, width)
+    out = np.zeros((len(number), 1 + width + (digits > 0)), dtype=np.uint8)
+    whole = width - digits
+    out[:, 1 : 1 + whole] = cells[:, :whole]
+    if digits:
+        out[:, 1 + whole] = _POINT
+        out[:, 2 + whole :] = cells[:, whole:]
+    for place in range(whole - 1):  # no leading zeros
+        out[size < 10 ** (width - 1 - place), 1 + place] = 0
+    negative = number < 0
+    if negative.any():
+        first = 1 + whole - np.maximum(_length(size, width) - digits, 1)
+        out[negative, first[negative] - 1] = _MINUS
+    return out
+
+
+def _length(size: npt.NDArray[np.int64], width: int) -> npt.NDArray[np.intp]:
+    limits = np.array([10**place for place in range(1, width)], dtype=np.int64)
+    return np.searchsorted(limits, size, side="right") + 1
+
+
+def real_cells(values: Values, digits: int | None) -> Cells:
+    """Format float64 (k,) with ``digits`` decimals; None, or for numbers that are too large: shortest exact text.
+
+    Non-finite numbers give no characters.
+    """
+    finite = np.isfinite(values)
+    if digits is not None:
+        scaled = np.rint(np.where(finite, values, 0.0) * 10.0**digits)
+        if np.abs(scaled).max(initial=0.0) < _MOST:
+            cells = whole_cells(scaled.astype(np.int64), digits)
+            cells[~finite] = 0
+            return cells
+    text = np.where(finite, values, 0.0).astype("S32")
+    cells = text.view(np.uint8).reshape(len(values), 32).copy()
+    cells[~finite] = 0
+    return cells
+
+
+def time_cells(t_ns: npt.NDArray[np.int64]) -> Cells:
+    """Format seconds of the epoch with 6 decimals, or 9 if one of the times needs them."""
+    digits = 6 if not (t_ns % 1000).any() else 9
+    return whole_cells(t_ns // 10 ** (9 - digits), digits)
+
+
+def column_cells(column: Column, values: Values) -> Cells:
+    """Format the values of a column; flags as 0 and 1, no characters for missing values."""
+    if column.kind == "real":
+        return real_cells(values, column.digits)
+    if column.kind == "word":
+        return word_cells(values)
+    if column.kind == "flag":
+        return np.where(values == NO_FLAG, 0, values + ord("0")).astype(np.uint8)[:, np.newaxis]
+    cells = whole_cells(np.where(is_missing(column, values), 0, values).astype(np.int64))
+    cells[is_missing(column, values)] = 0
+    return cells
+
+
+def word_cells(values: Values) -> Cells:
+    """Byte strings."""
+    width = max(values.dtype.itemsize, 1)
+    return np.ascontiguousarray(values).view(np.uint8).reshape(len(values), width) if width else np.zeros((0, 1), "u1")
+
+
+def instead(cells: Cells, where: npt.NDArray[np.bool_], text: bytes) -> Cells:
+    """Return the cells with ``text`` in some rows."""
+    if not where.any():
+        return cells
+    missing = max(len(text) - cells.shape[1], 0)
+    out = np.pad(cells, ((0, 0), (0, missing)))
+    out[where] = 0
+    out[where, : len(text)] = np.frombuffer(text, dtype=np.uint8)
+    return out
+
+
+def chosen(where: npt.NDArray[np.bool_], text: bytes, otherwise: bytes = b"") -> Cells:
+    """Return one text or the other for each row."""
+    width = max(len(text), len(otherwise), 1)
+    pair = np.zeros((2, width), dtype=np.uint8)
+    pair[0, : len(otherwise)] = np.frombuffer(otherwise, dtype=np.uint8)
+    pair[1, : len(text)] = np.frombuffer(text, dtype=np.uint8)
+    found: Cells = pair[where.astype(np.intp)]
+    return found
+
+
+def right(cells: Cells, width: int) -> Cells:
+    """Return cells of at least ``width`` characters, right-aligned."""
+    used = cells != 0
+    out = np.full((len(cells), max(width, cells.shape[1])), ord(" "), dtype=np.uint8)
+    length = used.sum(axis=1)
+    row, place = np.nonzero(used)
+    column = place - (np.argmax(used, axis=1))[row] + (out.shape[1] - length)[row]
+    out[row, column] = cells[row, place]
+    return out
+
+
+def rows_text(parts: Sequence[bytes | Cells], rows: int) -> bytes:
+    """Return one text of all rows, each joined from constant texts and cells."""
+    widths = [len(part) if isinstance(part, bytes) else part.shape[1] for part in parts]
+    matrix = np.empty((rows, sum(widths)), dtype=np.uint8)
+    at = 0
+    for part, width in zip(parts, widths, strict=True):
+        matrix[:, at : at + width] = np.frombuffer(part, dtype=np.uint8) if isinstance(part, bytes) else part
+        at += width
+    return matrix.tobytes().replace(b"\0", b"")
+
 
 TIME, CHANNEL, NODE, COUNTER = "t_s", "channel", "node", "counter"
 _UNITS = {"degree": "deg"}
@@ -24,25 +165,25 @@ def chunks(table: Table) -> list[Table]:
     return [table.take(np.arange(start, min(start + _CHUNK_ROWS, len(table)))) for start in starts]
 
 
-def channel_names(table: Table, quoted: bool = False) -> cells.Cells:
+def channel_names(table: Table, quoted: bool = False) -> Cells:
     """Return the channel of each row."""
     names = [json.dumps(name)[1:-1] if quoted else name for name in table.channels]
-    return cells.word_cells(np.array([name.encode() for name in names])[table.channel])
+    return word_cells(np.array([name.encode() for name in names])[table.channel])
 
 
-def base_cells(table: Table, name: str) -> tuple[cells.Cells, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+def base_cells(table: Table, name: str) -> tuple[Cells, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """Return (cells, mask of missing values) of one of the columns that every table has."""
     nothing = np.zeros(len(table), dtype=np.bool_)
     if name == TIME:
         if not table.timed:
             return np.zeros((len(table), 1), dtype=np.uint8), ~nothing
-        return cells.time_cells(table.t_ns), nothing
+        return time_cells(table.t_ns), nothing
     if name == NODE:
-        return cells.whole_cells(table.node.astype(np.int64)), nothing
+        return whole_cells(table.node.astype(np.int64)), nothing
     if name == CHANNEL:
         return channel_names(table), nothing
     missing = table.counter == NO_COUNTER
-    found = cells.whole_cells(np.where(missing, 0, table.counter))
+    found = whole_cells(np.where(missing, 0, table.counter))
     found[missing] = 0
     return found, missing
 
@@ -60,15 +201,15 @@ def csv_rows(table: Table, base: Sequence[str], columns: Sequence[Column]) -> by
     """Format lines with these columns; those that the table lacks are empty."""
     text = b""
     for piece in chunks(table):
-        parts: list[bytes | cells.Cells] = []
+        parts: list[bytes | Cells] = []
         for name in base:
             parts += [base_cells(piece, name)[0], b","]
         for column in columns:
             if column.name in piece.values:
-                parts.append(cells.column_cells(column, piece.values[column.name]))
+                parts.append(column_cells(column, piece.values[column.name]))
             parts.append(b",")
         parts[-1] = b"\n"
-        text += cells.rows_text(parts, len(piece))
+        text += rows_text(parts, len(piece))
     return text
 
 
@@ -76,78 +217,78 @@ def json_rows(table: Table, base: Sequence[str]) -> bytes:
     """Format JSON lines: null for missing values; keys that no row of the table has are left out."""
     text = b""
     for piece in chunks(table):
-        parts: list[bytes | cells.Cells] = []
+        parts: list[bytes | Cells] = []
         start = b"{"
         for name in base:
             found, missing = base_cells(piece, name)
             if name == CHANNEL:
                 parts += [start + b'"channel": "', channel_names(piece, quoted=True), b'"']
             else:
-                parts += [start + f'"{name}": '.encode(), cells.instead(found, missing, b"null")]
+                parts += [start + f'"{name}": '.encode(), instead(found, missing, b"null")]
             start = b", "
         for column in piece.columns:
             parts += [start + f"{json.dumps(column.name)}: ".encode(), _json_cells(column, piece)]
         parts.append(b"}\n")
-        text += cells.rows_text(parts, len(piece))
+        text += rows_text(parts, len(piece))
     return text
 
 
-def _json_cells(column: Column, table: Table) -> cells.Cells:
+def _json_cells(column: Column, table: Table) -> Cells:
     values = table.values[column.name]
     missing = is_missing(column, values)
     if column.kind == "flag":
-        return cells.instead(cells.chosen(values == 1, b"true", b"false"), missing, b"null")
+        return instead(chosen(values == 1, b"true", b"false"), missing, b"null")
     if column.kind == "real":
         missing = ~np.isfinite(values)
-    return cells.instead(cells.column_cells(column, values), missing, b"null")
+    return instead(column_cells(column, values), missing, b"null")
 
 
 def people_rows(table: Table, base: Sequence[str]) -> bytes:
     """Format one line per sample, in columns: time, node, values with units, counter, status words."""
     text = b""
     for piece in chunks(table):
-        parts: list[bytes | cells.Cells] = []
+        parts: list[bytes | Cells] = []
         if piece.timed:
-            parts += [b"(", cells.time_cells(piece.t_ns), b")  "]
+            parts += [b"(", time_cells(piece.t_ns), b")  "]
         if CHANNEL in base:
             width = max(len(name.encode()) for name in piece.channels)
-            parts += [cells.right(channel_names(piece), width), b"  "]
+            parts += [right(channel_names(piece), width), b"  "]
         node = piece.node.astype(np.int64)
         hexadecimal = np.array([f"(0x{number:02X})".encode() for number in range(128)])
-        parts += [b"node ", cells.right(cells.whole_cells(node), 3), b" ", cells.word_cells(hexadecimal[node])]
+        parts += [b"node ", right(whole_cells(node), 3), b" ", word_cells(hexadecimal[node])]
         for column in piece.columns:
             if column.kind != "flag":
                 parts += [f"  {column.signal} ".encode(), _people_cells(column, piece), _unit(column, piece)]
         if COUNTER in base:
             counter, without = base_cells(piece, COUNTER)
             counter = np.pad(counter, ((0, 0), (1, 0)), constant_values=ord("#"))
-            parts += [b"  ", cells.instead(counter, without, b"-"), b" "]
+            parts += [b"  ", instead(counter, without, b"-"), b" "]
         said = np.zeros(len(piece), dtype=np.bool_)
         for column in piece.columns:
             if column.kind == "flag":
                 is_set = piece.values[column.name] == 1
-                words = status_words.BY_NAME.get(column.signal, column.signal).encode()
-                parts += [cells.chosen(is_set & said, b", " + words), cells.chosen(is_set & ~said, b" " + words)]
+                words = reasons.BY_NAME.get(column.signal, column.signal).encode()
+                parts += [chosen(is_set & said, b", " + words), chosen(is_set & ~said, b" " + words)]
                 said |= is_set
         parts.append(b"\n")
-        text += cells.rows_text(parts, len(piece))
+        text += rows_text(parts, len(piece))
     return text
 
 
-def _unit(column: Column, table: Table) -> bytes | cells.Cells:
+def _unit(column: Column, table: Table) -> bytes | Cells:
     """Return the unit after a value, blanks after an unknown one."""
     unit = f" {_UNITS.get(column.unit, column.unit)}".encode() if column.unit else b""
     missing = is_missing(column, table.values[column.name])
-    return cells.chosen(missing, b" " * len(unit), unit) if unit and missing.any() else unit
+    return chosen(missing, b" " * len(unit), unit) if unit and missing.any() else unit
 
 
-def _people_cells(column: Column, table: Table) -> cells.Cells:
+def _people_cells(column: Column, table: Table) -> Cells:
     values = table.values[column.name]
     width = 7 if column.kind == "real" else 3
-    found = cells.column_cells(column, values)
+    found = column_cells(column, values)
     missing = is_missing(column, values)
-    found = cells.instead(found, missing, b"unknown" if column.kind == "real" else b"-")
+    found = instead(found, missing, b"unknown" if column.kind == "real" else b"-")
     absent = table.absent.get(column.name)
     if absent is not None:
-        found = cells.instead(found, absent, b"-")
-    return cells.right(found, width)
+        found = instead(found, absent, b"-")
+    return right(found, width)

@@ -1,24 +1,25 @@
-"""Writers of tables: stdout or a file, in the format of its suffix."""
+"""Formats of outputs, the columns of an output, and the writer of text on stdout or in a file."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import BinaryIO
 
 import numpy as np
 
+from canopen_device.visible_text import visible_lines
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host.decoding.recording import Tap
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.decoding.services import BusEvent
-from tipforce.host.frames.frame_array import FrameArray
-from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, NewFile
-from tipforce.visible_text import visible_lines
+from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, PARQUET, NewFile
 from tipforce_tools.decode import text_rows
-from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
+from tipforce_tools.decode.text_rows import CHANNEL
 
 FORMATS = ("text", "csv", "jsonl", "parquet", "mcap")
 _SUFFIXES = {
@@ -26,30 +27,8 @@ _SUFFIXES = {
     ".mcap": "mcap", ".txt": "text",
 }  # fmt: skip
 _EXTRAS = {"parquet": ("pyarrow", "parquet"), "mcap": ("mcap", "mcap")}
+KINDS = {"csv": CSV, "jsonl": JSON_LINES, "text": CONTACT_TEXT, "parquet": PARQUET}
 _COPY_BYTES = 1 << 20
-
-
-class Writer(Protocol):
-    """Write tables; the output is complete after ``close``, and removed after ``abort``."""
-
-    def write(self, table: Table) -> None:
-        """Append the rows of a table. Raises OSError."""
-
-    def close(self) -> None:
-        """Complete the output. Raises OSError."""
-
-    def abort(self) -> None:
-        """Abort: remove partial files."""
-
-
-class FrameWriter(Writer, Protocol):
-    """Keeps the frames and the events, too."""
-
-    def frames(self, frames: FrameArray, channels: Sequence[str]) -> None:
-        """Append FRAME (n,); ``channels`` are the interfaces by number. Raises OSError."""
-
-    def events(self, events: Iterable[BusEvent]) -> None:
-        """Append EMCYs and changes of NMT states. Raises OSError."""
 
 
 def format_of(output: str | None, wanted: str | None) -> str:
@@ -73,39 +52,14 @@ def is_directory(output: str) -> bool:
     return output.endswith("/") or Path(output).is_dir()
 
 
-def open_writer(
-    output: str | None,
-    kind: str,
-    *,
-    rate_base: tuple[str, ...] = (COUNTER,),
-    inputs: Sequence[str] = (),
-) -> Writer:
-    """Return a writer. Raises InputError for a path that cannot be written, EnvironmentLackError for a missing library.
-
-    ``rate_base``: the columns after time and node that every table has. ``inputs`` are refused as output.
-    """
+def check_format(output: str | None, kind: str) -> None:
+    """Raise EnvironmentLackError for a missing library, InputError for a format that needs a file."""
     if kind in _EXTRAS:
         library, extra = _EXTRAS[kind]
-        from importlib.util import find_spec
-
         if find_spec(library) is None:
             raise EnvironmentLackError(f"{kind} needs {library}: `pip install 'tipforce[{extra}]'`")
-        if output is None or output == "-":
+        if output in {None, "-"}:
             raise InputError(f"--format {kind}: needs --output FILE")
-    base = (TIME, NODE, *rate_base)
-    if output is None or output == "-":
-        return StreamWriter(sys.stdout.buffer, kind, base)
-    if kind == "parquet":
-        from tipforce_tools.decode import parquet
-
-        return parquet.FileWriter(Path(output), base, inputs)
-    if kind == "mcap":
-        from tipforce_tools.decode.mcap_file import McapWriter
-
-        return McapWriter(Path(output), inputs)
-    if kind == "csv":
-        return CsvWriter(Path(output), base, inputs)
-    return LinesWriter(Path(output), kind, base, inputs)
 
 
 class Shape:
@@ -150,108 +104,54 @@ class Shape:
         return replace(table, columns=(*table.columns, column), values={**table.values, CHANNEL: names})
 
 
-class StreamWriter:
-    """Text, CSV or JSON lines on stdout, unbuffered."""
+def lines_of(table: Table, kind: str, base: tuple[str, ...]) -> bytes:
+    """Format JSON lines or text, with the channel where there are several."""
+    if len(table.channels) > 1 and CHANNEL not in base:
+        base = (base[0], CHANNEL, *base[1:])
+    if kind == "jsonl":
+        return text_rows.json_rows(table, base)
+    return visible_lines(text_rows.people_rows(table, base).decode()).encode()
 
-    def __init__(self, stream: BinaryIO, kind: str, base: tuple[str, ...]) -> None:
-        self._stream, self._kind = stream, kind
+
+class StreamWriter:
+    """Text, CSV or JSON lines on stdout or in a file, each table at once; complete after ``close``."""
+
+    def __init__(self, output: str | None, kind: str, base: tuple[str, ...], inputs: Iterable[str] = ()) -> None:
+        """Raises InputError for a path that cannot be written; ``inputs`` are refused as output."""
+        self._file = None if output in {None, "-"} else NewFile(str(output), KINDS[kind], inputs)
+        self._stream: BinaryIO = sys.stdout.buffer if self._file is None else self._file.partial.open("wb")
+        self._kind = kind
         self._shape = Shape(base)
         self._shown: tuple[Column, ...] | None = None
+        self.frames: Tap | None = None
         self.left_out: set[str] = set()
 
     def write(self, table: Table) -> None:
-        """Append the rows of a table. CSV keeps its first columns: ``left_out`` names the others."""
+        """Append the rows of a table. CSV keeps its first columns: ``left_out`` names the others. Raises OSError."""
         self._shape.fits(table)
-        self._stream.write(self._text(table))
+        self._stream.write(lines_of(table, self._kind, self._shape.base) if self._kind != "csv" else self._csv(table))
         self._stream.flush()
 
-    def _text(self, table: Table) -> bytes:
-        base = self._shape.base
-        if self._kind != "csv":
-            if len(table.channels) > 1 and CHANNEL not in base:
-                base = (base[0], CHANNEL, *base[1:])
-            if self._kind == "jsonl":
-                return text_rows.json_rows(table, base)
-            return visible_lines(text_rows.people_rows(table, base).decode()).encode()
+    def _csv(self, table: Table) -> bytes:
         start = b""
         if self._shown is None:
-            self._shown, start = self._shape.columns, text_rows.csv_header(base, self._shape.columns)
+            self._shown, start = self._shape.columns, text_rows.csv_header(self._shape.base, self._shape.columns)
         self.left_out |= {column.name for column in self._shape.columns if column not in self._shown}
-        return start + text_rows.csv_rows(table, base, self._shown)
+        return start + text_rows.csv_rows(table, self._shape.base, self._shown)
 
-    def close(self) -> None:
-        """Do nothing: all output is written."""
-
-    def abort(self) -> None:
-        """Do nothing: written output cannot be removed."""
-
-
-class LinesWriter:
-    """JSON lines or text in a file."""
-
-    def __init__(self, path: Path, kind: str, base: tuple[str, ...], inputs: Iterable[str] = ()) -> None:
-        """Raises InputError."""
-        self._file = NewFile(path, JSON_LINES if kind == "jsonl" else CONTACT_TEXT, inputs)
-        self._stream = self._file.partial.open("wb")
-        self._lines = StreamWriter(self._stream, kind, base)
-
-    def write(self, table: Table) -> None:
-        """Append the rows of a table."""
-        self._lines.write(table)
-
-    def close(self) -> None:
-        """Complete the file."""
-        self._stream.close()
-        self._file.keep()
+    def close(self, events: Sequence[BusEvent]) -> None:
+        """Complete a file; text has no events. Raises OSError."""
+        del events
+        if self._file is not None:
+            self._stream.close()
+            self._file.keep()
 
     def abort(self) -> None:
-        """Remove the file."""
-        _close_quietly(self._stream.close)
-        self._file.drop()
-
-
-class CsvWriter:
-    """CSV in a file. For columns added later, earlier rows are written again with empty cells."""
-
-    def __init__(self, path: Path, base: tuple[str, ...], inputs: Iterable[str] = ()) -> None:
-        """Raises InputError."""
-        self._file = NewFile(path, CSV, inputs)
-        self._stream = self._file.partial.open("wb")
-        self._shape = Shape(base)
-        self._pieces: list[tuple[int, int]] = []  # (offset, number of columns) from there on
-
-    def write(self, table: Table) -> None:
-        """Append the rows of a table."""
-        first = not self._pieces
-        if not self._shape.fits(table) or first:
-            if first:
-                self._stream.write(text_rows.csv_header(self._shape.base, self._shape.columns))
-            self._pieces.append((self._stream.tell(), len(self._shape.columns)))
-        self._stream.write(text_rows.csv_rows(self._shape.of(table), self._shape.base, self._shape.columns))
-
-    def close(self) -> None:
-        """Complete the file."""
-        if not self._pieces:
-            self._stream.write(text_rows.csv_header(self._shape.base, ()))
-        self._stream.close()
-        if len(self._pieces) > 1:
-            self._write_again()
-        self._file.keep()
-
-    def _write_again(self) -> None:
-        wider = self._file.partial.with_suffix(".wide")
-        try:
-            with wider.open("wb") as new:
-                new.write(text_rows.csv_header(self._shape.base, self._shape.columns))
-                copy_widened(self._file.partial, self._pieces, self._shape, new)
-            wider.replace(self._file.partial)
-        finally:
-            wider.unlink(missing_ok=True)
-
-    def abort(self) -> None:
-        """Remove the file."""
-        _close_quietly(self._stream.close)
-        self._file.drop()
+        """Remove a file; what stdout has got stays."""
+        if self._file is not None:
+            with suppress(OSError):
+                self._stream.close()
+            self._file.drop()
 
 
 def copy_widened(part: Path, pieces: Sequence[tuple[int, int]], shape: Shape, out: BinaryIO) -> None:
@@ -271,8 +171,3 @@ def _blocks(stream: BinaryIO, count: int | None) -> Iterator[bytes]:
     while block := stream.read(_COPY_BYTES if left is None else min(_COPY_BYTES, left)):
         left = None if left is None else left - len(block)
         yield block
-
-
-def _close_quietly(close: Callable[[], Any]) -> None:
-    with suppress(OSError):
-        close()

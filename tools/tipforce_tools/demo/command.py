@@ -13,9 +13,8 @@ from tipforce_tools.cli.common import (
     print_table,
     progress,
     seed,
-    set_up_logging,
 )
-from tipforce_tools.view.command import add_server_arguments
+from tipforce_tools.view.serving import add_page_arguments
 
 if TYPE_CHECKING:
     from tipforce_tools.demo.job import Result
@@ -35,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--spoil", action="store_true", help="corrupt one element of each calibration matrix: the demo must fail"
     )
     parser.add_argument("--view", action="store_true", help="instead, serve a web page with a moving simulated hand")
-    add_server_arguments(parser)
+    add_page_arguments(parser)
     add_output_arguments(parser)
 
 
@@ -44,12 +43,12 @@ def run(args: argparse.Namespace) -> int:
     if args.view:
         return _view(args)
     from tipforce.sensor.structure.layouts import CASES
-    from tipforce_tools.demo.job import grooves, run_demo
+    from tipforce.sensor.structure.published import GROOVES_DEG
+    from tipforce_tools.demo.job import run_demo
 
-    set_up_logging(args)
     started_s = time.monotonic()
     results: list[Result] = []
-    with progress(args, "loads", 2 * len(grooves())) as advance:
+    with progress(args, "loads", 2 * len(GROOVES_DEG)) as advance:
         for result in run_demo(args.seed, args.spoil, lambda line: note(args, line), advance):
             results.append(result)
             if args.json:
@@ -61,11 +60,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _view(args: argparse.Namespace) -> int:
     """Serve the page with a simulated hand until Ctrl-C."""
-    from tipforce_tools.view.command import check_server_arguments, hand_source, serve
-    from tipforce_tools.view.demo import simulated_hand
+    from tipforce_tools.demo.hand import simulated_hand
+    from tipforce_tools.view.serving import check_page_arguments, hand_source, serve
 
-    set_up_logging(args)
-    check_server_arguments(args)
+    check_page_arguments(args)
     with simulated_hand() as (hand, _):
         return serve(args, hand_source(args, hand, "simulated hand"))
 

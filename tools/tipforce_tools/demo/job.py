@@ -18,8 +18,11 @@ from pathlib import Path
 import can
 import numpy as np
 
+from canopen_device.core import codes
+from canopen_device.running import loop
+from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.store import FileStore
 from tipforce.arrays import FloatArray
-from tipforce.device import codes
 from tipforce.dictionary import objects as od
 from tipforce.errors import RefusedError
 from tipforce.fingertip.node import fingertip_node
@@ -27,19 +30,15 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
-from tipforce.running import loop
-from tipforce.running.ports import PythonCanPort
-from tipforce.running.store import FileStore
 from tipforce.sensor.contact import estimate as contact_model
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import CASES
+from tipforce.sensor.structure.published import GROOVES_DEG
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 WEIGHT_NEWTONS = 4.4
-X_GROOVES_DEG = (5, 15, 30, 45, 60, 120, 135, 150, 165, 175)
-Y_GROOVES_DEG = (30, 45, 60, 75, 90, 105, 120, 135, 150)
 NOISE_MICROSTRAIN = 0.5
 OFFSETS_MICROSTRAIN = (12.0, -8.5, 5.3)
 COUNT_MICROSTRAIN = 0.1
@@ -78,21 +77,14 @@ class Result:
         return bool(np.all(np.abs(_difference(self.host, self.estimated)) <= self.host_bound))
 
 
-def grooves() -> list[tuple[float, float]]:
-    """Return (phi, theta) in degrees of each groove: x-grooves pull at 0 (180 beyond theta = 90), y-grooves at 90."""
-    x = [(0.0 if theta < 90 else 180.0, float(theta)) for theta in X_GROOVES_DEG]
-    return x + [(90.0, float(theta)) for theta in Y_GROOVES_DEG]
-
-
 def case_calibration(case: str, pull: bool) -> Calibration:
     """Return the calibration of one gauge case by beam theory, with the simulated gauges' offset and noise."""
-    today = datetime.date.today()
     return Calibration(
         C=calibration_matrix(FABRICATED, case),
         offset_strain=np.array(OFFSETS_MICROSTRAIN) * 1e-6,
         covariance_strain2=np.eye(3) * (NOISE_MICROSTRAIN**2 + COUNT_MICROSTRAIN**2 / 12) * 1e-12,
         serial=CASES.index(case) + 1,
-        date=today.year * 10000 + today.month * 100 + today.day,
+        date=int(f"{datetime.date.today():%Y%m%d}"),
         layout_code=CASES.index(case) + 1,
         tip_radius_m=FABRICATED.r_m,
         pull=pull,
@@ -130,17 +122,20 @@ def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callab
     ``say`` gets a line per step, ``advance`` is called once per load. ``spoil`` corrupts one element of each matrix.
     Raises RefusedError if a node has lost its stored calibration after the reset.
     """
-    comparisons = len(CASES) * 2 * len(grooves()) * len(QUANTITIES)
+    comparisons = len(CASES) * 2 * len(GROOVES_DEG) * len(QUANTITIES)
     z = coverage_factor(comparisons)
     with tempfile.TemporaryDirectory(prefix="tipforce-demo-") as folder, _nodes(seed, Path(folder)) as connection:
         for pull in (True, False):
             calibrations = {k + 1: case_calibration(case, pull) for k, case in enumerate(CASES)}
             for node_id, calibration in calibrations.items():
-                _calibrate(connection, node_id, _spoiled(calibration) if spoil else calibration, say)
+                C = calibration.C.copy()
+                C[0, 0] *= SPOILED_FACTOR if spoil else 1.0
+                _calibrate(connection, node_id, replace(calibration, C=C), say)
             hand = PolledHand(connection, list(calibrations), messages=("Gauges", "Contact"))
             hand.start()
-            for phi, theta in grooves():
-                applied = np.array([WEIGHT_NEWTONS, phi if pull else _wrapped(phi + 180.0), theta])
+            for phi, theta in GROOVES_DEG:
+                opposite = phi + 180.0 if phi <= 0.0 else phi - 180.0
+                applied = np.array([WEIGHT_NEWTONS, phi if pull else opposite, theta])
                 yield from _one_load(hand, calibrations, applied, z)
                 advance()
             hand.stop()
@@ -186,12 +181,6 @@ def _calibrate(connection: Bus, node_id: int, calibration: Calibration, say: Cal
     say(prefix + f"after a reset the stored calibration is active (CRC-32 0x{calibration.crc32():08X})")
 
 
-def _spoiled(calibration: Calibration) -> Calibration:
-    C = calibration.C.copy()
-    C[0, 0] *= SPOILED_FACTOR
-    return replace(calibration, C=C)
-
-
 def _one_load(
     hand: PolledHand, calibrations: dict[int, Calibration], applied: FloatArray, z: float
 ) -> Iterator[Result]:
@@ -206,8 +195,8 @@ def _one_load(
         gauges = sample.messages[node_id, "Gauges"].columns
         estimated = np.array([sample.P_newtons[k], sample.phi_deg[k], sample.theta_deg[k]])
         strain = np.array([gauges[f"SG{k}"][-1] for k in (1, 2, 3)]) * 1e-6
-        _, found = contact_model.estimate(calibration.C, strain, calibration.offset_strain, pull=calibration.pull)
-        host = np.array([found.P_newtons, np.degrees(found.phi_rad), np.degrees(found.theta_rad)], dtype=np.float64)
+        _, own = contact_model.estimate(calibration.C, strain, calibration.offset_strain, pull=calibration.pull)
+        host = np.array([own.P_newtons, np.degrees(own.phi_rad), np.degrees(own.theta_rad)], dtype=np.float64)
         u, bound, host_bound = bounds(calibration, applied, z)
         sense = "pull" if calibration.pull else "push"
         yield Result(CASES[node_id - 1], sense, applied, estimated, host.ravel(), u, bound, host_bound)
@@ -218,7 +207,3 @@ def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
     difference = a - b
     difference[1:] = (difference[1:] + 180.0) % 360.0 - 180.0
     return difference
-
-
-def _wrapped(angle_deg: float) -> float:
-    return angle_deg - 360.0 if angle_deg > 180.0 else angle_deg

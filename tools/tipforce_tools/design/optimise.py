@@ -4,30 +4,18 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce_lab.design.merit import Assessment, LoadSet
-    from tipforce_lab.design.search import Design, Limits, Objective
+    from tipforce_lab.design.merit import Assessment, LoadSet, Merit
+    from tipforce_lab.design.optimum import Outcome
+    from tipforce_lab.design.search import Limits
 
-_FROM = 4  # configurations from which the path to the minimum condition number starts
-
-
-class Outcome(NamedTuple):
-    """Result of one run."""
-
-    paper: list[Assessment]
-    """Cases I to III of the paper, then case I with gauges of the stated length."""
-    front: list[Assessment]
-    """Pareto-optimal designs in objective and condition number, and always condition_only."""
-    best: Assessment
-    """The best design by the objective."""
-    condition_only: Assessment
-    """The design with the minimum condition number, and among such designs the minimum noise."""
+_GEOMETRY = (("a", "a_m"), ("d", "d_m"), ("r", "r_m"), ("h1", "h1_m"), ("h2", "h2_m"), ("width", "width_m"))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,70 +79,24 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Search, print, write; return 0, or 1 if the frame does not confirm the best design."""
     from tipforce.output_file import LAYOUT, check_output
-    from tipforce_tools.cli.layout_file import write_layout
-    from tipforce_tools.design.optimise_output import comment, print_outcome
+    from tipforce.sources.layout_file import write_layout
+    from tipforce_lab.design.optimum import optimise, steps
 
-    common.set_up_logging(args)
     if args.output:
         check_output(args.output, LAYOUT)
     if not 0.0 <= args.noise < math.inf:
         raise InputError(f"--noise {args.noise}: allowed is 0 or more")
-    outcome = optimise(args, *_limits_and_loads(args))
-    print_outcome(args, outcome)
+    limits, loads = _limits_and_loads(args)
+    with common.progress(args, "starts", steps(args.gauges, limits, args.starts)) as done:
+        outcome = optimise(
+            args.objective, args.gauges, limits, loads, args.noise, starts=args.starts, seed=args.seed, done=done
+        )
+    _print_outcome(args, outcome)
     if args.output:
         best = outcome.best
-        write_layout(args.output, best.geometry, best.gauges, args.gauge_length * 1e-3, comment(args, best))
+        write_layout(args.output, best.geometry, best.gauges, args.gauge_length * 1e-3, _comment(args, best))
         common.note(args, f"wrote {args.output}")
     return 0 if outcome.best.agrees else 1
-
-
-def optimise(args: argparse.Namespace, limits: Limits, loads: LoadSet) -> Outcome:
-    """Optimise the objective and the condition number, follow the path between them, and assess all designs."""
-    from tipforce_lab.design.merit import FIGURES, pareto
-    from tipforce_lab.design.search import TRADE_OFF_STEPS, configurations, search, trade_off
-
-    axis: Objective = "theta" if args.objective == "condition" else args.objective
-    starts = len(configurations(args.gauges, limits.upper_face)) * max(args.starts, 0)
-    with common.progress(args, "starts", 2 * starts + (_FROM + 1) * len(TRADE_OFF_STEPS)) as done:
-        best = search(args.gauges, axis, limits, loads, starts=args.starts, seed=args.seed, done=done)
-        least = search(args.gauges, "condition", limits, loads, starts=args.starts, seed=args.seed, done=done)[0]
-        between = trade_off(best[0], best[1:_FROM], least, axis, loads, limits, done)
-    judged = _Judge(args, limits, loads)
-    first, condition_only = judged.design(best[0], "best"), judged.design(least, "condition")
-    others = [judged.design(design, "") for design in (*best[1:], *between)]
-    front = pareto([first, *others, condition_only], (FIGURES[axis], FIGURES["condition"]))
-    front = [entry if entry.name else replace(entry, name=f"{k}") for k, entry in enumerate(front, 1)]
-    if condition_only not in front:
-        front.append(condition_only)
-    return Outcome(judged.paper(), front, condition_only if args.objective == "condition" else first, condition_only)
-
-
-class _Judge:
-    """Call assess() with the values of the flags."""
-
-    def __init__(self, args: argparse.Namespace, limits: Limits, loads: LoadSet) -> None:
-        self.limits = limits
-        self.options = {
-            "loads": loads, "noise_microstrain": args.noise,
-            "gauge_length_m": limits.gauge_length_m, "slit_m": limits.slit_m,
-        }  # fmt: skip
-
-    def paper(self) -> list[Assessment]:
-        from tipforce.sensor.structure.geometry import FABRICATED
-        from tipforce.sensor.structure.layouts import CASES, LAYOUTS
-        from tipforce_lab.design.merit import assess, glued
-
-        assessments = [assess(case, FABRICATED, LAYOUTS[case], **self.options) for case in CASES]
-        try:
-            real = glued(FABRICATED, LAYOUTS["I"], self.limits.gauge_length_m, self.limits.clearance_m)
-            return [*assessments, assess("I glued", FABRICATED, real, **self.options)]
-        except InputError:  # gauges of this length do not fit on the paper's body
-            return assessments
-
-    def design(self, design: Design, name: str) -> Assessment:
-        from tipforce_lab.design.merit import assess
-
-        return assess(name, design.geometry, design.gauges, **self.options)
 
 
 def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:
@@ -193,3 +135,160 @@ def _pair(flag: str, text: str) -> tuple[float, float]:
     except ValueError:
         raise InputError(f"{flag} {text!r}: expected two numbers separated by a comma") from None
     return first, second
+
+
+# --- output ---------------------------------------------------------------------------------------------------------
+
+
+def _print_outcome(args: argparse.Namespace, outcome: Outcome) -> None:
+    """Print tables and sentences, or JSON lines: one per structure, then the summary."""
+    from tipforce_lab.design.optimum import record
+
+    entries = [*outcome.paper, *outcome.front]
+    if args.json:
+        for entry in entries:
+            common.print_json(record(entry, args.noise))
+        common.print_json(_summary(args, outcome))
+        return
+    _print_structures(args, entries)
+    _print_figures(args, entries)
+    _print_frame(args, entries)
+    print("\n".join(_sentences(args, outcome)))
+
+
+def _comment(args: argparse.Namespace, best: Assessment) -> str:
+    """Return the first lines of the layout file: its command and its expected uncertainties."""
+    merit = best.theory
+    return (
+        f"tipforce design optimise --objective {args.objective} --gauges {args.gauges} --seed {args.seed}\n"
+        f"At {args.noise:g} microstrain noise per gauge and {args.load:g} N, RMS over the pad and the friction cone:\n"
+        f"u(P) {1e3 * merit.u_P_newtons:.3g} mN, u(phi) {merit.u_phi_deg:.3g} deg, u(theta) {merit.u_theta_deg:.3g} "
+        f"deg; condition number {merit.condition_number:.3f}; worst stress {best.worst_stress_pascals * 1e-6:.0f} MPa"
+    )
+
+
+def _print_structures(args: argparse.Namespace, entries: list[Assessment]) -> None:
+    from rich.table import Table
+
+    from tipforce.sensor.structure.gauges import gauge_name
+
+    table = Table(title="Structures, mm; gauges: beam, side, middle of the gauge from the joint", title_justify="left")
+    table.add_column("")
+    for symbol, _ in _GEOMETRY:
+        table.add_column(symbol, justify="right")
+    table.add_column("SG1, SG2, ...")
+    for entry in entries:
+        lengths = (f"{1e3 * getattr(entry.geometry, name):.3f}" for _, name in _GEOMETRY)
+        table.add_row(entry.name, *lengths, ", ".join(gauge_name(gauge) for gauge in entry.gauges))
+    common.print_table(args, table)
+
+
+def _print_figures(args: argparse.Namespace, entries: list[Assessment]) -> None:
+    title = f"Standard uncertainties at {args.noise:g} microstrain and {args.load:g} N, and limits of the body"
+    headings = ("u(P) mN", "u(phi) deg", "u(theta) deg", "mN per ue", "least ue/N", "cond", "MPa", "slit shuts N")
+    rows = (
+        (
+            *_figures(entry.theory), f"{1e3 * entry.theory.noise_gain_newtons:.2f}",
+            f"{entry.theory.smallest_singular_value:.1f}", f"{entry.theory.condition_number:.3f}",
+            f"{entry.worst_stress_pascals * 1e-6:.0f}", f"{entry.slit_load_newtons:.1f}",
+        )
+        for entry in entries
+    )  # fmt: skip
+    _print_table(args, title, headings, entries, rows)
+
+
+def _print_frame(args: argparse.Namespace, entries: list[Assessment]) -> None:
+    title = "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well"
+    headings = ("u(P) mN", "u(phi) deg", "u(theta) deg", "cond", "differs %", "block: u(theta)", "cond")
+    rows = (
+        (
+            *_figures(entry.frame), f"{entry.frame.condition_number:.3f}", f"{100 * entry.disagreement:.2f}",
+            f"{entry.frame_finite_joint.u_theta_deg:.4f}", f"{entry.frame_finite_joint.condition_number:.3f}",
+        )
+        for entry in entries
+    )  # fmt: skip
+    _print_table(args, title, headings, entries, rows)
+
+
+def _print_table(
+    args: argparse.Namespace,
+    title: str,
+    headings: Iterable[str],
+    entries: list[Assessment],
+    rows: Iterable[Iterable[str]],
+) -> None:
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    for entry, row in zip(entries, rows, strict=True):
+        table.add_row(entry.name, *row, style=None if entry.agrees else "yellow")
+    common.print_table(args, table)
+
+
+def _figures(merit: Merit) -> tuple[str, str, str]:
+    return f"{1e3 * merit.u_P_newtons:.2f}", f"{merit.u_phi_deg:.4f}", f"{merit.u_theta_deg:.4f}"
+
+
+def _sentences(args: argparse.Namespace, outcome: Outcome) -> list[str]:
+    from tipforce_lab.design.merit import AGREEMENT
+    from tipforce_lab.design.optimum import detectable_microstrain
+
+    best, first, least = outcome.best, outcome.paper[0], outcome.condition_only
+    lines = [
+        f"{best.name}: u(theta) {_change(best, reference)} against case {reference.name}, condition number "
+        f"{best.theory.condition_number:.3f} against {reference.theory.condition_number:.3f}"
+        for reference in outcome.paper
+        if reference.name in ("I", "I glued")
+    ]
+    lines.append(
+        f"condition number alone: {least.theory.condition_number:.3f}, but u(theta) "
+        f"{_ratio(least, first, 'u_theta_deg'):.2f} times and sqrt(trace(C C^T)) "
+        f"{_ratio(least, first, 'noise_gain_newtons'):.2f} times those of case I"
+    )
+    verdict = "PASS" if best.agrees else "FAIL"
+    lines.append(
+        f"beam theory and the independent frame agree within {100 * AGREEMENT:.0f} %: {verdict} "
+        f"({', '.join(f'{entry.name} {100 * entry.disagreement:.2f} %' for entry in dict.fromkeys((best, least)))})"
+    )
+    if args.gauges > 3:
+        lines.append("cases I to III have 3 gauges: a part of the gain is that of more gauges")
+        for entry in outcome.front:
+            sizes = detectable_microstrain(entry, args.noise)
+            faults = ", ".join(f"SG{k} {size:.3g}" for k, size in enumerate(sizes, 1))
+            lines.append(
+                f"{entry.name}: smallest fault that a sample shows, microstrain: {faults or 'no noise stated'}"
+            )
+    return lines
+
+
+def _summary(args: argparse.Namespace, outcome: Outcome) -> dict[str, object]:
+    from tipforce_lab.design.merit import AGREEMENT
+
+    best, first, least = outcome.best, outcome.paper[0], outcome.condition_only
+    return {
+        "summary": True,
+        "objective": args.objective,
+        "best": best.name,
+        "condition_number": best.theory.condition_number,
+        "noise_microstrain": args.noise,
+        "load_newtons": args.load,
+        "u_theta_against_case_I": _ratio(best, first, "u_theta_deg"),
+        "u_theta_against_case_I_glued": _ratio(best, outcome.paper[3], "u_theta_deg") if outcome.paper[3:] else None,
+        "condition_only_u_theta_against_case_I": _ratio(least, first, "u_theta_deg"),
+        "condition_only_noise_against_case_I": _ratio(least, first, "noise_gain_newtons"),
+        "agreement_limit": AGREEMENT,
+        "agrees": best.agrees,
+        "seed": args.seed,
+    }
+
+
+def _ratio(entry: Assessment, reference: Assessment, figure: str) -> float:
+    below = float(getattr(reference.theory, figure))
+    return float(getattr(entry.theory, figure)) / below if below else float("nan")
+
+
+def _change(entry: Assessment, reference: Assessment) -> str:
+    return f"{100 * (_ratio(entry, reference, 'u_theta_deg') - 1):+.1f} %"

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tipforce.device.codes import EMCY_BASE, ERROR_FLAG, EXTENDED_FLAG, HEARTBEAT_BASE, NODE_ID_MASK, REMOTE_FLAG
+from canopen_device.core.codes import EMCY_BASE, ERROR_FLAG, EXTENDED_FLAG, HEARTBEAT_BASE, NODE_ID_MASK, REMOTE_FLAG
 from tipforce.errors import TipforceError
-from tipforce_tools.doctor.check import Check
+from tipforce_tools.doctor import Check
 
 if TYPE_CHECKING:
     from tipforce.host.frames.frame_array import FrameArray
@@ -32,7 +32,7 @@ def configuration_check(flags: Mapping[str, Any]) -> Check:
     if given:
         sources.append("flags (" + " ".join(given) + ")")
     sources += [f"{name}={os.environ[name]}" for name in VARIABLES if os.environ.get(name)]
-    sources += [str(path) for path in _configuration_files()]
+    sources += [str(path) for p in can.util.CONFIG_FILES if (path := Path(p).expanduser()).is_file()]
     if flags.get("interface") is None and not sources[len(given) and 1 :]:
         return Check("configuration", "note", "no bus given", "name it: -i socketcan -c can0, or write ~/.canrc")
     try:
@@ -41,13 +41,6 @@ def configuration_check(flags: Mapping[str, Any]) -> Check:
         return Check("configuration", "fail", f"{error}", "name the bus: -i socketcan -c can0")
     named = f"{config['interface']} {config.get('channel', '')}".strip()
     return Check("configuration", "ok", f"{named}, from {'; '.join(sources) or 'defaults'}")
-
-
-def _configuration_files() -> list[Path]:
-    """Return the existing configuration files of python-can."""
-    import can.util
-
-    return [path for path in (Path(p).expanduser() for p in can.util.CONFIG_FILES) if path.is_file()]
 
 
 def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
@@ -101,11 +94,11 @@ def heard(frames: FrameArray) -> Iterator[Check]:
     """Yield what frames, FRAME (n,), say: error frames, nodes, and their faults in words."""
     import numpy as np
 
-    from tipforce.device.emcy import SYNC_LENGTH
-    from tipforce.host.decoding import status_words
+    from canopen_device.core.emcy import SYNC_LENGTH
     from tipforce.host.decoding.decoder import Decoder
     from tipforce.host.decoding.duplicates import DuplicateNodes
     from tipforce.host.decoding.health import Health
+    from tipforce.samples import reasons
 
     errors = int(((frames["can_id"] & ERROR_FLAG) != 0).sum())
     if errors:
@@ -116,8 +109,8 @@ def heard(frames: FrameArray) -> Iterator[Check]:
     emergencies = {i - EMCY_BASE for i in standard if 0 < i - EMCY_BASE <= NODE_ID_MASK}
     health = Health()
     health.take(frames, Decoder().decode(frames).values())
-    faults = {node: words for node in health.nodes if (words := status_words.of_faults(health.now(node)[0]))}
-    for duplicate in {one.node_id: one for one in DuplicateNodes().add(frames)}.values():
+    faults = {node: words for node in health.nodes if (words := reasons.of_faults(health.now(node)[0]))}
+    for duplicate in {pair.node_id: pair for pair in DuplicateNodes().add(frames)}.values():
         cause, _, step = str(duplicate).partition(": ")
         yield Check("nodes", "fail", cause, step)
     if beats:

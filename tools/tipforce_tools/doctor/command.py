@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
+from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
-    from tipforce_tools.doctor.check import Check
+    from tipforce_tools.doctor import Check
 
 _STYLES = {"ok": "green", "note": "yellow", "fail": "bold red"}
 
@@ -28,12 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--listen", type=float, default=1.2, metavar="S", help="listen for S (default %(default)s s)")
     common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the findings; return 1 if a check failed."""
-    common.set_up_logging(args)
     if not 0 <= args.listen <= 3600:
         raise InputError(f"--listen {args.listen:g}: allowed are 0 to 3600 s")
     failed = False
@@ -51,30 +50,21 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _checks(args: argparse.Namespace) -> Iterator[Check]:
+    from tipforce_tools.doctor import machine
     from tipforce_tools.doctor.bus import bus_checks, configuration_check
-    from tipforce_tools.doctor.iio import iio_checks
-    from tipforce_tools.doctor.kernel import kernel_checks
-    from tipforce_tools.doctor.software import software_checks
-    from tipforce_tools.doctor.vcan import multicast_checks, vcan_checks
 
-    options = common.bus_options(args)
+    options = bus_options(args)
     configuration = configuration_check(options)
     named = configuration.state == "ok"
-    for check in kernel_checks():
+    for check in machine.kernel_checks():
         # If no bus of this kernel is wanted, a kernel without CAN is only a note.
         wanted = options.get("interface") == "socketcan"
-        yield check if wanted or check.state != "fail" else _as_note(check)
+        yield check if wanted or check.state != "fail" else replace(check, state="note")
     yield configuration
     if named:
         yield from bus_checks(options, args.listen)
     else:
-        yield from vcan_checks()
-        yield from multicast_checks()
-    yield from iio_checks()
-    yield from software_checks()
-
-
-def _as_note(check: Check) -> Check:
-    from dataclasses import replace
-
-    return replace(check, state="note")
+        yield from machine.vcan_checks()
+        yield from machine.multicast_checks()
+    yield from machine.iio_checks()
+    yield from machine.software_checks()

@@ -59,7 +59,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_eds_argument(parser)
     parser.add_argument("--strict", action="store_true", help="text: exit with 1 at the first bad line")
     common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -71,5 +70,4 @@ def run(args: argparse.Namespace) -> int:
     from tipforce_tools.dump.session import dump
 
     terminate_as_interrupt()
-    common.set_up_logging(args)
     return dump(args)

@@ -6,28 +6,28 @@ from argparse import Namespace
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from select import select as readable
 from typing import TYPE_CHECKING
 
 from tipforce.dictionary.signals import rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decoding.decoded_pdos import EdsFiles, Layouts
+from tipforce.host.decoding.counters import Tally
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.decoding.duplicates import DuplicateNodes
-from tipforce.host.decoding.object_names import eds_names, fingertip_names
+from tipforce.host.decoding.pdo_layout import EdsFiles, Layouts
 from tipforce.host.decoding.plan import Key
-from tipforce.host.decoding.sample_counter import SampleCounters
+from tipforce.host.decoding.sdo_conversation import eds_names, fingertip_names
 from tipforce.host.decoding.services import Service, Services
 from tipforce.host.decoding.sync_modulus import SyncModulus
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError
-from tipforce.host.logs.candump import BadLineError, CandumpParser
+from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce_tools.cli import common
 from tipforce_tools.cli.eds_flag import eds_files
-from tipforce_tools.dump.output import JsonWriter, TextWriter, Writer
-from tipforce_tools.dump.targets import STDIN, Target, select, split_targets
-from tipforce_tools.dump.text_source import text_blocks
+from tipforce_tools.cli.listening import counted
+from tipforce_tools.dump.output import STDIN, JsonWriter, Target, TextWriter, Writer, select, split_targets
 
 if TYPE_CHECKING:
     from tipforce.host.live.receive_group import ReceiverGroup
@@ -54,7 +54,7 @@ class Session:
         names = eds_names(eds, fingertip_names(args.gauges)) if eds else fingertip_names(args.gauges)
         self.services = Services(names) if args.decode else None
         self._duplicates: dict[int, DuplicateNodes] = {}  # by interface
-        self.counters, self._modulus = SampleCounters(), SyncModulus()
+        self.tally, self._modulus = Tally(), SyncModulus()
         self._counted = _decoder(args.gauges, eds) if args.verbose else None  # of the parts of a block
         self._left = args.count
         self._needs_time = not args.json and (args.log or bool(args.timestamps))
@@ -102,7 +102,8 @@ class Session:
         assert self._counted is not None
         parts = self._modulus.cuts(frames)
         for part in self._modulus.parts(frames):
-            self.counters.add(self._counted.decode(part) if parts else decoded, self._modulus.modulus)
+            for samples in (self._counted.decode(part) if parts else decoded).values():
+                self.tally.add("", samples, self._modulus.modulus)
 
 
 def dump(args: Namespace) -> int:
@@ -126,45 +127,45 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
         if source == STDIN:
             descriptor = sys.stdin.fileno()
         else:
-            descriptor = _open_file(str(source))
+            try:
+                descriptor = os.open(source, os.O_RDONLY)
+            except OSError as error:
+                raise InputError(f"{source}: {error.strerror}") from error
             opened.callback(os.close, descriptor)
-        blocks = text_blocks(descriptor, parser, args.timeout_ms)
-        counts = [0]
+
+        def read(count: int) -> bytes:
+            """Return what has arrived; nothing after --timeout without it."""
+            waits = args.timeout_ms is not None
+            ready = not waits or readable([descriptor], [], [], args.timeout_ms / 1000)[0]
+            return os.read(descriptor, count) if ready else b""
+
+        frames = 0
         try:
-            _show_all(session, (select(block, targets) for block in _counted(blocks, counts)))
-            _check_readable(str(source), counts[0], parser)
+            for block in text_blocks(read, parser):
+                frames += len(block)
+                if not session.show(select(block, targets)):
+                    break
+            if parser.bad and not frames:
+                from tipforce_tools.cli.empty_log import TEXT, no_frame
+
+                raise no_frame(str(source), (TEXT, "other formats: `tipforce decode`"), parser.bad_lines[0])
         except BadLineError as error:
             print(f"tipforce dump: {error}", file=sys.stderr)
             return 1
         finally:
-            if counts[0] or not parser.bad:  # otherwise the error is the whole report
+            if frames or not parser.bad:  # otherwise the error is the whole report
                 _report(args, session, parser.dropped, parser)
     return 0
 
 
-def _counted(blocks: Iterable[CandumpBlock], counts: list[int]) -> Iterator[CandumpBlock]:
-    """Yield the blocks, and add their frames to ``counts[0]``."""
-    for block in blocks:
-        counts[0] += len(block)
-        yield block
-
-
-def _check_readable(name: str, frames: int, parser: CandumpParser) -> None:
-    """Raises InputError for text without a frame."""
-    if parser.bad and not frames:
-        from tipforce_tools.cli.empty_log import TEXT, no_frame
-
-        raise no_frame(name, (TEXT, "other formats: `tipforce decode`"), parser.bad_lines[0])
-
-
 def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) -> None:
     from tipforce_tools.cli.listening import open_targets
-    from tipforce_tools.cli.main import terminate_as_interrupt
 
-    terminate_as_interrupt()
     with open_targets(targets, args) as receiver:
         try:
-            _show_all(session, _live_blocks(receiver, args))
+            for block in _live_blocks(receiver, args):
+                if not session.show(block):
+                    break
         finally:
             _report(args, session, receiver.dropped, None)
 
@@ -186,40 +187,22 @@ def _live_blocks(receiver: "ReceiverGroup", args: Namespace) -> Iterator[Candump
             return
 
 
-def _show_all(session: Session, blocks: Iterable[CandumpBlock]) -> None:
-    iterator: Iterator[CandumpBlock] = iter(blocks)
-    for block in iterator:
-        if not session.show(block):
-            break
-
-
-def _open_file(path: str) -> int:
-    try:
-        return os.open(path, os.O_RDONLY)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
 def _report(args: Namespace, session: Session, dropped: int, parser: CandumpParser | None) -> None:
     """Report on stderr the frames left out, and with -v the counts."""
     notes = []
     if parser is not None and parser.bad:
         reasons = ", ".join(f"{count} {reason}" for reason, count in parser.bad.items())
         notes.append(
-            f"{_count(sum(parser.bad.values()), 'bad line')} left out ({reasons}), first {parser.bad_lines[0]}"
+            f"{counted(sum(parser.bad.values()), 'bad line')} left out ({reasons}), first {parser.bad_lines[0]}"
         )
     if dropped:
-        notes.append(f"{'candump' if parser is not None else 'the kernel'} had dropped {_count(dropped, 'frame')}")
+        notes.append(f"{'candump' if parser is not None else 'the kernel'} had dropped {counted(dropped, 'frame')}")
     for (node_id, name), count in (session.decoder.malformed if session.decoder is not None else {}).items():
-        short = _count(count, "frame")
+        short = counted(count, "frame")
         notes.append(f"node {common.shown_id(node_id)} {name}: {short} shorter than the mapping, not decoded")
     if args.verbose:
-        for key, count in session.counters.frames.items():
-            lost = f", {_count(session.counters.lost[key], 'sample')} lost" if key in session.counters.lost else ""
-            notes.append(f"node {common.shown_id(key[0])} {key[1]}: {_count(count, 'frame')}{lost}")
+        for (_, node_id, name), message in session.tally.messages.items():
+            lost = "" if message.lost is None else f", {counted(message.lost, 'sample')} lost"
+            notes.append(f"node {common.shown_id(node_id)} {name}: {counted(message.frames, 'frame')}{lost}")
     for text in notes:
         common.note(args, f"tipforce dump: {text}")

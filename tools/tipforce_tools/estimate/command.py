@@ -7,14 +7,13 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import isnan
-from typing import TYPE_CHECKING, TextIO
+from heapq import merge
+from math import isnan, nan
+from operator import itemgetter
+from typing import TextIO
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-
-if TYPE_CHECKING:
-    from tipforce.host.configuration.measurements import Measurements
 
 COLUMNS = ("line", "P_N", "phi_deg", "theta_deg", "u_P_N", "u_phi_deg", "u_theta_deg", "status")
 
@@ -41,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write one row per input row; return 0, or 1 with --strict and bad rows."""
-    from tipforce.host.configuration.calibration_file import read_calibration
+    from tipforce.host.configuration.calibration import read_calibration
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.host.decoding.estimates import estimates
     from tipforce.output_file import check_output
@@ -66,25 +65,12 @@ def run(args: argparse.Namespace) -> int:
         common.note(args, f"{args.gauges}: no t_s: the tare's age is unknown, and its drift not in the uncertainties")
     rows = estimates(calibration, data, args.saturation)
     with _output(args) as stream:
-        _write(stream, _merged(rows, data), args.json)
+        bad = ((row.line, [nan] * 6, f"bad: {row.reason}") for row in data.bad)
+        _write(stream, merge(rows, bad, key=itemgetter(0)), args.json)
     if data.bad:
         shown = "; ".join(str(row) for row in data.bad[:3]) + ("; ..." if len(data.bad) > 3 else "")
         common.note(args, f"{args.gauges}: {len(data.bad)} of {len(data.bad) + len(data.line)} rows are bad: {shown}")
     return 1 if data.bad and args.strict else 0
-
-
-def _merged(rows: Iterator[tuple[int, list[float], str]], data: Measurements) -> Iterator[tuple[int, list[float], str]]:
-    """Return good and bad rows in the order of the file."""
-    bad = iter(data.bad)
-    waiting = next(bad, None)
-    for row in rows:
-        while waiting is not None and waiting.line < row[0]:
-            yield waiting.line, [float("nan")] * 6, f"bad: {waiting.reason}"
-            waiting = next(bad, None)
-        yield row
-    while waiting is not None:
-        yield waiting.line, [float("nan")] * 6, f"bad: {waiting.reason}"
-        waiting = next(bad, None)
 
 
 @contextmanager

@@ -1,5 +1,5 @@
 /* What a calibration says of one sample: bits 12 to 15 of 2124h, the gauge that contradicts the others, and the matrix and
- * covariance that remain. The formulas are those of tipforce.fingertip.judgement and sensor.contact.scalar_parity.
+ * covariance that remain. The formulas are those of tipforce.fingertip.judgement and sensor.contact.scalar_redundancy.
  * Floating point (TIPFORCE_REAL); what is worked out once for each set of gauges is in double precision.
  */
 #ifndef TIPFORCE_JUDGE_H

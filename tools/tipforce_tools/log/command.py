@@ -36,7 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rotate-size", type=_bytes, metavar="SIZE", help="a new file after SIZE bytes: 500K 100M 1G")
     parser.add_argument("--rotate-time", type=common.seconds, metavar="S", help="a new file after S seconds")
     common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,7 +46,6 @@ def run(args: argparse.Namespace) -> int:
     """
     from tipforce_tools.log.session import record
 
-    common.set_up_logging(args)
     return record(args)
 
 

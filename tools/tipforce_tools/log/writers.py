@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gzip
 import time
+from io import BufferedIOBase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.frames.frame_block import CandumpBlock
@@ -62,7 +64,7 @@ class CandumpWriter:
         # Names are not aligned: the width would change with a longer one.
         self._format = CandumpFormat(log=True, align=False)
         zipped = path.suffix.lower() == _ZIP
-        self._file = _gzip_file(path) if zipped else _plain_file(path)
+        self._file: BufferedIOBase = gzip.GzipFile(path, "wb", compresslevel=6) if zipped else path.open("wb")
         self._flush_every_s = _ZIP_FLUSH_S if zipped else 0.0
         self._flushed_s = time.monotonic()
 
@@ -81,16 +83,6 @@ class CandumpWriter:
         self._file.close()
 
 
-def _gzip_file(path: Path) -> BinaryIO:
-    import gzip
-
-    return gzip.open(path, "wb", compresslevel=6)  # type: ignore[return-value]  # has all methods used here
-
-
-def _plain_file(path: Path) -> BinaryIO:
-    return path.open("wb")
-
-
 class PythonCanWriter:
     """A writer for any format of python-can."""
 
@@ -105,7 +97,7 @@ class PythonCanWriter:
 
     def write(self, block: CandumpBlock) -> None:
         """See LogWriter."""
-        from tipforce.host.live.messages import block_messages
+        from tipforce.host.live.python_can import block_messages
 
         for message in block_messages(block):
             self._writer.on_message_received(message)

@@ -24,6 +24,9 @@ exit codes: 0 the log ended, q, or --once; 2 usage, or no frames in the log; 130
   tipforce monitor can0 --once 2 --json | jq '.buses[0].load_percent'
 """
 
+_seconds = common.number_that(lambda time_s: 0.01 <= time_s < 1e6, "are 0.01 to 1000000 s")
+_speed = common.number_that(lambda speed: speed > 0, "is more than 0, or inf")
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce monitor` and python-can's bus flags to `parser`."""
@@ -44,7 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
     add_eds_argument(parser)
     common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -54,19 +56,4 @@ def run(args: argparse.Namespace) -> int:
     """
     from tipforce_tools.monitor.session import monitor
 
-    common.set_up_logging(args)
     return monitor(args)
-
-
-def _seconds(text: str) -> float:
-    number = common.number(text)
-    if not 0.01 <= number < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are 0.01 to 1000000 s")
-    return number
-
-
-def _speed(text: str) -> float:
-    number = common.number(text)
-    if not number > 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed is more than 0, or inf")
-    return number

@@ -29,10 +29,10 @@ def record(buses: Sequence[BusView], t_s: float | None, bitrate: int) -> dict[st
 
 
 def _bus_record(bus: BusView, bitrate: int) -> dict[str, Any]:
-    found = asdict(bus)
-    least, worst = found.pop("least_bits_hz"), found.pop("worst_bits_hz")
-    found["load_percent"] = [round(100 * bits / bitrate, 2) for bits in (least, worst)]
-    return found
+    fields = asdict(bus)
+    least, worst = fields.pop("least_bits_hz"), fields.pop("worst_bits_hz")
+    fields["load_percent"] = [round(100 * bits / bitrate, 2) for bits in (least, worst)]
+    return fields
 
 
 def headline(bus: BusView, bitrate: int) -> str:
@@ -52,7 +52,7 @@ def cells(node: NodeView) -> tuple[str, ...]:
     emcy = f"{emergency.code:04X}h {emergency.text}, {_seconds(emergency.age_s)} ago" if emergency else "-"
     nmt = f"{node.nmt}, heartbeat lost" if node.nmt_lost else node.nmt or "no heartbeat"
     readings = (shown(node.readings[name]) if name in node.readings else "-" for name in QUANTITIES)
-    values = (f"{name}={_value(one)}" for name, one in node.readings.items() if name not in QUANTITIES)
+    values = (f"{name}={_value(reading)}" for name, reading in node.readings.items() if name not in QUANTITIES)
     # A silent node has no present status, either.
     status = "STALE" if node.stale else " ".join((*node.status, *values)) or "-"
     if node.duplicate:
@@ -97,7 +97,7 @@ def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE)
     from rich.table import Table
     from rich.text import Text
 
-    found: list[Any] = []
+    parts: list[Any] = []
     for bus in buses:
         narrow = width < WIDE
         table = Table(title=headline(bus, bitrate), title_justify="left", expand=False)
@@ -112,8 +112,8 @@ def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE)
             texts = cells(node)
             row = (Text(texts[k], style=_style(texts[k])) for k in kept)
             table.add_row(*row, style="dim" if node.stale else "")
-        found += [table, *(Text(node.duplicate, style="bold red") for node in bus.nodes if node.duplicate)]
-    return Group(*found, Text(foot, style="dim"))
+        parts += [table, *(Text(node.duplicate, style="bold red") for node in bus.nodes if node.duplicate)]
+    return Group(*parts, Text(foot, style="dim"))
 
 
 def _style(text: str) -> str:

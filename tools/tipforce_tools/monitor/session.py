@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce.host.live.receiver import InterfaceDownError
+from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
 from tipforce_tools.cli import common
 from tipforce_tools.cli.eds_flag import eds_files
 from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
 from tipforce_tools.cli.listening import StopSignals, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
-from tipforce_tools.dump.targets import STDIN, Target, split_targets
+from tipforce_tools.dump.output import STDIN, Target, split_targets
 from tipforce_tools.monitor import display
-from tipforce_tools.monitor.sources import BusSource, LogSource, PipeSource, Source
 from tipforce_tools.monitor.state import Monitor
 
 if TYPE_CHECKING:
@@ -53,13 +53,14 @@ def monitor(args: Namespace) -> int:
         loop.run(watched, source, lambda: stop.stopped or pressed())
         if log is not None and source.ended and log.bad and not watched.frames:
             raise no_frame(str(log_name), (TEXT, PACKED, MESSAGES, PCAP), log.first_bad)
-        found = any(bus.nodes for bus in watched.views())
-        if log is not None and source.ended and watched.frames and not args.nodes and not found:
+        has_nodes = any(bus.nodes for bus in watched.views())
+        if log is not None and source.ended and watched.frames and not args.nodes and not has_nodes:
             raise no_sample(str(log_name), watched.frames, log.extended)
         if not screen and not (args.json and args.once is None and loop.shown):
             _lines(args)(watched, source.now_ns())
-    if log is not None:
-        _report(args, log)
+    if log is not None and log.bad:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in log.bad.items())
+        common.note(args, f"tipforce monitor: {counted(sum(log.bad.values()), 'bad line')} left out ({reasons})")
     return INTERRUPTED if stop.stopped else 0
 
 
@@ -75,7 +76,7 @@ class Loop:
         self._clock = clock
         self.shown = 0
 
-    def run(self, watched: Monitor, source: Source, stopped: Callable[[], bool]) -> None:
+    def run(self, watched: Monitor, source: FrameSource, stopped: Callable[[], bool]) -> None:
         """Run until the source ends, ``stopped`` is true, or --once is over."""
         begun_s, first_ns, due_ns = self._clock(), None, 0
         while not source.ended and not stopped():
@@ -102,7 +103,7 @@ class Loop:
 
 def _source(
     args: Namespace, name: Path | str | None, targets: tuple[Target, ...], interval_s: float, opened: ExitStack
-) -> tuple[Source, LogReader | None]:
+) -> tuple[FrameSource, LogReader | None]:
     if name is None:
         if args.follow or args.speed != math.inf:
             raise InputError("--follow and --speed: need a log")
@@ -173,9 +174,3 @@ def _keys(screen: bool, stdin_taken: bool) -> Iterator[Callable[[], bool]]:
     finally:
         termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
         os.close(descriptor)
-
-
-def _report(args: Namespace, log: LogReader) -> None:
-    if log.bad:
-        reasons = ", ".join(f"{count} {reason}" for reason, count in log.bad.items())
-        common.note(args, f"tipforce monitor: {counted(sum(log.bad.values()), 'bad line')} left out ({reasons})")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import (
+from canopen_device.core.codes import (
     EMCY_BASE,
     ERROR_FLAG,
     EXTENDED_FLAG,
@@ -20,27 +20,93 @@ from tipforce.device.codes import (
     REMOTE_FLAG,
     SYNC_COB_ID,
 )
+from tipforce.arrays import IntArray
 from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
+from tipforce.dictionary.service_texts import state_text
 from tipforce.dictionary.table import FAULT_BITS, STATUS_BITS
-from tipforce.host.decoding import status_words
-from tipforce.host.decoding.contacts import status_of
-from tipforce.host.decoding.decoded_pdos import EdsFiles, Layouts
+from tipforce.host.decoding.counters import Tally
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.health import Health
-from tipforce.host.decoding.sample_counter import SampleCounters
+from tipforce.host.decoding.pdo_layout import EdsFiles, Layouts
 from tipforce.host.decoding.sync_modulus import SyncModulus
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce_tools.monitor.window import Periods, Window
+from tipforce.host.network.bus_load import LEAST_BITS, MOST_BITS, kinds
+from tipforce.samples import reasons
 
 STALE_NS = 500_000_000
 """A value is stale after this, or after three of its periods if that is longer."""
 QUANTITIES = ("P", "phi", "theta")
 FLAGS = (*(name for name, _ in STATUS_BITS), *(f"fault_{name}" for _, name, _ in FAULT_BITS))
 
-# The number of stuff bits depends on the data: at least none, at most one in four (ISO 11898-1).
-_LEAST_BITS = np.array([[47 + 8 * n for n in range(9)], [67 + 8 * n for n in range(9)]])
-_WORST_BITS = _LEAST_BITS + np.array([[(33 + 8 * n) // 4 for n in range(9)], [(53 + 8 * n) // 4 for n in range(9)]])
+
+WINDOW_NS = 2_000_000_000
+_LEAST_NS = 100_000_000  # minimum time for a rate
+MOST = 65_536  # events kept: a full bus for more than the window
+
+
+@dataclass(frozen=True, slots=True)
+class Periods:
+    """Times between events in milliseconds: median, 99th percentile, maximum."""
+
+    p50_ms: float
+    p99_ms: float
+    max_ms: float
+
+
+class Window:
+    """Times of events, and with each ``columns`` numbers, within WINDOW_NS before the newest of them."""
+
+    def __init__(self, columns: int = 0) -> None:
+        self._t_ns: IntArray = np.zeros(0, dtype=np.int64)
+        self._numbers: IntArray = np.zeros((columns, 0), dtype=np.int64)
+
+    def add(self, t_ns: IntArray, *numbers: IntArray) -> None:
+        """Add events (k,) and their numbers (k,). A clock set back by more than the window restarts it."""
+        if not len(t_ns):
+            return
+        if len(self._t_ns) and t_ns[-1] < self._t_ns[-1] - WINDOW_NS:
+            self.clear()
+        times = np.concatenate((self._t_ns, t_ns))[-MOST:]
+        kept = times > times[-1] - WINDOW_NS
+        self._t_ns = times[kept]
+        if numbers:
+            self._numbers = np.concatenate((self._numbers, np.stack(numbers)), axis=1)[:, -MOST:][:, kept]
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._t_ns = self._t_ns[:0]
+        self._numbers = self._numbers[:, :0]
+
+    @property
+    def last_ns(self) -> int | None:
+        """Time of the newest event."""
+        return int(self._t_ns[-1]) if len(self._t_ns) else None
+
+    def rate_hz(self, now_ns: int) -> float:
+        """Return events per second: from their periods while they continue, decreasing to 0 after they end."""
+        recent = self._t_ns[self._t_ns > now_ns - WINDOW_NS]
+        if len(recent) < 2 or recent[-1] <= recent[0]:
+            return 0.0
+        period_ns = float(recent[-1] - recent[0]) / (len(recent) - 1)
+        silence_ns = now_ns - float(recent[-1])
+        span_ns = float(recent[-1] - recent[0]) + (silence_ns if silence_ns > 3.0 * period_ns else 0.0)
+        return (len(recent) - 1) * 1e9 / span_ns
+
+    def periods(self) -> Periods | None:
+        """Return the periods of the events; None for fewer than two. Times that step back slightly count as 0."""
+        if len(self._t_ns) < 2:
+            return None
+        periods = np.maximum(np.diff(self._t_ns), 0) * 1e-6
+        return Periods(*(float(value) for value in (*np.percentile(periods, (50, 99)), periods.max())))
+
+    def sums(self, now_ns: int) -> list[float]:
+        """Return the numbers per second, over the observed part of the window before ``now_ns``."""
+        recent = self._t_ns > now_ns - WINDOW_NS
+        if not recent.any():
+            return [0.0] * len(self._numbers)
+        seen_ns = max(now_ns - int(self._t_ns[recent][0]), _LEAST_NS)
+        return [float(row[recent].sum()) * 1e9 / seen_ns for row in self._numbers]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +187,7 @@ class BusMonitor:
         self._described = frozenset(node_id for node_id, _ in eds)
         self._decoder = Decoder(gauges, sorted(self._watched - self._described))
         self._of_eds = Layouts(nodes=tuple(self._watched), eds=eds).decoder() if eds else None
-        self._counters = SampleCounters()
+        self._tally = Tally()
         self._health = Health()
         self._modulus = SyncModulus()
         self._duplicates = DuplicateNodes()
@@ -134,18 +200,19 @@ class BusMonitor:
         """Process a FRAME array (k,) in the order of arrival."""
         can_id, t_ns = frames["can_id"], frames["t_ns"]
         self._count_traffic(frames)
-        self._take_duplicates(frames)
+        twice = {duplicate.node_id for duplicate in self._duplicates.add(frames)}  # also of one without heartbeats
+        self._nodes |= {node_id: _Node() for node_id in twice & self._watched - self._nodes.keys()}
         data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
         self._sync.add(t_ns[data & (can_id == SYNC_COB_ID)])
         self._take_services(frames[data & ((can_id & NODE_ID_MASK) != 0)])
         for part in self._modulus.parts(frames):
-            found = self._decoder.decode(part)
-            self._counters.add(found, self._modulus.modulus)
-            for samples in found.values():
+            decoded = self._decoder.decode(part)
+            for samples in decoded.values():
+                self._tally.add("", samples, self._modulus.modulus)
                 self._duplicates.samples(samples, part, self._modulus.modulus)
-            for (node_id, name), samples in found.items():
+            for (node_id, name), samples in decoded.items():
                 self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
-            self._health.take(part, found.values())
+            self._health.take(part, decoded.values())
         if self._of_eds is not None:
             for start, end in self._of_eds.parts(frames):
                 for (node_id, name), samples in self._of_eds.decode(frames[start:end]).items():
@@ -157,21 +224,12 @@ class BusMonitor:
                 flags = {f"fault_{name}": bool(faults >> bit & 1) for bit, name, _ in FAULT_BITS}
                 self._nodes[node_id].flags |= flags
 
-    def _take_duplicates(self, frames: FrameArray) -> None:
-        """Give a row to a node-id that two nodes use, also to one that sends no heartbeats."""
-        for duplicate in self._duplicates.add(frames):
-            if duplicate.node_id in self._watched:
-                self._nodes.setdefault(duplicate.node_id, _Node())
-
     def _count_traffic(self, frames: FrameArray) -> None:
-        can_id = frames["can_id"]
-        error = (can_id & np.uint32(ERROR_FLAG)) != 0
+        error = (frames["can_id"] & np.uint32(ERROR_FLAG)) != 0
         self._errors += int(error.sum())
-        frames, can_id = frames[~error], can_id[~error]
-        extended = (can_id >> np.uint32(31)).astype(np.intp)
-        length = np.where(can_id & np.uint32(REMOTE_FLAG), 0, np.minimum(frames["length"], 8))
-        ones = np.ones(len(frames), dtype=np.int64)
-        self._traffic.add(frames["t_ns"], ones, _LEAST_BITS[extended, length], _WORST_BITS[extended, length])
+        frames = frames[~error]
+        kind = kinds(frames)
+        self._traffic.add(frames["t_ns"], np.ones_like(kind), LEAST_BITS[kind], MOST_BITS[kind])
 
     def _take_services(self, frames: FrameArray) -> None:
         """Process heartbeats and EMCY, of which there are few."""
@@ -208,7 +266,7 @@ class BusMonitor:
     def view(self, now_ns: int) -> BusView:
         """Return the state at a time on the clock of the frames."""
         frames_hz, least, worst = self._traffic.sums(now_ns)
-        lost = self._counters.lost_by_node()
+        lost = {node_id: count for (_, node_id), count in self._tally.lost().items()}
         nodes = tuple(
             replace(
                 _view(key, self._nodes[key], lost.get(key, 0), now_ns, described=key in self._described),
@@ -224,8 +282,8 @@ def _view(node_id: int, node: _Node, lost: int, now_ns: int, *, described: bool)
     age_s = None if last_ns is None else max(now_ns - last_ns, 0) * 1e-9
     limit_s = max(STALE_NS * 1e-9, 3e-3 * periods.p50_ms if periods else 0.0)
     stale = age_s is not None and age_s > limit_s
-    told = {"calibrated": True, "contact": True} | node.flags
-    bits = int(status_of({name: np.array(is_set) for name, is_set in told.items()}, ()))
+    flags = {"calibrated": True, "contact": True} | node.flags
+    bits = sum(bit for name, bit in reasons.BITS.items() if flags.get(name) == 1)
     names = tuple(node.values) if described else QUANTITIES
     readings = {name: _reading(node, name, bits, now_ns, limit_s) for name in names}
     status = tuple(name.removeprefix("fault_") for name in FLAGS if node.flags.get(name))
@@ -248,10 +306,10 @@ def _reading(node: _Node, name: str, status: int, now_ns: int, limit_s: float) -
         return Reading(None, unit, f"last {max(now_ns - t_ns, 0) * 1e-9:.1f} s ago", stale=True)
     if not np.isnan(value):
         return Reading(value, unit)
-    reasons = status_words.why_no_force(status)
-    if not reasons and name in QUANTITIES[1:]:
-        reasons = [status_words.why_no_angle(status, theta=name == "theta")]
-    return Reading(None, unit, next(filter(None, reasons), status_words.UNKNOWN_TO_THE_NODE))
+    why = reasons.why_no_force(status)
+    if not why and name in QUANTITIES[1:]:
+        why = [reasons.why_no_angle(status, theta=name == "theta")]
+    return Reading(None, unit, next(filter(None, why), reasons.UNKNOWN_TO_THE_NODE))
 
 
 def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:
@@ -267,7 +325,7 @@ def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:
         return f"{NMT_STATES[INITIALISING]}, no heartbeat" if later else NMT_STATES[INITIALISING], False
     periods = node.heartbeats.periods()
     limit_ns = 3e6 * periods.p50_ms if periods else 3e9
-    return NMT_STATES.get(node.nmt, f"state {node.nmt}"), now_ns - last_ns > max(limit_ns, STALE_NS)
+    return state_text(node.nmt), now_ns - last_ns > max(limit_ns, STALE_NS)
 
 
 class Monitor:

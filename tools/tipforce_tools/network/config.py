@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError, SdoAbortError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
-from tipforce_tools.cli.eds_flag import connection_or, description, is_fingertip
+from tipforce_tools.cli.request import request_of
+from tipforce_tools.network.device import DeviceRequest, connection_or, description, is_fingertip
 
 if TYPE_CHECKING:
-    from tipforce.dictionary.types import Value
-    from tipforce.host.configuration.configuration_file import Configuration
-    from tipforce.host.configuration.device_objects import DeviceObjects, Setting
+    from canopen_device.types import Value
+    from tipforce.dictionary.entries import Entry
+    from tipforce.host.configuration.device_objects import DeviceObjects
     from tipforce.host.network.sdo import SdoChannel
 
 ACTIONS = {
@@ -23,7 +25,17 @@ ACTIONS = {
     "save": "save the settings of the node to a file: TOML, or DCF by its suffix",
     "verify": "compare the settings in the file with the node (exit code 1 on a difference)",
 }
-WITH_FILE = ("apply", "diff", "save", "verify")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettingsRequest(DeviceRequest):
+    """``file``: "" for the action that takes none."""
+
+    action: str
+    file: str
+    store: bool
+    all: bool
+    gauges: int
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,171 +56,142 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("node", type=common.node_id, metavar="ID")
-    parser.add_argument("file", nargs="?", metavar="FILE", help="*.dcf, or TOML; save: - is stdout")
+    parser.add_argument("file", nargs="?", default="", metavar="FILE", help="*.dcf, or TOML; save: - is stdout")
     parser.add_argument("--store", action="store_true", help="apply: store all parameters on the node afterwards")
     parser.add_argument("--all", action="store_true", help="show, save: include settings at their default")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of the node (default 3)")
     parser.add_argument("--eds", metavar="FILE", help="EDS, DCF or XDD of a node of any manufacturer (default: 1021h)")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return 0, or for apply, verify and diff 1 after a line per difference."""
-    common.set_up_logging(args)
-    if (args.file is None) is (args.action in WITH_FILE):
-        needs = "which FILE? For example" if args.file is None else "takes no FILE; did you mean"
-        raise InputError(f"config {args.action}: {needs}: tipforce config save {args.node} finger.toml")
-    if args.action == "show":
-        return _show(args)
-    return _save(args) if args.action == "save" else _with_file(args)
+    request = request_of(SettingsRequest, args)
+    if bool(request.file) is (request.action == "show"):
+        needs = "takes no FILE; did you mean" if request.file else "which FILE? For example"
+        raise InputError(f"config {request.action}: {needs}: tipforce config save {request.node} finger.toml")
+    if request.action == "show":
+        return _show(request)
+    return _save(request) if request.action == "save" else _with_file(request)
 
 
-def _with_file(args: argparse.Namespace) -> int:
+def _with_file(request: SettingsRequest) -> int:
     from tipforce.host.configuration.configuration_file import (
         apply_configuration,
         read_configuration,
         verify_configuration,
     )
+    from tipforce.host.configuration.device_objects import FingertipObjects
     from tipforce.host.network.finger import FingertipClient
 
-    wanted = _wanted_of_fingertip(args)
-    if args.action == "apply" and args.store:
-        common.confirm(args, f"node {common.shown_id(args.node)}: this replaces its stored parameters")
-    with connection_or(args, wanted if isinstance(wanted, InputError) else None) as connection:
-        sdo = connection.sdo(args.node)
-        objects = _objects(args, sdo, wanted if isinstance(wanted, InputError) else None)
-        if isinstance(wanted, InputError) and _of_fingertip(objects):
-            raise wanted
-        if isinstance(wanted, InputError) or not _of_fingertip(objects):
-            wanted = read_configuration(args.file, args.node, args.gauges, objects)
-        if args.action == "diff":
-            return _diff(args, sdo, objects, wanted)
-        if args.action == "apply":
+    error = None  # why it is no file of a fingertip: then it may be that of another device
+    try:
+        wanted = read_configuration(request.file, request.node, request.gauges)
+    except InputError as reason:
+        error = reason
+    if request.action == "apply" and request.store:
+        common.confirm(request, f"{request.shown}: this replaces its stored parameters")
+    with connection_or(request, error) as connection:
+        sdo = connection.sdo(request.node)
+        objects = _objects(request, sdo, error)
+        if not isinstance(objects, FingertipObjects):
+            wanted = read_configuration(request.file, request.node, request.gauges, objects)
+        elif error is not None:
+            raise error
+        if request.action == "diff":
+            from tipforce.host.configuration.configuration_file import compare
+
+            lines = compare(_read(request, sdo, objects), wanted, objects)
+            for line in lines:
+                there = "is not in the file" if line.other is None else f"{request.file} has {line.other}"
+                common.print_record(
+                    request, asdict(line), f"{line.name} ({line.entry}): the node has {line.node}, {there}"
+                )
+            common.note(request, f"{request.shown}: {len(lines)} different")
+            return 1 if lines else 0
+        if request.action == "apply":
             apply_configuration(sdo, wanted)
         differences = verify_configuration(sdo, wanted)
-        if args.action == "apply" and args.store and not differences:
+        if request.action == "apply" and request.store and not differences:
             FingertipClient(sdo).store()
     for difference in differences:
-        if args.json:
-            common.print_json(difference)
-        else:
-            print(f"{difference['object']}: expected {difference['expected']}, the node has {difference['found']}")
+        text = f"{difference['object']}: expected {difference['expected']}, the node has {difference['found']}"
+        common.print_record(request, difference, text)
     unread = sum(entry.access == "wo" for entry, _ in wanted.values())
     shown = f"{len(differences)} different" + (f", {unread} write-only, not compared" if unread else "")
-    common.note(args, f"node {common.shown_id(args.node)}: {len(wanted)} objects, {shown}")
+    common.note(request, f"{request.shown}: {len(wanted)} objects, {shown}")
     return 1 if differences else 0
 
 
-def _wanted_of_fingertip(args: argparse.Namespace) -> Configuration | InputError:
-    """Return the file as that of a fingertip, or why it is none: then it may be that of another device."""
-    from tipforce.host.configuration.configuration_file import read_configuration
-
-    try:
-        return read_configuration(args.file, args.node, args.gauges)
-    except InputError as error:
-        return error
-
-
-def _objects(args: argparse.Namespace, sdo: SdoChannel, error: InputError | None = None) -> DeviceObjects:
+def _objects(request: SettingsRequest, sdo: SdoChannel, error: InputError | None = None) -> DeviceObjects:
     """Return the dictionary of the node. Raises InputError for a device that is no fingertip and has no EDS.
 
     ``error``: of the file, if it is none of a fingertip; raised where the node does not respond.
     """
     from tipforce.host.configuration.device_objects import EdsObjects, FingertipObjects
 
-    if not args.eds and is_fingertip(sdo, error):
-        return FingertipObjects(args.node, args.gauges)
-    described = description(args, sdo)
+    if not request.eds and is_fingertip(sdo, error):
+        return FingertipObjects(request.node, request.gauges)
+    described = description(request, sdo)
     if described is None:
-        raise InputError(f"node {common.shown_id(args.node)} is not a fingertip and stores no EDS; add --eds FILE")
+        raise InputError(f"{request.shown} is not a fingertip and stores no EDS; add --eds FILE")
     return EdsObjects(described)
 
 
-def _of_fingertip(objects: DeviceObjects) -> bool:
-    from tipforce.host.configuration.device_objects import FingertipObjects
+def _show(request: SettingsRequest) -> int:
+    from tipforce.host.configuration.configuration_file import changed_settings
 
-    return isinstance(objects, FingertipObjects)
-
-
-def _diff(args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects, wanted: Configuration) -> int:
-    from dataclasses import asdict
-
-    from tipforce.host.configuration.settings import compare
-
-    differences = compare(_read(args, sdo, objects), wanted, objects)
-    for found in differences:
-        if args.json:
-            common.print_json(asdict(found))
-        else:
-            there = "is not in the file" if found.other is None else f"{args.file} has {found.other}"
-            print(f"{found.name} ({found.entry}): the node has {found.node}, {there}")
-    common.note(args, f"node {common.shown_id(args.node)}: {len(differences)} different")
-    return 1 if differences else 0
-
-
-def _show(args: argparse.Namespace) -> int:
-    from tipforce.host.configuration.settings import changed_settings
-
-    with common.open_connection(args) as connection:
-        sdo = connection.sdo(args.node)
+    with common.open_connection(request) as connection:
+        sdo = connection.sdo(request.node)
         try:
-            objects = _objects(args, sdo)
+            objects = _objects(request, sdo)
         except InputError:
-            if args.eds:
+            if request.eds:
                 raise
-            return _show_foreign(args, sdo)
-        settings = _read(args, sdo, objects)
-    shown = settings if args.all else changed_settings(settings, objects)
+            return _show_foreign(request, sdo)
+        settings = _read(request, sdo, objects)
+    shown = settings if request.all else changed_settings(settings, objects)
     for (index, sub), value in sorted(shown.items()):
-        setting = objects.settings[index, sub]
-        entry, texts = setting.entry, [_shown(setting, one) for one in (value, setting.default)]
-        if args.json:
-            values = texts if isinstance(value, bytes) else (value, setting.default)
-            common.print_json(
-                {"index": f"0x{index:04X}", "sub": sub, "name": entry.name, "value": values[0],
-                 "default": values[1], "unit": entry.unit}
-            )  # fmt: skip
-        else:
-            default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
-            print(f"{entry}  {entry.name:32} {f'{texts[0]} {entry.unit}'.rstrip()}{default}")
-    common.note(args, f"node {common.shown_id(args.node)}: {len(settings)} settings, {len(shown)} shown")
+        entry = objects.settings[index, sub]
+        texts = [_shown(entry, number) for number in (value, entry.default)]
+        values = texts if isinstance(value, bytes) else (value, entry.default)
+        record = {"index": f"0x{index:04X}", "sub": sub, "name": entry.name, "value": values[0]}
+        default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
+        line = f"{entry}  {entry.name:32} {f'{texts[0]} {entry.unit}'.rstrip()}{default}"
+        common.print_record(request, record | {"default": values[1], "unit": entry.unit}, line)
+    common.note(request, f"{request.shown}: {len(settings)} settings, {len(shown)} shown")
     return 0
 
 
-def _show_foreign(args: argparse.Namespace, sdo: SdoChannel) -> int:
+def _show_foreign(request: SettingsRequest, sdo: SdoChannel) -> int:
     """Print the objects of CiA 301 that a device of another type has; only its manufacturer knows their defaults."""
-    from tipforce.device import communication
+    from canopen_device.core import communication
     from tipforce.host.configuration.device_objects import FingertipObjects
 
     shown = 0
-    for (index, sub), setting in FingertipObjects(args.node).settings.items():
+    for (index, sub), entry in FingertipObjects(request.node).settings.items():
         if index > communication.LAST:
             continue
-        entry = setting.entry
         try:
             value = entry.decode(sdo.upload(index, sub))
         except (SdoAbortError, InputError):  # it lacks the object, or has one of another length
             continue
         shown += 1
-        if args.json:
-            common.print_json({"index": f"0x{index:04X}", "sub": sub, "name": entry.name, "value": value})
-        else:
-            print(f"{entry}  {entry.name:32} {_shown(setting, value)} {entry.unit}".rstrip())
-    node = f"node {common.shown_id(args.node)} is not a fingertip"
-    common.note(args, f"{node}: {shown} communication settings (CiA 301), compared with nothing")
+        record = {"index": f"0x{index:04X}", "sub": sub, "name": entry.name, "value": value}
+        common.print_record(request, record, f"{entry}  {entry.name:32} {_shown(entry, value)} {entry.unit}".rstrip())
+    communication_settings = f"{shown} communication settings (CiA 301), compared with nothing"
+    common.note(request, f"{request.shown} is not a fingertip: {communication_settings}")
     return 0
 
 
-def _shown(setting: Setting, value: Value) -> str:
+def _shown(entry: Entry[Value], value: Value) -> str:
     """Return a value as text; COB-IDs and mapped objects in hexadecimal with the meaning of their parts."""
-    from tipforce.dictionary import types
+    from canopen_device import types
     from tipforce.dictionary.signals import is_mapping
 
-    entry = setting.entry
-    if setting.array.endswith("cob_id") and isinstance(value, int):
-        return cob_id_text(entry.index, value)
+    if entry.stem.endswith("cob_id") and isinstance(value, int):
+        return _cob_id_text(entry.index, value)
     if is_mapping(entry.index) and entry.sub and isinstance(value, int) and value:
         return f"0x{value:08X} (0x{value >> 16:04X}:{value >> 8 & 0xFF:02X}, {value & 0xFF} bits)"
     try:
@@ -217,9 +200,9 @@ def _shown(setting: Setting, value: Value) -> str:
         return str(value)
 
 
-def cob_id_text(index: int, value: int) -> str:
+def _cob_id_text(index: int, value: int) -> str:
     """Return a COB-ID parameter in hexadecimal: its bits by name, and the identifier (CiA 301, 7.5.2)."""
-    from tipforce.device import codes, communication
+    from canopen_device.core import codes, communication
 
     high = {
         communication.COB_ID_SYNC: ("", "produced"),
@@ -230,44 +213,44 @@ def cob_id_text(index: int, value: int) -> str:
     return f"0x{value:08X} ({', '.join([f'0x{value & codes.STANDARD_MASK:03X}', *names])})"
 
 
-def _save(args: argparse.Namespace) -> int:
-    from tipforce.host.configuration.settings import changed_settings, settings_toml
+def _save(request: SettingsRequest) -> int:
+    from tipforce.host.configuration.configuration_file import changed_settings, settings_toml
     from tipforce.output_file import EDS, SETTINGS, check_output, write_file
 
-    as_dcf = str(args.file).lower().endswith((".dcf", ".eds"))
+    as_dcf = request.file.lower().endswith((".dcf", ".eds"))
     kind = EDS if as_dcf else SETTINGS
-    if args.file != "-":
-        check_output(args.file, kind)
-    with common.open_connection(args) as connection:
-        sdo = connection.sdo(args.node)
-        objects = _objects(args, sdo)
-        settings = _read(args, sdo, objects)
-        chosen = settings if args.all else changed_settings(settings, objects)
-        text = _dcf(args, sdo, objects, chosen) if as_dcf else settings_toml(chosen, objects, args.node)
-    if args.file == "-":
+    if request.file != "-":
+        check_output(request.file, kind)
+    with common.open_connection(request) as connection:
+        sdo = connection.sdo(request.node)
+        objects = _objects(request, sdo)
+        settings = _read(request, sdo, objects)
+        chosen = settings if request.all else changed_settings(settings, objects)
+        text = _dcf(request, sdo, objects, chosen) if as_dcf else settings_toml(chosen, objects, request.node)
+    if request.file == "-":
         print(text, end="")
         return 0
-    write_file(args.file, text, kind)
-    common.note(args, f"{args.file}: {len(chosen)} of {len(settings)} settings of node {common.shown_id(args.node)}")
+    write_file(request.file, text, kind)
+    common.note(request, f"{request.file}: {len(chosen)} of {len(settings)} settings of {request.shown}")
     return 0
 
 
 def _dcf(
-    args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects, chosen: dict[tuple[int, int], Value]
+    request: SettingsRequest, sdo: SdoChannel, objects: DeviceObjects, chosen: dict[tuple[int, int], Value]
 ) -> str:
+    from canopen_device.eds import dcf
     from tipforce.dictionary import eds as fingertip_eds
-    from tipforce.eds import dcf
     from tipforce.host.configuration.device_objects import EdsObjects
     from tipforce.host.network.finger import FingertipClient
 
     if isinstance(objects, EdsObjects):
         return dcf.dcf_text(objects.described, chosen)
-    return fingertip_eds.dcf_text(args.gauges, args.node, chosen, FingertipClient(sdo).identity().simulated)
+    return fingertip_eds.dcf_text(request.gauges, request.node, chosen, FingertipClient(sdo).identity().simulated)
 
 
-def _read(args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
+def _read(request: SettingsRequest, sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
     """Read all settings, one transfer each, with a progress bar on a terminal."""
-    from tipforce.host.configuration.settings import read_settings
+    from tipforce.host.configuration.configuration_file import read_settings
 
-    with common.progress(args, "read", len(objects.settings)) as advance:
+    with common.progress(request, "read", len(objects.settings)) as advance:
         return read_settings(sdo, objects, advance)

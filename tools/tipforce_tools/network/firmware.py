@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from tipforce_tools.cli import common
-
-if TYPE_CHECKING:
-    from tipforce.host.network.bus import Bus
-    from tipforce.host.network.firmware import Firmware, NodeProgram
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,51 +29,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
-    common.add_output_arguments(parser)
     parser.set_defaults(timeout=3.0)  # a node checks the complete image before it responds to the last block
 
 
 def run(args: argparse.Namespace) -> int:
     """Show or install. Raises InputError for the file, RefusedError and NoResponseError of a node."""
-    from tipforce.host.network.firmware import Firmware, node_program
+    from tipforce.host.network.firmware import Firmware, install, node_program
 
-    common.set_up_logging(args)
     firmware = Firmware.read(args.file) if args.file else None
     with common.open_connection(args) as connection:
         if firmware is not None:
             nodes = ", ".join(map(common.shown_id, args.ids))
             common.confirm(args, f"node {nodes}: this replaces the program by {firmware.header.version_text()}")
         for node_id in args.ids:
-            before = node_program(connection.sdo(node_id))
-            if firmware is None:
-                _print(args, node_id, before, None)
-            else:
-                _print(args, node_id, before, _install(args, connection, node_id, firmware))
+            program = before = node_program(connection.sdo(node_id))
+            if firmware is not None:
+                with common.progress(
+                    args, f"node {common.shown_id(node_id)}", len(firmware.content), absolute=True
+                ) as arrived:
+                    program = install(
+                        connection, node_id, firmware, allow_downgrade=args.allow_downgrade, progress=arrived
+                    )
+            record = {
+                "node_id": node_id, "version": program.version, "identification": f"0x{program.identification:08X}",
+            } | ({} if firmware is None else {"version_before": before.version})  # fmt: skip
+            change = program.version if firmware is None else f"{before.version} -> {program.version}"
+            reason = f"  last update: {program.reason}" if program.reason else ""
+            line = f"{common.shown_id(node_id):>11}  {change}  0x{program.identification:08X}{reason}"
+            common.print_record(args, record | {"reason": program.reason}, line)
     return 0
-
-
-def _install(args: argparse.Namespace, connection: Bus, node_id: int, firmware: Firmware) -> NodeProgram:
-    from tipforce.host.network.firmware import install
-
-    shown = 0
-    with common.progress(args, f"node {common.shown_id(node_id)}", len(firmware.content)) as advance:
-
-        def arrived(total: int) -> None:
-            nonlocal shown
-            advance(total - shown)
-            shown = total
-
-        return install(connection, node_id, firmware, allow_downgrade=args.allow_downgrade, progress=arrived)
-
-
-def _print(args: argparse.Namespace, node_id: int, before: NodeProgram, after: NodeProgram | None) -> None:
-    now = after or before
-    if args.json:
-        record = {"node_id": node_id, "version": now.version, "identification": f"0x{now.identification:08X}"}
-        if after is not None:
-            record["version_before"] = before.version
-        common.print_json(record | {"reason": now.reason})
-        return
-    change = f"{before.version} -> {now.version}" if after is not None else now.version
-    reason = f"  last update: {now.reason}" if now.reason else ""
-    print(f"{common.shown_id(node_id):>11}  {change}  0x{now.identification:08X}{reason}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import threading
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from tipforce.dictionary import table
@@ -49,7 +50,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -57,16 +57,23 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.lss import LssMaster
 
-    common.set_up_logging(args)
     _check(args)
     if args.action == "store" or args.store:
         common.confirm(args, "this replaces the stored node-id")
     with Bus(common.open_bus(args)) as connection, LssMaster(connection, args.lss_timeout) as master:
         if args.action == "scan":
-            return _scan(args, master)
-        if args.serial is not None:
-            return _one(args, master)
-        return _assign(args, master)
+            address = master.fastscan()
+            if address is None:
+                raise NoResponseError(NOBODY)
+            _print(args, address, None, stored=False)
+            common.note(
+                args, "there may be more: a fastscan finds one at a time; `tipforce lss assign IDS` configures all"
+            )
+        elif args.serial is None:
+            _assign(args, master)
+        else:
+            _configure_addressed(args, master)
+    return 0
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -80,16 +87,8 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError("lss store: add --serial N (and --product, --vendor, --revision for other products)")
 
 
-def _scan(args: argparse.Namespace, master: LssMaster) -> int:
-    address = master.fastscan()
-    if address is None:
-        raise NoResponseError(NOBODY)
-    _say(args, address, None, stored=False)
-    common.note(args, "there may be more: a fastscan finds one at a time; `tipforce lss assign IDS` configures all")
-    return 0
-
-
-def _assign(args: argparse.Namespace, master: LssMaster) -> int:
+def _assign(args: argparse.Namespace, master: LssMaster) -> None:
+    """Give the node-ids to the nodes that fastscan finds, one after the other."""
     for number, node_id in enumerate(args.ids):
         address = master.fastscan()
         if address is None:
@@ -99,40 +98,33 @@ def _assign(args: argparse.Namespace, master: LssMaster) -> int:
             raise NoResponseError(f"{number} of {len(args.ids)} nodes were found and configured; not assigned: {left}")
         _configure(args, master, address, node_id)
         master.release()
-    return 0
 
 
-def _one(args: argparse.Namespace, master: LssMaster) -> int:
-    from tipforce.dictionary.table import REVISION
+def _configure_addressed(args: argparse.Namespace, master: LssMaster) -> None:
+    """Store the node-id of the node with --serial, or give it another one."""
     from tipforce.host.network.lss import LssAddress
 
-    revision = REVISION if args.revision is None else args.revision
+    revision = table.REVISION if args.revision is None else args.revision
     address = LssAddress(args.vendor, args.product, revision, args.serial)
     if not master.select(address):
         raise NoResponseError(f"no node with {address} responded; `tipforce scan --json` shows the nodes' identities")
     if args.action == "store":
         master.store()
-        _say(args, address, master.node_id(), stored=True)
-        return 0
+        _print(args, address, master.node_id(), stored=True)
+        return
     before = master.node_id()
     _configure(args, master, address, args.ids[0])
     if before not in (255, args.ids[0]):
         common.note(args, f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
-    return 0
 
 
 def _configure(args: argparse.Namespace, master: LssMaster, address: LssAddress, node_id: int) -> None:
     master.configure_node_id(node_id)
     if args.store:
         master.store()
-    _say(args, address, node_id, args.store)
+    _print(args, address, node_id, args.store)
 
 
-def _say(args: argparse.Namespace, address: LssAddress, node_id: int | None, stored: bool) -> None:
-    from dataclasses import asdict
-
-    if args.json:
-        common.print_json({**asdict(address), "node_id": node_id, "stored": stored})
-    else:
-        given = "" if node_id is None else f": node-id {common.shown_id(node_id)}{', stored' if stored else ''}"
-        print(f"{address}{given}")
+def _print(args: argparse.Namespace, address: LssAddress, node_id: int | None, stored: bool) -> None:
+    given = "" if node_id is None else f": node-id {common.shown_id(node_id)}{', stored' if stored else ''}"
+    common.print_record(args, {**asdict(address), "node_id": node_id, "stored": stored}, f"{address}{given}")

@@ -57,7 +57,6 @@ def run(args: argparse.Namespace) -> int:
     """Draw the plot. Raises InputError for unusable input and EnvironmentLackError without matplotlib."""
     from tipforce_tools.plot.session import plot
 
-    common.set_up_logging(args)
     # Options of `tipforce decode` that a plot does not need.
     args.ask, args.strict, args.follow, args.deltas = None, False, False, False
     return plot(args)

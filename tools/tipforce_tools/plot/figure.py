@@ -10,16 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.decoding.status_words import BY_NAME
+from tipforce.samples.reasons import BY_NAME
 from tipforce_tools.plot.finger import Finger, Fingers
-from tipforce_tools.plot.lines import TURN, broken, wrapped
 from tipforce_tools.plot.traces import Line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+TURN = 360.0
 COLUMNS = 5  # fingers side by side; more are placed below
 _STATUS = "status"
 _TITLES = {"P": "P", "phi": "phi", "theta": "theta", "force": "force", "gauges": "strain", "temperature": "temperature"}
@@ -35,15 +36,6 @@ _LEGEND_COLUMNS = 4
 _EPOCH_NS = 10**17  # 1973; earlier times are not dates
 LOST = "lost samples"
 _BEYOND = 7.0  # degrees beyond 180 on a full-circle axis, which shows a line at 180 on both sides
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """Style of the figure. ``size_inches`` None: by its content."""
-
-    title: str | None = None
-    size_inches: tuple[float, float] | None = None
-    status: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,19 +62,21 @@ def import_matplotlib(*, screen: bool) -> Any:
     return plt
 
 
-def draw(fingers: Fingers, look: Look, plt: Any) -> Figure:
-    """Draw the figure of all fingers."""
+def draw(
+    fingers: Fingers, plt: Any, title: str | None, size_inches: tuple[float, float] | None, *, status: bool
+) -> Figure:
+    """Draw the figure of all fingers. ``title`` None: the time; ``size_inches`` None: by its content."""
     named = fingers.named()
     panels = _panels([finger for _, finger in named])
-    rows = [*panels, *([_STATUS] if look.status else [])]
+    rows = [*panels, *([_STATUS] if status else [])]
     across = min(len(named), COLUMNS)
     down = math.ceil(len(named) / COLUMNS)
     frame = _frame([finger for _, finger in named], fingers)
     heights = [
         *(1.6 if panel in {"P", "phi", "theta"} else 1.3 for panel in panels),
-        *([0.35 + 0.17 * len(frame.bars)] * look.status),
+        *([0.35 + 0.17 * len(frame.bars)] * status),
     ]
-    size = look.size_inches or ((9.0 if across == 1 else 1.2 + 3.3 * across), 1.0 + down * (sum(heights) + 0.6))
+    size = size_inches or ((9.0 if across == 1 else 1.2 + 3.3 * across), 1.0 + down * (sum(heights) + 0.6))
     figure: Figure = plt.figure(figsize=size, layout="constrained")
     grid = figure.subplots(
         down * len(rows), across, squeeze=False, sharex=True, sharey=False,
@@ -102,7 +96,8 @@ def draw(fingers: Fingers, look: Look, plt: Any) -> Figure:
         else:
             for ax in grid[row][1:]:
                 ax.tick_params(labelleft=False)
-    title = look.title if look.title is not None else _default_title(fingers)
+    if title is None:
+        title = _default_title(fingers)
     figure.suptitle("\n".join(filter(None, (title, frame.note))), fontsize=10)
     return figure
 
@@ -118,14 +113,14 @@ def _default_title(fingers: Fingers) -> str:
 
 def _panels(fingers: Sequence[Finger]) -> list[str]:
     """Return the panels with data of any finger, from the contact down."""
-    found: list[str] = []
+    panels: list[str] = []
     for finger in fingers:
         for signal in finger.traces:
             panel = panel_of(signal)
-            if panel not in found:
-                found.append(panel)
+            if panel not in panels:
+                panels.append(panel)
     order = ["P", "phi", "theta", "force", "gauges"]
-    return sorted(found, key=lambda panel: order.index(panel) if panel in order else len(order))
+    return sorted(panels, key=lambda panel: order.index(panel) if panel in order else len(order))
 
 
 def panel_of(signal: str) -> str:
@@ -169,30 +164,21 @@ def _draw_finger(axes: Sequence[Axes], rows: Sequence[str], name: str, finger: F
                 _draw_line(ax, signal, line, number, whole=panel in frame.circles, start_ns=start_ns)
         unit = finger.units[signals[0]] if signals else ""
         ax.set_ylabel(f"{_TITLES.get(panel, panel)} ({_UNITS.get(unit, unit)})" if unit else panel, fontsize=8)
-        if len(signals) > 1:
-            _legend_above(ax, len(signals))
+        if len(signals) > 1:  # above the panel: inside it, it would cover a line at the gauges' limit
+            ax.legend(
+                loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, borderpad=0.1, frameon=False,
+                fontsize=7, ncols=min(len(signals), _LEGEND_COLUMNS), handlelength=2.2, columnspacing=1.2,
+            )  # fmt: skip
         if not signals or all(finger.traces[signal].line() is None for signal in signals):
             text = "always unknown" if signals else "not in the log"
             ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", fontsize=8, color="0.4")
     lost = f", {finger.lost.total} samples lost" if finger.lost.total else ""
-    axes[0].set_title(f"{name}{lost}", fontsize=9, pad=_title_pad(axes[0]))
+    legend = axes[0].get_legend()  # it needs space below the title
+    pad_points = 6.0 if legend is None else 8.0 + 12.0 * math.ceil(len(legend.get_texts()) / _LEGEND_COLUMNS)
+    axes[0].set_title(f"{name}{lost}", fontsize=9, pad=pad_points)
     axes[-1].set_xlabel("time (s)", fontsize=8)
     axes[-1].set_xlim(0, max(frame.length_s, 1e-6))
     axes[-1].tick_params(labelbottom=True)
-
-
-def _legend_above(ax: Axes, count: int) -> None:
-    """Draw the names of ``count`` lines above their panel: inside it, they would cover a line at the gauges' limit."""
-    ax.legend(
-        loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, borderpad=0.1, frameon=False, fontsize=7,
-        ncols=min(count, _LEGEND_COLUMNS), handlelength=2.2, columnspacing=1.2,
-    )  # fmt: skip
-
-
-def _title_pad(ax: Axes) -> float:
-    """Return the distance in points between a panel and its title, which leaves space for a legend."""
-    legend = ax.get_legend()
-    return 6.0 if legend is None else 8.0 + 12.0 * math.ceil(len(legend.get_texts()) / _LEGEND_COLUMNS)
 
 
 def _draw_line(ax: Axes, signal: str, line: Line, number: int, *, whole: bool, start_ns: int) -> None:
@@ -272,3 +258,31 @@ def _draw_status(ax: Axes, finger: Finger, frame: _Frame) -> None:
     ax.set_ylim(len(frame.bars) - 0.5, -0.5)
     ax.grid(True, axis="x", color="0.9", linewidth=0.6)
     ax.set_axisbelow(True)
+
+
+def broken(starts: BoolArray, *columns: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the columns (k,) with a NaN before each point that starts a line."""
+    at = np.flatnonzero(starts[1:]) + 1
+    return tuple(np.insert(column.astype(np.float64), at, np.nan) for column in columns)
+
+
+def wrapped(starts: BoolArray, x: FloatArray, mean: FloatArray, *others: FloatArray) -> tuple[FloatArray, ...]:
+    """Wrap unwrapped angles (k,) in degrees: return (x, mean, others...) with ``mean`` within -180..180.
+
+    A line that crosses 180 continues beyond it, and starts again one turn lower from below -180: with the axis clipped
+    at both limits, it leaves on one side and enters on the other. ``others`` are shifted with ``mean``.
+    """
+    turn = np.ceil((mean - TURN / 2) / TURN)
+    crossing = np.flatnonzero((np.diff(turn) != 0) & ~starts[1:]) + 1  # the point after each
+    shift = TURN * turn
+
+    def inserted(column: FloatArray, shifts: FloatArray | None) -> FloatArray:
+        base = column if shifts is None else column - shifts
+        beyond = column[crossing] if shifts is None else column[crossing] - shifts[crossing - 1]
+        before = column[crossing - 1] if shifts is None else column[crossing - 1] - shifts[crossing]
+        three = np.stack((beyond, np.full(len(crossing), np.nan), before), axis=-1).ravel()
+        return np.insert(base, np.repeat(crossing, 3), three)
+
+    begins = np.insert(starts, np.repeat(crossing, 3), False)
+    columns = [inserted(x, None), *(inserted(column, shift) for column in (mean, *others))]
+    return broken(begins, *columns)

@@ -20,7 +20,7 @@ INVERTED = {"calibrated": "not calibrated"}
 class Finger:
     """One node of one bus. ``traces`` and ``units`` by signal; ``computed`` ones are computed from its gauges."""
 
-    def __init__(self, name: str, start_ns: int, wanted: Collection[str] | None, computed: Collection[str]) -> None:
+    def __init__(self, name: str, start_ns: int, wanted: Collection[str], computed: Collection[str]) -> None:
         self.name = name
         self.traces: dict[str, Trace] = {}
         self.units: dict[str, str] = {}
@@ -46,9 +46,12 @@ class Finger:
             if column.kind == "flag":
                 is_set = values == 1
                 flags[INVERTED.get(signal, signal)] = is_set != (signal in INVERTED), there
-            elif column.kind in {"real", "integer"} and self._is_wanted(signal):
+            elif column.kind in {"real", "integer"} and signal in self._wanted:
+                if signal not in self.traces:
+                    self.traces[signal] = Trace(self._start_ns, angle=column.angle and not signal.startswith("u_"))
+                    self.units[signal] = column.unit
                 u = self._uncertainty(table, columns, signal, rows, t_ns)
-                self._take(signal, column, t_ns, values.astype(np.float64), there, u)
+                self.traces[signal].add(t_ns[there], values.astype(np.float64)[there], None if u is None else u[there])
         if flags:
             self._take_flags(t_ns, flags)
 
@@ -61,23 +64,6 @@ class Finger:
         if column.kind == "flag":
             there &= table.values[column.name][rows] >= 0
         return there
-
-    def _is_wanted(self, signal: str) -> bool:
-        return signal in self._wanted if self._wanted is not None else signal not in _UNCERTAINTY_OF.values()
-
-    def _take(
-        self,
-        signal: str,
-        column: Column,
-        t_ns: npt.NDArray[np.int64],
-        values: npt.NDArray[np.float64],
-        there: npt.NDArray[np.bool_],
-        u: npt.NDArray[np.float64] | None,
-    ) -> None:
-        if signal not in self.traces:
-            self.traces[signal] = Trace(self._start_ns, angle=column.angle and not signal.startswith("u_"))
-            self.units[signal] = column.unit
-        self.traces[signal].add(t_ns[there], values[there], None if u is None else u[there])
 
     def _uncertainty(
         self,
@@ -99,10 +85,10 @@ class Finger:
         known = np.flatnonzero(np.isfinite(own))
         last = np.searchsorted(known, np.arange(len(rows)), side="right")
         times = np.concatenate(([at_ns], t_ns[known]))[last]
-        found = np.concatenate(([value], own[known]))[last]
+        held = np.concatenate(([value], own[known]))[last]
         if len(known):
             self._held[name] = int(t_ns[known[-1]]), float(own[known[-1]])
-        return np.where(t_ns - times <= _HELD_NS, found, np.nan)
+        return np.where(t_ns - times <= _HELD_NS, held, np.nan)
 
     def _take_flags(
         self, t_ns: npt.NDArray[np.int64], flags: dict[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]
@@ -127,7 +113,7 @@ _STATUS = frozenset(
 class Fingers:
     """All fingers of a recording by channel and node."""
 
-    def __init__(self, wanted: Collection[str] | None, computed: Collection[str]) -> None:
+    def __init__(self, wanted: Collection[str], computed: Collection[str]) -> None:
         self._wanted, self._computed = wanted, computed
         self._by_key: dict[int, Finger] = {}
         self.start_ns: int | None = None
@@ -153,8 +139,8 @@ class Fingers:
     def named(self) -> list[tuple[str, Finger]]:
         """Return the fingers with titles, in the order of channels and node-ids."""
         several = len({key >> NODE_BITS for key in self._by_key}) > 1
-        found = []
+        titled = []
         for key, finger in sorted(self._by_key.items()):
             channel = f"{self._channels[key >> NODE_BITS]} " if several else ""
-            found.append((f"{channel}node {finger.name}", finger))
-        return found
+            titled.append((f"{channel}node {finger.name}", finger))
+        return titled

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
-from tipforce.host.decoding.decoded_pdos import Layouts
+from tipforce.host.dataset.reader import tables_of_logs
+from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Table
 from tipforce.output_file import FIGURES, check_output, figure_kind, save_figure
@@ -44,18 +45,18 @@ def plot(args: Namespace) -> int:
     reading = choice.reading(args, names, layouts, None)
     recording = Recording(reading)
     fingers = Fingers(_signals(wanted, layouts, computed), computed)
-    tables: Iterable[Table] = recording.tables_of_logs(names)
+    tables: Iterable[Table] = tables_of_logs(recording, names)
     for table in tables if contact is None else contact.tables(tables):
         fingers.add(table)
-    told = recording.told.notes
-    _check(args, fingers, names, sum(notes.frames for notes in told), sum(notes.extended for notes in told))
+    notes = recording.told.notes
+    _check(args, fingers, names, sum(log.frames for log in notes), sum(log.extended for log in notes))
     if STATUS not in wanted and not any(finger.traces for _, finger in fingers.named()):
         raise InputError(f"{', '.join(names)}: no {', '.join(wanted)} in it, so there is nothing to draw")
-    drawn = figure.draw(fingers, figure.Look(args.title, args.size, STATUS in wanted), plt)
+    drawn = figure.draw(fingers, plt, args.title, args.size, status=STATUS in wanted)
     _write(args, drawn, path, plt)
-    for notes in recording.told.notes:
-        if notes.bad:
-            common.note(args, f"tipforce plot: {notes.source}: {counted(sum(notes.bad.values()), 'bad line')} left out")
+    for log in notes:
+        if log.bad:
+            common.note(args, f"tipforce plot: {log.source}: {counted(sum(log.bad.values()), 'bad line')} left out")
     if args.json:
         common.print_json(_record(fingers, path))
     elif path is not None:
@@ -73,7 +74,7 @@ def _layouts(args: Namespace) -> tuple[Layouts, ContactColumns | None, frozenset
     calibrations = contact_columns.read_calibrations(args.calibration)
     if not args.gauges and not args.dcf:
         layouts = replace(layouts, gauges=contact_columns.gauges_of(calibrations))
-    computed = frozenset(column.signal for column in contact_columns.column_names())
+    computed = frozenset(column.signal for column in contact_columns.COLUMNS)
     return layouts, contact_columns.ContactColumns(calibrations, None), computed
 
 
@@ -86,14 +87,14 @@ def _default(layouts: Layouts) -> Iterable[str]:
 
 def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) -> frozenset[str]:
     """Return the signals of the requested panels. Raises InputError for an unknown name."""
-    found: set[str] = set()
+    signals: set[str] = set()
     for name in wanted:
         if name == GAUGES:
-            found |= {f"SG{k + 1}" for k in range(layouts.gauges)}
+            signals |= {f"SG{k + 1}" for k in range(layouts.gauges)}
         elif name != STATUS:
             known = name.rpartition("_")[0] if name in {"P_N", "phi_deg", "theta_deg"} else name
-            found.add(known if known in computed else (choice.checked_signals(layouts, (known,)) or (known,))[0])
-    return frozenset(found)
+            signals.add(known if known in computed else (choice.checked_signals(layouts, (known,)) or (known,))[0])
+    return frozenset(signals)
 
 
 def _check(args: Namespace, fingers: Fingers, names: Iterable[str], frames: int, extended: int) -> None:

@@ -1,15 +1,17 @@
-"""Traces of one finger, in bounded memory: quantities over time with bands, flags, lost samples."""
+"""Traces of one finger, in bounded memory: quantities over time with bands, flags, lost samples, by bins that keep
+the extremes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, IntArray
-from tipforce_tools.plot.bins import Array, Bins
 
 COVERAGE = 2.0
 """Half width of a band in standard uncertainties: 95 %."""
@@ -89,15 +91,15 @@ class Trace:
 
     def line(self) -> Line | None:
         """Return the trace to draw; None without a known value."""
-        found = self._bins.filled()
-        if not len(found["count"]):
+        bins = self._bins.filled()
+        if not len(bins["count"]):
             return None
-        has_band = np.isfinite(found["band_low"])
+        has_band = np.isfinite(bins["band_low"])
         return Line(
-            (found["first_ns"] // 2 + found["last_ns"] // 2), found["total"] / found["count"],
-            found["low"], found["high"],
-            np.where(has_band, found["band_low"], np.nan), np.where(has_band, found["band_high"], np.nan),
-            found["key"] % 2 == 0,
+            (bins["first_ns"] // 2 + bins["last_ns"] // 2), bins["total"] / bins["count"],
+            bins["low"], bins["high"],
+            np.where(has_band, bins["band_low"], np.nan), np.where(has_band, bins["band_high"], np.nan),
+            bins["key"] % 2 == 0,
         )  # fmt: skip
 
 
@@ -119,17 +121,17 @@ class Flags:
 
     def bars(self) -> dict[str, list[tuple[int, int]]]:
         """Return by name, for flags that were set: start and end times in nanoseconds."""
-        found = self._bins.filled()
-        if not len(found["count"]):
+        bins = self._bins.filled()
+        if not len(bins["count"]):
             return {}
-        first, last = found["first_ns"], found["last_ns"]
-        usual_ns = (last[-1] - first[0]) / max(int(found["count"].sum()) - 1, 1)
+        first, last = bins["first_ns"], bins["last_ns"]
+        usual_ns = (last[-1] - first[0]) / max(int(bins["count"].sum()) - 1, 1)
         # A flag holds until the next sample, unless that is late.
         until = np.append(first[1:], last[-1])
         until = np.where(until - last > np.maximum(_PERIODS * usual_ns, self._bins.width_ns), last, until)
         bars = {}
         for number, name in enumerate(self._names):
-            is_set = (found["set"] >> number & 1).astype(np.bool_)
+            is_set = (bins["set"] >> number & 1).astype(np.bool_)
             if is_set.any():
                 bars[name] = _runs(is_set, first, until)
         return bars
@@ -166,3 +168,56 @@ class Lost:
     def times_ns(self) -> IntArray:
         """Return the time of the first sample after each loss; losses close together count as one."""
         return np.asarray(self._bins.filled()["first_ns"])
+
+
+BINS = 4096
+"""Several for each pixel of a wide panel."""
+_FIRST_WIDTH_NS = 1000
+
+Array = npt.NDArray[Any]
+Reduced = Mapping[str, tuple[np.ufunc, Any]]  # by column: reduction of a bin, and value of an empty bin
+
+
+class Bins:
+    """Columns of samples from ``start_ns``, reduced per bin; bins grow by powers of two with time.
+
+    ``count`` (BINS,): number of samples in each; ``first_ns``, ``last_ns``: their times.
+    """
+
+    def __init__(self, start_ns: int, columns: Reduced) -> None:
+        self.start_ns = start_ns
+        self.width_ns = _FIRST_WIDTH_NS
+        last = np.iinfo(np.int64)
+        self._how: dict[str, tuple[np.ufunc, Any]] = {
+            **columns,
+            "count": (np.add, 0),
+            "first_ns": (np.minimum, last.max),
+            "last_ns": (np.maximum, last.min),
+        }
+        self._columns = {name: np.full(BINS, empty) for name, (_, empty) in self._how.items()}
+
+    def add(self, t_ns: npt.NDArray[np.int64], **columns: Array) -> None:
+        """Add samples (k,) in time order; an earlier one gets the time of its predecessor."""
+        if not len(t_ns):
+            return
+        place = np.maximum.accumulate(np.maximum(t_ns - self.start_ns, 0))
+        while place[-1] // self.width_ns >= BINS:
+            self._halve()
+        number = place // self.width_ns
+        edges = np.concatenate(([0], np.flatnonzero(number[1:] != number[:-1]) + 1))
+        chosen = number[edges]
+        given = {**columns, "count": np.ones(len(t_ns), dtype=np.int64), "first_ns": t_ns, "last_ns": t_ns}
+        for name, (how, _) in self._how.items():
+            target = self._columns[name]
+            target[chosen] = how(target[chosen], how.reduceat(given[name], edges))
+
+    def _halve(self) -> None:
+        self.width_ns *= 2
+        for name, (how, empty) in self._how.items():
+            pairs = self._columns[name].reshape(-1, 2)
+            self._columns[name] = np.concatenate((how(pairs[:, 0], pairs[:, 1]), np.full(BINS // 2, empty)))
+
+    def filled(self) -> dict[str, Array]:
+        """Return the columns of the non-empty bins."""
+        there = self._columns["count"] > 0
+        return {name: column[there] for name, column in self._columns.items()}

@@ -22,6 +22,9 @@ exit codes: 0 all sent, 1 a bad line with --strict, 2 usage, or no frames in the
   tipforce replay -i pcan -c PCAN_USBBUS1 -b 1000000 --yes run.blf
 """
 
+_speed = common.number_that(lambda speed: speed > 0, "are numbers over 0, and inf")
+_gap = common.number_that(lambda gap_s: 0 <= gap_s < math.inf, "are 0 or more seconds")
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce replay` and python-can's bus flags to `parser`."""
@@ -35,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--strict", action="store_true", help="end at the first bad line of candump text")
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -46,7 +48,6 @@ def run(args: argparse.Namespace) -> int:
     """
     from tipforce_tools.replay.session import replay
 
-    common.set_up_logging(args)
     return replay(args)
 
 
@@ -57,21 +58,5 @@ def _assignment(text: str) -> str:
     return text
 
 
-def _speed(text: str) -> float:
-    number = common.number(text)
-    if not number > 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are numbers over 0, and inf")
-    return number
-
-
-def _gap(text: str) -> float:
-    number = common.number(text)
-    if not 0 <= number < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are 0 or more seconds")
-    return number
-
-
 def _loop(text: str) -> int | None:
-    if text in {"inf", "i"}:
-        return None
-    return common.count(text)
+    return None if text in {"inf", "i"} else common.count(text)

@@ -2,27 +2,86 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from argparse import Namespace
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 from itertools import count, islice
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from tipforce.device.codes import ERROR_FLAG
-from tipforce.errors import InputError
-from tipforce.host.frames.fd_frame import FdFrame
-from tipforce.host.frames.frame_block import CandumpBlock
+from canopen_device.core.codes import ERROR_FLAG
+from tipforce.errors import InputError, TipforceError
+from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
 from tipforce.host.live.send import NotCarriedError, Sender, open_sender
-from tipforce.host.logs.candump import BadLineError, CandumpParser
+from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
+from tipforce.host.logs.lines import open_file
+from tipforce.host.logs.unpacking import decompressed
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import StopSignals, counted, resolved_options
 from tipforce_tools.cli.main import INTERRUPTED
-from tipforce_tools.replay.source import STDIN, log_blocks
+
+STDIN = "-"
+_BLOCK_FRAMES = 4096
+_TEXT_SUFFIXES = {".log", ".txt"}  # python-can's reader of .log supports neither error frames nor CAN FD flags
+
+
+def log_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
+    """Yield the frames of a log in bounded memory: candump text (also .gz and .zst), or a format of python-can.
+
+    ``parser`` counts the bad lines of text; if it is strict, BadLineError is raised at the first, after the frames
+    before it. Raises InputError for a file that cannot be read.
+    """
+    if name == STDIN:
+        return text_blocks(partial(os.read, sys.stdin.fileno()), parser)
+    path = Path(name)
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    if suffixes[-1:] and suffixes[-1] in {".gz", ".zst"}:
+        suffixes.pop()
+    is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
+    return _text_blocks(path, parser) if is_text else _message_blocks(path)
+
+
+def _text_blocks(path: Path, parser: CandumpParser) -> Iterator[CandumpBlock]:
+    with open_file(path) as file:
+        text = decompressed(file, str(path))
+
+        def read(count: int) -> bytes:
+            buffer = bytearray(count)
+            return bytes(buffer[: text.readinto(buffer) or 0])
+
+        try:
+            yield from text_blocks(read, parser)
+        except (OSError, EOFError) as error:
+            raise InputError(f"{path}: {error}") from error
+
+
+def _message_blocks(path: Path) -> Iterator[CandumpBlock]:
+    from tipforce.host.live.python_can import message_block
+    from tipforce.host.logs.library_formats import message_reader
+
+    names: dict[str, int] = {}
+    try:
+        with message_reader(path) as reader:
+            messages = iter(reader)
+            while chunk := list(islice(messages, _BLOCK_FRAMES)):
+                for message in chunk:
+                    if isinstance(message.channel, int):
+                        message.channel = f"can{message.channel}"
+                yield message_block(chunk, names)
+    except TipforceError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except Exception as error:  # python-can's readers raise any exception on a damaged file
+        raise InputError(f"{path}: {error}") from error
+
 
 _SLICE_S = 0.2  # maximum delay of a signal
 _VIRTUAL = ("virtual", "udp_multicast")
@@ -96,7 +155,8 @@ class Buses:
 
     def _send(self, frame: Frame, target: str) -> None:
         sender = self._senders.get(target) or self._open(target)
-        if frame.can_id & ERROR_FLAG and not self._virtual(target):
+        virtual = self._options.get("interface") in _VIRTUAL or "vcan" in target
+        if frame.can_id & ERROR_FLAG and not virtual:
             self.left_out["error frames, which only a virtual bus can send"] += 1
             return
         try:
@@ -114,9 +174,6 @@ class Buses:
         common.confirm(asked, f"this sends the frames of {self._args.log} on {target}")
         sender = self._senders[target] = self._opened.enter_context(open_sender(options))
         return sender
-
-    def _virtual(self, target: str) -> bool:
-        return self._options.get("interface") in _VIRTUAL or "vcan" in target
 
 
 def replay(args: Namespace) -> int:
@@ -136,8 +193,10 @@ def replay(args: Namespace) -> int:
                     break
                 late_s[0] = max(late_s[0], time.monotonic() - start_s - frame.due_s)
                 buses.send(frame)
-            if not stop.stopped:
-                _check_readable(args.log, buses, parser)
+            if not stop.stopped and parser.bad and not buses.sent and not buses.left_out:
+                from tipforce_tools.cli.empty_log import MESSAGES, PACKED, TEXT, no_frame
+
+                raise no_frame(args.log, (TEXT, PACKED, MESSAGES), parser.bad_lines[0])
         except BadLineError as error:
             print(f"tipforce replay: {error}", file=sys.stderr)
             return 1
@@ -150,14 +209,6 @@ def replay(args: Namespace) -> int:
     return INTERRUPTED if stop.stopped else 0
 
 
-def _check_readable(name: str, buses: Buses, parser: CandumpParser) -> None:
-    """Raises InputError for text without a frame."""
-    if parser.bad and not buses.sent and not buses.left_out:
-        from tipforce_tools.cli.empty_log import MESSAGES, PACKED, TEXT, no_frame
-
-        raise no_frame(name, (TEXT, PACKED, MESSAGES), parser.bad_lines[0])
-
-
 def _frames(args: Namespace, parser: CandumpParser) -> Iterator[Frame]:
     """Yield all frames in order, --loop times. Raises InputError for a log without timestamps or frames."""
     clock = Clock(args.speed, args.max_gap)
@@ -168,27 +219,14 @@ def _frames(args: Namespace, parser: CandumpParser) -> Iterator[Frame]:
             if not block.timed:
                 raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
             empty = empty and not len(block)
-            yield from _block_frames(block, clock)
+            for frame in block.in_order():
+                if isinstance(frame, FdFrame):
+                    yield Frame(clock.due_s(frame.t_ns), block.names[frame.interface], frame.can_id, 0, b"", frame)
+                else:
+                    t_ns, can_id, length, data, interface, _ = frame
+                    yield Frame(clock.due_s(t_ns), block.names[interface], can_id, length, data, None)
         if empty:
             return
-
-
-def _block_frames(block: CandumpBlock, clock: Clock) -> Iterator[Frame]:
-    frames = block.frames
-    data = frames["data"].tobytes()
-    fd = deque(block.fd)
-    columns = (frames["t_ns"], frames["can_id"], frames["length"], block.interface)
-    for row, (t_ns, can_id, length, interface) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
-        while fd and fd[0].row <= row:
-            yield _fd_frame(fd.popleft(), block, clock)
-        payload = data[8 * row : 8 * row + length]
-        yield Frame(clock.due_s(t_ns), block.names[interface], can_id, length, payload, None)
-    for one in fd:
-        yield _fd_frame(one, block, clock)
-
-
-def _fd_frame(one: FdFrame, block: CandumpBlock, clock: Clock) -> Frame:
-    return Frame(clock.due_s(one.t_ns), block.names[one.interface], one.can_id, 0, b"", one)
 
 
 def _wait_until(due_s: float, stop: StopSignals) -> bool:

@@ -10,7 +10,7 @@ from tipforce_tools.cli import common
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tipforce.scene.scene_parts import Identifier
+    from tipforce.scene.registry import Identifier
     from tipforce.scene.schema import Scene
 
 _SHOWN_MODULES = 8
@@ -26,8 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Explain; 0."""
-    from tipforce.scene.scene_parts import bus_load, identifiers, parts
-    from tipforce.scene.schema import read_scene
+    from tipforce.scene.reader import read_scene
+    from tipforce.scene.registry import bus_load, identifiers, parts
     from tipforce.shipped_files import file_or_shipped
 
     path = file_or_shipped(args.scene, "scenes")
@@ -71,15 +71,15 @@ def _sent(scene: Scene, one: Identifier) -> dict[str, Any]:
 def _costs(path: Path, scene: Scene) -> dict[str, dict[str, float | None]]:
     from tipforce_lab.scene_cost import part_costs, total
 
-    found = {}
+    by_part = {}
     costs = part_costs(scene, path)
     for cost in [*costs, total(costs)]:
-        found[cost.part] = {
+        by_part[cost.part] = {
             "us_per_sample": cost.us_per_sample,
             "ms_per_run": cost.ms_per_run,
             "import_ms": cost.import_ms,
         }
-    return found
+    return by_part
 
 
 def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
@@ -105,15 +105,15 @@ def _short(modules: list[str]) -> str:
     """Format modules by package: `sensor: geometry strain; numpy`. A long list is counted: --json has the names."""
     packages: dict[str, list[str]] = {}
     for name in dict.fromkeys(modules):
-        package, _, last = name.partition("tipforce.")[2].rpartition(".")
-        if not name.startswith("tipforce"):
+        package, _, last = name.removeprefix("tipforce.").rpartition(".")
+        if not name.startswith(("tipforce", "canopen_device")):
             packages.setdefault(name, [])
         elif package:
             packages.setdefault(package, []).append(last)
     lines = []
     for package, names in packages.items():
-        told = f"{len(names)} modules" if len(names) > _SHOWN_MODULES else " ".join(names)
-        lines.append(f"{package}: {told}" if names else package)
+        shown = f"{len(names)} modules" if len(names) > _SHOWN_MODULES else " ".join(names)
+        lines.append(f"{package}: {shown}" if names else package)
     return "; ".join(lines)
 
 

@@ -12,8 +12,7 @@ from tipforce_tools.cli import common
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from tipforce.scene.expectations import Check
-    from tipforce.scene.results import FingerResult
+    from tipforce.scene.results import Check, FingerResult
     from tipforce.scene.run import Options, Outcome
 
 _KEYS = ("P_N", "phi_deg", "theta_deg")
@@ -44,12 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the scene; return 0, or 1 if an expectation did not hold."""
+    from tipforce.scene.reader import read_scene
+    from tipforce.scene.registry import bus_load
     from tipforce.scene.run import run_scene
-    from tipforce.scene.scene_parts import bus_load
-    from tipforce.scene.schema import read_scene
     from tipforce.shipped_files import file_or_shipped
 
-    common.set_up_logging(args)
     path = file_or_shipped(args.scene, "scenes")
     scene = read_scene(path)
     options = _options(args)
@@ -119,8 +117,8 @@ def _remarks(finger: FingerResult) -> str:
     return _counts({**finger.missing, **closed})
 
 
-def _counts(found: dict[str, int]) -> str:
-    return "\n".join(f"{count} {name}" for name, count in found.items()) or "-"
+def _counts(counts: dict[str, int]) -> str:
+    return "\n".join(f"{count} {name}" for name, count in counts.items()) or "-"
 
 
 def _print_checks(args: argparse.Namespace, outcome: Outcome) -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import signal
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce.machine.device import SimulatedDevice
+    from canopen_device.machine.device import SimulatedDevice
 
 EPILOG = """\
 examples:
@@ -29,31 +30,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EPILOG
     parser.add_argument("files", nargs="+", metavar="FILE", help="EDS, DCF or XDD files, cia402, or one TOML file")
     parser.add_argument(
-        "--node-id",
-        type=common.node_ids,
-        default=None,
-        metavar="IDS",
-        help="5, or 1,2,5-9; one for each file",
+        "--node-id", type=common.node_ids, default=None, metavar="IDS", help="5, or 1,2,5-9; one for each file"
     )
     parser.add_argument("--application", default="", metavar="NAME", help="cia402, or FILE:CLASS")
     parser.add_argument("--store", metavar="FILE", default="", help="file of stored parameters, for one node")
     parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="[ID:]OBJECT=VALUE",
-        dest="values",
-        help="initial value",
+        "--set", action="append", default=[], metavar="[ID:]OBJECT=VALUE", dest="values", help="initial value"
     )
     common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the devices until Ctrl-C or SIGTERM; return 0."""
-    from tipforce_tools.cli.port import open_port
+    from tipforce_tools.cli.service import open_port
 
-    common.set_up_logging(args)
     devices = _devices(args)
     for device in devices:
         for warning in device.description.warnings:
@@ -64,23 +54,23 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _serve(args: argparse.Namespace, devices: list[SimulatedDevice], port: object, place: str) -> None:
-    from tipforce.running import loop
-    from tipforce_tools.cli import service
+    from canopen_device.running import loop
+    from tipforce_tools.cli.listening import StopSignals
 
     shown = ", ".join(f"{common.shown_id(one.node_id)} {one.description.product_name}" for one in devices)
-    stop = service.StopSignal()
     common.note(args, f"node {shown}: on {place}; Ctrl-C ends it")
-    try:
-        with contextlib.suppress(KeyboardInterrupt):
-            loop.run(devices, port, stop)  # type: ignore[arg-type]
-    finally:
-        loop.say_stopped([device.core for device in devices], port)  # type: ignore[arg-type]
-        stop.restore()
+    with StopSignals((signal.SIGINT,)) as stop:
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                loop.run(devices, port, stop)  # type: ignore[arg-type]
+        finally:
+            loop.say_stopped([device.core for device in devices], port)  # type: ignore[arg-type]
     common.note(args, "stopped")
 
 
 def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:
-    from tipforce.machine.file import check_node_ids, make_device, read_machine
+    from canopen_device.machine.device import made_device
+    from canopen_device.machine.file import check_node_ids, read_machine
 
     if any(file.endswith(".toml") for file in args.files):
         if len(args.files) > 1 or args.node_id or args.values or args.application or args.store:
@@ -90,7 +80,9 @@ def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:
     if args.store and len(pairs) > 1:
         raise InputError("--store: one file belongs to one node; use a TOML file for several")
     values = _values(args.values, [node_id for _, node_id in pairs])
-    made = [make_device(file, node_id, args.application, values.get(node_id), args.store) for file, node_id in pairs]
+    made = [
+        made_device(file, node_id, args.application, values.get(node_id), store=args.store) for file, node_id in pairs
+    ]
     check_node_ids(made)
     return made
 
@@ -108,7 +100,7 @@ def _pairs(files: list[str], node_ids: list[int] | None) -> list[tuple[str, int 
 
 def _values(given: list[str], node_ids: list[int | None]) -> dict[int | None, dict[str, str]]:
     """Return the values of --set by node-id."""
-    found: dict[int | None, dict[str, str]] = {}
+    by_node: dict[int | None, dict[str, str]] = {}
     for text in given:
         place, equal, value = text.partition("=")
         head, colon, rest = place.partition(":")
@@ -119,5 +111,5 @@ def _values(given: list[str], node_ids: list[int | None]) -> dict[int | None, di
             raise InputError(f"--set {text!r}: no node {head} here")
         if not own and len(node_ids) > 1:
             raise InputError(f"--set {text!r}: several nodes; write ID:OBJECT=VALUE")
-        found.setdefault(int(head) if own else node_ids[0], {})[rest if own else place] = value
-    return found
+        by_node.setdefault(int(head) if own else node_ids[0], {})[rest if own else place] = value
+    return by_node

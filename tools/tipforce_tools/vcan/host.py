@@ -1,18 +1,31 @@
-"""Check the host kernel for vcan, and run a command on it."""
+"""This machine: its programs and packages, its kernel's vcan; a command on it, with or without a network namespace."""
 
 import contextlib
 import fcntl
 import os
+import shutil
 import signal
 import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
-from tipforce_tools.vcan.parts import find_program
-from tipforce_tools.vcan.uml import INTERRUPTED, terminating_signals_interrupt
+from tipforce.errors import EnvironmentLackError
 
+INTERRUPTED = 130
+ELSEWHERE = (
+    "`tipforce demo`, the library and the log tools work without vcan, and nodes and hosts on UDP: "
+    "-i udp_multicast -c 239.74.163.2; "
+    "vcan works on any machine whose kernel has it (`sudo modprobe vcan`)"
+)
+
+# program (or file) -> the Debian package that contains it
+_PROGRAMS = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod", "setsid": "util-linux"}
+_MACHINES = ("x86_64", "i686", "i586", "i386")  # Debian builds the package for these
+_MODULES = Path("/usr/lib/uml/modules")
+SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 _SIOCGIFFLAGS = 0x8913  # linux/sockios.h
 _SIOCGIFHWADDR = 0x8927
 _IFF_UP = 1
@@ -26,6 +39,34 @@ while [ "$1" != -- ]; do ip link add dev "$1" type vcan; ip link set up "$1"; sh
 shift
 exec -- "$@"
 """
+
+
+def missing_packages() -> list[str]:
+    """Return the Debian packages that User-mode Linux needs and this machine lacks, sorted."""
+    lacking = {package for name, package in _PROGRAMS.items() if find_program(name) is None}
+    if not any(_MODULES.glob("*/kernel/drivers/net/can/vcan.ko*")):
+        lacking.add("user-mode-linux")
+    return sorted(lacking)
+
+
+def find_program(name: str) -> str | None:
+    """Return the path of a system program, also if the caller's PATH omits the sbin folders."""
+    return shutil.which(name, path=os.pathsep.join([os.environ.get("PATH", ""), SYSTEM_PATH]))
+
+
+def require_parts() -> None:
+    """Raise EnvironmentLackError with the command that installs what is missing."""
+    lacking = missing_packages()
+    if "user-mode-linux" in lacking and os.uname().machine not in _MACHINES:
+        raise EnvironmentLackError(
+            f"this kernel has no vcan, and User-mode Linux, which has it, exists for x86 only, not for "
+            f"{os.uname().machine}; {ELSEWHERE}"
+        )
+    if lacking:
+        raise EnvironmentLackError(
+            "this kernel has no vcan, and User-mode Linux, which has it, is not installed completely: install it with "
+            f"`apt-get install -y {' '.join(lacking)}` (as root); {ELSEWHERE}"
+        )
 
 
 def is_up(interface: str) -> bool:
@@ -101,3 +142,17 @@ def _end(process: "subprocess.Popen[bytes]", own_group: bool) -> None:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(5.0)
             return
+
+
+@contextlib.contextmanager
+def terminating_signals_interrupt() -> Iterator[None]:
+    """Raise KeyboardInterrupt on SIGTERM as on SIGINT, so that both end the machine in the same way."""
+    try:
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    except ValueError:  # not the main thread, which alone receives signals
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -6,8 +6,8 @@ import shutil
 import sys
 from collections.abc import Sequence
 
+from canopen_device.visible_text import visible
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.visible_text import visible
 from tipforce_tools.vcan import host, uml
 
 PLACES = ("auto", "host", "uml")
@@ -66,7 +66,7 @@ def run_with_vcan(
         return host.run_here(command, timeout_s)
     if chosen == "namespace":
         return host.run_here(host.namespace_command(interfaces, command), timeout_s)
-    return uml.run_in_uml(uml.Request(command, interfaces, memory, timeout_s, writable))
+    return uml.run_in_uml(command, interfaces, memory, timeout_s, writable)
 
 
 def _banner(chosen: str, interfaces: Sequence[str], writable: bool) -> str:

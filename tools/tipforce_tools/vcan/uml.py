@@ -9,6 +9,7 @@ import contextlib
 import os
 import re
 import selectors
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,18 +17,25 @@ import tempfile
 import termios
 import time
 from collections.abc import Iterator, Sequence
-from importlib.resources import files
+from importlib.resources import as_file, files
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.vcan.parts import ELSEWHERE, SYSTEM_PATH, find_program, require_parts
-from tipforce_tools.vcan.xstate import preloading
+from tipforce_tools.vcan.host import (
+    ELSEWHERE,
+    INTERRUPTED,
+    SYSTEM_PATH,
+    find_program,
+    require_parts,
+    terminating_signals_interrupt,
+)
 
-INTERRUPTED = 130
 PIPE_CLOSED = 141  # 128 + SIGPIPE: the shell's exit code for a writer whose reader closed the pipe
 BOOT_LIMIT_S = 120.0
 HALT_LIMIT_S = 10.0
+_COMPILERS = ("gcc", "cc", "clang")
+_INSTALL = "`apt-get install -y gcc libc6-dev` (as root)"
 
 # Start the kernel and, in the same process group, a process that waits for the end of the pipe on stdin and then kills
 # the group: no process remains even if the caller is killed.
@@ -41,16 +49,6 @@ exec 9<&- "$@"
 """
 
 
-class Request(NamedTuple):
-    """The command, and where to run it."""
-
-    command: Sequence[str]
-    interfaces: Sequence[str]
-    memory: str
-    timeout_s: float | None
-    writable: bool
-
-
 def write_list(path: Path, items: Sequence[str | bytes]) -> None:
     """Write `items` NUL-terminated, as `init.sh` reads them. Raises InputError for an item that holds a NUL."""
     encoded = [os.fsencode(item) for item in items]
@@ -59,7 +57,9 @@ def write_list(path: Path, items: Sequence[str | bytes]) -> None:
     path.write_bytes(b"".join(item + b"\0" for item in encoded))
 
 
-def run_in_uml(request: Request) -> int:
+def run_in_uml(
+    command: Sequence[str], interfaces: Sequence[str], memory: str, timeout_s: float | None, writable: bool
+) -> int:
     """Boot, run the command, halt; return the command's exit code.
 
     130 after SIGINT or SIGTERM, 1 after the timeout (with a message on stderr). Raises EnvironmentLackError if
@@ -73,10 +73,10 @@ def run_in_uml(request: Request) -> int:
         _terminal_kept(terminal),
     ):
         folder = Path(name)
-        _write_request(folder, request, terminal)
+        _write_request(folder, command, interfaces, writable, terminal)
         try:
-            with _Machine(folder, request.memory, terminal) as machine:
-                return machine.follow(request.timeout_s)
+            with _Machine(folder, memory, terminal) as machine:
+                return machine.follow(timeout_s)
         except KeyboardInterrupt:
             return INTERRUPTED
         except BrokenPipeError:
@@ -184,12 +184,10 @@ class _Machine:
 def _wait_for_group(group: int, limit_s: float = 5.0) -> None:
     """Wait until no process of the killed group runs (kill is asynchronous; zombies do not count)."""
     begin = time.monotonic()
-    while time.monotonic() - begin < limit_s and any(_group_of_live(path) == group for path in _processes()):
+    while time.monotonic() - begin < limit_s and any(
+        _group_of_live(path) == group for path in Path("/proc").glob("[0-9]*/stat")
+    ):
         time.sleep(0.005)
-
-
-def _processes() -> Iterator[Path]:
-    return Path("/proc").glob("[0-9]*/stat")
 
 
 def _group_of_live(stat: Path) -> int | None:
@@ -217,17 +215,19 @@ def _kernel_command(folder: Path, memory: str) -> list[str]:
     ]
 
 
-def _write_request(folder: Path, request: Request, terminal: bool) -> None:
+def _write_request(
+    folder: Path, command: Sequence[str], interfaces: Sequence[str], writable: bool, terminal: bool
+) -> None:
     size = ""
     if terminal:
         columns, rows = os.get_terminal_size()
         size = f"{rows} {columns}" if rows and columns else ""
-    access = "write" if request.writable else "layer"
-    if request.writable:
+    access = "write" if writable else "layer"
+    if writable:
         (folder / "writable").touch()
     settings = [os.getcwd(), access, "terminal" if terminal else "pipes", size, os.uname().nodename]
-    write_list(folder / "settings", [*settings, *request.interfaces])
-    write_list(folder / "command", request.command)
+    write_list(folder / "settings", [*settings, *interfaces])
+    write_list(folder / "command", command)
     write_list(folder / "environment", [name + b"=" + value for name, value in os.environb.items()])
     script = folder / "init.sh"
     script.write_bytes(files("tipforce_tools.vcan").joinpath("init.sh").read_bytes())
@@ -262,20 +262,6 @@ def _short_temporary_folder() -> str:
 
 
 @contextlib.contextmanager
-def terminating_signals_interrupt() -> Iterator[None]:
-    """Raise KeyboardInterrupt on SIGTERM as on SIGINT, so that both end the machine in the same way."""
-    try:
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    except ValueError:  # not the main thread, which alone receives signals
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-@contextlib.contextmanager
 def _terminal_kept(terminal: bool) -> Iterator[None]:
     """Restore the terminal, which User-mode Linux sets to raw mode."""
     if not terminal:
@@ -286,3 +272,50 @@ def _terminal_kept(terminal: bool) -> Iterator[None]:
         yield
     finally:
         termios.tcsetattr(0, termios.TCSADRAIN, before)
+
+
+# --- a processor with AMX -------------------------------------------------------------------------------------------
+# linux.uml crashes at boot on it, unless a library is preloaded (whole_xstate.c). It is built for each run on every
+# processor, so that the code needed by a few is tested on all.
+
+
+def needs_whole_xstate(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
+    """Return whether the floating-point state of this processor is larger than linux.uml expects."""
+    try:
+        return "amx_tile" in cpuinfo.read_text().split()
+    except OSError:
+        return False
+
+
+def build_whole_xstate(folder: Path) -> Path:
+    """Compile the library into `folder`. Raises EnvironmentLackError, in one line, if no compiler works."""
+    compiler = next(filter(None, map(shutil.which, _COMPILERS)), None)
+    what = "User-mode Linux on a processor with AMX needs a C compiler"
+    if compiler is None:
+        raise EnvironmentLackError(f"{what}, and none is installed: {_INSTALL}")
+    library = folder / "whole_xstate.so"
+    with as_file(files("tipforce_tools.vcan").joinpath("whole_xstate.c")) as source:
+        built = subprocess.run(
+            [compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(source)],
+            capture_output=True,
+            check=False,
+            env={**os.environ, "LC_ALL": "C"},
+        )
+    if built.returncode:
+        said = built.stderr.decode(errors="replace").strip().splitlines() or ["nothing"]
+        raise EnvironmentLackError(f"{what}, and {compiler} failed ({said[0]}): {_INSTALL}")
+    return library
+
+
+def preloading(folder: Path) -> dict[str, str]:
+    """Return the variable that preloads whole_xstate.c. Without a compiler: nothing, and a line on stderr.
+
+    Raises EnvironmentLackError if this processor needs the library.
+    """
+    try:
+        return {"LD_PRELOAD": str(build_whole_xstate(folder))}
+    except EnvironmentLackError as error:
+        if needs_whole_xstate():
+            raise
+        print(f"tipforce vcan: {error}; this processor does not need it", file=sys.stderr)
+        return {}

@@ -8,7 +8,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from tipforce_tools.view.blocks import FAULT, MISSING, SATURATED, Block
+from tipforce.samples.columns import Block
+from tipforce.samples.reasons import NO_ANSWER
+from tipforce.sensor.contact.scalar import FRONT_END_FAULT, SATURATED
 
 MAX_BYTES = 96 << 20
 MAX_ROWS = 600_000
@@ -52,12 +54,7 @@ class History:
         self._shift_ns = 0
         self._start = self._end = 0
         # Twice the capacity, so that the rows kept are always one slice.
-        size = 2 * self.capacity
-        self._t_ns = np.zeros(size, dtype=np.int64)
-        self._contact = np.zeros((size, fingers, QUANTITIES), dtype=np.float32)
-        self._u = np.zeros((size, fingers, QUANTITIES), dtype=np.float32)
-        self._gauges = np.zeros((size, fingers, gauges), dtype=np.float32)
-        self._status = np.zeros((size, fingers), dtype=np.uint16)
+        self._kept = Block.zeros(2 * self.capacity, fingers, gauges)
 
     def __len__(self) -> int:
         return self._end - self._start
@@ -70,34 +67,31 @@ class History:
     @property
     def t_ns(self) -> npt.NDArray[np.int64]:
         """(m,) rising."""
-        return self._t_ns[self._start : self._end]
+        return self._kept.t_ns[self._start : self._end]
 
     def part(self, first: int, last: int) -> Block:
         """Return rows first to last (exclusive) as views."""
-        part = slice(self._start + first, self._start + last)
-        return Block(self._t_ns[part], self._contact[part], self._u[part], self._gauges[part], self._status[part])
+        return self._kept.part(slice(self._start + first, self._start + last))
 
     def append(self, block: Block) -> None:
         """Add rows, the newest last."""
         for first in range(0, len(block), self.capacity):
-            part = slice(first, first + self.capacity)
-            self._append(
-                Block(block.t_ns[part], block.contact[part], block.u[part], block.gauges[part], block.status[part])
-            )
+            self._append(block.part(slice(first, first + self.capacity)))
 
     def _append(self, block: Block) -> None:
         m = len(block)
-        if self._end + m > len(self._t_ns):
-            self._move(min(len(self), self.capacity))
+        if self._end + m > len(self._kept):
+            keep = min(len(self), self.capacity)
+            for array in self._kept.columns:
+                array[:keep] = array[self._end - keep : self._end].copy()
+            self._start, self._end = 0, keep
         place = slice(self._end, self._end + m)
         t_ns = np.maximum.accumulate(block.t_ns + self._shift_ns)
-        if len(self) and t_ns[0] < self._t_ns[self._end - 1]:
-            back = int(self._t_ns[self._end - 1] - t_ns[0])
+        if len(self) and t_ns[0] < self.t_ns[-1]:
+            back = int(self.t_ns[-1] - t_ns[0])
             self._shift_ns += back
             t_ns = t_ns + back
-        self._t_ns[place] = t_ns
-        for ours, theirs in ((self._contact, block.contact), (self._u, block.u), (self._gauges, block.gauges),
-                             (self._status, block.status)):  # fmt: skip
+        for ours, theirs in zip(self._kept.columns, (t_ns, *block.columns[1:]), strict=True):
             ours[place] = theirs
         self._end += m
         over = len(self) - self.capacity
@@ -105,24 +99,15 @@ class History:
             self._start += over
             self.dropped += over
 
-    def _move(self, keep: int) -> None:
-        for array in (self._t_ns, self._contact, self._u, self._gauges, self._status):
-            array[:keep] = array[self._end - keep : self._end].copy()
-        self._start, self._end = 0, keep
-
     def widened(self, columns: npt.NDArray[np.intp], fingers: int) -> History:
         """Return the rows for more fingers: ``columns`` (k,) maps the present ones; the new ones are missing."""
-        wider = History(fingers, self._gauges.shape[-1])
+        gauges = self._kept.gauges.shape[-1]
+        wider = History(fingers, gauges)
         rows = self.part(max(0, len(self) - wider.capacity), len(self))
-        m = len(rows)
-        new = Block(
-            rows.t_ns, np.full((m, fingers, QUANTITIES), np.nan, dtype=np.float32),
-            np.full((m, fingers, QUANTITIES), np.nan, dtype=np.float32),
-            np.full((m, fingers, rows.gauges.shape[-1]), np.nan, dtype=np.float32),
-            np.full((m, fingers), MISSING, dtype=np.uint16),
-        )  # fmt: skip
-        for ours, theirs in ((new.contact, rows.contact), (new.u, rows.u), (new.gauges, rows.gauges),
-                             (new.status, rows.status)):  # fmt: skip
+        new = Block.zeros(len(rows), fingers, gauges)
+        new.t_ns[:] = rows.t_ns
+        for ours, theirs in zip(new.columns[1:], rows.columns[1:], strict=True):
+            ours[:] = NO_ANSWER if ours is new.status else np.nan
             ours[:, columns] = theirs
         wider.append(new)
         return wider
@@ -135,7 +120,7 @@ class History:
         starts = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
         values = rows.gauges if what == "gauges" else forces(rows.contact) if what == "forces" else rows.contact
         u = rows.u if what == "contact" else np.full_like(values, np.nan)
-        unknown = np.isnan(values[..., 0]) | (rows.status & MISSING != 0)
+        unknown = np.isnan(values[..., 0]) | (rows.status & NO_ANSWER != 0)
         if not len(starts):
             empty = values[:0]
             return Envelope(number, empty, empty, empty, np.zeros(unknown.shape, dtype=np.int64))
@@ -153,7 +138,7 @@ class History:
         The strain of a finger with a saturated gauge or a fault is that of the converter's limit: it does not count.
         """
         rows = self.rows
-        sound = (rows.status & (SATURATED | FAULT) == 0)[..., np.newaxis]
+        sound = (rows.status & (SATURATED | FRONT_END_FAULT) == 0)[..., np.newaxis]
         lowest, highest = (
             float(reduce(rows.gauges, axis=None, initial=0.0, where=sound))
             for reduce in (np.fmin.reduce, np.fmax.reduce)

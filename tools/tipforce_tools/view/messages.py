@@ -1,18 +1,24 @@
-"""Messages to the page: pictures, envelopes and events as JSON, and the playhead that selects the moment."""
+"""What a page gets: pictures, envelopes and events by its playhead, the drawing of a finger, the rows as CSV."""
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
 from tipforce.errors import InputError
+from tipforce.samples.reasons import NO_ANSWER
+from tipforce.sensor.structure.gauges import Gauge, GaugePosition, gauge_name, place, strain_row
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.published import GAUGE_LENGTH_M
+from tipforce.watching.fingers import Finger
 from tipforce_tools.view.history import Charted, Envelope
-from tipforce_tools.view.model import Model, PageEvent, Picture
-from tipforce_tools.view.states import FingerState
+from tipforce_tools.view.model import FingerState, Model, PageEvent, Picture
 
 MAX_BINS = 1500
 """Limit per message: a browser that reconnects late gets the newest ones."""
@@ -68,15 +74,15 @@ class Cursor:
         first = max(self._bin, last - MAX_BINS + 1)
         # The last bin is not complete: it is sent again.
         self._bin = last
-        found = picture_message(self._model, picture)
-        found["bins"] = envelope_message(self._model.envelope(first, last, self._bin_ns, self._what))
+        message = picture_message(self._model, picture)
+        message["bins"] = envelope_message(self._model.envelope(first, last, self._bin_ns, self._what))
         events = self._model.events(self._event, now_ns if not self._is_live(now_ns) else None)[-MAX_EVENTS:]
         if events:
             self._event = events[-1].number
-            found["events"] = [_event(event) for event in events]
+            message["events"] = [_event(event) for event in events]
         if ended:
-            found["ended"] = True
-        return found, ended
+            message["ended"] = True
+        return message, ended
 
     def _is_live(self, now_ns: int) -> bool:
         return self._model.live and now_ns >= self._model.span_ns()[1]
@@ -89,18 +95,12 @@ def encode(message: Any) -> bytes:
 
 def picture_message(model: Model, picture: Picture) -> dict[str, Any]:
     """Encode a moment; times in milliseconds since 1970."""
-    counters = model.counters
     return {
         "t": picture.now_ns / 1e6, "start": picture.start_ns / 1e6, "end": picture.end_ns / 1e6,
         "rate": round(picture.rate_hz, 2), "period": picture.period_ns / 1e6, "generation": picture.generation,
         "error": model.error, "nmt": model.nmt,
         "fingers": [_state(state) for state in picture.states],
-        "counters": {
-            "rows": counters.rows, "missing": counters.missing, "late": counters.late, "mixed": counters.mixed,
-            "doubtful": counters.doubtful,
-            "dropped": counters.dropped, "overrun": counters.overrun,
-            "load": [counters.load_low, counters.load_high], "jitter_p99_us": counters.jitter_p99_us,
-        },
+        "counters": model.counters,
     }  # fmt: skip
 
 
@@ -118,21 +118,123 @@ def events_message(model: Model, until_ns: int | None = None) -> list[dict[str, 
 
 
 def _state(state: FingerState) -> dict[str, Any]:
-    found: dict[str, Any] = {"w": state.word, "since": state.since_ns / 1e6, "s": state.status}
+    message: dict[str, Any] = {"w": state.word, "since": state.since_ns / 1e6, "s": state.status}
     if state.reason:
-        found["why"] = state.reason
+        message["why"] = state.reason
     if state.angle_reason:
-        found["angle"] = state.angle_reason
+        message["angle"] = state.angle_reason
     if state.flags:
-        found["f"] = state.flags
+        message["f"] = state.flags
     if state.word != "silent":
-        found["c"] = [round(value, digits) for value, digits in zip(state.contact, _DIGITS, strict=True)]
-        found["u"] = [round(value, digits) for value, digits in zip(state.u, _DIGITS, strict=True)]
-        found["g"] = [round(value, 1) for value in state.gauges]
-    return found
+        message["c"] = [round(value, digits) for value, digits in zip(state.contact, _DIGITS, strict=True)]
+        message["u"] = [round(value, digits) for value, digits in zip(state.u, _DIGITS, strict=True)]
+        message["g"] = [round(value, 1) for value in state.gauges]
+    return message
 
 
 def _event(event: PageEvent) -> dict[str, Any]:
     return {
         "n": event.number, "t": event.t_ns / 1e6, "node": event.node_id, "kind": event.kind, "text": event.text
     }  # fmt: skip
+
+
+_ROWS = 200
+_PAUSE_S = 0.002
+
+
+def csv_chunks(model: Model) -> Iterator[bytes]:
+    """Yield all rows of the buffer, oldest first. Empty cell: unknown value; status is 2120h, empty if missing."""
+    fingers, (start_ns, end_ns) = model.fingers, model.span_ns()
+    strains = ",".join(f"SG{k + 1}_ue" for k in range(model.gauges))
+    yield f"t_s,node_id,name,P_N,phi_deg,theta_deg,u_P_N,u_phi_deg,u_theta_deg,{strains},status\n".encode()
+    heads = [f"{finger.node_id},{_quoted(finger.name)}," for finger in fingers]
+    after_ns = start_ns - 1
+    while True:
+        block = model.rows_after(after_ns, _ROWS, end_ns)
+        if not len(block) or block.status.shape[1] != len(fingers):
+            return
+        after_ns = int(block.t_ns[-1])
+        lines = []
+        parts = zip(
+            block.t_ns.tolist(), block.contact.tolist(), block.u.tolist(), block.gauges.tolist(),
+            block.status.tolist(), strict=True,
+        )  # fmt: skip
+        for t_ns, contact, u, gauges, status in parts:
+            t = f"{t_ns // 1_000_000_000}.{t_ns % 1_000_000_000:09d},"
+            for k, head in enumerate(heads):
+                cells = [_cell(value) for value in (*contact[k], *u[k], *gauges[k])]
+                flags = "" if status[k] & NO_ANSWER else f"{status[k] & 0xFF}"
+                lines.append(f"{t}{head}{','.join(cells)},{flags}\n")
+        yield "".join(lines).encode()
+        time.sleep(_PAUSE_S)
+
+
+def _cell(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.6g}"
+
+
+def _quoted(text: str) -> str:
+    """Return a name as a cell. A name that begins like a formula gets a quote, so that no spreadsheet evaluates it."""
+    if text[:1] in ("=", "+", "-", "@"):
+        text = "'" + text
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n\r') else text
+
+
+MM = 1e3
+
+
+def drawing(finger: Finger, gauges: int) -> dict[str, Any]:
+    """Return the drawing of a finger: lengths in mm, x to the right, y from the axis of the horizontal beam upwards.
+
+    ``faces`` holds the strain per newton of F1, F2, F3 at both ends of each face of each beam, in microstrain:
+    between the ends the strain is linear.
+    """
+    geometry = finger.geometry
+    return {
+        "node_id": finger.node_id, "label": finger.label, "layout": finger.layout,
+        "calibrated_here": finger.calibration is not None,
+        "a": geometry.a_m * MM, "d": geometry.d_m * MM, "r": geometry.r_m * MM,
+        "h1": geometry.h1_m * MM, "h2": geometry.h2_m * MM,
+        "gauges": [_gauge(geometry, gauge) for gauge in finger.gauges[:gauges]],
+        "faces": _faces(geometry),
+    }  # fmt: skip
+
+
+def _gauge(geometry: Geometry, gauge: Gauge) -> dict[str, Any]:
+    """Return its name, both ends of its centre line on the beam's surface, and the outward direction."""
+    spot = place(geometry, gauge)
+    length_m = geometry.a_m if spot.beam == "H" else geometry.d_m
+    begin = min(max(spot.position_m - 0.5 * GAUGE_LENGTH_M, 0.0), length_m - GAUGE_LENGTH_M)
+    ends = begin * MM, (begin + GAUGE_LENGTH_M) * MM
+    sign = -1.0 if spot.side == "left" else 1.0
+    half_h1, half_h2 = 0.5 * geometry.h1_m * MM, 0.5 * geometry.h2_m * MM
+    if spot.beam == "H":
+        up = 1.0 if spot.face == "upper" else -1.0
+        # Drawn beside the vertical beam; the beam model measures from its axis.
+        shift = half_h2 if begin == 0.0 and up < 0 else 0.0
+        (x0, x1), (y0, y1), out = [sign * (shift + s) for s in ends], (up * half_h1, up * half_h1), (0.0, up)
+    else:
+        (x0, x1), (y0, y1), out = (sign * half_h2, sign * half_h2), [-half_h1 - s for s in ends], (sign, 0.0)
+    return {"name": gauge_name(gauge), "beam": spot.beam, "from": [x0, y0], "to": [x1, y1], "out": out}
+
+
+def largest_strain_per_newton(geometry: Geometry) -> float:
+    """Return the largest strain of a face, in microstrain, for 1 N of F1, F2 or F3."""
+    return max(float(np.abs(face["microstrain_per_newton"]).max()) for face in _faces(geometry))
+
+
+@lru_cache(maxsize=16)
+def _faces(geometry: Geometry) -> list[dict[str, Any]]:
+    faces = []
+    for beam, side, face in _FACES:
+        length_m = geometry.a_m if beam == "H" else geometry.d_m
+        ends = [GaugePosition(beam, side, position, face) for position in (0.0, length_m)]
+        rows = np.array([strain_row(geometry, *end) for end in ends]) * 1e6
+        faces.append({"beam": beam, "side": side, "face": face, "microstrain_per_newton": rows.tolist()})
+    return faces
+
+
+_FACES: Sequence[tuple[Literal["H", "V"], Literal["left", "right"], Literal["lower", "upper"]]] = (
+    ("H", "left", "lower"), ("H", "right", "lower"), ("H", "left", "upper"), ("H", "right", "upper"),
+    ("V", "left", "lower"), ("V", "right", "lower"),
+)  # fmt: skip

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import threading
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
 from tipforce.errors import TipforceError
 from tipforce_tools.view import requests
-from tipforce_tools.view.csv import csv_chunks
+from tipforce_tools.view.messages import csv_chunks
 
 if TYPE_CHECKING:
     from tipforce_tools.view.messages import Cursor
@@ -23,7 +22,6 @@ IDLE_S = 0.1
 """Period of time messages to a page when no row arrives."""
 SEND_TIMEOUT_S = 20.0
 """A page that has read nothing for this time is dropped."""
-_taring = threading.Lock()
 
 
 class Pulse:
@@ -70,30 +68,20 @@ class Page:
         self._end_stream()
 
     async def _answer(self, request: requests.Request) -> None:
-        model = self._source.model
         match request:
-            case requests.Setup():
-                answer = requests.setup(self._source, self._read_only)
-            case requests.At():
-                answer = await asyncio.to_thread(requests.moment, model, request)
-            case requests.History():
-                answer = await asyncio.to_thread(requests.history, model, request)
             case requests.Stream():
-                self._stream(request)
+                cursor = request.cursor(self._source.model)
+                self._end_stream()
+                self._streaming = asyncio.create_task(self._pictures(cursor, request.id))
                 return
-            case requests.Tare():
-                answer = dict(await asyncio.to_thread(self._tare, request))
             case requests.Csv():
-                answer = await self._csv()
-            case _:
+                answer: dict[str, Any] = await self._csv()
+            case requests.Pause():
                 self._end_stream()
                 answer = {}
+            case _:
+                answer = await asyncio.to_thread(request.answer, self._source, self._read_only)
         await self._send(requests.reply(request.id, answer))
-
-    def _stream(self, request: requests.Stream) -> None:
-        cursor = requests.cursor(self._source.model, request)
-        self._end_stream()
-        self._streaming = asyncio.create_task(self._pictures(cursor, request.id))
 
     def _end_stream(self) -> None:
         if self._streaming is not None:
@@ -118,10 +106,6 @@ class Page:
             await self._send(chunk, text=False)
             count += len(chunk)
         return {"bytes": count}
-
-    def _tare(self, request: requests.Tare) -> dict[str, str]:
-        with _taring:  # one at a time
-            return requests.tare(self._source, self._read_only, request)
 
     async def _send(self, message: bytes, text: bool = True) -> None:
         """Send, and wait until the socket accepts the message. Drops a page that does not read."""

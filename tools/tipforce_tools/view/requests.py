@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
+import threading
 from typing import Annotated, Any
 
 import msgspec
 
 from tipforce.errors import InputError, RefusedError
-from tipforce_tools.view.fingers import drawing, largest_strain_per_newton
 from tipforce_tools.view.history import Charted
 from tipforce_tools.view.messages import (
     MAX_BINS,
     Cursor,
     Playhead,
+    drawing,
     encode,
     envelope_message,
     events_message,
+    largest_strain_per_newton,
     picture_message,
 )
 from tipforce_tools.view.model import Model
@@ -26,6 +28,7 @@ Milliseconds = Annotated[float, msgspec.Meta(ge=0.0, le=9e12)]
 """Since 1970."""
 BinWidth = Annotated[float, msgspec.Meta(ge=0.5, le=3.6e6)]
 """Milliseconds."""
+_taring = threading.Lock()
 
 
 class Request(msgspec.Struct, forbid_unknown_fields=True, tag_field="do", tag=str.lower, kw_only=True):
@@ -33,15 +36,36 @@ class Request(msgspec.Struct, forbid_unknown_fields=True, tag_field="do", tag=st
 
     id: int = 0
 
+    def answer(self, source: Source, read_only: str) -> dict[str, Any]:
+        """Return the response. ``read_only``: why this page must not write; empty if it may. Raises TipforceError."""
+        raise NotImplementedError
+
 
 class Setup(Request):
     """Get the fingers, the permissions, and the present picture."""
 
+    def answer(self, source: Source, read_only: str) -> dict[str, Any]:
+        """See Request."""
+        model = source.model
+        return {
+            "title": source.title, "live": model.live, "generation": model.generation,
+            "fingers": [drawing(finger, model.gauges) for finger in model.fingers],
+            "gauges": model.gauges, "no_tare": source.no_tare or read_only, "events": events_message(model),
+            "picture": picture_message(model, model.picture()), "scale": _scale(model),
+        }  # fmt: skip
+
 
 class At(Request):
-    """Get the picture of a moment."""
+    """Get the picture of a moment, and the events of a log up to then."""
 
     t: Milliseconds
+
+    def answer(self, source: Source, read_only: str) -> dict[str, Any]:  # noqa: ARG002
+        """See Request."""
+        moment = picture_message(source.model, source.model.picture(_ns(self.t)))
+        if not source.model.live:
+            moment["events"] = events_message(source.model, _ns(self.t))
+        return moment
 
 
 class History(Request):
@@ -51,6 +75,14 @@ class History(Request):
     end: Milliseconds
     bin: BinWidth
     what: Charted = "contact"
+
+    def answer(self, source: Source, read_only: str) -> dict[str, Any]:  # noqa: ARG002
+        """See Request. Raises InputError for too many bins."""
+        width_ns = _ns(self.bin)
+        first, last = _ns(self.start) // width_ns, _ns(self.end) // width_ns
+        if not 0 <= last - first <= MAX_BINS:
+            raise InputError(f"start, end, bin: {last - first} bins, allowed are 0 to {MAX_BINS}")
+        return envelope_message(source.model.envelope(first, last, width_ns, self.what))
 
 
 class Stream(Request):
@@ -63,6 +95,11 @@ class Stream(Request):
     """Number of the last event known to the page."""
     what: Charted = "contact"
     """Quantities of the bins."""
+
+    def cursor(self, model: Model) -> Cursor:
+        """Return the position of a page in the stream. Raises InputError for a speed that is not allowed."""
+        playhead = Playhead(model, None if self.start is None else _ns(self.start), self.speed)
+        return Cursor(model, playhead, _ns(self.bin), self.after, self.what)
 
 
 class Pause(Request):
@@ -77,6 +114,15 @@ class Tare(Request):
     """Tare a finger."""
 
     node_id: int
+
+    def answer(self, source: Source, read_only: str) -> dict[str, Any]:
+        """See Request. Raises also the errors of the source."""
+        if source.no_tare or read_only:
+            raise RefusedError(source.no_tare or read_only)
+        if self.node_id not in {finger.node_id for finger in source.model.fingers}:
+            raise InputError(f"node-id {self.node_id}: no finger of this page")
+        with _taring:  # one at a time
+            return {"text": source.tare(self.node_id)}
 
 
 def decoded(text: str | bytes) -> Setup | At | History | Stream | Pause | Csv | Tare:
@@ -97,17 +143,6 @@ def refusal(request_id: int, text: str) -> bytes:
     return encode({"id": request_id, "error": text})
 
 
-def setup(source: Source, read_only: str) -> dict[str, Any]:
-    """``read_only``: why this page must not write; empty if it may."""
-    model = source.model
-    return {
-        "title": source.title, "live": model.live, "generation": model.generation,
-        "fingers": [drawing(finger, model.gauges) for finger in model.fingers],
-        "gauges": model.gauges, "no_tare": source.no_tare or read_only, "events": events_message(model),
-        "picture": picture_message(model, model.picture()), "scale": _scale(model),
-    }  # fmt: skip
-
-
 def _scale(model: Model) -> dict[str, float]:
     """Return the full scales of force and strain: those of a log's rows; of a live page at least the usual ones."""
     least = (5.0, 500.0) if model.live else (0.5, 50.0)
@@ -120,38 +155,6 @@ def _nice(value: float) -> float:
     """Return 1, 2 or 5 times a power of ten, at least ``value``."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(float(k * power) for k in (1, 2, 5, 10) if k * power >= value * (1 - 1e-6))
-
-
-def moment(model: Model, request: At) -> dict[str, Any]:
-    """Return the picture at a time, and the events of a log up to then."""
-    found = picture_message(model, model.picture(_ns(request.t)))
-    if not model.live:
-        found["events"] = events_message(model, _ns(request.t))
-    return found
-
-
-def history(model: Model, request: History) -> dict[str, Any]:
-    """Return the bins from ``start`` to ``end``. Raises InputError for too many."""
-    width_ns = _ns(request.bin)
-    first, last = _ns(request.start) // width_ns, _ns(request.end) // width_ns
-    if not 0 <= last - first <= MAX_BINS:
-        raise InputError(f"start, end, bin: {last - first} bins, allowed are 0 to {MAX_BINS}")
-    return envelope_message(model.envelope(first, last, width_ns, request.what))
-
-
-def cursor(model: Model, request: Stream) -> Cursor:
-    """Return the position of a page in the stream. Raises InputError for a speed that is not allowed."""
-    playhead = Playhead(model, None if request.start is None else _ns(request.start), request.speed)
-    return Cursor(model, playhead, _ns(request.bin), request.after, request.what)
-
-
-def tare(source: Source, read_only: str, request: Tare) -> dict[str, str]:
-    """Tare. Raises InputError and RefusedError, and the errors of the source."""
-    if source.no_tare or read_only:
-        raise RefusedError(source.no_tare or read_only)
-    if request.node_id not in {finger.node_id for finger in source.model.fingers}:
-        raise InputError(f"node-id {request.node_id}: no finger of this page")
-    return {"text": source.tare(request.node_id)}
 
 
 def _ns(milliseconds: float) -> int:

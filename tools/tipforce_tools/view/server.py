@@ -53,12 +53,12 @@ _TYPES = {
 
 def static_files() -> dict[str, tuple[str, bytes]]:
     """Return the files that may be fetched, by path: no other file is reachable."""
-    found = {}
+    files = {}
     for file in resources.files("tipforce_tools.view").joinpath("static").iterdir():
         kind = _TYPES.get(file.name.rpartition(".")[2])
         if kind is not None:
-            found["/" if file.name == "index.html" else f"/{file.name}"] = kind, file.read_bytes()
-    return found
+            files["/" if file.name == "index.html" else f"/{file.name}"] = kind, file.read_bytes()
+    return files
 
 
 class Connection(ServerConnection):

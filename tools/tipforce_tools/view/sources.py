@@ -1,32 +1,36 @@
-"""Sources of a page: a listener on a bus, a running hand. log_source.py has logs."""
+"""Sources of a page: a feed of live rows, a log whose rows all stay in memory, a scene that is run."""
 
 from __future__ import annotations
 
-import threading
+import tempfile
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
-from typing import Protocol
+import tomllib
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from msgspec.structs import replace
 
-from tipforce.errors import EnvironmentLackError, RefusedError
+from canopen_device.core.codes import RPDO_BASES, STANDARD_MASK, SYNC_COB_ID, TPDO_BASES
+from tipforce.errors import InputError, LogError, RefusedError, TipforceError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce.host.hand.events import Event
-from tipforce.host.hand.hand import Hand
-from tipforce.host.hand.rows import Rows, joined
-from tipforce.host.live.receiver import InterfaceDownError, Receiver
-from tipforce.host.network.bus_load import LoadMeter
-from tipforce_tools.view.blocks import block_of_rows
-from tipforce_tools.view.fingers import Finger
+from tipforce.host.logs.reader import open_log
+from tipforce.host.network.bus_load import range_of_bits
+from tipforce.watching.feeds import Feed
+from tipforce.watching.fingers import Finger, FingerMaker, with_layout
+from tipforce.watching.watcher import Watcher
+from tipforce_tools.view.history import MAX_BYTES, row_bytes
 from tipforce_tools.view.model import Model
-from tipforce_tools.view.watcher import Watcher
 
-MAX_WAITING_ROWS = 20_000
-MAX_WAITING_BATCHES = 5_000
-"""Limit of received frames, some seconds; beyond it the oldest are dropped, which the page reports."""
-_RECEIVE_S = 0.02
-_LOAD_WINDOW_S = 1.0
+if TYPE_CHECKING:
+    from tipforce.scene.schema import Scene
+
+LOG_BYTES = 8 * MAX_BYTES
+"""Memory limit of a log's rows; of a longer log the user must choose a part."""
+LISTENING = "this page only listens to the bus"
+_NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)
 
 
 class Source(Protocol):
@@ -47,131 +51,120 @@ class Source(Protocol):
         """Release the source."""
 
 
-class HandSource:
-    """A commissioned hand. Its receiving thread only queues rows; ``pump`` does the rest."""
+class LiveSource:
+    """Rows of a feed, which it closes."""
 
-    def __init__(self, hand: Hand, fingers: Sequence[Finger], title: str) -> None:
-        self.title, self.no_tare = title, ""
-        self._hand = hand
-        self._messages = hand.file.messages
-        self.model = Model(fingers, hand.file.finger[0].gauges)
-        self._waiting: deque[Rows] = deque()
-        self._waiting_rows = self._overrun = 0
-        self._arrived_s = 0.0
-        self._lock = threading.Lock()
-        hand.on_rows(self._put)
-        hand.on_event(self._event)
-
-    def _put(self, rows: Rows) -> None:
-        with self._lock:
-            self._waiting.append(rows)
-            self._arrived_s = time.monotonic()
-            self._waiting_rows += len(rows)
-            while self._waiting_rows > MAX_WAITING_ROWS:
-                lost = len(self._waiting.popleft())
-                self._waiting_rows -= lost
-                self._overrun += lost
-
-    def _event(self, event: Event) -> None:
-        self.model.add_event(time.time_ns(), event.node_id, event.kind, event.text)
+    def __init__(self, feed: Feed, title: str, gauges: int = 3, no_tare: str = "") -> None:
+        self.title, self.no_tare, self.feed = title, no_tare, feed
+        self.model = Model(feed.fingers, gauges)
+        self.close = feed.close
 
     def pump(self) -> None:
         """See Source."""
-        with self._lock:
-            waiting, self._waiting, self._waiting_rows = list(self._waiting), deque(), 0
-            arrived_s = self._arrived_s
-        if waiting:
-            rows = joined(waiting)
-            self.model.add(block_of_rows(rows, self.model.fingers, self.model.gauges), arrived_s)
-        if self._hand.error is not None:
-            self.model.error = f"reception has ended: {self._hand.error}"
-        found, counters = self._hand.statistics(), self.model.counters
-        tally = found.tally
-        counters.rows = tally.rows
-        for name in ("missing", "late", "mixed", "doubtful"):
-            setattr(counters, name, getattr(tally, name).tolist())
-        counters.dropped, counters.overrun = found.dropped, self._overrun
-        counters.jitter_p99_us = found.sync.p99_us if found.sync.periods else None
-        self.model.nmt = [self._hand.state(finger.node_id) for finger in self.model.fingers]
-        counters.load_low, counters.load_high = found.load
+        model = self.model
+        try:
+            blocks, events = self.feed.take(0.0)
+        except TipforceError as error:
+            if not model.error:
+                model.add_event(time.time_ns(), 0, "bus_down", str(error))
+            model.error = f"reception has ended: {error}"
+            blocks, events = [], []
+        fingers = tuple(self.feed.fingers)
+        if fingers != model.fingers:
+            model.set_fingers(fingers)
+        for block in blocks:
+            model.add(block, self.feed.arrived_s)
+        for event in events:
+            model.add_event(time.time_ns(), event.node_id, event.kind, event.text)
+        model.counters = self.feed.counters()
+        model.nmt = [self.feed.state(finger.node_id) for finger in fingers]
 
     def tare(self, node_id: int) -> str:
         """See Source."""
-        return self._hand.tare(node_id)
-
-    def close(self) -> None:
-        """See Source."""
-        self._hand.close()
+        return self.feed.tare(node_id)
 
 
-class ListenSource:
-    """A listener on a bus, in its own thread."""
+class LogSource:
+    """A log; all its rows stay in memory."""
 
     def __init__(
-        self, receiver: Receiver, title: str, make_finger: Callable[[int], Finger | None], gauges: int = 3,
-        fingers: Sequence[Finger] = (), bit_rate: int = 1_000_000,
+        self, path: Path, make_finger: FingerMaker, gauges: int = 3,
+        fingers: Sequence[Finger] = (), start_s: float = 0.0, end_s: float | None = None,
     ) -> None:  # fmt: skip
-        self.title, self.no_tare = title, "this page only listens to the bus"
-        self._receiver, self._load = receiver, LoadMeter(bit_rate)
-        self.model = Model(fingers, gauges)
-        self._watcher = Watcher(make_finger, gauges, fingers, self.model.set_fingers)
-        self._waiting: deque[tuple[FrameArray, float]] = deque(maxlen=MAX_WAITING_BATCHES)
-        self._down = False
-        self._looked_s = time.monotonic()
-        self._stopped = threading.Event()
-        self.received = 0
-        """Number of frames received."""
-        self._thread = threading.Thread(target=self._receive, name="view receiver", daemon=True)
-        self._thread.start()
+        """``start_s``, ``end_s``: the part to read, seconds from the log's first frame. Raises InputError."""
+        self.title, self.no_tare, self._path = path.name, "a log can't be tared", path
+        self._watcher = Watcher(make_finger, gauges, fingers)
+        self._limits: tuple[int | None, int | None] = (None, None)
+        seconds = self._discover(start_s, end_s)
+        fingers_sent = self._watcher.fingers
+        if not fingers_sent:
+            raise LogError(f"{path}: no PDO of a fingertip (0x180, 0x280 or 0x380 + node-id, with 8 bytes)")
+        capacity = self._count_rows(LOG_BYTES // (2 * row_bytes(len(fingers_sent), gauges)))
+        self.model = Model(fingers_sent, gauges, live=False, capacity=capacity)
+        low, high = self._read()
+        counters = self.model.counters
+        if not counters.rows:
+            raise InputError(f"{path}: no sample between --from and --to; the log lasts {seconds:g} s")
+        counters.take_tally(self._watcher.tally())
+        start, end = self.model.span_ns()
+        bits = 1_000_000 * max((end - start) * 1e-9, 1e-9)
+        counters.load = low / bits, high / bits
 
-    def _receive(self) -> None:
-        while not self._stopped.is_set():
-            try:
-                frames = self._receiver.receive(_RECEIVE_S)
-            except InterfaceDownError as error:
-                self._say_down(str(error))
-                self._stopped.wait(0.2)
-                continue
-            except EnvironmentLackError as error:
-                self.model.error = str(error)
-                self._say_down(str(error))
-                return
-            if len(frames):
-                self.received += len(frames)
-                self._load.add(frames, time.monotonic())
-                if self._down:
-                    self._down = False
-                    self.model.add_event(time.time_ns(), 0, "bus_up", "frames are received again")
-                if len(self._waiting) == MAX_WAITING_BATCHES:
-                    self.model.counters.overrun += 1
-                self._waiting.append((frames, time.monotonic()))
-            self._looked_s = time.monotonic()
+    def _discover(self, start_s: float, end_s: float | None) -> float:
+        """Find the fingers and set the limits of the part to read; return the length of the log in seconds."""
+        first: int | None = None
+        seconds = 0.0
+        with open_log(self._path) as log:
+            for frames in log:
+                if first is None:
+                    first = int(frames["t_ns"][0])
+                    start = first + round(start_s * 1e9) if start_s else None
+                    self._limits = start, first + round(end_s * 1e9) if end_s is not None else None
+                self._watcher.discover(frames)
+                seconds = (int(frames["t_ns"][-1]) - first) * 1e-9
+            if first is not None and not log.timed:
+                raise InputError(f"{self._path}: the log has no timestamps, which a replay needs")
+        return seconds
 
-    def _say_down(self, text: str) -> None:
-        if not self._down:
-            self._down = True
-            self.model.add_event(time.time_ns(), 0, "bus_down", text)
+    def _count_rows(self, most: int) -> int:
+        """Return the maximum number of rows: SYNCs, or frames of the finger that sent most."""
+        identifiers = STANDARD_MASK + 1
+        count = np.zeros(identifiers, dtype=np.int64)
+        with open_log(self._path, start_ns=self._limits[0], end_ns=self._limits[1]) as log:
+            for frames in log:
+                ids = frames["can_id"]
+                count += np.bincount(ids[ids < identifiers], minlength=identifiers)
+        rows = int(count[SYNC_COB_ID]) or int(count[TPDO_BASES[0] + 1 : RPDO_BASES[2]].max())
+        if rows > most:
+            raise InputError(
+                f"{self._path}: {rows} rows of {len(self._watcher.fingers)} fingers, allowed are {most}; choose a part "
+                "with --from and --to (seconds)"
+            )
+        return rows + 1
+
+    def _read(self) -> tuple[int, int]:
+        """Read the rows; return the bits of all frames, without stuff bits and with their maximum."""
+        last_s, low, high = 0.0, 0, 0
+        with open_log(self._path, start_ns=self._limits[0], end_ns=self._limits[1]) as log:
+            for frames in log:
+                last_s = float(frames["t_ns"][-1]) * 1e-9
+                self._add(frames, last_s)
+                least, most = range_of_bits(frames)
+                low, high = low + least, high + most
+        self._add(_NO_FRAMES, last_s + 1.0)
+        return low, high
+
+    def _add(self, frames: FrameArray, now_s: float) -> None:
+        blocks, events = self._watcher.add(frames, now_s)
+        for block in blocks:
+            self.model.add(block)
+            self.model.counters.rows += len(block)
+        for event in events:
+            if len(frames):  # the end of a log is not a lost heartbeat
+                self.model.add_event(round(event.t_s * 1e9), event.node_id, event.kind, event.text)
 
     def pump(self) -> None:
         """See Source."""
-        # A row times out by the time of the last read: frames still in the socket are not missing.
-        looked_s = self._looked_s
-        waiting = [self._waiting.popleft() for _ in range(len(self._waiting))]
-        now_s = time.monotonic()
-        arrived_s = waiting[-1][1] if waiting else now_s
-        frames = np.concatenate([frames for frames, _ in waiting]) if waiting else None
-        blocks, events = self._watcher.add(_NO_FRAMES if frames is None else frames, looked_s)
-        for block in blocks:
-            self.model.add(block, arrived_s)
-            self.model.counters.rows += len(block)
-        for event in events:
-            self.model.add_event(time.time_ns(), event.node_id, event.kind, event.text)
-        counters = self.model.counters
-        for name, values in self._watcher.tally().items():
-            setattr(counters, name, values)
-        counters.dropped = self._receiver.dropped
-        self.model.nmt = self._watcher.nmt()
-        self.model.counters.load_low, self.model.counters.load_high = self._load.load(now_s)
 
     def tare(self, node_id: int) -> str:
         """See Source."""
@@ -179,9 +172,40 @@ class ListenSource:
 
     def close(self) -> None:
         """See Source."""
-        self._stopped.set()
-        self._thread.join()
-        self._receiver.close()
 
 
-_NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)
+def is_scene(path: Path) -> bool:
+    """Return whether a TOML file is a scene; the reader of hand files reports an unreadable file."""
+    with suppress(OSError, ValueError):
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return "nodes" in content and "finger" not in content
+    return False
+
+
+def scene_source(path: Path, make_finger: FingerMaker, gauges: int, start_s: float, end_s: float | None) -> LogSource:
+    """Run the scene without its output files, expectations and bus, and show it like its log. Raises InputError."""
+    from tipforce.scene.reader import read_scene
+    from tipforce.scene.run import Options, run_scene
+    from tipforce.scene.schema import Outputs
+
+    scene = replace(read_scene(path), outputs=Outputs(), expect=(), bus=None)
+    layouts = _layouts(scene)
+
+    def make(node_id: int) -> Finger | None:
+        finger = make_finger(node_id)
+        return finger and with_layout(finger, "" if finger.layout else layouts.get(node_id, ""), None)
+
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "scene.log"
+        run_scene(scene, path.parent, Options(log=str(log)))
+        try:
+            source = LogSource(log, make, gauges, (), start_s, end_s)
+        except InputError as error:
+            raise InputError(str(error).replace(str(log), str(path))) from None
+    source.title, source.no_tare = path.name, "a scene can't be tared"
+    return source
+
+
+def _layouts(scene: Scene) -> dict[int, str]:
+    """Return the named layouts by node-id."""
+    return {node_id: nodes.layout for nodes in scene.nodes if isinstance(nodes.layout, str) for node_id in nodes.ids}

@@ -11,14 +11,15 @@ from typing import TYPE_CHECKING
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
+from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
     from tipforce.host.hand.bring_up import FingerReport
     from tipforce.host.hand.events import Event
     from tipforce.host.hand.file import HandFile
     from tipforce.host.hand.hand import Hand, Statistics
-    from tipforce.host.hand.hand_row import HandRow
-    from tipforce.host.hand.rows import Rows
+    from tipforce.host.hand.rows import HandRow
+    from tipforce.samples.record import Rows
 
 EXAMPLE = """
   [bus]
@@ -63,14 +64,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="S", help="run: end after this time")
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return 0, or for up and run 1 if a finger failed."""
     from tipforce.host.hand.file import read_hand
 
-    common.set_up_logging(args)
     if args.seconds is not None and not args.seconds > 0:
         raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
     file = read_hand(args.file)
@@ -89,28 +88,26 @@ def _check(args: argparse.Namespace, file: HandFile) -> int:
         calibration = file.calibration(finger)
         crc = "" if calibration is None else f"0x{calibration.crc32():08X}"
         settings = len(wanted_settings(file, finger))
-        if args.json:
-            common.print_json(
-                {"node_id": finger.node_id, "name": finger.name, "serial": finger.serial, "settings": settings,
-                 "calibration": finger.calibration, "crc32": crc}
-            )  # fmt: skip
-        else:
-            told = f"{finger.calibration} {crc}" if crc else "keeps its own calibration"
-            serial = f"serial {finger.serial}" if finger.serial else "any serial"
-            print(f"{common.shown_id(finger.node_id):>11}  {finger.name:10} {serial:17} {settings} settings, {told}")
+        own = f"{finger.calibration} {crc}" if crc else "keeps its own calibration"
+        serial = f"serial {finger.serial}" if finger.serial else "any serial"
+        common.print_record(
+            args,
+            {"node_id": finger.node_id, "name": finger.name, "serial": finger.serial, "settings": settings,
+             "calibration": finger.calibration, "crc32": crc},
+            f"{common.shown_id(finger.node_id):>11}  {finger.name:10} {serial:17} {settings} settings, {own}",
+        )  # fmt: skip
     _warn_of_load(args, file)
     return 0
 
 
 def _warn_of_load(args: argparse.Namespace, file: HandFile) -> None:
     """Warn of a load above 80 % of the bit rate with worst-case stuffing, and name what would fit."""
-    from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LIMIT, hand_budget
-    from tipforce_tools.network.load import budget_lines, what_fits
+    from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LIMIT, budget_lines, hand_budget, what_fits
 
     if not file.hand.sync_hz:
         return
     count, gauges = len(file.finger), file.finger[0].gauges
-    bit_rate = int(common.bus_options(args).get("bitrate") or file.bus.get("bitrate") or DEFAULT_BIT_RATE)
+    bit_rate = int(bus_options(args).get("bitrate") or file.bus.get("bitrate") or DEFAULT_BIT_RATE)
     pdos = list(file.messages)
     budget = hand_budget(count, file.hand.sync_hz, pdos, gauges, bit_rate, 1e-3 * file.hand.heartbeat_ms)
     share = f"{100 * budget.least_load:.0f} to {100 * budget.most_load:.0f} % of {bit_rate} bit/s"
@@ -127,11 +124,11 @@ def _up(args: argparse.Namespace) -> int:
     from tipforce_tools.cli.main import terminate_as_interrupt
 
     terminate_as_interrupt()
-    with Hand.from_file(args.file, **common.bus_options(args)) as hand:
-        hand.on_event(lambda event: _say_event(args, hand, event))
+    with Hand.from_file(args.file, **bus_options(args)) as hand:
+        hand.on_event(lambda event: _print_event(args, hand, event))
         started_s = time.monotonic()
         reports = hand.bring_up()
-        _say_reports(args, reports, time.monotonic() - started_s)
+        _print_reports(args, reports, time.monotonic() - started_s)
         failed = any(not report.ok for report in reports)
         if args.action == "run":
             try:
@@ -139,11 +136,11 @@ def _up(args: argparse.Namespace) -> int:
             except KeyboardInterrupt:
                 pass
             finally:
-                _say_statistics(args, hand, hand.statistics())
+                _note_statistics(args, hand, hand.statistics())
     return 1 if failed else 0
 
 
-def _say_reports(args: argparse.Namespace, reports: list[FingerReport], elapsed_s: float) -> None:
+def _print_reports(args: argparse.Namespace, reports: list[FingerReport], elapsed_s: float) -> None:
     for report in reports:
         if args.json and args.action == "up":
             common.print_json(
@@ -157,7 +154,7 @@ def _say_reports(args: argparse.Namespace, reports: list[FingerReport], elapsed_
     common.note(args, f"{up} of {len(reports)} fingers up in {elapsed_s:.1f} s")
 
 
-def _say_event(args: argparse.Namespace, hand: Hand, event: Event) -> None:
+def _print_event(args: argparse.Namespace, hand: Hand, event: Event) -> None:
     """Print an event at once, also into a pipe: on stdout as a line of the JSON stream, else on stderr."""
     labels = {finger.node_id: (finger.name, finger.label) for finger in hand.file.finger}
     name, label = labels.get(event.node_id, ("", "bus"))
@@ -173,7 +170,7 @@ def _say_event(args: argparse.Namespace, hand: Hand, event: Event) -> None:
 
 
 def _rows(args: argparse.Namespace, hand: Hand) -> None:
-    from tipforce.host.hand.hand_row import rows_one_by_one
+    from tipforce.host.hand.rows import rows_one_by_one
 
     hand.start()
     deadline_s = None if args.seconds is None else time.monotonic() + args.seconds
@@ -184,11 +181,11 @@ def _rows(args: argparse.Namespace, hand: Hand) -> None:
         if not args.json and not now:
             continue
         shown_s = time.monotonic() if now else shown_s
-        found = rows_one_by_one(rows, hand.node_ids, names)
-        for row, contacts in enumerate(found) if args.json else ():
+        hand_rows = rows_one_by_one(rows, hand.node_ids, names)
+        for row, contacts in enumerate(hand_rows) if args.json else ():
             common.print_json(_record(rows, row, contacts))
         if not args.json:
-            print(_line(hand, found[-1]), flush=True)
+            print(_line(hand, hand_rows[-1]), flush=True)
         if deadline_s is not None and time.monotonic() >= deadline_s:
             break
 
@@ -204,27 +201,27 @@ def _record(rows: Rows, row: int, contacts: HandRow) -> dict[str, object]:
 
 def _line(hand: Hand, row: HandRow) -> str:
     """Return a row as text: P, phi and theta of each finger, and the reason where one is unknown."""
-    from tipforce.host.decoding.contacts import Status
+    from tipforce.samples.reasons import Status
 
     parts = []
     for contact in row.contacts:
         values = ("P", contact.P_newtons, "N"), ("phi", contact.phi_deg, "deg"), ("theta", contact.theta_deg, "deg")
-        told = [f"{name} {value:.2f} {unit}" for name, value, unit in values if math.isfinite(value)]
+        words = [f"{name} {value:.2f} {unit}" for name, value, unit in values if math.isfinite(value)]
         reason = contact.reason
         if Status.NO_ANSWER in contact.status and not contact.missing:
             reason += f" ({hand.state(contact.node_id)})"
-        told += [f"({reason})"] if reason and told else [reason] if reason else []
-        parts.append(f"{contact.name}: " + " ".join(told))
+        words += [f"({reason})"] if reason and words else [reason] if reason else []
+        parts.append(f"{contact.name}: " + " ".join(words))
     return " | ".join(parts)
 
 
-def _say_statistics(args: argparse.Namespace, hand: Hand, found: Statistics) -> None:
-    tally, sync = found.tally, found.sync
+def _note_statistics(args: argparse.Namespace, hand: Hand, statistics: Statistics) -> None:
+    tally, sync = statistics.tally, statistics.sync
     common.note(
         args,
         f"{tally.rows} rows; SYNC period {sync.mean_period_us:.1f} us, deviation p50 {sync.p50_us:g}, "
-        f"p99 {sync.p99_us:g}, largest {sync.largest_us:g} us; {found.dropped} frames dropped; "
-        f"bus load at the end {100 * found.load[0]:.0f} to {100 * found.load[1]:.0f} %",
+        f"p99 {sync.p99_us:g}, largest {sync.largest_us:g} us; {statistics.dropped} frames dropped; "
+        f"bus load at the end {100 * statistics.load[0]:.0f} to {100 * statistics.load[1]:.0f} %",
     )
     for k, finger in enumerate(hand.file.finger):
         names = ("missing", "delayed", "late", "mixed", "doubtful", "changed", "repeated")

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import can
 
-from tipforce.device.node import Device
+from canopen_device.core.node import Device
+from canopen_device.running import loop
+from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.store import FileStore
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
-from tipforce.running import loop
-from tipforce.running.ports import PythonCanPort
-from tipforce.running.store import FileStore
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import OPEN, SILENT, SimulatedSource

@@ -1,0 +1,230 @@
+"""From measurements to a calibration, with its checks, report and file: what `fit` and `guide` have in common."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tipforce.arrays import FloatArray
+from tipforce.errors import InputError
+from tipforce.host.configuration.calibration import Calibration, write_calibration
+from tipforce.host.configuration.calibration_file import fit_record
+from tipforce.host.configuration.measurements import MODES, Measurements
+from tipforce.sensor.calibration.data import rails, require_degrees, require_order, require_size
+from tipforce.sensor.calibration.fit import Fit, Model, Readings, beam_prior, best_fit, fit_with_drift
+from tipforce.sensor.calibration.result import rounded, to_digits
+from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
+from tipforce.sensor.structure.gauges import Gauge, gauge_matrix
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
+from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sources.layout_file import read_layout
+from tipforce_tools.calibrate import fit_report
+from tipforce_tools.cli import common
+
+ALLOWED_WITH_LAYOUT, ALLOWED_WITHOUT = 4.0, 30.0
+"""Factors between the measured response and beam theory: real gauges and their factors, or another structure."""
+
+
+@dataclass(frozen=True)
+class FitRequest:
+    """What a fit is asked for: the flags of its model, and those of the calibration that it gives."""
+
+    layout: str | None
+    angle_scatter: float
+    drift: Any
+    loss: str
+    noise: float | None
+    saturation: float | None
+    """In microstrain; infinite: no reading is at a limit."""
+    yield_stress: float | None
+    no_offset: bool
+    prior: str | None
+    prior_scatter: float
+    sense: str | None
+    serial: int
+    date: datetime.date | None
+
+    @cached_property
+    def structure(self) -> tuple[Geometry, tuple[Gauge, ...]] | None:
+        """Dimensions and gauges of the layout. Raises InputError."""
+        return read_layout(self.layout) if self.layout else None
+
+    @cached_property
+    def theory(self) -> FloatArray | None:
+        """Beam theory of the layout, (n, 3), strain per newton."""
+        return None if self.structure is None else gauge_matrix(*self.structure)
+
+    @cached_property
+    def model(self) -> Model:
+        """The model that the flags ask for. Raises InputError for values that are not allowed."""
+        if self.prior and self.structure is None:
+            raise InputError("--prior beam needs --layout: the theory depends on where the gauges sit")
+        prior = beam_prior(*self.structure, self.prior_scatter) if self.prior and self.structure else None
+        if not 0.0 <= self.angle_scatter <= 20.0:
+            raise InputError(f"--angle-scatter {self.angle_scatter:g}: allowed is 0 to 20 degrees")
+        if self.noise is not None and not 0.0 < self.noise < np.inf:
+            raise InputError(f"--noise {self.noise:g}: allowed is above 0, in microstrain")
+        if self.saturation is not None and not self.saturation > 0.0:
+            raise InputError(f"--saturation {self.saturation:g}: allowed is above 0, in microstrain, or none")
+        if self.yield_stress is not None and not 0.0 < self.yield_stress < np.inf:
+            raise InputError(f"--yield-stress {self.yield_stress:g}: allowed is above 0, in MPa")
+        scatter = float(np.radians(self.angle_scatter))
+        return Model(
+            offset=not self.no_offset,
+            drift=self.drift or "none",
+            loss=self.loss.replace("-", "_"),  # type: ignore[arg-type]
+            phi_scatter_rad=scatter,
+            theta_scatter_rad=scatter,
+            noise_strain=None if self.noise is None else self.noise * 1e-6,
+            saturation_strain=None if self.saturation is None else self.saturation * 1e-6,
+            prior=prior,
+        )
+
+    def check_gauges(self, gauges: int, whose: str) -> None:
+        """Raise InputError where the layout has another number of gauges."""
+        if self.structure is not None and len(self.structure[1]) != gauges:
+            raise InputError(f"--layout {self.layout} has {len(self.structure[1])} gauges, {whose} has {gauges}")
+
+
+class Fitted(NamedTuple):
+    """A fit, rounded, and the calibration that it gives."""
+
+    data: Measurements
+    readings: Readings
+    fit: Fit
+    model: Model
+    scores: dict[str, float]
+    """Hold-out scores of the drifts that were tried."""
+    calibration: Calibration
+
+
+def fitted(request: FitRequest, data: Measurements, note: Callable[[str], None] = lambda _text: None) -> Fitted:
+    """Fit measurements with loads; ``note`` takes a remark on the load sense.
+
+    Raises InputError for flags that are not allowed, for data that look like another unit or a converter's limit, and
+    where the rows do not determine a calibration.
+    """
+    readings = readings_of(data)
+    _check_readings(request, data, readings)
+    fit, model, scores = (fit_with_drift if request.drift else best_fit)(readings, request.model)
+    if request.theory is None:
+        typical = np.sqrt(np.mean(np.square(strain_matrix(FABRICATED, "I"))))
+        require_size(fit.A, np.full(fit.A.shape, typical), ALLOWED_WITHOUT, "a gauge of the paper's fingertip")
+    else:
+        require_size(fit.A, request.theory, ALLOWED_WITH_LAYOUT, str(request.layout))
+        require_order(fit.A, request.theory, str(request.layout))
+    fit = rounded(fit)
+    return Fitted(data, readings, fit, model, scores, _calibration_of(request, data, fit, note))
+
+
+def readings_of(data: Measurements) -> Readings:
+    """The rows as the fit takes them; a tare row has no load whatever its angles say."""
+    if data.P_newtons is None or data.phi_rad is None or data.theta_rad is None:
+        raise InputError("the data have no loads: the columns P_N, phi_deg, theta_deg are needed")
+    P = np.where(data.unloaded, 0.0, data.P_newtons)
+    return Readings(data.strain, P, data.phi_rad, data.theta_rad, data.t_s, data.weight, data.temperature_degC)
+
+
+def publish(
+    args: argparse.Namespace, path: str, request: FitRequest, result: Fitted, more_notes: tuple[str, ...] = ()
+) -> bool:
+    """Print the account of a fit; return whether something speaks against it."""
+    notes = [*fit_report.notes(result, request), *more_notes]
+    warnings = fit_report.warnings(result)
+    if args.json:
+        fit_report.print_json(path, result, notes, warnings)
+    else:
+        fit_report.print_text(path, result, notes)
+    for warning in warnings:
+        common.note(args, f"{path}: {warning}")
+    return bool(warnings)
+
+
+def write(args: argparse.Namespace, path: str, request: FitRequest, result: Fitted) -> None:
+    """Write the calibration file of --output."""
+    facts = fit_report.facts(path, result) | {"angle_scatter_deg": request.angle_scatter}
+    write_calibration(args.output, result.calibration, fit_record(result.fit, **facts))
+    common.note(args, f"{args.output}: written, load sense {'pull' if result.calibration.pull else 'push'}")
+
+
+def limit_of(fit: Fit, Sigma: FloatArray, dof: float, largest_newtons: float) -> float:
+    """The limit of the redundancy check for one reading with the covariance Sigma, known with ``dof``."""
+    limit = redundancy_limit(fit.A, Sigma, fit.parameter_covariance, dof, largest_newtons)
+    return float(to_digits(limit, 6))
+
+
+def _check_readings(request: FitRequest, data: Measurements, readings: Readings) -> None:
+    """Raise InputError for angles in radians, and for extremes that repeat, with the flag that settles it."""
+    model = request.model
+    require_degrees(readings)
+    if model.saturation_strain is not None and np.isinf(model.saturation_strain).all():
+        return
+    limit = np.full(readings.strain.shape[1], np.inf if request.saturation is None else request.saturation * 1e-6)
+    loads = np.stack((readings.P_newtons, readings.phi_rad, readings.theta_rad), axis=-1)
+    for rail in rails(readings.strain, loads, limit):
+        value = np.floor(abs(rail.strain) * 1e9) / 1e3  # below what the converter shows
+        raise InputError(
+            f"{rail.words(data.line)}: that is what a converter's limit looks like. If it is, give --saturation "
+            f"{value:.10g}; if the readings have no limit, --saturation none"
+        )
+
+
+def _calibration_of(request: FitRequest, data: Measurements, fit: Fit, note: Callable[[str], None]) -> Calibration:
+    """The calibration that goes into the file and to the node, with where it is valid."""
+    code = CUSTOM_LAYOUT_CODE
+    if request.structure is not None:
+        points = [gauge for gauge in request.structure[1] if isinstance(gauge, str)]
+        code = layout_code(points) if len(points) == len(fit.A) else CUSTOM_LAYOUT_CODE
+    day = request.date or datetime.date.today()
+    noise, parameters = map(to_digits, fit.record_covariances)
+    return Calibration(
+        fit.C, fit.offset_strain, noise, request.serial,
+        day.year * 10000 + day.month * 100 + day.day, layout_code=code, pull=_pulls(request, data, note),
+        parameter_covariance=parameters,
+        **_validity_of(request, fit),
+    )  # fmt: skip
+
+
+def _validity_of(request: FitRequest, fit: Fit) -> dict[str, Any]:
+    """Fields of the calibration: forces, temperatures, limits. What the data do not show stays 0 (not known)."""
+    largest = max(load.P_newtons for load in fit.loads)
+    straight, warm = fit.nonlinearity, fit.temperature
+    fields: dict[str, Any] = {
+        "calibrated_force_newtons": largest,
+        "model_uncertainty": 0.0 if straight is None else float(to_digits(straight.model_uncertainty, 3)),
+        "redundancy_limit": limit_of(fit, fit.noise_covariance_strain2, fit.noise_dof, largest),
+    }
+    if request.saturation is not None and np.isfinite(request.saturation):
+        fields["converter_limit_strain"] = np.full(len(fit.A), request.saturation * 1e-6)
+    if request.structure is not None:
+        yield_pascals = None if request.yield_stress is None else request.yield_stress * 1e6
+        overload = overload_newtons(request.structure[0], yield_pascals)
+        fields["overload_force_newtons"] = float(to_digits(overload, 4)) if overload > largest else 0.0
+    if warm is not None:
+        fields |= {
+            "reference_temperature_degC": warm.reference_degC,
+            "temperature_min_degC": warm.lowest_degC,
+            "temperature_max_degC": warm.highest_degC,
+            "gain_temperature_per_K": float(to_digits(warm.gain_per_K, 6)) if warm.gain_fitted else 0.0,
+        }
+        if warm.offset_fitted:
+            fields["offset_temperature_strain_per_K"] = to_digits(warm.offset_strain_per_K, 6)
+    return fields
+
+
+def _pulls(request: FitRequest, data: Measurements, note: Callable[[str], None]) -> bool:
+    if request.sense:
+        return request.sense == "pull"
+    if data.mode is None:
+        return True
+    pushes, pulls = (bool((data.mode == MODES.index(name)).any()) for name in ("push", "pull"))
+    if pushes and pulls:
+        note("the data have pushes and pulls: the file says push; --sense pull for the other")
+    return not pushes

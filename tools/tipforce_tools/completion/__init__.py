@@ -1,1 +1,0 @@
-"""`tipforce completion`: scripts for the TAB key, made from the parsers of all commands."""

@@ -1,1 +1,0 @@
-"""`tipforce node`: run one fingertip node."""

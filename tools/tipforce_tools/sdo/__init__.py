@@ -1,1 +1,0 @@
-"""`tipforce sdo`: read and write objects."""

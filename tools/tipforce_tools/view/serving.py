@@ -1,0 +1,89 @@
+"""Serve the page of a source, for `view` and `demo --view`: the flags, the server, a hand as the source."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from tipforce.errors import InputError
+from tipforce_tools.cli import common
+
+if TYPE_CHECKING:
+    from tipforce.host.hand.hand import Hand
+    from tipforce.watching.fingers import Fallback
+    from tipforce_tools.view.sources import Source
+
+DEFAULT_PORT = 8404
+
+
+def add_page_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of the page's server."""
+    group = parser.add_argument_group("page")
+    group.add_argument(
+        "--port", type=int, default=DEFAULT_PORT, metavar="N", help="default %(default)s; 0: any free port"
+    )
+    group.add_argument(
+        "--host", default="", metavar="ADDRESS", help="address to serve on, default loopback; others need --token"
+    )
+    group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
+    group.add_argument("--allow-writes", action="store_true", help="allow the page to tare")
+    group.add_argument("--open", action="store_true", help="open the page in the browser")
+
+
+def check_page_arguments(args: argparse.Namespace) -> None:
+    """Check the arguments before opening anything. Raises InputError."""
+    from tipforce_tools.view.guard import access_token, host_names
+
+    if not 0 <= args.port <= 65535:
+        raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
+    access_token(args.host or "127.0.0.1", args.token)
+    host_names(args.host or "127.0.0.1")
+
+
+def serve(args: argparse.Namespace, source: Source) -> int:
+    """Serve the page of a source until Ctrl-C or SIGTERM."""
+    from tipforce_tools.cli.main import terminate_as_interrupt
+    from tipforce_tools.view.guard import Guard, access_token, host_names
+    from tipforce_tools.view.server import ViewServer
+
+    host = args.host or "127.0.0.1"
+    guard = Guard(host_names(host), access_token(host, args.token), args.allow_writes)
+    server = ViewServer(source, guard, (host,) if args.host else ("127.0.0.1", "::1"), args.port)
+    terminate_as_interrupt()
+    server.start()
+    try:
+        if args.json:
+            common.print_json({"url": server.url})
+        else:
+            print(server.url)
+        sys.stdout.flush()
+        common.note(args, f"{source.title}: {'read and tare' if args.allow_writes else 'read-only'}; Ctrl-C ends it")
+        if args.open:
+            import webbrowser
+
+            webbrowser.open(server.url)
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        server.close()
+
+
+def hand_source(args: argparse.Namespace, hand: Hand, title: str, fallback: Fallback | None = None) -> Source:
+    """Commission and start a hand: reports go to stderr and to the page's event list."""
+    from tipforce.watching.feeds import HandFeed
+    from tipforce.watching.fingers import hand_fingers
+    from tipforce_tools.view.sources import LiveSource
+
+    try:
+        source = LiveSource(HandFeed(hand, hand_fingers(hand.file, fallback)), title, hand.file.finger[0].gauges)
+        for report in hand.bring_up():
+            common.note(args, str(report))
+        hand.start()
+    except BaseException:
+        hand.close()
+        raise
+    return source
