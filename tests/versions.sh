@@ -32,7 +32,7 @@ shift
 [ $# -gt 0 ] || set -- tests/sensor tests/dictionary tests/device tests/fingertip tests/host tests/scene tests/sources \
     tests/running tests/api tests/tools --ignore=tests/tools/view/test_browser.py \
     --deselect tests/api/test_public_names.py::test_a_checker_sees_the_type_of_every_name \
-    --deselect "tests/api/test_public_names.py::test_every_public_name_is_there_and_has_a_docstring[tipforce.mujoco]" \
+    --deselect "tests/api/test_public_names.py::test_every_public_name_is_there_and_has_a_docstring[tipforce_robots.mujoco]" \
     --deselect tests/tools/report/test_estimators.py::test_micropython_gives_the_same_as_the_node \
     --deselect tests/tools/report/test_estimators.py::test_code_that_fails_on_micropython_is_told_shortly
 # The oldest versions use what newer ones of their own dependencies deprecate.

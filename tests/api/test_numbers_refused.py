@@ -15,7 +15,7 @@ import pytest
 import tipforce
 import tipforce_lab
 from tipforce import sensor
-from tipforce.host.decoding import status_words
+from tipforce.samples import reasons
 from tipforce.scene import beam_calibration
 from tipforce.sensor import FABRICATED
 
@@ -261,8 +261,8 @@ def test_without_a_force_range_no_value_is_plainly_ok() -> None:
         assert not ranged.has(tipforce.Status.UNRANGED).any()
     small = tipforce.estimate(unranged, [-125.0, 728.7, 323.6])
     assert small.P_newtons[0] == pytest.approx(4.4, abs=0.01)
-    assert "the calibration states no force range" in status_words.doubts(int(small.status[0]))
-    assert not status_words.doubts(int(tipforce.estimate(CALIBRATION, [-125.0, 728.7, 323.6]).status[0]))
+    assert "the calibration states no force range" in reasons.doubts(int(small.status[0]))
+    assert not reasons.doubts(int(tipforce.estimate(CALIBRATION, [-125.0, 728.7, 323.6]).status[0]))
 
 
 def test_a_gauge_that_is_left_out_is_no_overload() -> None:

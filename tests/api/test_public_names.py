@@ -13,8 +13,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PARTS = ["host", "sensor", "device", "fingertip", "sources", "running", "scene", "eds", "machine", "mujoco", "learning"]
-PACKAGES = ["tipforce", *(f"tipforce.{part}" for part in PARTS)]
+PARTS = ["host", "sensor", "fingertip", "sources", "scene"]
+DEVICE = ["canopen_device", *(f"canopen_device.{part}" for part in ("eds", "machine", "running"))]
+ROBOTS = ["tipforce_robots.mujoco", "tipforce_robots.learning"]
+PACKAGES = ["tipforce", *(f"tipforce.{part}" for part in PARTS), *DEVICE, *ROBOTS]
+OWN = ("tipforce", "canopen_device")
 TOOLS = ["tipforce_lab", "tipforce_lab.fem"]  # an extra of its own
 
 
@@ -48,8 +51,8 @@ def test_a_bare_environment_is_enough_to_import_it() -> None:
 
 
 def test_importing_it_loads_nothing_of_others() -> None:
-    code = "import sys, tipforce, tipforce.host, tipforce.sensor, tipforce.device, tipforce.scene, "
-    code += "tipforce.mujoco, tipforce.learning; "
+    code = "import sys, tipforce, tipforce.host, tipforce.sensor, canopen_device, canopen_device.core, tipforce.scene, "
+    code += "tipforce_robots.mujoco, tipforce_robots.learning; "
     code += "print({'numpy', 'can', 'canopen', 'msgspec', 'scipy', 'mujoco', 'gymnasium'} & sys.modules.keys())"
     assert python(code).strip() == "set()"
 
@@ -58,9 +61,9 @@ def test_a_checker_sees_the_type_of_every_name(tmp_path: Path) -> None:
     lines = [f"import {package}" for package in PACKAGES]
     for package in PACKAGES:
         lines += [f"reveal_type({package}.{name})" for name in importlib.import_module(package).__all__]
-    (tmp_path / "names.py").write_text("\n".join(lines))
+    (tmp_path / "application.py").write_text("\n".join(lines))
     done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", str(tmp_path / "names.py")],
+        [sys.executable, "-m", "mypy", "--strict", "--no-incremental", str(tmp_path / "application.py")],
         capture_output=True, text=True, check=False, timeout=800, cwd=ROOT,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
@@ -69,12 +72,12 @@ def test_a_checker_sees_the_type_of_every_name(tmp_path: Path) -> None:
 
 
 def imports(tree: ast.AST) -> set[str]:
-    """What a program imports of tipforce, as ``module.name`` or ``module``."""
+    """What a program imports of the project's packages, as ``module.name`` or ``module``."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names if alias.name.startswith("tipforce")}
-        elif isinstance(node, ast.ImportFrom) and str(node.module).startswith("tipforce"):
+            found |= {alias.name for alias in node.names if alias.name.startswith(OWN)}
+        elif isinstance(node, ast.ImportFrom) and str(node.module).startswith(OWN):
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
     return found
 
@@ -90,7 +93,10 @@ DOCUMENTS = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.stem)
 def test_documents_import_public_names_only(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    lines = [m[1] for m in re.finditer(r"^\s*(?:>>> |\.\.\. )?((?:from|import) tipforce\S*.*)$", text, re.M)]
+    lines = [
+        m[1]
+        for m in re.finditer(r"^\s*(?:>>> |\.\.\. )?((?:from|import) (?:tipforce|canopen_device)\S*.*)$", text, re.M)
+    ]
     private = {name for line in lines for name in imports(ast.parse(line.split("#")[0])) if not is_public(name)}
     assert not private
 

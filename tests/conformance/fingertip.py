@@ -7,7 +7,7 @@ from canopen_conformance.case import Case
 from canopen_conformance.run import Result
 from canopen_conformance.run import run_in_process as run_on_core
 from canopen_conformance.wire import Core, CoreLink
-from tipforce.device.node import Device
+from canopen_device.core.node import Device
 from tipforce.dictionary.eds import eds_text
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sensor.structure.geometry import FABRICATED

@@ -1,4 +1,4 @@
-"""A CANopen device that has only what CiA 301 makes mandatory; written apart from tipforce.device on purpose."""
+"""A CANopen device that has only what CiA 301 makes mandatory; written apart from canopen_device.core on purpose."""
 
 import struct
 

@@ -4,10 +4,10 @@ It starts by itself (1F80h), its PDOs map nothing and it refuses to enable such 
 may take seconds.
 """
 
-from device.services import service_dictionary
-from device.tiny import Memory
-from tipforce.device import codes
-from tipforce.device.node import Device
+from canopen_device.core import codes
+from canopen_device.core.node import Device
+from canopen_device.testing import MemoryStore
+from device.tiny import service_dictionary
 
 Sent = list[tuple[int, bytes]]
 NODE_ID = 5
@@ -24,7 +24,7 @@ class SelfStarting:
             for sub in range(1, 9):
                 od.add(mapping, sub, ("I", "rw", 0, 0, None, None))
         od.add(0x1800, 6, ("B", "rw", 0, 0, 0, 240))
-        store = Memory()
+        store = MemoryStore()
         self._device = Device(od, store.save, store.load)
         self._reset_us = reset_us
         self._resetting: Sent = []

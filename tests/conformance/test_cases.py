@@ -9,14 +9,14 @@ from canopen_conformance.run import PASS
 from conformance.fingertip import all_cases, run_in_process
 
 CASES = all_cases()
-NOT_APPLICABLE: frozenset[str] = frozenset()  # a node with everything has something for each case
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_case_passes(case: Case) -> None:
+    """None is "not applicable": a node with everything has something for each case."""
     result, _link = run_in_process(case)
     conversation = "\n".join([result.reason, *result.log])
-    assert result.verdict == PASS or case.name in NOT_APPLICABLE, f"{case.title}\n{conversation}"
+    assert result.verdict == PASS, f"{case.title}\n{conversation}"
 
 
 def test_there_are_enough_cases_and_their_names_differ() -> None:
@@ -25,13 +25,9 @@ def test_there_are_enough_cases_and_their_names_differ() -> None:
     assert len({(case.clause, case.title) for case in CASES}) > 0.9 * len(CASES)
 
 
-def test_titles_are_printable() -> None:
-    assert [case.name for case in CASES if not case.title.isprintable()] == []
-
-
-def test_every_clause_is_of_one_form() -> None:
+def test_titles_are_printable_and_every_clause_is_of_one_form() -> None:
     form = r"CiA 301 7(\.\d+)+|CiA 302-2 1F80h|CiA 305 6(\.\d)+|(CiA 404|tipforce) [0-9A-F]{4}h"
-    assert [case.clause for case in CASES if not re.fullmatch(form, case.clause)] == []
+    assert [case.name for case in CASES if not (case.title.isprintable() and re.fullmatch(form, case.clause))] == []
 
 
 def test_every_service_has_cases() -> None:

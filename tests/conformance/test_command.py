@@ -13,9 +13,9 @@ from canopen_conformance.case import Case, CheckError, LostDeviceError, clause_k
 from canopen_conformance.dut import Dut
 from canopen_conformance.run import FAIL, Result, lines, run_case, run_on, summary
 from canopen_conformance.wire import CoreLink
+from canopen_device.running import loop
+from canopen_device.running.ports import PythonCanPort
 from conformance.fingertip import all_cases, core_node, matching
-from tipforce.running import loop
-from tipforce.running.ports import PythonCanPort
 from tipforce_tools.cli.main import main
 
 CHANNEL = "conformance"
@@ -54,18 +54,6 @@ def test_list_names_every_case(capsys: pytest.CaptureFixture[str]) -> None:
 def test_pattern_chooses_by_name_and_by_clause() -> None:
     assert {case.name.partition(".")[0] for case in matching("CiA 305 6.6*")} == {"lss_identify", "lss_unconfigured"}
     assert [case.name for case in matching("emcy.message")] == ["emcy.message"]
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--node-id", "5", "--case", "nosuch"], "matches no case"),
-        (["--node-id", "5", "--tolerance", "-1"], "--tolerance -1"),
-    ],
-)
-def test_mistakes_of_the_user(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["conformance", *words]) == 2
-    assert said in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("node")

@@ -6,23 +6,19 @@ from typing import Any, TypeAlias
 import pytest
 
 from canopen_conformance.run import FAIL
+from canopen_device.core import codes, lss, pdo, sdo_block
+from canopen_device.core.codes import SIGNATURE_SAVE
+from canopen_device.core.emcy import Emcy
+from canopen_device.core.error_control import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
+from canopen_device.core.lss import LssSlave
+from canopen_device.core.node import Device, Nmt
+from canopen_device.core.pdo import Pdo, ReceivePdos
+from canopen_device.core.sdo_block import BlockDownload, BlockUpload
+from canopen_device.core.sdo_server import SdoServer
+from canopen_device.core.storage import Storage
+from canopen_device.core.sync import SyncConsumer
+from canopen_device.core.tpdo import TransmitPdo
 from conformance.fingertip import matching, run_in_process
-from tipforce.device import codes, lss, pdo, sdo_block
-from tipforce.device.codes import SIGNATURE_SAVE
-from tipforce.device.emcy import Emcy
-from tipforce.device.guarding import NodeGuarding
-from tipforce.device.heartbeat import HeartbeatProducer
-from tipforce.device.heartbeat_consumer import HeartbeatConsumer
-from tipforce.device.lss import LssSlave
-from tipforce.device.nmt import Nmt
-from tipforce.device.node import Device
-from tipforce.device.pdo import Pdo
-from tipforce.device.rpdo import ReceivePdos
-from tipforce.device.sdo_block import BlockDownload, BlockUpload
-from tipforce.device.sdo_server import SdoServer
-from tipforce.device.storage import Storage
-from tipforce.device.sync import SyncConsumer
-from tipforce.device.tpdo import TransmitPdo
 
 Injection: TypeAlias = Callable[[pytest.MonkeyPatch], None]
 

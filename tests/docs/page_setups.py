@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import functools
 import itertools
@@ -19,24 +18,23 @@ import numpy as np
 import pytest
 
 import tipforce
+from canopen_device.running import loop
+from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.store import FileStore
 from docs.runner import Terminal
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
-from tipforce.running import loop
-from tipforce.running.ports import PythonCanPort
-from tipforce.running.store import FileStore
 from tipforce.sensor.calibration.fit import Readings
 from tipforce.sensor.calibration.simulation import simulate
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources import iio_sysfs
+from tipforce.sources.iio_gauges import Capture, open_iio
+from tipforce.sources.layout_file import read_bridge
 from tipforce.sources.simulated import SimulatedSource
-from tipforce_tools.cli.layout_file import read_bridge
-from tipforce_tools.doctor import iio as doctor_iio
-from tipforce_tools.node.source import open_iio
+from tipforce_tools.doctor import machine
 
 Names = dict[str, Any]
 Setup = Callable[[], contextlib.AbstractContextManager[Names]]
@@ -144,10 +142,8 @@ class Bench:
 
     def start_node(self) -> None:
         """`tipforce node` with finger.toml, in a thread."""
-        flags = argparse.Namespace(
-            source="iio:spi0.0", layout="finger.toml", capture="poll", scan_rate=1000.0, trigger=None
-        )
-        source = open_iio(flags, 3, read_bridge("finger.toml"), self.devices)
+        bridge = read_bridge("finger.toml")
+        source = open_iio("spi0.0", "finger.toml", 3, bridge, Capture("poll"), self.devices)
         store = FileStore(Path("node-5.json").absolute())
         device = fingertip_node(5, source, serial=5, save=store.save, load=store.load)
         bus = can.Bus(**self.bus)
@@ -184,8 +180,8 @@ def converter_and_node() -> Iterator[Names]:
     with default_bus() as bus, pytest.MonkeyPatch.context() as patch:
         bench = Bench(Path("kernel"), bus)
         patch.setattr(iio_sysfs, "ROOT", bench.devices)
-        checks = functools.partial(doctor_iio.iio_checks, bench.devices, Path("kernel"), Path("none"))
-        patch.setattr(doctor_iio, "iio_checks", checks)
+        checks = functools.partial(machine.iio_checks, bench.devices, Path("kernel"), Path("none"))
+        patch.setattr(machine, "iio_checks", checks)
         write_calibration(Path("calibration.toml"), beam_record(4e-8, serial=1))
         try:
             yield {

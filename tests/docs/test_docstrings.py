@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 NODE = Path(__file__).parents[2] / "node"
-FILES = sorted((NODE / "tipforce").rglob("*.py"))
+FILES = sorted(path for name in ("canopen_device", "tipforce") for path in (NODE / name).rglob("*.py"))
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
 
 

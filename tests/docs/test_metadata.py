@@ -46,7 +46,7 @@ def test_the_architecture_names_every_layer() -> None:
     [layers] = [c["layers"] for c in PYPROJECT["tool"]["importlinter"]["contracts"] if c["type"] == "layers"]
     page = (ROOT / "docs" / "architecture.md").read_text()
     drawing = (ROOT / "docs" / "figures" / "layers.svg").read_text()
-    for name in (name.strip() for layer in layers for name in layer.split("|")):
+    for name in (name.strip() for layer in layers for name in re.split(r"[|:]", layer)):
         assert f"`{name}`" in page
         assert f">{name.removeprefix('tipforce.')}</text>" in drawing
 

@@ -73,5 +73,5 @@ def test_every_file_that_is_mentioned_exists(folder: str) -> None:
 
 
 def test_a_dangling_reference_is_found() -> None:
-    text = "See OBJECTS.md, tests/nowhere, `device/nothing.py`, docs/objects.md, [a](gone.md#b) and device/tpdo.py."
+    text = "See OBJECTS.md, tests/nowhere, `device/nothing.py`, docs/objects.md, [a](gone.md#b) and core/pdo.py."
     assert list(dangling(text, ROOT / "README.md")) == ["OBJECTS.md", "tests/nowhere", "device/nothing.py", "gone.md"]

@@ -16,7 +16,7 @@ import pytest
 
 from docs.page_setups import beam_record
 from docs.runner import Terminal
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 
 ROOT = Path(__file__).parents[2]
 _BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -74,7 +74,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = np.round(np.random.default_rng(1).normal((-125.0, 728.7, 323.6), 0.5, (20, 3)), 2)
     (folder / "readings.csv").write_text("SG1,SG2,SG3\n" + "\n".join(",".join(map(str, row)) for row in rows.tolist()))
     for name in ("drive.eds", "io.eds"):
-        shutil.copy(ROOT / "node" / "tipforce" / "machine" / "cia402.eds", folder / name)
+        shutil.copy(ROOT / "node" / "canopen_device" / "machine" / "cia402.eds", folder / name)
     (folder / "bin").mkdir()
     (folder / "bin" / "candump").write_text("#!/bin/sh\ncat run.log\n")
     (folder / "bin" / "candump").chmod(0o755)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-import importlib
 import re
 from pathlib import Path
 
 import pytest
 
 from docs.workflow import commands, read_workflow
-from tipforce_tools.cli.main import COMMANDS
+from tipforce_tools.cli.main import COMMANDS, command_parser
 
 ROOT = Path(__file__).parents[2]
 OURS = ROOT / ".github" / "workflows" / "ci.yml"
@@ -21,9 +19,7 @@ both = pytest.mark.parametrize("path", [OURS, THEIRS], ids=lambda path: path.nam
 def check_command(words: list[str]) -> None:
     """SystemExit or AssertionError for a `tipforce` command that does not exist or does not take these words."""
     assert words[0] in COMMANDS, words
-    parser = argparse.ArgumentParser(words[0])
-    importlib.import_module(COMMANDS[words[0]][0]).add_arguments(parser)
-    parser.parse_args(words[1:])
+    command_parser(words[0]).parse_args(words[1:])
 
 
 @both

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canopen_device import types
 from export_c import estimators
 from export_c.estimators import CALIBRATED, FORCE_STEP, SANITIZE, Block
-from tipforce.dictionary import table, types
-from tipforce.dictionary.rows import objects
+from tipforce.dictionary import table
+from tipforce.dictionary.entries import objects
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
-from tipforce_tools.export_c.dictionary import row_words
-from tipforce_tools.export_c.files import c_files
+from tipforce_tools.export_c.files import c_files, row_words
 
 SAMPLES = 20_000
 DOCUMENT = Path(__file__).parents[2] / "docs/firmware.md"
@@ -185,15 +185,17 @@ def test_the_dictionary_is_the_table(n: int, converter: table.Converter, tmp_pat
     sources = [str(tmp_path / "dump.c"), str(tmp_path / "tipforce_od.c")]
     subprocess.run(["gcc", *flags, *sources, "-o", str(tmp_path / "dump")], check=True)
     lines = subprocess.run([tmp_path / "dump"], capture_output=True, text=True, check=True).stdout.splitlines()
-    rows = [row for each in objects(n, False, converter) for row in each.rows]
+    rows = [row for each in objects(n, False, converter) for row in each.entries]
     assert len(lines) == len(rows)
     for line, row in zip(lines, rows, strict=True):
         words = line.split(" ", 8)
-        assert [int(word) for word in words[:3]] == [row.index, row.sub, types.data_type(row.letter).code]
+        assert [int(word) for word in words[:3]] == [row.index, row.sub, types.data_type(row.type).code]
         assert [int(word) for word in words[4:8]] == list(row_words(row))
-        if row.letter == "s":
+        limits = (64 if row.low is not None else 0) | (128 if row.high is not None else 0)
+        assert row.type == "s" or int(words[4]) & 192 == limits, row.name
+        if row.type == "s":
             assert words[8] == row.default
-        elif row.letter == "f":
+        elif row.type == "f":
             assert struct.unpack("<f", struct.pack("<I", int(words[5])))[0] == pytest.approx(row.default, rel=1e-6)
 
 

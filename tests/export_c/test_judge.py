@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import re
 import subprocess
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,15 +18,36 @@ import pytest
 from export_c import estimators
 from export_c.estimators import HOST_FLAGS, REALS
 from host.decoding.test_judged import BITS, recorded
+from tipforce.dictionary import table
+from tipforce.fingertip import judgement
 from tipforce.fingertip.sample import Sample
 from tipforce.host.configuration.calibration import Calibration
-from tipforce_tools.export_c.files import write_c_files
+from tipforce.sensor.contact import scalar, scalar_redundancy
+from tipforce_tools.export_c.files import c_files, write_c_files
 
 needs_gcc = pytest.mark.skipif(not estimators.found_compiler("gcc"), reason="gcc is missing: apt-get install gcc")
 Library = Callable[[int, str], ctypes.CDLL]
 CALIBRATED, UNKNOWN_FORCE = 0x02, 1
 BAND_CHI_SQUARE, BAND_FORCE = 1e-3, 1e-5
 """Relative: within it single precision may decide otherwise (docs/uncertainty.md)."""
+
+
+def test_constants_of_the_c_sources_are_those_of_python() -> None:
+    """Each that both name: scalar, numpy and C judge by one set."""
+    text = "\n".join(c_files(4).values())
+    number = r"(0[xX][0-9A-Fa-f]+|\d[\d.]*(?:[eE]-?\d+)?)"
+    in_c = re.findall(rf"#define (?:TIPFORCE_)?(\w+) (?:\(\(real\))?{number}\)?(?=\s|$)", text, re.MULTILINE)
+    in_c += re.findall(rf"^    TIPFORCE_(\w+) = {number}", text, re.MULTILINE)
+    known = {name: value for module in (scalar, scalar_redundancy, judgement) for name, value in vars(module).items()}
+    known |= {name: 1 << bit for name, bit in vars(table).items() if name.startswith("FAULT_") and isinstance(bit, int)}
+    known |= {name.removeprefix("_"): value for name, value in known.items()}
+    both = [(name, float(int(text, 0)) if "x" in text else float(text)) for name, text in in_c if name in known]
+    assert {name for name, _ in both} >= {
+        "NO_FAULT", "LEAST_SHARE", "RELEASE", "UNSTATED_KELVIN", "SMALLEST_PIVOT", "SMALLEST_VARIANCE",
+        "CONDITION_LIMIT", "THETA_RESOLVED_DEG", "MISS_FLOOR", "PAD_SLACK_DEG", "UNKNOWN_THETA", "OUTSIDE_PAD",
+        "FAULT_OVERLOAD",
+    }  # fmt: skip
+    assert [pair for pair in both if pair[1] != known[pair[0]]] == []
 
 
 @pytest.fixture(scope="module")

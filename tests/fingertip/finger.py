@@ -5,9 +5,8 @@ import struct
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from device.conversation import Conversation
-from device.tiny import Memory
-from tipforce.device.node import Device
+from canopen_device.core.node import Device
+from canopen_device.testing import Conversation, MemoryStore
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
@@ -114,7 +113,7 @@ def finger(
     calibrated: bool | bytes = True,
     load: tuple[float, float, float] = (0.0, 0.0, 0.0),
     noise_microstrain: float = 0.0,
-    store: Memory | None = None,
+    store: MemoryStore | None = None,
     offset_microstrain: Sequence[float] | None = None,
 ) -> Finger:
     """A simulated fingertip; ``calibrated`` may be the record to commit."""

@@ -6,30 +6,10 @@ import struct
 
 import pytest
 
-from device.tiny import Memory
+from canopen_device.testing import MemoryStore
 from fingertip.finger import FAULT, PUSH, SATURATED, SAVE, Finger, finger, record
 
 SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
-FORMS = (("h", 0x7000), ("i", 0x9000))
-
-
-def per_unit(n: int, sub: int) -> float:
-    """10 to the 6132h digits."""
-    return 10.0 if sub <= n else 1000.0 if sub <= n + 4 else 100.0
-
-
-@pytest.mark.parametrize("n", [3, 5, 8])
-def test_three_forms_show_one_value(n: int) -> None:
-    talk = finger(n, load=PUSH)
-    talk.advance(100_000)
-    for sub in range(1, n + 7):
-        value = talk.get("f", 0x6130, sub)
-        assert math.isfinite(value)
-        for kind, base in FORMS:
-            assert talk.get(kind, base + 0x130, sub) == pytest.approx(value * per_unit(n, sub), abs=0.51)
-        assert talk.get("B", 0x6150, sub) == 0
-    for sub in range(1, n + 1):
-        assert talk.get("f", 0x6100, sub) == talk.get("h", 0x7100, sub) == talk.get("i", 0x9100, sub)
 
 
 def test_channels_of_three_gauges() -> None:
@@ -57,42 +37,9 @@ def test_two_point_scaling_and_offset() -> None:
     assert talk.get("f", 0x6130, 2) == pytest.approx(100.0)
 
 
-@pytest.mark.parametrize("offset", SETTINGS)
-def test_settings_are_views_of_one_value(offset: int) -> None:
-    talk = finger()
-    scale = 1.0 if offset in (0x120, 0x122) else per_unit(3, 1)
-    for value in (1234, -1234, 32767, -32767):
-        for kind, base in FORMS:
-            assert talk.put(kind, base + offset, 1, value) == 0
-            assert talk.get("f", 0x6000 + offset, 1) == pytest.approx(value / scale)
-            assert talk.get("h", 0x7000 + offset, 1) == talk.get("i", 0x9000 + offset, 1) == value
-    assert talk.put("f", 0x6000 + offset, 1, 250.0) == 0
-    assert talk.get("h", 0x7000 + offset, 1) == talk.get("i", 0x9000 + offset, 1) == 250 * scale
-    # The other gauges keep theirs.
-    other = finger()
-    assert talk.upload(0x6000 + offset, 2) == other.upload(0x6000 + offset, 2)
-
-
-def test_setting_beyond_the_integer_form_shows_its_end() -> None:
-    talk = finger()
-    assert talk.put("f", 0x6121, 1, 1e30) == 0
-    assert (talk.get("h", 0x7121, 1), talk.get("i", 0x9121, 1)) == (0x7FFF, 0x7FFFFFFF)
-    assert talk.put("f", 0x6121, 1, -1e30) == 0
-    assert (talk.get("h", 0x7121, 1), talk.get("i", 0x9121, 1)) == (-0x7FFF, -0x7FFFFFFF)
-
-
-@pytest.mark.parametrize(("kind", "base"), [("f", 0x6000), *FORMS])
-def test_equal_scaling_points_are_refused(kind: str, base: int) -> None:
-    talk = finger()
-    assert talk.put(kind, base + 0x120, 1, 10000) == 0x06090030
-    assert talk.put(kind, base + 0x122, 1, 0) == 0x06090030
-    assert (talk.get("f", 0x6120, 1), talk.get("f", 0x6122, 1)) == (0.0, 10000.0)
-    assert math.isfinite(talk.channels()[0])
-
-
 def test_scaling_points_that_differ_less_than_real32_tells_are_equal() -> None:
     # INTEGER32 holds 16777217, REAL32 does not: kept finer than it is stored, the two would meet at the restart.
-    store = Memory()
+    store = MemoryStore()
     talk = finger(store=store)
     assert talk.put("f", 0x6122, 1, 16777216.0) == 0
     assert talk.put("i", 0x9120, 1, 16777217) == 0x06090030
@@ -102,7 +49,7 @@ def test_scaling_points_that_differ_less_than_real32_tells_are_equal() -> None:
 
 
 def test_settings_are_the_same_after_a_restart() -> None:
-    store = Memory()
+    store = MemoryStore()
     talk = finger(store=store)
     for sub in (1, 2, 3):
         assert talk.put("i", 0x9124, sub, 123456789 + sub) == 0
@@ -149,16 +96,6 @@ def test_value_beyond_integer16_saturates_and_says_so(gain: float, end: int, sta
     assert talk.get("B", 0x6150, 1) == status
     assert talk.get("f", 0x6130, 1) == pytest.approx(gain * 3000.0)
     assert talk.get("i", 0x9130, 1) == pytest.approx(gain * 30000.0)
-
-
-@pytest.mark.parametrize("sub", [1, 5, 9])
-def test_sample_period_is_one_for_all_channels(sub: int) -> None:
-    talk = finger()
-    assert talk.put("I", 0x6114, sub, 2000) == 0
-    assert [talk.get("I", 0x6114, k) for k in range(1, 10)] == [2000] * 9
-    assert talk.source.period_us == 2000
-    assert talk.put("I", 0x6114, sub, 99) == 0x06090032
-    assert talk.put("I", 0x6114, sub, 1000001) == 0x06090031
 
 
 def absurd(talk: Finger, rng: random.Random) -> None:

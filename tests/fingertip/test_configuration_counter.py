@@ -4,16 +4,16 @@ import binascii
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from device.tiny import Memory
-from fingertip.finger import OPEN, PUSH, SAVE, TARA, ZERO, Finger, finger, matrix, record
-from tipforce.dictionary.rows import Row, rows
+from canopen_device.testing import MemoryStore
+from fingertip.finger import OPEN, SAVE, Finger, finger
+from tipforce.dictionary.entries import Entry, entries
 
-DOUBLED = [[2.0 * value for value in row] for row in matrix()]
 HEALTH = 0x40000485
 # Of 6xxxh, 7xxxh and 9xxxh: operating mode, scaling, offset, interrupts, span, filter.
 PROFILE = {0x112, 0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149, 0x1A0, 0x1A1}
@@ -41,16 +41,16 @@ def counted(index: int, sub: int) -> bool:
     return 0x1A00 <= index < 0x1C00 or index in (0x1005, 0x1014, 0x1017, 0x1019)
 
 
-def writable(n: int) -> list[Row]:
+def writable(n: int) -> list[Entry[Any]]:
     """Every entry that may be written and read."""
-    return [row for row in rows(n, simulated=True).values() if row.access == "rw" and row.letter != "D"]
+    return [row for row in entries(n, simulated=True).values() if row.access == "rw" and row.type != "D"]
 
 
-def others(row: Row, data: bytes) -> Iterator[bytes]:
+def others(row: Entry[Any], data: bytes) -> Iterator[bytes]:
     """Other values for an entry, likely ones first."""
-    packing = "<" + row.letter
+    packing = "<" + row.type
     (value,) = struct.unpack(packing, data)
-    for other in (value + 1, value - 1, value | 1 << 31 if row.letter == "I" else 2, 0x21200008, 0):
+    for other in (value + 1, value - 1, value | 1 << 31 if row.type == "I" else 2, 0x21200008, 0):
         with suppress(struct.error):
             yield struct.pack(packing, other)
 
@@ -72,8 +72,8 @@ def test_what_is_written_back_as_it_was_read_does_not_count(n: int) -> None:
         data = talk.upload(row.index, row.sub)
         assert isinstance(data, bytes)
         refused += talk.download(row.index, row.sub, data) != 0
-        assert talk.upload(row.index, row.sub) == data, row.dotted
-        assert counter(talk) == before, row.dotted
+        assert talk.upload(row.index, row.sub) == data, row.name
+        assert counter(talk) == before, row.name
     # The mapping of valid PDOs, 1003h:0, what takes a signature only; the entries that a valid TPDO does not change.
     assert refused < 100
 
@@ -89,11 +89,11 @@ def test_each_entry_counts_a_change_exactly_if_the_contract_says_so(n: int) -> N
             if other != data and talk.download(row.index, row.sub, other) == 0:
                 changed.add((row.index, row.sub))
                 by = (talk.upload(row.index, row.sub) != data) * counted(row.index, row.sub)
-                assert counter(talk) == before + by & 0xFF, row.dotted
+                assert counter(talk) == before + by & 0xFF, row.name
                 assert talk.download(row.index, row.sub, other) == 0
-                assert counter(talk) == before + by & 0xFF, row.dotted
+                assert counter(talk) == before + by & 0xFF, row.name
                 break
-            assert counter(talk) == before, f"{row.dotted}: refused"
+            assert counter(talk) == before, f"{row.name}: refused"
     never = {row.index for row in writable(n)} - {index for index, _sub in changed}
     assert never == {0x1003, 0x1010, 0x1011, 0x6112}  # no other value is allowed
 
@@ -114,38 +114,6 @@ def test_each_form_of_a_setting_is_written_back_without_a_change(part: int, sub:
         assert talk.download(form | part, sub, read) == 0
     assert talk.upload(0x6000 | part, sub) == real
     assert counter(talk) == before
-
-
-def test_the_integer_forms_and_the_commands_count_as_the_real32_form() -> None:
-    talk = finger(offset_microstrain=[3.0, 2.0, 1.0])
-    talk.sync()
-    for count, (kind, index, sub, value) in enumerate(
-        [("H", 0x2130, 0, 3), ("h", 0x7124, 2, 50), ("i", 0x9124, 2, 51), ("f", 0x6124, 2, 5.2)], counter(talk) + 1
-    ):
-        assert talk.put(kind, index, sub, value) == 0
-        assert counter(talk) == count
-
-
-def test_mapping_tare_and_commit(talk: Finger) -> None:
-    talk.source.load = PUSH
-    talk.sync()
-    assert talk.put("I", 0x6139, 4, TARA) == 0
-    assert counter(talk) == 3
-    assert talk.put("H", 0x2130, 0, 2) == 0
-    assert counter(talk) == 4
-    assert talk.put("H", 0x2130, 0, 2) == 0  # there is no tare to end
-    assert counter(talk) == 4
-    talk.stage(record())
-    assert talk.commit() == 0  # the same record
-    assert counter(talk) == 4
-    talk.stage(record(C=DOUBLED))
-    assert talk.commit() == 0
-    assert counter(talk) == 5
-    assert talk.put("I", 0x1802, 1, 0x40000385 | 1 << 31) == 0
-    assert talk.put("B", 0x1A02, 0, 0) == 0
-    assert counter(talk) == 6
-    assert talk.put("I", 0x6125, 1, ZERO) == 0x08000022  # refused: contact
-    assert counter(talk) == 6
 
 
 def test_health_goes_out_before_the_first_pdo_of_the_new_meaning(talk: Finger) -> None:
@@ -172,7 +140,7 @@ def test_the_counter_wraps_and_is_0_at_boot(talk: Finger) -> None:
 
 
 def test_a_store_of_version_1_is_refused() -> None:
-    store = Memory()
+    store = MemoryStore()
     talk = finger(store=store)
     assert talk.put("I", 0x1803, 1, 0xC0000485) == 0
     assert talk.put("B", 0x1A03, 0, 0) == 0

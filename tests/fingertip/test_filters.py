@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.tiny import Memory
+from canopen_device.testing import MemoryStore
 from fingertip.filtered import IIR, MOVING, REPEATING, filtered, ramp
 from fingertip.finger import (
     LOAD,
@@ -20,7 +20,6 @@ from fingertip.finger import (
 )  # fmt: skip
 from tipforce.fingertip import filters
 
-INVALID_VALUE, TOO_HIGH, TOO_LOW, NO_SUB = 0x06090030, 0x06090031, 0x06090032, 0x06090011
 COUNTS = st.lists(st.integers(-(1 << 23), (1 << 23) - 1), min_size=1, max_size=120)
 CONSTANT = st.integers(2, 40)
 
@@ -96,7 +95,7 @@ def test_type_none_and_a_constant_of_one_have_no_filter_and_load_none() -> None:
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert shown.stdout == "[]\n"
     talk = filtered(IIR, 1)
-    assert talk.device.application.filtering is None  # type: ignore[union-attr]
+    assert talk.device.application.filtering is None
     plain = finger(noise_microstrain=5.0)
     talk = finger(noise_microstrain=5.0)
     assert talk.put("B", 0x61A0, 1, 0) == 0
@@ -172,18 +171,6 @@ def test_frames_of_a_filtered_node_byte_by_byte() -> None:
     """)
 
 
-def test_what_is_refused() -> None:
-    talk = finger()
-    assert talk.put("B", 0x61A0, 4, 0) == talk.put("H", 0x61A1, 4, 1) == NO_SUB  # a contact follows from the gauges
-    assert [talk.put("B", 0x61A0, 1, kind) for kind in (3, 99, 101)] == [INVALID_VALUE, INVALID_VALUE, TOO_HIGH]
-    assert [talk.put("H", 0x61A1, 1, constant) for constant in (0, 65535)] == [TOO_LOW, 0]
-    assert talk.put("B", 0x61A0, 2, MOVING) == INVALID_VALUE
-    assert talk.put("B", 0x61A0, 2, REPEATING) == 0
-    assert talk.put("H", 0x61A1, 2, filters.LONGEST_WINDOW) == talk.put("B", 0x61A0, 1, MOVING) == 0
-    assert talk.put("H", 0x61A1, 3, filters.LONGEST_WINDOW + 1) == TOO_HIGH
-    assert [talk.get("H", 0x61A1, sub) for sub in (1, 2, 3)] == [256] * 3
-
-
 @pytest.mark.parametrize("change", [(0x61A1, "H", 5), (0x61A0, "B", MOVING), (0x6114, "I", 1000)])
 def test_a_change_begins_anew(change: tuple[int, str, int]) -> None:
     talk = filtered(MOVING, 6, load=(1.0, 90.0, 0.0))
@@ -196,7 +183,7 @@ def test_a_change_begins_anew(change: tuple[int, str, int]) -> None:
 
 
 def test_stored_with_the_application_parameters() -> None:
-    store = Memory()
+    store = MemoryStore()
     talk = filtered(MOVING, 6, store=store)
     assert talk.put("I", 0x1010, 3, SAVE) == 0
     again = finger(store=store, calibrated=False)
@@ -213,6 +200,6 @@ def test_a_store_with_a_filter_that_is_not_offered_gives_none() -> None:
     for sub, kind in ((1, MOVING), (2, IIR), (3, 0)):
         talk.device.od.values[0x61A000 | sub] = kind
         talk.device.od.values[0x61A100 | sub] = 65535
-    talk.device.application.on_reset(talk.now_us)  # type: ignore[union-attr]
+    talk.device.application.on_reset(talk.now_us)
     assert [talk.get("B", 0x61A0, sub) for sub in (1, 2, 3)] == [0] * 3
     assert [talk.get("H", 0x61A1, sub) for sub in (1, 2, 3)] == [1] * 3

@@ -195,15 +195,6 @@ def test_a_temperature_that_is_needed_and_not_known_is_an_uncertainty() -> None:
     assert talk.get("f", 0x2107, 1) == pytest.approx(expected, rel=1e-3)
 
 
-def test_the_converter_limit_of_the_calibration_saturates_a_gauge() -> None:
-    talk = finger(calibrated=record(converter_limit=9e-5), load=PUSH)
-    pdos = talk.sync()
-    assert pdos.status == CALIBRATED | SATURATED
-    assert pdos.gauges[2] == -0x7FFF
-    assert talk.get("H", 0x2124) == 1 << 2
-    assert talk.get("B", 0x6150, 3) == 5
-
-
 def test_health_is_sent_on_a_change_at_most_every_10_ms() -> None:
     talk = finger(calibrated=validity(), load=PUSH)
     assert talk.put("I", 0x1803, 1, 0x40000485) == 0

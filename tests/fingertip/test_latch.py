@@ -17,7 +17,6 @@ from fingertip.finger import (
     STALE,
     UNKNOWN,
     UNRESOLVED,
-    Finger,
     finger,
     matrix,
     record,
@@ -26,34 +25,6 @@ from tipforce.sensor.contact import scalar
 
 NORMAL = (1.0, -170.0, 10.0)  # straight into the tip
 PULL_TIP = (0.015, -60.0, 60.0, 0.05, 0.02, 1)
-
-
-def enable_all(talk: Finger) -> None:
-    """TPDO3 and TPDO4, which are invalid by default, TPDO4 with every SYNC."""
-    assert talk.put("I", 0x1802, 1, 0x40000385) == 0
-    assert talk.put("B", 0x1803, 2, 1) == talk.put("I", 0x1803, 1, 0x40000485) == 0
-
-
-def test_all_pdos_of_a_sync_carry_one_counter() -> None:
-    talk = finger(load=PUSH, noise_microstrain=5.0)
-    enable_all(talk)
-    for _ in range(50):
-        talk.now_us += 1000
-        talk.step([(0x80, b"")])
-        sent = dict(talk.take())
-        assert sorted(sent) == [0x185, 0x285, 0x385, 0x485]
-        assert len({sent[can_id][7] for can_id in (0x185, 0x285, 0x385)}) == 1
-        # F1, F2, F3 belong to the gauges of the same sample: with this C they are the same numbers.
-        assert sent[0x385][:6] == sent[0x185][:6]
-        F1, _F2, F3 = struct.unpack("<hhh", sent[0x385][:6])
-        assert struct.unpack("<h", sent[0x285][:2])[0] == pytest.approx(math.hypot(F1, F3), abs=0.6)
-
-
-def test_counter_counts_samples_and_wraps_at_256() -> None:
-    talk = finger()
-    first = talk.sync().counter
-    for k in range(1, 600):
-        assert talk.sync().counter == (first + k) % 256
 
 
 def test_sync_without_a_new_sample_is_stale_and_repeats_the_counter() -> None:

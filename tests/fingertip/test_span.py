@@ -94,16 +94,6 @@ def test_the_span_of_an_angle_does_not_wrap() -> None:
     assert talk.get("B", 0x6150, 8) == 0
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("sub", range(1, 10))
-def test_what_is_no_number_is_no_span(sub: int, value: float) -> None:
-    talk = finger(calibrated=False)
-    for index in (START, END):
-        before = talk.upload(index, sub)
-        assert talk.put("f", index, sub, value) == 0x06090030
-        assert talk.upload(index, sub) == before
-
-
 REALS = st.floats(width=32, allow_nan=False, allow_infinity=False)
 
 

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from device.tiny import Memory
+from canopen_device.testing import MemoryStore
 from fingertip.finger import LOAD, SAVE, ZERO, Finger, finger, matrix, record
 
 NONE: list[float]
@@ -32,7 +32,7 @@ def reset(talk: Finger) -> None:
 
 def configured() -> Finger:
     """A node that was configured by the book (CiA 301, 7.5.2.21): settings, 1020h, store."""
-    talk = finger(store=Memory(), offset_microstrain=[1.0, 0.0, 0.0])
+    talk = finger(store=MemoryStore(), offset_microstrain=[1.0, 0.0, 0.0])
     for change in CHANGES:
         change(talk)
     verify(talk)
@@ -131,7 +131,7 @@ def test_restoring_what_was_stored_clears_it(sub: int) -> None:
 
 
 def test_restoring_what_was_never_stored_does_not() -> None:
-    talk = finger(store=Memory(), calibrated=False)
+    talk = finger(store=MemoryStore(), calibrated=False)
     verify(talk)
     assert talk.put("I", STORE, 2, SAVE) == talk.put("I", RESTORE, 3, LOAD) == 0
     reset(talk)
@@ -149,7 +149,7 @@ def test_a_stored_node_id_clears_it() -> None:
 
 def test_the_store_is_cleared_before_the_change_is_written() -> None:
     """Power that fails between two writes never leaves the new content with the old 1020h."""
-    store = Memory()
+    store = MemoryStore()
     talk = finger(store=store)
     verify(talk)
     assert talk.put("I", STORE, 1, SAVE) == 0

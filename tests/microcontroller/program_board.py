@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import can
 
-from tipforce.device.node import Device
-from tipforce.device.sdo_client import Download, Transfer
-from tipforce.device.sdo_client_block import BlockDownload
+from canopen_device.core.node import Device
+from canopen_device.core.sdo_client import BlockDownload, Download, Transfer
+from canopen_device.running import loop
+from canopen_device.running.loop import Port
+from canopen_device.running.ports import PythonCanPort
+from canopen_device.testing import Conversation
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.fingertip.node import fingertip_node
-from tipforce.running import loop
-from tipforce.running.loop import Port
-from tipforce.running.ports import PythonCanPort
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_loader import build
 from tipforce_loader.flash import FlashStore
@@ -106,41 +107,21 @@ class Board:
         self.device.step(self.now_us)
 
     def exchange(self, transfer: Transfer, fault: Fault = unchanged) -> Transfer:
-        """Lead a transfer to its end; ``fault`` changes the requests on their way. Time-outs pass at once."""
-        requests, due_us = transfer.step(self.now_us)
-        number = 0
-        while not transfer.ended:
-            responses: list[bytes] = []
-            for request in requests:
-                sent, _due_us = self.device.step(self.now_us, [(0x600 + NODE_ID, fault(number, request))])
-                number += 1
-                responses += [data for can_id, data in sent if can_id == 0x580 + NODE_ID]
-            requests = []
-            for response in responses:
-                more, due_us = transfer.step(self.now_us, response)
-                requests += more
-            if not requests and not transfer.ended:
-                self.now_us = max(due_us, self.now_us)
-                sent, _due_us = self.device.step(self.now_us)
-                late = [data for can_id, data in sent if can_id == 0x580 + NODE_ID]
-                for late_response in [*late, None]:
-                    more, due_us = transfer.step(self.now_us, late_response)
-                    requests += more
-        # What the client sends at its end: an abort.
-        for request in requests:
-            self.device.step(self.now_us, [(0x600 + NODE_ID, request)])
-        return transfer
+        """Lead a transfer to its end; ``fault`` changes the requests on their way."""
+        talk, numbers = Conversation(self.device, self.now_us, emcy=True), itertools.count()
+        try:
+            return talk.transfer(transfer, lambda request: fault(next(numbers), request))
+        finally:
+            self.now_us = talk.now_us
 
     def download(self, image: bytes, fault: Fault = unchanged) -> Transfer:
         entry = od.PROGRAM_DATA[1]
-        forever_us = self.now_us + (1 << 50)
-        return self.exchange(BlockDownload(entry.index, entry.sub, 500000, forever_us, image), fault)
+        return self.exchange(BlockDownload(entry.index, entry.sub, 500000, 1 << 50, image), fault)
 
     def control(self, command: int) -> int | None:
         """Write 1F51h:1; return the abort code, None if it was accepted."""
         entry = od.PROGRAM_CONTROL[1]
-        forever_us = self.now_us + (1 << 50)
-        return self.exchange(Download(entry.index, entry.sub, 500000, forever_us, bytes((command,)))).abort_code
+        return self.exchange(Download(entry.index, entry.sub, 500000, 1 << 50, bytes((command,)))).abort_code
 
 
 def image(
@@ -151,7 +132,7 @@ def image(
 ) -> bytes:
     """A signed image with one file of ``size`` bytes."""
     content = bytes((k * 37 + version[1]) & 0xFF for k in range(size))
-    return build.image(version, product, {"tipforce/device/node.mpy": content}, key)
+    return build.image(version, product, {"canopen_device/core/node.mpy": content}, key)
 
 
 class _Port:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from device.conversation import Conversation
+from canopen_device.testing import Conversation
 from microcontroller import rig
 from micropython import recording, scripts
 from micropython.recording import Frame, Recording
@@ -150,7 +150,7 @@ def firmware_talk(adc: str, can: str) -> type[Talk]:
             self.recorded = RecordedFirmware(f"{name}, {adc}, {can}", header)  # type: ignore[assignment]
             self._load = [0.0, 0.0, 0.0]
             self._fault = [0, 1, 0.0]
-            Conversation.__init__(self, self.recorded, now_us, emcy=True)  # type: ignore[arg-type]
+            Conversation.__init__(self, self.recorded, now_us, emcy=True)
 
         def put(self, kind: str, index: int, sub: int, value: float) -> int:
             if index not in (0x2200, 0x2201):

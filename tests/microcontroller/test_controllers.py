@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from canopen_device.core.emcy import TRANSMIT_OVERFLOW
 from firmware.app import Clock, Firmware
 from firmware.can_machine import MachineCan
 from firmware.can_mcp2515 import Mcp2515, bit_timing
@@ -11,7 +12,6 @@ from firmware.can_port import QUEUE
 from firmware.can_pyb import PybCan
 from firmware.source import Gauges
 from microcontroller import fake_controllers, fakes, rig
-from tipforce.device.bus_faults import TRANSMIT_OVERFLOW
 from tipforce_loader.flash import FlashStore
 
 KINDS = ["mcp2515", "machine", "pyb"]

@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
+from canopen_device.core.node import Device
 from firmware.ads1220 import Ads1220
 from firmware.hx711 import Hx711
 from firmware.nau7802 import Nau7802
 from firmware.source import Gauges
 from microcontroller.fakes import FakeAds1220, FakeClock, FakeHx711, FakeNau7802
-from tipforce.device.node import Device
 from tipforce.dictionary import table
 from tipforce.fingertip.node import fingertip_node
 

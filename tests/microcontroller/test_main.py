@@ -137,7 +137,7 @@ import vfs
 vfs.umount('/running')
 sys.path.remove('/running')
 for name in list(sys.modules):
-    if name.startswith('firmware') or name.startswith('tipforce') or name == 'machine':
+    if name == 'machine' or [top for top in ('firmware', 'tipforce', 'canopen_device') if name.startswith(top)]:
         del sys.modules[name]
 """
 

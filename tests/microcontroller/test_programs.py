@@ -7,8 +7,8 @@ import random
 
 import pytest
 
+from canopen_device.core import codes, program
 from microcontroller.program_board import INSTALLED_VERSION, KEY, Board, Flash, PowerOffError, image
-from tipforce.device import codes, program
 from tipforce.dictionary import table
 from tipforce_loader import build
 from tipforce_loader import image as loader_image

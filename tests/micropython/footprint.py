@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from micropython import engine
 from micropython.recording import STEPS_PER_CALL
 from micropython.talk import Talk
-from tipforce.dictionary import table
+from tipforce.dictionary import table_objects
 
 ROUNDS = 1000
 
@@ -51,15 +51,15 @@ def heap(files: Mapping[str, bytes]) -> Heap:
         "on_node.microseconds(replay.device, (0x605, b'\\x40\\x00\\x10\\x00\\0\\0\\0\\0'), 5, 0)"
         for k in range(0, ROUNDS, STEPS_PER_CALL)
     ]
-    # As fingertip.dictionary builds: one object after the other. Garbage is collected between two calls.
-    walk = ["row = next(rows, None)", "most = max(most, on_node.heap())"] * len(table.objects(3, True))
+    # As fingertip.node builds: one object after the other. Garbage is collected between two calls.
+    walk = ["row = next(rows, None)", "most = max(most, on_node.heap())"] * len(table_objects.objects(3, True))
     build = [
-        "most, rows = 0, table.declared(3, True, table.CONVERTER_16)",
+        "most, rows = 0, table_objects.declared(3, True, table.CONVERTER_16)",
         *walk, "print('heap', most)", "rows = row = None",
     ]  # fmt: skip
     calls = [
         "import sys, gc", f"sys.path.append({engine.LIBRARY!r})", "print('heap', gc.mem_alloc())",
-        "import on_node", "from tipforce.dictionary import table\ntable.objects()", count,
+        "import on_node", "from tipforce.dictionary import table, table_objects\ntable_objects.objects()", count,
         *bring_up(talk), count,
         *build,
         *rounds, count, *rounds, count,

@@ -17,7 +17,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from tipforce.device.node import Device
+    from canopen_device.core.node import Device
     from tipforce.sources.front_end import FrontEnd
 
 

@@ -3,10 +3,11 @@
 import struct
 from collections.abc import Callable
 
-from micropython.block_client import block_download, block_upload
+from canopen_device.core import codes
+from canopen_device.core.sdo_client import BlockDownload, BlockUpload
+from canopen_device.testing import losing
 from micropython.recording import Recording
 from micropython.talk import Talk
-from tipforce.device import codes
 from tipforce.dictionary import table
 from tipforce.dictionary.eds import eds_text
 
@@ -58,10 +59,10 @@ def calibration() -> list[Recording]:
     talk.calibrate()
     record = talk.upload(0x2140)
     assert isinstance(record, bytes)
-    assert block_upload(talk, 0x2140, lose=3) == record
-    assert block_download(talk, 0x2141, 0, record[:-4] + b"\0\0\0\0", lose=5) == 0
-    assert block_download(talk, 0x2141, 0, record, crc=1) == codes.BLOCK_CRC
-    assert block_download(talk, 0x2141, 0, record[:-1]) == codes.TOO_SHORT
+    assert talk.upload(0x2140, 0, BlockUpload, losing(4)) == record
+    assert talk.download(0x2141, 0, record[:-4] + b"\0\0\0\0", BlockDownload, losing(6)) == 0
+    assert talk.download(0x2141, 0, record, BlockDownload, _wrong_crc) == codes.BLOCK_CRC
+    assert talk.download(0x2141, 0, record[:-1], BlockDownload) == codes.TOO_SHORT
     assert talk.download(0x2141, 0, record + b"\0") == codes.TOO_LONG
     assert talk.download(0x2141, 0, record) == 0
     assert talk.put("I", 0x2104, 0, 1) == codes.NOT_TRANSFERRED
@@ -242,12 +243,16 @@ def lss() -> list[Recording]:
     return [talk.recording, second.recording]
 
 
+def _wrong_crc(data: bytes) -> bytes:
+    """Change the CRC of the end of a block download."""
+    return data[:1] + b"\1\0" + data[3:] if data[0] & 0xE3 == 0xC1 else data
+
+
 def eds() -> list[Recording]:
     """The node's own EDS (1021h), 70 kB, by block transfer with a segment lost, and the beginning by segments."""
     text = eds_text(3, simulated=True).encode()
     talk = Talk("EDS", eds=text.decode())
-    assert block_upload(talk, 0x1021, lose=100) == text
-    assert block_upload(talk, 0x1021, block_size=20) == text
+    assert talk.upload(0x1021, 0, BlockUpload, losing(101)) == text
     talk.send("605#4021100000000000")
     for k in range(100):
         talk.send(f"605#{0x60 | (k & 1) << 4:02X}00000000000000")

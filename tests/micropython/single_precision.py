@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from canopen_device.core.node import Device
 from micropython.footprint import ready_node
 from micropython.talk import Talk
-from tipforce.device.node import Device
 from tipforce.dictionary import table
-from tipforce.fingertip.active_calibration import Active
 from tipforce.fingertip.application import Fingertip
+from tipforce.fingertip.calibration import Active
 from tipforce.sensor.contact import scalar
 
 single = np.float32

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from device.conversation import Conversation, Frame
+from canopen_device.testing import Conversation, Frame
 from micropython.recording import RecordedDevice, Recording
 from tipforce.dictionary import table
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -27,18 +27,12 @@ class Talk(Conversation):
         front_end: dict[str, Any] | None = None,
     ) -> None:
         self.recorded = RecordedDevice(name, node_id, layout, store, eds, front_end=front_end)
-        # Of a device Conversation needs the step and the node-id alone.
-        super().__init__(self.recorded, now_us, emcy=True)  # type: ignore[arg-type]
+        super().__init__(self.recorded, now_us, emcy=True)
 
     @property
     def recording(self) -> Recording:
         """What was said so far."""
         return self.recorded.recording
-
-    def send(self, line: str) -> list[Frame]:
-        """A frame as candump writes it; what the node says to it."""
-        can_id, data = line.split("#")
-        return self.step([(int(can_id, 16), bytes.fromhex(data))])
 
     def start(self) -> None:
         """NMT start of all nodes."""

@@ -6,13 +6,13 @@ import pytest
 
 from host.decoding.test_judged import recorded
 from micropython import engine
-from tipforce.dictionary import table
+from tipforce.dictionary import table_objects
 
 PROGRAM = """
 import json
 import struct
 
-from tipforce.fingertip.active_calibration import Active
+from tipforce.fingertip.calibration import Active
 from tipforce.fingertip.judgement import Judgement
 
 
@@ -38,7 +38,7 @@ def test_the_verdicts_of_both_interpreters_are_equal(n: int) -> None:
         assert sample.reading is not None
         rows.append([sample.microstrains, one._lost, sample.reading.temperature, before])
         here.append([one.bits, one.left_out, one.force, one.covariance() if one.force else None])
-    packing = "<" + "".join(kind for _index, _sub, kind in table.staged(n))
+    packing = "<" + "".join(kind for _index, _sub, kind in table_objects.staged(n))
     told = {"record": calibration.record().hex(), "packing": packing, "n": n, "samples": rows}
     files = engine.sources() | {
         f"{engine.LIBRARY}/judging.py": PROGRAM.encode(), "/samples": json.dumps(told).encode(),

@@ -10,12 +10,12 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 import tipforce
-from device.conversation import Conversation
-from tipforce.eds import read_eds
+from canopen_device.eds import read_eds
+from canopen_device.machine import Drive, SimulatedDevice
+from canopen_device.machine import cia402 as drive_module
+from canopen_device.machine.device import shipped_eds
+from canopen_device.testing import Conversation
 from tipforce.errors import InputError
-from tipforce.machine import Drive, SimulatedDevice
-from tipforce.machine import cia402 as drive_module
-from tipforce.machine.device import shipped_eds
 
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE, QUICK_STOP, RESET = 0x06, 0x07, 0x0F, 0x00, 0x02, 0x80
 DISABLED, READY, ON, ENABLED, QUICK, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
@@ -27,17 +27,13 @@ class Axis(Conversation):
     def __init__(self) -> None:
         self.drive = Drive()
         self.simulated = SimulatedDevice(read_eds(shipped_eds("cia402"), 5), self.drive)
-        super().__init__(self.simulated)  # type: ignore[arg-type]
+        super().__init__(self.simulated)
         self.step([(0, b"\x01\x05")])
 
     def store(self, key: int, value: int) -> None:
         """An SDO write by a master."""
-        entry = self.simulated.description.find(key)
-        data = (value & 0xFFFFFFFF).to_bytes(4, "little")[: entry.type.size]
-        command = 0x23 | 4 - len(data) << 2
-        sent = self.step([(0x605, bytes((command, key & 0xFF, key >> 8, 0)) + data.ljust(4, b"\0"))])
-        answers = [data[0] for can_id, data in sent if can_id == 0x585]
-        assert answers == [0x60]
+        size = self.simulated.description.find(key).type.size
+        assert self.download(key, 0, (value & 0xFFFFFFFF).to_bytes(4, "little")[:size]) == 0
 
     def control(self, *words: int) -> int:
         """Write controlwords; return the state bits."""

@@ -9,10 +9,10 @@ import canopen
 import pytest
 
 import tipforce
+from canopen_device.machine import DeviceApplication
+from canopen_device.machine.file import read_machine
 from eds.samples import text, var
 from tipforce.errors import InputError
-from tipforce.machine import DeviceApplication
-from tipforce.machine.file import read_machine
 from tipforce_tools.cli.main import main
 
 PRESS = """\
@@ -39,7 +39,7 @@ node_id = 8
 """
 SECOND = '[[device.signal]]\nkind = "follows"\nsource = "P2000"\n'
 APPLICATION = """\
-from tipforce.machine import DeviceApplication
+from canopen_device.machine import DeviceApplication
 
 class Press(DeviceApplication):
     def on_reset(self):
@@ -118,7 +118,7 @@ def test_a_device_joins_the_bus_of_its_master(given: str) -> None:
     bus: object = {"bus": network.bus, "network": network, "options": options, "nothing": None}.get(given)
     if given == "tipforce":
         bus = opened = tipforce.open(can.Bus(**options))  # type: ignore[arg-type]
-    with tipforce.simulated_device("cia402", 9, bus) as drive:  # type: ignore[arg-type]
+    with tipforce.simulated_device("cia402", 9, bus) as drive:
         if given == "nothing":
             network.disconnect()
             network.connect(**drive.bus_options)

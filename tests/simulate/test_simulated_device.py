@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from device.conversation import Conversation
+from canopen_device.eds import Entry
+from canopen_device.machine import DeviceApplication, Follows, Ramp, RandomWalk, SimulatedDevice, Sine, recorded
+from canopen_device.machine.faults import Planned
+from canopen_device.testing import Conversation
+from canopen_device.types import Value
 from eds.samples import described, pdo, record, text, var
-from tipforce.dictionary.types import Value
-from tipforce.eds import Entry
 from tipforce.errors import InputError
-from tipforce.machine import DeviceApplication, Follows, Ramp, RandomWalk, SimulatedDevice, Sine, recorded
-from tipforce.machine.faults import Planned
 
 PRESS = text(
     var("1005", 7, "rw", "0x80"), var("1014", 7, "rw", "$NODEID+0x80"), var("2000", 4, "rw", "7"),
@@ -30,7 +30,7 @@ class Talk(Conversation):
     """A conversation with a simulated device, node-id 5."""
 
     def __init__(self, device: SimulatedDevice) -> None:
-        super().__init__(device, emcy=True)  # type: ignore[arg-type]
+        super().__init__(device, emcy=True)
         self.sent.clear()
 
 
@@ -196,7 +196,7 @@ def test_faults(tmp_path: Path) -> None:
 def test_planned_faults_begin_and_end(tmp_path: Path) -> None:
     device = press(tmp_path)
     device.faults.plan(Planned("emcy", 0.5, 0.25, {"code": 0x4210}))
-    talk = Conversation(device, emcy=True)  # type: ignore[arg-type]
+    talk = Conversation(device, emcy=True)
     talk.sent.clear()
     talk.advance(400_000)
     assert talk.sent == []

@@ -8,10 +8,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from canopen_device.core import codes, communication
+from canopen_device.testing import MemoryStore
 from stability import rig
 from stability.case import Case, Observed
-from tipforce.device import codes, communication
-from tipforce.dictionary import indices, table
+from tipforce.dictionary import indices, table, table_objects
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sensor.contact import scalar
 from tipforce.sources.simulated import SimulatedSource
@@ -62,7 +63,7 @@ def _refused(finger: rig.Talk, record: bytes, code: int) -> bool:
 def _not_finite() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
     shown, count, held = finger.sync(), 0, True
-    for index, sub, kind in table.staged(3):
+    for index, sub, kind in table_objects.staged(3):
         if kind != "f":
             continue
         for value in (math.nan, math.inf, -math.inf):
@@ -153,14 +154,14 @@ def _flipped_in_transit() -> Observed:
     return Observed(held, f"{refused} of {total} refused, active CRC {before[0]:08X}h stays")
 
 
-def _stored() -> rig.Memory:
-    memory = rig.Memory()
+def _stored() -> MemoryStore:
+    memory = MemoryStore()
     finger = rig.simulated(memory=memory)
     finger.put("I", communication.STORE_PARAMETERS, _GROUP, codes.SIGNATURE_SAVE)
     return memory
 
 
-def _started(memory: rig.Memory) -> rig.Talk:
+def _started(memory: MemoryStore) -> rig.Talk:
     source = SimulatedSource(rig.strain_per_newton())
     source.load = rig.PUSH
     return rig.Talk(fingertip_node(rig.NODE_ID, source, save=memory.save, load=memory.load), keep=True)
@@ -175,11 +176,11 @@ def _uncalibrated(finger: rig.Talk) -> bool:
 
 def _flipped_in_store() -> Observed:
     memory = _stored()
-    data = memory.blobs["calibration"]
+    data = memory.groups["calibration"]
     good = _started(memory).sync()
     caught = total = 0
     for spoilt in _flipped(data):
-        memory.blobs["calibration"] = spoilt
+        memory.groups["calibration"] = spoilt
         caught += _uncalibrated(_started(memory))
         total += 1
     held = caught == total == 8 * len(data) and good.contact[0] == 1000
@@ -188,11 +189,11 @@ def _flipped_in_store() -> Observed:
 
 def _cut_store() -> Observed:
     memory = _stored()
-    data, caught = memory.blobs["calibration"], 0
+    data, caught = memory.groups["calibration"], 0
     for length in range(1, len(data)):
-        memory.blobs["calibration"] = data[:length]
+        memory.groups["calibration"] = data[:length]
         caught += _uncalibrated(_started(memory))
-    memory.blobs["calibration"] = b""  # the state after a restore of defaults: no damage
+    memory.groups["calibration"] = b""  # the state after a restore of defaults: no damage
     empty = _started(memory)
     held = caught == len(data) - 1 and not empty.emcy() and not empty.sync().status & scalar.CALIBRATED
     return Observed(held, f"{caught} of {len(data) - 1} lengths noticed; nothing stored: uncalibrated, no EMCY")

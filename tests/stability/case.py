@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tipforce.errors import InputError
-from tipforce_lab.report.cases import Outcome
+from tipforce_lab.report.study import Outcome
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,12 @@ import struct
 
 import numpy as np
 
+from canopen_device.core import codes, communication
+from canopen_device.core.node import Device
 from stability import rig
 from stability.case import Case, Observed
-from tipforce.device import codes, communication
-from tipforce.device.node import Device
 from tipforce.dictionary import indices
-from tipforce.host.configuration.measurement_rows import time_faults
+from tipforce.host.configuration.measurements import time_faults
 from tipforce.host.decoding import decoder
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.logs.candump import CandumpParser
@@ -107,7 +107,7 @@ def _long_run() -> Observed:
         for _ in range(100):
             finger.now_us += 1000
             finger.step()
-        times = sum(can_id == _HEARTBEAT_COB_ID for can_id, _ in finger.others)
+        times = sum(can_id == _HEARTBEAT_COB_ID for can_id, _ in finger.sent)
         beats.append(times)
         found = finger.sync()
         held &= times == 10 and found.contact[0] == 1000 and not found.status & scalar.STALE
@@ -205,11 +205,11 @@ def _live_backwards() -> Observed:
     finger.now_us -= 10_000_000
     finger.source.load = (3.0, *rig.PUSH[1:])
     finger.step()
-    finger.others.clear()
+    finger.take()
     due = finger.due_us - finger.now_us
     finger.now_us += _NO_SYNC_US
     shown.append(finger.get("f", indices.PROCESS_VALUE, 7))
-    beats = sum(can_id == _HEARTBEAT_COB_ID for can_id, _ in finger.others)
+    beats = sum(can_id == _HEARTBEAT_COB_ID for can_id, _ in finger.sent)
     finger.source.load = (4.0, *rig.PUSH[1:])
     shown.append(finger.sync().contact[0] * 1e-3)
     for _ in range(1000):
@@ -228,10 +228,10 @@ def _slept() -> Observed:
     finger.put("H", communication.PRODUCER_HEARTBEAT, 0, 100)
     finger.sync()
     finger.source.load = (2.0, *rig.PUSH[1:])
-    finger.others.clear()
+    finger.take()
     finger.now_us += 3_600_000_000
     finger.step()
-    sent, P = list(finger.others), finger.get("f", indices.PROCESS_VALUE, 7)
+    sent, P = list(finger.sent), finger.get("f", indices.PROCESS_VALUE, 7)
     again = finger.due_us - finger.now_us
     held = [can_id for can_id, _ in sent] == [_HEARTBEAT_COB_ID] and abs(P - 2.0) < 1e-3 and 0 < again <= 100_000
     return Observed(held, f"{len(sent)} frame sent on waking, P {P:.3f} N, next due in {again / 1000:g} ms")

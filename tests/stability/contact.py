@@ -11,7 +11,7 @@ import numpy as np
 from stability import rig
 from stability.case import Case, Observed
 from tipforce.sensor.contact import estimate, scalar
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 
 _SMALLEST = 5e-324
 _EPSILON = 2.0**-52

@@ -1,4 +1,7 @@
-"""Extreme structures and steps: stiffness ratios to 1e8, no damping and extreme damping, steps from 1 ns to 1 s."""
+"""Extreme structures and steps: stiffness ratios to 1e8, no damping and extreme damping, steps from 1 ns to 1 s.
+
+Integrators for comparison beyond their range of validity: their failures must not look like results.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_c
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.plane_frame import Frame
 from tipforce.sources.dynamic_load import DynamicLoad
+from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.sampling import AntiAlias, sampled
 
 
@@ -55,6 +59,13 @@ def cases() -> list[Case]:
         Case("dynamics.anti_alias", "cut-off from 1 uHz to 1 GHz, RC and Butterworth, period 500 us", "bounded",
              "1 GHz changes nothing beyond 1e-4, 1 uHz lets nothing through beyond 1e-5 (RC: the load times 2 pi f t)",
              _anti_alias),
+        Case("integrator.rk4_unstable", "RK4 with steps 1 % below and 1 % above its limit, undamped, 8000 steps",
+             "flagged", "below the limit it decays, above it grows past 1e10 or becomes infinite: it cannot be taken "
+             "for a result", _rk4),
+        Case("integrator.implicit_long_steps", "Newmark and generalised-alpha with steps of 1000 periods", "bounded",
+             "the response to a step load stays below twice the static one: stable, though not exact", _implicit),
+        Case("integrator.times_impossible", "times that are equal, fall, or are NaN, or a single one", "refused",
+             "InputError of every method says that times must rise strictly", _times),
     ]  # fmt: skip
 
 
@@ -277,3 +288,43 @@ def _anti_alias() -> Observed:
         worst_closed = max(worst_closed, float(np.abs(narrow).max()))
     held = worst_open <= 1e-4 and 0.0 < worst_closed <= 1e-5
     return Observed(held, f"1 GHz: {worst_open:.1e} N off; 1 uHz: {worst_closed:.1e} N through in 0.1 s")
+
+
+def _rk4() -> Observed:
+    found = modes(FABRICATED)
+    problem = integrators.Problem(found)
+    limit = integrators.rk4_stability_limit(0.0) / float(found.omega_rad_s[-1])
+    sizes = []
+    for factor in (0.99, 1.01, 100.0):
+        t = np.arange(8001 if factor < 2 else 200) * limit * factor
+        with np.errstate(over="ignore", invalid="ignore"):
+            end = integrators.runge_kutta_4(problem, _impulse(limit), t).elastic_newtons[-1]
+        sizes.append(float(np.abs(end).max()))
+    held = sizes[0] < 10.0 and all(not size < 1e10 for size in sizes[1:])
+    return Observed(held, f"end at 0.99, 1.01 and 100 times the limit: {', '.join(f'{size:.2g}' for size in sizes)} N")
+
+
+def _impulse(until_s: float) -> integrators.Load:
+    """Return 1 N along F1 and F3 until a time, then 0."""
+    return lambda time_s: np.array([1.0, 0.0, 1.0]) * (time_s < until_s)
+
+
+def _implicit() -> Observed:
+    found, largest = modes(FABRICATED), []
+    t = np.arange(2001) * 1000.0 / float(found.frequency_hz[0])
+    for method in (integrators.newmark, integrators.generalised_alpha):
+        elastic = method(integrators.Problem(found), lambda _time_s: np.array([1.0, 0.0, 1.0]), t).elastic_newtons
+        largest.append(float(np.abs(elastic).max()))
+    return Observed(
+        max(largest) <= 2.0 + 1e-6, f"largest elastic force {largest[0]:.3f} and {largest[1]:.3f} N for 1 N"
+    )
+
+
+def _times() -> Observed:
+    problem, refused = integrators.Problem(modes(FABRICATED)), 0
+    wrong = ([0.0, 1e-4, 1e-4], [0.0, 2e-4, 1e-4], [0.0, float("nan"), 1.0], [0.0])
+    methods = (integrators.runge_kutta_4, integrators.newmark, integrators.generalised_alpha)
+    for t in wrong:
+        for method in methods:
+            refused += "rise strictly" in refusal(lambda: method(problem, integrators.no_load, t))  # noqa: B023
+    return Observed(refused == len(wrong) * len(methods), f"{refused} of {len(wrong) * len(methods)} refused")

@@ -9,9 +9,9 @@ from functools import partial
 
 import numpy as np
 
+from canopen_device.core import codes
 from stability import rig
 from stability.case import Case, Observed
-from tipforce.device import codes
 from tipforce.dictionary import indices
 from tipforce.fingertip import filters
 from tipforce.fingertip.node import fingertip_node

@@ -10,8 +10,8 @@ from stability.case import Case, Observed, shortened
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration
-from tipforce.sensor.calibration.grooves import paper_grooves
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.calibration.simulation import paper_grooves
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 

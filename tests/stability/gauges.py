@@ -11,9 +11,9 @@ from stability import rig
 from stability.case import Case, Observed
 from tipforce.dictionary import indices, table
 from tipforce.fingertip.source import Reading, Source
-from tipforce.sensor.calibration.grooves import paper_grooves
+from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact import redundancy, scalar
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources import simulated

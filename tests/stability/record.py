@@ -10,7 +10,7 @@ from stability.case import Case, Observed, plain
 
 AREAS = (
     "contact", "uncertainty", "layout", "gauges", "filters", "calibration", "fit", "wire", "clock", "dynamics",
-    "integrators", "impact",
+    "impact",
 )  # fmt: skip
 """Modules of this folder, in the order of the report."""
 RECORD = Path(__file__).parents[2] / "tools" / "tipforce_lab" / "report" / "cases.jsonl"
@@ -22,7 +22,7 @@ def cases() -> list[Case]:
 
 
 def recorded(case: Case, observed: Observed) -> dict[str, object]:
-    """Return the record of one case, as ``tipforce_lab.report.cases.Case`` reads it."""
+    """Return the record of one case, as ``tipforce_lab.report.study.Case`` reads it."""
     return {
         "key": case.key,
         "situation": case.situation,

@@ -1,4 +1,4 @@
-"""A simulated node with a fake clock, and minimal SDO and SYNC clients for the extreme cases.
+"""A simulated node with a fake clock, its calibration and its SYNC, for the extreme cases.
 
 Simple gauges: 100 microstrain per newton, so one count is 1 mN; gauges 1, 2, 3 respond to F1, F2, F3.
 """
@@ -8,26 +8,26 @@ from __future__ import annotations
 import binascii
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from tipforce.device import codes, communication
-from tipforce.device.node import Device
-from tipforce.dictionary import indices, table
+from canopen_device.core import codes, communication
+from canopen_device.core.node import Device
+from canopen_device.testing import Conversation, MemoryStore
+from tipforce.dictionary import indices, table, table_objects
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Source
 from tipforce.sources.simulated import SimulatedSource
 
 NODE_ID = 5
+OPERATIONAL = bytes((codes.NMT_START, NODE_ID))
 UNKNOWN = table.UNKNOWN_I16
 PUSH = (1.0, 175.0, 10.0)
 """P, phi, theta: inside the friction cone of a push, theta in the middle of the pad."""
 PERIOD_US = 500
-OPERATIONAL = bytes((codes.NMT_START, NODE_ID))
 _PDOS = tuple(base + NODE_ID for base in codes.TPDO_BASES[:2])
 
-Frame = tuple[int, bytes]
 Matrix = Sequence[Sequence[float]]
 Load = tuple[float, float, float]
 
@@ -41,22 +41,6 @@ class Sync(NamedTuple):
     """P in mN, phi and theta in 0.01 degree."""
     status: int
     counter: int
-
-
-class Memory:
-    """Store of a node; its bytes can be corrupted."""
-
-    def __init__(self) -> None:
-        self.blobs: dict[str, bytes] = {}
-
-    def save(self, group: str, data: bytes) -> bool:
-        """Store one group."""
-        self.blobs[group] = data
-        return True
-
-    def load(self, group: str) -> bytes | None:
-        """Return the stored groups."""
-        return self.blobs.get(group)
 
 
 def strain_per_newton(n: int = 3) -> list[list[float]]:
@@ -84,32 +68,19 @@ def record(
     rows = C if C is not None else matrix(n)
     noise = variance or [8.1e-15 if i == k else 0.0 for i in range(n) for k in range(i, n)]
     values = [value for row in rows for value in row] + list(offsets or [0.0] * n)
-    packing = "<" + "".join(kind for _index, _sub, kind in table.staged(n))
+    packing = "<" + "".join(kind for _index, _sub, kind in table_objects.staged(n))
     return struct.pack(packing, *values, 1, 20240131, 23.0, 255, *noise, *tip[:5], int(tip[5]), *[0.0] * (7 + 2 * n))
 
 
-class Talk:
-    """One device, OPERATIONAL, that sends only on SYNC. ``others`` holds frames that no call returned.
-
-    ``keep``: also the frames sent at the start.
-    """
+class Talk(Conversation):
+    """One device, OPERATIONAL, that sends only on SYNC. ``keep``: ``sent`` also has the frames of the start."""
 
     def __init__(self, device: Device, now_us: int = 1_000_000, keep: bool = False) -> None:
-        self.device = device
-        self.now_us = now_us
-        self.due_us = 0
-        self.others: list[Frame] = []
-        self.step()
+        super().__init__(device, now_us, emcy=True)
         self.put("H", communication.PRODUCER_HEARTBEAT, 0, 0)
-        self.step([(codes.NMT_COB_ID, OPERATIONAL)])
+        self.nmt(codes.NMT_START)
         if not keep:
-            self.others.clear()
-
-    def step(self, frames: Iterable[Frame] = ()) -> list[Frame]:
-        """Run one step; return the frames sent, which ``others`` also holds."""
-        sent, self.due_us = self.device.step(self.now_us, frames)
-        self.others += sent
-        return sent
+            self.take()
 
     def sync(self, after_us: int = 1000) -> Sync:
         """Send a SYNC after some time. Raises InputError if the two PDOs are missing, or of two samples."""
@@ -121,55 +92,14 @@ class Talk:
             raise InputError(f"no pair of PDOs on SYNC: {error}") from None
         if one[3:] != two[3:]:
             raise InputError(f"two PDOs of one SYNC differ: {one[3:]}, {two[3:]}")
-        self.others = [frame for frame in self.others if frame[0] not in _PDOS]
+        self.sent = [frame for frame in self.sent if frame[0] not in _PDOS]
         return Sync(one[:3], two[:3], one[3], one[4])
 
     def emcy(self) -> list[int]:
         """Return the codes of the EMCY messages sent since the last call."""
-        found = [frame for frame in self.others if frame[0] == codes.EMCY_BASE + NODE_ID]
-        self.others = [frame for frame in self.others if frame[0] != codes.EMCY_BASE + NODE_ID]
+        found = [frame for frame in self.sent if frame[0] == codes.EMCY_BASE + NODE_ID]
+        self.sent = [frame for frame in self.sent if frame[0] != codes.EMCY_BASE + NODE_ID]
         return [struct.unpack_from("<H", data)[0] for _, data in found]
-
-    def _request(self, data: bytes) -> bytes:
-        sent = self.step([(codes.SDO_REQUEST_BASE + NODE_ID, data)])
-        answers = [data for can_id, data in sent if can_id == codes.SDO_RESPONSE_BASE + NODE_ID]
-        self.others = [frame for frame in self.others if frame[0] != codes.SDO_RESPONSE_BASE + NODE_ID]
-        if len(answers) != 1:
-            raise InputError(f"{len(answers)} responses to one SDO request")
-        return answers[0]
-
-    def upload(self, index: int, sub: int = 0) -> bytes | int:
-        """Upload at most four bytes by SDO; return the data or the abort code."""
-        answer = self._request(struct.pack("<BHB4x", 0x40, index, sub))
-        if answer[0] == 0x80:
-            return int.from_bytes(answer[4:], "little")
-        return answer[4 : 8 - (answer[0] >> 2 & 3)]
-
-    def download(self, index: int, sub: int, data: bytes) -> int:
-        """Write by SDO; return 0, or the abort code."""
-        if 0 < len(data) <= 4:
-            head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub)
-            return _abort(self._request(head + data + bytes(4 - len(data))))
-        answer = self._request(struct.pack("<BHBI", 0x21, index, sub, len(data)))
-        for offset in range(0, len(data), 7):
-            if answer[0] == 0x80:
-                break
-            part = data[offset : offset + 7]
-            command = (offset // 7 & 1) << 4 | (7 - len(part)) << 1 | (offset + 7 >= len(data))
-            answer = self._request(bytes((command,)) + part + bytes(7 - len(part)))
-        return _abort(answer)
-
-    def get(self, kind: str, index: int, sub: int = 0) -> float:
-        """Read a number by SDO; ``kind`` is struct's letter. Raises InputError for an abort."""
-        data = self.upload(index, sub)
-        if isinstance(data, int):
-            raise InputError(f"{index:04X}h:{sub}: abort {data:08X}")
-        value: float = struct.unpack("<" + kind, data)[0]
-        return value
-
-    def put(self, kind: str, index: int, sub: int, value: float) -> int:
-        """Write a number by SDO; return 0, or the abort code."""
-        return self.download(index, sub, struct.pack("<" + kind, value))
 
     def stage(self, data: bytes, crc: int | None = None) -> int:
         """Write the staged record and its CRC; return 0 or the abort code of the first refused write."""
@@ -203,7 +133,7 @@ def simulated(
     load: Load = (0.0, 0.0, 0.0),
     calibration: bytes | None = None,
     noise_microstrain: float = 0.0,
-    memory: Memory | None = None,
+    memory: MemoryStore | None = None,
 ) -> SimulatedTalk:
     """Return a calibrated simulated node; ``calibration`` is the record to commit, the matching one if None."""
     source = SimulatedSource(strain_per_newton(n), noise_microstrain, seed=7)
@@ -213,7 +143,7 @@ def simulated(
     abort = talk.stage(record(n) if calibration is None else calibration) or talk.commit()
     if abort:
         raise InputError(f"the calibration was refused: {abort:08X}")
-    talk.others.clear()
+    talk.take()
     return talk
 
 
@@ -223,7 +153,7 @@ def with_source(source: Source, n: int = 3) -> Talk:
     abort = talk.stage(record(n)) or talk.commit()
     if abort:
         raise InputError(f"the calibration was refused: {abort:08X}")
-    talk.others.clear()
+    talk.take()
     return talk
 
 
@@ -231,7 +161,3 @@ def forces(load: Load) -> tuple[float, float, float]:
     """Return F1, F2, F3 of a load P, phi, theta (degrees)."""
     P, phi, delta = load[0], math.radians(load[1]), math.radians(load[1] - load[2])
     return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
-
-
-def _abort(answer: bytes) -> int:
-    return int.from_bytes(answer[4:], "little") if answer[0] == 0x80 else 0

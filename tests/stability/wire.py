@@ -8,11 +8,11 @@ import warnings
 
 import numpy as np
 
+from canopen_device.core import codes, communication, emcy
 from stability import rig
 from stability.case import Case, Observed
-from tipforce.device import codes, communication, emcy
 from tipforce.dictionary import indices, table
-from tipforce.dictionary.rows import rows
+from tipforce.dictionary.entries import entries
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding import decoder as decode
@@ -68,8 +68,8 @@ def cases() -> list[Case]:
 def _not_finite() -> Observed:
     finger = rig.simulated()
     tried = refused = 0
-    for (index, sub), row in rows(3, True).items():
-        if row.letter != "f" or row.access != "rw" or index in _STAGED:
+    for (index, sub), row in entries(3, True).items():
+        if row.type != "f" or row.access != "rw" or index in _STAGED:
             continue
         before = finger.upload(index, sub)
         for value in (math.nan, math.inf, -math.inf):
@@ -246,7 +246,7 @@ def _noise() -> Observed:
         finger.step(frames[start : start + 100])
     samples = decode.Decoder().decode(frame_array((0, can_id, row) for can_id, row in frames))
     finger.step([(codes.NMT_COB_ID, rig.OPERATIONAL)])
-    finger.others.clear()
+    finger.take()
     found = finger.sync()
     held = finger.active() == active and found.contact[0] == 1000
     return Observed(held, f"{len(frames)} frames, {len(samples)} messages decoded, P still {found.contact[0]} mN")

@@ -1,4 +1,4 @@
-"""What running commands in this process leaves behind is put back; a node command without its loop."""
+"""Commands in this process; what they leave behind is put back; a node command without its loop."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import pytest
 
-from tipforce.device.node import Device
-from tipforce.running import loop
+from canopen_device.core.node import Device
+from canopen_device.running import loop
+from tools.rig import Ended, Tipforce, called
 
 
 @pytest.fixture(autouse=True)
@@ -26,11 +27,29 @@ def put_back_process_state() -> Iterator[None]:
 
 @pytest.fixture
 def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
-    """The devices that the loop was given; it ends at once."""
-    found: list[Device] = []
+    """The devices that the loop was given; it ends at once, as by Ctrl-C."""
+    devices: list[Device] = []
 
     def run(given: Sequence[Device], _port: loop.Port, _stop: Callable[[], bool]) -> None:
-        found.extend(given)
+        devices.extend(given)
+        raise KeyboardInterrupt
 
     monkeypatch.setattr(loop, "run", run)
-    return found
+    return devices
+
+
+@pytest.fixture
+def bus_words() -> tuple[str, ...]:
+    """The flags of the bus of ``tipforce``; a file whose commands need one has a fixture of this name."""
+    return ()
+
+
+@pytest.fixture
+def tipforce(bus_words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> Tipforce:
+    """Run a command line, given as a text or as words."""
+
+    def run(*words: object) -> Ended:
+        line = str(words[0]).split() if len(words) == 1 else words
+        return called(capsys, *line, *bus_words)
+
+    return run

@@ -7,7 +7,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from device.conversation import Conversation
+from canopen_device.testing import Conversation
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.sensor.structure.geometry import FABRICATED

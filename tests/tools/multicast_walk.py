@@ -15,8 +15,8 @@ from typing import Any
 import can
 from websockets.sync.client import connect
 
-from tipforce.host.configuration.calibration_file import write_calibration
-from tipforce.host.network.udp_multicast import DEFAULT_GROUP
+from canopen_device.running.udp_multicast import DEFAULT_GROUP
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce_tools.cli.main import main
 

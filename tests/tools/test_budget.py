@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
@@ -122,24 +121,3 @@ def test_plot(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, hea
     assert path.read_bytes().startswith(head)
     assert main(["budget", "-o", str(tmp_path / "no" / name)]) == 2
     assert "does not exist; create it first" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--noise", "-1"], "--noise -1.0: allowed is 0 to 1e+09"),
-        (["--gravity", "nan"], "--gravity nan"),
-        (["--load", "0"], "--load 0.0: allowed is 1e-09 to 1e+09 N"),
-        (["--phi", "10"], "--phi and --theta: one load needs both"),
-        (["--phi", "1e9", "--theta", "0"], "--phi 1000000000.0"),
-        (["-o", "b.txt"], "figure b.txt: allowed are the suffixes .svg, .png"),
-        (["--layout", "IV"], "layout 'IV'"),
-        (["nothing.toml"], "calibration nothing.toml"),
-        (["nothing.toml", "--uncalibrated"], "--uncalibrated"),
-    ],
-)
-def test_wrong_words(capsys: pytest.CaptureFixture[str], words: list[str], text: str) -> None:
-    assert main(["budget", *words]) == 2
-    captured = capsys.readouterr()
-    assert text in captured.err
-    assert captured.out == ""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tipforce.host.configuration.calibration_file import read_calibration, read_fit
+from tipforce.host.configuration.calibration import read_calibration, read_fit
 from tipforce.host.configuration.measurements import Measurements, write_measurements
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
@@ -178,30 +178,6 @@ def test_strain_in_si_units_and_loads_in_grams_are_refused_with_the_factor(
     write_measurements(data, given)
     assert main(["calibrate", "fit", str(data), "--saturation", str(strain * 853.85)]) == 2
     assert text in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--prior", "beam"], "--prior beam needs --layout"),
-        (["--angle-scatter", "-1"], "--angle-scatter -1: allowed is 0 to 20 degrees"),
-        (["--noise", "0"], "--noise 0: allowed is above 0"),
-        (["--saturation", "nan"], "--saturation nan: allowed is above 0"),
-        (["--serial", "-1"], "--serial -1: allowed is 0 to"),
-        (["--layout", "IV"], "layout 'IV'"),
-        (["--no-offset", "--drift", "tare"], "needs an offset to drift"),
-    ],
-)
-def test_flags_that_cannot_be(words: list[str], text: str, data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["calibrate", "fit", str(data), *LIMIT, *words]) == 2
-    assert text in capsys.readouterr().err
-
-
-def test_a_layout_of_other_gauges(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    layout = tmp_path / "five.toml"
-    layout.write_text('points = ["K_H", "S_H", "U", "T", "L"]')
-    assert main(["calibrate", "fit", str(data), "--layout", str(layout)]) == 2
-    assert "has 5 gauges" in capsys.readouterr().err
 
 
 def test_load_sense_layout_and_notes(sim: Simulated, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

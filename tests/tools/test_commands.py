@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import json
+import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from canopen_device import types
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.dictionary import objects as od
-from tipforce.dictionary import types
 from tipforce.dictionary.eds import dcf_text, eds_text
-from tipforce.dictionary.rows import rows
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.dictionary.entries import entries
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.network.bus import Bus
 from tipforce_tools.cli.main import main
+from tools.rig import Tipforce, called
 
 ROOT = Path(__file__).parents[2]
-Tipforce = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(scope="module")
@@ -36,18 +38,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bus, str]]
 
 
 @pytest.fixture
-def tipforce(bench: tuple[Bus, str], capsys: pytest.CaptureFixture[str]) -> Tipforce:
-    """Run a command line on that bus: (exit code, stdout, stderr)."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        line = [str(word) for word in words]
-        try:
-            code = main([*line, "-i", "virtual", "-c", bench[1]])
-        except SystemExit as error:
-            code = int(error.code or 0)
-        return (code, *capsys.readouterr())
-
-    return run
+def bus_words(bench: tuple[Bus, str]) -> tuple[str, ...]:
+    return ("-i", "virtual", "-c", bench[1])
 
 
 # --- scan -----------------------------------------------------------------------------------------------------------
@@ -78,20 +70,6 @@ def test_scan_as_json(tipforce: Tipforce) -> None:
         "eds": "match",
         "duplicate": "",
     }
-
-
-def test_scan_of_an_empty_bus_is_5(tipforce: Tipforce) -> None:
-    code, out, err = tipforce("scan", "--wait", "0.01", "--nodes", "50-60")
-    assert (code, out) == (5, "")
-    assert "no node responded: is the bus powered and terminated, is the bit rate right?" in err
-    assert tipforce("scan", "--wait", "0", "--nodes", "50", "-q") == (5, "", "")
-
-
-@pytest.mark.parametrize("wait", ["-1", "nan", "inf"])
-def test_scan_for_no_time(tipforce: Tipforce, wait: str) -> None:
-    code, _, err = tipforce("scan", f"--wait={wait}")
-    assert code == 2
-    assert err == f"tipforce: --wait {wait}: allowed is 0 s or more\n"
 
 
 # --- sdo ------------------------------------------------------------------------------------------------------------
@@ -144,59 +122,15 @@ def test_sdo_write_then_read(tipforce: Tipforce, words: str, value: str, shown: 
     assert tipforce("sdo", "read", 5, *words.split())[1] == shown + "\n"
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("read 5 0x1017 0 u16 5", "'0x1017 0 u16 5': too many words; expected NAME, or INDEX SUB [TYPE]"),
-        ("read 5 x 0 u16", "'x' '0' is not INDEX SUB; write 0x1017 0, or one NAME"),
-        ("read 5 0x1017 y", "'0x1017' 'y' is not INDEX SUB"),
-        ("read 5 0x10000 0 u8", "index 0x10000 sub 0: allowed are 0 to 0xFFFF and 0 to 0xFF"),
-        ("read 5 0x1000 256 u8", "sub 256: allowed are"),
-        ("read 5 -1 0 u8", "index -1 sub 0: allowed are"),
-        ("read 5 0x1017 0 u17", "data type 'u17': allowed are b, i8, i16"),
-        ("read 5 0x3000 0", "0x3000:00 is not in the dictionary; add its type, for example u16"),
-        ("read 5 heartbeat", "no object is called 'heartbeat'"),
-        ("read 5 calibration.matrix:10", "with 3 gauges SUB is 1-9"),
-        ("read 5 calibration.matrix:10 --gauges 9", "9"),
-        ("write 5 heartbeat.producer_ms", "expected NAME VALUE, or INDEX SUB TYPE VALUE"),
-        ("write 5 heartbeat.producer_ms 70000", "70000 does not fit UNSIGNED16: allowed are 0 to 65535"),
-        ("write 5 heartbeat.producer_ms soon", "'soon' is not UNSIGNED16: write a number as 10 or 0x0A"),
-        ("write 5 0x2141 0 xx", "'xx' is not DOMAIN: write hex bytes"),
-    ],
-)
-def test_sdo_words_that_are_wrong(tipforce: Tipforce, words: str, message: str) -> None:
-    code, out, err = tipforce("sdo", *words.split())
-    assert (code, out) == (2, "")
-    assert err.startswith("tipforce: ")
-    assert message in err
-    assert "Traceback" not in err
-
-
-@pytest.mark.parametrize("node", ["0", "128", "x"])
-def test_sdo_of_no_node(tipforce: Tipforce, node: str) -> None:
-    code, _, err = tipforce("sdo", "read", node, "0x1000", "0")
-    assert code == 2
-    assert f"argument ID: node-id '{node}': allowed are 1 to 127 (10 or 0x0A)" in err
-
-
-def test_sdo_exit_codes(tipforce: Tipforce) -> None:
-    code, _, err = tipforce("sdo", "read", 9, "0x1000", 0, "--timeout", "0.01", "--retries", 0)
-    assert code == 5
-    assert "node 9 (0x09), read of 0x1000:00: no response after 1 try of 0.01 s" in err
-    code, _, err = tipforce("sdo", "read", 5, "0x3000", 0, "u8")
-    assert code == 11
-    assert err == "tipforce: node 5 (0x05), read of 0x3000:00: abort 0x06020000, object does not exist\n"
-
-
 def test_sdo_dump_is_all_that_can_be_read(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
-    readable = {place: row for place, row in rows(3, True).items() if row.access != "wo" and row.index != 0x1021}
+    readable = {place: row for place, row in entries(3, True).items() if row.access != "wo" and row.index != 0x1021}
     code, out, err = tipforce("sdo", "dump", 5, "--json")
     records = {(int(r["index"], 16), r["sub"]): r for r in map(json.loads, out.splitlines())}
     # This node was given no EDS, and 1022h says how one is packed.
     assert (code, set(readable) - set(records), set(records) - set(readable)) == (0, {(0x1022, 0)}, set())
     assert f"{len(records)} entries, 1 of the dictionary it does not have" in err
     for place, record in records.items():
-        assert (record["node"], record["name"], record["unit"]) == (5, readable[place].dotted, readable[place].unit)
+        assert (record["node"], record["name"], record["unit"]) == (5, readable[place].name, readable[place].unit)
     assert records[0x1018, 4]["value"] == 1005
     assert records[0x2140, 0]["value"] == types.format_value("D", bench[0].sdo(5).upload(0x2140, 0))
     lines = tipforce("sdo", "dump", 5, "-q")[1].splitlines()
@@ -209,7 +143,7 @@ def test_sdo_dump_of_a_node_that_has_less(tipforce: Tipforce) -> None:
     code, out, err = tipforce("sdo", "dump", 5, "--gauges", 4, "--json")
     three = {(r["index"], r["sub"]) for r in map(json.loads, out.splitlines())}
     assert code == 0
-    assert 0 < len(three) < len([row for row in rows(4, True).values() if row.access != "wo"]) - 1
+    assert 0 < len(three) < len([row for row in entries(4, True).values() if row.access != "wo"]) - 1
     assert "of the dictionary it does not have" in err
     assert tipforce("sdo", "dump", 5, "0x1017", 0)[::2] == (
         2, "tipforce: sdo dump: reads all objects; for one: tipforce sdo read 5 0x1017 0\n",
@@ -273,14 +207,8 @@ def test_calibrate_refused_is_12(tipforce: Tipforce, tmp_path: Path) -> None:
 def test_calibrate_where_storing_is_refused(tipforce: Tipforce, cal: Path) -> None:
     code, _, err = tipforce("calibrate", "apply", cal, "--node", 6)
     assert code == 11
-    assert "write of 0x1010:04" in err
+    assert re.search("write of 0x1010:04.*has no store.*until its next reset.*--store FILE", err)
     assert tipforce("calibrate", "apply", cal, "--node", 6, "--no-store", "--json", "-q")[0] == 0
-
-
-def test_calibrate_with_a_file_that_is_not_there(tipforce: Tipforce) -> None:
-    code, _, err = tipforce("calibrate", "verify", "absent.toml", "--node", 5)
-    assert code == 2
-    assert err == "tipforce: calibration absent.toml: No such file or directory\n"
 
 
 # --- config ---------------------------------------------------------------------------------------------------------
@@ -311,26 +239,12 @@ def test_config_of_a_dcf(tipforce: Tipforce, tmp_path: Path) -> None:
     assert (code, err) == (0, "node 6 (0x06): 1 objects, 0 different\n")
 
 
-def test_config_that_is_wrong(tipforce: Tipforce, tmp_path: Path) -> None:
-    path = tmp_path / "finger.toml"
-    path.write_text('[objects]\n"interrupt_delta:1" = "much"\n')
-    code, _, err = tipforce("config", "apply", 5, path)
-    assert code == 2
-    assert err == (
-        f"tipforce: {path}: interrupt_delta:1 (0x6133:01): 'much' is not REAL32: write a number, nan or inf\n"
-    )
-
-
 # --- export ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
 def export(capsys: pytest.CaptureFixture[str]) -> Tipforce:
-    def run(*words: object) -> tuple[int, str, str]:
-        code = main(["export", *(str(word) for word in words)])
-        return (code, *capsys.readouterr())
-
-    return run
+    return functools.partial(called, capsys, "export")
 
 
 @pytest.mark.parametrize(("kind", "committed"), [("eds", "eds/tipforce-3.eds"), ("dbc", "dbc/tipforce.dbc")])
@@ -350,27 +264,6 @@ def test_export_of_others(export: Tipforce) -> None:
     dbc = export("dbc", "--nodes", "1-2")[1]
     assert "TIP02_Contact" in dbc
     assert "TIP03_Contact" not in dbc
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("eds --gauges 2", "2"),
-        ("dbc --gauges 9", "9"),
-        ("eds -o absent/x.eds", "absent/x.eds: the directory absent does not exist; create it first"),
-    ],
-)
-def test_export_that_cannot_be(export: Tipforce, words: str, message: str) -> None:
-    code, out, err = export(*words.split())
-    assert (code, out) == (2, "")
-    assert message in err
-
-
-def test_a_bus_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scan", "-i", "socketcan", "-c", "no-such-bus0"]) == 2
-    err = capsys.readouterr().err
-    assert "interface socketcan, channel no-such-bus0: " in err
-    assert "`tipforce vcan -- ...`" in err
 
 
 def test_a_bus_that_may_not_be_opened_is_9(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
+from tipforce_tools.cli.request import bus_options
 
 
 @pytest.mark.parametrize(
@@ -82,14 +83,13 @@ def bus_arguments(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     common.add_sdo_arguments(parser)
     common.add_confirm_argument(parser)
-    common.add_output_arguments(parser)
     return parser.parse_args(words)
 
 
 def test_only_what_was_said_goes_to_python_can() -> None:
-    assert common.bus_options(bus_arguments()) == {}
+    assert bus_options(bus_arguments()) == {}
     words = ["-i", "socketcan", "-c", "vcan0", "-b", "500000", "--bus-kwargs", "receive_own_messages=True"]
-    assert common.bus_options(bus_arguments(*words)) == {
+    assert bus_options(bus_arguments(*words)) == {
         "interface": "socketcan",
         "channel": "vcan0",
         "bitrate": 500000,

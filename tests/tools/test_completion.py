@@ -15,11 +15,10 @@ from pathlib import Path
 import pytest
 
 from tipforce_tools.cli.main import COMMANDS, main
-from tipforce_tools.completion import command
-from tipforce_tools.completion.script import script
+from tipforce_tools.completion import SHELLS, script
 from tools.command_lines import LINES, PARSERS
 
-SCRIPTS = {shell: script(shell) for shell in command.SHELLS}
+SCRIPTS = {shell: script(shell) for shell in SHELLS}
 WAIT_S = 60.0
 DRIVER = """
 while IFS= read -r typed; do
@@ -212,7 +211,7 @@ def test_fish_completes(tmp_path: Path) -> None:
     assert len(found) == len(lines) + 1
 
 
-@pytest.mark.parametrize("shell", command.SHELLS)
+@pytest.mark.parametrize("shell", SHELLS)
 def test_the_command_prints_it(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", shell]) == 0
     assert capsys.readouterr() == (SCRIPTS[shell], "")

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from device.services import service_dictionary
+from canopen_device.core.node import Device
+from device.tiny import service_dictionary
 from host.bus_with_nodes import connected, finger, new_channel, running
-from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
+from tipforce.host.configuration.configuration_file import read_settings
 from tipforce.host.configuration.device_objects import FingertipObjects
-from tipforce.host.configuration.settings import read_settings
 from tipforce.host.network.bus import Bus
-from tipforce_tools.cli.main import main
-
-Tipforce = Callable[..., tuple[int, str, str]]
+from tools.rig import Tipforce
 
 FILE = """
 [objects]
@@ -39,14 +37,8 @@ def bench() -> Iterator[tuple[Bus, str]]:
 
 
 @pytest.fixture
-def tipforce(bench: tuple[Bus, str], capsys: pytest.CaptureFixture[str]) -> Tipforce:
-    """Run a command line on that bus: (exit code, stdout, stderr)."""
-
-    def run(*words: object) -> tuple[int, str, str]:
-        code = main([*map(str, words), "-i", "virtual", "-c", bench[1]])
-        return (code, *capsys.readouterr())
-
-    return run
+def bus_words(bench: tuple[Bus, str]) -> tuple[str, ...]:
+    return ("-i", "virtual", "-c", bench[1])
 
 
 def test_a_new_node_shows_nothing(tipforce: Tipforce) -> None:
@@ -108,22 +100,6 @@ def test_saved_as_dcf_and_to_stdout(tipforce: Tipforce, tmp_path: Path, name: st
     else:
         assert tipforce("config", "verify", 5, target, "-q") == (0, "", "")
         assert tipforce("config", "verify", 6, target, "-q")[0] == 1
-
-
-def test_what_is_wrong_is_said(tipforce: Tipforce, tmp_path: Path) -> None:
-    path = tmp_path / "wrong.toml"
-    path.write_text(FILE)
-    for words, text in (
-        (("apply", 5, path), "contact_unknown"),
-        (("save", 5), "which FILE?"),
-        (("show", 5, path), "takes no FILE"),
-        (("save", 5, tmp_path / "no" / "file.toml"), "does not exist; create it first"),
-    ):
-        code, out, err = tipforce("config", *words)
-        assert (code, out) == (2, "")
-        assert text in err
-    path.write_text('[objects]\n"tpdo3.cob_id" = "$NODEID-1"\n')
-    assert "write $NODEID+0x180" in tipforce("config", "apply", 5, path)[2]
 
 
 def test_another_device_is_compared_with_nothing(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:

@@ -11,9 +11,10 @@ import pytest
 
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.sensor.contact import estimate as contact_model
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import CASES
+from tipforce.sensor.structure.published import GROOVES_DEG
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_tools.cli.main import main
 from tipforce_tools.demo import job
@@ -21,7 +22,7 @@ from tipforce_tools.demo import job
 FloatArray = npt.NDArray[np.float64]
 
 QUANTITIES = ("P_N", "phi_deg", "theta_deg")
-LOADS = len(CASES) * 2 * len(job.grooves())
+LOADS = len(CASES) * 2 * len(GROOVES_DEG)
 
 
 def demo(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, list[dict[str, object]], dict[str, object]]:
@@ -75,9 +76,9 @@ def run(seed: int) -> list[job.Result]:
 
 def test_any_seed_passes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten seeds on every third groove; z stays that of the whole demo."""
-    few = job.grooves()[::3]
+    few = GROOVES_DEG[::3]
     whole = job.coverage_factor(LOADS * 3)
-    monkeypatch.setattr(job, "grooves", lambda: few)
+    monkeypatch.setattr("tipforce_tools.demo.job.GROOVES_DEG", few)
     monkeypatch.setattr(job, "coverage_factor", lambda _: whole)
     estimates = []
     for seed in range(10):
@@ -133,8 +134,8 @@ def simulated_errors(calibration: Calibration, applied: FloatArray, draws: int, 
 @pytest.mark.parametrize("groove", [0, 4, 9, 10, 14, 18])
 def test_the_bound_against_a_simulation(case: str, pull: bool, groove: int) -> None:
     """With z = 3.29 at least 99.9 % are inside, and the bound is no more than three times the largest of many."""
-    phi, theta = job.grooves()[groove]
-    applied = np.array([job.WEIGHT_NEWTONS, phi if pull else job._wrapped(phi + 180.0), theta])
+    phi, theta = GROOVES_DEG[groove]
+    applied = np.array([job.WEIGHT_NEWTONS, phi if pull else phi - math.copysign(180.0, phi - 1.0), theta])
     calibration = job.case_calibration(case, pull)
     u, bound, _ = job.bounds(calibration, applied, z=3.29)
     errors = simulated_errors(calibration, applied, 20_000, seed=groove)

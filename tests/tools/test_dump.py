@@ -156,29 +156,6 @@ def test_filters(targets: list[str], shown: int, log: Path, capsys: pytest.Captu
     assert len(capsys.readouterr().out.splitlines()) == shown
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["vcan0,18G:7FF", "-"], "filter '18G:7FF' of vcan0"),
-        ([",181:7FF", "-"], "no channel"),
-        (["missing.log"], "missing.log: no such file"),
-        (["-", "-"], "only one"),
-        (["-L", "-e", "-"], "-L and -e"),
-        (["-L", "-a", "-"], "-L and -a"),
-    ],
-)
-def test_usage_errors(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", *words]) == 2
-    assert message in capsys.readouterr().err
-
-
-def test_timestamps_that_the_text_has_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "screen.txt"
-    path.write_text("  vcan0  285   [0] \n")
-    assert main(["dump", "-ta", str(path)]) == 2
-    assert "no timestamps" in capsys.readouterr().err
-
-
 FD = """\
 (1700000000.000000) vcan0 285##52E1129239A110303
 (1700000000.000100) vcan0 285#2E1129239A110303
@@ -307,21 +284,3 @@ def test_silence_ends_it() -> None:
         os.write(process.stdin.fileno(), GOOD.encode())
         assert process.wait(timeout=60) == 0
         assert time.monotonic() - start >= 0.2
-
-
-def test_help_needs_no_numpy() -> None:
-    code = (
-        "import sys\nfrom tipforce_tools.cli.main import main\n"
-        "try:\n    main(['dump', '--help'])\nexcept SystemExit:\n    pass\n"
-        "assert 'numpy' not in sys.modules, 'numpy was imported'\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, timeout=60)
-
-
-def test_text_needs_no_canopen(log: Path) -> None:
-    code = (
-        "import sys\nfrom tipforce_tools.cli.main import main\n"
-        f"main(['dump', '--decode', {str(log)!r}])\n"
-        "assert 'canopen' not in sys.modules, 'canopen was imported'\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, timeout=60)

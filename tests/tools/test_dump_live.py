@@ -10,47 +10,29 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 
 import can
 import pytest
 
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.live import receive, recvmmsg
-from tipforce.host.live.can_filter import Selection
+from tipforce.host.live.receiver import Selection
 from tipforce_tools.cli.listening import open_targets
 from tipforce_tools.cli.main import main
-from tipforce_tools.dump.targets import Target
+from tipforce_tools.dump.output import Target
+from tools.rig import message, sending
 
 CONTACT = bytes.fromhex("2E1129239A110303")
 
 
-@contextmanager
-def sending(channel: str, *messages: can.Message) -> Iterator[None]:
-    """Sends these, over and over, until the with block ends."""
-    stop = threading.Event()
-
-    def send() -> None:
-        with can.Bus(channel, interface="virtual") as bus:
-            while not stop.wait(0.005):
-                for message in messages:
-                    bus.send(message)
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
-
-
-def message(can_id: int, data: bytes = b"", **options: bool) -> can.Message:
-    return can.Message(arbitration_id=can_id, data=data, is_extended_id=options.pop("is_extended_id", False), **options)
+def repeated(channel: str, *messages: can.Message) -> AbstractContextManager[None]:
+    """Sends these, over and over."""
+    return sending(channel, lambda _number: messages)
 
 
 def test_a_bus_of_python_can(capsys: pytest.CaptureFixture[str]) -> None:
-    with sending("dump1", message(0x285, CONTACT)):
+    with repeated("dump1", message(0x285, CONTACT)):
         assert main(["dump", "-i", "virtual", "-c", "dump1", "-n", "3", "--decode"]) == 0
     assert capsys.readouterr().out.splitlines() == 3 * [
         "  dump1  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
@@ -65,18 +47,18 @@ def test_filters_remote_and_fd(capsys: pytest.CaptureFixture[str]) -> None:
         message(0x123, bytes(12), is_fd=True),
         message(0x4, bytes(8), is_error_frame=True),
     ]
-    with sending("dump2", *sent):
+    with repeated("dump2", *sent):
         assert main(["dump", "-i", "virtual", "-n", "2", "--json", "dump2,285~7FF"]) == 0
     found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     shown = {(record["id"], record.get("length"), record.get("fd"), record.get("error")) for record in found}
     assert shown == {("181", 4, None, None), ("123", None, True, None)}
-    with sending("dump2", *sent):
+    with repeated("dump2", *sent):
         assert main(["dump", "-i", "virtual", "-n", "1", "dump2,0~0,#4"]) == 0
     assert capsys.readouterr().out == "  dump2  20000004   [8]  00 00 00 00 00 00 00 00   ERRORFRAME\n"
 
 
 def test_two_buses_align(capsys: pytest.CaptureFixture[str]) -> None:
-    with sending("d", message(0x181)), sending("dump3", message(0x182)):
+    with repeated("d", message(0x181)), repeated("dump3", message(0x182)):
         assert main(["dump", "-i", "virtual", "-n", "40", "d", "dump3"]) == 0
     assert set(capsys.readouterr().out.splitlines()) == {"      d  181   [0] ", "  dump3  182   [0] "}
 

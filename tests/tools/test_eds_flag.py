@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import tipforce
+from canopen_device.eds import read_eds
+from canopen_device.machine import shipped_eds
 from eds.samples import pdo, text, var
-from tipforce.eds import read_eds
-from tipforce.machine import shipped_eds
 from tipforce_tools.cli.main import main
 
 LOG = """\

@@ -11,12 +11,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
 from tipforce.host.decoding import estimates as estimate_rows
 from tipforce.sensor.calibration.simulation import Faults, simulate
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.cli.main import main
@@ -250,79 +249,3 @@ def test_json_and_output_file(calibration: Path, tmp_path: Path, capsys: pytest.
     assert main(["estimate", str(calibration), str(path), "-q"]) == 0
     rows = list(csv.reader(io.StringIO(capsys.readouterr().out)))
     assert rows[2][-1] == "bad: SG1 is 'a,b', not a number"
-
-
-@pytest.mark.parametrize(
-    ("text", "words", "message"),
-    [
-        ("SG1,SG2,SG3,SG4\n1,2,3,4\n", [], "4 gauges, the calibration"),
-        ("SG1,SG2,SG3\n1,2,3\n", ["--saturation", "-5"], "--saturation -5: allowed is above 0"),
-        ("SG1,SG2,SG3\n1,2,3\n", ["-o", "/no/such/place/out.csv"], "/no/such/place does not exist; create it first"),
-        ("SG1,SG2\n1,2\n", [], "allowed are SG1 to SGn"),
-    ],
-)
-def test_what_cannot_be_done(
-    text: str, words: list[str], message: str, calibration: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = calibration.with_name("gauges.csv")
-    path.write_text(text)
-    assert main(["estimate", str(calibration), str(path), *words]) == 2
-    assert message in capsys.readouterr().err
-
-
-def test_only_bad_rows(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rows, err = estimated(calibration, "SG1,SG2,SG3\nx,2,3\n1,2,y\n", capsys)
-    assert [row["status"] for row in rows] == ["bad: SG1 is 'x', not a number", "bad: SG3 is 'y', not a number"]
-    assert "2 of 2 rows are bad" in err
-
-
-@pytest.mark.parametrize(
-    ("name", "old", "new", "text"),
-    [
-        ("zero", None, "[[0.0, 0, 0], [0, 0, 0], [0, 0, 0]]", "rank below 3"),
-        ("rank 2", None, "[[1e4, 0, 0], [0, 1e4, 0], [1e4, 1e4, 0]]", "rank below 3"),
-        ("not a number", None, "[[nan, 0, 0], [0, 1e4, 0], [0, 0, 1e4]]", "nan is not finite"),
-        ("per microstrain", None, "[[1e-2, 0, 0], [0, 1e-2, 0], [0, 0, 1e-2]]", "newtons per microstrain: multiply"),
-        ("twice", None, "[[1e10, 0, 0], [0, 1e10, 0], [0, 0, 1e10]]", "converted twice"),
-        (
-            "grams",
-            None,
-            "[[1e6, 0, 0], [0, 1e6, 0], [0, 0, 1e6]]",
-            "loads look like grams: multiply the matrix by 0.0098",
-        ),
-        ("no noise", "0.25", "0.0", "variance is 0: allowed is above 0"),
-        ("indefinite", "[0.25, 0, 0], [0, ", "[0.25, 0.3, 0], [0.3, ", "not positive semi-definite"),
-    ],
-)
-def test_a_calibration_that_no_sensor_can_have_is_refused(
-    name: str, old: str | None, new: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    matrix = "[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4]]" if old is not None else new
-    covariance = "[[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.25]]"
-    if old is not None:
-        covariance = covariance.replace(old, new)
-    path, gauges = tmp_path / f"{name}.toml", tmp_path / "gauges.csv"
-    path.write_text(
-        f"[calibration]\nmatrix_newtons_per_strain = {matrix}\noffset_microstrain = [0, 0, 0]\n"
-        f'covariance_microstrain2 = {covariance}\nload_sense = "push"\n'
-    )
-    gauges.write_text("SG1,SG2,SG3\n1,2,3\n")
-    hand, scene, log = tmp_path / "hand.toml", tmp_path / "scene.toml", tmp_path / "run.log"
-    hand.write_text(f'[[finger]]\nnode_id = 5\ncalibration = "{path.name}"\n')
-    node = f'ids = [5]\npdos = ["contact"]\ncalibration = "{path.name}"\n'
-    scene.write_text(f"duration_s = 1.0\nsync_hz = 100\n[[nodes]]\n{node}")
-    log.write_text("(1.000000) can0 185#0102030405060203\n")
-    bus = ["-i", "virtual", "-c", "refused", "--yes"]
-    for line in (
-        ["estimate", str(path), str(gauges)],
-        ["budget", str(path)],
-        ["hand", "check", str(hand)],
-        ["run", str(scene)],
-        ["decode", str(log), "--calibration", str(path)],
-        ["calibrate", "apply", str(path), "--node", "5", *bus],
-    ):
-        assert main(line) == 2
-        captured = capsys.readouterr()
-        assert text in captured.err
-        assert captured.err.count("\n") == 1
-        assert captured.out == ""

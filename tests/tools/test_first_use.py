@@ -5,24 +5,18 @@ from __future__ import annotations
 import io
 import json
 import re
-import subprocess
-import sys
 from argparse import Namespace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from rich.console import Console
 from rich.table import Table
 
-from tipforce.device import codes
-from tipforce.dictionary import objects as od
-from tipforce.errors import InputError, SdoAbortError
-from tipforce.host.network.finger import FingertipClient
+from tipforce.errors import InputError
+from tipforce.watching.fingers import Finger
 from tipforce_tools.cli import common
 from tipforce_tools.cli.main import main
-from tipforce_tools.view.fingers import Finger
-from tipforce_tools.view.scene_source import is_scene, scene_source
+from tipforce_tools.view.sources import is_scene, scene_source
 
 SCENE = """\
 duration_s = 0.2
@@ -56,57 +50,6 @@ def log(scene: Path, tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture
-def not_a_log(tmp_path: Path) -> Path:
-    path = tmp_path / "notes.txt"
-    path.write_text("these are\nno frames\n")
-    return path
-
-
-@pytest.mark.parametrize(
-    "words", ["scan", "sdo read 5 0x1017 0 u16", "dump", "log", "load", "node --node-id 5", "view"]
-)
-def test_without_a_bus_it_says_how_to_name_one(
-    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import can
-
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(can.util, "CONFIG_FILES", [])
-    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
-        monkeypatch.delenv(name, raising=False)
-    assert main(words.split()) == 2
-    told = capsys.readouterr().err
-    assert "tipforce: no bus given: use -i and -c, as in -i socketcan -c can0" in told
-    assert "None" not in told
-
-
-def test_a_file_that_is_no_log_is_refused(not_a_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out.csv"
-    for words in ([], ["-o", str(out)], ["--summary"], ["--json"]):
-        assert main(["decode", str(not_a_log), *words]) == 1
-        told = capsys.readouterr().err
-        assert f"{not_a_log}: no frames in it; is it a log?" in told
-        assert "line 1: 'these are'" in told
-    assert not out.exists()
-
-
-@pytest.mark.parametrize(
-    "words", [["dump"], ["dump", "--decode", "-q"], ["monitor"], ["monitor", "--json"], ["replay", "-i", "virtual"]]
-)
-def test_a_file_that_is_no_log_is_refused_by_all(
-    words: list[str], not_a_log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command, *flags = words
-    assert main([command, str(not_a_log), *flags, *(["-c", "no-log"] if command == "replay" else [])]) == 1
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith(f"tipforce: {not_a_log}: no frames in it; is it a log? line 1: 'these are': ")
-    assert "known formats: candump text" in err
-    assert err.count("line 1") == 1
-
-
 def test_no_row_says_why(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty.log").write_text("")
     assert main(["decode", str(tmp_path / "empty.log")]) == 0
@@ -116,14 +59,6 @@ def test_no_row_says_why(log: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert not out
     assert err.startswith("no sample of a fingertip in ")
     assert err.endswith(" frames; --nodes may exclude it\n")
-
-
-def test_what_plot_can_not_find_may_be_chosen_away(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("matplotlib")
-    assert main(["plot", str(log), "-o", str(tmp_path / "x.png"), "--nodes", "77"]) == 2
-    assert "with --nodes), so there is nothing to draw" in capsys.readouterr().err
 
 
 def test_filters_behind_a_log_hold_for_it(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -140,23 +75,6 @@ def test_log_ends_after_seconds(tmp_path: Path, capsys: pytest.CaptureFixture[st
     out, _ = capsys.readouterr()
     assert json.loads(out)["frames"] == 0
     assert json.loads(out)["seconds"] >= 0.05
-
-
-def test_replay_of_nothing_tells_only_the_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["replay", str(tmp_path / "no.log"), "-i", "virtual", "-c", "first_use"]) == 2
-    err = capsys.readouterr().err
-    assert "No such file" in err
-    assert len(err.splitlines()) == 1
-
-
-def test_load_takes_a_set_of_nodes_and_says_that_it_does_not_fit(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["load", "--nodes", "1-5", "--rate", "500"]) == 0
-    told = capsys.readouterr().out
-    assert main(["load", "--nodes", "5", "--rate", "500"]) == 0
-    assert capsys.readouterr().out == told
-    assert "does not fit" not in told
-    assert main(["load", "--nodes", "5", "--rate", "1500", "--pdos", "gauges,contact"]) == 1
-    assert "it does not fit: " in capsys.readouterr().out
 
 
 def test_a_run_that_was_too_short_to_judge_does_not_pass(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -202,8 +120,7 @@ def test_gauges_of_a_decoded_log_are_measurements(
 def _write_calibration(path: str) -> None:
     import numpy as np
 
-    from tipforce.host.configuration.calibration import Calibration
-    from tipforce.host.configuration.calibration_file import write_calibration
+    from tipforce.host.configuration.calibration import Calibration, write_calibration
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sensor.structure.strain import calibration_matrix
 
@@ -211,21 +128,6 @@ def _write_calibration(path: str) -> None:
     write_calibration(
         path, Calibration(C, np.zeros(3), 1e-14 * np.eye(3), serial=5, pull=False, calibrated_force_newtons=10.0)
     )
-
-
-class _NoStore:
-    node_id = 5
-
-    def write(self, entry: object, _value: object) -> None:
-        assert entry == od.STORE[4]
-        raise SdoAbortError("node 5: abort 0x06060000, hardware error", codes.HARDWARE)
-
-
-def test_a_node_without_a_store_is_explained() -> None:
-    sdo: Any = _NoStore()
-    with pytest.raises(SdoAbortError, match=r"has no store.*until its next reset.*--store FILE") as caught:
-        FingertipClient(sdo).store(calibration=True)
-    assert caught.value.code == codes.HARDWARE
 
 
 ARGS = Namespace(color="never")
@@ -271,30 +173,3 @@ def test_no_word_of_a_table_is_cut_in_eighty_columns(words: str, monkeypatch: py
     assert "\u2026" not in told
     if words.startswith("scene"):
         assert "noise.one_over_f_microstrain" in re.sub(r"\s+", "", told)
-
-
-def test_a_closed_pipe_is_no_failure_of_a_table() -> None:
-    with pytest.raises(BrokenPipeError):
-        common.console(ARGS).on_broken_pipe()
-    command = f"{sys.executable} -m tipforce_tools.cli.main demo -q | true"
-    done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, timeout=60, check=False)
-    assert (done.returncode, done.stderr) == (0, b"")
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ("load --nodes x --rate 100", "--nodes: 'x': allowed are whole numbers from 1"),
-        ("log vcan0 -n 0", "-n: '0': allowed are whole numbers from 1"),
-        ("log vcan0 --seconds -1", "--seconds: '-1': allowed are seconds, more than 0"),
-        ("dump vcan0 -T 1.5", "-T: '1.5': allowed are whole numbers from 1"),
-        ("replay run.log --speed nan", "--speed: 'nan': allowed are numbers over 0, and inf"),
-        ("replay run.log --max-gap soon", "--max-gap: 'soon': allowed are 0 or more seconds"),
-        ("replay run.log --loop 0", "--loop: '0': allowed are whole numbers from 1"),
-    ],
-)
-def test_a_wrong_number_is_told_with_what_is_allowed(words: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(words.split())
-    assert ended.value.code == 2
-    assert capsys.readouterr().err.endswith(f"{told}; see `tipforce {words.split(maxsplit=1)[0]} --help`\n")

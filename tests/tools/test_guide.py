@@ -15,19 +15,18 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from canopen_device.core.node import Device
+from canopen_device.running.store import FileStore
 from host.bus_with_nodes import apply_load, connected, fresh_sample, new_channel
-from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import read_calibration, read_fit
+from tipforce.host.configuration.calibration import read_calibration, read_fit
 from tipforce.host.configuration.capture import Capture
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
-from tipforce.running.store import FileStore
 from tipforce.sensor.calibration.fit import covariance_of_estimate
-from tipforce.sensor.contact.estimate import standard_uncertainties
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
@@ -95,9 +94,7 @@ class Person:
 
     def readline(self) -> str:
         question = self.listen()
-        loads = re.findall(
-            r"hang ([\d.]+) N .* theta = ([\d.]+) degrees \(phi = ([\d.]+)\)|remove every load", question
-        )
+        loads = re.findall(LOAD, question)
         if loads:
             P, theta, phi = (float(word or 0.0) for word in loads[-1])
             self._bench.source.load = (P, phi, theta)

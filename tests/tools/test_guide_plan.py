@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from host.bus_with_nodes import connected, finger, new_channel
+from host.bus_with_nodes import connected, new_channel
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
@@ -138,34 +138,3 @@ def test_no_auto_with_real_gauges(capsys: pytest.CaptureFixture[str], tmp_path: 
         words = ["calibrate", "guide", "--node", "5", "--auto", "--session", str(tmp_path / "s.csv")]
         assert main([*words, "-i", "virtual", "-c", channel]) == 2
     assert "node 5 (0x05) has real gauges: --auto needs a simulated node" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        (["--samples", "5"], "--samples 5: allowed is 10 to 100000"),
-        (["--period", "0"], "--period 0: allowed is above 0"),
-        (["--max-std", "nan"], "--max-std nan: allowed is above 0"),
-        (["--max-drift", "-1"], "--max-drift -1: allowed is above 0"),
-        (["--plan", "a.toml", "--weights", "1"], "--plan and --weights: allowed is one of them"),
-        (["-o", "no/such/folder/a.toml"], "the directory no/such/folder does not exist; create it first"),
-        (["--session", "no/such/folder/a.csv"], "the directory does not exist; create it first"),
-        (["--layout", "IV"], "layout 'IV'"),
-        (["--saturation", "-3"], "--saturation -3: allowed is above 0"),
-        (["--angle-scatter", "30"], "--angle-scatter 30: allowed is 0 to 20 degrees"),
-        (["--prior", "beam"], "--prior beam needs --layout"),
-        (["--layout", "LAYOUT"], "layout.toml has 4 gauges, the node has 3"),
-    ],
-)
-def test_flags_are_checked_before_the_first_weight(
-    capsys: pytest.CaptureFixture[str], words: list[str], reason: str, tmp_path: Path
-) -> None:
-    (tmp_path / "layout.toml").write_text('points = ["L", "R", "T", "U"]')
-    words = [word.replace("LAYOUT", str(tmp_path / "layout.toml")) for word in words]
-    channel = new_channel()
-    line = ["calibrate", "guide", "--node", "5", "--auto", "--session", str(tmp_path / "s.csv"), *words]
-    with connected(finger(), channel=channel):
-        assert main([*line, "-i", "virtual", "-c", channel]) == 2
-    err = capsys.readouterr().err
-    assert reason in err
-    assert "step 1" not in err

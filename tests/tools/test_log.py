@@ -9,43 +9,25 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import can
 import pytest
 
 from tipforce_tools.cli.main import main
-from tipforce_tools.log.recorder import Recorder, default_name
+from tipforce_tools.log.session import Recorder, default_name
 from tipforce_tools.log.writers import open_writer
 from tools.blocks import MIXED, MIXED_LOG, block_of_text
+from tools.rig import message, sending
 
 COUNT = 60
 
 
-@contextmanager
-def counting(channel: str) -> Iterator[None]:
-    """Sends frames 285h with a running number until the block ends."""
-    stop = threading.Event()
-
-    def send() -> None:
-        with can.Bus(channel, interface="virtual") as bus:
-            number = 0
-            while not stop.wait(0.002):
-                data = number.to_bytes(4, "little")
-                bus.send(can.Message(arbitration_id=0x285, data=data, is_extended_id=False))
-                number += 1
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
+def counting(channel: str) -> AbstractContextManager[None]:
+    """Sends frames 285h with a running number."""
+    return sending(channel, lambda number: [message(0x285, number.to_bytes(4, "little"))], 0.002)
 
 
 def text_of(path: Path) -> str:
@@ -201,48 +183,8 @@ def test_a_signal_closes_the_file(number: int, name: str, tmp_path: Path) -> Non
     assert "Traceback" not in said
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["-o", "there.log"], "there.log exists"),
-        (["-o", "run.xyz"], "allowed are .asc, "),
-        (["-o", "run.blf.gz"], "allowed are .asc, "),
-        (["-o", "run"], "allowed are .asc, "),
-        (["-o", "missing/run.log"], "the directory missing does not exist; create it first"),
-        (["there.log"], "allowed are buses"),
-    ],
-)
-def test_usage_errors(
-    words: list[str],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("there.log").write_text("precious")
-    assert log("log6", *words) == 2
-    assert message in capsys.readouterr().err
-    assert Path("there.log").read_text() == "precious"
-    assert [path.name for path in tmp_path.iterdir()] == ["there.log"]
-
-
 def test_overwrite(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     path.write_text("old")
     assert log("log7", "-o", str(path), "-T", "50", "--overwrite", "-q") == 0
     assert path.read_text() == ""
-
-
-def test_a_full_disk_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail(_writer: object, _block: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("tipforce_tools.log.writers.CandumpWriter.write", fail)
-    with counting("log8"):
-        assert log("log8", "-o", str(tmp_path / "run.log")) == 1
-    err = capsys.readouterr().err
-    assert "0 frames in" in err
-    assert err.splitlines()[-1].endswith("No space left on device")

@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import math
 import struct
 import subprocess
 import sys
-import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import can
 import numpy as np
 import pytest
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 from tipforce.host.logs.reader import open_log
-from tipforce_tools.cli.main import COMMANDS, command_parser, main
+from tipforce.watching.frame_sources import LogSource, PipeSource
+from tipforce_tools.cli.main import main
 from tipforce_tools.monitor import display
 from tipforce_tools.monitor.session import Loop
-from tipforce_tools.monitor.sources import LogSource, PipeSource
-from tipforce_tools.monitor.state import BusView, Monitor, NodeView
-from tipforce_tools.monitor.window import WINDOW_NS, Window
+from tipforce_tools.monitor.state import WINDOW_NS, BusView, Monitor, NodeView, Window
 from tools.hand_log import START_S, Fault, contact_pdo, hand_log
+from tools.rig import message, sending
 
 MS = 1_000_000
 T0 = START_S * 1_000_000_000
@@ -409,46 +406,9 @@ def test_a_log_without_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert capsys.readouterr().out == "no frames received\n"
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--speed", "1", "-i", "virtual", "-c", "x"], "--follow and --speed: need a log"),
-        (["LOG", "can0"], "--nodes selects from a log"),
-        (["nothing.log"], "no such file"),
-    ],
-)
-def test_what_makes_no_sense(words: Sequence[str], message: str, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert monitor(*[str(log) if word == "LOG" else word for word in words]) == 2
-    assert message in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "words", [["--once", "0"], ["--once", "x"], ["--interval", "nan"], ["--speed", "0"], ["--speed", ""]]
-)
-def test_numbers_out_of_range(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        monitor("x.log", *words)
-    assert "allowed" in capsys.readouterr().err
-
-
 def test_on_a_bus(capsys: pytest.CaptureFixture[str]) -> None:
-    stop = threading.Event()
-
-    def send() -> None:
-        with can.Bus("monitor1", interface="virtual") as bus_of_node:
-            count = 0
-            while not stop.wait(0.005):
-                can_id, data = contact_pdo(5, 1.5, 90.0, -45.0, counter=count)
-                bus_of_node.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-                count += 1
-
-    thread = threading.Thread(target=send)
-    thread.start()
-    try:
+    with sending("monitor1", lambda number: [message(*contact_pdo(5, 1.5, 90.0, -45.0, counter=number))]):
         assert monitor("-i", "virtual", "-c", "monitor1", "--once", "0.2", "--json") == 0
-    finally:
-        stop.set()
-        thread.join()
     (record,) = records(capsys.readouterr().out)
     (of_node,) = record["buses"][0]["nodes"]
     assert (of_node["node_id"], of_node["readings"]["P"]["value"], of_node["lost"]) == (5, 1.5, 0)
@@ -459,42 +419,31 @@ def test_a_silent_bus_ends_once(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == "no frames received\n"
 
 
-def test_the_screen_shows_what_the_text_shows(log: Path) -> None:
+@pytest.mark.parametrize("width", [250, 80])
+def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
     from rich.console import Console
 
     watched = Monitor()
     with open_log(log) as reader:
         for frames in reader:
             watched.feed(frames, reader.channels)
-    views = watched.views()
-    stream = io.StringIO()
-    Console(file=stream, width=250, no_color=True).print(display.tables(views, 1_000_000, "the foot"))
-    shown = stream.getvalue()
-    for cell in (*display.cells(views[0].nodes[0]), display.headline(views[0], 1_000_000), "the foot"):
-        assert cell in shown
-    assert " ".join("\n".join(display.plain(views, 1_000_000)).split()).startswith("vcan0: ")
-
-
-def test_eighty_columns_show_each_value(log: Path) -> None:
-    from rich.console import Console
-
-    watched = Monitor()
-    with open_log(log) as reader:
-        for frames in reader:
-            watched.feed(frames, reader.channels)
-    views = watched.views()
-    stream = io.StringIO()
-    Console(file=stream, width=80, no_color=True).print(display.tables(views, 1_000_000, "the foot", 80))
-    shown = stream.getvalue()
-    assert max(map(len, shown.splitlines())) <= 80
-    assert "\u2026" not in shown
-    head = next(line for line in shown.splitlines() if line.startswith("node"))
-    assert head.split()[-1] == "lost"
-    for node in views[0].nodes:
-        row = display.cells(node)
-        line = next(line for line in shown.splitlines() if line.startswith(row[0]))
-        assert line.split()[-1] == row[-1]
-        assert f"{node.readings['P'].value:.3f} N" in line
+    views, stream = watched.views(), io.StringIO()
+    tables = display.tables(views, 1_000_000, "the foot", *([80] if width == 80 else []))
+    Console(file=stream, width=width, no_color=True).print(tables)
+    lines = stream.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    (node,) = views[0].nodes
+    row = display.cells(node)
+    if width == 250:
+        for cell in (*row, display.headline(views[0], 1_000_000), "the foot"):
+            assert cell in stream.getvalue()
+        assert " ".join("\n".join(display.plain(views, 1_000_000)).split()).startswith("vcan0: ")
+        return
+    assert "\u2026" not in stream.getvalue()
+    assert next(line for line in lines if line.startswith("node")).split()[-1] == "lost"
+    line = next(line for line in lines if line.startswith(row[0]))
+    assert line.split()[-1] == row[-1]
+    assert f"{node.readings['P'].value:.3f} N" in line
 
 
 def test_the_loop_shows_at_each_interval(log: Path) -> None:
@@ -513,10 +462,3 @@ def test_the_loop_ends_when_told(log: Path) -> None:
         watched = Monitor()
         Loop(None, 0.25, None).run(watched, source, lambda: watched.frames > 20)
         assert 20 < watched.frames < 100
-
-
-def test_it_is_a_command() -> None:
-    assert COMMANDS["monitor"][0] == "tipforce_tools.monitor.command"
-    parser = command_parser("monitor")
-    assert isinstance(parser, argparse.ArgumentParser)
-    assert parser.parse_args([]).speed == math.inf

@@ -10,16 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from host.bus_with_nodes import new_channel
+from canopen_device.core.node import Device
 from sources.iio_tree import Tree
-from tipforce.device.node import Device
-from tipforce.fingertip.application import Fingertip
-from tipforce.fingertip.source import Source
 from tipforce.sources import iio_buffer, iio_sysfs
 from tipforce.sources.iio import IioSource
-from tipforce_tools.cli.layout_file import layout_text, read_bridge, read_layout
-from tipforce_tools.cli.main import main
-from tipforce_tools.doctor.iio import iio_checks
+from tipforce.sources.layout_file import layout_text, read_bridge, read_layout
+from tipforce_tools.doctor.machine import iio_checks
+from tools.rig import run_node, source_of
 
 POINTS = 'points = ["K_H", "S_H", "U"]\n'
 BRIDGE = f"""{POINTS}[bridge]
@@ -60,19 +57,10 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Tree:
     return found
 
 
-def node(layout: Path | str, *words: str) -> int:
-    return main(["node", "--node-id", "5", "-i", "virtual", "-c", new_channel(), "-q", "--layout", str(layout), *words])
-
-
 def layout(folder: Path, text: str) -> Path:
     path = folder / "finger.toml"
     path.write_text(text)
     return path
-
-
-def source_of(device: Device) -> Source:
-    assert isinstance(device.application, Fingertip)
-    return device.application.source
 
 
 # Industrial I/O
@@ -81,7 +69,7 @@ def source_of(device: Device) -> Source:
 def test_scaling_follows_from_scale_offset_and_bridge(tree: Tree, devices: list[Device]) -> None:
     tree.add(0, "spi0.0", {"voltage0": 0, "voltage1": 0, "voltage2": 0}, "ad7799", "be:u24/32>>8",
              in_voltage_scale="0.000298023223877", in_voltage1_offset="-8388608")  # fmt: skip
-    assert node(layout(tree.folder, BRIDGE), "--source", "iio:ad7799") == 0
+    assert run_node("-q", "--layout", layout(tree.folder, BRIDGE), "--source", "iio:ad7799") == 0
     (device,) = devices
     assert device.od.get(0x1018, 2) == 0x54500203, "24 bits, not simulated"
     per_microstrain = 100.0 * 2.0e-6 * 5.0 / 0.298023223877e-6  # gain * k * V, a full bridge, over volts per count
@@ -105,7 +93,12 @@ def test_several_devices_channels_and_a_gain_each(tree: Tree, devices: list[Devi
     tree.add(0, "0-0050", {"voltage0": 5, "voltage1": 6}, bits="le:s16/16>>0", in_voltage_scale="0.1")
     tree.add(1, "0-0051", {"voltage": 7}, bits="le:s16/16>>0", in_voltage_scale="0.2")
     text = BRIDGE.replace("gain = 100.0", "gain = [100.0, -100.0, 50.0]").replace("2.5", "0.0")
-    assert node(layout(tree.folder, text), "--source", "iio:device0/voltage1,iio:device0/voltage0,0-0051") == 0
+    assert (
+        run_node(
+            "-q", "--layout", layout(tree.folder, text), "--source", "iio:device0/voltage1,iio:device0/voltage0,0-0051"
+        )
+        == 0
+    )
     (device,) = devices
     assert device.od.get(0x1018, 2) == 0x54500003, "16 bits"
     assert [device.od.get(0x6122, sub) for sub in (1, 2, 3)] == pytest.approx([10_000, -10_000, 2500])
@@ -118,7 +111,7 @@ def test_a_supply_that_is_measured(tree: Tree, devices: list[Device]) -> None:
     path = tree.add(0, "a", {"voltage0": 5, "voltage1": 6, "voltage2": 7, "voltage3": 2500}, in_voltage_scale="1.0")
     text = BRIDGE + 'supply = "device0/voltage3"\nsupply_divider = 2.0\n'
     words = ("--source", "iio:device0/voltage0,device0/voltage1,device0/voltage2")
-    assert node(layout(tree.folder, text), *words) == 0
+    assert run_node("-q", "--layout", layout(tree.folder, text), *words) == 0
     source = source_of(devices[0])
     for millivolts, faults in ((2500, 0), (2620, 0), (2630, 1 << 11), (2370, 1 << 11)):
         (path / "in_voltage3_raw").write_text(str(millivolts))
@@ -136,7 +129,7 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
 ) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1})
     path = layout(tree.folder, BRIDGE)
-    assert node(path, "--source", "iio:a") == 2
+    assert run_node("-q", "--layout", path, "--source", "iio:a") == 2
     assert "device0/voltage0: the driver states no scale; state the converter's step" in capsys.readouterr().err
 
     def refuse(_path: Path, _channel: str, name: str) -> float | None:
@@ -145,12 +138,12 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
         return None
 
     monkeypatch.setattr(iio_sysfs, "attribute", refuse)
-    assert node(path, "--source", "iio:a") == 2
+    assert run_node("-q", "--layout", path, "--source", "iio:a") == 2
     said = capsys.readouterr().err
     assert "does not state its scale (Invalid argument: no regulator)" in said
     assert "[bridge] volts_per_count" in said
     path.write_text(BRIDGE + "volts_per_count = 0.001\n")
-    assert node(path, "--source", "iio:a") == 0
+    assert run_node("-q", "--layout", path, "--source", "iio:a") == 0
     assert devices[0].od.get(0x6122, 1) == 2500 + 1000
 
 
@@ -162,7 +155,7 @@ def test_what_does_not_fit_is_said(
     tree.add(1, "b", {"voltage": 1}, bits="le:u8/8>>0", in_voltage_scale="1")
     tree.add(2, "c", {"voltage": 1}, bits="", in_voltage_scale="1")
     tree.add(3, "d", {}, bits="")
-    assert node(layout(tree.folder, text), "--source", words) == 2
+    assert run_node("-q", "--layout", layout(tree.folder, text), "--source", words) == 2
     assert message in capsys.readouterr().err
     assert not devices
 
@@ -172,16 +165,16 @@ def test_capture_by_a_trigger_that_is_not_there(
 ) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1}, in_voltage_scale="1")
     path = layout(tree.folder, BRIDGE)
-    assert node(path, "--source", "iio:a", "--trigger", "t0") == 2
+    assert run_node("-q", "--layout", path, "--source", "iio:a", "--trigger", "t0") == 2
     assert "--trigger t0: no such trigger; there are none" in capsys.readouterr().err
-    assert node(path, "--source", "iio:a", "--capture", "buffer") == 2
+    assert run_node("-q", "--layout", path, "--source", "iio:a", "--capture", "buffer") == 2
     assert "modprobe iio-trig-hrtimer" in capsys.readouterr().err
-    assert node(path, "--source", "iio:a", "--scan-rate", "0") == 2
+    assert run_node("-q", "--layout", path, "--source", "iio:a", "--scan-rate", "0") == 2
     assert not devices
     tree.add_trigger(0, "adc-dev0")
-    assert node(path, "--source", "iio:a") == 0, "a trigger, but no buffer: polled, and said"
+    assert run_node("-q", "--layout", path, "--source", "iio:a") == 0, "a trigger, but no buffer: polled, and said"
     assert source_of(devices[0]).read(0) is not None
-    assert node(path, "--source", "iio:a", "--capture", "buffer") == 2
+    assert run_node("-q", "--layout", path, "--source", "iio:a", "--capture", "buffer") == 2
     assert "buffered capture cannot be set up" in capsys.readouterr().err
 
 
@@ -228,12 +221,12 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
 
     path = layout(tree.folder, BRIDGE + "count_range = [0, 4095]\n")
     monkeypatch.setitem(sys.modules, "iio", None)
-    assert node(path, "--source", "iio:ip:board/adc") == 2
+    assert run_node("-q", "--layout", path, "--source", "iio:ip:board/adc") == 2
     assert "pip install 'tipforce[iio]'" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "iio", types.SimpleNamespace(Context=Context))
-    assert node(path, "--source", "iio:ip:board/dac") == 2
+    assert run_node("-q", "--layout", path, "--source", "iio:ip:board/dac") == 2
     assert "no such device; allowed: adc" in capsys.readouterr().err
-    assert node(path, "--source", "iio:ip:board/adc") == 0
+    assert run_node("-q", "--layout", path, "--source", "iio:ip:board/adc") == 0
     source = source_of(devices[0])
     assert isinstance(source, IioSource)
     source.parts[0].reopen()  # the node closed it when it ended
@@ -251,7 +244,7 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
     assert reading is not None
     assert (reading.counts, source.faults) == ((0, 11, 20), 0)
     up[0] = False
-    assert node(path, "--source", "iio:ip:board/adc") == 2
+    assert run_node("-q", "--layout", path, "--source", "iio:ip:board/adc") == 2
     assert "check that iiod runs there: `iio_info -u ip:board`" in capsys.readouterr().err
 
 

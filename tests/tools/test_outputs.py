@@ -13,7 +13,7 @@ import pytest
 
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.errors import InputError, WriteError
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.configuration.measurements import write_measurements
 from tipforce.output_file import CALIBRATION, NewFile, new_file, write_file
 from tipforce.scene import beam_calibration
@@ -152,43 +152,6 @@ def test_a_recording_that_replaces_another_is_kept_beside_it(
     with counting("outputs1"):
         assert main([*words, "-n", "3"]) == 0
     assert len(path.read_text().splitlines()) == 3
-
-
-@pytest.mark.parametrize(
-    ("command", "message"),
-    [
-        ("estimate cal.toml readings.csv -o readings.csv", "readings.csv: is also an input"),
-        ("estimate cal.toml readings.csv -o ./link.csv", "link.csv: is also an input"),
-        ("estimate cal.toml readings.csv -o cal.toml", "cal.toml: is also an input"),
-        ("calibrate fit data.csv -o data.csv", "data.csv: is also an input"),
-        ("calibrate fit data.csv -o scene.toml", "scene.toml: the existing file is not a calibration file"),
-        ("decode run.log -o run.log --format csv", "run.log: is also an input"),
-        ("decode run.log -o readings.csv --format jsonl", "readings.csv: the existing file is not a JSON lines file"),
-        ("plot run.log -o run.log", "allowed are the suffixes .svg, .png, .pdf"),
-        ("run scene.toml -o scene.toml", "scene.toml: the existing file is not a candump log"),
-        ("export eds -o cal.toml", "cal.toml: the existing file is not an EDS or DCF"),
-        ("export eds -o nowhere/x.eds", "nowhere does not exist; create it first"),
-        ("export eds -o .", "is a directory; name a file"),
-        ("design optimise -o cal.toml", "cal.toml: the existing file is not a layout file"),
-        ("budget cal.toml -o x.txt", "allowed are the suffixes .svg, .png"),
-    ],
-)
-def test_inputs_and_files_of_other_kinds_are_refused(
-    command: str,
-    message: str,
-    inputs: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    for path in inputs.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    (tmp_path / "link.csv").symlink_to(tmp_path / "readings.csv")
-    monkeypatch.chdir(tmp_path)
-    before = files(tmp_path)
-    assert main(command.split()) == 2
-    assert message in capsys.readouterr().err
-    assert files(tmp_path) == before
 
 
 def test_the_file_appears_when_it_is_complete(tmp_path: Path) -> None:

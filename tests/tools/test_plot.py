@@ -15,12 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
+from tipforce.host.dataset.reader import tables_of_logs
 from tipforce_tools.cli.main import main
-from tipforce_tools.plot.bins import BINS, Bins
+from tipforce_tools.plot.figure import broken, wrapped
 from tipforce_tools.plot.finger import Finger
-from tipforce_tools.plot.lines import broken, wrapped
-from tipforce_tools.plot.traces import COVERAGE, Flags, Line, Lost, Trace
+from tipforce_tools.plot.traces import BINS, COVERAGE, Bins, Flags, Line, Lost, Trace
 from tools.hand_log import START_S, Fault, calibration, contact_pdo, hand_log
 
 T0 = 1_700_000_000_000_000_000
@@ -364,13 +364,13 @@ def test_a_single_sample_is_a_point(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
     """u_P comes with TPDO4 a few times a second; each P between has the last of them."""
-    from tipforce.host.decoding.decoded_pdos import Layouts
     from tipforce.host.decoding.log_part import Reading
+    from tipforce.host.decoding.pdo_layout import Layouts
     from tipforce.host.decoding.recording import Recording
 
     finger: Finger | None = None
-    for table in Recording(Reading(Layouts())).tables_of_logs([str(one)]):
-        finger = finger or Finger("5", int(table.t_ns[0]), None, ())
+    for table in tables_of_logs(Recording(Reading(Layouts())), [str(one)]):
+        finger = finger or Finger("5", int(table.t_ns[0]), ("P",), ())
         finger.add(table, np.arange(len(table)))
     assert finger is not None
     line = line_of(finger.traces["P"])
@@ -378,43 +378,6 @@ def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
     assert known.mean() > 0.8
     width = (line.band_high - line.band_low)[known] / (2 * COVERAGE)
     assert 0.001 <= width.min() <= width.max() <= 0.1
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["LOG"], "no output: add -o FILE.png, .svg or .pdf, or --show"),
-        (["LOG", "-o", "x.jpg"], "allowed are the suffixes .svg, .png, .pdf"),
-        (["nothing.log", "-o", "x.png"], "no such file"),
-        (["LOG", "-o", "x.png", "--signals", "Q"], "no message has the signal Q"),
-        (["LOG", "-o", "x.png", "--nodes", "9"], "no PDO of a fingertip"),
-        (["LOG", "-o", "/no/such/folder/x.png"], "the directory /no/such/folder does not exist; create it first"),
-        (["UNTIMED", "-o", "x.png"], "no timestamps"),
-    ],
-)
-def test_what_can_not_be_drawn(
-    words: list[str],
-    message: str,
-    one: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("untimed.log").write_text("  can0  285   [8]  2E 11 29 23 9A 11 03 03\n")
-    places = {"LOG": str(one), "UNTIMED": "untimed.log"}
-    assert main(["plot", *(places.get(word, word) for word in words)]) == 2
-    out, err = capsys.readouterr()
-    assert not out
-    assert message in err
-    assert not list(tmp_path.glob("x.*"))
-
-
-@pytest.mark.parametrize("size", ["10", "0x5", "10x10furlong", "1000x1000", "x"])
-def test_sizes_that_are_none(size: str, one: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["plot", str(one), "-o", "x.png", "--size", size])
-    assert "allowed are 16x10cm, 160x100mm or 7x4in" in capsys.readouterr().err
 
 
 def test_without_matplotlib_it_says_what_to_install(one: Path, tmp_path: Path) -> None:

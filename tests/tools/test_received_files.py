@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
+from canopen_device.machine.file import read_machine
+from canopen_device.running.store import FileStore
 from eds.samples import described, text, var
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import read_hand
 from tipforce.host.network.open_bus import open_bus
-from tipforce.machine.file import read_machine
-from tipforce.running.store import FileStore
 from tipforce.scene import beam_calibration
 from tipforce_tools.cli.main import main
 from tools.decode.logs import decode, log_lines, write_log

@@ -7,28 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from host.bus_with_nodes import new_channel
-from tipforce.device.node import Device
-from tipforce.fingertip.application import Fingertip
-from tipforce.fingertip.source import Source
+from canopen_device.core.node import Device
 from tipforce.sources.replay import ReplaySource
-from tipforce_tools.cli.main import main
-
-
-def node(layout: str, *words: str) -> int:
-    return main(["node", "--node-id", "5", "-i", "virtual", "-c", new_channel(), "-q", "--layout", layout, *words])
-
-
-def source_of(device: Device) -> Source:
-    assert isinstance(device.application, Fingertip)
-    return device.application.source
+from tools.rig import run_node, source_of
 
 
 def test_a_recording_in_csv(tmp_path: Path, devices: list[Device]) -> None:
     path = tmp_path / "session.csv"
     with path.open("w", newline="") as file:
         csv.writer(file).writerows([["t_s", "SG1", "SG2", "SG3", "P_N"], [1, 1.04, -2, 3, 0], [1.5, 4, 5, 9999, 0]])
-    assert node("I", "--source", f"replay:{path}", "--speed", "2", "--loop") == 0
+    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}", "--speed", "2", "--loop") == 0
     source = source_of(devices[0])
     assert isinstance(source, ReplaySource)
     found = [source.read(now_us) for now_us in (0, 249_999, 250_000, 500_000)]
@@ -38,7 +26,7 @@ def test_a_recording_in_csv(tmp_path: Path, devices: list[Device]) -> None:
         (40, 50, 32767),
         (10, -20, 30),
     ]
-    assert node("I", "--source", f"replay:{path}", "--bits", "24") == 0
+    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}", "--bits", "24") == 0
     reading = source_of(devices[1]).read(0)
     assert reading is not None
     assert reading.counts == (2662, -5120, 7680)
@@ -54,9 +42,9 @@ def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], capsys: p
         "(1.004000) can0 186#0100010001000201",
     )
     path.write_text("\n".join(lines) + "\n")
-    assert node("I", "--source", f"replay:{path}") == 2
+    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}") == 2
     assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in capsys.readouterr().err
-    assert node("I", "--source", f"replay:{path}@5") == 0
+    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}@5") == 0
     source = source_of(devices[0])
     found = [source.read(now_us) for now_us in (0, 1500, 3500)]
     assert [None if one is None else one.counts for one in found] == [(10, -20, 30), None, (32767, -32768, 5)]
@@ -87,6 +75,6 @@ def test_a_recording_that_is_wrong(
     if text is not None:
         path.write_text(text)
     suffix, words = (flags, []) if flags.startswith("@") else ("", flags.split())
-    assert node("I", "--source", f"replay:{path}{suffix}", *words) == 2
+    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}{suffix}", *words) == 2
     assert message in capsys.readouterr().err
     assert not devices

@@ -4,26 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tipforce.scene.scene_parts import identifiers, parts
-from tipforce.scene.schema import read_scene
+from tipforce.scene.reader import read_scene
+from tipforce.scene.registry import identifiers, parts
 from tipforce_lab.report.study import Effort
-from tipforce_lab.scene_cost import (
-    STEPS,
-    Measured,
-    _differences,
-    import_times,
-    nondecreasing,
-    part_costs,
-    studies,
-)
+from tipforce_lab.scene_cost import STEPS, Measured, _differences, import_times, nondecreasing, part_costs, studies
 from tipforce_tools.cli.main import main
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -74,13 +64,6 @@ def test_a_shorter_run_judges_less(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.count("not judged") == 6  # five lines, and the last one
 
 
-def test_a_bad_scene_is_exit_code_2_without_a_traceback(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text("duration_s = 1\n[[node]]\n")
-    for words in (["run"], ["scene", "explain"]):
-        assert main([*words, str(tmp_path / "scene.toml")]) == 2
-        assert "node: no such key; did you mean nodes?" in capsys.readouterr().err
-
-
 def test_a_bus_that_cannot_carry_it_is_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     text = (SCENES / "static.toml").read_text().replace("sync_hz", "bit_rate = 50000\nsync_hz")
     (tmp_path / "scene.toml").write_text(text)
@@ -113,27 +96,6 @@ def test_explain_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert not told["noise"]["built"]
     assert [record["cob_id"] for record in found if "cob_id" in record] == ["0x000", "0x080", "0x281", "0x701"]
     assert found[-1]["bus_load"] == pytest.approx(0.158)
-
-
-@pytest.mark.parametrize(
-    ("words", "left_out"),
-    [
-        (["run", "--help"], {"numpy", "can", "msgspec", "rich"}),
-        (["scene", "explain", "--help"], {"numpy", "can", "msgspec", "rich"}),
-        (["scene", "explain", str(SCENES / "full.toml"), "--json"], {"numpy", "can", "matplotlib", "random"}),
-        (["run", str(SCENES / "static.toml"), "--json"], {"can", "matplotlib", "random", "scipy", "rich", "canopen"}),
-        (["run", str(SCENES / "tap.toml"), "--json"], {"can", "matplotlib", "random", "scipy", "rich", "canopen"}),
-    ],
-)
-def test_a_command_loads_what_it_needs(words: list[str], left_out: set[str]) -> None:
-    code = (
-        "import sys\nfrom tipforce_tools.cli.main import main\n"
-        "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
-        "print('MODULES', *sorted({name.partition('.')[0] for name in sys.modules}))\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
-    loads = {"random"} if np.__version__.startswith("1.") else set()  # numpy below 2 does so itself
-    assert not set(done.stdout.rpartition("MODULES ")[2].split()) & (left_out - loads)
 
 
 def test_costs_are_those_of_the_parts_that_are_built() -> None:

@@ -16,6 +16,7 @@ import pytest
 
 from host.bus_with_nodes import new_channel
 from tipforce_tools.cli import service
+from tipforce_tools.cli.listening import StopSignals
 from tipforce_tools.cli.main import main
 
 UNIT = Path(__file__).parents[2] / "tools/systemd/tipforce-node@.service"
@@ -36,7 +37,7 @@ def test_the_node_tells_systemd_that_it_is_ready_alive_and_stopping(
     manager: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WATCHDOG_USEC", "2000")
-    from tipforce.running import loop
+    from canopen_device.running import loop
 
     def run(_devices: object, _port: object, stop: object) -> None:
         assert callable(stop)
@@ -128,16 +129,13 @@ def test_memory_that_may_not_be_locked(
 
 
 def test_a_second_ctrl_c_interrupts_and_a_second_sigterm_does_not() -> None:
-    stop = service.StopSignal()
-    try:
+    with StopSignals((signal.SIGINT,)) as stop:
         assert not stop()
         os.kill(os.getpid(), signal.SIGTERM)
         os.kill(os.getpid(), signal.SIGTERM)
         assert stop()
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
-    finally:
-        stop.restore()
 
 
 def test_levels_in_the_journal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -172,10 +170,10 @@ def test_the_unit_starts_a_command_line_that_the_node_takes() -> None:
     assert words[at + 1] == "node"
     import argparse
 
-    from tipforce_tools.node import command
+    from tipforce_tools import node
 
     parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
+    node.add_arguments(parser)
     args = parser.parse_args([word for word in words[at + 2 :] if not word.startswith("$")])
     assert (args.node_id, args.store, args.lock_memory) == (5, "/var/lib/tipforce/node-5.json", True)
     assert lines["LimitRTPRIO"] == str(args.priority)

@@ -63,12 +63,12 @@ def test_the_held_step_is_exact_for_a_step_and_rk4_is_shown_unstable(found: dict
 
 
 def test_the_independent_check_finds_a_wrong_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tipforce.sensor.dynamics import mode_step
+    from tipforce.sensor.dynamics import first_order_hold
     from tipforce_lab.dynamics import integrators as closed_forms
 
-    right = mode_step.hold
+    right = first_order_hold.hold
 
-    def wrong(x: float, zeta: float) -> mode_step.Hold:
+    def wrong(x: float, zeta: float) -> first_order_hold.Hold:
         found = right(x, zeta)
         return found._replace(p12=found.p12 * (1.0 + 1e-8))
 

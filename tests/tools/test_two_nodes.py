@@ -14,12 +14,13 @@ import can
 import numpy as np
 import pytest
 
+from canopen_device.core.node import Device
+from canopen_device.running.store import FileStore
 from host.bus_with_nodes import beam_calibration, connected, new_channel, running
-from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.errors import DuplicateNodeError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
 from tipforce.host.hand.events import Supervisor
 from tipforce.host.hand.file import HandPlan
@@ -27,15 +28,14 @@ from tipforce.host.hand.hand import Hand
 from tipforce.host.logs.reader import open_log
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.faulty_bus import Faults, FaultyBus
-from tipforce.running.store import FileStore
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
+from tipforce.watching.fingers import Finger
+from tipforce.watching.watcher import Watcher
 from tipforce_tools.cli.main import main
 from tipforce_tools.doctor.bus import bus_checks, heard
 from tipforce_tools.monitor.state import BusMonitor
-from tipforce_tools.view.fingers import Finger
-from tipforce_tools.view.watcher import Watcher
 
 SAID = "two nodes respond as node 5"
 SPEAKING = (

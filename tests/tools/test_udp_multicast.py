@@ -59,7 +59,7 @@ def test_a_bus_hears_others_but_not_itself_and_survives_foreign_datagrams() -> N
         import socket
         import can
         from tipforce.host.network.open_bus import open_bus
-        from tipforce.host.network.udp_multicast import DEFAULT_GROUP as group
+        from canopen_device.running.udp_multicast import DEFAULT_GROUP as group
         frame = can.Message(arbitration_id=0x123, data=b"own", is_extended_id=False)
         with open_bus(interface="udp_multicast", channel=group) as one, open_bus(interface="udp_multicast") as other:
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
@@ -83,7 +83,7 @@ def test_a_machine_without_a_route() -> None:
 
 
 def test_doctor_opens_it() -> None:
-    words = ("-c", "import tipforce_tools.doctor.vcan as v; print(*v.multicast_checks())")
+    words = ("-c", "import tipforce_tools.doctor.machine as v; print(*v.multicast_checks())")
     assert "state='ok'" in in_namespace(ROUTE, *words).stdout
     assert "ip route add" in in_namespace("", *words).stdout
 
@@ -91,4 +91,4 @@ def test_doctor_opens_it() -> None:
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("can.interfaces.udp_multicast.utils.msgpack", None)
     assert main(["scan", "-i", "udp_multicast"]) == 2
-    assert capsys.readouterr().err == "tipforce: udp_multicast needs msgpack: pip install 'tipforce[multicast]'\n"
+    assert capsys.readouterr().err == "tipforce: udp_multicast needs msgpack: pip install msgpack\n"

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.vcan import command, host, parts, run, uml
+from tipforce_tools.vcan import command, host, run, uml
 
 SCRIPT = files("tipforce_tools.vcan").joinpath("init.sh").read_text()
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="the machine has no bash")
@@ -36,8 +36,8 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[str]]]:
         calls.append(("here", list(words)))
         return 3
 
-    def in_uml(request: uml.Request) -> int:
-        calls.append(("uml", list(request.command)))
+    def in_uml(command: Sequence[str], *_: object) -> int:
+        calls.append(("uml", list(command)))
         return 4
 
     monkeypatch.setattr(host, "run_here", here)
@@ -53,19 +53,15 @@ def fake_kernel(monkeypatch: pytest.MonkeyPatch, *, up: Sequence[str] = (), can_
 # The choice of the place
 
 
-def test_interfaces_that_are_up_are_used_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake_kernel(monkeypatch, up=("vcan0", "vcan1"), can_make=True)
-    assert run.choose(["vcan0", "vcan1"]) == "direct"
-
-
-def test_one_interface_missing_means_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake_kernel(monkeypatch, up=("vcan0",), can_make=True)
-    assert run.choose(["vcan0", "vcan1"]) == "namespace"
-
-
-def test_a_kernel_without_vcan_means_uml(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake_kernel(monkeypatch)
-    assert run.choose(["vcan0"]) == "uml"
+@pytest.mark.parametrize(
+    ("up", "can_make", "place"),
+    [(("vcan0", "vcan1"), True, "direct"), (("vcan0",), True, "namespace"), ((), False, "uml")],
+)
+def test_the_place_follows_from_the_kernel(
+    up: Sequence[str], can_make: bool, place: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_kernel(monkeypatch, up=up, can_make=can_make)
+    assert run.choose(["vcan0", "vcan1"]) == place
 
 
 def test_uml_can_be_forced_and_then_nothing_is_probed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,36 +140,6 @@ def test_flags_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
         "writable": True,
         "announced": False,
     }
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--interfaces", "vcan0,", "--", "true"], "'': allowed are a letter"),
-        (["--interfaces", "../x", "--", "true"], "allowed are a letter"),
-        (["--interfaces", "vcan0;reboot", "--", "true"], "allowed are a letter"),
-        (["--interfaces", "a234567890123456", "--", "true"], "allowed are a letter"),
-        (["--interfaces", "v,v", "--", "true"], "distinct names"),
-        (["--memory", "lots", "--", "true"], "--memory lots: expected a number with K, M or G"),
-        (["--memory", "2", "--", "true"], "expected a number with K, M or G"),
-        (["--timeout", "0", "--", "true"], "--timeout 0: expected seconds above 0"),
-        (["--timeout", "nan", "--", "true"], "expected seconds above 0"),
-    ],
-)
-def test_bad_arguments_are_named(
-    words: list[str], message: str, asked: list[tuple[str, list[str]]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fake_kernel(monkeypatch)
-    with pytest.raises(InputError, match=message):
-        command.run(parse(*words))
-    assert asked == []
-
-
-def test_host_and_uml_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        parse("--host", "--uml", "--", "true")
-    assert ended.value.code == 2
-    assert "not allowed with" in capsys.readouterr().err
 
 
 class FakeStdin:
@@ -292,25 +258,21 @@ def test_a_terminating_signal_is_130_and_the_handler_is_put_back(monkeypatch: py
 # User-mode Linux: all but the boot
 
 
+@pytest.mark.parametrize(
+    ("machine", "message"),
+    [
+        ("x86_64", r"`apt-get install -y user-mode-linux` \(as root\)"),
+        ("aarch64", r"^this kernel has no vcan.* x86 only, not for aarch64; .*modprobe.*$"),
+    ],
+)
 def test_what_is_missing_is_named_with_the_command_that_installs_it(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    machine: str, message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(parts, "find_program", lambda name: None if name == "linux.uml" else f"/bin/{name}")
-    monkeypatch.setattr(parts, "_MODULES", tmp_path)
-    with pytest.raises(EnvironmentLackError, match=r"`apt-get install -y user-mode-linux` \(as root\)"):
-        uml.run_in_uml(uml.Request(["true"], ["vcan0"], "1G", None, False))
-
-
-def test_a_processor_that_user_mode_linux_does_not_know_gets_one_line(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr(parts, "find_program", lambda name: None if name == "linux.uml" else f"/bin/{name}")
-    monkeypatch.setattr(parts, "_MODULES", tmp_path)
-    monkeypatch.setattr(os, "uname", lambda: os.uname_result(("Linux", "here", "6.1", "#1", "aarch64")))
-    with pytest.raises(
-        EnvironmentLackError, match=r"^this kernel has no vcan.* x86 only, not for aarch64; .*modprobe.*$"
-    ):
-        parts.require_parts()
+    monkeypatch.setattr(host, "find_program", lambda name: None if name == "linux.uml" else f"/bin/{name}")
+    monkeypatch.setattr(host, "_MODULES", tmp_path)
+    monkeypatch.setattr(os, "uname", lambda: os.uname_result(("Linux", "here", "6.1", "#1", machine)))
+    with pytest.raises(EnvironmentLackError, match=message):
+        uml.run_in_uml(["true"], ["vcan0"], "1G", None, False)
 
 
 @needs_bash
@@ -328,19 +290,19 @@ def test_the_exchange_is_mounted_by_either_interface_of_hostfs(kernel: str) -> N
 
 
 def test_all_that_is_missing_is_named_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(parts, "find_program", lambda _name: None)
-    monkeypatch.setattr(parts, "_MODULES", tmp_path)
-    assert parts.missing_packages() == ["iproute2", "kmod", "user-mode-linux", "util-linux"]
+    monkeypatch.setattr(host, "find_program", lambda _name: None)
+    monkeypatch.setattr(host, "_MODULES", tmp_path)
+    assert host.missing_packages() == ["iproute2", "kmod", "user-mode-linux", "util-linux"]
 
 
 def test_the_kernel_without_its_modules_is_not_complete(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(parts, "find_program", lambda name: f"/bin/{name}")
-    monkeypatch.setattr(parts, "_MODULES", tmp_path)
-    assert parts.missing_packages() == ["user-mode-linux"]
+    monkeypatch.setattr(host, "find_program", lambda name: f"/bin/{name}")
+    monkeypatch.setattr(host, "_MODULES", tmp_path)
+    assert host.missing_packages() == ["user-mode-linux"]
     module = tmp_path / "6.1/kernel/drivers/net/can/vcan.ko"
     module.parent.mkdir(parents=True)
     module.touch()
-    assert parts.missing_packages() == []
+    assert host.missing_packages() == []
 
 
 @needs_bash
@@ -473,4 +435,4 @@ class Machine:
         self.program.chmod(0o755)
 
     def run(self, timeout_s: float | None = None) -> int:
-        return uml.run_in_uml(uml.Request(["true"], ["vcan0"], "64M", timeout_s, False))
+        return uml.run_in_uml(["true"], ["vcan0"], "64M", timeout_s, False)

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce_tools.doctor.vcan import vcan_checks
-from tipforce_tools.vcan import parts, run, uml, xstate
+from tipforce_tools.doctor.machine import vcan_checks
+from tipforce_tools.vcan import host, run, uml
 
 FILES = 600
-LACKING = parts.missing_packages() if sys.platform == "linux" else ["Linux"]
+LACKING = host.missing_packages() if sys.platform == "linux" else ["Linux"]
 pytestmark = pytest.mark.skipif(bool(LACKING), reason=f"User-mode Linux is not complete here: no {', '.join(LACKING)}")
 
 
@@ -27,7 +27,7 @@ def amx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     subprocess.run(["gcc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
 
     def both(folder: Path) -> dict[str, str]:
-        return {"LD_PRELOAD": f"{xstate.build(folder)}:{library}"}
+        return {"LD_PRELOAD": f"{uml.build_whole_xstate(folder)}:{library}"}
 
     monkeypatch.setattr(uml, "preloading", both)
     return str(library)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce_tools.vcan import xstate
+from tipforce_tools.vcan import uml
 
 HERE = Path(__file__).parent
 
@@ -17,21 +17,21 @@ def test_amx_is_what_the_kernel_says_of_the_processor(tmp_path: Path) -> None:
     cpuinfo = tmp_path / "cpuinfo"
     for flags, expected in (("fpu avx512f amx_tile amx_int8", True), ("fpu avx512f", False)):
         cpuinfo.write_text(f"processor\t: 0\nflags\t\t: {flags}\n")
-        assert xstate.is_needed(cpuinfo) == expected
-    assert not xstate.is_needed(tmp_path / "none")
+        assert uml.needs_whole_xstate(cpuinfo) == expected
+    assert not uml.needs_whole_xstate(tmp_path / "none")
 
 
 @pytest.fixture
 def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(xstate, "_COMPILERS", ("no-such-compiler",))
+    monkeypatch.setattr(uml, "_COMPILERS", ("no-such-compiler",))
 
 
 @pytest.mark.usefixtures("no_compiler")
 def test_without_a_compiler_one_line_says_so_and_the_rest_goes_on(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(xstate, "is_needed", lambda: False)
-    assert xstate.preloading(tmp_path) == {}
+    monkeypatch.setattr(uml, "needs_whole_xstate", lambda: False)
+    assert uml.preloading(tmp_path) == {}
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert "`apt-get install -y gcc libc6-dev` (as root); this processor does not need it" in said
@@ -41,9 +41,9 @@ def test_without_a_compiler_one_line_says_so_and_the_rest_goes_on(
 def test_without_a_compiler_a_processor_with_amx_is_refused_in_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(xstate, "is_needed", lambda: True)
+    monkeypatch.setattr(uml, "needs_whole_xstate", lambda: True)
     with pytest.raises(EnvironmentLackError, match=r"^User-mode Linux on a processor with AMX .* gcc libc6-dev` .*$"):
-        xstate.preloading(tmp_path)
+        uml.preloading(tmp_path)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the stand-in is a shell script")
@@ -51,9 +51,9 @@ def test_a_compiler_that_fails_is_quoted(monkeypatch: pytest.MonkeyPatch, tmp_pa
     compiler = tmp_path / "compiler"
     compiler.write_text("#!/bin/sh\necho 'no crti.o' >&2\necho more >&2\nexit 1\n")
     compiler.chmod(0o755)
-    monkeypatch.setattr(xstate, "_COMPILERS", (str(compiler),))
+    monkeypatch.setattr(uml, "_COMPILERS", (str(compiler),))
     with pytest.raises(EnvironmentLackError, match=r"compiler failed \(no crti.o\): "):
-        xstate.build(tmp_path)
+        uml.build_whole_xstate(tmp_path)
 
 
 def _larger_than_576_bytes() -> bool:
@@ -73,4 +73,4 @@ def test_the_beginning_of_the_state_is_set_and_the_rest_stays(tmp_path: Path) ->
         return subprocess.run([str(program)], env=environment, capture_output=True, text=True, check=True).stdout
 
     assert said() == "larger, EFAULT, not arrived, the rest as it was\n", "the kernel as it is"
-    assert said(LD_PRELOAD=str(xstate.build(tmp_path))) == "larger, set, arrived, the rest as it was\n"
+    assert said(LD_PRELOAD=str(uml.build_whole_xstate(tmp_path))) == "larger, set, arrived, the rest as it was\n"

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from canopen_device.core.node import Device
+from canopen_device.eds import read_eds
+from canopen_device.eds.load import device_of
 from eds.samples import INFO, MANDATORY, record, var
 from host.bus_with_nodes import connected, finger, new_channel
 from host.logs.test_pcap import block, socketcan
-from tipforce.device.node import Device
-from tipforce.eds import read_eds
-from tipforce.eds.load import device_of
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce_tools.cli.main import COMMANDS, main
 

@@ -17,22 +17,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device import codes
+from canopen_device.core import codes
+from canopen_device.running import loop
+from canopen_device.running.ports import SocketCanPort
 from tipforce.dictionary import objects
 from tipforce.fingertip.node import fingertip_node
-from tipforce.running import loop
-from tipforce.running.ports import SocketCanPort
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from multiprocessing.sharedctypes import Synchronized
 
 FIRST_NEWTONS, NEWTONS_PER_S = 1.0, 1.0
 RISE_NS = 8_000_000_000  # then it begins anew: at 1 + 8 N no gauge is near its end
 NMT, SYNC, LSS = 0x000, 0x080, 0x7E5
 _EXTENDED = 0x80000000
+_TRIES = 10
 _TIMESTAMP_NS = 0x8907  # SIOCGSTAMPNS of asm-generic/sockios.h
 _TIMESPEC = struct.Struct("=qq")
 
@@ -48,7 +50,7 @@ def force_newtons(sync_ns: npt.ArrayLike, node_id: int) -> npt.NDArray[np.float6
 
 def change_as_another_master(channel: str, node_id: int, what: str, when: Synchronized[float]) -> None:
     """A process: another master that changes a finger; ``when`` gets the time (ns since 1970) after which it holds."""
-    from tipforce.errors import RefusedError, SdoAbortError
+    from tipforce.errors import RefusedError
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.finger import FingertipClient
 
@@ -62,8 +64,8 @@ def change_as_another_master(channel: str, node_id: int, what: str, when: Synchr
         elif what == "calibration":
             calibration = client.calibration()
             assert calibration is not None
-            with suppress(SdoAbortError, RefusedError):  # the hand may undo it before it was read back
-                client.apply_calibration(replace(calibration, C=1.5 * calibration.C), store=False)
+            with suppress(RefusedError):  # the hand may undo it before it was read back
+                _persist(lambda: client.apply_calibration(replace(calibration, C=1.5 * calibration.C), store=False))
         elif what == "mapping":
             cob_id = sdo.read(objects.TPDO2_COB_ID)
             sdo.write(objects.TPDO2_COB_ID, cob_id | codes.COB_ID_INVALID)
@@ -77,6 +79,16 @@ def change_as_another_master(channel: str, node_id: int, what: str, when: Synchr
             bus.nmt("preop", node_id)
         else:
             raise ValueError(what)
+
+
+def _persist(change: Callable[[], object]) -> None:
+    """Repeat a change until the node takes it: a node has one SDO server, which the hand uses too."""
+    from tipforce.errors import SdoAbortError
+
+    for _ in range(_TRIES):
+        with suppress(SdoAbortError):
+            change()
+            return
 
 
 def _filters(node_id: int) -> bytes:

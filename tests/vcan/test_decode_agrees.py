@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -17,7 +18,8 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import SdoChannel
-from tipforce_tools.demo.job import case_calibration, grooves
+from tipforce.sensor.structure.published import GROOVES_DEG
+from tipforce_tools.demo.job import case_calibration
 from vcan.support import (
     NODE_ID,
     REPOSITORY,
@@ -62,7 +64,7 @@ def log(node: Command, host: Bus, tmp_path_factory: pytest.TempPathFactory) -> P
         host.nmt("start", NODE_ID)
         _syncs(bus)
         FingertipClient(sdo).apply_calibration(case_calibration("I", pull=True))
-        for phi, theta in grooves():
+        for phi, theta in GROOVES_DEG:
             _load(sdo, 4.4, phi, theta)
             _syncs(bus)
         for fault in (OPEN, SATURATED, SILENT, NONE):
@@ -136,10 +138,11 @@ def test_dump_and_cantools_agree_on_every_signal_of_every_message(log: Path) -> 
             counts[name] = counts.get(name, 0) + 1
             if a is not None and b is not None:
                 assert round(a / scale) == round(b / scale), (line, name, a, b)
-    messages = [our.message for our in ours]
-    states = 1 + len(grooves()) + 5
-    assert all(messages.count(f"TIP05_{name}") == states * SYNCS_PER_STATE for name in ("Gauges", "Contact", "Force"))
-    assert messages.count("TIP05_Health") >= states
+    messages = Counter(our.message for our in ours)
+    states = 1 + len(GROOVES_DEG) + 5
+    pdos = {name: messages[f"TIP05_{name}"] for name in ("Gauges", "Contact", "Force")}
+    assert pdos == dict.fromkeys(pdos, states * SYNCS_PER_STATE)
+    assert messages["TIP05_Health"] >= states
     # Every measurement was seen with a value and without one.
     for name in ("SG1", "SG2", "SG3", "P", "phi", "theta", "F1", "F2", "F3"):
         assert min(unknown.get(name, 0), known.get(name, 0)) >= SYNCS_PER_STATE, (name, unknown, known)

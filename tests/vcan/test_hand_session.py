@@ -17,15 +17,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.hand import Hand
-from tipforce.host.hand.rows import Rows
+from tipforce.samples.record import Rows
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix
 from vcan.pressed import NEWTONS_PER_S, change_as_another_master, force_newtons, run_node
-from vcan.support import HEARTBEAT, WAIT_S, Launch, RawBus, is_boot_up, wait_until
+from vcan.support import HEARTBEAT, SDO_REQUEST, WAIT_S, Launch, RawBus, is_boot_up, wait_until
 from vcan.support import _context as context
 
 CHANNEL = "vcan1"
@@ -35,11 +34,13 @@ SYNC_HZ = 25
 # that, too. Where others do, all nodes stand still together for more than the 250 ms after which they would be lost.
 HEARTBEAT_MS = 200
 BUS_OFF = (0x20000040, bytes(8))  # error frame of linux/can/error.h
-LATE = ("heartbeat_lost", "heartbeat_back", "started: was silent")
-# A read of all settings after a boot takes long on an emulated processor: seconds there, a tenth of one elsewhere. The
-# simulated hand (tests/host/hand/test_another_master.py) counts in time that does not hang on the processor.
+LATE = ("heartbeat_lost", "heartbeat_back", "started: was silent", "failed")  # a failed recovery is repeated
+# A read after a boot takes 3 ms on an emulated processor, and 25 ms on one of four that want the machine. So reads are
+# counted, and the time is that of an overloaded machine. The simulated hand (tests/host/hand/test_another_master.py)
+# counts in time that does not hang on the processor.
 RECOVERED_MS = 30_000
-NOTICED_SYNCS = 8 * SYNC_HZ
+RECOVERY_REQUESTS = 300  # 218 where none is repeated
+NOTICED_SYNCS = 8 * SYNC_HZ  # the other master's own transfers among them
 NOT_OF_THIS_SYNC_NEWTONS = 0.5 * NEWTONS_PER_S / SYNC_HZ  # an answer to the SYNC before is off by twice as much
 ROUNDING_STRAIN2 = 0.1e-6**2 / 12
 
@@ -114,14 +115,15 @@ class Session:
         """All fingers are there: in the last row, and by their heartbeats."""
         return self.hand.settled() and not np.isnan(self.latest()).any()
 
-    def recovered(self, what: str) -> None:
-        """Wait until the hand is correct again, in rows from now on: it takes RECOVERED_MS at most."""
+    def recovered(self, what: str, node_id: int = 1) -> None:
+        """Wait until the hand is correct again, in rows from now on: RECOVERED_MS and RECOVERY_REQUESTS at most."""
         begin_s, begin_ns = time.monotonic(), time.time_ns()
-        with RawBus(CHANNEL, only=HEARTBEAT + NODE_IDS[0]) as bus:
+        with RawBus(CHANNEL, HEARTBEAT + NODE_IDS[0]) as bus, RawBus(CHANNEL, SDO_REQUEST + node_id) as sdo:
             wait_until(lambda: self.whole() and self.rows[-1].sync_ns[-1] > begin_ns, what)
-            took_s, beats = time.monotonic() - begin_s, len(bus.waiting())
-        print(f"{what}: correct again after {beats} heartbeats of {HEARTBEAT_MS} ms, {took_s:.2f} s")
+            took_s, beats, requests = time.monotonic() - begin_s, len(bus.waiting()), len(sdo.waiting())
+        print(f"{what}: after {beats} heartbeats of {HEARTBEAT_MS} ms, {requests} SDO requests, {took_s:.2f} s")
         assert beats * HEARTBEAT_MS <= RECOVERED_MS, what
+        assert requests <= RECOVERY_REQUESTS, what
 
     def checked(self) -> int:
         """Every value of every row so far, against what its finger felt at the SYNC of the row: how many there were."""
@@ -160,7 +162,10 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
     found = Session(tmp_path_factory.mktemp("hand"))
     try:
         begun_s = time.monotonic()
-        reports = found.hand.bring_up()
+        for _ in range(3):  # where a response takes over 0.5 s, a finger fails, and is brought up again
+            reports = found.hand.bring_up()
+            if all(report.ok for report in reports):
+                break
         assert [str(report) for report in reports] == [f"finger {n}: up" for n in NODE_IDS]
         print(f"bring-up: {time.monotonic() - begun_s:.2f} s")
         found.hand.start()
@@ -202,7 +207,7 @@ def test_killed_node_is_unknown_and_comes_back(session: Session) -> None:
     for block in list(session.rows):
         assert np.isnan(block.columns["P"][block.sync_ns > killed_ns, 1]).all()
     session.switch_on(2)
-    session.recovered("killed node")
+    session.recovered("killed node", 2)
     kinds = session.kinds()
     assert [kind for kind, node_id in kinds if node_id == 2 and kind in ("boot_up", "calibrated", "started")] == [
         "boot_up", "calibrated", "started",
@@ -213,7 +218,7 @@ def test_killed_node_is_unknown_and_comes_back(session: Session) -> None:
 def test_node_that_restarts_at_once_is_set_up_again(session: Session) -> None:
     session.switch_off(4)
     session.switch_on(4)
-    session.recovered("restarted node")
+    session.recovered("restarted node", 4)
     kinds = session.kinds()
     assert of_others(kinds, 4) == []
     names = [kind for kind, node_id in kinds if node_id == 4]

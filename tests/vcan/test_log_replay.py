@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.live.can_filter import Filter, Selection
 from tipforce.host.live.receive import SocketReceiver, open_receiver, open_socket
+from tipforce.host.live.receiver import Filter, Selection
 from vcan.support import WAIT_S, Command, Launch, RawBus, wait_until
 from vcan.test_dump_options import EVERYTHING, fd_bus, listening_candump, sockets_listening, traffic
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import struct
@@ -86,21 +85,6 @@ def test_a_disk_that_takes_nothing_costs_nothing_but_the_storing(
         assert client.verify_calibration(second) == []
 
 
-def test_a_node_starts_from_a_torn_slot_with_the_settings_before(host: Bus, tmp_path: Path) -> None:
-    path = tmp_path / "node.json"
-    client = FingertipClient(host.sdo(NODE_ID))
-    first, second = case_calibration("I", pull=True), case_calibration("II", pull=True)
-    with running_node(tmp_path, "--store", str(path)):
-        client.apply_calibration(first)
-        client.apply_calibration(second)
-    slots = [path, path.with_name("node.json.2")]
-    newest = max(slots, key=lambda slot: json.loads(slot.read_bytes())["sequence"])
-    newest.write_bytes(newest.read_bytes()[:100])
-    with running_node(tmp_path, "--store", str(path)) as node:
-        assert client.verify_calibration(first) == []
-        assert f"{newest.name} is damaged" in node.stderr
-
-
 def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
     if not in_user_mode_linux():
         pytest.skip("sets the time of day: only on a kernel of its own, `tipforce vcan --uml -- ...`")
@@ -122,14 +106,6 @@ def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
         assert time.monotonic() - began > 0.5
         answers_a_sync()
         assert node.end() == 0
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_the_last_frame_of_a_node_says_that_it_stopped(bus: RawBus, tmp_path: Path, number: int) -> None:
-    with running_node(tmp_path) as node:
-        assert node.end(number) == 0
-    frames = bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x04"))
-    assert frames[-1] == (HEARTBEAT + NODE_ID, b"\x04")
 
 
 def test_priority_and_locked_memory_as_root(tmp_path: Path) -> None:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import http.client
 import json
-import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce_tools.demo.job import bounds, case_calibration, coverage_factor
 from vcan.support import BUS, WAIT_S, Command, running_node, wait_until
 
@@ -79,15 +78,8 @@ class Page:
         return found
 
 
-class Views(NamedTuple):
-    """Nodes by node-id, and the two pages on their bus."""
-
-    nodes: dict[int, Command]
-    pages: dict[str, Page]
-
-
 @pytest.fixture
-def views(tmp_path: Path) -> Iterator[Views]:
+def pages(tmp_path: Path) -> Iterator[dict[str, Page]]:
     """Two loaded nodes; `view hand.toml`, which calibrates and starts them and sends the SYNC; `view -i -c` beside.
 
     Afterwards the commands end as they should.
@@ -99,17 +91,16 @@ def views(tmp_path: Path) -> Iterator[Views]:
         text += f'[[finger]]\nnode_id = {node_id}\nlayout = "{case}"\ncalibration = "{case}.toml"\n'
     (folder / "hand.toml").write_text(text)
     with ExitStack() as stack:
-        nodes = {}
         for node_id, (case, load) in LOADS.items():
             flags = ("--layout", case, "--offset", "12.0,-8.5,5.3", "--load", ",".join(map(str, load)))
-            nodes[node_id] = stack.enter_context(running_node(folder, *flags, node_id=node_id))
+            stack.enter_context(running_node(folder, *flags, node_id=node_id))
         commands = {
             "hand.toml": Command(("view", str(folder / "hand.toml"), "--port", "0", "--json"), folder),
             "vcan0": Command(("view", *BUS, "--port", "0", "--json"), folder),
         }
         for command in commands.values():
             stack.callback(command.close)
-        yield Views(nodes, {title: Page(command) for title, command in commands.items()})
+        yield {title: Page(command) for title, command in commands.items()}
         for command in commands.values():
             assert command.end() == 0
             assert "Traceback" not in command.stderr
@@ -128,8 +119,8 @@ def check_ages(messages: list[Message]) -> None:
                 assert message["t"] - finger["since"] <= limit_ms, message
 
 
-def test_the_pages_and_the_force_on_each_finger(views: Views) -> None:
-    for title, page in views.pages.items():
+def test_the_pages_and_the_force_on_each_finger(pages: dict[str, Page]) -> None:
+    for title, page in pages.items():
         check_page(title, page)
 
 
@@ -151,32 +142,3 @@ def check_page(title: str, page: Page) -> None:
             _, bound, _ = bounds(case_calibration(case, pull=True), np.array(load), z)
             assert (np.abs(error) <= bound + JSON_STEP).all(), (finger, load, bound)
     assert messages[-1]["nmt"] == ["operational", "operational"]
-
-
-def test_a_finger_without_power_is_missing_on_both_pages(views: Views) -> None:
-    with ExitStack() as stack:
-        for page in views.pages.values():
-            stack.enter_context(page).messages(all_live)
-        assert views.nodes[6].end(signal.SIGKILL) == -signal.SIGKILL
-        killed_ms = time.time_ns() * 1e-6
-
-        def silent_since_then(message: Message) -> bool:
-            return bool(message["t"] > killed_ms and message["fingers"][1]["w"] == "silent")
-
-        for page in views.pages.values():
-            # A machine that stood still before made it silent for a moment, too.
-            messages = page.messages(silent_since_then)
-            check_ages(messages)
-            for message in messages:
-                six = message["fingers"][1]
-                # What is shown of it is what it said before, soon told to be old; then there is no number any more.
-                assert six["since"] <= killed_ms
-                assert six["w"] in ("live", "stale", "silent")
-                assert ("c" in six) == (six["w"] != "silent")
-            assert messages[-1]["fingers"][1]["why"] == "no response"
-            more = page.messages(lambda message: message["nmt"][1] in ("", "silent"))
-            assert {message["fingers"][1]["w"] for message in more} == {"silent"}
-            assert more[-1]["nmt"][0] == "operational"
-            page.messages(lambda message: message["fingers"][0]["w"] == "live")
-            told = [event for message in messages + more for event in message.get("events", ())]
-            assert [event["node"] for event in told if event["kind"] == "heartbeat_lost"] == [6]

@@ -14,10 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from host.bus_with_nodes import connected, finger, new_channel
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.decoding.sample_table import Column, Table
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.cli.main import main
@@ -127,12 +126,6 @@ def test_resample_does_not_see_blocks(made: list[tuple[int, int, float]], size: 
         np.testing.assert_allclose(np.diff(grid), 1 / rate_hz, atol=2e-9)
 
 
-def test_a_leap_of_the_clock_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lines = ["(0000000001.000000) can0 285#E80364006400030A", "(1700000000.000000) can0 285#E80364006400030B"]
-    assert decode(write_log(tmp_path / "a.log", lines), "--resample", "1000", "-o", tmp_path / "a.csv") == 2
-    assert "intervals without a sample" in capsys.readouterr().err
-
-
 def test_calibration_equals_estimate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     A = strain_matrix(FABRICATED, "I")
     offset = np.array([20e-6, -30e-6, 5e-6])
@@ -200,43 +193,6 @@ def test_layout_of_a_dcf(tmp_path: Path) -> None:
     assert decode(write_log(tmp_path / "a.log", lines), "--dcf", dcf, "-o", tmp_path / "a.csv") == 0
     rows = rows_of(tmp_path / "a.csv")
     assert [(row["node"], row["counter"], row["P_N"]) for row in rows] == [("5", "10", "1.000")]
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["--signals", "Q"], "Q"),
-        (["--from", "yesterday"], "--from"),
-        (["--resample", "0"], "--resample"),
-        (["-o", "x.xlsx"], "suffix"),
-        (["--format", "parquet"], "--output"),
-        (["--jobs", "0"], "--jobs"),
-        (["--calibration", "999=a.toml"], "999"),
-        (["--calibration", "missing.toml"], "missing.toml"),
-        (["--dbc", "missing.dbc"], "missing.dbc"),
-        (["--dcf", "missing.dcf"], "missing.dcf"),
-        (["--scheduler", "tcp://127.0.0.1:1"], "--scheduler"),
-    ],
-)
-def test_what_is_not_usable_is_said(
-    log: Path, words: list[str], says: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from tipforce_tools.decode import cluster
-
-    monkeypatch.setattr(cluster, "CONNECT_S", 1)
-    assert main(["decode", str(log), *words]) == 2
-    out, err = capsys.readouterr()
-    assert says in err
-    assert "Traceback" not in err
-    assert out == ""
-
-
-def test_times_in_utc(log: Path, tmp_path: Path) -> None:
-    import pyarrow.parquet as pq
-
-    assert decode(log, "-o", tmp_path / "a.parquet") == 0
-    first = pq.read_table(tmp_path / "a.parquet")["t_s"][0]
-    assert first.value == 1_700_000_000_000_050  # microseconds
 
 
 def test_summary_counts(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,7 +21,7 @@ import pytest
 import tipforce
 from tipforce.host.dataset import manifest as manifests
 from tipforce.host.dataset.reader import opened, tally
-from tipforce.host.dataset.store import Store
+from tipforce.host.dataset.store import FOLDER, Store, is_dataset
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import part_session
 from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
@@ -146,14 +146,14 @@ def test_a_log_is_followed(tmp_path: Path, lines: list[str]) -> None:
     words = ["decode", "-q", "--follow", str(log), "-o", f"{data}/"]
     with subprocess.Popen([*COMMAND, *words]) as process, contextlib.ExitStack() as at_end:
         at_end.callback(process.kill)
-        _until(lambda: manifests.is_dataset(data))
+        _until(lambda: is_dataset(data))
         with log.open("a") as stream:
             stream.write("".join(line + "\n" for line in lines[2000:]))
         _until(lambda: opened(str(data))[1].sources[0].size == log.stat().st_size)
         assert rows_of_dataset(data) == rows_of_logs(log)
         process.terminate()
         assert process.wait(30) == 130
-    assert sorted(name for name in os.listdir(data / manifests.FOLDER) if "manifest" not in name) == []
+    assert sorted(name for name in os.listdir(data / FOLDER) if "manifest" not in name) == []
 
 
 def _until(holds: Callable[[], bool]) -> None:
@@ -230,7 +230,7 @@ def killed_runs(tmp_path: Path, lines: list[str], instants: int, seed: int) -> N
             process.stdin.flush()
             time.sleep(order.uniform(0.0, 1.2))
             os.kill(process.pid, signal.SIGKILL)
-        if manifests.is_dataset(data):
+        if is_dataset(data):
             assert set(rows_of_dataset(data)) <= set(expected)
         assert decode(log, "-o", f"{data}/", "-j", 1) == 0
         assert rows_of_dataset(data) == expected

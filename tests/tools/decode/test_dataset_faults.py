@@ -11,7 +11,7 @@ import pytest
 
 from tipforce.host.dataset import manifest as manifests
 from tipforce.host.dataset.reader import opened
-from tipforce.host.dataset.store import Store
+from tipforce.host.dataset.store import FOLDER, Store, is_dataset
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import dataset_run, part_session
 from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
@@ -177,7 +177,7 @@ def test_logs_that_are_not_logs(tmp_path: Path, lines: list[str], capsys: pytest
     syncs = write_log(tmp_path / "syncs.log", [line for line in lines if "080#" in line])
     for log in (junk, syncs, junk, syncs):  # the second time is no success either
         assert decode(log, "-j", 1, "-o", f"{data}/") == 1
-    assert not manifests.is_dataset(data)
+    assert not is_dataset(data)
     empty, log = write_log(tmp_path / "empty.log", []), write_log(tmp_path / "run.log", lines)
     for logs in ((empty,), (empty, log), (log, empty)):  # every log begins like an empty one
         assert decode(*logs, "-j", 1, "-o", f"{data}/") == 0
@@ -245,8 +245,8 @@ def test_interrupted_between_two_logs(tmp_path: Path, days: list[Path], monkeypa
 )
 def test_manifests(tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixture[str], text: str, says: str) -> None:
     data = tmp_path / "data"
-    (data / manifests.FOLDER).mkdir(parents=True)
-    (data / manifests.FOLDER / "manifest-0000000004.json").write_text(text)
+    (data / FOLDER).mkdir(parents=True)
+    (data / FOLDER / "manifest-0000000004.json").write_text(text)
     assert main(["dataset", str(data)]) == decode(days[0], "-o", f"{data}/") == 2
     found = capsys.readouterr().err.splitlines()
     assert len(found) == 2

@@ -20,8 +20,8 @@ import pytest
 from bench.scale import month
 
 from tipforce.host.dataset.reader import opened, tables
-from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.log_part import Reading
+from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce_tools.cli.main import main
 from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
 from tools.decode.logs import decode, log_lines, write_log

@@ -16,11 +16,14 @@ from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
 import tipforce
+from host.bus_with_nodes import beam_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.logs.reader import open_log
+from tipforce.samples import reasons
+from tipforce.watching.fingers import Finger
+from tipforce_robots.ros2 import cdr
 from tipforce_tools.cli.main import main
-from tipforce_tools.ros2 import definitions
-from tipforce_tools.view.fingers import Finger
-from tipforce_tools.view.log_source import LogSource
+from tipforce_tools.view.sources import LogSource
 from tools.decode.logs import START_US, decode, log_lines, number, rows_of, write_log
 
 Found = dict[str, list[tuple[int, Any]]]
@@ -41,10 +44,14 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def found(files: Path) -> Found:
+    return _messages(files / "run.mcap")
+
+
+def _messages(path: Path) -> Found:
     """The messages by topic, each with its log time; the reader checks the CRCs."""
     topics: Found = {}
     factory = DecoderFactory()
-    with (files / "run.mcap").open("rb") as stream:
+    with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         header, summary = reader.get_header(), reader.get_summary()
         assert (header.profile, header.library) == ("ros2", "tipforce")
@@ -85,6 +92,19 @@ def test_every_value_is_that_of_the_csv(node: int, found: Found, files: Path) ->
             P, phi = values[0], math.radians(values[1])
             force = wrenches[t_ns].wrench.force
             np.testing.assert_allclose([force.x, force.y], [P * math.cos(phi), P * math.sin(phi)], atol=1e-12)
+
+
+def test_the_flags_of_a_calibration_are_bits_of_the_status(tmp_path: Path) -> None:
+    """A flag that is computed has its own bit: 0100h says that no answer came, and the calibration has no range."""
+    write_calibration(tmp_path / "cal.toml", beam_calibration(pull=True))
+    log = write_log(tmp_path / "run.log", [f"(1700000000.{k:06d}) can0 185#640{k}6400640003{k:02X}" for k in range(9)])
+    for name in ("run.mcap", "run.csv"):
+        assert decode(log, "--calibration", f"5={tmp_path / 'cal.toml'}", "-o", tmp_path / name) == 0
+    contacts = _messages(tmp_path / "run.mcap")["/tipforce/finger_5/contact"]
+    for row, (_, contact) in zip(rows_of(tmp_path / "run.csv"), contacts, strict=True):
+        assert contact.status == sum(bit for name, bit in reasons.BITS.items() if row.get(name) == "1")
+        assert contact.status & reasons.UNRANGED
+        assert not contact.status & reasons.NO_ANSWER
 
 
 def test_diagnostics_come_once_a_second_and_with_an_emcy(found: Found) -> None:
@@ -147,7 +167,7 @@ def test_plot_view_and_read_log_read_it(files: Path) -> None:
 
 
 def test_the_schemas_have_all_that_they_use() -> None:
-    text = definitions.with_dependencies(definitions.DIAGNOSTICS)
+    text = cdr.with_dependencies(cdr.DIAGNOSTICS)
     assert [line.split()[1] for line in text.splitlines() if line.startswith("MSG: ")] == [
         "std_msgs/Header", "diagnostic_msgs/DiagnosticStatus", "builtin_interfaces/Time", "diagnostic_msgs/KeyValue",
     ]  # fmt: skip

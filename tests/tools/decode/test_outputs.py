@@ -13,7 +13,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from tipforce_tools.cli.main import main
-from tipforce_tools.decode import writers
 from tools.decode.logs import decode, log_lines, rows_of, write_log
 
 DECODE = [sys.executable, "-m", "tipforce_tools.cli.main", "decode"]
@@ -52,35 +51,6 @@ def test_columns_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert table.column_names == list(rows[0])
     assert table["channel"].to_pylist() == [row["channel"] for row in rows]
     assert [value is None for value in table["SG2_ue"].to_pylist()] == [not row["SG2_ue"] for row in rows]
-
-
-BEFORE = {"out.csv": b"a,b\n", "out.jsonl": b"{}\n", "out.parquet": b"PAR1", "out.mcap": b"\x89MCAP"}
-
-
-@pytest.mark.parametrize("name", BEFORE)
-def test_no_partial_output_stays(
-    log: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    place = log.parent / name
-    place.write_bytes(BEFORE[name])
-    opened = writers.open_writer
-
-    def failing(*words: object, **options: object) -> writers.Writer:
-        writer = opened(*words, **options)  # type: ignore[arg-type]
-        write = writer.write
-
-        def full(table: object) -> None:
-            write(table)  # type: ignore[arg-type]
-            raise OSError(28, "No space left on device")
-
-        monkeypatch.setattr(writer, "write", full)
-        return writer
-
-    monkeypatch.setattr("tipforce_tools.decode.session.open_writer", failing)
-    assert decode(log, "-o", f"{log.parent}/{name}") == 1
-    assert "No space left" in capsys.readouterr().err
-    assert sorted(path.name for path in log.parent.iterdir()) == sorted({"run.log", name})
-    assert place.read_bytes() == BEFORE[name]
 
 
 def test_strict_ends_at_the_first_bad_line(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,17 +125,6 @@ def test_text_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         "(1700000000.000001)  node   5 (0x05)  P unknown    phi unknown      theta unknown      #4  calibrated",
         "(1700000000.000002)  node  15 (0x0F)  P   1.000 N  phi unknown      theta unknown      #4  contact",
     ]
-
-
-def test_what_is_not_needed_is_not_imported(log: Path) -> None:
-    code = (
-        "import sys\nfrom tipforce_tools.cli.main import main\nmain(sys.argv[1:])\n"
-        "print(*sorted({'can', 'canopen', 'cantools', 'pyarrow', 'rich', 'scipy', 'dask', 'mcap', 'asyncio'} "
-        "& set(sys.modules)))\n"
-    )
-    words = ["decode", "-q", str(log), "-o", str(log.with_suffix(".csv"))]
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60, check=True)
-    assert done.stdout.split() == []
 
 
 def test_a_device_is_written_to(log: Path) -> None:

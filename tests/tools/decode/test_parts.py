@@ -14,9 +14,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tipforce.host.dataset.reader import tables_of_logs
 from tipforce.host.decoding.decoded_part import Start
-from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.log_part import Piece, Reading
+from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording, State
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, is_missing
 from tipforce_tools.decode.parts import Event, InOrder, Work
@@ -101,20 +102,12 @@ class Shuffled:
         self._works[number] = Work(number, piece, READING)
         self._events.append(Event(number, self._works[number].decode()))
 
-    def _maybe_dies(self, number: int) -> None:
-        if self._order.random() < 0.3:
+    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
+        """As Workers."""
+        if self._order.random() < 0.3:  # the worker dies
             self._works[number] = Work(number, self._pieces[number], READING)
             self._works[number].decode()
-
-    def write(self, number: int, start: Start, shape: Shape) -> None:
-        """As Workers."""
-        self._maybe_dies(number)
-        self._events.append(Event(number, self._works.pop(number).write(start, shape, self._sink)))
-
-    def alone(self, number: int, state: State, shape: Shape, last: bool) -> None:
-        """As Workers."""
-        self._maybe_dies(number)
-        self._events.append(Event(number, self._works.pop(number).alone(state, shape, last, self._sink)))
+        self._events.append(Event(number, self._works.pop(number).write(before, shape, last, self._sink)))
 
     def next(self) -> Event:
         """As Workers."""
@@ -139,7 +132,7 @@ def in_parts(log: Path, cuts: list[int], slots: int, order: random.Random) -> tu
 def one_pass(log: Path) -> tuple[list[str], Recording]:
     """The rows and the recording of one pass."""
     recording = Recording(READING)
-    return [row for table in recording.tables_of_logs([str(log)]) for row in texts(table)], recording
+    return [row for table in tables_of_logs(recording, [str(log)]) for row in texts(table)], recording
 
 
 @given(

@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.host.decoding import decoded_part
-from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.log_part import Notes, Piece, Reading, Source
+from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import BLOCK_BYTES, line_borders
 from tipforce.host.logs.reader import LogReader, open_log

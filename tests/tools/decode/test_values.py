@@ -135,22 +135,22 @@ def test_nothing_else_is_decoded(log: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [0, 1, -1, 9, 10, -10, 4400, -4400, 32767, -32767, 999, -999])
 def test_text_of_numbers_is_exact(value: int) -> None:
-    from tipforce_tools.decode import cells
+    from tipforce_tools.decode import text_rows
 
     for digits in range(4):
-        made = cells.real_cells(np.array([value / 10**digits, np.nan, 12345.0]), digits)
-        text = cells.rows_text([made, b"\n"], 3).decode().split("\n")
+        made = text_rows.real_cells(np.array([value / 10**digits, np.nan, 12345.0]), digits)
+        text = text_rows.rows_text([made, b"\n"], 3).decode().split("\n")
         assert text[:3] == [f"{value / 10**digits:.{digits}f}", "", f"{12345:.{digits}f}"]
 
 
 def test_text_of_any_double() -> None:
-    from tipforce_tools.decode import cells
+    from tipforce_tools.decode import text_rows
 
     values = np.random.default_rng(3).standard_normal(500) * 10.0 ** np.random.default_rng(4).integers(-30, 30, 500)
-    text = cells.rows_text([cells.real_cells(values, None), b"\n"], 500).decode().split()
+    text = text_rows.rows_text([text_rows.real_cells(values, None), b"\n"], 500).decode().split()
     assert [float(cell) for cell in text] == values.tolist()
-    fixed = cells.rows_text(
-        [cells.real_cells(values[np.abs(values) < 1e9], 6), b"\n"], int((np.abs(values) < 1e9).sum())
+    fixed = text_rows.rows_text(
+        [text_rows.real_cells(values[np.abs(values) < 1e9], 6), b"\n"], int((np.abs(values) < 1e9).sum())
     )
     for cell, value in zip(fixed.decode().split(), values[np.abs(values) < 1e9].tolist(), strict=True):
         assert abs(float(cell) - value) <= 0.5000001e-6 + 1e-15 * abs(value)

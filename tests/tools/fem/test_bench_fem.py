@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from bench.fem import studies, table_3
-from bench.fem.__main__ import main
-from bench.fem.figures import distance, worst_error
+from bench import fem_studies as studies
+from bench.fem import distance, main, worst_error
 
 from tipforce_lab.fem.gauges import extrapolate_matrix
 from tipforce_lab.fem.mesh import GRADING, Resolution
@@ -44,7 +43,7 @@ def test_graded_meshes_are_ahead(runs: dict[float, studies.Convergence]) -> None
 
 
 def test_doubling_levels() -> None:
-    levels = tuple(studies.Level(n, 0, 0.0, (1.0,), np.zeros((1, 3)), 0.0) for n in (2, 3, 4, 6, 8, 12))
+    levels = tuple(studies.Level(n, 0, 0.0, [1.0], np.zeros((1, 3)), 0.0) for n in (2, 3, 4, 6, 8, 12))
     assert [level.cells for level in studies.Convergence(1.0, levels).doubling()] == [3, 6, 12]
 
 
@@ -54,19 +53,19 @@ def test_corner_exponents_show() -> None:
 
 
 def test_ansys_is_reproduced_by_places_or_by_legs(base: Solution) -> None:
-    found = {(one.what, one.case): one for one in table_3.matches(base, 1)}
+    found = {(match.what, match.case): match for match in studies.matches(base, 1)}
     for what in ("L, R inward", "legs thin"):
         two, three = found[what, "II"], found[what, "III"]
         assert two.conditions[1] == pytest.approx(3.36, abs=0.01)
         assert three.conditions[2] == pytest.approx(3.94, abs=0.01)
-        assert two.found == pytest.approx(three.found, rel=0.06)  # one cause for both
+        assert two.value_mm == pytest.approx(three.value_mm, rel=0.06)  # one cause for both
     # Gauges centred on L and R reach one or the other, not both.
     assert found["L, R outward", "II"].conditions[2] < 3.7
     assert found["L, R outward", "III"].conditions[1] > 3.6
 
 
 def test_no_places_reproduce_the_measurement(base: Solution) -> None:
-    found = table_3.best_for_measured(base, 7)
+    found = studies.best_for_measured(base, 7)
     assert found.worst > 0.1
     wanted = (3.50, 3.50, 3.34)
     assert max(abs(one - other) for one, other in zip(found.conditions, wanted, strict=True)) == pytest.approx(
@@ -76,9 +75,9 @@ def test_no_places_reproduce_the_measurement(base: Solution) -> None:
 
 def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(studies, "GRADINGS", (GRADING,))
-    monkeypatch.setattr(table_3, "outline_variants", lambda _: [])
-    monkeypatch.setattr(table_3, "matches", lambda *_: [])
-    assert main(["--quick"]) == 0
+    monkeypatch.setattr(studies, "outline_variants", lambda _: {})
+    monkeypatch.setattr(studies, "matches", lambda *_: [])
+    main(["--quick"])
     out = capsys.readouterr().out
     assert "case II: 2.80" in out
     assert "| opening | " in out

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauge_shift import GaugePosition
+from tipforce.sensor.structure.gauges import GaugePosition
 from tipforce_lab.fem.gauges import corner_exponent, extrapolate, face, nearest_place, strain_matrix
 from tipforce_lab.fem.mesh import GRADING, Resolution
 from tipforce_lab.fem.outline import STATED, Outline

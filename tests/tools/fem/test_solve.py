@@ -13,7 +13,7 @@ import pytest
 from skfem import Basis, ElementTriP2, ElementVector, MeshTri
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
+from tipforce.sensor.structure.gauges import GaugePosition, strain_row
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS, mirror
 from tipforce.sensor.structure.strain import condition_number

@@ -9,8 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from tipforce_lab.report import run
-from tipforce_lab.report.cases import Case, Outcome
-from tipforce_lab.report.study import Counted, Effort, Grid, GridRow, Need, Point, Series, Study, Timing
+from tipforce_lab.report.study import Case, Counted, Effort, Grid, GridRow, Need, Outcome, Point, Series, Study, Timing
 
 TIMING = Timing(2e-6, 1e-6, 4e-6, 7)
 
@@ -83,4 +82,4 @@ def install(monkeypatch: pytest.MonkeyPatch, modules: dict[str, types.ModuleType
         monkeypatch.setitem(sys.modules, f"made_{key}", made)
     monkeypatch.setattr(run, "STUDIES", {key: (f"made_{key}", f"about {key}") for key in modules})
     monkeypatch.setattr(run, "all_cases", cases if with_cases else list)
-    monkeypatch.setattr("tipforce_lab.report.cases.all_cases", cases if with_cases else list)
+    monkeypatch.setattr("tipforce_lab.report.study.all_cases", cases if with_cases else list)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError
 from tipforce_lab.report import page, plots
 from tipforce_lab.report.run import LeftOut, Report
 from tipforce_lab.report.study import Effort
@@ -102,10 +102,10 @@ def test_verdict_and_advice_come_first(html: str, report: Report) -> None:
     assert "3 references that are code of the project agree with an independent computation within 3.0e-12" in html
     assert "Of the ways to show values, one shows the fewest wrong ones as ok. In 1 of 1 cases" in html
     assert "none is exact enough" in html
-    near = advice(report)[0]
+    _, _, method, error, _ = advice(report)[0]
     # Good enough are 2 and 3 cells, "rms" and exact; the least time decides, not the least error.
-    assert (near.method, near.error) == ("with \"rms\" & 'quotes'", 1e-4)
-    assert advice(report)[1].method == ""
+    assert (method, error) == ("with \"rms\" & 'quotes'", "0.01 %")
+    assert advice(report)[1][2] == "none is exact enough"
 
 
 def test_a_wrong_row_without_a_reason_is_in_the_verdict() -> None:
@@ -211,34 +211,13 @@ def test_a_plot_can_be_a_file(report: Report, tmp_path: Path) -> None:
         plots.save(report.studies[0], tmp_path / "one.pdf")
 
 
-def test_without_matplotlib_the_extra_is_named(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
-
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(EnvironmentLackError, match=re.escape('pip install "tipforce[report]"')):
-        page.html(report)
-
-
-def test_the_document_takes_the_figures_over(
-    report: Report, written: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_document_takes_verdict_and_advice_over(written: list[Path]) -> None:
     from bench import report_document as document
 
-    docs, built = tmp_path / "docs", written[0].parent
-    (docs / "figures").mkdir(parents=True)
-    (docs / "report.md").write_text(
-        f"before\n{document.BEGIN}previous figures\n{document.END}after\n", encoding="utf-8"
-    )
-    monkeypatch.setattr("sys.argv", ["document", str(built), str(docs)])
-    document.main()
-    text = (docs / "report.md").read_text(encoding="utf-8")
-    assert text.startswith("before\n")
-    assert text.endswith("after\n")
-    assert "previous figures" not in text
-    assert "| turned | 3 <cells> | 1.0e-03 | 30 us | 24 us - 39 us |  |" in text
-    assert "| drift, <3> | 90 % ok, 0 wrong | **80 % ok, 7 wrong** |" in text
-    assert text.index("## Verdict") < text.index("## Which method") < text.index("## Study near")
-    assert "| `other.wrong` | **NOT flagged** |" in text
-    assert len(list((docs / "figures").iterdir())) == len(report.studies)
-    document.main()  # again: the same
-    assert (docs / "report.md").read_text(encoding="utf-8") == text
+    text = document.section(json.loads(written[1].read_text(encoding="utf-8").splitlines()[0]))
+    page_text = document.replaced(f"before\n{document.BEGIN}previous figures\n{document.END}after\n", text)
+    assert page_text.startswith(f"before\n{document.BEGIN}A quick run of 2026-01-31")
+    assert page_text.endswith(f"{document.END}after\n")
+    assert "previous figures" not in page_text
+    assert page_text.index("do NOT hold: other.wrong") < page_text.index("| need | method | error | processor time |")
+    assert document.replaced(page_text, text) == page_text

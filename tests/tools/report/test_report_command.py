@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -173,15 +172,3 @@ def test_the_real_studies_are_modules_as_the_table_says() -> None:
             module = importlib.import_module(name)
             assert module.STEPS > 0
             assert callable(module.studies)
-
-
-def test_help_imports_no_numpy_and_text_no_matplotlib() -> None:
-    code = (
-        "import sys\nfrom tipforce_tools.cli.main import main\n"
-        "try:\n    main(['report', '--help'])\nexcept SystemExit:\n    pass\n"
-        "assert not {'numpy', 'rich', 'can'} & set(sys.modules)\n"
-        "assert main(['report', '--quick', '--only', 'decoders']) == 0\n"
-        "assert not {'matplotlib', 'scipy', 'skfem'} & set(sys.modules)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
-    assert done.returncode == 0, done.stderr

@@ -15,8 +15,10 @@ from websockets.sync.client import connect
 
 from host.bus_with_nodes import beam_calibration
 from tipforce.errors import RefusedError
-from tipforce_tools.view.blocks import CALIBRATED, CONTACT, FAULT, MISSING, Block
-from tipforce_tools.view.fingers import Finger, with_layout
+from tipforce.samples.columns import Block
+from tipforce.samples.reasons import NO_ANSWER
+from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
+from tipforce.watching.fingers import Finger, with_layout
 from tipforce_tools.view.guard import Guard
 from tipforce_tools.view.model import Model
 from tipforce_tools.view.server import ViewServer
@@ -32,7 +34,7 @@ def fingers(count: int = 2, pull: bool = False) -> tuple[Finger, ...]:
     return tuple(with_layout(Finger(n + 1, f"f{n + 1}", calibration), "I", None) for n in range(count))
 
 
-def block(t_ms: Any, P: Any, status: int = CONTACT | CALIBRATED, gauges: int = 3) -> Block:
+def block(t_ms: Any, P: Any, status: int = CONTACT_PRESENT | CALIBRATED, gauges: int = 3) -> Block:
     """Rows at times (m,) with P (m, k); NaN means that P and the angles are unknown."""
     t = np.asarray(t_ms, dtype=np.float64)
     force = np.asarray(P, dtype=np.float32)
@@ -46,9 +48,9 @@ def block(t_ms: Any, P: Any, status: int = CONTACT | CALIBRATED, gauges: int = 3
 
 
 def with_status(rows: Block, row: int, finger: int, status: int) -> Block:
-    """The same rows with another status of one finger; MISSING and FAULT make its values unknown."""
+    """The same rows with another status of one finger; NO_ANSWER and FRONT_END_FAULT make its values unknown."""
     rows.status[row, finger] = status
-    if status & (MISSING | FAULT):
+    if status & (NO_ANSWER | FRONT_END_FAULT):
         rows.contact[row, finger] = np.nan
         rows.u[row, finger] = np.nan
     return rows
@@ -62,7 +64,7 @@ class MovingSource:
     def __init__(self, count: int = 3, no_tare: str = "") -> None:
         self.no_tare = no_tare
         self.model = Model(fingers(count), 3)
-        self.status = [CONTACT | CALIBRATED] * count
+        self.status = [CONTACT_PRESENT | CALIBRATED] * count
         self.stopped = False
         self.tared: list[int] = []
         self.P = [1.0 + k for k in range(count)]

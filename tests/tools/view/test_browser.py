@@ -13,10 +13,11 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from tipforce.host.frames.frame_array import frame_array
-from tipforce_tools.view.blocks import CALIBRATED, CONTACT, FAULT, MISSING
-from tipforce_tools.view.fingers import Finger
-from tipforce_tools.view.log_source import LogSource
+from tipforce.samples.reasons import NO_ANSWER
+from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
+from tipforce.watching.fingers import Finger
 from tipforce_tools.view.server import ViewServer
+from tipforce_tools.view.sources import LogSource
 from tools.view.support import MovingSource, serving
 from tools.view.test_watcher import cycle, written
 
@@ -24,7 +25,7 @@ CHROMIUM = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), ""
 )
 WAIT_MS = 60_000
-GOOD = CONTACT | CALIBRATED
+GOOD = CONTACT_PRESENT | CALIBRATED
 
 
 @pytest.fixture(scope="module")
@@ -109,12 +110,12 @@ def test_live_pause_scrub_and_replay(shown: Shown) -> None:
 
 def test_faults_are_shown_and_nothing_stale_as_live(shown: Shown) -> None:
     shown.word(2, "live")
-    shown.source.status[1] = CALIBRATED | FAULT
+    shown.source.status[1] = CALIBRATED | FRONT_END_FAULT
     shown.word(2, "unknown: front-end fault")
     assert "unknown" in shown.force(2)
     shown.source.model.add_event(shown.source.model.now_ns(), 2, "emcy", "0x5030 front end")
     expect(shown.page.locator("#events li").first).to_contain_text("0x5030")
-    shown.source.status[1] = MISSING
+    shown.source.status[1] = NO_ANSWER
     shown.word(2, "stale since")
     shown.word(2, "no response")
     shown.word(1, "live")

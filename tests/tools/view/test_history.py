@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tipforce_tools.view.blocks import MISSING
+from tipforce.samples.reasons import NO_ANSWER
 from tipforce_tools.view.history import MAX_BYTES, History, row_bytes
 from tools.view.support import MS, START_NS, block, with_status
 
@@ -50,7 +50,7 @@ def test_an_envelope_keeps_extremes_and_gaps(values: list[float | None], width_m
 
 def test_a_missing_finger_is_a_gap_of_the_envelope() -> None:
     history = History(2, 3, 100)
-    history.append(with_status(block([0, 1, 2], np.ones((3, 2))), 1, 1, MISSING))
+    history.append(with_status(block([0, 1, 2], np.ones((3, 2))), 1, 1, NO_ANSWER))
     found = history.envelope(START_NS // (10 * MS), START_NS // (10 * MS), 10 * MS)
     assert found.unknown.tolist() == [[0, 1]]
 
@@ -75,7 +75,7 @@ def test_more_fingers_find_their_places() -> None:
     history.append(block([0, 1], [[1.0, 3.0], [1.5, 3.5]]))
     wider = history.widened(np.array([0, 2]), 3)
     assert wider.rows.contact[:, [0, 2], 0].tolist() == [[1.0, 3.0], [1.5, 3.5]]
-    assert (wider.rows.status[:, 1] == MISSING).all()
+    assert (wider.rows.status[:, 1] == NO_ANSWER).all()
     assert np.isnan(wider.rows.contact[:, 1]).all()
 
 

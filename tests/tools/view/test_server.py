@@ -15,9 +15,9 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import CloseCode
 
+from tipforce.sensor.contact.scalar import CONTACT_PRESENT
 from tipforce_tools.view import page as view_page
 from tipforce_tools.view import server as view_server
-from tipforce_tools.view.blocks import CONTACT
 from tipforce_tools.view.guard import CONTENT_SECURITY_POLICY
 from tipforce_tools.view.server import MAX_OTHERS, MAX_PAGES, ViewServer, static_files
 from tools.view.support import WAIT_S, MovingSource, Page, get, serving
@@ -160,7 +160,7 @@ def test_the_stream_is_live_and_the_past_can_be_asked_for() -> None:
         found = page.ask("history", start=t - 1000, end=t, bin=20)
         assert len(found["i"]) == len(found["v"]) > 5
         assert all(len(row) == 20 for row in found["v"])
-        source.status[1] = CONTACT | 128
+        source.status[1] = CONTACT_PRESENT | 128
         time.sleep(0.15)
         assert page.stream(2)[-1]["fingers"][1]["why"] == "front-end fault"
         source.stopped = True

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tipforce.host.decoding.contacts import Status
-from tipforce_tools.view.blocks import CALIBRATED, CONTACT, FAULT, MISSES_TIP, MISSING, REPEATED, SATURATED
+from tipforce.samples.reasons import NO_ANSWER, Status
+from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT, MISSES_TIP, SATURATED, STALE
 from tipforce_tools.view.history import History
-from tipforce_tools.view.states import FingerState, finger_states
+from tipforce_tools.view.model import FingerState, finger_states
 from tools.view.support import MS, START_NS, block, with_status
 
 NAN = float("nan")
@@ -54,7 +54,7 @@ def test_a_finger_that_misses_rows_is_live_for_two_and_a_half_periods(answers: l
     rows = block(400 + 10 * np.arange(len(answers)), np.ones((len(answers), 2)))
     for row, answered in enumerate(answers):
         if not answered:
-            with_status(rows, row, 0, MISSING)
+            with_status(rows, row, 0, NO_ANSWER)
     history.append(rows)
     for row in range(len(answers)):
         back = next((k for k in range(row + 1) if answers[row - k]), row + 1)
@@ -67,7 +67,7 @@ def test_never_heard_is_no_answer() -> None:
     history = History(2, 3, 100)
     assert [state.word for state in at(history, 0)] == ["silent", "silent"]
     rows = block(10 * np.arange(30), np.ones((30, 2)))
-    rows.status[:, 1] = MISSING
+    rows.status[:, 1] = NO_ANSWER
     history.append(rows)
     first, second = at(history, 290)
     assert (first.word, second.word, second.since_ns) == ("live", "silent", 0)
@@ -76,9 +76,9 @@ def test_never_heard_is_no_answer() -> None:
 @pytest.mark.parametrize(
     ("status", "reason"),
     [
-        (CALIBRATED | FAULT, "front-end fault"), (CALIBRATED | SATURATED, "gauge saturated"),
-        (0, "not calibrated"), (CALIBRATED | FAULT | Status.CONTRADICTION, "gauges contradict each other"),
-        (CALIBRATED | SATURATED | Status.OVERLOAD, "overload"), (CALIBRATED | REPEATED, "no new sample"),
+        (CALIBRATED | FRONT_END_FAULT, "front-end fault"), (CALIBRATED | SATURATED, "gauge saturated"),
+        (0, "not calibrated"), (CALIBRATED | FRONT_END_FAULT | Status.CONTRADICTION, "gauges contradict each other"),
+        (CALIBRATED | SATURATED | Status.OVERLOAD, "overload"), (CALIBRATED | STALE, "no new sample"),
     ],
 )  # fmt: skip
 def test_unknown_says_why(status: int, reason: str) -> None:
@@ -90,7 +90,7 @@ def test_unknown_says_why(status: int, reason: str) -> None:
 
 def test_a_repeated_sample_does_not_hide_the_one_before_while_it_is_young() -> None:
     history = filled(30, 10, 1)
-    rows = block([300, 310, 320, 330], np.full((4, 1), NAN), CALIBRATED | REPEATED)
+    rows = block([300, 310, 320, 330], np.full((4, 1), NAN), CALIBRATED | STALE)
     history.append(rows)
     assert at(history, 300, 1)[0].contact[0] == 29.0
     assert at(history, 310, 1)[0].contact[0] == 29.0
@@ -99,7 +99,7 @@ def test_a_repeated_sample_does_not_hide_the_one_before_while_it_is_young() -> N
 
 @pytest.mark.parametrize(
     ("status", "reason"),
-    [(CALIBRATED, "no contact"), (CALIBRATED | CONTACT | MISSES_TIP, "line of action misses the tip")],
+    [(CALIBRATED, "no contact"), (CALIBRATED | CONTACT_PRESENT | MISSES_TIP, "line of action misses the tip")],
 )
 def test_an_angle_that_is_unknown_says_why(status: int, reason: str) -> None:
     history = History(1, 3, 100)
@@ -112,7 +112,7 @@ def test_an_angle_that_is_unknown_says_why(status: int, reason: str) -> None:
 
 def test_what_is_to_be_known_of_a_force_is_in_its_flags() -> None:
     history = History(1, 3, 100)
-    status = CALIBRATED | CONTACT | SATURATED | Status.BEYOND_CALIBRATED | Status.TEMPERATURE
+    status = CALIBRATED | CONTACT_PRESENT | SATURATED | Status.BEYOND_CALIBRATED | Status.TEMPERATURE
     history.append(block(10 * np.arange(30), np.ones((30, 1)), status))
     (state,) = at(history, 290, 1)
     assert (state.word, state.reason) == ("live", "")

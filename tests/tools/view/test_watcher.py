@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tipforce.errors import InputError
+from tipforce.errors import EnvironmentLackError, InputError, RefusedError
 from tipforce.host.frames.frame_array import FrameArray, frame_array
-from tipforce_tools.view.blocks import MISSING
-from tipforce_tools.view.fingers import Finger
-from tipforce_tools.view.log_source import LogSource
-from tipforce_tools.view.watcher import Watcher
+from tipforce.host.live.receiver import InterfaceDownError
+from tipforce.samples.reasons import NO_ANSWER
+from tipforce.watching.feeds import FrameFeed
+from tipforce.watching.fingers import Finger
+from tipforce.watching.watcher import Watcher
+from tipforce_tools.view.sources import LiveSource, LogSource
 from tools.view.support import MS, START_NS
 
 STATUS = 3  # contact, calibrated
@@ -40,17 +42,18 @@ def cycle(k: int, nodes: tuple[int, ...], sync: bool = True, with_gauges: bool =
 def run(watcher: Watcher, *cycles: list[tuple[int, int, bytes]]) -> list[np.ndarray]:
     """P of the rows, one array (m, k) for each block."""
     found = []
-    for k, frames in enumerate(cycles):
-        blocks, _ = watcher.add(frame_array(frames), k * 0.01)
+    for frames in cycles:
+        blocks, _ = watcher.add(frame_array(frames), frames[-1][0] * 1e-9)
         found += [block.contact[..., 0] for block in blocks]
     return found
 
 
 def test_fingers_are_found_as_they_are_heard() -> None:
-    heard: list[tuple[int, ...]] = []
-    watcher = Watcher(Finger, on_fingers=lambda who: heard.append(tuple(f.node_id for f in who)))
-    found = run(watcher, *(cycle(k, (3,) if k < 5 else (1, 3), with_gauges=True) for k in range(10)))
-    assert heard == [(3,), (1, 3)]
+    watcher = Watcher(Finger)
+    found = run(watcher, *(cycle(k, (3,), with_gauges=True) for k in range(5)))
+    assert [finger.node_id for finger in watcher.fingers] == [3]
+    found += run(watcher, *(cycle(k, (1, 3), with_gauges=True) for k in range(5, 10)))
+    assert [finger.node_id for finger in watcher.fingers] == [1, 3]
     assert found[0] == pytest.approx(np.array([[3.0], [3.001]]), abs=1e-6)  # the first waits for the next SYNC
     assert found[-1] == pytest.approx(np.array([[1.009, 3.009]]), abs=1e-6)
 
@@ -116,7 +119,7 @@ def test_a_log_is_shown_as_it_was(log: Path) -> None:
         1480: ["live", "stale"], 1600: ["live", "live"],
     }  # fmt: skip
     assert model.picture(START_NS + 1600 * MS).states[1].contact[0] == pytest.approx(2.16)
-    assert (model.rows_after(0, 1000, 2**62).status[50:150, 1] == MISSING).all()
+    assert (model.rows_after(0, 1000, 2**62).status[50:150, 1] == NO_ANSWER).all()
 
 
 def test_a_part_of_a_log(log: Path) -> None:
@@ -129,3 +132,53 @@ def test_a_log_without_fingers_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path / "motor.log", frame_array([(START_NS, 0x701, b"\5")]))
     with pytest.raises(InputError, match="no PDO of a fingertip"):
         LogSource(path, Finger)
+
+
+class Bus:
+    """A bus of a test: frames that are taken once, and a clock that stands at the newest plus ``silent_ns``."""
+
+    ended, dropped = False, 0
+
+    def __init__(self) -> None:
+        self.frames: list[tuple[int, int, bytes]] = []
+        self.newest_ns = self.silent_ns = 0
+        self.error: Exception | None = None
+
+    def take(self, _timeout_s: float) -> tuple[FrameArray, tuple[str, ...]]:
+        if self.error is not None:
+            raise self.error
+        frames, self.frames = frame_array(self.frames), []
+        self.newest_ns = int(frames["t_ns"][-1]) if len(frames) else self.newest_ns
+        return frames, ("can0",)
+
+    def now_ns(self) -> int:
+        return self.newest_ns + self.silent_ns
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_page_that_listens_says_what_happens_on_its_bus() -> None:
+    """A heartbeat that is lost by the clock of the frames, a bus that is down and comes back, one that has ended."""
+    bus = Bus()
+    source = LiveSource(FrameFeed(bus, Finger), "can0", no_tare="listening")
+    for k in range(20):
+        bus.frames += [*cycle(k, (1,)), (START_NS + 10 * MS * k + 5000, 0x701, b"\5")]
+    source.pump()
+    assert (source.model.counters.rows, source.model.nmt) == (20, ["operational"])
+    bus.silent_ns = 5_000 * MS
+    source.pump()
+    bus.error = InterfaceDownError("can0 is down")
+    source.pump()
+    source.pump()
+    bus.error, bus.frames, bus.silent_ns = None, cycle(700, (1,)), 0
+    source.pump()
+    kinds = [event.kind for event in source.model.events()]
+    assert kinds == ["heartbeat_back", "heartbeat_lost", "bus_down", "bus_up"]
+    bus.error = EnvironmentLackError("can0: no such device")
+    source.pump()
+    source.pump()
+    assert source.model.error == "reception has ended: can0: no such device"
+    assert [event.kind for event in source.model.events()][4:] == ["bus_down"]
+    with pytest.raises(RefusedError, match="only listens"):
+        source.tare(1)

@@ -1,0 +1,82 @@
+"""A command line in this process: what it prints and its exit code."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import can
+import pytest
+
+from canopen_device.core.node import Device
+from host.bus_with_nodes import new_channel
+from tipforce.fingertip.application import Fingertip
+from tipforce.fingertip.source import Source
+from tipforce_tools.cli.main import main
+
+
+class Ended(NamedTuple):
+    """The exit code of a command, and what it wrote."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """Its JSON lines."""
+        return [json.loads(line) for line in self.out.splitlines()]
+
+
+Tipforce = Callable[..., Ended]
+
+
+def called(capsys: pytest.CaptureFixture[str], *words: object) -> Ended:
+    """Run the command line."""
+    try:
+        code = main([str(word) for word in words])
+    except SystemExit as ended:  # argparse
+        code = int(ended.code or 0)
+    return Ended(code, *capsys.readouterr())
+
+
+def run_node(*words: object, channel: str = "") -> int:
+    """Exit code of `tipforce node` with node-id 5; the fixture ``devices`` has what it ran."""
+    return main(["node", "--node-id", "5", "-i", "virtual", "-c", channel or new_channel(), *map(str, words)])
+
+
+def source_of(device: Device) -> Source:
+    """The gauges of a fingertip."""
+    assert isinstance(device.application, Fingertip)
+    return device.application.source
+
+
+def message(can_id: int, data: bytes = b"", **options: bool) -> can.Message:
+    """A frame, with 11 bits unless ``options`` say otherwise."""
+    return can.Message(arbitration_id=can_id, data=data, **({"is_extended_id": False} | options))
+
+
+@contextmanager
+def sending(channel: str, frames: Callable[[int], Sequence[can.Message]], period_s: float = 0.005) -> Iterator[None]:
+    """Sends frames(0), frames(1)... on a virtual bus, over and over, until the with block ends."""
+    stop = threading.Event()
+
+    def send() -> None:
+        with can.Bus(channel, interface="virtual") as bus:
+            for number in itertools.count():
+                if stop.wait(period_s):
+                    break
+                for frame in frames(number):
+                    bus.send(frame)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
