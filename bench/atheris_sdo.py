@@ -1,89 +1,78 @@
 """Coverage-guided fuzzing of the SDO server and of what start-up reads from storage; run by hand.
 
     pip install atheris
-    python -m bench.atheris_sdo sdo -max_total_time=60
-    python -m bench.atheris_sdo storage -max_total_time=60
+    python -m bench.atheris_sdo sdo|storage -max_total_time=60
 
 Further arguments go to libFuzzer (a corpus directory, -runs=N, ...). It stops at the first exception.
 """
 
 from __future__ import annotations
 
-import binascii
-import contextlib
 import importlib
-import struct
 import sys
 from typing import Any
 
-try:
-    atheris: Any = importlib.import_module("atheris")
-except ImportError:
-    atheris = None
-
-# What is to guide the fuzzer must be imported under its eyes.
-with atheris.instrument_imports(include=["tipforce"]) if atheris is not None else contextlib.nullcontext():
-    from tipforce.fingertip.node import fingertip_node
-    from tipforce.sources.simulated import SimulatedSource
-
 GROUPS = ("communication", "application", "calibration", "lss")
-STRAIN_PER_NEWTON = ((8e-5, 1e-5, -2e-5), (-1e-5, 9e-5, 3e-5), (2e-5, -3e-5, 7e-5))
-EDS = bytes(range(256)) * 8
 
 
-_stored: dict[str, bytes] = {}
-_device = fingertip_node(5, SimulatedSource(STRAIN_PER_NEWTON), load=_stored.get, eds=EDS)
-_now_us = 0
+class Rig:
+    """One node that is switched off and on: building one for each input would take most of the time."""
 
+    def __init__(self) -> None:
+        from bench.fuzz import STRAIN_PER_NEWTON
 
-def _restart() -> None:
-    """Switch the one device off and on: building one anew for each input would take most of the time."""
-    _device.lss.pending_node_id = 5
-    _device._booted = False
-    _device.requests.clear()
-    _step(())
+        from tipforce.fingertip.node import fingertip_node
+        from tipforce.sources.simulated import SimulatedSource
 
+        self._stored: dict[str, bytes] = {}
+        source = SimulatedSource(STRAIN_PER_NEWTON)
+        self._device = fingertip_node(5, source, load=self._stored.get, eds=bytes(range(256)) * 8)
+        self._now_us = 0
 
-def _step(frames: tuple[tuple[int, bytes], ...], pause_us: int = 1000) -> None:
-    global _now_us  # noqa: PLW0603
-    _now_us += pause_us
-    sent, due_us = _device.step(_now_us, frames)
-    assert due_us >= _now_us
-    assert all(len(content) <= 8 and can_id <= 0x7FF for can_id, content in sent)
+    def _restart(self) -> None:
+        self._device.lss.pending_node_id = 5
+        self._device._booted = False
+        self._device.requests.clear()
+        self._step(())
 
+    def _step(self, frames: tuple[tuple[int, bytes], ...], pause_us: int = 1000) -> None:
+        self._now_us += pause_us
+        sent, due_us = self._device.step(self._now_us, frames)
+        assert due_us >= self._now_us
+        assert all(len(content) <= 8 and can_id <= 0x7FF for can_id, content in sent)
 
-def fuzz_sdo(data: bytes) -> None:
-    """Eight bytes each are one request; the first byte of all says how much time lies between them."""
-    _restart()
-    pause_us = (1 + data[0]) ** 2 if data else 1
-    for offset in range(1, len(data) - 7, 8):
-        _step(((0x605, data[offset : offset + 8]),), pause_us)
+    def sdo(self, data: bytes) -> None:
+        """Eight bytes each are one request; the first byte of all says how much time lies between them."""
+        self._restart()
+        pause_us = (1 + data[0]) ** 2 if data else 1
+        for offset in range(1, len(data) - 7, 8):
+            self._step(((0x605, data[offset : offset + 8]),), pause_us)
 
+    def storage(self, data: bytes) -> None:
+        """A group of stored bytes with a CRC that is right: the node boots, starts and takes SYNCs."""
+        if data:
+            from canopen_device.core.storage import with_crc
 
-def fuzz_storage(data: bytes) -> None:
-    """A group of stored bytes with a CRC that is right: the node boots, starts and takes SYNCs."""
-    if not data:
-        return
-    content = data[1:]
-    _stored.clear()
-    _stored[GROUPS[data[0] % len(GROUPS)]] = struct.pack("<I", binascii.crc32(content)) + content
-    _restart()
-    _step(((0x000, b"\x01\x00"), (0x080, b"")))
-    _step(((0x080, b"\x01"),), 2_000_000)
-
-
-TARGETS = {"sdo": fuzz_sdo, "storage": fuzz_storage}
+            self._stored.clear()
+            self._stored[GROUPS[data[0] % len(GROUPS)]] = with_crc(data[1:])
+            self._restart()
+            self._step(((0x000, b"\x01\x00"), (0x080, b"")))
+            self._step(((0x080, b"\x01"),), 2_000_000)
 
 
 def main() -> int:
     """Run as a command."""
-    if len(sys.argv) < 2 or sys.argv[1] not in TARGETS:
-        print(f"usage: python -m bench.atheris_sdo {'|'.join(TARGETS)} [libFuzzer arguments]", file=sys.stderr)
+    if len(sys.argv) < 2 or sys.argv[1] not in ("sdo", "storage"):
+        print("usage: python -m bench.atheris_sdo sdo|storage [libFuzzer arguments]", file=sys.stderr)
         return 2
-    if atheris is None:
+    try:
+        atheris: Any = importlib.import_module("atheris")
+    except ImportError:
         print("atheris is not installed: pip install atheris (Linux and macOS), then run this again", file=sys.stderr)
         return 2
-    target = TARGETS[sys.argv.pop(1)]
+    with atheris.instrument_imports(include=["tipforce"]):  # what guides the fuzzer is imported under its eyes
+        rig = Rig()
+    target = getattr(rig, sys.argv.pop(1))
     atheris.Setup(sys.argv, target)
     atheris.Fuzz()
     return 0

@@ -45,7 +45,6 @@ def page() -> str:
     parts = [_HEAD, *(f"| {code} | {text} |\n" for code, text in _MEANINGS.items()), "\n## Common flags\n"]
     shared = argparse.ArgumentParser(add_help=False)
     common.add_sdo_arguments(shared)
-    common.add_output_arguments(shared)
     for title, name in _COMMON.items():
         parts += [f"\n**{name[0].upper()}{name[1:]} flags**\n", _table(_groups(shared)[title])]
     for path, parser in _parsers():
@@ -66,7 +65,7 @@ def _parsers() -> Iterator[tuple[str, argparse.ArgumentParser]]:
 def _section(path: str, parser: argparse.ArgumentParser, shared: Mapping[str, list[argparse.Action]]) -> Iterator[str]:
     groups = _groups(parser)
     whole = [title for title in _COMMON if _dests(groups.get(title, [])) == _dests(shared[title])]
-    own = [action for title, found in groups.items() if title not in whole for action in found]
+    own = [action for title, flags in groups.items() if title not in whole for action in flags]
     summary = " ".join((parser.description or "").split())
     yield f"\n## tipforce {path}\n\n{_escaped(summary)}\n"
     yield _table(own)
@@ -75,19 +74,19 @@ def _section(path: str, parser: argparse.ArgumentParser, shared: Mapping[str, li
 
 
 def _groups(parser: argparse.ArgumentParser) -> dict[str, list[argparse.Action]]:
-    found: dict[str, list[argparse.Action]] = {}
+    flags: dict[str, list[argparse.Action]] = {}
     for group in parser._action_groups:
-        kept = [one for one in group._group_actions if one.help != argparse.SUPPRESS and one.dest != "help"]
-        found.setdefault(group.title or "", []).extend(kept)
-    return found
+        kept = [action for action in group._group_actions if action.help != argparse.SUPPRESS and action.dest != "help"]
+        flags.setdefault(group.title or "", []).extend(kept)
+    return flags
 
 
-def _dests(found: list[argparse.Action]) -> list[str]:
-    return [action.dest for action in found]
+def _dests(flags: list[argparse.Action]) -> list[str]:
+    return [action.dest for action in flags]
 
 
-def _table(found: list[argparse.Action]) -> str:
-    rows = "".join(f"| {_words(action)} | {_escaped(_help(action))} |\n" for action in found)
+def _table(flags: list[argparse.Action]) -> str:
+    rows = "".join(f"| {_words(action)} | {_escaped(_help(action))} |\n" for action in flags)
     return f"\n| argument | meaning |\n|---|---|\n{rows}" if rows else ""
 
 

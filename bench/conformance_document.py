@@ -5,7 +5,6 @@ Run: see ``LIST_COMMAND``, then ``COMMAND``.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -15,6 +14,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from bench.measure import TIPFORCE, arguments
 
 from canopen_conformance.case import all_cases
 from tipforce_tools import fingertip_cases
@@ -87,8 +88,8 @@ def summary(rows: list[tuple[str, str]]) -> str:
 
 
 def command_line(*words: str) -> list[str]:
-    """The command `tipforce` of this installation."""
-    return [sys.executable, "-m", "tipforce_tools.cli.main", *words, "-i", "socketcan", "-c", INTERFACE]
+    """The command `tipforce` of this installation, on vcan0."""
+    return [*TIPFORCE, *words, "-i", "socketcan", "-c", INTERFACE]
 
 
 @contextmanager
@@ -122,7 +123,7 @@ def run_on_vcan(folder: Path) -> list[dict[str, str]]:
 
 def main() -> int:
     """Print the list, or the summary of one."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = arguments(__doc__)
     parser.add_argument("--summary", type=Path, metavar="LIST", help="of this list")
     path = parser.parse_args().summary
     if path:

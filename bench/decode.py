@@ -1,332 +1,307 @@
 """Decoding logs: ours beside cantools, python-can, asammdf and a floor in C, on the same logs in one run.
 
-`python -m bench.decode [--quick] [-o docs/decode-performance.md]`: methods take turns, each in a process of its own.
-Times are the processor's: other work on the machine disturbs them less. Slow methods get the first part of a log.
-asammdf has an environment of its own, for python-can imports it where it is: `--asammdf` makes build/bench-venv (once).
+`python -m bench.decode` writes build/bench/decode-performance.md and its summary in docs. The methods take
+turns, each in a process of its own. Times are the processor's: other work on the machine disturbs them less. Slow
+methods get the first part of a log. asammdf has an environment of its own, for python-can imports it where it is:
+`--asammdf` makes build/bench-venv (once). `--check`: every value of a million frames against cantools.
 """
 
 from __future__ import annotations
 
-import argparse
-import importlib.util
 import json
-import os
-import platform
-import resource
+import math
 import statistics
 import subprocess
 import sys
 import tempfile
-import time
-from dataclasses import dataclass, field
-from importlib.metadata import version
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import cantools
 import numpy as np
-from bench.decode_check import different_values
-from bench.decode_log import hand_traffic, write_log
+import numpy.typing as npt
 from bench.decode_methods import DBC
-from bench.decode_profile import profile
+from bench.measure import ROOT, TIPFORCE, arguments, command_s, in_turns, machine, peak_mb, table, write_page
 
-from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.decoding.columns import Column
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce_tools.log.writers import CandumpWriter
 
-ROOT = Path(__file__).parents[1]
 ASAMMDF_PYTHON = ROOT / "build" / "bench-venv" / "bin" / "python"
 FLOOR = Path(__file__).with_name("decode_floor.c")
 LOGS = {
     f"{nodes} nodes, {kind} dlc": (nodes, kind == "variable") for nodes in (5, 15) for kind in ("fixed", "variable")
 }
 FAST = ("floor", "parse", "memory")
-SLOW = ("LogReader", "LogReader + cantools", "cantools loop", "cantools decode")
+SLOW = ("LogReader", "cantools loop", "cantools decode")
 COMMANDS = {"tipforce decode to CSV": "csv", "tipforce decode to Parquet": "parquet", "tipforce decode --summary": None}
-PACKAGES = ("numpy", "cantools", "python-can", "pyarrow")
-WHOLE_PROCESS = {"cantools decode", *COMMANDS}
+AIMS = {"tipforce decode to CSV": 15, "tipforce decode to Parquet": 60, "tipforce decode --summary": 60}
+"""Times cantools decode."""
+SAME_SUMS = {"floor", "memory", "asammdf"}
 TOLERANCE = 1e-9
-_SAMPLE_S = 0.02
-_ASAMMDF_HINT = "`python -m bench.decode --asammdf -o docs/decode-performance.md` makes build/bench-venv for it."
-_EXPLAINED = """\
-Written by `python -m bench.decode -o docs/decode-performance.md`. Each log has a million frames: TPDO1 and TPDO2 of
-5 or 15 nodes at each SYNC; with variable dlc also the SYNC and a foreign frame of 0 to 8 bytes. The methods take turns,
-each run is a process of its own, and the time is the processor's, of the work alone, without start-up; slow methods
-get the first 200 000 frames.
+FRAMES, SLOW_FRAMES, ROUNDS = 1_000_000, 200_000, 5
+CHANNEL = "can0"
+START_US = 1_700_000_000_000_000
+CYCLE_US = 2000
+_CHUNK = 200_000
+_SPECIAL = np.array([-32768, 32767, -32767, 0], dtype=np.int16)
+_SPECIAL_WORDS = np.array([0x8000, 0x8001, 0x7FFF, 0, 0xFFFF], dtype=np.uint16)
+_HEAD = """\
+# Decoding logs: speed and memory
 
-- floor: `bench/decode_floor.c`, the same work in one pass of C
-- parse, memory: candump text to frames, and to columns in memory (`open_log`, `Decoder.decode`)
-- asammdf: decodes the same frames from an MF4 with the DBC; there is no text to parse
-- LogReader: python-can's reader, alone and with cantools decoding each message
-- cantools loop: a loop over the lines with cantools decoding each
-- cantools decode: the command, reading the log on stdin; its start-up is subtracted
-- tipforce decode: the command with its start-up, on all cores; the table has the processor time of all its processes"""
-
-
-@dataclass(slots=True)
-class Runs:
-    """Microseconds per frame of one method on one log, run by run, and what it found there."""
-
-    us: list[float] = field(default_factory=list)
-    results: list[dict[str, float]] = field(default_factory=list)
-    wall_us: list[float] = field(default_factory=list)  # of commands
-
-    @property
-    def median(self) -> float:
-        """Microseconds per frame."""
-        return statistics.median(self.us)
-
-    @property
-    def spread(self) -> float:
-        """The largest deviation from the median, as a share of it."""
-        return max(abs(value - self.median) for value in self.us) / self.median
+Written by `python -m bench.decode`. Each log has a million frames: TPDO1 and TPDO2 of 5 or 15 nodes at each SYNC; with
+variable dlc also the SYNC and a foreign frame of 0 to 8 bytes. The methods take turns, each run is a process of its
+own, and the time is the processor's, of the work alone, without start-up; slow methods get the first 200 000 frames.
+Floor: `bench/decode_floor.c`, the same work in one pass of C. Parse, memory: candump text to frames, and to columns in
+memory. asammdf decodes an MF4, without text to parse. LogReader: python-can's reader alone. cantools loop: cantools on
+each line. cantools decode: the command, less its start-up. tipforce decode: the command with all its processes.
+"""
+Runs = dict[str, list[dict[str, float]]]
+"""By method: what each of its runs measured."""
 
 
-class Files:
-    """The logs of a run: each whole, its first part for the slow, and as MF4."""
+def hand_traffic(count: int, nodes: int, variable: bool, seed: int) -> FrameArray:
+    """``count`` frames: TPDO1 and TPDO2 of ``nodes`` at each SYNC. One value in twenty is unknown or at a limit.
 
-    def __init__(self, folder: Path, frames: int, slow_frames: int, mf4: bool) -> None:
-        self.folder = folder
-        self.frames, self.slow_frames = frames, slow_frames
-        self.floor = folder / "floor"
-        subprocess.run(["gcc", "-O3", "-march=native", "-o", str(self.floor), str(FLOOR)], check=True)
-        self.warm_up = folder / "warm_up.log"
-        write_log(self.warm_up, hand_traffic(50, 5, True, 0))
-        self.warm_up_mf4 = folder / "warm_up.mf4"
-        self.mf4 = mf4
-        if self.mf4:
-            self._write_mf4(self.warm_up_mf4, hand_traffic(50, 5, True, 0))
+    ``variable``: with the SYNC itself (no data), and a foreign frame of 0 to 8 bytes in each cycle.
+    """
+    random = np.random.default_rng(seed)
+    ids = [base + node for node in range(1, nodes + 1) for base in (0x180, 0x280)]
+    cycle = np.array([0x080, *ids, 0x5C0] if variable else ids, dtype=np.uint32)
+    frames: FrameArray = np.zeros(count, dtype=FRAME)
+    number = np.arange(count)
+    frames["can_id"] = cycle[number % len(cycle)]
+    step_us = CYCLE_US // (len(cycle) + 1)
+    frames["t_ns"] = (START_US + number // len(cycle) * CYCLE_US + number % len(cycle) * step_us) * 1000
+    values = random.integers(-32767, 32768, (count, 3), dtype=np.int16)
+    special = random.random((count, 3)) < 0.05
+    values[special] = random.choice(_SPECIAL, int(special.sum()))
+    data = frames["data"]
+    data[:, :6] = values.view(np.uint8)
+    data[:, 6] = random.choice(np.array([3, 2, 0, 11, 0x83], dtype=np.uint8), count)
+    data[:, 7] = number // len(cycle) % 256
+    frames["length"] = 8
+    if variable:
+        frames["length"][frames["can_id"] == 0x080] = 0
+        foreign = frames["can_id"] == 0x5C0
+        frames["length"][foreign] = random.integers(0, 9, int(foreign.sum()))
+    data *= np.arange(8) < frames["length"][:, None]
+    return frames
+
+
+def write_log(path: Path, frames: FrameArray) -> None:
+    """The frames as candump -L writes them."""
+    writer = CandumpWriter(path)
+    for start in range(0, len(frames), _CHUNK):
+        part = frames[start : start + _CHUNK]
+        interface, sent = np.zeros(len(part), np.uint16), np.zeros(len(part), np.bool_)
+        writer.write(CandumpBlock(part, interface, (CHANNEL,), sent))
+    writer.close()
+
+
+def random_frames(count: int, seed: int) -> FrameArray:
+    """Random data on all four messages of nodes 1-15; one value in five is unknown or at a limit."""
+    random = np.random.default_rng(seed)
+    frames: FrameArray = np.zeros(count, dtype=FRAME)
+    frames["t_ns"] = np.arange(count)
+    frames["can_id"] = random.choice([0x180, 0x280, 0x380, 0x480], count) + random.integers(1, 16, count)
+    frames["length"] = 8
+    words = random.integers(0, 65536, (count, 4), dtype=np.uint16)
+    special = random.choice(_SPECIAL_WORDS, (count, 4))
+    frames["data"] = np.where(random.random((count, 4)) < 0.2, special, words).astype("<u2").view(np.uint8)
+    return frames
+
+
+def different_values(count: int, seed: int = 20240917) -> tuple[int, int]:
+    """(values compared with cantools, values that differ). Equal: after rounding to the signal's resolution."""
+    database: Any = cantools.database.load_file(DBC)
+    compared = different = 0
+    for start in range(0, count, _CHUNK):
+        frames = random_frames(min(_CHUNK, count - start), seed + start)
+        for (node_id, name), samples in Decoder().decode(frames).items():
+            message = database.get_message_by_name(f"TIP{node_id:02d}_{name}")
+            decoded = [message.decode(data.tobytes()) for data in frames["data"][samples.row]]
+            if set(decoded[0]) != set(samples.columns):
+                raise SystemExit(f"{name}: signals {sorted(samples.columns)}, cantools has {sorted(decoded[0])}")
+            for signal in samples.message.signals:
+                theirs = _column([values[signal.name] for values in decoded], signal.scale)
+                compared += len(theirs)
+                different += _differ(samples.columns[signal.name], theirs)
+    return compared, different
+
+
+def _column(values: list[Any], scale: float) -> npt.NDArray[np.float64]:
+    digits = max(-math.floor(math.log10(scale)), 0)
+    return np.array([math.nan if str(value) == "unknown" else round(float(value), digits) for value in values])
+
+
+def _differ(ours: Column, theirs: npt.NDArray[np.float64]) -> int:
+    equal = (ours == theirs) | (np.isnan(ours.astype(np.float64)) & np.isnan(theirs))
+    return int(np.count_nonzero(~equal))
+
+
+class Logs:
+    """The logs of a run: each whole, its first part for the slow, and as MF4; and the runs on them."""
+
+    def __init__(self, folder: Path, mf4: bool) -> None:
+        self.folder, self.mf4 = folder, mf4
+        subprocess.run(["gcc", "-O3", "-march=native", "-o", str(folder / "floor"), str(FLOOR)], check=True)
+        self._write("warm_up", hand_traffic(50, 5, True, 0))
 
     def write(self, nodes: int, variable: bool) -> None:
         """Write one traffic in all its forms."""
-        traffic = hand_traffic(self.frames, nodes, variable, 1000 + nodes)
-        write_log(self.folder / "all.log", traffic)
-        write_log(self.folder / "part.log", traffic[: self.slow_frames])
-        if self.mf4:
-            self._write_mf4(self.folder / "all.mf4", traffic)
+        traffic = hand_traffic(FRAMES, nodes, variable, 1000 + nodes)
+        self._write("all", traffic)
+        write_log(self.folder / "part.log", traffic[:SLOW_FRAMES])
 
-    def _write_mf4(self, path: Path, traffic: FrameArray) -> None:
-        array = path.with_suffix(".npy")
-        np.save(array, traffic)
-        subprocess.run([ASAMMDF_PYTHON, "-W", "ignore", "-m", "bench.decode_methods", "mf4", array, path],
-                       check=True, cwd=ROOT)  # fmt: skip
+    def _write(self, name: str, traffic: FrameArray) -> None:
+        write_log(self.folder / f"{name}.log", traffic)
+        if self.mf4:
+            array = self.folder / f"{name}.npy"
+            np.save(array, traffic)
+            words = ["-W", "ignore", "-m", "bench.decode_methods", "mf4", array, array.with_suffix(".mf4")]
+            command_s([ASAMMDF_PYTHON, *words], cwd=ROOT)
+
+    def run(self, method: str) -> dict[str, float]:
+        """Run a method on its log: what it found, with ``us`` of the processor per frame."""
+        frames = SLOW_FRAMES if method in SLOW else FRAMES
+        log = self.folder / ("part.log" if method in SLOW else "all.log")
+        if method == "floor":
+            output = subprocess.run([self.folder / "floor", log], check=True, capture_output=True, text=True).stdout
+            _, decoded, _, total, cpu_s = map(float, output.split())
+            result = {"decoded": decoded, "sum": total, "cpu_s": cpu_s}
+        elif method == "cantools decode":
+            start, whole = (self._cantools_s(path) for path in (self.folder / "warm_up.log", log))
+            result = {"cpu_s": whole[0] - start[0], "wall_s": whole[1] - start[1]}
+        elif method in COMMANDS:
+            out = self.folder / f"out.{COMMANDS[method]}"
+            words = ["--json", "--summary"] if COMMANDS[method] is None else ["-o", out]
+            line = [*TIPFORCE, "decode", "-q", log, *words]
+            result = dict(zip(("cpu_s", "wall_s"), command_s(line, stdout=subprocess.DEVNULL), strict=True))
+            out.unlink(missing_ok=True)
+        else:
+            result = self.in_process(method, log)
+        return {**result, "us": 1e6 * result["cpu_s"] / frames, "wall_us": 1e6 * result.get("wall_s", 0.0) / frames}
+
+    def in_process(self, method: str, log: Path) -> dict[str, float]:
+        """A method of decode_methods in a process of its own."""
+        words = self._method(method, log)
+        result: dict[str, float] = json.loads(subprocess.run(words, check=True, capture_output=True, cwd=ROOT).stdout)
+        return result
+
+    def _method(self, method: str, log: Path) -> list[str | Path]:
+        suffix, python = (".mf4", ASAMMDF_PYTHON) if method == "asammdf" else (".log", sys.executable)
+        paths = [log.with_suffix(suffix), self.folder / f"warm_up{suffix}"]
+        return [python, "-W", "ignore", "-m", "bench.decode_methods", method, *paths]
+
+    def _cantools_s(self, log: Path) -> tuple[float, float]:
+        with log.open() as stdin:
+            words = [sys.executable, "-m", "cantools", "decode", DBC]
+            return command_s(words, stdin=stdin, stdout=subprocess.DEVNULL)
+
+    def peaks(self, frames: int) -> list[str]:
+        """Peak memory of decoding ``frames`` frames in memory and by each command."""
+        log = self.folder / "long.log"
+        write_log(self.folder / "part.log", hand_traffic(1_000_000, 15, True, 3))
+        log.write_bytes(b"")
+        with log.open("wb") as file:
+            for _ in range(frames // 1_000_000):
+                file.write((self.folder / "part.log").read_bytes())
+        rate, peak = frames / self.in_process("memory", log)["cpu_s"], peak_mb(self._method("memory", log))
+        lines = [f"- in memory: {peak:.0f} MB, {rate / 1e6:.1f} million frames/s"]
+        for name, form in COMMANDS.items():
+            words = ["--json", "--summary"] if form is None else ["-o", self.folder / f"long.{form}"]
+            lines.append(f"- {name}: {peak_mb([*TIPFORCE, 'decode', '-q', log, *words]):.0f} MB")
+        log.unlink()
+        return lines
 
 
 def make_asammdf_environment() -> None:
     """An environment for asammdf alone, made once."""
     if not ASAMMDF_PYTHON.exists():
-        folder = ASAMMDF_PYTHON.parents[1]
-        subprocess.run([sys.executable, "-m", "venv", str(folder)], check=True)
+        subprocess.run([sys.executable, "-m", "venv", str(ASAMMDF_PYTHON.parents[1])], check=True)
     installed = subprocess.run([ASAMMDF_PYTHON, "-c", "import asammdf"], capture_output=True, check=False)
     if installed.returncode:
         subprocess.run([ASAMMDF_PYTHON, "-m", "pip", "install", "-q", "asammdf"], check=True)
 
 
-def run(method: str, files: Files) -> tuple[int, dict[str, float]]:
-    """(frames, what the method found, with ``cpu_s``)."""
-    log = files.folder / ("part.log" if method in SLOW else "all.log")
-    frames = files.slow_frames if method in SLOW else files.frames
-    if method == "floor":
-        output = subprocess.run([files.floor, log], check=True, capture_output=True, text=True).stdout.split()
-        return frames, {
-            "frames": int(output[0]),
-            "decoded": int(output[1]),
-            "sum": float(output[3]),
-            "cpu_s": float(output[4]),
-        }
-    if method == "cantools decode":
-        start = _command_s(f"{sys.executable} -m cantools decode {DBC} < {files.warm_up} > /dev/null")
-        whole = _command_s(f"{sys.executable} -m cantools decode {DBC} < {log} > /dev/null")
-        return frames, {"cpu_s": whole[0] - start[0], "wall_s": whole[1] - start[1]}
-    if method in COMMANDS:
-        out = files.folder / f"out.{COMMANDS[method] or 'json'}"
-        asked = "--json --summary >" if COMMANDS[method] is None else "-o"
-        cpu_s, wall_s = _command_s(f"{sys.executable} -m tipforce_tools.cli.main decode -q {log} {asked} {out}")
-        found = {"cpu_s": cpu_s, "wall_s": wall_s, "megabytes": _size(out) / 1e6}
-        subprocess.run(["rm", "-rf", str(out)], check=True)
-        return frames, found
-    warm_up = files.warm_up
-    if method == "asammdf":
-        log, warm_up = files.folder / "all.mf4", files.warm_up_mf4
-    python = str(ASAMMDF_PYTHON) if method == "asammdf" else sys.executable
-    command_line = [python, "-W", "ignore", "-m", "bench.decode_methods", method, str(log), str(warm_up)]
-    output_text = subprocess.run(command_line, check=True, capture_output=True, text=True, cwd=ROOT).stdout
-    found = json.loads(output_text)
-    return frames, found
-
-
-def _command_s(command: str) -> tuple[float, float]:
-    """(processor time of a command with all its processes, time by the clock)."""
-    before, start_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run(command, shell=True, check=True)
-    wall_s = time.perf_counter() - start_s
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall_s
-
-
-def _size(path: Path) -> int:
-    return sum(file.stat().st_size for file in path.rglob("*")) if path.is_dir() else path.stat().st_size
-
-
-def measure(files: Files, methods: tuple[str, ...], rounds: dict[str, int]) -> dict[str, Runs]:
+def measure(logs: Logs, methods: Sequence[str]) -> Runs:
     """All methods on one log, in turns."""
-    found = {method: Runs() for method in methods}
-    for turn in range(max(rounds[method] for method in methods)):
-        for method, runs in found.items():
-            if turn < rounds[method]:
-                frames, result = run(method, files)
-                runs.us.append(1e6 * result["cpu_s"] / frames)
-                runs.results.append(result)
-                if "wall_s" in result:
-                    runs.wall_us.append(1e6 * result["wall_s"] / frames)
-    _check_sums(found)
-    return found
+    runs: Runs = {method: [] for method in methods}
+
+    def way(method: str) -> float:
+        runs[method].append(logs.run(method))
+        return runs[method][-1]["us"]
+
+    in_turns({method: lambda method=method: way(method) for method in methods}, ROUNDS)  # type: ignore[misc]
+    _check_sums({method: results[0] for method, results in runs.items()})
+    return runs
 
 
-def _check_sums(found: dict[str, Runs]) -> None:
-    """Whoever decoded the same frames must have found the same values."""
-    for whole in ({"floor", "memory", "asammdf"}, {"LogReader + cantools", "cantools loop"}):
-        results = {method: runs.results[0] for method, runs in found.items() if method in whole}
-        reference = next(iter(results.values()))
-        for method, result in results.items():
-            same = abs(result["sum"] - reference["sum"]) < TOLERANCE * abs(reference["sum"]) + 1e-6
-            if result["decoded"] != reference["decoded"] or not same:
-                raise SystemExit(f"{method} found {result}, another method {reference}")
+def _check_sums(results: dict[str, dict[str, float]]) -> None:
+    """Methods that decoded the same frames must have the same values."""
+    first, *others = [(method, result) for method, result in results.items() if method in SAME_SUMS]
+    for method, result in others:
+        same = math.isclose(result["sum"], first[1]["sum"], rel_tol=TOLERANCE, abs_tol=1e-6)
+        if result["decoded"] != first[1]["decoded"] or not same:
+            raise SystemExit(f"{method}: {result}, {first[0]}: {first[1]}")
 
 
-def peak_memory(files: Files, frames: int) -> dict[str, float]:
-    """What decoding ``frames`` frames in memory found, with ``peak_mb``."""
-    log = files.folder / "long.log"
-    part = hand_traffic(1_000_000, 15, True, 3)
-    write_log(files.folder / "part.log", part)
-    text = (files.folder / "part.log").read_bytes()
-    with log.open("wb") as file:
-        for _ in range(frames // len(part)):
-            file.write(text)
-    command = [sys.executable, "-m", "bench.decode_methods", "memory", str(log), str(files.warm_up)]
-    found: dict[str, float] = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-    for name, form in COMMANDS.items():
-        out = files.folder / f"long.{form}"
-        asked = ["--json", "--summary"] if form is None else ["-o", str(out)]
-        found[name] = tree_peak_mb([sys.executable, "-m", "tipforce_tools.cli.main", "decode", "-q", str(log), *asked])
-        out.unlink(missing_ok=True)
-    log.unlink()
-    return found
+def _median(runs: Runs, method: str, key: str = "us") -> float:
+    return statistics.median(result[key] for result in runs[method])
 
 
-def tree_peak_mb(command: list[str]) -> float:
-    """The most memory that a command and its processes had at one time, sampled; what they share counts once."""
-    peak = 0
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-        while process.poll() is None:
-            peak = max(peak, sum(map(_own_kb, _tree(process.pid))))
-            time.sleep(_SAMPLE_S)
-    if process.returncode:
-        raise SystemExit(f"{' '.join(command)} ended with {process.returncode}")
-    return peak * 1024 / 1e6
+def of_log(title: str, runs: Runs) -> str:
+    """One log's table."""
+    rows = []
+    for method, results in runs.items():
+        us = _median(runs, method)
+        spread = max(abs(result["us"] - us) for result in results) / us
+        whole = " (whole process)" if method in (*COMMANDS, "cantools decode") else ""
+        rows.append([method + whole, f"{us:.3f} +- {100 * spread:.0f} %", f"{1e6 / us:,.0f}",
+                     f"{100 * _median(runs, 'floor') / us:.1f} %", f"{us / _median(runs, 'memory'):.2f}"])  # fmt: skip
+    header = ["method", "CPU us a frame", "frames/s", "of the floor", "ours is faster by"]
+    return f"## {title}\n\n{table(header, rows)}\n\n" + "".join(f"{line}\n" for line in _aims(runs))
 
 
-def _tree(pid: int) -> list[int]:
-    try:
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    except OSError:
-        return []
-    return [pid, *(one for child in children for one in _tree(int(child)))]
+def _aims(runs: Runs) -> list[str]:
+    """Aims and measured figures."""
+    ours = _median(runs, "memory")
+    goals = [("in memory, million frames/s a core", 5.0, 1 / ours)]
+    goals.append(("in memory, share of the floor", 0.5, _median(runs, "floor") / ours))
+    for name, aim in AIMS.items():
+        if name in runs:
+            times = _median(runs, "cantools decode") / _median(runs, name)
+            goals.append((f"{name}, whole process, times cantools decode", aim, times))
+    return [f"- {what}: aim {aim:g}, measured {x:.2f}{'' if x >= aim else ' (missed)'}" for what, aim, x in goals]
 
 
-def _own_kb(pid: int) -> int:
-    """Proportional set size (Linux, proc(5))."""
-    try:
-        text = Path(f"/proc/{pid}/smaps_rollup").read_text()
-    except OSError:
-        return 0
-    return sum(int(line.split()[1]) for line in text.splitlines() if line.startswith("Pss:"))
-
-
-def table(title: str, found: dict[str, Runs]) -> list[str]:
-    """One log's rows of the document."""
-    floor, ours = found["floor"].median, found["memory"].median
-    lines = [f"## {title}", "", "| method | CPU us a frame | frames/s | of the floor | ours is faster by |"]
-    lines.append("|---|---|---|---|---|")
-    for method, runs in found.items():
-        name = f"{method} (whole process)" if method in WHOLE_PROCESS else method
-        lines.append(
-            f"| {name} | {runs.median:.3f} +- {100 * runs.spread:.0f} % | {1e6 / runs.median:,.0f} | "
-            f"{100 * floor / runs.median:.1f} % | {runs.median / ours:.2f} |"
-        )
-    lines += ["", *_aims(found)]
-    return [*lines, ""]
-
-
-def _aims(found: dict[str, Runs]) -> list[str]:
-    """What was aimed at, what was measured."""
-    floor, ours, cantools = (found[name].median for name in ("floor", "memory", "cantools decode"))
-    goals = [("in memory, million frames/s a core", 5, 1 / ours), ("in memory, share of the floor", 0.5, floor / ours)]
-    for name, form in COMMANDS.items():
-        aim = 15 if form == "csv" else 60
-        if name in found:
-            goals.append((f"{name}, whole process, times cantools decode (CPU)", aim, cantools / found[name].median))
-            wall = statistics.median(found["cantools decode"].wall_us) / statistics.median(found[name].wall_us)
-            goals.append((f"{name}, whole process, times cantools decode (by the clock)", aim, wall))
-    return [
-        f"- {what}: aim {aim}, measured {value:.2f}{'' if value >= aim else ' (missed)'}" for what, aim, value in goals
-    ]
-
-
-def main() -> None:
-    """Measure, print, and write the document if asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--slow-frames", type=int, default=200_000)
-    parser.add_argument("--quick", action="store_true", help="one log, fewer turns, no million of values, no long log")
-    parser.add_argument("--asammdf", action="store_true", help="also asammdf, from build/bench-venv")
-    parser.add_argument("--without-command", action="store_true", help="leave out `tipforce decode`")
-    parser.add_argument("-o", "--output", type=Path, help="write the tables as Markdown")
-    args = parser.parse_args()
-    commands = () if args.without_command else tuple(COMMANDS)
-    lines = ["# Decoding logs: speed and memory", "", _EXPLAINED, "", _machine(), ""]
-    with tempfile.TemporaryDirectory() as folder:
-        if args.asammdf:
-            make_asammdf_environment()
-        else:
-            lines += [f"asammdf was left out: it wants an environment of its own. {_ASAMMDF_HINT}", ""]
-        files = Files(Path(folder), args.frames, args.slow_frames, args.asammdf)
-        methods = (*FAST, *(("asammdf",) if files.mf4 else ()), *commands, *SLOW)
-        rounds = {
-            method: (3 if args.quick else 9) if method in FAST else (1 if args.quick else 3) for method in methods
-        }
-        for title, (nodes, variable) in list(LOGS.items())[: 1 if args.quick else None]:
-            files.write(nodes, variable)
-            lines += table(title, measure(files, methods, rounds))
-            print("\n".join(lines[lines.index(f"## {title}") :]), flush=True)
-        lines += ["## Where the time of decoding in memory goes (last log)", "", *profile(files.folder / "all.log"), ""]
-        if not args.quick:
-            long = peak_memory(files, 10_000_000)
-            compared, different = different_values(1_000_000)
-            lines += ["## Memory and equality", ""]
-            lines.append(f"Peak memory of decoding {long['frames']:,.0f} frames: {long['peak_mb']:.0f} MB. "
-                         f"{compared:,} values compared with cantools', {different} differ.")  # fmt: skip
-            for name in COMMANDS:
-                lines.append(f"Peak of {name}, all its processes, 10,000,000 frames: {long[name]:.0f} MB (aim 300).")
-            print("\n".join(lines[-len(COMMANDS) - 1 :]))
-    if args.output is not None:
-        args.output.write_text("\n".join(lines) + "\n")
-
-
-def _machine() -> str:
-    model = next((line.split(":")[1].strip() for line in _cpu_info() if line.startswith("model name")), "processor")
-    packages = ", ".join(f"{name} {version(name)}" for name in PACKAGES if _installed(name))
-    compiler = subprocess.run(["gcc", "-dumpfullversion"], check=True, capture_output=True, text=True).stdout.strip()
-    return (
-        f"{model}, {os.cpu_count()} cores, {platform.system()}, CPython {platform.python_version()}, {packages}, "
-        f"gcc {compiler} -O3 -march=native. Medians of processor time; +- is the largest deviation."
-    )
-
-
-def _cpu_info() -> list[str]:
-    path = Path("/proc/cpuinfo")
-    return path.read_text().splitlines() if path.exists() else []
-
-
-def _installed(name: str) -> bool:
-    return importlib.util.find_spec({"python-can": "can"}.get(name, name)) is not None
+def main() -> int:
+    """Measure and write, or check."""
+    args = arguments(__doc__, "--asammdf", "--check").parse_args()
+    if args.check:
+        compared, different = different_values(FRAMES)
+        print(f"{compared} values compared, {different} differ")
+        return int(different > 0)
+    if args.asammdf:
+        make_asammdf_environment()
+    mf4 = ASAMMDF_PYTHON.exists()
+    methods = (*FAST, *(["asammdf"] if mf4 else []), *COMMANDS, *SLOW)
+    with tempfile.TemporaryDirectory() as name:
+        logs, parts = Logs(Path(name), mf4), []
+        for title, (nodes, variable) in LOGS.items():
+            logs.write(nodes, variable)
+            parts.append(of_log(title, measure(logs, methods)))
+        memory = logs.peaks(10_000_000)
+    on = f"\n{machine('numpy', 'cantools', 'python-can', 'pyarrow')}. +- is the largest deviation from the median.\n\n"
+    last = "\n## Memory, 10 million frames\n\n" + "".join(f"{line}\n" for line in memory)
+    note = "\nThe other logs are in build/bench/decode-performance.md.\n"
+    write_page("decode-performance", _HEAD + on + "\n".join(parts) + last, _HEAD + on + parts[-1] + last + note)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -7,7 +7,6 @@ PDO that is not unknown, where a method gets that far: the same for all of them.
 from __future__ import annotations
 
 import json
-import resource
 import sys
 import time
 from collections.abc import Callable
@@ -58,43 +57,30 @@ def memory_sum(log: Path) -> float:
     return total
 
 
-def log_reader(log: Path) -> Result:
-    """python-can's reader alone."""
-    import can
-
-    return {"frames": sum(1 for _ in can.LogReader(log))}
-
-
-def log_reader_cantools(log: Path) -> Result:
-    """python-can's reader, and cantools for each message."""
-    import can
-
-    pairs = ((message.arbitration_id, bytes(message.data)) for message in can.LogReader(log))
-    return _by_cantools(pairs)
-
-
 def cantools_loop(log: Path) -> Result:
     """A loop over the lines, and cantools for each."""
-    with log.open() as lines:
-        split = (line.split()[2].split("#") for line in lines)
-        return _by_cantools((int(can_id, 16), bytes.fromhex(data)) for can_id, data in split)
-
-
-def _by_cantools(pairs: Any) -> Result:
     import cantools
 
     database: Any = cantools.database.load_file(DBC)
     messages = {message.frame_id: message for message in database.messages if message.length == 8}
-    frames = decoded = 0
-    total = 0.0
-    for can_id, data in pairs:
-        frames += 1
-        message = messages.get(can_id)
-        if message is not None:
-            first = next(iter(message.decode(data).values()))
-            decoded += 1
-            total += first if isinstance(first, float) else 0.0
+    frames, decoded, total = 0, 0, 0.0
+    with log.open() as lines:
+        for line in lines:
+            can_id, data = line.split()[2].split("#")
+            frames += 1
+            message = messages.get(int(can_id, 16))
+            if message is not None:
+                first = next(iter(message.decode(bytes.fromhex(data)).values()))
+                decoded += 1
+                total += first if isinstance(first, float) else 0.0
     return {"frames": frames, "decoded": decoded, "sum": total}
+
+
+def log_reader(log: Path) -> Result:
+    """python-can's reader alone: it does not decode."""
+    import can
+
+    return {"frames": sum(1 for _ in can.LogReader(log))}
 
 
 def asammdf(log: Path) -> Result:
@@ -103,12 +89,12 @@ def asammdf(log: Path) -> Result:
 
     decoded, total = 0, 0.0
     with MDF(log) as recording:
-        found = recording.extract_bus_logging({"CAN": [(str(DBC), 0)]})
-        for index, group in enumerate(found.groups):
+        extracted = recording.extract_bus_logging({"CAN": [(str(DBC), 0)]})
+        for index, group in enumerate(extracted.groups):
             names = {channel.name for channel in group.channels}
             for first, per_unit in (("SG1", 10), ("P", 1000)):
                 if first in names:
-                    raw = found.get(first, group=index, raw=True).samples
+                    raw = extracted.get(first, group=index, raw=True).samples
                     decoded += len(raw)
                     total += float(raw[raw != _UNKNOWN].sum(dtype=float)) / per_unit
     return {"frames": decoded, "decoded": decoded, "sum": total}
@@ -142,22 +128,9 @@ METHODS: dict[str, Callable[[Path], Result]] = {
     "parse": parse,
     "memory": memory,
     "LogReader": log_reader,
-    "LogReader + cantools": log_reader_cantools,
     "cantools loop": cantools_loop,
     "asammdf": asammdf,
 }
-
-
-def peak_mb() -> float:
-    """The most memory that this process has had, in MB of 1e6 bytes.
-
-    Not ru_maxrss where there is something better: it is kept over exec, so a child shows its parent's peak.
-    """
-    status = Path("/proc/self/status")
-    if status.exists():
-        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
-        return int(line.split()[1]) * 1024 / 1e6
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
 
 
 def main() -> None:
@@ -172,7 +145,6 @@ def main() -> None:
     started_s = time.process_time()
     result = method(log)
     result["cpu_s"] = time.process_time() - started_s
-    result["peak_mb"] = peak_mb()
     if method is memory:
         result["sum"] = memory_sum(log)
     print(json.dumps(result))

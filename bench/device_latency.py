@@ -8,28 +8,54 @@ only its socket is another one.
 from __future__ import annotations
 
 import contextlib
+import io
+import itertools
 import multiprocessing
 import select
 import socket
 import statistics
 import struct
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from bench import device_local_node
-from bench.device_costs import calibrated_node
-from bench.device_usage import MARK_ID, STOP_ID, Stopped, Usage
+import canopen
+from bench.device import EDS, calibrated_node
+from bench.loopback import connected_pair, python_can_bus
 
-from tipforce.device.node import Device
-from tipforce.fingertip.dictionary import build
+from canopen_device.can_frame import CAN_FRAME
+from canopen_device.running import loop, ports
 from tipforce.fingertip.sample import Sample
-from tipforce.running import loop, ports
-from tipforce.socketcan import CAN_FRAME
 
 SYNC = CAN_FRAME.pack(0x80, 0, b"")
-ROUNDS = 5
-BASES = (0x180, 0x280)
+STOP_ID, MARK_ID = 0x7FF, 0x7FE  # the master ends a process, or has it note its CPU time
+ROUNDS, WARM_UP, SYNCS = 5, 20, 1500
+
+
+class Stopped(Exception):  # noqa: N818
+    """The master is done."""
+
+
+class Usage:
+    """CPU time and time by the clock at each mark of the master."""
+
+    def __init__(self) -> None:
+        self._marks: list[tuple[float, float]] = []
+
+    def control(self, can_id: int) -> None:
+        """Act on a control frame. Raises Stopped at the last one."""
+        if can_id == STOP_ID:
+            raise Stopped
+        self._marks.append((time.process_time(), time.perf_counter()))
+
+    @property
+    def share(self) -> float:
+        """CPU time over wall time; 0 without two marks."""
+        if len(self._marks) < 2:
+            return 0.0
+        (cpu_0, wall_0), (cpu_1, wall_1) = self._marks[0], self._marks[-1]
+        return (cpu_1 - cpu_0) / (wall_1 - wall_0)
 
 
 class CountingPort(ports.SocketCanPort):
@@ -50,17 +76,10 @@ class CountingPort(ports.SocketCanPort):
 
 def run_tipforce(bus: socket.socket, nodes: int, usage: Usage) -> None:
     """The product: fingertip nodes in their loop."""
-    devices = [calibrated_node(k + 1, operational=False) for k in range(nodes)]
-    loop.run(devices, CountingPort(bus, usage))
+    loop.run([calibrated_node(k + 1, operational=False) for k in range(nodes)], CountingPort(bus, usage))
 
 
-def run_core(bus: socket.socket, nodes: int, usage: Usage) -> None:
-    """The device core with the fingertip's dictionary and no fingertip: the values in the PDOs never change."""
-    devices = [Device(build(3, k + 1, True)) for k in range(nodes)]
-    loop.run(devices, CountingPort(bus, usage))
-
-
-def _syncs(bus: socket.socket, usage: Usage) -> Any:
+def _syncs(bus: socket.socket, usage: Usage) -> Iterator[None]:
     """Yields at each SYNC; the shortest loop there is that can also wait for a time."""
     while True:
         if not select.select([bus], [], [], 0.2)[0]:
@@ -72,15 +91,7 @@ def _syncs(bus: socket.socket, usage: Usage) -> Any:
             usage.control(can_id)
 
 
-def run_raw_constant(bus: socket.socket, nodes: int, usage: Usage) -> None:
-    """By hand, sending frames that are ready: nothing is measured, nothing is computed."""
-    frames = [CAN_FRAME.pack(base + k + 1, 8, bytes(8)) for k in range(nodes) for base in BASES]
-    for _ in _syncs(bus, usage):
-        for frame in frames:
-            bus.send(frame)
-
-
-def run_raw_measuring(bus: socket.socket, nodes: int, usage: Usage) -> None:
+def run_raw(bus: socket.socket, nodes: int, usage: Usage) -> None:
     """By hand, with the same gauges, the same estimate and the same two PDOs, and no CANopen at all."""
     fingers = []
     for k in range(nodes):
@@ -102,14 +113,48 @@ def run_raw_measuring(bus: socket.socket, nodes: int, usage: Usage) -> None:
             bus.send(CAN_FRAME.pack(0x280 + node_id, 8, struct.pack("<hhhBB", *contact, status, counter)))
 
 
+def run_local_node(bus: socket.socket, nodes: int, usage: Usage) -> None:
+    """canopen's LocalNode with our EDS: at each SYNC a node of ours has the values, which two TPDOs send."""
+    network, ended = canopen.Network(python_can_bus(bus)), threading.Event()
+    fingers: list[tuple[Any, list[Any]]] = []
+    for node_id in range(1, nodes + 1):
+        file = io.StringIO(EDS.decode())
+        file.name = "node.eds"
+        node = network.create_node(node_id, canopen.import_od(file, node_id))
+        node.tpdo.read(from_od=True)
+        fingers.append((calibrated_node(node_id).application, [node.tpdo[1], node.tpdo[2]]))
+
+    def on_sync(_can_id: int, _data: bytearray, _timestamp: float) -> None:
+        for application, pdos in fingers:
+            application.on_sync(loop.now_us(), 0)
+            for pdo in pdos:
+                for variable in pdo.map:
+                    variable.raw = application.device.od.get(variable.index, variable.subindex)
+            for pdo in pdos:
+                pdo.transmit()
+
+    network.subscribe(0x80, on_sync)
+    network.subscribe(MARK_ID, lambda can_id, *_: usage.control(can_id))
+    network.subscribe(STOP_ID, lambda *_: ended.set())
+    network.connect()
+    ended.wait()
+    if network.notifier is not None:
+        network.notifier.stop()
+
+
 Runner = Callable[[socket.socket, int, Usage], None]
+LOOPS: tuple[tuple[str, Runner], ...] = (
+    ("fingertip node", run_tipforce),
+    ("raw socket loop, same measurement by hand", run_raw),
+    ("canopen LocalNode, same values set", run_local_node),
+)
 
 
 class Process:
     """One set of nodes in a process of its own, and the master's socket to it."""
 
     def __init__(self, runner: Runner, nodes: int) -> None:
-        self._bus, theirs = _connected_pair()
+        theirs, self._bus = connected_pair()
         self._pipe, end = multiprocessing.Pipe()
         self._expected = 2 * nodes
         self._process = multiprocessing.Process(target=_child, args=(runner, theirs, nodes, end), daemon=True)
@@ -120,9 +165,11 @@ class Process:
         for _ in range(60):
             self._bus.send(CAN_FRAME.pack(0x000, 2, b"\x01\x00"))
             if self.sync_us() is not None:
-                self._drain()
+                with contextlib.suppress(TimeoutError):  # what a slow start left behind: answers to the SYNCs before
+                    while True:
+                        self._bus.recv(16)
                 return
-        raise RuntimeError(f"{runner.__name__} does not answer")
+        raise RuntimeError("the nodes do not respond")
 
     def sync_us(self) -> float | None:
         """Send a SYNC; microseconds until its last TPDO, None if one is missing."""
@@ -138,12 +185,6 @@ class Process:
             return None
         return 1e6 * (time.perf_counter() - started_s)
 
-    def _drain(self) -> None:
-        """Take what a slow start left behind: answers to the SYNCs before."""
-        with contextlib.suppress(TimeoutError):
-            while True:
-                self._bus.recv(16)
-
     def mark(self) -> None:
         """Have the process note its CPU time."""
         self._bus.send(CAN_FRAME.pack(MARK_ID, 0, b""))
@@ -157,16 +198,6 @@ class Process:
         return share
 
 
-def _connected_pair() -> tuple[socket.socket, socket.socket]:
-    pair = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
-    for end in pair:
-        end.bind(("127.0.0.1", 0))
-        end.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-    pair[0].connect(pair[1].getsockname())
-    pair[1].connect(pair[0].getsockname())
-    return pair[0], pair[1]
-
-
 def _child(runner: Runner, bus: socket.socket, nodes: int, end: Any) -> None:
     usage = Usage()
     with contextlib.suppress(Stopped):
@@ -174,69 +205,51 @@ def _child(runner: Runner, bus: socket.socket, nodes: int, end: Any) -> None:
     end.send(usage.share)
 
 
-def latencies(runners: list[Runner], nodes: int, syncs: int, period_s: float) -> list[list[float]]:
-    """Per runner all latencies in microseconds. The runners take turns, so that a busy machine hits all alike."""
-    processes = [Process(runner, nodes) for runner in runners]
-    found: list[list[float]] = [[] for _ in runners]
+def latencies(nodes: int, syncs: int, period_s: float) -> list[list[list[float]]]:
+    """Latencies in microseconds of each loop, by turn. The loops take turns, so that a busy machine hits all alike."""
+    processes = [Process(runner, nodes) for _, runner in LOOPS]
+    turns: list[list[list[float]]] = [[] for _ in LOOPS]
     for _ in range(ROUNDS):
-        for k, process in enumerate(processes):
-            for number in range(syncs // ROUNDS + 20):
+        for of_loop, process in zip(turns, processes, strict=True):
+            values = []
+            for _ in range(syncs // ROUNDS + WARM_UP):
                 time.sleep(period_s)
-                value = process.sync_us()
-                if number >= 20 and value is not None:
-                    found[k].append(value)
+                values.append(process.sync_us())
+            of_loop.append([value for value in values[WARM_UP:] if value is not None])
     for process in processes:
         process.stop()
-    return found
+    return turns
 
 
-def cpu_share(runner: Runner, nodes: int, rate_hz: int, seconds: float) -> tuple[float, float]:
-    """CPU time over wall time of the nodes' process at that SYNC rate, and the share of SYNCs answered in time."""
-    process = Process(runner, nodes)
-    process.mark()
-    count, answered = int(seconds * rate_hz), 0
-    due_s = time.perf_counter()
-    for _ in range(count):
-        due_s += 1.0 / rate_hz
-        time.sleep(max(0.0, due_s - time.perf_counter()))
-        answered += process.sync_us() is not None
-    process.mark()
-    return process.stop(), answered / count
-
-
-def percentile(values: list[float], share: float) -> float:
-    """The value that this share of the values does not exceed."""
-    return sorted(values)[min(len(values) - 1, int(share * len(values)))]
-
-
-def report_latency(nodes: int, syncs: int) -> list[str]:
+def report_latency(nodes: int, syncs: int = SYNCS) -> list[str]:
     """Median, p99, max of each loop, and the ratios of the medians."""
-    runners: list[tuple[str, Runner]] = [
-        ("device core, constant values", run_core),
-        ("raw socket loop, constant frames", run_raw_constant),
-        ("canopen LocalNode, constant values", device_local_node.run_constant),
-        ("fingertip node", run_tipforce),
-        ("raw socket loop, same measurement by hand", run_raw_measuring),
-        ("canopen LocalNode, same values set", device_local_node.run_measuring),
-    ]
-    found = latencies([runner for _, runner in runners], nodes, syncs, 0.002)
+    turns = latencies(nodes, syncs, 0.002)
     lines = [f"SYNC to last TPDO, {nodes} nodes with TPDO1+TPDO2, {syncs} SYNCs each, microseconds"]
-    for number, ((what, _), values) in enumerate(zip(runners, found, strict=True)):
-        own = statistics.median(found[number // 3 * 3])  # ours of the same work
-        median = statistics.median(values)
-        part = len(values) // ROUNDS
-        medians = [statistics.median(values[k * part : (k + 1) * part]) for k in range(ROUNDS)]
+    own = statistics.median(itertools.chain(*turns[0]))
+    for (what, _), of_loop in zip(LOOPS, turns, strict=True):
+        values, medians = sorted(itertools.chain(*of_loop)), [statistics.median(turn) for turn in of_loop]
+        median, p99 = statistics.median(values), values[min(len(values) - 1, int(0.99 * len(values)))]
         lines.append(
-            f"  {what:<44}median {median:7.0f} ({min(medians):.0f}-{max(medians):.0f})  p99 "
-            f"{percentile(values, 0.99):7.0f}  max {max(values):8.0f}  ours / this {own / median:5.2f}"
+            f"  {what:<44}median {median:7.0f} ({min(medians):.0f}-{max(medians):.0f})  p99 {p99:7.0f}  "
+            f"max {values[-1]:8.0f}  ours / this {own / median:5.2f}"
         )
     return lines
 
 
 def report_cpu(nodes: int = 15, rate_hz: int = 500, seconds: float = 6.0) -> list[str]:
-    """The load of a whole hand."""
-    lines = []
-    for what, runner in (("tipforce", run_tipforce), ("raw socket loop, same measurement", run_raw_measuring)):
-        share, answered = cpu_share(runner, nodes, rate_hz, seconds)
-        lines.append(f"  {what:<44}{100 * share:5.1f} % of a core, {100 * answered:.1f} % of the SYNCs answered")
-    return [f"{nodes} nodes at {rate_hz} Hz for {seconds:.0f} s (aim: under 25 % of a core)", *lines]
+    """The load of a whole hand: CPU time over wall time of the nodes' process, and SYNCs answered in time."""
+    lines = [f"{nodes} nodes at {rate_hz} Hz for {seconds:.0f} s (aim: under 25 % of a core)"]
+    for what, runner in LOOPS[:2]:
+        process = Process(runner, nodes)
+        process.mark()
+        count, answered, due_s = int(seconds * rate_hz), 0, time.perf_counter()
+        for _ in range(count):
+            due_s += 1.0 / rate_hz
+            time.sleep(max(0.0, due_s - time.perf_counter()))
+            answered += process.sync_us() is not None
+        process.mark()
+        share = process.stop()
+        lines.append(
+            f"  {what:<44}{100 * share:5.1f} % of a core, {100 * answered / count:.1f} % of the SYNCs answered"
+        )
+    return lines

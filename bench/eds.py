@@ -1,31 +1,30 @@
 """Devices from EDS files: time to load one, cost of SDO and SYNC beside a fingertip's, random frames.
 
-python -m bench.eds                              a generated device of 1000 objects, a million frames
-python -m bench.eds --frames 10000 a.eds b.eds   other files
+python -m bench.eds    a generated device of 1000 objects and a shipped one, a million frames
 """
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import struct
-import sys
 import tempfile
-import time
 import warnings
+from functools import partial
 from pathlib import Path
 from random import Random
 
-from bench.device_costs import Clock, calibrated_node
+from bench.device import calibrated_node, steps
+from bench.fuzz import require
+from bench.measure import arguments, cpu_s, cpu_us, in_turns
 
-from tipforce.device.node import Device
-from tipforce.eds.load import device_of
-from tipforce.eds.reader import read_eds
-from tipforce.machine import SimulatedDevice, shipped_eds
-from tipforce.machine.cia402 import Drive
+from canopen_device.eds.load import device_of
+from canopen_device.eds.reader import read_eds
+from canopen_device.machine import SimulatedDevice, shipped_eds
+from canopen_device.machine.cia402 import Drive
+from canopen_device.testing import MemoryStore
 
-OBJECTS = 1000
-LOADS = REPEATS = 9
+OBJECTS, FRAMES = 1000, 500_000
+REPEATS = 9
 ROUND_FRAMES = 5000
 MOST_STEPS = 300  # frames of one step: an SDO block of 127, and PDOs
 HOT = (0x1005, 0x1006, 0x1010, 0x1011, 0x1014, 0x1016, 0x1017, 0x1019, 0x1400, 0x1600, 0x1800, 0x1A00, 0x6040, 0x6060)
@@ -51,39 +50,21 @@ def generated_eds(count: int = OBJECTS) -> str:
         text += entry(f"{k:04X}sub1", 7, "rw", f"$NODEID+0x{direction:X}") + entry(f"{k:04X}sub2", 5, "rw", "1")
         text += f"[{k + 0x200:04X}]\nParameterName=Map\nObjectType=8\nSubNumber=5\n"
         text += entry(f"{k + 0x200:04X}sub0", 5, "rw", "4")
-        text += "".join(
-            entry(f"{k + 0x200:04X}sub{s}", 7, "rw", f"0x{0x2000 + 8 * s + 1:04X}0010") for s in range(1, 5)
-        )
+        for sub in range(1, 5):
+            text += entry(f"{k + 0x200:04X}sub{sub}", 7, "rw", f"0x{0x2000 + 8 * sub + 1:04X}0010")
     kinds = (5, 6, 7, 2, 3, 4, 8, 0x1B)
     for k in range(count - 13):
         text += entry(f"{0x2000 + k:04X}", kinds[k % 8], "rw", str(k % 100), 1)
     return text
 
 
-def load_s(path: Path) -> float:
-    """Median CPU seconds to read a file and make its device."""
-    taken = []
-    for _ in range(LOADS):
-        started_s = time.process_time()
-        device_of(read_eds(path, 5))
-        taken.append(time.process_time() - started_s)
-    return statistics.median(taken)
-
-
-def costs(devices: list[Device], frame: tuple[int, bytes], count: int = 3000) -> list[float]:
-    """Microseconds of CPU time per frame and its answers, for each device: the least of several runs, in turn."""
-    clock, least = Clock(2000), [float("inf")] * len(devices)
-    for _ in range(REPEATS):
-        for k, device in enumerate(devices):
-            started_s = time.process_time()
-            for _ in range(count):
-                device.step(clock.next(), [frame])
-            least[k] = min(least[k], 1e6 * (time.process_time() - started_s) / count)
-    return least
+def load_ms(path: Path) -> float:
+    """Median CPU time to read a file and make its device."""
+    return 1000 * statistics.median(cpu_s(lambda: device_of(read_eds(path, 5))) for _ in range(REPEATS))
 
 
 def report_costs(path: Path) -> list[str]:
-    """Cost of the generated device beside a fingertip: the same requests."""
+    """Cost of the generated device beside a fingertip, per frame and its answers: the least of several runs."""
     upload, download = struct.pack("<BHB4x", 0x40, 0x1017, 0), struct.pack("<BHBH2x", 0x2B, 0x1017, 0, 0)
     lines = []
     for what, frame in (("SDO upload", (0x605, upload)), ("SDO download", (0x605, download)), ("SYNC", (0x80, b""))):
@@ -93,21 +74,14 @@ def report_costs(path: Path) -> list[str]:
         answers, _ = device.step(3, [frame])
         if len(answers) != (2 if what == "SYNC" else 1):
             raise AssertionError(f"{what}: {answers}")
-        theirs, ours = costs([device, calibrated_node(5)], frame)
+        works = {
+            "theirs": steps([device], [frame], 3000, 2000),
+            "ours": steps([calibrated_node(5)], [frame], 3000, 2000),
+        }
+        costs = in_turns({name: partial(cpu_us, work) for name, work in works.items()}, REPEATS)
+        theirs, ours = min(costs["theirs"]), min(costs["ours"])
         lines.append(f"  {what:<14}{theirs:8.1f} us, fingertip {ours:8.1f} us: {theirs / ours:.2f} times")
     return lines
-
-
-class Store:
-    """Parameters in memory."""
-
-    def __init__(self) -> None:
-        self.groups: dict[str, bytes] = {}
-
-    def save(self, group: str, data: bytes) -> bool:
-        """Keep a group."""
-        self.groups[group] = data
-        return True
 
 
 def frames(rng: Random, entries: list[tuple[int, int, int]], node_id: int) -> list[tuple[int, bytes]]:
@@ -138,49 +112,37 @@ def fuzz(path: Path, count: int, seed: int) -> int:
     sent_frames = 0
     for number in range(0, count, ROUND_FRAMES):
         rng = Random(f"{seed} {path.name} {number}")
-        found, store = read_eds(path, 5), Store()
-        application = Drive() if 0x6040 in found.objects and 0x6060 in found.objects else None
-        device = SimulatedDevice(found, application, None, store.save, store.groups.get)
-        entries = [(one.index, one.sub, one.type.size or 4) for one in found.entries()]
+        eds, store = read_eds(path, 5), MemoryStore()
+        drive = Drive() if 0x6040 in eds.objects and 0x6060 in eds.objects else None
+        device = SimulatedDevice(eds, drive, None, store.save, store.load)
+        entries = [(item.index, item.sub, item.type.size or 4) for item in eds.entries()]
         now_us = 0
         device.step(0)
         for _ in range(min(ROUND_FRAMES, count - number)):
             now_us += int(rng.expovariate(1e-3))
             sent, due_us = device.step(now_us, frames(rng, entries, 5))
-            if due_us < now_us or len(sent) > MOST_STEPS:
-                raise AssertionError(
-                    f"{path.name}, round {number}: due {due_us} at {now_us}, {len(sent)} frames at once"
-                )
+            at = f"{path.name}, round {number}"
+            require(due_us >= now_us and len(sent) <= MOST_STEPS, f"{at}: due {due_us} at {now_us}, {len(sent)} frames")
             for can_id, data in sent:
-                if not (0 <= can_id <= 0x7FF and len(data) <= 8):
-                    raise AssertionError(f"{path.name}, round {number}: sent {can_id:X}#{data.hex()}")
+                require(0 <= can_id <= 0x7FF and len(data) <= 8, f"{at}: sent {can_id:X}#{data.hex()}")
             sent_frames += len(sent)
             device.requests.clear()
     return sent_frames
 
 
-def main() -> int:
+def main() -> None:
     """Run as a command."""
-    parser = argparse.ArgumentParser(description="Measure devices from EDS files, and fuzz them.")
-    parser.add_argument("files", nargs="*", type=Path)
-    parser.add_argument("--frames", type=int, default=1_000_000, help="of all files together")
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
+    arguments(__doc__).parse_args()
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "generated.eds"
         path.write_text(generated_eds())
         objects = len(read_eds(path, 5).objects)
-        print(f"generated device of {objects} objects: loaded in {1e3 * load_s(path):.0f} ms")
+        print(f"generated device of {objects} objects: loaded in {load_ms(path):.0f} ms")
         print("\n".join(report_costs(path)), flush=True)
-        files = [*options.files, path, shipped_eds("cia402")]
-        for one in files:
-            sent = fuzz(one, options.frames // len(files), options.seed)
-            print(
-                f"  {one.name}: {options.frames // len(files)} frames received, {sent} sent, nothing raised", flush=True
-            )
-    return 0
+        for file in (path, shipped_eds("cia402")):
+            print(f"  {file.name}: {FRAMES} frames received, {fuzz(file, FRAMES, seed=1)} sent, nothing raised")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,4 +1,4 @@
-"""A node for a day: `python -m bench.endurance --hours 24`. Memory must not grow, and no counter may drift.
+"""A node for a day: `python -m bench.endurance`. Memory must not grow, and no counter may drift.
 
 The node's own loop runs on a clock that is moved and not waited for. SYNCs come ten times a second, the gauges are an
 Industrial I/O source whose devices are played; once an hour one is pulled out for a second, a gauge saturates, the
@@ -7,7 +7,6 @@ bus loses a SYNC and the calibration is stored. Each simulated hour's memory is 
 
 from __future__ import annotations
 
-import argparse
 import gc
 import logging
 import sys
@@ -20,15 +19,17 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
+from bench.measure import arguments, resident_bytes, table
+
+from canopen_device.running import loop
+from canopen_device.running.store import FileStore
 from tipforce.fingertip.node import fingertip_node
-from tipforce.running import loop
-from tipforce.running.store import FileStore
 from tipforce.sources.iio import IioSource
 
 NODE_ID = 5
 SYNC_US, HEARTBEAT_US, HOUR_US = 100_000, 1_000_000, 3_600_000_000
 ZERO, ENDS = 2048, (0, 4095)
-OUTAGE_US = 1_000_000
+OUTAGE_US, HOURS = 1_000_000, 24
 _STORE = b"\x23\x10\x10\x01save"
 
 
@@ -87,7 +88,6 @@ class Bus:
         self._counter = 0
         self._first_heartbeat_us = -1
         self._pending: list[loop.Frame] = [(0x000, bytes((1, NODE_ID)))]
-        self._hour = 0
 
     def clock(self) -> int:
         return self.now_us
@@ -104,9 +104,8 @@ class Bus:
             return None
         self.now_us = self.next_sync_us
         self.next_sync_us += SYNC_US
-        return None if self._hourly() else self._sync()
-
-    def _sync(self) -> loop.Frame:
+        if self._hourly():
+            return None
         self.syncs += 1
         return 0x080, b""
 
@@ -141,9 +140,7 @@ class Bus:
 
 
 class _Count(logging.Handler):
-    def __init__(self) -> None:
-        super().__init__()
-        self.lines = 0
+    lines = 0
 
     def emit(self, _record: logging.LogRecord) -> None:
         self.lines += 1
@@ -152,25 +149,21 @@ class _Count(logging.Handler):
 @contextmanager
 def _counted_log() -> Iterator[_Count]:
     log, handler = logging.getLogger("tipforce"), _Count()
-    passed_on, log.propagate = log.propagate, False
     log.addHandler(handler)
     try:
-        yield handler
+        with mock.patch.object(log, "propagate", new=False):
+            yield handler
     finally:
         log.removeHandler(handler)
-        log.propagate = passed_on
 
 
 def run(hours: int, hour_us: int = HOUR_US, seed: int = 1) -> list[Hour]:
     """The state after each of ``hours`` hours of ``hour_us``."""
     gauges = [Gauge(f"iio:device{k}", seed + k) for k in range(3)]
     bus = Bus(gauges)
-    found = array("q", bytes(8 * len(Hour._fields) * hours))  # what is measured is not to grow by being noted
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        _counted_log() as log,
-        mock.patch.object(loop, "now_us", bus.clock),
-    ):
+    width = len(Hour._fields)
+    figures = array("q", bytes(8 * width * hours))  # what is measured is not to grow by being noted
+    with tempfile.TemporaryDirectory() as folder, _counted_log() as log, mock.patch.object(loop, "now_us", bus.clock):
         source = IioSource(gauges, 3, (16, 2.0, ((2048.0, 4048.0),) * 3), ENDS, clock=bus.clock)
         store = FileStore(Path(folder) / "node.json")
         device = fingertip_node(NODE_ID, source, save=store.save, load=store.load)
@@ -178,36 +171,21 @@ def run(hours: int, hour_us: int = HOUR_US, seed: int = 1) -> list[Hour]:
             bus.until_us += hour_us if bus.until_us else bus.now_us + hour_us
             loop.run([device], bus, bus.over)
             gc.collect()
-            for place, value in enumerate(
-                (sys.getallocatedblocks(), _resident_kb(), bus.syncs, bus.heartbeats, bus.samples, bus.emcys,
-                 log.lines, bus.late_us)
-            ):  # fmt: skip
-                found[number * len(Hour._fields) + place] = value
-    width = len(Hour._fields)
-    return [Hour(*found[number * width : (number + 1) * width]) for number in range(hours)]
-
-
-def _resident_kb() -> int:
-    try:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * 4
-    except OSError:
-        return 0
+            figures[number * width : (number + 1) * width] = array("q", (
+                sys.getallocatedblocks(), resident_bytes() // 1000, bus.syncs, bus.heartbeats, bus.samples, bus.emcys,
+                log.lines, bus.late_us,
+            ))  # fmt: skip
+    return [Hour(*figures[start : start + width]) for start in range(0, len(figures), width)]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--hours", type=int, default=24)
-    args = parser.parse_args()
-    began = time.perf_counter()
-    found = run(args.hours)
-    print("hour  blocks  resident kB    SYNCs  heartbeats  samples  EMCY  log lines  late us")
-    for number, hour in enumerate(found, 1):
-        print(
-            f"{number:4} {hour.blocks:7} {hour.resident_kb:12} {hour.syncs:8} {hour.heartbeats:11} {hour.samples:8}"
-            f" {hour.emcys:5} {hour.log_lines:10} {hour.late_us:8}"
-        )
-    first, last = found[min(1, len(found) - 1)], found[-1]
-    print(f"blocks since the second hour: {last.blocks - first.blocks:+}; {time.perf_counter() - began:.0f} s")
+    """Run and print; 1 where memory grew or a frame was late."""
+    arguments(__doc__).parse_args()
+    began_s, hours = time.perf_counter(), run(HOURS)
+    header = ["hour", *(name.replace("_", " ") for name in Hour._fields)]
+    print(table(header, [[str(number), *map(str, hour)] for number, hour in enumerate(hours, 1)], markdown=False))
+    first, last = hours[min(1, len(hours) - 1)], hours[-1]
+    print(f"blocks since the second hour: {last.blocks - first.blocks:+}; {time.perf_counter() - began_s:.0f} s")
     return 0 if abs(last.blocks - first.blocks) < 200 and last.late_us == 0 else 1
 
 

@@ -1,7 +1,6 @@
 """The exported C estimator: agreement with Python over random samples, and its size on a Cortex-M4.
 
     python -m bench.export_c                        a million samples (minutes), and the sizes
-    python -m bench.export_c --samples 20000        fewer
     python -m bench.export_c --json
 
 Every sample is held to the bound derived in tests/export_c/estimators.py; the first one beyond it ends the run. Sizes
@@ -10,15 +9,14 @@ want arm-none-eabi-gcc (apt: gcc-arm-none-eabi, libnewlib-arm-none-eabi); withou
 
 from __future__ import annotations
 
-import argparse
-import json
 import shutil
 import subprocess
-import sys
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+
+from bench.measure import main, table
 
 SAMPLES, SEED = 1_000_000, 2025
 ARM = "arm-none-eabi-gcc"
@@ -63,7 +61,7 @@ def sizes() -> dict[str, dict[str, int]] | None:
         write_c_files(folder, 3)
         compiled = {}
         for source in sorted(folder.glob("*.c")):
-            _run([ARM, *flags, "-c", source.name, "-o", f"{source.stem}.o"], folder)
+            subprocess.run([ARM, *flags, "-c", source.name, "-o", f"{source.stem}.o"], cwd=folder, check=True)
             compiled[source.name] = _text(folder / f"{source.stem}.o")
         linked = {title: _linked(folder, functions, files) for title, (functions, files) in PROGRAMS.items()}
     return {"compiled": compiled, "linked": linked}
@@ -73,14 +71,9 @@ def _linked(folder: Path, functions: list[str], files: list[str]) -> int:
     objects = [f"{Path(name).stem}.o" for name in files]
     kept = [f"-Wl,--undefined={function}" for function in functions]
     line = [ARM, *CPU, "-nostartfiles", "-Wl,--gc-sections", f"-Wl,--entry={functions[0]}", *kept]
-    _run([*line, "--specs=nosys.specs", "--specs=nano.specs", *objects, "-lm", "-o", "linked.elf"], folder)
+    line += ["--specs=nosys.specs", "--specs=nano.specs", *objects, "-lm", "-o", "linked.elf"]
+    subprocess.run(line, cwd=folder, check=True)
     return _text(folder / "linked.elf")
-
-
-def _run(line: list[str], folder: Path) -> None:
-    done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode:
-        sys.exit(f"{' '.join(line)}\n{done.stderr}")
 
 
 def _text(path: Path) -> int:
@@ -89,35 +82,22 @@ def _text(path: Path) -> int:
     return int(done.stdout.splitlines()[1].split()[0])
 
 
-def table(found: dict[str, Any]) -> str:
+def as_text(figures: dict[str, Any]) -> str:
     """For people."""
+    header = ["largest deviation", "samples", "P, uN", "phi, deg", "theta, deg", "u, %", "limit"]
     rows = [
-        f"{'largest deviation':17}{'samples':>10}{'P, uN':>10}{'phi, deg':>10}{'theta, deg':>11}{'u, %':>9}{'limit':>7}"
+        [name, f"{t['samples']}", f"{1e6 * t['P']:.3g}", f"{t['ordinary_phi_deg']:.1e}",
+         f"{t['ordinary_theta_deg']:.1e}", f"{100 * t['uncertainty']:.1e}", f"{t['status_at_a_limit']}"]
+        for name, t in figures["agreement"].items()
+    ]  # fmt: skip
+    text = table(header, rows, markdown=False) + "\n\n"
+    if figures["sizes"] is None:
+        return text + f"no sizes: {ARM} is missing (apt: gcc-arm-none-eabi, libnewlib-arm-none-eabi)"
+    of_files = [
+        [f"{title} {name}", str(size)] for title, sizes in figures["sizes"].items() for name, size in sizes.items()
     ]
-    for name, t in found["agreement"].items():
-        rows.append(
-            f"{name:17}{t['samples']:>10}{1e6 * t['P']:10.3g}{t['ordinary_phi_deg']:10.1e}"
-            f"{t['ordinary_theta_deg']:11.1e}{100 * t['uncertainty']:9.1e}{t['status_at_a_limit']:>7}"
-        )
-    if found["sizes"] is None:
-        return "\n".join([*rows, "", f"no sizes: {ARM} is missing (apt: gcc-arm-none-eabi, libnewlib-arm-none-eabi)"])
-    rows += ["", f"Cortex-M4F, {' '.join(CPU)}: bytes of code and constants"]
-    for title, sized in found["sizes"].items():
-        rows += [f"  {title}:", *(f"    {name:28}{size:8}" for name, size in sized.items())]
-    return "\n".join(rows)
-
-
-def main() -> None:
-    """Parse, measure, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, default=SAMPLES, metavar="N", help="default %(default)s")
-    parser.add_argument("--seed", type=int, default=SEED, help="default %(default)s")
-    parser.add_argument("--json", action="store_true", help="JSON instead of a table")
-    args = parser.parse_args()
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-    found = {"agreement": agreement(args.samples, args.seed), "sizes": sizes()}
-    print(json.dumps(found, indent=1) if args.json else table(found))
+    return text + table([f"Cortex-M4F, {' '.join(CPU)}", "bytes of code and constants"], of_files, markdown=False)
 
 
 if __name__ == "__main__":
-    main()
+    main(__doc__, lambda: {"agreement": agreement(SAMPLES, SEED), "sizes": sizes()}, as_text)

@@ -1,10 +1,7 @@
 """Five gauges: how large must a fault be to be detected, and to be traced to its gauge?
 
-    python -m bench.fault_detection                 detection and isolation rates as text
-    python -m bench.fault_detection --markdown      the tables of docs/uncertainty.md
-    python -m bench.fault_detection --json          JSON lines, one a rate
+    python -m bench.fault_detection                 the tables of docs/uncertainty.md
     python -m bench.fault_detection -o FILE.png     a plot, .png or .svg
-    python -m bench.fault_detection --quick         a tenth of the trials
 
 Single readings of gauges with equal noise, under pushes all over the pad. A fault is an offset (strain that jumps), a
 gauge stuck at its unloaded reading, or a gain (part of the strain is lost).
@@ -12,15 +9,13 @@ gauge stuck at its unloaded reading, or a gain (part of the strain is lost).
 
 from __future__ import annotations
 
-import argparse
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from bench.printed import table
+from bench.measure import arguments, save_plot, table
 
-from tipforce.sensor.contact.force import force_vector
+from tipforce.arrays import FloatArray
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import (
     UNCLEAR,
     alike,
@@ -30,15 +25,13 @@ from tipforce.sensor.contact.redundancy import (
     weighted_inverse,
     without,
 )
-from tipforce.sensor.structure.gauge_shift import GaugePosition, position_matrix
+from tipforce.sensor.structure.gauges import GaugePosition, position_matrix
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import noise_gain
 
-FloatArray = npt.NDArray[np.float64]
-
 SIGMA = 1e-6
 FALSE_ALARM_RATE, EXCLUSION_RATE = 1e-3, 1e-2
-FULL_TRIALS, QUICK_TRIALS, SEED = 50_000, 5_000, 30
+TRIALS, SEED = 50_000, 30
 P_NEWTONS = 4.4
 CALIBRATION_ROWS = 76
 
@@ -101,7 +94,7 @@ def rates(positions: dict[str, GaugePosition], trials: int, seed: int = SEED) ->
     A = position_matrix(FABRICATED, list(positions.values()))
     covariance = SIGMA**2 * np.eye(len(A))
     model = parity(weighted_inverse(A, covariance), covariance)
-    found = []
+    results = []
     for kind, sizes in SIZES.items():
         for size in sizes:
             for gauge, name in enumerate(positions):
@@ -112,8 +105,8 @@ def rates(positions: dict[str, GaugePosition], trials: int, seed: int = SEED) ->
                 detected = float(np.mean(faults.fault))
                 among = float(np.mean(faults.candidates[:, gauge])) / detected if detected else 0.0
                 shares = (detected, float(np.mean(right)), float(np.mean(wrong)), among)
-                found.append(Rate(len(A), kind, size, name, *(100.0 * share for share in shares)))
-    return found
+                results.append(Rate(len(A), kind, size, name, *(100.0 * share for share in shares)))
+    return results
 
 
 def false_alarms(trials: int, seed: int = SEED) -> dict[str, float]:
@@ -152,7 +145,7 @@ def weights(calibrations: int, seed: int = SEED) -> dict[str, tuple[float, float
     rng = np.random.default_rng(seed)
     A, batch = position_matrix(FABRICATED, list(FIVE.values())), 200
     names = ("variances, full covariance stored", "variances, variances stored", "full covariance, the same stored")
-    found: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
+    results: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
     for _ in range(calibrations):
         loads = np.vstack([pushes(rng, CALIBRATION_ROWS - 19, P_NEWTONS), np.zeros((19, 3))])
         G = np.column_stack([loads, np.ones(len(loads))])
@@ -168,12 +161,12 @@ def weights(calibrations: int, seed: int = SEED) -> dict[str, tuple[float, float
             alarms = np.mean(detect(parity(C, stored), strain, false_alarm_rate=FALSE_ALARM_RATE).fault)
             left = without(C, stored, [2])
             error = np.inf if left is None else np.sqrt(np.mean((strain @ left.C.T - F) ** 2))
-            found[name].append((100.0 * float(alarms), float(error)))
-    mean = {name: np.sqrt(np.mean(np.square(pairs), axis=0)) for name, pairs in found.items()}
-    return {name: (float(np.mean([a for a, _ in found[name]])), float(mean[name][1])) for name in names}
+            results[name].append((100.0 * float(alarms), float(error)))
+    mean = {name: np.sqrt(np.mean(np.square(pairs), axis=0)) for name, pairs in results.items()}
+    return {name: (float(np.mean([a for a, _ in results[name]])), float(mean[name][1])) for name in names}
 
 
-def layout_table(positions: dict[str, GaugePosition], markdown: bool) -> str:
+def layout_table(positions: dict[str, GaugePosition]) -> str:
     """Per gauge: what shows, whom it is confused with, and what its loss costs."""
     A = position_matrix(FABRICATED, list(positions.values()))
     covariance = SIGMA**2 * np.eye(len(A))
@@ -188,62 +181,50 @@ def layout_table(positions: dict[str, GaugePosition], markdown: bool) -> str:
         gain = "no rank 3" if left is None else f"{noise_gain(left.C) / noise_gain(C):.2f}"
         rows.append([name, f"{detectable[k]:.1f}", ", ".join(twins) or "none", gain])
     return table(
-        ["gauge", "smallest detected, microstrain", "not distinguished from", "noise of F without it, times"],
-        rows,
-        markdown,
+        ["gauge", "smallest detected, microstrain", "not distinguished from", "noise of F without it, times"], rows
     )
 
 
-def rate_table(found: list[Rate], kind: str, markdown: bool) -> str:
+def rate_table(results: list[Rate], kind: str) -> str:
     """Detected / isolated / wrongly isolated per gauge and size."""
-    here = [rate for rate in found if rate.kind == kind]
+    here = [rate for rate in results if rate.kind == kind]
     names = list(dict.fromkeys(rate.gauge for rate in here))
     rows = []
     for size in SIZES[kind]:
         row = {rate.gauge: rate for rate in here if rate.size == size}
         shown = (f"{row[n].detected:.1f} / {row[n].isolated:.1f} / {row[n].wrong:.1f}" for n in names)
         rows.append([f"{size:g}", *shown])
-    return table([kind, *names], rows, markdown)
+    return table([kind, *names], rows)
 
 
 def report(
-    found: dict[int, list[Rate]],
-    alarms: dict[str, float],
-    weighed: dict[str, tuple[float, float]],
-    trials: int,
-    markdown: bool,
+    results: dict[int, list[Rate]], alarms: dict[str, float], weighed: dict[str, tuple[float, float]], trials: int
 ) -> str:
     """All tables with their captions."""
-    title = "### {}" if markdown else "{}"
-    parts = [title.format("Five gauges: smallest fault, and cost of a loss"), layout_table(FIVE, markdown)]
-    parts += [title.format("Five gauges: detected / isolated / wrongly isolated, %")]
-    parts += [rate_table(found[5], kind, markdown) for kind in SIZES]
-    parts += [title.format("Six gauges, three on each beam"), layout_table(SIX, markdown)]
-    parts += [rate_table(found[6], "offset, microstrain", markdown)]
-    parts += [title.format("Five gauges: C weighted by one covariance, and which one the record holds")]
+    among = min(rate.among for rate in results[5] if rate.detected > 50.0)
     rows = [[name, f"{alarm:.2f}", f"{error:.4f}"] for name, (alarm, error) in weighed.items()]
-    parts += [table(["C weighted by", "false alarms, %", "RMS error of F without U, N"], rows, markdown)]
-    among = min(rate.among for rate in found[5] if rate.detected > 50.0)
-    parts += [
+    return "\n\n".join([
+        "### Five gauges: smallest fault, and cost of a loss", layout_table(FIVE),
+        "### Five gauges: detected / isolated / wrongly isolated, %", *(rate_table(results[5], kind) for kind in SIZES),
+        "### Six gauges, three on each beam", layout_table(SIX), rate_table(results[6], "offset, microstrain"),
+        "### Five gauges: C weighted by one covariance, and which one the record holds",
+        table(["C weighted by", "false alarms, %", "RMS error of F without U, N"], rows),
         f"{trials} trials per rate, gauge noise 1 microstrain, false alarms set to {100 * FALSE_ALARM_RATE:g} %, "
         f"exclusion to {100 * EXCLUSION_RATE:g} %. The faulty gauge is among those named in at least {among:.1f} % of "
         "the readings where a fault is detected (rates above 50 %).",
-        "False alarms over "
-        f"{20 * trials} readings: " + ", ".join(f"{name} {percent:.3f} %" for name, percent in alarms.items()) + ".",
-    ]
-    return "\n\n".join(parts)
+        f"False alarms over {20 * trials} readings: "
+        + ", ".join(f"{name} {percent:.3f} %" for name, percent in alarms.items()) + ".",
+    ])  # fmt: skip
 
 
-def plot(found: list[Rate], path: str) -> None:
+def plot(results: list[Rate], path: str) -> None:
     """Detection and isolation against fault size, one panel per kind, one colour per gauge."""
-    import matplotlib as mpl
+    from matplotlib.figure import Figure
 
-    mpl.use("Agg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(1, len(SIZES), figsize=(13, 4), sharey=True, layout="constrained")
+    figure = Figure(figsize=(13, 4), layout="constrained")
+    axes = figure.subplots(1, len(SIZES), sharey=True)
     for ax, kind in zip(axes, SIZES, strict=True):
-        here = [rate for rate in found if rate.kind == kind]
+        here = [rate for rate in results if rate.kind == kind]
         for number, name in enumerate(dict.fromkeys(rate.gauge for rate in here)):
             mine = [rate for rate in here if rate.gauge == name]
             sizes = [rate.size for rate in mine]
@@ -252,27 +233,17 @@ def plot(found: list[Rate], path: str) -> None:
         ax.set(xscale="log", xlabel=kind)
     axes[0].set_ylabel("% of readings")
     axes[0].legend(title="solid: detected\ndashed: isolated", fontsize=8)
-    figure.savefig(path, dpi=110, metadata={"Date": None} if path.endswith(".svg") else None)
-    plt.close(figure)
+    save_plot(figure, path)
 
 
 def main() -> None:
     """The command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a tenth of the trials")
-    parser.add_argument("--json", action="store_true", help="JSON lines, one a rate")
-    parser.add_argument("--markdown", action="store_true", help="the tables of docs/uncertainty.md")
+    parser = arguments(__doc__)
     parser.add_argument("-o", "--output", metavar="FILE", help="a plot, .png or .svg")
-    args = parser.parse_args()
-    trials = QUICK_TRIALS if args.quick else FULL_TRIALS
-    found = {5: rates(FIVE, trials), 6: rates(SIX, trials)}
-    if args.output:
-        plot(found[5], args.output)
-    if args.json:
-        for rate in found[5] + found[6]:
-            print(json.dumps(asdict(rate)))
-        return
-    print(report(found, false_alarms(trials), weights(trials // 100), trials, args.markdown))
+    output, by_gauges = parser.parse_args().output, {5: rates(FIVE, TRIALS), 6: rates(SIX, TRIALS)}
+    if output:
+        plot(by_gauges[5], output)
+    print(report(by_gauges, false_alarms(TRIALS), weights(TRIALS // 100), TRIALS))
 
 
 if __name__ == "__main__":

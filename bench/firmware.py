@@ -1,22 +1,37 @@
-"""What the firmware takes of a microcontroller: size of its files, heap, and time once around its loop.
+"""What node and firmware take of a microcontroller: size of their files, heap, and times beside CPython's.
 
-    python -m bench.firmware            a table
+    python -m bench.firmware            tables
     python -m bench.firmware --json     the same as JSON
 
-In MicroPython's WebAssembly build under Node.js, as bench.micropython, with three NAU7802 and an MCP2515 as fakes: what
-the fakes take is not counted, but the time they need is. Pointers have 32 bits as a microcontroller's, so bytes of heap
-carry over; times do not.
+MicroPython is the WebAssembly build under Node.js that the tests use (`make test` installs it). Its heap has pointers
+of 32 bits as a microcontroller's; its speed is that of this machine, and its times hold no collection of garbage. The
+firmware has three NAU7802 and an MCP2515 as fakes: what they take is not counted, but the time they need is.
 """
 
 from __future__ import annotations
 
+import platform
 import statistics
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from bench import printed
+from bench import measure
+from bench.firmware_image import contents
 
-ROUNDS, REPEATS = 500, 7
+REPEATS, WARM_UP = 7, 1  # this MicroPython has a clock of milliseconds
+STEPS, ROUNDS = 2000, 500
+LEVELS = (0, 3)  # -O1 and -O2 leave out assert statements, and there are none
+FAR_US = 1 << 41  # 25 days after power-on: integers beyond 2^30 live on MicroPython's heap
+# What is timed of the node: name, frame, the clock at the beginning.
+TIMED: tuple[tuple[str, int, str, int], ...] = (
+    ("SYNC, two TPDOs", 0x080, "", 20_000_000),
+    ("SDO upload 1018h:1", 0x605, "4018100100000000", 60_000_000),
+    ("SDO upload 6130h:7, live", 0x605, "4030610700000000", 100_000_000),
+    ("SDO download 2101h:1", 0x605, "2301210100000000", 140_000_000),
+    ("SYNC, two TPDOs, after 25 days", 0x080, "", FAR_US),
+)
+NOT_COMPILED = ("main", "main_mcp2515")  # sources on the board
 MODULES = "app", "can_port", "can_mcp2515", "nau7802", "source"  # of this board; the others have the rest
 BUILD = """
 node = Firmware(5, Gauges(drivers, 1024.0), port, FlashStore(slots), 1, Clock(clock.ticks, clock.diff))
@@ -53,70 +68,112 @@ import tipforce.fingertip.node
 DRIVERS = "drivers = [Nau7802(nau) for nau in naus]\nport = Mcp2515(bus, bus.cs, 500000)"
 
 
-def files(optimisation: int = 3) -> dict[str, bytes]:
-    """The node's files and the firmware's, compiled, by their place on the board."""
-    import firmware
-    import tipforce_loader
+def node_times() -> dict[str, dict[str, float]]:
+    """Microseconds per step, the median of the repeats, in both interpreters and on the same node."""
+    from micropython import engine, footprint, on_node
+
+    talk = footprint.ready_node()
+    files = engine.compiled(3) | engine.program() | {"/ready": talk.recording.text().encode()}
+    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", "import on_node", *footprint.bring_up(talk)]
+    here: list[float] = []
+    for _name, can_id, data, start_us in TIMED:
+        frame = (can_id, bytes.fromhex(data))
+        for repeat in range(WARM_UP + REPEATS):
+            now_us = start_us + 1000 * STEPS * repeat
+            here.append(on_node.microseconds(talk.recorded.device, frame, STEPS, now_us))
+            calls.append(f"print('time', on_node.microseconds(replay.device, {frame!r}, {STEPS}, {now_us}))")
+    there = [float(line.split()[1]) for line in engine.run(files, calls) if line.startswith("time")]
+    return {
+        name: {"micropython_us": _median(there, k), "cpython_us": _median(here, k)}
+        for k, (name, *_rest) in enumerate(TIMED)
+    }
+
+
+def _median(values: list[float], row: int) -> float:
+    first = row * (WARM_UP + REPEATS)
+    return round(statistics.median(values[first + WARM_UP : first + WARM_UP + REPEATS]), 2)
+
+
+def around_the_loop() -> tuple[dict[str, int], dict[str, float]]:
+    """(bytes of heap, microseconds once around the firmware's loop)."""
     from micropython import engine
 
-    found = dict(engine.compiled(optimisation))
-    for folder in (Path(str(package.__file__)).parent for package in (firmware, tipforce_loader)):
-        for path in sorted(folder.glob("*.py")):
-            if path.stem not in ("main", "main_mcp2515", "__init__", "build"):  # sources, or not on the board
-                found[f"{engine.LIBRARY}/{folder.name}/{path.stem}.mpy"] = engine.compile_file(path, optimisation)
-    return found
-
-
-def measure() -> dict[str, Any]:
-    """Sizes, heap and times."""
-    from micropython import engine
-
-    compiled = files()
-    sizes = {path.removeprefix(f"{engine.LIBRARY}/"): len(content) for path, content in compiled.items()}
-    told = dict(compiled)
+    files = {f"{engine.LIBRARY}/{path}": code for path, code in _files(3).items()}
     for name in ("fakes.py", "fake_controllers.py"):
         fakes = Path(engine.__file__).parents[1] / "microcontroller" / name
-        told[f"{engine.LIBRARY}/microcontroller/{name}"] = fakes.read_bytes()
+        files[f"{engine.LIBRARY}/microcontroller/{name}"] = fakes.read_bytes()
     count = "import gc\nprint('heap', gc.mem_alloc())"
     calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", PREPARE, "import gc", count, IMPORT, count, DRIVERS,
              BUILD, count, "around(3000, 1000, False)", count]  # fmt: skip
-    for name, step_us, sync in (("idle", 500, False), ("sync", 4000, True)):
-        calls += [f"print('{name}', around({ROUNDS}, {step_us}, {sync}))" for _ in range(REPEATS + 1)]
-    lines = [line.split() for line in engine.run(told, calls)]
-    heap = [int(words[1]) for words in lines if words[0] == "heap"]
-    times = {
-        name: statistics.median([float(words[1]) for words in lines if words[0] == name][1:])
-        for name in ("idle", "sync")
-    }
+    for name, step_us, sync in (("nothing to do", 500, False), ("new reading, SYNC, two TPDOs", 4000, True)):
+        calls += [f"print('time', '{name}:', around({ROUNDS}, {step_us}, {sync}))"] * (REPEATS + 1)
+    lines = engine.run(files, calls)
+    heap = [int(line.split()[1]) for line in lines if line.startswith("heap")]
+    times: dict[str, list[float]] = {}
+    for line in lines:
+        if line.startswith("time"):
+            name, us = line.removeprefix("time ").split(": ")
+            times.setdefault(name, []).append(float(us))
+    held = {"all modules imported": heap[1] - heap[0], "node, gauges, port, flash": heap[2] - heap[1],
+            "more after 3000 rounds": heap[3] - heap[2]}  # fmt: skip
+    return held, {name: statistics.median(us[1:]) for name, us in times.items()}
+
+
+def _files(level: int) -> dict[str, bytes]:
+    """The node's files, the firmware's and the loader's, compiled, by their place on the board."""
+    import tipforce_loader
+    from micropython import engine
+
+    compiled = {path: code for path, code in contents(level).items() if Path(path).stem not in NOT_COMPILED}
+    for path in sorted(Path(str(tipforce_loader.__file__)).parent.glob("*.py")):
+        if path.stem not in ("__init__", "build", *NOT_COMPILED):
+            compiled[f"tipforce_loader/{path.stem}.mpy"] = engine.compile_file(path, level)
+    return compiled
+
+
+def measure_all() -> dict[str, Any]:
+    """Everything, as --json gives it."""
+    from micropython import engine, footprint
+
+    sizes = {level: {path: len(code) for path, code in _files(level).items()} for level in LEVELS}
+    libraries = {"sources": engine.sources(), ".mpy -O0": engine.compiled(0), ".mpy -O3": engine.compiled(3)}
+    loop_heap, loop_times = around_the_loop()
     return {
-        "sizes": sizes,
-        "heap": {"code": heap[1] - heap[0], "node": heap[2] - heap[1], "after_3000_rounds": heap[3] - heap[2]},
-        "microseconds": times,
-    }
+        "cpython": platform.python_version(), "machine": platform.machine(),
+        "code_bytes": {name: [of_level[name] for of_level in sizes.values()] for name in sizes[3]},
+        "heap_bytes": {name: asdict(footprint.heap(files)) for name, files in libraries.items()},
+        "time": node_times(), "loop_heap_bytes": loop_heap, "loop_us": loop_times,
+    }  # fmt: skip
 
 
-def table(found: dict[str, Any]) -> str:
+def tables(result: dict[str, Any]) -> str:
     """For people."""
-    sizes, heap, times = found["sizes"], found["heap"], found["microseconds"]
-    of_firmware = {name: size for name, size in sizes.items() if name.startswith("firmware/")}
-    of_loader = {name: size for name, size in sizes.items() if name.startswith("tipforce_loader/")}
-    core = sum(sizes.values()) - sum(of_firmware.values()) - sum(of_loader.values())
-    used = sum(of_firmware[f"firmware/{name}.mpy"] for name in MODULES)
-    return "\n".join([
-        "bytes of .mpy, -O3",
-        *(f"  {name:28}{size:8}" for name, size in (of_firmware | of_loader).items()),
-        f"  {'drivers of this board':28}{used:8}",
-        f"  {'the loader':28}{sum(of_loader.values()):8}",
-        f"  {'the node itself (tipforce/)':28}{core:8}",
-        "bytes of heap, loaded from files",
-        f"  {'all modules imported':28}{heap['code']:8}",
-        f"  {'node, gauges, port, flash':28}{heap['node']:8}",
-        f"  {'more after 3000 rounds':28}{heap['after_3000_rounds']:8}",
-        "microseconds once around the loop, on this PC, fakes included",
-        f"  {'nothing to do':28}{times['idle']:8.0f}",
-        f"  {'new reading, SYNC, two TPDOs':28}{times['sync']:8.0f}",
+    sizes: dict[str, list[int]] = result["code_bytes"]
+    totals = {
+        "drivers of this board": [f"firmware/{name}.mpy" for name in MODULES],
+        "the loader": [name for name in sizes if name.startswith("tipforce_loader/")],
+        "the node itself (tipforce/)": [name for name in sizes if name.startswith("tipforce/")],
+    }
+    rows = [[name, *map(str, size)] for name, size in sorted(sizes.items())]
+    for what, names in totals.items():
+        rows.append([what, *(str(sum(column)) for column in zip(*(sizes[name] for name in names), strict=True))])
+    heap: dict[str, dict[str, int]] = result["heap_bytes"]
+    fields = next(iter(heap.values()))
+    heaps = [[field.replace("_", " "), *(str(column[field]) for column in heap.values())] for field in fields]
+    times = []
+    for name, pair in result["time"].items():
+        there, here = pair["micropython_us"], pair["cpython_us"]
+        times.append([name, f"{there:.1f}", f"{here:.1f}", f"{there / here:.1f}"])
+    loop = [[name, str(size)] for name, size in result["loop_heap_bytes"].items()]
+    around = [[name, f"{us:.0f}"] for name, us in result["loop_us"].items()]
+    return "\n\n".join([
+        measure.table(["code size, bytes of .mpy", *(f"-O{level}" for level in LEVELS)], rows, markdown=False),
+        measure.table(["the node: heap in use, bytes", *heap], heaps, markdown=False),
+        measure.table(["the node: time, us", "MicroPython", "CPython", "ratio"], times, markdown=False),
+        measure.table(["the firmware: heap in use, bytes", "loaded from files"], loop, markdown=False),
+        measure.table(["the firmware: us once around its loop, on this PC", "fakes included"], around, markdown=False),
     ])  # fmt: skip
 
 
 if __name__ == "__main__":
-    printed.main(__doc__, measure, table)
+    measure.main(__doc__, measure_all, tables)

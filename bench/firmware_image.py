@@ -23,11 +23,11 @@ def contents(optimisation: int = 3) -> dict[str, bytes]:
     import firmware
     from micropython import engine
 
-    found = {path.removeprefix(f"{engine.LIBRARY}/"): code for path, code in engine.compiled(optimisation).items()}
+    compiled = {path.removeprefix(f"{engine.LIBRARY}/"): code for path, code in engine.compiled(optimisation).items()}
     for path in sorted(Path(str(firmware.__file__)).parent.glob("*.py")):
         if path.stem not in _SPARED:
-            found[f"firmware/{path.stem}.mpy"] = engine.compile_file(path, optimisation)
-    return found
+            compiled[f"firmware/{path.stem}.mpy"] = engine.compile_file(path, optimisation)
+    return compiled
 
 
 def main(arguments: list[str]) -> int:

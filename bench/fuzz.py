@@ -10,11 +10,8 @@ an invariant breaks, the frames of that round are reduced to the few that break 
 
 from __future__ import annotations
 
-import argparse
-import binascii
 import multiprocessing
 import os
-import platform
 import struct
 import sys
 import time
@@ -22,12 +19,12 @@ import traceback
 import tracemalloc
 from random import Random
 
-from bench.fuzz_frames import Frames, Step, good_record
-from bench.fuzz_services import Frame
+from bench.fuzz_frames import Frame, Frames, Step, good_record
+from bench.measure import arguments, machine
 
-from tipforce.device import codes, emcy
-from tipforce.device.sdo_block import MAX_BLOCK
-from tipforce.device.sdo_server import MAX_DOWNLOAD_BYTES
+from canopen_device.core import codes, emcy, storage
+from canopen_device.core.sdo_block import MAX_BLOCK
+from canopen_device.core.sdo_server import MAX_DOWNLOAD_BYTES
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
@@ -42,6 +39,7 @@ MOST_PER_FRAME = MAX_BLOCK + TPDOS
 MOST_PER_STEP = TPDOS + 3
 STATES = (codes.INITIALISING, codes.STOPPED, codes.OPERATIONAL, codes.PRE_OPERATIONAL)
 STRAIN_PER_NEWTON = ((8e-5, 1e-5, -2e-5), (-1e-5, 9e-5, 3e-5), (2e-5, -3e-5, 7e-5))
+MOST_BUFFERED = max(MAX_DOWNLOAD_BYTES, 5000) + 7
 COMMIT_ANSWERED = struct.pack("<BHB4x", 0x60, 0x2104, 0)
 
 
@@ -73,14 +71,11 @@ class Rig:
         self.device = fingertip_node(
             node_id, source, 3, number, self._save if stores else None, self._stored.get if stores else None, eds
         )
-        application = self.device.application
-        assert isinstance(application, Fingertip)
-        self.application = application
+        assert isinstance(self.device.application, Fingertip)
+        self.application = self.device.application
         self._values = len(self.device.od.values)
         if rng.random() < 0.5:
-            record = good_record(rng)
-            content = struct.pack("<fI", 1e4, 1) + record
-            self._stored["calibration"] = struct.pack("<I", binascii.crc32(content)) + content
+            self._stored["calibration"] = storage.with_crc(struct.pack("<fI", 1e4, 1) + good_record(rng))
         self._active = self.application.calibration.active_record()
         self.step((0, ()), fresh=True)
 
@@ -103,25 +98,19 @@ class Rig:
         require(self.due_us >= self.now_us, f"due {self.due_us} before now {self.now_us}")
         require(device.nmt.state in STATES, f"NMT state {device.nmt.state}")
         require(len(sent) <= MOST_PER_STEP + MOST_PER_FRAME * len(frames), f"{len(sent)} frames sent at once")
+        node_ids = {node_id, device.node_id}
         if sent:
             self.sdo_answers = sum(can_id == 0x580 + device.node_id for can_id, _ in sent)
             lengths |= self._tpdo_lengths()
-            own = {
-                0x580 + node_id,
-                0x580 + device.node_id,
-                codes.LSS_RESPONSE_COB_ID,
-                emcy_id,
-                device.od.integer(0x1014) & 0x7FF,
-            }
-            own |= {0x700 + node_id, 0x700 + device.node_id}
+            own = {codes.LSS_RESPONSE_COB_ID, emcy_id, device.od.integer(0x1014) & 0x7FF}
+            own |= {base + number for base in (0x580, 0x700) for number in node_ids}
             for frame in sent:
                 # Of several frames one may configure a PDO that the next one triggers and the last one takes away.
                 self._check_frame(frame, own, lengths if len(frames) < 2 else None)
             if state == device.nmt.state == codes.STOPPED and len(frames) < 2:
                 allowed = (0x700 + node_id, codes.LSS_RESPONSE_COB_ID)
                 require(all(can_id in allowed for can_id, _ in sent), "only heartbeat and LSS speak in STOPPED")
-        speakers = (0x580 + node_id, 0x580 + device.node_id)
-        answers = [data for can_id, data in sent if can_id in speakers]
+        answers = [data for can_id, data in sent if can_id - 0x580 in node_ids]
         self._check_calibration(answers, frames, transfer, fresh)
         self._check_sizes(frames)
         device.requests.clear()
@@ -158,31 +147,30 @@ class Rig:
         self._active = active
 
     def _check_sizes(self, frames: tuple[Frame, ...]) -> None:
-        device = self.device
+        device, interrupts = self.device, self.application.interrupts
         require(not device._outbox, "frames are left in the outbox")
-        require(len(device.requests) <= 2 + len(frames), "requests pile up")
         require(len(device.od.values) == self._values, "the dictionary grew")
-        require(len(device.emcy._waiting) <= emcy.MAX_WAITING, "EMCY messages pile up")
-        require(len(device.emcy._history) <= emcy.HISTORY_LENGTH, "error history too long")
-        require(len(device.emcy._active) <= 64, "active errors pile up")
-        require(len(device._routes) <= 32, "routes pile up")
-        require(len(device.storage.damaged) <= 5, "names of damaged groups pile up")
-        block = device.sdo._block
-        buffered = len(getattr(block, "_buffer", device.sdo._buffer))
-        require(buffered <= max(MAX_DOWNLOAD_BYTES, 5000) + 7, "an SDO buffer grows")
-        consumer = device.heartbeat_consumer
-        require(max(len(consumer._periods), len(consumer._deadlines), len(consumer._lost)) <= 4, "too many watched")
-        interrupts = self.application.interrupts
-        require(max(len(interrupts._sent), len(interrupts._zones)) <= 9, "interrupts pile up")
+        consumer, block = device.heartbeat_consumer, device.sdo._block
+        for what, size, most in (
+            ("requests", len(device.requests), 2 + len(frames)),
+            ("EMCY messages", len(device.emcy._waiting), emcy.MAX_WAITING),
+            ("errors of the history", len(device.emcy._history), emcy.HISTORY_LENGTH),
+            ("active errors", len(device.emcy._active), 64),
+            ("routes", len(device._routes), 32),
+            ("names of damaged groups", len(device.storage.damaged), 5),
+            ("bytes of an SDO buffer", len(getattr(block, "_buffer", device.sdo._buffer)), MOST_BUFFERED),
+            ("watched nodes", max(map(len, (consumer._periods, consumer._deadlines, consumer._lost))), 4),
+            ("interrupts", max(len(interrupts._sent), len(interrupts._zones)), 9),
+        ):
+            require(size <= most, f"{size} {what}, allowed are {most}")
 
 
 def play(seed: int, number: int, frames: int, history: list[Step]) -> tuple[int, float]:
     """One round: (frames thrown, longest step in seconds). ``history`` receives the steps as they are made."""
     rig = Rig(seed, number)
-    made = Frames(Random(f"{seed} {number} frames"), rig)
-    thrown = 0
+    source, thrown = Frames(Random(f"{seed} {number} frames"), rig), 0
     while thrown < frames:
-        step = made.next()
+        step = source.next()
         history.append(step)
         rig.step(step)
         thrown += len(step[1])
@@ -190,14 +178,14 @@ def play(seed: int, number: int, frames: int, history: list[Step]) -> tuple[int,
 
 
 def play_measured(seed: int, number: int, frames: int, history: list[Step]) -> tuple[int, float]:
-    """The same with an eye on the memory that the node's own code holds."""
+    """The same with an eye on the memory that the node's own code holds; its time does not count."""
     tracemalloc.start()
     try:
-        found = play(seed, number, frames, history)
-        snapshot = tracemalloc.take_snapshot().filter_traces([tracemalloc.Filter(True, "*/tipforce/*")])
-        held = sum(trace.size for trace in snapshot.traces)
+        thrown, _ = play(seed, number, frames, history)
+        code = [tracemalloc.Filter(True, f"*/{name}/*") for name in ("canopen_device", "tipforce")]
+        held = sum(trace.size for trace in tracemalloc.take_snapshot().filter_traces(code).traces)
         require(held <= MEMORY_LIMIT_BYTES, f"the node holds {held} bytes")
-        return found
+        return thrown, 0.0
     finally:
         tracemalloc.stop()
 
@@ -256,15 +244,13 @@ def rounds(seed: int, numbers: range, frames: int = ROUND_FRAMES, measure: bool 
             more, round_longest_s = player(seed, number, frames, history)
         except Exception:
             return thrown, longest_s, report(seed, number, history)
-        thrown += more
-        if player is play:
-            longest_s = max(longest_s, round_longest_s)
+        thrown, longest_s = thrown + more, max(longest_s, round_longest_s)
     return thrown, longest_s, ""
 
 
 def main() -> int:
     """Run as a command."""
-    parser = argparse.ArgumentParser(description="Fuzz fingertip nodes with CAN frames.")
+    parser = arguments(__doc__)
     parser.add_argument("--frames", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, help="play this round alone")
@@ -278,11 +264,11 @@ def main() -> int:
     with multiprocessing.Pool(len(parts)) as pool:
         results = pool.starmap(rounds, [(options.seed, part) for part in parts])
     took_s = time.perf_counter() - started_s
-    thrown = sum(result[0] for result in results)
-    failures = [result[2] for result in results if result[2]]
-    print(f"Python {platform.python_version()}, {platform.machine()}, {len(parts)} processes, seed {options.seed}")
+    counts, longest_s, reports = zip(*results, strict=True)
+    thrown, failures = sum(counts), list(filter(None, reports))
+    print(f"{machine()}; {len(parts)} processes, seed {options.seed}")
     print(f"{thrown} frames in {took_s:.1f} s: {thrown / took_s:.0f} frames/s, {len(failures)} failures")
-    print(f"longest step {1e3 * max(result[1] for result in results):.1f} ms, scheduling of this machine included")
+    print(f"longest step {1e3 * max(longest_s):.1f} ms, scheduling of this machine included")
     print("\n".join(failures))
     return 1 if failures else 0
 

@@ -9,21 +9,21 @@ from __future__ import annotations
 import binascii
 import struct
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from random import Random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from bench.fuzz_services import Frame, Services
-
-from tipforce.device import codes
-from tipforce.device.codes import NEVER_US
-from tipforce.device.crc16 import crc16
-from tipforce.device.object_dictionary import SIZES
+from canopen_device.core import codes
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, NEVER_US, REMOTE_FLAG
+from canopen_device.core.object_dictionary import SIZES
+from canopen_device.core.sdo_block import crc16
 from tipforce.dictionary import table
 
 if TYPE_CHECKING:
     from bench.fuzz import Rig
 
+Item = TypeVar("Item")
+Frame = tuple[int, bytes]
 Step = tuple[int, tuple[Frame, ...]]
 
 SIGNATURES = (0x65766173, 0x64616F6C, 0x6F72657A, 0x61726174, 0x74696D63, 0x6E65706F)
@@ -32,22 +32,9 @@ REALS = (0.0, -0.0, 1.0, -1.0, 1e-3, 5e-3, 10.0, 180.0, 1e4, 1e-45, 1.2e-38, 3.4
 NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 # Written more often than their share of the dictionary, because whole services depend on them.
 HOT = (
-    0x1003,
-    0x1005,
-    0x1007,
-    0x100C,
-    0x100D,
-    0x1012,
-    0x1013,
-    0x1014,
-    0x1015,
-    0x1016,
-    0x1017,
-    0x1019,
-    0x1029,
-    0x1F80,
+    0x1003, 0x1005, 0x1007, 0x100C, 0x100D, 0x1012, 0x1013, 0x1014, 0x1015, 0x1016, 0x1017, 0x1019, 0x1029, 0x1F80,
     0x1400,
-)
+)  # fmt: skip
 ACTIONS = (
     *[(0x1010, sub, 0x65766173) for sub in (1, 2, 3, 4)], *[(0x1011, sub, 0x64616F6C) for sub in (1, 2, 3, 4)],
     *[(0x6125, sub, table.SIGNATURE_ZERO) for sub in (1, 2, 3)], (0x6139, 4, table.SIGNATURE_TARA),
@@ -68,11 +55,11 @@ def good_record(rng: Random) -> bytes:
     return struct.pack("<9f3fIIfB6f5fB13f", *C, *offsets, 7, 20260101, 23.0, 1, *noise, *contact, *validity)
 
 
-class Frames(Services):
+class Frames:
     """The steps of one round against ``rig``; what waits of a conversation is in ``_waiting``."""
 
     def __init__(self, rng: Random, rig: Rig) -> None:
-        super().__init__(rng, rig)
+        self._rng, self._rig = rng, rig
         od = rig.device.od
         self._entries = [(i, s) for i in od.indices(0, 0xFFFF) for s in od.subs(i)]
         self._waiting: deque[bytes | Callable[[], bytes]] = deque()
@@ -92,7 +79,7 @@ class Frames(Services):
         if r < 0.03:
             return self._pause(), ()
         if r < 0.08:
-            return self._pause(), tuple(self._frame() for _ in range(2 + int(self._rng.random() * 3)))
+            return self._pause(), tuple(self._frame() for _ in range(2 + self._below(3)))
         return self._pause(), (self._frame(),)
 
     def _pause(self) -> int:
@@ -100,7 +87,7 @@ class Frames(Services):
         if r < 0.5:
             return int(r * 400)
         if r < 0.9:
-            return int(self._rng.random() * 2000)
+            return self._below(2000)
         if r < 0.97:
             return int(self._rng.random() * 200_000)
         if r < 0.99:
@@ -112,11 +99,9 @@ class Frames(Services):
         if self._waiting and self._rng.random() < 0.85:
             return self._mutated(self._next_request())
         if self._rng.random() < 0.5:
-            maker = self._makers[int(self._rng.random() * len(self._makers))]
-            maker()
+            self._pick(self._makers)()
             return self._mutated(self._next_request())
-        single = self._singles[int(self._rng.random() * len(self._singles))]
-        return self._mutated(single())
+        return self._mutated(self._pick(self._singles)())
 
     def _next_request(self) -> Frame:
         waiting = self._waiting.popleft()
@@ -129,30 +114,29 @@ class Frames(Services):
             return frame
         can_id, data = frame
         if r < 0.03 and data:
-            at = int(self._rng.random() * len(data))
+            at = self._below(len(data))
             return can_id, data[:at] + bytes((data[at] ^ 1 << (self._byte() & 7),)) + data[at + 1 :]
         if r < 0.045:
-            return can_id, (data + self._rng.randbytes(8))[: int(self._rng.random() * 9)]
+            return can_id, (data + self._rng.randbytes(8))[: self._below(9)]
         if r < 0.05:
-            return can_id ^ 1 << int(self._rng.random() * 32), data
+            return can_id ^ 1 << self._below(32), data
         if r < 0.055:
             self._waiting.clear()
         elif self._waiting:
             self._waiting.rotate(1)
         return frame
 
-    # --- SDO -------------------------------------------------------------------------------------------------
+    # --- SDO
 
     def _target(self) -> tuple[int, int]:
         r = self._rng.random()
         if r < 0.25:
             index = self._pick(HOT)
-            subs = self._rig.device.od.subs(index)
-            return index, subs[int(self._rng.random() * len(subs))]
+            return index, self._pick(self._rig.device.od.subs(index))
         if r < 0.9:
-            return self._entries[int(self._rng.random() * len(self._entries))]
+            return self._pick(self._entries)
         if r < 0.95:
-            return self._entries[int(self._rng.random() * len(self._entries))][0], self._byte()
+            return self._pick(self._entries)[0], self._byte()
         return self._rng.getrandbits(16), self._byte()
 
     def _value(self, index: int, sub: int) -> bytes:
@@ -160,7 +144,7 @@ class Frames(Services):
         entry = self._rig.device.od.find(index, sub)
         kind = "I" if isinstance(entry, int) else entry[0]
         if kind in "sD":
-            return good_record(self._rng) if self._rng.random() < 0.5 else self._rng.randbytes(int(self._byte()))
+            return good_record(self._rng) if self._rng.random() < 0.5 else self._rng.randbytes(self._byte())
         if kind == "f":
             r = self._rng.random()
             value = REALS[int(r * 29) % len(REALS)] if r < 0.9 else NOT_FINITE[int(r * 30) % 3]
@@ -189,9 +173,9 @@ class Frames(Services):
     def _pdo_number(self, index: int, sub: int) -> int:
         if index & 0x200:
             if not sub:
-                return int(self._rng.random() * 9)
+                return self._below(9)
             target = self._pick(MAPPABLE) if self._rng.random() < 0.8 else self._target()[0]
-            return target << 16 | int(self._rng.random() * 10) << 8 | self._pick((8, 16, 32))
+            return target << 16 | self._below(10) << 8 | self._pick((8, 16, 32))
         if sub == 1:
             return self._cob_id()
         return self._pick((0, 1, 2, 3, 10, 240, 252, 254, 255)) if sub == 2 else self._pick((0, 0, 1, 5, 100, 1000))
@@ -200,7 +184,7 @@ class Frames(Services):
         index, sub = self._target()
         self._waiting.append(struct.pack("<BHB4x", 0x40, index, sub))
         if self._rng.random() < 0.2:
-            for k in range(int(self._rng.random() * 12)):
+            for k in range(self._below(12)):
                 self._waiting.append(bytes((0x60 | k % 2 << 4, 0, 0, 0, 0, 0, 0, 0)))
 
     def _write(self, index: int, sub: int, data: bytes) -> None:
@@ -240,19 +224,19 @@ class Frames(Services):
         size, switch = self._pick((0, 1, 2, 127, 127, 128)), self._pick((0, 0, 21, 255))
         self._waiting.append(struct.pack("<BHBBB2x", 0xA4, index, sub, size, switch))
         self._waiting.append(bytes((0xA3, 0, 0, 0, 0, 0, 0, 0)))
-        for _ in range(int(self._rng.random() * 8)):
+        for _ in range(self._below(8)):
             self._waiting.append(self._acknowledge)
         self._waiting.append(bytes((0xA1, 0, 0, 0, 0, 0, 0, 0)))
 
     def _acknowledge(self) -> bytes:
-        received = self._rig.sdo_answers if self._rng.random() < 0.8 else int(self._rng.random() * 130)
+        received = self._rig.sdo_answers if self._rng.random() < 0.8 else self._below(130)
         return bytes((0xA2, received & 0xFF, self._pick((1, 5, 127, 127, 127, 0, 128)), 0, 0, 0, 0, 0))
 
     def _commit(self) -> None:
         """Stage a record, state its CRC, commit; one part of it may be wrong."""
         record = good_record(self._rng)
         if self._rng.random() < 0.2:
-            at = 4 * int(self._rng.random() * 26)
+            at = 4 * self._below(26)
             record = record[:at] + self._value(0x2100, 1) + record[at + 4 :]
         self._write(0x2141, 0, record)
         self._write(0x2103, 1, struct.pack("<I", binascii.crc32(record) ^ (self._rng.random() < 0.1)))
@@ -263,7 +247,7 @@ class Frames(Services):
     def _remap(self) -> None:
         """Change a PDO by the book: invalid, count 0, entries, count, parameters, valid."""
         number = self._pick((0x1400, 0x1800, 0x1801, 0x1802, 0x1803))
-        mapping, count = number + 0x200, 1 + int(self._rng.random() * 5)
+        mapping, count = number + 0x200, 1 + self._below(5)
         cob_id = (0 if number == 0x1400 else 0x40000000) | self._pick((0x181, 0x205, 0x285, 0x3FF))
         self._write(number, 1, struct.pack("<I", cob_id | 0x80000000))
         self._write(mapping, 0, b"\0")
@@ -282,11 +266,11 @@ class Frames(Services):
         bits = {0x7: 16, 0x6: 32, 0x9: 32}.get(index >> 12, 8)
         bits = {0x6150: 8, 0x2107: 32, 0x2122: 16, 0x2123: 16, 0x2124: 16, 0x1013: 32}.get(index, bits)
         highest = {0x7100: 3, 0x6100: 3, 0x2107: 3}.get(index, 9)
-        sub = 0 if index in (0x2120, 0x2121, 0x2122, 0x2123, 0x2124, 0x1013) else 1 + int(self._rng.random() * highest)
+        sub = 0 if index in (0x2120, 0x2121, 0x2122, 0x2123, 0x2124, 0x1013) else 1 + self._below(highest)
         return index << 16 | sub << 8 | bits
 
     def _action(self) -> None:
-        index, sub, value = ACTIONS[int(self._rng.random() * len(ACTIONS))]
+        index, sub, value = self._pick(ACTIONS)
         self._write(index, sub, struct.pack("<I", value))
 
     def _load(self) -> None:
@@ -294,7 +278,7 @@ class Frames(Services):
         if self._rng.random() < 0.3:
             self._write(0x2200, 1, struct.pack("<H", self._pick((0, 0, 0, 1, 2, 3, 4, 5))))
         else:
-            sub = 1 + int(self._rng.random() * 3)
+            sub = 1 + self._below(3)
             value = self._rng.uniform(0, 5) if sub == 1 else self._rng.uniform(-180, 180)
             self._write(0x2201, sub, struct.pack("<f", value))
 
@@ -302,3 +286,66 @@ class Frames(Services):
         """A command out of place: any first byte, an abort, a segment of no transfer."""
         command = self._byte() if self._rng.random() < 0.7 else 0x80
         self._waiting.append(bytes((command,)) + struct.pack("<HB", *self._target()) + self._rng.randbytes(4))
+
+    # --- every service but SDO
+
+    def _pick(self, items: Sequence[Item]) -> Item:
+        return items[self._below(len(items))]
+
+    def _below(self, limit: int) -> int:
+        return int(self._rng.random() * limit)
+
+    def _byte(self) -> int:
+        return self._rng.getrandbits(8)
+
+    def _sync(self) -> Frame:
+        data = b"" if self._rng.random() < 0.7 else bytes((self._byte() % 11,))
+        return (self._rig.device.sync.cob_id if self._rng.random() < 0.9 else 0x80), data
+
+    def _nmt(self) -> Frame:
+        command = self._pick((1, 1, 1, 1, 1, 2, 128, 128, 129, 130, 0, 3))
+        node_id = self._pick((0, self._rig.device.node_id, self._rig.device.node_id, 9))
+        return 0, bytes((command, node_id))
+
+    def _lss(self) -> Frame:
+        identity = [int(self._rig.device.od.get(0x1018, sub)) for sub in (1, 2, 3, 4)]
+        service = self._pick((0x04, 0x04, 0x11, 0x13, 0x15, 0x17, 0x40, 0x46, 0x4C, 0x51, 0x51, 0x5A, 0x5E))
+        if service in (0x40, 0x46):
+            part = self._below(4 if service == 0x40 else 6)
+            number = identity[part if service == 0x40 else (0, 1, 2, 2, 3, 3)[part]]
+            return 0x7E5, struct.pack("<BIxxx", service + part, number)
+        if service == 0x51:
+            part = self._below(4)
+            bit = self._pick((0, 0, 1, 5, 31, 32, 0x80))
+            following = self._pick((0, part, (part + 1) % 4))
+            return 0x7E5, struct.pack("<BIBBB", service, identity[part], bit, part, following)
+        value = self._pick((0, 1, 5, 127, 128, 255, 0))
+        return 0x7E5, bytes((service, value, self._pick((0, 1, 5, 8, 9)), 0, 0, 0, 0, 0))
+
+    def _time(self) -> Frame:
+        return 0x100, struct.pack("<IH", self._rng.getrandbits(28), self._rng.getrandbits(16))
+
+    def _heartbeat(self) -> Frame:
+        return 0x700 + self._pick((1, 2, 3, 4, 127)), bytes((self._pick((0, 4, 5, 127)),))
+
+    def _command(self) -> Frame:
+        return 0x200 + self._rig.device.node_id & 0x7FF, bytes((self._byte() % 5, 0))
+
+    def _remote(self) -> Frame:
+        return 0x700 + self._rig.device.node_id & 0x7FF | REMOTE_FLAG, b""
+
+    def _error(self) -> Frame:
+        kind = self._pick((0x004, 0x004, 0x004, 0x040, 0x100, 0x044, 0x008))
+        detail = self._pick((0, 1, 2, 4, 8, 0x10, 0x20, 0x30, 0x40, 0xFF))
+        return ERROR_FLAG | kind, bytes((0, detail, 0, 0, 0, 0, 0, 0))
+
+    def _own(self) -> Frame:
+        """Another node with this node's identifiers."""
+        can_id = self._pick((0x580, 0x700, 0x180, 0x280, 0x80)) + self._rig.device.node_id
+        return can_id & 0x7FF, self._rng.randbytes(8)
+
+    def _noise(self) -> Frame:
+        can_id = self._rng.getrandbits(11)
+        if self._rng.random() < 0.3:
+            can_id = self._rng.getrandbits(29) | self._pick((0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG))
+        return can_id, self._rng.randbytes(self._below(9))

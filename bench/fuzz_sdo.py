@@ -11,7 +11,6 @@ conversation follows from the seed and its number alone.
 
 from __future__ import annotations
 
-import argparse
 import gc
 import heapq
 import itertools
@@ -20,15 +19,18 @@ import struct
 import sys
 import time
 import tracemalloc
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from random import Random
 
-from tipforce.device.node import Device
-from tipforce.device.object_dictionary import ObjectDictionary
-from tipforce.device.sdo_block import MAX_BLOCK
-from tipforce.device.sdo_client import Download, Transfer, Upload
-from tipforce.device.sdo_client_block import BlockDownload, BlockUpload
+from bench.fuzz import BrokenError, require
+from bench.measure import arguments
+
+from canopen_device.core.node import Device
+from canopen_device.core.object_dictionary import ObjectDictionary
+from canopen_device.core.sdo_block import MAX_BLOCK
+from canopen_device.core.sdo_client import BlockDownload, BlockUpload, Download, Transfer, Upload
 
 INDEX, SUB = 0x2000, 0
 TIMEOUT_US, DEADLINE_US = 500_000, 5_000_000
@@ -51,10 +53,6 @@ class Response:
     every_us: int = 100
 
 
-class BrokenError(Exception):
-    """An invariant that does not hold."""
-
-
 def play(transfer: Transfer, server: Callable[[int, bytes], Iterable[Response]], latest_us: int) -> list[bytes]:
     """Let a transfer and ``server(now_us, request)`` talk in fake time; return the requests.
 
@@ -67,18 +65,15 @@ def play(transfer: Transfer, server: Callable[[int, bytes], Iterable[Response]],
     for _ in range(MOST_STEPS):
         sent, due_us = transfer.step(now_us, response)
         for request in sent:
-            if len(request) != 8 or aborts:
-                raise BrokenError(f"request {request.hex()} after {aborts} aborts")
+            require(len(request) == 8 and not aborts, f"request {request.hex()} after {aborts} aborts")
             aborts += request[0] == 0x80 and request[1:4] == transfer.place
             for answer in server(now_us, request):
                 heapq.heappush(flight, (now_us + answer.delay_us, next(order), answer))
         requests = (requests + sent)[-MAX_BLOCK:]
         if transfer.ended:
-            if now_us > latest_us:
-                raise BrokenError(f"ended at {now_us} us, its deadline was {latest_us} us")
+            require(now_us <= latest_us, f"ended at {now_us} us, its deadline was {latest_us} us")
             return requests
-        if due_us < now_us:
-            raise BrokenError(f"due at {due_us} us, now is {now_us} us")
+        require(due_us >= now_us, f"due at {due_us} us, now is {now_us} us")
         if flight and flight[0][0] <= due_us:
             now_us, _, answer = heapq.heappop(flight)
             response = answer.data
@@ -108,11 +103,7 @@ class Server:
     def __call__(self, now_us: int, request: bytes) -> list[Response]:
         """Return the responses to a request."""
         sent, _ = self.device.step(now_us, [(0x605, request)])
-        found: list[Response] = []
-        for can_id, data in sent:
-            if can_id == 0x585:
-                found += self._on_the_way(data)
-        return found
+        return [response for can_id, data in sent if can_id == 0x585 for response in self._on_the_way(data)]
 
     def _on_the_way(self, data: bytes) -> list[Response]:
         rng, delay_us = self._rng, self._delay_us
@@ -131,7 +122,7 @@ class Server:
         if kind == "replace":
             return [Response(delay_us, rng.randbytes(rng.choice((0, 1, 4, 7, 8, 8, 8))))]
         if kind == "join":
-            return [Response(delay_us, found) for found in (self._foreign(), data, self._foreign())]
+            return [Response(delay_us, part) for part in (self._foreign(), data, self._foreign())]
         if kind == "abort":
             return [Response(delay_us, struct.pack("<BHBI", 0x80, INDEX, SUB, rng.getrandbits(32)))]
         if kind == "storm":
@@ -145,47 +136,37 @@ class Server:
         return rng.choice((head + rng.randbytes(4), rng.randbytes(8)))
 
 
-def converse(seed: int, number: int, show: Callable[[str], None] | None = None) -> str:
+def converse(seed: int, number: int, show: Callable[[str], object] = len) -> str:
     """Hold one conversation; return what it ended with. Raises BrokenError."""
     rng = Random(f"{seed} {number}")
     content = rng.randbytes(rng.choice((0, 1, 3, 4, 5, 7, 8, 14, 28, 29, 60, rng.randrange(100), rng.randrange(1000))))
     kind = rng.choice((Upload, BlockUpload, Download, BlockDownload))
-    transfer: Transfer
-    if kind in (Upload, BlockUpload):
-        transfer = kind(INDEX, SUB, TIMEOUT_US, DEADLINE_US, LIMIT_BYTES)
-        server = Server(rng, content)
-    else:
-        transfer = kind(INDEX, SUB, TIMEOUT_US, DEADLINE_US, content)  # type: ignore[arg-type]
-        server = Server(rng, b"")
-    requests = play(transfer, server, DEADLINE_US)
-    for request in requests if show else ():
-        show(request.hex(" "))  # type: ignore[misc]
+    reads = kind in (Upload, BlockUpload)
+    transfer: Transfer = kind(INDEX, SUB, TIMEOUT_US, DEADLINE_US, LIMIT_BYTES if reads else content)  # type: ignore[arg-type]
+    server = Server(rng, content if reads else b"")
+    for request in play(transfer, server, DEADLINE_US):
+        show(request.hex(" "))
     return _judge(transfer, server, content)
 
 
 def _judge(transfer: Transfer, server: Server, content: bytes) -> str:
     """Check that a transfer ended in exactly one way, and that without damage it did what it was for."""
-    name = type(transfer).__name__
-    if (transfer.abort_code is not None) and transfer.failure is not None:
-        raise BrokenError(f"{name}: aborted by both sides")
-    if len(transfer.data) > LIMIT_BYTES:
-        raise BrokenError(f"{name}: {len(transfer.data)} bytes, allowed are {LIMIT_BYTES}")
-    if transfer.abort_code is not None or transfer.failure is not None:
-        if not server.damages:
-            raise BrokenError(f"{name} of {len(content)} bytes failed without damage: {transfer.failure}")
-        if transfer.data:
-            raise BrokenError(f"{name}: failed, and has data")
+    name, damaged = type(transfer).__name__, bool(server.damages)
+    failed = transfer.abort_code is not None or transfer.failure is not None
+    require(transfer.abort_code is None or transfer.failure is None, f"{name}: aborted by both sides")
+    require(len(transfer.data) <= LIMIT_BYTES, f"{name}: {len(transfer.data)} bytes, allowed are {LIMIT_BYTES}")
+    require(damaged or not failed, f"{name} of {len(content)} bytes failed without damage: {transfer.failure}")
+    if failed:
+        require(not transfer.data, f"{name}: failed, and has data")
         return f"{name}: {'aborted by the server' if transfer.failure is None else transfer.failure or 'no response'}"
-    if not server.damages:
-        found = transfer.data if isinstance(transfer, Upload) else server.device.od.get(INDEX, SUB)
-        if found != content:
-            raise BrokenError(f"{name}: {len(content)} bytes became {found!r}")
+    result = transfer.data if isinstance(transfer, Upload) else server.device.od.get(INDEX, SUB)
+    require(damaged or result == content, f"{name}: {len(content)} bytes became {result!r}")
     return f"{name}: done"
 
 
-def rounds(seed: int, numbers: Iterable[int]) -> dict[str, int]:
+def rounds(seed: int, numbers: Iterable[int]) -> Counter[str]:
     """Hold conversations; return how often each end occurred. Raises BrokenError that names the conversation."""
-    ends: dict[str, int] = {}
+    ends: Counter[str] = Counter()
     for number in numbers:
         measured = number % MEMORY_CONVERSATIONS == 0
         if measured:
@@ -196,20 +177,19 @@ def rounds(seed: int, numbers: Iterable[int]) -> dict[str, int]:
             if measured:
                 gc.collect()  # empties the interpreter's free lists, too
             held_bytes = tracemalloc.get_traced_memory()[0]
-            if held_bytes > HELD_LIMIT_BYTES or peak_bytes > MEMORY_LIMIT_BYTES:
-                raise BrokenError(f"{peak_bytes} bytes of memory, {held_bytes} at its end")
+            bounded = held_bytes <= HELD_LIMIT_BYTES and peak_bytes <= MEMORY_LIMIT_BYTES
+            require(bounded, f"{peak_bytes} bytes of memory, {held_bytes} at its end")
         except Exception as error:
             raise BrokenError(f"--seed {seed} --only {number}: {type(error).__name__}: {error}") from error
         finally:
             tracemalloc.stop()
-        end = re.sub(r"\d+", "n", end)
-        ends[end] = ends.get(end, 0) + 1
+        ends[re.sub(r"\d+", "n", end)] += 1
     return ends
 
 
 def main() -> int:
     """Run the conversations; return 1 if an invariant broke."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments(__doc__)
     parser.add_argument("--conversations", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, help="the number of one conversation")
@@ -223,7 +203,7 @@ def main() -> int:
     except BrokenError as error:
         print(error)
         return 1
-    for end, count in sorted(ends.items(), key=lambda item: -item[1]):
+    for end, count in ends.most_common():
         print(f"{count:9} {end}")
     print(f"{args.conversations} conversations, seed {args.seed}, {time.perf_counter() - started_s:.0f} s: all ended")
     return 0

@@ -1,32 +1,55 @@
 """A whole hand over loopback sockets: what is lost, late or mixed at full rate, how regular the SYNC is, what it costs.
 
-    python -m bench.hand                     5 fingers at 1 kHz, 15 at 400 Hz, 600 s each; docs/hand-performance.md
-    python -m bench.hand --seconds 20        shorter, prints only
+    python -m bench.hand    5 fingers at 1 kHz, 15 at 400 Hz, 600 s each; docs/hand-performance.md
 
-The host is a real Hand with the receiver of SocketCAN; see hand_bus.py for the bus.
+The host is a real Hand with the receiver of SocketCAN; see loopback.py for the bus.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from bench.device import machine
-from bench.hand_bus import LoopbackLink, may_hurry
-from bench.soak_fingers import calibration
+from bench.loopback import LoopbackLink, may_hurry
+from bench.measure import arguments, machine, table, write_page
 
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand, Statistics
+from tipforce.host.hand.link import Link
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix
 
-PAGE = Path(__file__).parents[1] / "docs" / "hand-performance.md"
-FULL_SECONDS = 600.0
+SECONDS = 600.0
 CASES = ((5, 1000.0), (15, 400.0))
+NOISE_MICROSTRAIN = 0.5
+
+
+def calibration() -> Calibration:
+    """That of the simulated fingers."""
+    return Calibration(
+        C=calibration_matrix(FABRICATED, "I"), offset_strain=np.zeros(3), serial=1, date=20260102, layout_code=1,
+        covariance_strain2=np.eye(3) * (NOISE_MICROSTRAIN * 1e-6) ** 2, pull=True,
+    )  # fmt: skip
+
+
+@contextmanager
+def brought_up(
+    folder: Path, names: dict[int, str], plan: HandPlan, bus: dict[str, str] | None = None, link: Link | None = None
+) -> Iterator[Hand]:
+    """A hand of these fingers (name by node-id), calibrated. Raises RuntimeError when a finger does not come up."""
+    write_calibration(folder / "cal.toml", calibration())
+    fingers = tuple(FingerPlan(node_id=n, name=name, serial=n, calibration="cal.toml") for n, name in names.items())
+    with Hand(HandFile(finger=fingers, hand=plan, bus=bus or {}, folder=str(folder)), link) as hand:
+        failed = [str(report) for report in hand.bring_up() if not report.ok]
+        if failed:
+            raise RuntimeError("; ".join(failed))
+        yield hand
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,25 +76,18 @@ class Outcome:
 
 def measure(fingers: int, sync_hz: float, seconds: float, sync: str = "process", realtime: bool = False) -> Outcome:
     """Bring up, run, count. Raises RuntimeError when a finger does not come up."""
-    with tempfile.TemporaryDirectory() as folder:
-        write_calibration(Path(folder, "cal.toml"), calibration())
-        plans = tuple(FingerPlan(node_id=n, serial=n, calibration="cal.toml") for n in range(1, fingers + 1))
-        file = HandFile(finger=plans, hand=HandPlan(sync_hz=sync_hz), folder=folder)
-        link = LoopbackLink(fingers, sync, realtime)
-        try:
-            with Hand(file, link) as hand:
-                failed = [str(report) for report in hand.bring_up() if not report.ok]
-                if failed:
-                    raise RuntimeError("; ".join(failed))
-                hand.events()
-                found = _run(hand, seconds)
-                hand.stop()
-                statistics, events = hand.statistics(), tuple(str(event) for event in hand.events())
-        finally:
-            link.close()
+    link = LoopbackLink(fingers, sync, realtime)
+    plan, names = HandPlan(sync_hz=sync_hz), dict.fromkeys(range(1, fingers + 1), "")
+    try:
+        with tempfile.TemporaryDirectory() as folder, brought_up(Path(folder), names, plan, link=link) as hand:
+            hand.events()
+            latency_ns, incomplete, elapsed_s, cpu_s = _run(hand, seconds)
+            hand.stop()
+            statistics, events = hand.statistics(), tuple(str(event) for event in hand.events())
+    finally:
+        link.close()
     producer = link.producer
     assert producer is not None
-    latency_ns, incomplete, elapsed_s, cpu_s = found
     p50, p99, largest = np.percentile(latency_ns, (50, 99, 100)) / 1e3
     return Outcome(
         fingers, sync_hz, sync, elapsed_s, statistics, incomplete, producer.skipped, (p50, p99, largest),
@@ -96,31 +112,34 @@ def _run(hand: Hand, seconds: float) -> tuple[np.ndarray, int, float, float]:
     return np.concatenate(latency_ns), incomplete, time.monotonic() - started_s, time.process_time() - cpu_s
 
 
-def report(found: Outcome) -> str:
+def row(outcome: Outcome) -> list[str]:
     """A row of the table of losses."""
-    tally = found.statistics.tally
+    tally = outcome.statistics.tally
     names = "delayed", "repeated", "missing", "late", "mixed", "doubtful"
-    counts = " | ".join(str(int(getattr(tally, name).sum())) for name in names)
-    p50, p99, largest = found.latency_us
-    values = tally.rows * found.fingers
-    return (
-        f"| {found.fingers} at {found.sync_hz:g} Hz | {found.seconds:.0f} | {tally.rows} | {values} "
-        f"| {counts} | {found.incomplete} | {found.statistics.dropped} | {found.statistics.overrun} "
-        f"| {p50 / 1e3:.2f} | {p99 / 1e3:.2f} | {largest / 1e3:.1f} "
-        f"| {100 * found.host_cpu:.0f}% | {100 * found.fingers_cpu:.0f}% |"
-    )
+    p50, p99, largest = outcome.latency_us
+    return [
+        f"{outcome.fingers} at {outcome.sync_hz:g} Hz", f"{outcome.seconds:.0f}", str(tally.rows),
+        str(tally.rows * outcome.fingers), *(str(int(getattr(tally, name).sum())) for name in names),
+        str(outcome.incomplete), str(outcome.statistics.dropped), str(outcome.statistics.overrun),
+        f"{p50 / 1e3:.2f}", f"{p99 / 1e3:.2f}", f"{largest / 1e3:.1f}",
+        f"{100 * outcome.host_cpu:.0f}%", f"{100 * outcome.fingers_cpu:.0f}%",
+    ]  # fmt: skip
 
 
-def report_jitter(found: Outcome) -> str:
+def jitter_row(outcome: Outcome) -> list[str]:
     """A row of the table of SYNCs."""
-    sync = found.statistics.sync
-    return (
-        f"| {found.fingers} at {found.sync_hz:g} Hz | {found.sync} | {sync.periods} | {found.skipped} "
-        f"| {sync.mean_period_us:.2f} | {sync.p50_us:g} | {sync.p99_us:g} | {sync.largest_us:.0f} |"
-    )
+    sync = outcome.statistics.sync
+    return [
+        f"{outcome.fingers} at {outcome.sync_hz:g} Hz", outcome.sync, str(sync.periods), str(outcome.skipped),
+        f"{sync.mean_period_us:.2f}", f"{sync.p50_us:g}", f"{sync.p99_us:g}", f"{sync.largest_us:.0f}",
+    ]  # fmt: skip
 
 
-HEAD = """\
+HEADER = ["hand", "seconds", "rows", "values", "delayed", "stale", "missing", "late", "mixed", "doubtful",
+          "rows not whole", "dropped", "overrun", "latency p50", "p99", "largest", "CPU host",
+          "CPU fingers"]  # fmt: skip
+JITTER_HEADER = ["hand", "sent by a", "periods", "skipped", "mean period", "p50", "p99", "largest"]
+_PAGE = """\
 # A whole hand: losses, jitter, latency
 
 Written by `python -m bench.hand{options}` on: {machine}.
@@ -141,48 +160,36 @@ missing). Mixed: PDOs of two samples in one row. Doubtful: not shown, because th
 may be old. Dropped frames: by the kernel or a buffer. Overrun: rows that the consumer did not take. Latency: from the
 SYNC (the kernel's time stamp) to the delivery of the row to the consumer, milliseconds.
 
-| hand | seconds | rows | values | delayed | stale | missing | late | mixed | doubtful | rows not whole | dropped \
-| overrun | latency p50 | p99 | largest | CPU host | CPU fingers |
-|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|
-"""
-JITTER = """
+{rows}
+
 ## SYNC
 
 Deviation of each received period from the nominal one, microseconds. Skipped: not sent, because the sender was more
 than half a period late.
 
-| hand | sent by a | periods | skipped | mean period | p50 | p99 | largest |
-|---|---|---|---|---|---|---|---|
+{jitter}
 """
-
-
-def page(outcomes: list[Outcome], options: str, realtime: bool) -> str:
-    """The document."""
-    how = ", both with SCHED_FIFO in place of hardware" if realtime else ""
-    lines = [HEAD.format(machine=machine(), options=options, realtime=how) + "\n".join(map(report, outcomes))]
-    lines.append(JITTER + "\n".join(map(report_jitter, outcomes)) + "\n")
-    return "\n".join(lines)
 
 
 def main() -> int:
     """Run as a command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=FULL_SECONDS, help="of each run (default %(default)g)")
+    parser = arguments(__doc__, "--realtime")
     parser.add_argument("--sync", choices=("process", "thread"), default="process", help="what sends the SYNC")
-    parser.add_argument("--realtime", action="store_true", help="fingers and SYNC with SCHED_FIFO; needs the right to")
-    parser.add_argument("--case", type=int, choices=range(len(CASES)), help="only this one")
     args = parser.parse_args()
     if args.realtime and not may_hurry():
         parser.error("--realtime: not permitted here; run it as root, or with `ulimit -r 10` allowed")
-    cases = CASES if args.case is None else (CASES[args.case],)
-    outcomes = []
-    for fingers, sync_hz in cases:
-        outcomes.append(measure(fingers, sync_hz, args.seconds, args.sync, args.realtime))
-        print(f"{report(outcomes[-1])}\n{report_jitter(outcomes[-1])}", *outcomes[-1].events[:10], sep="\n", flush=True)
-    if args.seconds >= FULL_SECONDS and args.case is None:
-        PAGE.write_text(page(outcomes, " --realtime" if args.realtime else "", args.realtime), encoding="utf-8")
-    return 0 if not any(found.statistics.tally.mixed.any() for found in outcomes) else 1
+    on, outcomes = machine("python-can", "canopen"), []
+    for fingers, sync_hz in CASES:
+        outcomes.append(measure(fingers, sync_hz, SECONDS, args.sync, args.realtime))
+        print(*outcomes[-1].events[:10], sep="\n", flush=True)
+    page = _PAGE.format(
+        machine=on, options=" --realtime" if args.realtime else "",
+        realtime=", both with SCHED_FIFO in place of hardware" if args.realtime else "",
+        rows=table(HEADER, map(row, outcomes)), jitter=table(JITTER_HEADER, map(jitter_row, outcomes)),
+    )  # fmt: skip
+    write_page("hand-performance", page, page)
+    return 0 if not any(outcome.statistics.tally.mixed.any() for outcome in outcomes) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -7,31 +7,33 @@ python -m bench.mcap --picture docs/figures/foxglove-scene.svg
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import mcap.writer
-from bench.decode_log import hand_traffic, write_log
+from bench.decode import hand_traffic, write_log
+from bench.measure import arguments, cpu_s, in_turns, new_svg_figure
 from mcap.reader import make_reader
 
-from tipforce.device.codes import TPDO_BASES
-from tipforce.host.decoding.decoded_pdos import Layouts
+from canopen_device.core.codes import TPDO_BASES
+from tipforce.host.dataset.reader import tables_of_logs
 from tipforce.host.decoding.log_part import Reading
+from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce_tools.cli.main import main as tipforce
 from tipforce_tools.decode import text_rows
 
+FRAMES, REPEATS = 200_000, 3
 _BASE = ("t_s", "node", "counter")
 
 
-def as_ros2(log: Path, output: Path) -> None:
-    """Write what `tipforce decode -o run.mcap` writes."""
-    assert tipforce(["decode", "-q", str(log), "-o", str(output)]) == 0
+def as_decoded(log: Path, output: Path) -> None:
+    """Write what `tipforce decode` writes, by one process."""
+    assert tipforce(["decode", "-q", str(log), "-o", str(output), "--jobs", "1"]) == 0
 
 
 def as_json(log: Path, output: Path) -> None:
@@ -41,7 +43,7 @@ def as_json(log: Path, output: Path) -> None:
         writer.start(profile="", library="tipforce")
         schema = writer.register_schema("tipforce.Sample", "jsonschema", b'{"type": "object"}')
         channels: dict[int, int] = {}
-        for table in Recording(Reading(Layouts(3))).tables_of_logs([str(log)]):
+        for table in tables_of_logs(Recording(Reading(Layouts(3))), [str(log)]):
             lines = text_rows.json_rows(table, _BASE).splitlines()
             for line, t_ns, key in zip(lines, table.t_ns.tolist(), table.key.tolist(), strict=True):
                 if key not in channels:
@@ -50,53 +52,36 @@ def as_json(log: Path, output: Path) -> None:
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def as_csv(log: Path, output: Path) -> None:
-    """Write CSV."""
-    assert tipforce(["decode", "-q", str(log), "-o", str(output), "--jobs", "1"]) == 0
-
-
 METHODS: dict[str, tuple[Callable[[Path, Path], None], str]] = {
-    "ROS 2 messages, drawing and frames": (as_ros2, ".mcap"),
+    "ROS 2 messages, drawing and frames": (as_decoded, ".mcap"),
     "JSON messages": (as_json, ".mcap"),
-    "CSV": (as_csv, ".csv"),
+    "CSV": (as_decoded, ".csv"),
 }
 
 
-def compare(log: Path, samples: int, repeats: int) -> list[dict[str, Any]]:
+def compare(log: Path, samples: int) -> dict[str, tuple[float, float]]:
     """Return of each method bytes and processor microseconds for each sample; the methods take turns."""
-    found: dict[str, dict[str, Any]] = {name: {"method": name, "us": []} for name in METHODS}
-    with tempfile.TemporaryDirectory() as folder:
-        for repeat in range(repeats):
-            for name, (write, suffix) in METHODS.items():
-                output = Path(folder, f"{len(found)}-{repeat}-{len(name)}{suffix}")
-                begun_s = time.process_time()
-                write(log, output)
-                found[name]["us"].append(1e6 * (time.process_time() - begun_s) / samples)
-                found[name]["bytes"] = output.stat().st_size / samples
-                output.unlink()
-    return [{**one, "us": min(one["us"])} for one in found.values()]
+    sizes: dict[str, float] = {}
 
+    def way(name: str) -> float:
+        write, suffix = METHODS[name]
+        output = log.with_suffix(suffix)
+        us = 1e6 * cpu_s(partial(write, log, output)) / samples
+        sizes[name] = output.stat().st_size / samples
+        output.unlink()
+        return us
 
-def scene_log(folder: Path) -> Path:
-    """Return the log of the shipped scene of a grasp."""
-    log = folder / "grasp.log"
-    assert tipforce(["run", "grasp", "-q", "-o", str(log)]) == 0
-    return log
+    costs = in_turns({name: partial(way, name) for name in METHODS}, REPEATS)
+    return {name: (sizes[name], min(us)) for name, us in costs.items()}
 
 
 def draw(recording: Path, output: Path) -> None:
     """Draw the scene update with the largest force in a file, by the fields of foxglove.SceneUpdate alone."""
-    import matplotlib as mpl
-
-    mpl.use("svg")
-    import matplotlib.pyplot as plt
-
-    mpl.rcParams["svg.hashsalt"] = "tipforce"
     with recording.open("rb") as stream:
         messages = make_reader(stream).iter_messages(topics=["/tipforce/scene"])
         scenes = [json.loads(message.data)["entities"] for _, _, message in messages]
-    scene = max(scenes, key=lambda entities: sum(a["shaft_length"] for one in entities for a in one["arrows"]))
-    figure, axes = plt.subplots(figsize=(9, 2.6), layout="constrained")
+    scene = max(scenes, key=lambda entities: sum(a["shaft_length"] for entity in entities for a in entity["arrows"]))
+    figure, axes = new_svg_figure(9, 2.6)
     for entity in scene:
         for line in entity["lines"]:
             at, points = line["pose"]["position"], line["points"]
@@ -128,24 +113,22 @@ def _rgb(thing: dict[str, Any]) -> tuple[float, float, float]:
 
 def main() -> None:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=200_000)
-    parser.add_argument("--repeats", type=int, default=3)
+    parser = arguments(__doc__)
     parser.add_argument("--picture", type=Path, metavar="FILE.svg")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder, "run.log")
         if args.picture:
-            log = scene_log(Path(folder))
-            as_ros2(log, log.with_suffix(".mcap"))
+            assert tipforce(["run", "grasp", "-q", "-o", str(log)]) == 0
+            as_decoded(log, log.with_suffix(".mcap"))
             draw(log.with_suffix(".mcap"), args.picture)
             return
-        frames = hand_traffic(args.frames, 5, variable=True, seed=1)
+        frames = hand_traffic(FRAMES, 5, variable=True, seed=1)
         write_log(log, frames)
         samples = int((frames["can_id"] & 0x780 == TPDO_BASES[1]).sum())
         print(f"{samples} samples of five fingers, log: {log.stat().st_size / samples:.0f} bytes a sample")
-        for one in compare(log, samples, args.repeats):
-            print(f"{one['method']:36} {one['bytes']:6.0f} bytes {one['us']:6.1f} us a sample")
+        for name, (size, us) in compare(log, samples).items():
+            print(f"{name:36} {size:6.0f} bytes {us:6.1f} us a sample")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,6 @@
 """How sure is the search of `tipforce design optimise` of its optimum, and what does that cost?
 
-python -m bench.optimise                the full study as text (a few minutes)
-python -m bench.optimise --json         JSON lines
-python -m bench.optimise --quick        fewer seeds, no differential evolution
+python -m bench.optimise    a few minutes
 
 Per objective and number of gauges: the excess over the best value that any run found, median and worst over seeds,
 against the starts per configuration and the run time. The reference is checked by another method: differential
@@ -12,23 +10,20 @@ penalties.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from bench.measure import arguments, table
 
+from tipforce.arrays import FloatArray
 from tipforce_lab.design.merit import LoadSet
 from tipforce_lab.design.search import OBJECTIVES, Design, Limits, Objective, Problem, Slot, score, search
 
-FloatArray = npt.NDArray[np.float64]
-
 STARTS = (1, 2, 4, 8, 16)
-REFERENCE_STARTS = 32
+REFERENCE_STARTS, SEEDS = 32, 6
 LIMITS, LOADS = Limits(), LoadSet()
 _PENALTY = 1e3
 
@@ -59,9 +54,9 @@ def _problem(design: Design) -> Problem:
 def multi_start(gauges: int, objective: Objective, starts: int, seeds: int) -> tuple[FloatArray, float]:
     """(logarithms of the objective by seed, mean seconds)."""
     begin = time.perf_counter()
-    found = [search(gauges, objective, LIMITS, LOADS, starts=starts, seed=1 + seed)[0] for seed in range(seeds)]
+    designs = [search(gauges, objective, LIMITS, LOADS, starts=starts, seed=1 + seed)[0] for seed in range(seeds)]
     seconds = (time.perf_counter() - begin) / seeds
-    return np.array([value(design, objective) for design in found]), seconds
+    return np.array([value(design, objective) for design in designs]), seconds
 
 
 def evolution(reference: Design, objective: Objective) -> tuple[float, float]:
@@ -83,19 +78,19 @@ def evolution(reference: Design, objective: Objective) -> tuple[float, float]:
 
     begin = time.perf_counter()
     with np.errstate(all="ignore"):
-        found = differential_evolution(
+        optimum = differential_evolution(
             penalised, bounds[free], seed=1, maxiter=1500, popsize=12, tol=1e-8, polish=False
         )
-    return float(found.fun), time.perf_counter() - begin
+    return float(optimum.fun), time.perf_counter() - begin
 
 
-def study(quick: bool) -> Iterator[Cell]:
+def study() -> Iterator[Cell]:
     """All cells, as they come."""
-    for gauges in (3,) if quick else (3, 4, 5):
+    for gauges in (3, 4, 5):
         for objective in OBJECTIVES:
-            reference = search(gauges, objective, LIMITS, LOADS, starts=8 if quick else REFERENCE_STARTS)[0]
-            runs = {f"{n} starts": multi_start(gauges, objective, n, 3 if quick else 6) for n in STARTS}
-            if gauges == 3 and not quick:
+            reference = search(gauges, objective, LIMITS, LOADS, starts=REFERENCE_STARTS)[0]
+            runs = {f"{n} starts": multi_start(gauges, objective, n, SEEDS) for n in STARTS}
+            if gauges == 3:
                 best, seconds = evolution(reference, objective)
                 runs["evolution"] = np.array([best]), seconds
             least = min(value(reference, objective), *(float(values.min()) for values, _ in runs.values()))
@@ -106,24 +101,14 @@ def study(quick: bool) -> Iterator[Cell]:
 
 def main() -> int:
     """Print the study; 1 where 8 starts, the default, miss the theta optimum by 0.1 %."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--quick", action="store_true")
-    args = parser.parse_args()
-    if not args.json:
-        print(f"{'gauges':>6}  {'objective':9}  {'method':10}  {'median %':>9}  {'worst %':>9}  {'s per run':>9}")
-    missed = 0.0
-    for cell in study(args.quick):
+    missed, rows = 0.0, []
+    arguments(__doc__).parse_args()
+    for cell in study():
         if cell.objective == "theta" and cell.method == "8 starts":
             missed = max(missed, cell.worst_excess)
-        if args.json:
-            print(json.dumps(cell._asdict()), flush=True)
-            continue
-        print(
-            f"{cell.gauges:6}  {cell.objective:9}  {cell.method:10}  {100 * cell.median_excess:9.4f}  "
-            f"{100 * cell.worst_excess:9.4f}  {cell.seconds:9.3f}",
-            flush=True,
-        )
+        excesses = (f"{100 * excess:.4f}" for excess in (cell.median_excess, cell.worst_excess))
+        rows.append([str(cell.gauges), cell.objective, cell.method, *excesses, f"{cell.seconds:.3f}"])
+    print(table(["gauges", "objective", "method", "median %", "worst %", "s per run"], rows, markdown=False))
     return 1 if not missed <= 1e-3 else 0
 
 

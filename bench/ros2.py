@@ -1,12 +1,11 @@
 """`tipforce ros2` at full rate: wrenches that rosless receives in another process, beside `decode` of the same frames.
 
     python -m bench.ros2                          five fingers at 500 Hz for 60 s
-    python -m bench.ros2 --seconds 5
     python -m bench.ros2 --picture docs/figures/ros2-received.svg
                                                   draws what the reader receives of the shipped scene of a grasp
 
 All runs in a network namespace with only a loopback interface. Fingers, SYNC, host (a Hand and the bridge of the
-command) and reader are processes of their own; hand_bus.py is the bus. A row waits 200 ms for a late finger, so that a
+command) and reader are processes of their own; loopback.py is the bus. A row waits 200 ms for a late finger, so that a
 busy machine does not count. Exit code 1 if less than 99.9 % of the wrenches that decode gives arrive, or one differs.
 """
 
@@ -26,18 +25,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from bench.hand_bus import LoopbackLink
-from bench.soak_fingers import calibration
+from bench.decode import write_log
+from bench.hand import brought_up, calibration
+from bench.loopback import LoopbackLink
+from bench.measure import arguments, new_svg_figure
 
-from tipforce.device.codes import SYNC_COB_ID
-from tipforce.host.configuration.calibration_file import write_calibration
+from canopen_device.core.codes import SYNC_COB_ID
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
-from tipforce.host.hand.hand import Hand
+from tipforce.host.hand.file import HandPlan
 from tipforce_tools.cli.main import main as tipforce
 
-ROOT = Path(__file__).parents[1]
-FINGERS, SYNC_HZ, RADIUS_M = 5, 500.0, 0.015
+FINGERS, SYNC_HZ, SECONDS, RADIUS_M = 5, 500.0, 60.0, 0.015
 LEAST_SHARE, TOLERANCE = 0.999, 1e-9
 _NAMESPACE = 'ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && exec "$@"'
 _INSIDE = "TIPFORCE_BENCH_NAMESPACE"
@@ -62,26 +60,19 @@ class RecordingLink(LoopbackLink):
         return frames
 
 
-def publish(seconds: float, folder: Path) -> tuple[FrameArray, dict[str, Any]]:
+def publish(folder: Path) -> tuple[FrameArray, dict[str, Any]]:
     """Run hand, bridge and reader; return the frames, and what was published."""
-    from tipforce_tools.ros2.bridge import Bridge
-    from tipforce_tools.ros2.dds import RosDomain
-    from tipforce_tools.ros2.feeds import HandFeed
-    from tipforce_tools.view.fingers import Finger
+    from tipforce.watching.feeds import HandFeed
+    from tipforce.watching.fingers import Finger
+    from tipforce_robots.ros2.bridge import Bridge
+    from tipforce_robots.ros2.dds import RosDomain
 
-    write_calibration(folder / "cal.toml", calibration())
-    plans = tuple(FingerPlan(node_id=n, name=f"f{n}", calibration="cal.toml") for n in range(1, FINGERS + 1))
-    file = HandFile(finger=plans, hand=HandPlan(sync_hz=SYNC_HZ, wait_ms=200), folder=str(folder))
-    link = RecordingLink(FINGERS)
-    reader = subprocess.Popen(
-        [sys.executable, "-m", "bench.ros2", "--read", str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
+    names = {n: f"f{n}" for n in range(1, FINGERS + 1)}
+    link, plan = RecordingLink(FINGERS), HandPlan(sync_hz=SYNC_HZ, wait_ms=200)
+    reader = _reader(folder, "f", subprocess.PIPE)
     try:
-        with Hand(file, link) as hand:
-            failed = [str(report) for report in hand.bring_up() if not report.ok]
-            if failed:
-                raise RuntimeError("; ".join(failed))
-            feed = HandFeed(hand, [Finger(n, f"f{n}", calibration()) for n in range(1, FINGERS + 1)])
+        with brought_up(folder, names, plan, link=link) as hand:
+            feed = HandFeed(hand, [Finger(n, name, calibration()) for n, name in names.items()])
             bridge = Bridge(feed, RosDomain(0), "/tipforce", 3, False)
             bridge.step()  # makes the topics
             assert reader.stdout is not None
@@ -92,21 +83,27 @@ def publish(seconds: float, folder: Path) -> tuple[FrameArray, dict[str, Any]]:
             hand.start()
             while not bridge.rows:  # the process that sends the SYNC starts
                 bridge.step()
-            cpu_s, end_s = time.process_time(), time.monotonic() + seconds
+            cpu_s, end_s = time.process_time(), time.monotonic() + SECONDS
             while time.monotonic() < end_s:
                 bridge.step()
             cpu_s = time.process_time() - cpu_s
             hand.stop()
             for _ in range(3):
                 bridge.step()
-            told = {"rows": bridge.rows, "wrenches": bridge.wrenches, "cpu_share": round(cpu_s / seconds, 3)}
-            told |= {"missing": int(hand.statistics().tally.missing.sum()), "overrun": feed.overrun}
+            counts = {"rows": bridge.rows, "wrenches": bridge.wrenches, "cpu_share": round(cpu_s / SECONDS, 3)}
+            counts |= {"missing": int(hand.statistics().tally.missing.sum()), "overrun": feed.overrun}
             time.sleep(1.0)
         reader.communicate(b"\n", timeout=60)
     finally:
         reader.kill()
         link.close()
-    return np.concatenate(link.frames), told
+    return np.concatenate(link.frames), counts
+
+
+def _reader(folder: Path, prefix: str, stdout: int) -> subprocess.Popen[bytes]:
+    """The process of ``read``."""
+    words = [sys.executable, "-m", "bench.ros2", "--read", str(folder), "--prefix", prefix]
+    return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=stdout)
 
 
 def read(folder: Path, prefix: str) -> None:
@@ -118,19 +115,19 @@ def read(folder: Path, prefix: str) -> None:
         topic.name for topic in node.graph().topics
     }:
         time.sleep(0.05)
-    found: dict[int, list[tuple[int, float, float, float]]] = {n: [] for n in range(1, FINGERS + 1)}
+    received: dict[int, list[tuple[int, float, float, float]]] = {n: [] for n in range(1, FINGERS + 1)}
     ended = threading.Event()
 
     def take(n: int, subscription: Any) -> None:
-        rows = found[n]
+        rows = received[n]
         while (message := subscription.read(timeout=0.5)) is not None or not ended.is_set():
             if message is not None:
                 stamp, wrench = message.header.stamp, message.wrench
-                row = stamp.sec * 10**9 + stamp.nanosec, wrench.force.x, wrench.force.y, wrench.torque.z
-                rows.append(row)
+                t_ns = stamp.sec * 10**9 + stamp.nanosec
+                rows.append((t_ns, wrench.force.x, wrench.force.y, wrench.torque.z))
 
     threads = []
-    for n in found:
+    for n in received:
         subscription = node.subscribe(f"/tipforce/{prefix}{n}/wrench", depth=10_000)
         threads.append(threading.Thread(target=take, args=(n, subscription)))
         threads[-1].start()
@@ -140,7 +137,7 @@ def read(folder: Path, prefix: str) -> None:
     ended.set()
     for thread in threads:
         thread.join()
-    for n, rows in found.items():
+    for n, rows in received.items():
         np.save(folder / f"read{n}.npy", np.array(rows, dtype=_ROW))
     (folder / "topics.json").write_text(json.dumps(topics))
 
@@ -150,17 +147,14 @@ def decoded(frames: FrameArray, folder: Path) -> dict[int, Rows]:
     of_sync = frames["can_id"] == SYNC_COB_ID
     syncs, numbers = frames["t_ns"][of_sync], frames["data"][of_sync, 0].astype(np.int64)  # 1 to _OVERFLOW
     log, output = folder / "run.log", folder / "run.csv"
-    with log.open("w") as file:
-        for one in frames:
-            t_ns, data = int(one["t_ns"]), one["data"][: one["length"]].tobytes().hex().upper()
-            file.write(f"({t_ns // 10**9}.{t_ns % 10**9:09d}) can0 {one['can_id']:03X}#{data}\n")
+    write_log(log, frames)
     assert tipforce(["decode", "-q", str(log), "-o", str(output), "--signals", "P,phi,theta"]) == 0
     table = np.genfromtxt(output, delimiter=",", names=True, dtype=None, encoding="utf-8")
-    found = {}
+    by_finger = {}
     for n in range(1, FINGERS + 1):
         rows = table[table["node"] == n]
         t_ns = np.round(rows["t_s"] * 1e9).astype(np.int64)
-        last = np.searchsorted(syncs, t_ns + 500) - 1  # a double has 240 ns at present times
+        last = np.searchsorted(syncs, t_ns + 1500) - 1  # the log has microseconds
         sent = (rows["counter"].astype(np.int64) - 1) % _OVERFLOW + 1  # each sample repeats the number of its SYNC
         number = last - (numbers[last] - sent) % _OVERFLOW
         assert (numbers[number] == sent).all()
@@ -170,8 +164,8 @@ def decoded(frames: FrameArray, folder: Path) -> dict[int, Rows]:
         wrenches["t_ns"] = syncs[number[known]]
         wrenches["x"], wrenches["y"] = (P * np.cos(phi))[known], (P * np.sin(phi))[known]
         wrenches["torque"] = (RADIUS_M * P * np.sin(phi - theta))[known]
-        found[n] = wrenches
-    return found
+        by_finger[n] = wrenches
+    return by_finger
 
 
 def compare(expected: dict[int, Rows], folder: Path) -> dict[str, Any]:
@@ -190,37 +184,18 @@ def compare(expected: dict[int, Rows], folder: Path) -> dict[str, Any]:
     return {"decoded": total, "received": arrived, "share": share, "extra": extra, "largest_difference": largest}
 
 
-def run(seconds: float) -> dict[str, Any]:
-    """Measure; to be called inside the namespace."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        frames, told = publish(seconds, folder)
-        found = compare(decoded(frames, folder), folder)
-        topics = json.loads((folder / "topics.json").read_text())
-    return {"seconds": seconds, "sync_hz": SYNC_HZ, **told, **found, "topics": topics}
-
-
 def draw(output: Path) -> None:
     """Publish the log of the scene `grasp` with `tipforce ros2`, and draw what the reader receives of it."""
-    import matplotlib as mpl
-
-    mpl.use("svg")
-    import matplotlib.pyplot as plt
-
-    mpl.rcParams["svg.hashsalt"] = "tipforce"
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         log = folder / "grasp.log"
         assert tipforce(["run", "grasp", "-q", "-o", str(log)]) == 0
-        reader = subprocess.Popen(
-            [sys.executable, "-m", "bench.ros2", "--read", name, "--prefix", "finger_"],
-            stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-        )  # fmt: skip
+        reader = _reader(folder, "finger_", subprocess.DEVNULL)
         # Slowly: the subscriptions are there before the hand closes.
         assert tipforce(["ros2", str(log), "--speed", "0.04", "-q"]) == 0
         reader.communicate(b"\n", timeout=60)
         read_rows = {n: np.load(folder / f"read{n}.npy") for n in range(1, FINGERS + 1)}
-    figure, axes = plt.subplots(figsize=(9, 3.2), layout="constrained")
+    figure, axes = new_svg_figure(9, 3.2)
     for n, rows in read_rows.items():
         axes.plot((rows["t_ns"] % 10**11) / 1e9, np.hypot(rows["x"], rows["y"]), label=f"/tipforce/finger_{n}/wrench")
     axes.set(xlabel="stamp, s", ylabel="force, N")
@@ -232,8 +207,7 @@ def draw(output: Path) -> None:
 
 def main() -> int:
     """Run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=60.0)
+    parser = arguments(__doc__)
     parser.add_argument("--read", type=Path, metavar="FOLDER", help=argparse.SUPPRESS)
     parser.add_argument("--prefix", default="f", help=argparse.SUPPRESS)
     parser.add_argument("--picture", type=Path, metavar="FILE.svg")
@@ -248,9 +222,13 @@ def main() -> int:
     if args.picture:
         draw(args.picture)
         return 0
-    found = run(args.seconds)
-    print(json.dumps(found, indent=1))
-    return 0 if found["share"] >= LEAST_SHARE and found["largest_difference"] <= TOLERANCE else 1
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        frames, counts = publish(folder)
+        result = {"seconds": SECONDS, "sync_hz": SYNC_HZ, **counts, **compare(decoded(frames, folder), folder)}
+        result["topics"] = json.loads((folder / "topics.json").read_text())
+    print(json.dumps(result, indent=1))
+    return 0 if result["share"] >= LEAST_SHARE and result["largest_difference"] <= TOLERANCE else 1
 
 
 if __name__ == "__main__":

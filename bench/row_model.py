@@ -8,17 +8,17 @@ that the host received within the waiting time must be in its row.
 
 from __future__ import annotations
 
-import argparse
 import random
 import struct
 from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
+from bench.measure import arguments
 
-from tipforce.device.codes import SYNC_COB_ID
+from canopen_device.core.codes import SYNC_COB_ID
 from tipforce.host.frames.frame_array import frame_array
-from tipforce.host.hand.collector import Collector
+from tipforce.host.hand.rows import Collector
 
 FINGERS = 3
 LATEST = 119
@@ -92,9 +92,8 @@ class Sequence:
             self._unheard.append(serial)
         for k in range(FINGERS):
             frames += self._answers(k, serial, number, chance, quiet)
-        for due, k, data in [one for one in self._copies if one[0] <= serial]:
-            frames.append((t_ns, _CONTACT + 1 + k, data))
-            self._copies.remove((due, k, data))
+        frames += [(t_ns, _CONTACT + 1 + k, data) for due, k, data in self._copies if due <= serial]
+        self._copies = [copy for copy in self._copies if copy[0] > serial]
         return frames
 
     def _answers(
@@ -141,11 +140,10 @@ class Sequence:
                 if np.isnan(value):
                     continue
                 self.shown += 1
-                found = round(value * 1000)
-                values[place, k] = found
+                shown = values[place, k] = round(value * 1000)
                 # Of two values of one number the first may be shown, where its row was complete before the other came.
-                if found != place and not (found == _STRANGE + place and (place, k) in self._conflicts):
-                    self.errors.append(f"row of SYNC {place}: finger {k + 1} shows {found}")
+                if shown != place and not (shown == _STRANGE + place and (place, k) in self._conflicts):
+                    self.errors.append(f"row of SYNC {place}: finger {k + 1} shows {shown}")
         for (of, k), received in self._due.items():
             clear = of not in self._unheard and (of, k) not in self._conflicts and of in self._opened
             # After a restart of the count its numbers may be those of late answers to the count before.
@@ -156,23 +154,23 @@ class Sequence:
 
 def failures(sequences: int, first_seed: int = 0) -> list[str]:
     """Run sequences; return what was wrong, with the seed."""
-    found = []
+    errors = []
     for seed in range(first_seed, first_seed + sequences):
         outcome = Sequence(seed).run()
-        found += [f"seed {seed}: {error}" for error in outcome.errors[:3]]
+        errors += [f"seed {seed}: {error}" for error in outcome.errors[:3]]
         if not outcome.shown and outcome._promised >= 10:
-            found.append(f"seed {seed}: no value was shown")
-    return found
+            errors.append(f"seed {seed}: no value was shown")
+    return errors
 
 
 def main() -> int:
     """Run as a command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments(__doc__)
     parser.add_argument("--sequences", type=int, default=10_000)
-    args = parser.parse_args()
-    found = failures(args.sequences)
-    print("\n".join(found[:20]), f"{args.sequences} sequences, {len(found)} errors", sep="\n")
-    return 1 if found else 0
+    sequences = parser.parse_args().sequences
+    errors = failures(sequences)
+    print("\n".join(errors[:20]), f"{sequences} sequences, {len(errors)} errors", sep="\n")
+    return 1 if errors else 0
 
 
 if __name__ == "__main__":

@@ -1,20 +1,17 @@
 """Decoding with one and two workers, the serial part, and the limits of a dataset.
 
-`python -m bench.scale [--frames 10000000] [-o docs/scale-performance.md]`: the runs of one and two workers take turns.
+`python -m bench.scale [--frames 10000000]`: the runs of one and two workers take turns.
 Processor seconds are of all processes of a run; other work on the machine disturbs them less than the clock.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
-import resource
 import shutil
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,22 +19,24 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from bench.decode_log import hand_traffic, write_log
+from bench.decode import hand_traffic, write_log
+from bench.measure import TIPFORCE, arguments, command_s, cpu_s, in_turns, machine, table, write_page
 
-from tipforce.host.dataset.manifest import FOLDER, Change, DataFile, Part, Source, commit, read_manifest
+from tipforce.host.dataset.manifest import Change, DataFile, Part, Source, commit, read_manifest
 from tipforce.host.dataset.reader import tables
-from tipforce.host.dataset.store import Store
+from tipforce.host.dataset.store import FOLDER, Store
 from tipforce.host.decoding.decoded_part import DecodedPart
-from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.log_part import Piece, Reading, When
+from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Column
 from tipforce.host.logs.lines import line_borders
 
-COMMAND = [sys.executable, "-m", "tipforce_tools.cli.main", "decode", "-q"]
+FULL_FRAMES, ROUNDS, PARTS = 10_000_000, 3, 100_000
 _CHUNK = 1_000_000
 _START_NS = 1_700_006_400 * 10**9
 _DAY_NS = 86_400 * 10**9
+_COLUMN = Column("P_N", "P", "real", 3, "N", 0)
 
 
 def long_log(path: Path, frames: int) -> None:
@@ -53,87 +52,69 @@ def long_log(path: Path, frames: int) -> None:
     path.with_suffix(".part").unlink()
 
 
-def run(log: Path, output: str, jobs: int) -> tuple[float, float]:
-    """One decode: (seconds by the clock, processor seconds of all its processes)."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    began = time.perf_counter()
-    subprocess.run([*COMMAND, str(log), "-o", output, "-j", str(jobs)], check=True)
-    wall = time.perf_counter() - began
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    shutil.rmtree(output) if output.endswith("/") else Path(output).unlink()
-    return wall, after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-
-
-def workers(log: Path, rounds: int) -> list[str]:
+def workers(log: Path, rounds: int) -> str:
     """One and two workers in turn."""
-    lines = [
-        "| output | 1 worker, CPU s | 2 workers, CPU s | CPU of 2 / CPU of 1 | by the clock: 1 / 2 |",
-        "|---|---|---|---|---|",
-    ]
+    rows = []
     for name in ("run.csv", "run.parquet", "data/"):
-        found: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
-        for _ in range(rounds):
-            for jobs, times in found.items():
-                times.append(run(log, f"{log.parent}/{name}", jobs))
-        (wall1, cpu1), (wall2, cpu2) = (
-            (statistics.median(w for w, _ in times), statistics.median(c for _, c in times)) for times in found.values()
-        )
-        lines.append(f"| {name} | {cpu1:.2f} | {cpu2:.2f} | {cpu2 / cpu1:.2f} | {wall1 / wall2:.2f} |")
-    return lines
+        output = f"{log.parent}/{name}"
+        runs: dict[int, list[tuple[float, float]]] = {1: [], 2: []}
+
+        def way(jobs: int, output: str = output, runs: dict[int, list[tuple[float, float]]] = runs) -> float:
+            runs[jobs].append(command_s([*TIPFORCE, "decode", "-q", log, "-o", output, "-j", jobs]))
+            shutil.rmtree(output) if output.endswith("/") else Path(output).unlink()
+            return runs[jobs][-1][0]
+
+        in_turns({str(jobs): partial(way, jobs) for jobs in runs}, rounds)
+        (cpu1, wall1), (cpu2, wall2) = (map(statistics.median, zip(*times, strict=True)) for times in runs.values())
+        rows.append([name, f"{cpu1:.2f}", f"{cpu2:.2f}", f"{cpu2 / cpu1:.2f}", f"{wall1 / wall2:.2f}"])
+    header = ["output", "1 worker, CPU s", "2 workers, CPU s", "CPU of 2 / CPU of 1", "by the clock: 1 / 2"]
+    return table(header, rows)
 
 
-def serial_part(log: Path) -> list[str]:
+def serial_part(log: Path) -> str:
     """Processor time of the pass in order, beside that of the workers, per part of 64 MB."""
     reading = Reading(Layouts())
     borders = line_borders(log, -(-os.path.getsize(log) // 64_000_000))
-    recording = Recording(reading)
-    decode_s, follow_s, state_s, frames = [], [], [], 0
+    recording, frames = Recording(reading), 0
+    seconds: dict[str, list[float]] = {"decode": [], "follow": [], "state": []}
     for start, end in pairwise(borders):
         began = time.process_time()
         part = DecodedPart(Piece(str(log), start, end), reading)
-        decode_s.append(time.process_time() - began)
-        began = time.process_time()
-        follows = recording.follow(part.ends)
-        follow_s.append(time.process_time() - began)
-        began = time.process_time()
-        msgspec.json.encode(recording.state())
-        state_s.append(time.process_time() - began)
-        assert follows is not None
+        seconds["decode"].append(time.process_time() - began)
+        seconds["follow"].append(cpu_s(lambda part=part: recording.follow(part.ends)))  # type: ignore[misc]
+        seconds["state"].append(cpu_s(lambda: msgspec.json.encode(recording.state())))
         frames += part.ends.notes.frames
-    share = statistics.median(follow_s[1:]) + statistics.median(state_s[1:])
-    parts = frames / len(decode_s)
-    return [
-        f"A part of {parts:,.0f} frames: decoding {1e3 * statistics.median(decode_s):.0f} ms, the pass in order "
-        f"{1e3 * share:.1f} ms: {100 * share / statistics.median(decode_s):.1f} % of the decoding alone. "
-        f"100 million frames are {1e8 / parts:.0f} parts: {share * 1e8 / parts:.1f} s in order."
-    ]
+    in_order_s = statistics.median(seconds["follow"][1:]) + statistics.median(seconds["state"][1:])
+    decode_s, a_part = statistics.median(seconds["decode"]), frames / len(seconds["decode"])
+    return (
+        f"A part of {a_part:,.0f} frames: decoding {1e3 * decode_s:.0f} ms, the pass in order {1e3 * in_order_s:.1f} "
+        f"ms: {100 * in_order_s / decode_s:.1f} % of the decoding alone. 100 million frames are {1e8 / a_part:.0f} "
+        f"parts: {in_order_s * 1e8 / a_part:.1f} s in order."
+    )
 
 
-def many_parts(folder: Path, count: int) -> list[str]:
+def _source() -> Source:
+    state = Recording(Reading(Layouts())).state()
+    return Source("a" * 12, "run.log", 0, "", 0, "", "gauges 3", "0.1", None, True, 0, None, state)
+
+
+def many_parts(folder: Path, count: int) -> str:
     """A manifest of many parts: its size, the time to read and to commit it."""
     store = Store(str(folder))
-    column = Column("P_N", "P", "real", 3, "N", 0)
-    state = Recording(Reading(Layouts())).state()
-    source = Source("a" * 12, "run.log", 0, "", 0, "", "gauges 3", "0.1", None, True, 0, None, state)
+    source = _source()
     parts = [
         Part(f"{number:012d}-part", source.id, number, number + 1, 1000, {}, [
             DataFile(f"rows/hand=left/date=2026-05-17/node={node}/{_file(number)}", node, 100_000, 3_000_000,
                      f"{number:064d}", number * 10**9, (number + 1) * 10**9) for node in range(1, 6)])
         for number in range(count)
     ]  # fmt: skip
-    commit(store, Change(sources={source.id: source}, parts=parts, columns=[column]))
-    began = time.process_time()
-    manifest = read_manifest(store)
-    read_s = time.process_time() - began
-    assert manifest is not None
-    began = time.process_time()
-    commit(store, Change())
-    commit_s = time.process_time() - began
+    commit(store, Change(sources={source.id: source}, parts=parts, columns=[_COLUMN]))
+    read_s, commit_s = cpu_s(lambda: read_manifest(store)), cpu_s(lambda: commit(store, Change()))
     size = max(path.stat().st_size for path in (folder / FOLDER).iterdir())
-    return [
+    return (
         f"A manifest of {count:,} parts with five files each: {size / 1e6:.0f} MB, read in {read_s:.2f} s, a commit "
         f"takes {commit_s:.2f} s; at 64 MB of log a part that is {count * 64e6 / 1e12:.1f} TB of logs."
-    ]
+    )
 
 
 def _file(number: int) -> str:
@@ -142,8 +123,7 @@ def _file(number: int) -> str:
 
 def month(folder: Path, days: int = 30, rows: int = 3600) -> None:
     """A dataset of five nodes in 24 parts a day, ``rows`` of each node a part."""
-    store, parts = Store(str(folder)), []
-    column = Column("P_N", "P", "real", 3, "N", 0)
+    store, parts, source = Store(str(folder)), [], _source()
     for hour in range(days * 24):
         files = []
         t_ns = _START_NS + hour * 3600 * 10**9 + np.arange(rows) * (3600 * 10**9 // rows)
@@ -158,49 +138,39 @@ def month(folder: Path, days: int = 30, rows: int = 3600) -> None:
             pq.write_table(table, folder / path)
             files.append(DataFile(path, node, rows, 0, "", int(t_ns[0]), int(t_ns[-1])))
         parts.append(Part(str(hour), "a" * 12, hour, hour + 1, 0, {}, files))
-    state = Recording(Reading(Layouts())).state()
-    source = Source("a" * 12, "run.log", 0, "", 0, "", "", "", None, True, 0, None, state)
-    commit(store, Change(sources={source.id: source}, parts=parts, columns=[column]))
+    commit(store, Change(sources={source.id: source}, parts=parts, columns=[_COLUMN]))
 
 
-def slice_of_month(folder: Path) -> list[str]:
+def slice_of_month(folder: Path) -> str:
     """A slice of one minute of a month: 30 days of five nodes at 1 Hz."""
     month(folder)
     begin = When(_START_NS + 17 * _DAY_NS + 3_600 * 10**9, False)
     reading = Reading(Layouts(), start=begin, end=When(begin.ns + 60 * 10**9, False))
-    seconds = []
-    for _ in range(5):
-        began = time.process_time()
-        found = sum(len(table) for table in tables(str(folder), reading))
-        seconds.append(time.process_time() - began)
-    assert found == 5 * 60
-    return [
+
+    def read() -> None:
+        assert sum(len(part) for part in tables(str(folder), reading)) == 5 * 60
+
+    return (
         f"One minute of a month (30 days, {30 * 24 * 5:,} files, {30 * 24 * 5 * 3600:,} rows) is read in "
-        f"{statistics.median(seconds):.3f} s."
-    ]
+        f"{statistics.median(cpu_s(read) for _ in range(5)):.3f} s."
+    )
 
 
 def main() -> None:
-    """Measure and print; write the page if asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=10_000_000)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--parts", type=int, default=100_000)
-    parser.add_argument("-o", "--output", type=Path)
+    """Measure, print and write the page."""
+    parser = arguments(__doc__)
+    parser.add_argument("--frames", type=int, default=FULL_FRAMES)
     args = parser.parse_args()
+    parts = ["# Datasets and workers: measured", (__doc__ or "").split("\n\n", 1)[1].strip(), f"On {machine()}.",
+             f"{args.frames:,} frames of five fingers with SYNC and a foreign frame."]  # fmt: skip
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        log = folder / "run.log"
-        long_log(log, args.frames)
-        lines = ["# Datasets and workers: measured", "", (__doc__ or "").split("\n\n", 1)[1].strip(), ""]
-        lines += [f"{args.frames:,} frames of five fingers with SYNC and a foreign frame; {os.cpu_count()} cores, load "
-                  f"{os.getloadavg()[0]:.1f} of other work at the start.", ""]  # fmt: skip
-        lines += [*workers(log, args.rounds), "", *serial_part(log), ""]
+        long_log(folder / "run.log", args.frames)
         (folder / "parts").mkdir()
-        lines += [*many_parts(folder / "parts", args.parts), "", *slice_of_month(folder / "month")]
-    print("\n".join(lines))
-    if args.output is not None:
-        args.output.write_text("\n".join(lines) + "\n")
+        parts += [workers(folder / "run.log", ROUNDS), serial_part(folder / "run.log")]
+        parts += [many_parts(folder / "parts", PARTS), slice_of_month(folder / "month")]
+    page = "\n\n".join(parts) + "\n"
+    write_page("scale-performance", page, page if args.frames >= FULL_FRAMES else None)
 
 
 if __name__ == "__main__":

@@ -7,33 +7,127 @@ check of every row against what was sent.
 
 from __future__ import annotations
 
-import argparse
 import gc
+import math
 import random
-import resource
 import struct
+import tempfile
+import threading
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from pathlib import Path
 
+import can
 import numpy as np
-from bench.soak_fingers import Finger, stored_fingers
+from bench.hand import NOISE_MICROSTRAIN, brought_up
+from bench.measure import arguments, resident_bytes
 
-from tipforce.device.codes import SYNC_COB_ID
-from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce.host.hand.collector import Collector
+from canopen_device.core import communication
+from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
+from canopen_device.core.node import Device
+from canopen_device.running import loop
+from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.store import FileStore
+from tipforce.fingertip.node import fingertip_node
+from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.events import Supervisor
-from tipforce.host.hand.rows import Rows
-from tipforce.host.hand.sync_numbers import LARGEST
+from tipforce.host.hand.file import HandPlan
+from tipforce.host.hand.rows import Collector
 from tipforce.host.network.faulty_bus import Babbler, Faults, Injector
+from tipforce.samples.record import Rows
+from tipforce.samples.sync_numbers import LARGEST
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sources.simulated import SimulatedSource
 
+FINGERS, SEED = 5, 20261121
 PERIOD_S, PARTS = 0.01, 4  # a SYNC every 10 ms; between two of them the host looks four times
 FAULTS = Faults(drop=0.003, duplicate=0.003, reorder=0.003, delay=0.01, delay_s=0.025)
 HEARTBEAT_TIMEOUT_S = 0.25
 WAIT_S = 5 * PERIOD_S
 RECOVERY_S = 2.0  # after the last trouble every finger must be there again
 _NMT_START, _PRE_OPERATIONAL = 1, 127
-_CONTACT, _EXTENT = 0x280, 0x7F
+_CONTACT = 0x280
+
+
+class Finger:
+    """One node; power and converter can fail until a stated time."""
+
+    def __init__(self, node_id: int, blobs: dict[str, bytes], seed: int) -> None:
+        self.node_id = node_id
+        self.last_contact = b""
+        self._blobs, self._seed = blobs, seed
+        self._random = random.Random(seed)
+        self._off_until_s = self._broken_until_s = -1.0
+        self._booted_s = 0.0
+        self._device = self._power()
+
+    def _power(self) -> Device:
+        self.source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist(), NOISE_MICROSTRAIN, seed=self._seed)
+        return fingertip_node(self.node_id, self.source, serial=self.node_id, load=self._blobs.get)
+
+    def switch_off(self, until_s: float) -> None:
+        """Power loss."""
+        self._off_until_s = until_s
+
+    def break_source(self, fault: int, until_s: float) -> None:
+        """A fault of 2200h."""
+        self._broken_until_s = until_s
+        self.source.set_fault(fault, 1 + self._random.randrange(3), 50.0, 0)
+
+    def end_trouble(self, now_s: float) -> bool:
+        """Power comes back, the converter works again; return whether something is still wrong."""
+        if 0.0 <= self._off_until_s <= now_s:
+            self._off_until_s, self._booted_s = -1.0, now_s
+            self._device = self._power()
+        if 0.0 <= self._broken_until_s <= now_s:
+            self._broken_until_s = -1.0
+            self.source.set_fault(0, 1, 0.0, 0)
+        return max(self._off_until_s, self._broken_until_s) >= 0.0
+
+    def step(self, now_s: float, frames: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+        """Give it frames and the time."""
+        if self._off_until_s >= 0.0:
+            return []
+        if any(can_id == NMT_COB_ID for can_id, _ in frames):  # the hand numbers the SYNC before it starts a finger
+            self._device.od.values[communication.SYNC_OVERFLOW << 8] = LARGEST
+        P = 2.0 + 1.5 * math.sin(now_s + self.node_id)
+        self.source.load = (P, 40.0 * math.sin(0.7 * now_s), 30.0)
+        sent, _due_us = self._device.step(round((now_s - self._booted_s) * 1e6), frames)
+        answers = [(can_id, bytes(data)) for can_id, data in sent]
+        for can_id, data in answers:
+            if can_id == _CONTACT + self.node_id:
+                self.last_contact = data
+        return answers
+
+
+def stored_fingers(count: int, seed: int) -> list[Finger]:
+    """Bring ``count`` nodes up on an in-process bus as a hand does, and keep what they stored."""
+    channel = f"soak-{seed}-{count}"
+    with tempfile.TemporaryDirectory() as folder:
+        stores = {n: FileStore(Path(folder) / f"{n}.json") for n in range(1, count + 1)}
+        rows = strain_matrix(FABRICATED, "I").tolist()
+        devices = [
+            fingertip_node(n, SimulatedSource(rows), serial=n, save=store.save, load=store.load)
+            for n, store in stores.items()
+        ]
+        stopped = threading.Event()
+        with can.Bus(interface="virtual", channel=channel) as bus:
+            port = PythonCanPort(bus)
+            thread = threading.Thread(target=loop.run, args=(devices, port, stopped.is_set), name="nodes")
+            thread.start()
+            plan = HandPlan(heartbeat_ms=100, store=True)
+            network = {"interface": "virtual", "channel": channel}
+            try:
+                with brought_up(Path(folder), dict.fromkeys(stores, ""), plan, network):
+                    pass
+            finally:
+                stopped.set()
+                thread.join()
+        groups = ("communication", "application", "calibration", "lss")
+        blobs = {n: {g: blob for g in groups if (blob := s.load(g)) is not None} for n, s in stores.items()}
+    return [Finger(n, blobs[n], seed + n) for n in blobs]
 
 
 @dataclass
@@ -47,11 +141,6 @@ class Outcome:
     counts: Counter[str] = field(default_factory=Counter)
     resident_bytes: list[int] = field(default_factory=list)
     """Resident memory after each tenth of the time."""
-
-    @property
-    def growth_bytes(self) -> int:
-        """Over the second half: before that, caches fill."""
-        return self.resident_bytes[-1] - self.resident_bytes[len(self.resident_bytes) // 2]
 
 
 class Soak:
@@ -85,7 +174,7 @@ class Soak:
             self._tick(tick * PERIOD_S)
             if (tick + 1) % max(ticks // 10, 1) == 0:
                 gc.collect()
-                self.outcome.resident_bytes.append(_resident_bytes())
+                self.outcome.resident_bytes.append(resident_bytes())
         self.outcome.rows = self._collector.tally.rows
         for name in ("missing", "delayed", "late", "mixed", "repeated", "doubtful"):
             self.outcome.counts[name] = int(getattr(self._collector.tally, name).sum())
@@ -125,26 +214,22 @@ class Soak:
         while (frame := injector.take(now_s)) is not None:
             can_id, data = frame
             answered = struct.unpack("<I", data)[0] if can_id == SYNC_COB_ID else -1
-            found = finger.step(late_s, [(can_id, bytes((answered % LARGEST + 1,)) if answered >= 0 else data)])
-            self._send(finger, found, now_s, off, answered)
+            given = (can_id, bytes((answered % LARGEST + 1,)) if answered >= 0 else data)
+            self._send(finger, finger.step(late_s, [given]), now_s, off, answered)
             late_s += self._busy_gap_s
         self._send(finger, finger.step(late_s, []), now_s, off, -1)
 
     def _send(self, finger: Finger, frames: list[tuple[int, bytes]], now_s: float, off: bool, answered: int) -> None:
         for can_id, data in frames:
             if can_id == _CONTACT + finger.node_id and answered in self._truth:
-                self._truth[answered].setdefault(finger.node_id, b"")
-                self._truth[answered][finger.node_id] += data
+                self._truth[answered][finger.node_id] = self._truth[answered].get(finger.node_id, b"") + data
             if not off:
                 self._to_host.put((can_id, data), now_s)
 
     def _host(self, received: list[tuple[float, int, bytes]], now_s: float) -> None:
         if self._babbler is not None and now_s < self._babble_until_s:
             received += [(now_s, *frame) for frame in self._babbler.step(now_s)]
-        frames: FrameArray = np.zeros(len(received), dtype=FRAME)
-        for k, (t_s, can_id, data) in enumerate(received):
-            frames[k]["t_ns"], frames[k]["can_id"], frames[k]["length"] = int(t_s * 1e9), can_id, len(data)
-            frames[k]["data"][: len(data)] = np.frombuffer(data, dtype=np.uint8)
+        frames = frame_array([(int(t_s * 1e9), can_id, data) for t_s, can_id, data in received])
         rows = self._collector.add(frames, now_s)
         if len(rows):
             self._check(rows, now_s)
@@ -180,11 +265,8 @@ class Soak:
 
     def _trouble(self, now_s: float) -> None:
         """Now and then something happens, and most of the time nothing."""
-        for finger in self.fingers:
-            finger.end_trouble(now_s)
-            if not finger.well:
-                self._trouble_s = now_s
-        if now_s < max(self._bus_off_until_s, self._babble_until_s, self._busy_until_s):
+        troubled = [finger.end_trouble(now_s) for finger in self.fingers]
+        if any(troubled) or now_s < max(self._bus_off_until_s, self._babble_until_s, self._busy_until_s):
             self._trouble_s = now_s
         if self._random.random() > PERIOD_S / 3.0 or now_s - self._trouble_s < 3.0:
             return
@@ -209,20 +291,13 @@ class Soak:
             self._babbler.next_due_s = now_s
 
 
-def _resident_bytes() -> int:
-    with open("/proc/self/statm", encoding="ascii") as file:
-        return int(file.read().split()[1]) * resource.getpagesize()
-
-
 def main() -> int:
     """Run, print, and fail where an invariant broke."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = arguments(__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0, help="simulated (default %(default)g)")
-    parser.add_argument("--fingers", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=20261121)
     args = parser.parse_args()
     started_s = time.monotonic()
-    outcome = Soak(stored_fingers(args.fingers, args.seed), args.seed).run(args.seconds)
+    outcome = Soak(stored_fingers(FINGERS, SEED), SEED).run(args.seconds)
     elapsed_s = time.monotonic() - started_s
     print(f"{args.seconds:g} s simulated in {elapsed_s:.0f} s, {outcome.rows} rows, {outcome.checked} values checked")
     for name, count in sorted(outcome.counts.items()):
@@ -230,7 +305,9 @@ def main() -> int:
     print("memory, MB, after each tenth:", *(f"{n / 1e6:.1f}" for n in outcome.resident_bytes))
     print(f"{len(outcome.breaks)} invariant breaks")
     print("\n".join(outcome.breaks[:20]))
-    return 1 if outcome.breaks or outcome.growth_bytes > 2e6 else 0
+    resident = outcome.resident_bytes
+    grown_bytes = resident[-1] - resident[len(resident) // 2]  # in the first half caches fill
+    return 1 if outcome.breaks or grown_bytes > 2e6 else 0
 
 
 if __name__ == "__main__":

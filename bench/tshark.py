@@ -1,6 +1,6 @@
 """What Wireshark's CANopen dissector says of a session of the canopen library with our node.
 
-    python -m bench.tshark [-o SESSION.log]
+    python -m bench.tshark
 
 Needs tshark (apt-get install tshark). The session has every transfer that the library knows: SDO expedited, segmented
 and block both ways, NMT, heartbeat, LSS fastscan and configuration, PDO read, remap and save, SYNC, EMCY. Exit code 1
@@ -9,7 +9,6 @@ if a frame is malformed or the dissector reports an error.
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import subprocess
 import sys
@@ -20,35 +19,21 @@ from pathlib import Path
 
 import can
 import canopen
+from bench.decode import write_log
+from bench.measure import ROOT, arguments
 
+from canopen_device.running import loop
+from canopen_device.running.ports import PythonCanPort
 from tipforce.dictionary.eds import eds_text
 from tipforce.dictionary.table import product_code
 from tipforce.fingertip.node import fingertip_node
-from tipforce.running import loop
-from tipforce.running.ports import PythonCanPort
+from tipforce.host.frames.frame_array import frame_array, raw_frame
 from tipforce.sources.simulated import SimulatedSource
 
-ROOT = Path(__file__).parents[1]
 STRAIN_PER_NEWTON = [[1e-4, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 1e-4]]
 NODE = 5
-
-
-class CandumpLog(can.Listener):
-    """Writes each frame as `candump -L` does: tshark opens that, and not what python-can itself writes."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("w", encoding="ascii")
-        self._lock = threading.Lock()
-        self.frames = 0
-
-    def on_message_received(self, msg: can.Message) -> None:
-        with self._lock:
-            self.frames += 1
-            data = "R" if msg.is_remote_frame else msg.data.hex().upper()
-            self._file.write(f"({msg.timestamp:.6f}) can0 {msg.arbitration_id:03X}#{data}\n")
-
-    def stop(self) -> None:
-        self._file.close()
+COMPLAINTS = "_ws.malformed || _ws.expert.severity >= 0x600000"
+"""Of the dissector: malformed frames, and its own warnings and errors."""
 
 
 def session(log: Path) -> int:
@@ -64,12 +49,12 @@ def session(log: Path) -> int:
         eds=eds_text(3, simulated=True).encode(),
     )
     stopped = threading.Event()
-    recorder = CandumpLog(log)
+    recorded: list[can.Message] = []
     with (
         can.Bus(interface="virtual", channel="tshark") as node_bus,
         can.Bus(interface="virtual", channel="tshark") as log_bus,
     ):
-        notifier = can.Notifier(log_bus, [recorder])
+        notifier = can.Notifier(log_bus, [recorded.append])
         thread = threading.Thread(target=loop.run, args=([device], PythonCanPort(node_bus), stopped.is_set))
         thread.start()
         try:
@@ -82,12 +67,14 @@ def session(log: Path) -> int:
             thread.join()
             time.sleep(0.2)  # the last frames reach the log
             notifier.stop()
-    return recorder.frames
+    # As `candump -L` does: tshark opens that, and not what python-can itself writes.
+    write_log(log, frame_array(map(raw_frame, recorded)))
+    return len(recorded)
 
 
 def _configure_by_lss(network: canopen.Network) -> None:
-    found, identity = network.lss.fast_scan()
-    if not found or identity[1] != product_code(3, True):
+    heard, identity = network.lss.fast_scan()
+    if not heard or identity[1] != product_code(3, True):
         raise SystemExit(f"fastscan did not find the node: {identity}")
     network.lss.configure_node_id(NODE)
     network.lss.configure_bit_timing(0)
@@ -133,32 +120,25 @@ def _transfer(network: canopen.Network, source: SimulatedSource) -> None:
     time.sleep(0.3)
 
 
-def complaints(log: Path) -> list[str]:
-    """What the dissector does not like: malformed frames, and its own warnings and errors."""
-    fields = ["-T", "fields", "-e", "frame.number", "-e", "_ws.expert.message", "-e", "_ws.col.Info"]
-    command = ["tshark", "-r", str(log), "-d", "can.subdissector,canopen", *fields]
-    bad = "_ws.malformed || _ws.expert.severity >= 0x600000"  # warnings and errors
-    done = subprocess.run([*command, "-Y", bad], capture_output=True, text=True, check=True)
-    return done.stdout.splitlines()
-
-
-def dissected(log: Path) -> int:
-    """How many frames the dissector took for CANopen."""
-    command = ["tshark", "-r", str(log), "-d", "can.subdissector,canopen", "-Y", "canopen"]
-    return len(subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines())
+def dissected(log: Path, wanted: str, *fields: str) -> list[str]:
+    """Lines of the frames that Wireshark's filter ``wanted`` chooses."""
+    chosen = [word for field in fields for word in ("-e", field)]
+    command = ["tshark", "-r", str(log), "-d", "can.subdissector,canopen", "-Y", wanted]
+    command += ["-T", "fields", *chosen] if fields else []
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="a session with the canopen library, judged by Wireshark's dissector")
-    parser.add_argument("-o", "--output", metavar="LOG", help="keep the recording")
-    args = parser.parse_args()
+    """Run the session; 1 where the dissector has a complaint, 2 without tshark."""
+    arguments(__doc__).parse_args()
     if shutil.which("tshark") is None:
         print("tshark is missing: apt-get install -y --no-install-recommends tshark", file=sys.stderr)
         return 2
     with tempfile.TemporaryDirectory() as folder:
-        log = Path(args.output) if args.output else Path(folder) / "session.log"
+        log = Path(folder) / "session.log"
         frames = session(log)
-        bad, known = complaints(log), dissected(log)
+        known = len(dissected(log, "canopen"))
+        bad = dissected(log, COMPLAINTS, "frame.number", "_ws.expert.message", "_ws.col.Info")
     print(f"{frames} frames, {known} dissected as CANopen, {len(bad)} with a complaint")
     for line in bad[:10]:
         print(f"  {line}")

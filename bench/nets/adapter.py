@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib
 import io
 import json
 import os
@@ -50,7 +51,11 @@ class Collector:
 
     def __init__(self, fingers: int, wait_s: float, own_sync: bool, modulus: int, messages: Sequence[str]) -> None:
         from tipforce.host.frames.frame_array import frame_array
-        from tipforce.host.hand.collector import Collector as Product
+
+        try:
+            from tipforce.host.hand.rows import Collector as Product
+        except ImportError:  # of the reference
+            from tipforce.host.hand.collector import Collector as Product  # type: ignore[import-untyped, no-redef]
 
         self.block = frame_array
         self.product = Product(range(1, fingers + 1), messages, wait_s=wait_s, own_sync=own_sync)
@@ -77,16 +82,20 @@ class Collector:
 
 def recorded_observations(log: Any) -> Any:
     """Fingers of a log as observations."""
-    from tipforce.learning import recorded_observations as product
-
+    try:
+        from tipforce_robots.learning import recorded_observations as product
+    except ImportError:  # its place before
+        product = importlib.import_module("tipforce.learning").recorded_observations
     return product(log)
 
 
 def grasp_env() -> Any:
     """The environment of the twin."""
-    from tipforce.mujoco import GraspEnv
-
-    return GraspEnv()
+    try:
+        plug_in = importlib.import_module("tipforce_robots.mujoco")
+    except ImportError:  # its place before
+        plug_in = importlib.import_module("tipforce.mujoco")
+    return plug_in.GraspEnv()
 
 
 # --- nodes on a virtual bus, and command lines beside them ----------------------------------------------------------
@@ -266,7 +275,7 @@ def api(what: str) -> None:
             found, reward, *_ = env.step(found["asked_newtons"] / 6.0)
             print({name: np.asarray(value).tolist() for name, value in sorted(found.items())}, reward)
     elif what == "names":
-        for name in sorted(tipforce.__all__):
+        for name in sorted(vars(tipforce)["__all__"]):
             print(name, *sorted(member for member in dir(getattr(tipforce, name)) if not member.startswith("_")))
 
 

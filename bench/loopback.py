@@ -1,8 +1,4 @@
-"""A bus for `bench.hand`: loopback datagram sockets that carry struct can_frame between fingers, SYNC and a Hand.
-
-Three processes, as on a real bus: the fingers (they also distribute what the host sends), the SYNC (in place of the
-kernel's broadcast manager) and the host. A SYNC goes to the host's receiver first, so no answer can stand before it.
-"""
+"""Loopback sockets that carry struct can_frame: a bus for the receive path where the kernel has no CAN."""
 
 from __future__ import annotations
 
@@ -10,34 +6,155 @@ import multiprocessing
 import os
 import select
 import socket
+import struct
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing.connection import Connection as Pipe
 from multiprocessing.context import SpawnProcess
 from typing import Any
 
-from bench.live_loopback import bound_receiver, python_can_bus
+import can
+import canopen
+import numpy as np
+from bench.measure import ROOT
+from can.interfaces.socketcan.socketcan import SocketcanBus
 
-from tipforce.device.codes import SYNC_COB_ID
+from canopen_device.can_frame import CAN_FRAME
+from canopen_device.core.codes import SYNC_COB_ID
+from canopen_device.running.loop import Frame
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.hand.link import SERVICE_FILTERS, Link, keep_few
-from tipforce.host.hand.sync_producer import ThreadSync
-from tipforce.host.live.receive import SocketReceiver
+from tipforce.host.hand.link import KEPT_FRAMES, SERVICE_FILTERS, Link
+from tipforce.host.hand.sync import ThreadSync
+from tipforce.host.live.receive import SocketReceiver, prepare_socket
 from tipforce.host.network.bus import Bus
-from tipforce.running.loop import Frame
-from tipforce.socketcan import CAN_FRAME
 
 Address = tuple[str, int]
+NODES = 5
+TICK_S = 0.001
 _spawn = multiprocessing.get_context("spawn")
+_CONTACT = struct.Struct("<hhhBB")
+_FRAME = struct.Struct("=IB3xIHBB")  # the running number, then theta, status and counter of a Contact PDO
+
+
+def udp_socket() -> socket.socket:
+    """A socket for datagrams."""
+    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+
+def bound_receiver() -> socket.socket:
+    """A UDP socket on 127.0.0.1 with the options of the live path."""
+    receiver = udp_socket()
+    receiver.bind(("127.0.0.1", 0))
+    prepare_socket(receiver)
+    return receiver
+
+
+def connected_pair() -> tuple[socket.socket, socket.socket]:
+    """Such a receiver, and a sender; each is connected to the other."""
+    receiver = bound_receiver()
+    sender = udp_socket()
+    sender.connect(receiver.getsockname())
+    receiver.connect(sender.getsockname())
+    return receiver, sender
+
+
+def contact_frames(first: int, until: int) -> list[bytes]:
+    """Contact PDOs of five nodes in turn; the first four data bytes are a running number."""
+    return [
+        _FRAME.pack(0x281 + number % NODES, 8, number, 1000 + number % 7000, 3, number // NODES % 256)
+        for number in range(first, until)
+    ]
+
+
+def running_numbers(frames: np.ndarray[Any, np.dtype[np.void]]) -> np.ndarray[Any, np.dtype[np.uint32]]:
+    """The running number of each frame, (n,)."""
+    return np.ascontiguousarray(frames["data"][:, :4]).view(np.uint32)[:, 0]
+
+
+FramesOf = Callable[[int, int], list[bytes]]
+"""The frames from one number up to another."""
+
+
+def send_at_rate(address: tuple[str, int], frames_of: FramesOf, rate_hz: int, seconds: float) -> None:
+    """Send frames in ticks of a millisecond; what a late tick missed follows in the next."""
+    with udp_socket() as sender:
+        sender.connect(address)
+        send, number, total = sender.send, 0, round(rate_hz * seconds)
+        start_s = time.monotonic()
+        while number < total:
+            due = max(min(int((time.monotonic() - start_s) * rate_hz), total), number)
+            for frame in frames_of(number, due):
+                send(frame)
+            number = due
+            time.sleep(TICK_S)
+
+
+@contextmanager
+def sending(
+    receiver: socket.socket, rate_hz: int, seconds: float, frames_of: FramesOf = contact_frames, wait_s: float = 10.0
+) -> Iterator[None]:
+    """A process that sends to ``receiver`` while the block runs; after it the rest has ``wait_s``."""
+    arguments = receiver.getsockname(), frames_of, rate_hz, seconds
+    process = _spawn.Process(target=send_at_rate, args=arguments, daemon=True)
+    process.start()
+    try:
+        yield
+    finally:
+        _end(process, wait_s)
+
+
+def _end(process: SpawnProcess, wait_s: float) -> None:
+    process.join(wait_s)
+    if process.is_alive():
+        process.terminate()
+        process.join()
+    process.close()
+
+
+def python_can_bus(receiver: socket.socket) -> SocketcanBus:
+    """python-can's SocketCAN bus on a socket that is given: the code that receives is all its own."""
+    bus = SocketcanBus.__new__(SocketcanBus)
+    bus.socket = receiver
+    bus.channel = bus.channel_info = "loopback"
+    bus._filters, bus._is_filtered, bus._is_shutdown = None, True, True
+    return bus
+
+
+class CanopenHost:
+    """canopen's way of a PDO: a Network's listener, a PdoMap and a callback that reads its three values."""
+
+    def __init__(self) -> None:
+        self.network = canopen.Network()
+        self.values = 0.0
+        self.frames = 0
+        for node_id in range(1, NODES + 1):
+            node = self.network.add_node(node_id, str(ROOT / "eds" / "tipforce-3.eds"))
+            node.tpdo.read(from_od=True)
+            node.tpdo[2].add_callback(self._on_pdo)
+
+    def _on_pdo(self, pdo: Any) -> None:
+        self.frames += 1
+        self.values += pdo[0].raw + pdo[1].raw + pdo[2].raw
+
+    def take(self, message: can.Message) -> None:
+        """What canopen's own listener does with a message."""
+        self.network.notify(message.arbitration_id, message.data, message.timestamp)
+
+
+def struct_contact(message: can.Message) -> tuple[float, float, float, int, int]:
+    """A Contact PDO decoded by hand: P in N, phi and theta in degrees, status, counter."""
+    P, phi, theta, status, counter = _CONTACT.unpack(message.data)
+    return P / 1000, phi / 100, theta / 100, status, counter
 
 
 class LoopbackPort:
     """The fingers' door: what comes from the host goes on to its receiver, what they send goes to both of its ends."""
 
-    def __init__(self, one: socket.socket, receiver: Address, services: Address) -> None:
-        self._socket, self._receiver, self._services = one, receiver, services
+    def __init__(self, fingers: socket.socket, receiver: Address, services: Address) -> None:
+        self._socket, self._receiver, self._services = fingers, receiver, services
         self._poll = select.poll()
-        self._poll.register(one, select.POLLIN)
+        self._poll.register(fingers, select.POLLIN)
 
     def receive(self, timeout_s: float) -> Frame | None:
         """See fingertip.loop.Port."""
@@ -63,8 +180,8 @@ class LoopbackPort:
 
 def run_fingers(count: int, receiver: Address, services: Address, pipe: Pipe, realtime: bool) -> None:
     """A process: fingers 1 to ``count`` until the pipe says stop; then their CPU time."""
+    from canopen_device.running import loop
     from tipforce.fingertip.node import fingertip_node
-    from tipforce.running import loop
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sensor.structure.strain import strain_matrix
     from tipforce.sources.simulated import SimulatedSource
@@ -76,10 +193,9 @@ def run_fingers(count: int, receiver: Address, services: Address, pipe: Pipe, re
         source.load = (1.0 + 0.1 * n, 10.0, 30.0)
         devices.append(fingertip_node(n, source, serial=n))
     _hurry(realtime)
-    with bound_receiver() as one:
-        pipe.send(one.getsockname())
-        port = LoopbackPort(one, receiver, services)
-        loop.run(devices, port, _asked_to_stop(pipe))
+    with bound_receiver() as bus:
+        pipe.send(bus.getsockname())
+        loop.run(devices, LoopbackPort(bus, receiver, services), _asked_to_stop(pipe))
         pipe.send(time.process_time())
 
 
@@ -88,10 +204,10 @@ def run_sync(
 ) -> None:
     """A process: the SYNC, until the pipe says stop; then how many were left out, and CPU time."""
     _hurry(realtime)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+    with udp_socket() as sender:
 
         def send(number: bytes) -> None:
-            _send_sync(one, number, receiver, fingers)
+            _send_sync(sender, number, receiver, fingers)
 
         producer = ThreadSync(send, period_s, data)
         pipe.recv()
@@ -99,10 +215,10 @@ def run_sync(
         pipe.send((producer.skipped, time.process_time()))
 
 
-def _send_sync(one: socket.socket, number: bytes, *addresses: Address) -> None:
+def _send_sync(sender: socket.socket, number: bytes, *addresses: Address) -> None:
     frame = CAN_FRAME.pack(SYNC_COB_ID, len(number), number)
     for address in addresses:
-        one.sendto(frame, address)
+        sender.sendto(frame, address)
 
 
 def _asked_to_stop(pipe: Pipe) -> Callable[[], bool]:
@@ -147,14 +263,11 @@ class Child:
         theirs.close()
 
     def stop(self) -> Any:
-        """Ask it to end; what it tells at its end."""
+        """Ask it to end; what it sends at its end."""
         self.pipe.send(None)
-        told = self.pipe.recv() if self.pipe.poll(10.0) else None
-        self._process.join(10)
-        if self._process.is_alive():
-            self._process.terminate()
-            self._process.join()
-        return told
+        result = self.pipe.recv() if self.pipe.poll(10.0) else None
+        _end(self._process, 10.0)
+        return result
 
 
 class ChildSync:
@@ -169,9 +282,9 @@ class ChildSync:
     def stop(self) -> None:
         """See ThreadSync."""
         if self._child is not None:
-            told, self._child = self._child.stop(), None
-            if told is not None:
-                self.skipped, self.cpu_s = told
+            result, self._child = self._child.stop(), None
+            if result is not None:
+                self.skipped, self.cpu_s = result
 
 
 class LoopbackLink(Link):
@@ -179,7 +292,7 @@ class LoopbackLink(Link):
 
     def __init__(self, count: int, sync: str = "process", realtime: bool = False) -> None:
         self._sender, self._realtime = sync, realtime
-        self._sync_socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sync_socket = udp_socket()
         receiver, services = bound_receiver(), bound_receiver()
         self._receiver_address = receiver.getsockname()
         addresses = self._receiver_address, services.getsockname()
@@ -192,7 +305,7 @@ class LoopbackLink(Link):
         bus = python_can_bus(services)
         bus._periodic_tasks, bus._bcm_sockets = [], {}
         self.connection = Bus(bus)
-        keep_few(self.connection)
+        self.connection.buffer.limit = KEPT_FRAMES
         self.producer: ThreadSync | ChildSync | None = None
         self.fingers_cpu_s = 0.0
 
@@ -218,8 +331,7 @@ class LoopbackLink(Link):
 
     def close(self) -> None:
         """See Link; ends the fingers, too."""
-        told = self._fingers.stop()
-        self.fingers_cpu_s = told or 0.0
+        self.fingers_cpu_s = self._fingers.stop() or 0.0
         self.connection.close()
         self._receiver.close()
         self._sync_socket.close()

@@ -1,0 +1,176 @@
+"""What the benchmarks share: the machine, ways that take turns, costs of commands, tables and pages."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, TypeVar
+
+ROOT = Path(__file__).parents[1]
+TIPFORCE = (sys.executable, "-m", "tipforce_tools.cli.main")
+_SAMPLE_S = 0.02
+Result = TypeVar("Result")
+
+
+def machine(*packages: str) -> str:
+    """Processor, cores, versions, load at the start: what the figures depend on."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    name = names[0] if names else platform.processor() or platform.machine()
+    versions = [f"Python {platform.python_version()}", *(f"{package} {version(package)}" for package in packages)]
+    load = f"load {os.getloadavg()[0]:.1f} at the start"
+    return f"{name}, {os.cpu_count()} cores, {load}; {platform.system()}; {', '.join(versions)}"
+
+
+def in_turns(ways: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, list[float]]:
+    """Figures of each way, one a round. The ways take turns, so that a busy spell of the machine meets all alike."""
+    figures: dict[str, list[float]] = {name: [] for name in ways}
+    for _ in range(rounds):
+        for name, way in ways.items():
+            figures[name].append(way())
+    return figures
+
+
+def median_and_spread(values: Sequence[float]) -> tuple[float, float]:
+    """(median, largest deviation from it)."""
+    median = statistics.median(values)
+    return median, max(abs(value - median) for value in values)
+
+
+def cpu_us(work: Callable[[], int]) -> float:
+    """Microseconds of the processor's time per unit; ``work`` returns its units. Other work does not count."""
+    started_ns = time.process_time_ns()
+    units = work()
+    return (time.process_time_ns() - started_ns) / 1000 / units
+
+
+def cpu_s(work: Callable[[], object]) -> float:
+    """Seconds of the processor's time of one call."""
+    started_s = time.process_time()
+    work()
+    return time.process_time() - started_s
+
+
+def command_s(words: Sequence[object], **options: Any) -> tuple[float, float]:
+    """(processor time of a command with all its processes, time by the clock); ``options`` of subprocess.run."""
+    before, started_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run([str(word) for word in words], check=True, **options)
+    wall_s, after = time.perf_counter() - started_s, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall_s
+
+
+def peak_mb(words: Sequence[object]) -> float:
+    """The most memory that a command and its processes had at one time, sampled; what they share counts once."""
+    peak = 0
+    with subprocess.Popen([str(word) for word in words], stdout=subprocess.DEVNULL) as process:
+        while process.poll() is None:
+            peak = max(peak, sum(map(_own_kb, _descendants(process.pid))))
+            time.sleep(_SAMPLE_S)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(map(str, words))} ended with {process.returncode}")
+    return peak * 1024 / 1e6
+
+
+def _descendants(pid: int) -> list[int]:
+    try:
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        return []
+    return [pid, *(descendant for child in children for descendant in _descendants(int(child)))]
+
+
+def _own_kb(pid: int) -> int:
+    """Proportional set size (Linux, proc(5))."""
+    try:
+        text = Path(f"/proc/{pid}/smaps_rollup").read_text()
+    except OSError:
+        return 0
+    return sum(int(line.split()[1]) for line in text.splitlines() if line.startswith("Pss:"))
+
+
+def resident_bytes() -> int:
+    """Resident memory of this process; 0 where the system does not say."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+    except OSError:
+        return 0
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]], markdown: bool = True) -> str:
+    """A table as Markdown or as aligned text."""
+    rows = [list(row) for row in rows]
+    if markdown:
+        lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+        return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+    widths = [max(len(row[k]) for row in [list(header), *rows]) for k in range(len(header))]
+    return "\n".join(
+        "  ".join(f"{text:>{width}}" for text, width in zip(row, widths, strict=True)) for row in [header, *rows]
+    )
+
+
+def arguments(description: str | None, *flags: str) -> argparse.ArgumentParser:
+    """A parser with these flags that are on or off."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for flag in flags:
+        parser.add_argument(flag, action="store_true")
+    return parser
+
+
+def use_tests() -> None:
+    """Make the runners importable that live with the tests."""
+    sys.path.insert(0, str(ROOT / "tests"))
+
+
+def in_processes(task: Callable[[int], Result], seeds: Iterable[int], jobs: int) -> list[Result]:
+    """Return what a task gives for each seed, by so many processes."""
+    if jobs <= 1:
+        return [task(seed) for seed in seeds]
+    with ProcessPoolExecutor(jobs) as pool:
+        return list(pool.map(task, seeds, chunksize=8))
+
+
+def main(
+    description: str | None, measure: Callable[[], dict[str, Any]], as_table: Callable[[dict[str, Any]], str]
+) -> None:
+    """Parse, measure with the runners of the tests, print as a table or, with --json, as it is."""
+    args = arguments(description, "--json").parse_args()
+    use_tests()
+    results = measure()
+    print(json.dumps(results, indent=1) if args.json else as_table(results))
+
+
+def new_svg_figure(width_inch: float, height_inch: float) -> Any:
+    """(figure, axes) of matplotlib for a reproducible SVG; save it with ``metadata={"Date": None}``."""
+    import matplotlib as mpl
+
+    mpl.use("svg")
+    import matplotlib.pyplot as plt
+
+    mpl.rcParams["svg.hashsalt"] = "tipforce"
+    return plt.subplots(figsize=(width_inch, height_inch), layout="constrained")
+
+
+def save_plot(figure: Any, path: str) -> None:
+    """Write a figure, .png or .svg, without its date."""
+    figure.savefig(path, dpi=110, metadata={"Date": None} if path.endswith(".svg") else None)
+
+
+def write_page(name: str, full: str, summary: str | None = None) -> None:
+    """Write build/bench/NAME.md, and its summary in docs; print the full page."""
+    (ROOT / "build" / "bench").mkdir(parents=True, exist_ok=True)
+    (ROOT / "build" / "bench" / f"{name}.md").write_text(full, encoding="utf-8")
+    if summary is not None:
+        (ROOT / "docs" / f"{name}.md").write_text(summary, encoding="utf-8")
+    print(full, end="")
