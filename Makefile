@@ -52,13 +52,12 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.fuzz_sdo --conversations 1000000
 	$(PYTHON) -m bench.device
 	$(PYTHON) -m bench.eds
-	$(PYTHON) -m bench.micropython
 	$(PYTHON) -m bench.firmware
 	$(PYTHON) -m bench.export_c
 	$(PYTHON) -m bench.startup
-	$(PYTHON) -m bench.decode -o docs/decode-performance.md
-	$(PYTHON) -m bench.decode_check
-	$(PYTHON) -m bench.scale -o docs/scale-performance.md
+	$(PYTHON) -m bench.decode
+	$(PYTHON) -m bench.decode --check
+	$(PYTHON) -m bench.scale
 	TIPFORCE_KILLS=100 TIPFORCE_CLUSTER=4 $(PYTHON) -m pytest -q tests/tools/decode/test_dataset.py -k "killed" -o faulthandler_timeout=0
 	TIPFORCE_ALL_WRITES=1 $(PYTHON) -m pytest -q tests/host/hand/test_another_master.py -s -o faulthandler_timeout=0
 	TIPFORCE_DAYS=30 $(PYTHON) -m pytest -q tests/tools/decode/test_dataset_readers.py

@@ -17,7 +17,7 @@ import mujoco
 
 from grasp_controller import ASKED_NEWTONS, FINGERS, GRIP_COB_ID, PERIOD_S, control
 from tipforce.host import HandSample
-from tipforce.mujoco import Fingertips, Load, TwinNodes, grasp_model
+from tipforce_robots.mujoco import Fingertips, Load, TwinNodes, grasp_model
 
 SECONDS, LIFT_AT_S, LIFT_M_PER_S, LIFT_M = 3.0, 1.2, 0.05, 0.05
 

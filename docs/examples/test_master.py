@@ -10,7 +10,7 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 import tipforce
-from tipforce.machine import Drive, SimulatedDevice, shipped_eds
+from canopen_device.machine import Drive, SimulatedDevice, shipped_eds
 
 BUS = {"interface": "virtual", "channel": "machine"}  # or {"interface": "socketcan", "channel": "vcan0"}
 
