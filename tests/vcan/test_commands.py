@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from tipforce.dictionary import objects as od
+from tipforce.dictionary.eds import dcf_text
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.network.bus import Bus
 from tipforce_tools.demo.job import case_calibration
 from vcan.support import BUS, HEARTBEAT, NODE_ID, Command, Launch, RawBus, wait_until
 
 pytestmark = pytest.mark.usefixtures("node")
-OK, DIFFERENT = 0, 1
+OK, DIFFERENT, USAGE, ABORT, REFUSED = 0, 1, 2, 11, 12
 ID = str(NODE_ID)
 NOBODY = 127
 
@@ -83,6 +85,19 @@ def test_sdo_write_by_numbers_and_by_name(run: Run, host: Bus) -> None:
     assert host.sdo(NODE_ID).read(od.CALIBRATION_MATRIX[3]) == -1.5
 
 
+def test_sdo_abort_is_named(run: Run) -> None:
+    command = run("sdo", "write", ID, "0x1000", "0", "u32", "1", code=ABORT)
+    assert "0x06010002" in command.stderr
+    assert command.stdout == ""
+
+
+def test_no_such_interface_is_said_without_a_traceback(launch: Launch) -> None:
+    command = launch("sdo", "read", ID, "0x1000", "0", "-i", "socketcan", "-c", "nosuchbus0")
+    assert command.wait() == USAGE
+    assert "nosuchbus0" in command.stderr
+    assert "Traceback" not in command.stderr
+
+
 # scan
 
 
@@ -107,6 +122,14 @@ def test_calibrate_apply_then_verify(run: Run, active: Callable[[], int], tmp_pa
     assert any(str(line).startswith("0x2100:01") for line in verified["differences"])  # type: ignore[attr-defined]
 
 
+def test_refused_calibration_leaves_the_active_one(run: Run, active: Callable[[], int], tmp_path: Path) -> None:
+    good = case_calibration("III", pull=True)
+    run("calibrate", "apply", written(tmp_path, good), "--node", ID)
+    poor = written(tmp_path, replace(good, C=good.C * [1.0, 1.0, 1e-5]))
+    assert "condition number" in run("calibrate", "apply", poor, "--node", ID, code=REFUSED).stderr
+    assert active() == good.crc32()
+
+
 # config
 
 
@@ -127,3 +150,15 @@ def test_config_apply_and_verify_of_a_toml_file(run: Run, host: Bus, tmp_path: P
     sdo.write(od.HEARTBEAT_PRODUCER_MS, 900)
     (difference,) = records(run("config", "verify", ID, str(path), "--json", code=DIFFERENT))
     assert (difference["expected"], difference["found"]) == ("800", "900")
+
+
+def test_config_apply_and_verify_of_a_dcf(run: Run, host: Bus, tmp_path: Path) -> None:
+    path = tmp_path / "finger.dcf"
+    values = {(0x1017, 0): 700, (0x6114, 1): 2000, (0x2105, 1): 5000.0, (0x1803, 5): 250}
+    path.write_text(dcf_text(3, NODE_ID, values))
+    run("config", "apply", ID, str(path))
+    assert run("config", "verify", ID, str(path)).stdout == ""
+    assert host.sdo(NODE_ID).read(od.HEARTBEAT_PRODUCER_MS) == 700
+    assert host.sdo(NODE_ID).read(od.CALIBRATION_CONDITION_LIMIT) == 5000.0
+    host.sdo(NODE_ID).write(od.CALIBRATION_CONDITION_LIMIT, 1e4)
+    run("config", "verify", ID, str(path), code=DIFFERENT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import signal
 import subprocess
 import time
@@ -11,12 +12,15 @@ from pathlib import Path
 import pytest
 
 from tipforce.dictionary import objects as od
+from tipforce.errors import SdoAbortError
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce_tools.demo.job import case_calibration
 from vcan.support import HEARTBEAT, NODE_ID, SDO_REQUEST, SYNC, WAIT_S, Command, RawBus, running_node, wait_until
 
+STORE_CALIBRATION = b"\x23\x10\x10\x04save"  # SDO download, expedited, 1010h:4
 OWN_BUS = "tipforce0"
+KILLS = 5
 
 
 def receivers(channel: str) -> int:
@@ -43,6 +47,22 @@ def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(tmp_path: Path, num
         assert node.stdout == ""
 
 
+def test_interface_that_does_not_exist_is_said_at_once(launch_node: list[Command], tmp_path: Path) -> None:
+    launch_node.append(Command(["node", "--node-id", "5", "-i", "socketcan", "-c", "nosuchbus0"], tmp_path))
+    assert launch_node[0].wait() == 2
+    assert "nosuchbus0" in launch_node[0].stderr
+    assert "Traceback" not in launch_node[0].stderr
+
+
+@pytest.fixture
+def launch_node() -> Iterator[list[Command]]:
+    """Nodes that are not expected to boot; ended with the test."""
+    started: list[Command] = []
+    yield started
+    for command in started:
+        command.close()
+
+
 # What it keeps
 
 
@@ -58,6 +78,40 @@ def test_stored_calibration_is_active_again_after_a_kill(host: Bus, tmp_path: Pa
         assert active_crc(host) == stored.crc32()
         assert host.sdo(NODE_ID).read(od.CALIBRATION_GENERATION) == generation
         assert client.verify_calibration(stored) == []
+
+
+def test_node_without_a_store_refuses_to_store(host: Bus, tmp_path: Path) -> None:
+    client = FingertipClient(host.sdo(NODE_ID))
+    with running_node(tmp_path):
+        client.apply_calibration(case_calibration("I", pull=True), store=False)
+        with pytest.raises(SdoAbortError) as refused:
+            client.store(calibration=True)
+        assert refused.value.code == 0x06060000
+
+
+def test_kill_during_a_store_leaves_the_old_or_the_new_calibration(host: Bus, tmp_path: Path) -> None:
+    store = ("--store", str(tmp_path / "store.json"))
+    client = FingertipClient(host.sdo(NODE_ID))
+    calibrations = [case_calibration("I", pull=True), case_calibration("II", pull=True)]
+    chance = random.Random(20261121)
+    with running_node(tmp_path, *store):
+        client.apply_calibration(calibrations[0], store=False)
+        begin_s = time.monotonic()
+        client.store(calibration=True)
+        duration_s = time.monotonic() - begin_s
+    allowed = {calibrations[0].crc32()}
+    for _ in range(KILLS):
+        with running_node(tmp_path, *store) as node:
+            found = active_crc(host)
+            assert found in allowed, node.stderr
+            new = calibrations[1] if found == calibrations[0].crc32() else calibrations[0]
+            allowed = {found, new.crc32()}
+            client.apply_calibration(new, store=False)
+            host.send(SDO_REQUEST + NODE_ID, STORE_CALIBRATION)
+            time.sleep(chance.uniform(0.0, duration_s))
+            assert node.end(signal.SIGKILL) == -signal.SIGKILL
+    with running_node(tmp_path, *store) as node:
+        assert active_crc(host) in allowed, node.stderr
 
 
 # Its interface

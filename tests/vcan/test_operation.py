@@ -108,6 +108,14 @@ def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
         assert node.end() == 0
 
 
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_the_last_frame_of_a_node_says_that_it_stopped(bus: RawBus, tmp_path: Path, number: int) -> None:
+    with running_node(tmp_path) as node:
+        assert node.end(number) == 0
+    frames = bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x04"))
+    assert frames[-1] == (HEARTBEAT + NODE_ID, b"\x04")
+
+
 def test_priority_and_locked_memory_as_root(tmp_path: Path) -> None:
     if not in_user_mode_linux():
         pytest.skip("needs real-time rights; `tipforce vcan --uml -- ...` has them")
