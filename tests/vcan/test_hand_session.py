@@ -34,7 +34,8 @@ SYNC_HZ = 25
 # that, too. Where others do, all nodes stand still together for more than the 250 ms after which they would be lost.
 HEARTBEAT_MS = 200
 BUS_OFF = (0x20000040, bytes(8))  # error frame of linux/can/error.h
-LATE = ("heartbeat_lost", "heartbeat_back", "started: was silent", "failed")  # a failed recovery is repeated
+# What a busy machine may cause: a heartbeat that is late, a response that is late (the recovery is repeated).
+LATE = ("heartbeat_lost", "heartbeat_back", "started: was silent", "failed: no response")
 # A read after a boot takes 3 ms on an emulated processor, and 25 ms on one of four that want the machine. So reads are
 # counted, and the time is that of an overloaded machine. The simulated hand (tests/host/hand/test_another_master.py)
 # counts in time that does not hang on the processor.
@@ -140,15 +141,17 @@ class Session:
 
     def kinds(self) -> list[tuple[str, int]]:
         """What happened since the last call."""
-        silent = "was silent"  # what follows a lost heartbeat
-        return [
-            (f"{event.kind}: {event.text}" if event.text == silent else event.kind, event.node_id)
-            for event in self.hand.events()
-        ]
+        return [(named(event), event.node_id) for event in self.hand.events()]
+
+
+def named(event: Event) -> str:
+    """The kind of an event; with its reason where that is in LATE."""
+    reasons = [late for late in LATE if late.startswith(f"{event.kind}: ") and late.split(": ")[1] in event.text]
+    return reasons[0] if reasons else event.kind
 
 
 def of_others(kinds: list[tuple[str, int]], node_id: int = -1) -> list[tuple[str, int]]:
-    """What was told of others than this finger: nothing, but that a heartbeat came late on a busy machine."""
+    """The events of other fingers than this one, without those of a busy machine."""
     return [(kind, of) for kind, of in kinds if of != node_id and kind not in LATE]
 
 
