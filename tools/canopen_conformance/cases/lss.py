@@ -10,11 +10,12 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_COMMUNICATION, STOP
 
-case = Service("lss")
+case = Service("lss", standard="CiA 305")
 
 IDENTITY = ((0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 MASTER, SLAVE = 0x7E5, 0x7E4
@@ -72,7 +73,7 @@ def in_configuration(dut: Dut) -> bool:
     return dut.heard(SLAVE, 30) is not None
 
 
-@case("CiA 305 6.3.1", "switch state global, configuration: inquiries are answered", needs=IDENTITY)
+@case("6.3.1: switch state global, configuration: inquiries are answered", IDENTITY)
 def global_configuration(dut: Dut) -> None:
     say(dut, 0x04, 1)
     answered = in_configuration(dut)
@@ -81,7 +82,7 @@ def global_configuration(dut: Dut) -> None:
         raise NotApplicableError("no LSS slave")
 
 
-@case("CiA 305 6.3.1", "switch state global, waiting: inquiries are not answered", needs=IDENTITY)
+@case("6.3.1: switch state global, waiting: inquiries are not answered", IDENTITY)
 def global_waiting(dut: Dut) -> None:
     with configuring(dut):
         pass
@@ -89,14 +90,12 @@ def global_waiting(dut: Dut) -> None:
     dut.silence(SLAVE)
 
 
-@case("CiA 305 6.3.1", "switch state global with mode {0} does nothing", needs=IDENTITY, each=[(2,), (255,)])
-def global_mode(dut: Dut, mode: int) -> None:
-    say(dut, 0x04, mode)
-    say(dut, 0x5E)
-    dut.silence(SLAVE)
+case.each("global_mode 6.3.1: switch state global with mode {0} does nothing", IDENTITY, [(2,), (255,)])(
+    lambda mode: (do.run(say, 0x04, mode), do.run(say, 0x5E), do.silence(SLAVE))
+)
 
 
-@case("CiA 305 6.3.2", "switch state selective: answer 44h, then configuration", needs=IDENTITY)
+@case("6.3.2: switch state selective: answer 44h, then configuration", IDENTITY)
 def selective(dut: Dut) -> None:
     select(dut, identity(dut))
     data = slave_answer(dut)
@@ -105,7 +104,7 @@ def selective(dut: Dut) -> None:
     check(data == b"\x44" + bytes(7) and configured, "44h and the configuration state", data.hex(" "))
 
 
-@case("CiA 305 6.3.2", "switch state selective with another {1}: silence", needs=IDENTITY, each=list(enumerate(PARTS)))
+@case("6.3.2: switch state selective with another {1}: silence", IDENTITY, each=list(enumerate(PARTS)))
 def selective_other(dut: Dut, part: int, _name: str) -> None:
     numbers = identity(dut)
     numbers[part] ^= 1
@@ -114,21 +113,21 @@ def selective_other(dut: Dut, part: int, _name: str) -> None:
     dut.silence(SLAVE)
 
 
-@case("CiA 305 6.3.2", "switch state selective without its first request: silence", needs=IDENTITY)
+@case("6.3.2: switch state selective without its first request: silence", IDENTITY)
 def selective_incomplete(dut: Dut) -> None:
     for part, number in list(enumerate(identity(dut)))[1:]:
         say(dut, 0x40 + part, number=number)
     dut.silence(SLAVE)
 
 
-@case("CiA 305 6.3.2", "switch state selective in another order: silence", needs=IDENTITY)
+@case("6.3.2: switch state selective in another order: silence", IDENTITY)
 def selective_order(dut: Dut) -> None:
     for part, number in reversed(list(enumerate(identity(dut)))):
         say(dut, 0x40 + part, number=number)
     dut.silence(SLAVE)
 
 
-@case("CiA 305 6.3.2", "after a wrong selection the right one selects", needs=IDENTITY)
+@case("6.3.2: after a wrong selection the right one selects", IDENTITY)
 def selective_again(dut: Dut) -> None:
     numbers = identity(dut)
     select(dut, [numbers[0], numbers[1] ^ 1, *numbers[2:]])
@@ -140,51 +139,35 @@ def selective_again(dut: Dut) -> None:
 # --- inquire ----------------------------------------------------------------------------------------------
 
 
-@case("CiA 305 6.5", "inquire {1}", needs=IDENTITY, each=list(enumerate(PARTS)))
+@case("6.5: inquire {1}", IDENTITY, each=list(enumerate(PARTS)))
 def inquire(dut: Dut, part: int, _name: str) -> None:
     with configuring(dut) as own:
         say(dut, 0x5A + part)
         dut.expect(SLAVE, struct.pack("<BIxxx", 0x5A + part, own[part]).hex())
 
 
-@case("CiA 305 6.5", "inquire node-id", needs=IDENTITY)
+@case("6.5: inquire node-id", IDENTITY)
 def inquire_node_id(dut: Dut) -> None:
     with configuring(dut):
         say(dut, 0x5E)
         dut.expect(SLAVE, f"5E {dut.node_id:02X} 00 00 00 00 00 00")
 
 
-@case(
-    "CiA 305 6.5", "an inquiry in the waiting state is not answered", needs=IDENTITY, each=[(0x5A,), (0x5D,), (0x5E,)]
+case.each(
+    "inquire_waiting 6.5: an inquiry in the waiting state is not answered", IDENTITY, [(0x5A,), (0x5D,), (0x5E,)]
+)(lambda service: (do.run(say, service), do.silence(SLAVE)))
+case.each("unknown 6.5: an unknown service is not answered", IDENTITY, [(0x00,), (0x60,), (0xFF,)])(
+    lambda service: do.within(configuring, do.run(say, service), do.silence(SLAVE))
 )
-def inquire_waiting(dut: Dut, service: int) -> None:
-    say(dut, service)
-    dut.silence(SLAVE)
+case.each("length 6.2: a request of {0} bytes is passed over", IDENTITY, [(0,), (1,), (7,)])(
+    lambda size: do.within(configuring, do.send(MASTER, (b"\x5e" + bytes(7))[:size]), do.silence(SLAVE))
+)
+case("reset 6.2: reset communication leads back to the waiting state", IDENTITY)(
+    do.within(configuring, do.reset(RESET_COMMUNICATION), do.run(say, 0x5E), do.silence(SLAVE))
+)
 
 
-@case("CiA 305 6.5", "an unknown service is not answered", needs=IDENTITY, each=[(0x00,), (0x60,), (0xFF,)])
-def unknown(dut: Dut, service: int) -> None:
-    with configuring(dut):
-        say(dut, service)
-        dut.silence(SLAVE)
-
-
-@case("CiA 305 6.2", "a request of {0} bytes is passed over", needs=IDENTITY, each=[(0,), (1,), (7,)])
-def length(dut: Dut, size: int) -> None:
-    with configuring(dut):
-        dut.send(MASTER, (b"\x5e" + bytes(7))[:size])
-        dut.silence(SLAVE)
-
-
-@case("CiA 305 6.2", "reset communication leads back to the waiting state", needs=IDENTITY)
-def reset(dut: Dut) -> None:
-    with configuring(dut):
-        dut.reset(RESET_COMMUNICATION)
-        say(dut, 0x5E)
-        dut.silence(SLAVE)
-
-
-@case("CiA 301 7.3.2.3", "LSS is served in STOPPED, and nothing else is", needs=IDENTITY)
+@case("CiA 301 7.3.2.3: LSS is served in STOPPED, and nothing else is", IDENTITY)
 def stopped(dut: Dut) -> None:
     own = identity(dut)
     dut.nmt(STOP)
@@ -196,19 +179,14 @@ def stopped(dut: Dut) -> None:
 # --- configure --------------------------------------------------------------------------------------------
 
 
-@case(
-    "CiA 305 6.4.1", "configure node-id {0}: out of range, error 1", needs=IDENTITY, each=[(0,), (128,), (200,), (254,)]
-)
-def node_id_refused(dut: Dut, node_id: int) -> None:
-    with configuring(dut):
-        say(dut, 0x11, node_id)
-        dut.expect(SLAVE, "11 01 00 00 00 00 00 00")
+case.each(
+    "node_id_refused 6.4.1: configure node-id {0}: out of range, error 1", IDENTITY, [(0,), (128,), (200,), (254,)]
+)(lambda node_id: do.within(configuring, do.run(say, 0x11, node_id), do.expect(SLAVE, "11 01 00 00 00 00 00 00")))
 
 
 @case(
-    "CiA 305 6.4.1",
-    "configure node-id {0}: taken, and not in use before a reset",
-    needs=IDENTITY,
+    "6.4.1: configure node-id {0}: taken, and not in use before a reset",
+    IDENTITY,
     persistent=True,
     each=[(1,), (127,), (255,)],
 )
@@ -222,7 +200,7 @@ def node_id_taken(dut: Dut, node_id: int) -> None:
             say(dut, 0x11, dut.node_id)
 
 
-@case("CiA 305 6.4.1", "the new node-id is in use after reset communication", needs=IDENTITY, persistent=True)
+@case("6.4.1: the new node-id is in use after reset communication", IDENTITY, persistent=True)
 def node_id_changed(dut: Dut) -> None:
     old = dut.node_id
     with configuring(dut) as own:
@@ -256,7 +234,7 @@ def restore_node_id(dut: Dut, own: list[int], node_id: int) -> None:
     dut.boot_up()
 
 
-@case("CiA 305 6.4.2", "configure bit timing, table {0}, index {1}: error {2}", needs=IDENTITY, persistent=True, each=[
+@case("6.4.2: configure bit timing, table {0}, index {1}: error {2}", IDENTITY, persistent=True, each=[
     *((0, index, 0) for index in (0, 2, 3, 4, 8)), (0, 5, 1), (0, 10, 1), (1, 0, 1),
 ])  # fmt: skip
 def bit_timing(dut: Dut, table: int, index: int, error: int) -> None:
@@ -266,14 +244,12 @@ def bit_timing(dut: Dut, table: int, index: int, error: int) -> None:
         say(dut, 0x13, 0, 0)
 
 
-@case("CiA 305 6.4.3", "store configuration: error 0", needs=IDENTITY, persistent=True)
-def store(dut: Dut) -> None:
-    with configuring(dut):
-        say(dut, 0x17)
-        dut.expect(SLAVE, "17 00 00 00 00 00 00 00", 2000)
+case("store 6.4.3: store configuration: error 0", IDENTITY, persistent=True)(
+    do.within(configuring, do.run(say, 0x17), do.expect(SLAVE, "17 00 00 00 00 00 00 00", 2000))
+)
 
 
-@case("CiA 305 6.4", "configuration services in the waiting state do nothing", needs=IDENTITY, each=[
+@case("6.4: configuration services in the waiting state do nothing", IDENTITY, each=[
     (0x11, OTHER_ID), (0x13, 0), (0x17, 0),
 ])  # fmt: skip
 def configure_waiting(dut: Dut, service: int, value: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.cases.lss import (
     IDENTITY,
@@ -22,8 +23,8 @@ from canopen_conformance.cases.lss import (
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE
 
-numbered = Service("lss_identify")
-unnumbered = Service("lss_unconfigured")
+numbered = Service("lss_identify", standard="CiA 305")
+unnumbered = Service("lss_unconfigured", standard="CiA 305")
 
 
 def identify(dut: Dut, numbers: list[int]) -> None:
@@ -37,14 +38,14 @@ def ranges(own: list[int]) -> list[int]:
     return [own[0], own[1], own[2], own[2], own[3], own[3]]
 
 
-@numbered("CiA 305 6.6.1", "identify remote slave: a device in the ranges answers 4Fh", needs=IDENTITY)
+@numbered("6.6.1: identify remote slave: a device in the ranges answers 4Fh", IDENTITY)
 def identified(dut: Dut) -> None:
     identify(dut, ranges(identity(dut)))
     data = slave_answer(dut)
     check(data == b"\x4f" + bytes(7), "4F and zeros", data.hex(" "))
 
 
-@numbered("CiA 305 6.6.1", "identify remote slave: the ends of the ranges may lie apart", needs=IDENTITY)
+@numbered("6.6.1: identify remote slave: the ends of the ranges may lie apart", IDENTITY)
 def identified_in_range(dut: Dut) -> None:
     own = identity(dut)
     identify(dut, [own[0], own[1], 0, 0xFFFFFFFF, 0, 0xFFFFFFFF])
@@ -52,9 +53,8 @@ def identified_in_range(dut: Dut) -> None:
 
 
 @numbered(
-    "CiA 305 6.6.1",
-    "identify remote slave: {2} is not this device's: silence",
-    needs=IDENTITY,
+    "6.6.1: identify remote slave: {2} is not this device's: silence",
+    IDENTITY,
     each=[
         (0, 1, "the vendor-ID"),
         (1, 1, "the product code"),
@@ -73,23 +73,19 @@ def not_identified(dut: Dut, part: int, step: int, _name: str) -> None:
     dut.silence(SLAVE)
 
 
-@numbered("CiA 305 6.6.1", "identify remote slave in another order: silence", needs=IDENTITY)
+@numbered("6.6.1: identify remote slave in another order: silence", IDENTITY)
 def identify_order(dut: Dut) -> None:
     for part, number in reversed(list(enumerate(ranges(identity(dut))))):
         say(dut, 0x46 + part, number=number)
     dut.silence(SLAVE)
 
 
-@numbered("CiA 305 6.6.3", "identify non-configured remote slave: a device with a node-id is silent")
-def configured(dut: Dut) -> None:
-    say(dut, 0x4C)
-    dut.silence(SLAVE)
-
-
-@numbered("CiA 305 6.6.4", "fastscan: a device with a node-id is silent")
-def configured_fastscan(dut: Dut) -> None:
-    say(dut, 0x51, 0, 0, 0, 0, 0x80)
-    dut.silence(SLAVE)
+numbered("configured 6.6.3: identify non-configured remote slave: a device with a node-id is silent")(
+    do.run(say, 0x4C), do.silence(SLAVE)
+)
+numbered("configured_fastscan 6.6.4: fastscan: a device with a node-id is silent")(
+    do.run(say, 0x51, 0, 0, 0, 0, 0x80), do.silence(SLAVE)
+)
 
 
 _START = 0x80
@@ -120,7 +116,7 @@ def scan(dut: Dut, number: int, bit: int, part: int, following: int) -> bool:
     return dut.heard(SLAVE, 20) is not None
 
 
-@unnumbered("CiA 305 6.3.2", "without a node-id: no boot-up, no answer to NMT and SDO", needs=IDENTITY, persistent=True)
+@unnumbered("6.3.2: without a node-id: no boot-up, no answer to NMT and SDO", IDENTITY, persistent=True)
 def silent(dut: Dut) -> None:
     old = dut.node_id
     with unconfigured(dut):
@@ -130,23 +126,21 @@ def silent(dut: Dut) -> None:
         dut.silence(0x580 + old, 0x700 + old, 0x80 + old, 0x700 + UNCONFIGURED)
 
 
-@unnumbered("CiA 305 6.6.3", "identify non-configured remote slave: answer 50h", needs=IDENTITY, persistent=True)
+@unnumbered("6.6.3: identify non-configured remote slave: answer 50h", IDENTITY, persistent=True)
 def lss_unconfigured_identify(dut: Dut) -> None:
     with unconfigured(dut):
         say(dut, 0x4C)
         dut.expect(SLAVE, "50 00 00 00 00 00 00 00")
 
 
-@unnumbered("CiA 305 6.5", "inquire node-id: 255", needs=IDENTITY, persistent=True)
+@unnumbered("6.5: inquire node-id: 255", IDENTITY, persistent=True)
 def inquire(dut: Dut) -> None:
     with unconfigured(dut) as own, configuring(dut, own):
         say(dut, 0x5E)
         dut.expect(SLAVE, "5E FF *")
 
 
-@unnumbered(
-    "CiA 305 6.4.1", "a node-id is given: boot-up as soon as configuration is left", needs=IDENTITY, persistent=True
-)
+@unnumbered("6.4.1: a node-id is given: boot-up as soon as configuration is left", IDENTITY, persistent=True)
 def boots(dut: Dut) -> None:
     old = dut.node_id
     with unconfigured(dut) as own:
@@ -159,7 +153,7 @@ def boots(dut: Dut) -> None:
         dut.ask("40 00 10 00", "43 00 10 00 *")
 
 
-@unnumbered("CiA 305 6.6.4", "fastscan finds all 128 bits and leads to configuration", needs=IDENTITY, persistent=True)
+@unnumbered("6.6.4: fastscan finds all 128 bits and leads to configuration", IDENTITY, persistent=True)
 def fastscan(dut: Dut) -> None:
     with unconfigured(dut) as own:
         if not scan(dut, 0, _START, 0, 0):
@@ -177,7 +171,7 @@ def fastscan(dut: Dut) -> None:
         check(in_configuration(dut), "the configuration state", "no answer to an inquiry")
 
 
-@unnumbered("CiA 305 6.6.4", "fastscan with another {1}: silence", needs=IDENTITY, persistent=True, each=[
+@unnumbered("6.6.4: fastscan with another {1}: silence", IDENTITY, persistent=True, each=[
     (0, "vendor-ID"), (1, "product code"),
 ])  # fmt: skip
 def fastscan_other(dut: Dut, part: int, _name: str) -> None:
@@ -189,7 +183,7 @@ def fastscan_other(dut: Dut, part: int, _name: str) -> None:
             raise CheckError("silence", "an answer to a number that is not the device's")
 
 
-@unnumbered("CiA 305 6.6.4", "fastscan of a part that is not its turn: silence", needs=IDENTITY, persistent=True)
+@unnumbered("6.6.4: fastscan of a part that is not its turn: silence", IDENTITY, persistent=True)
 def fastscan_order(dut: Dut) -> None:
     with unconfigured(dut) as own:
         if not scan(dut, 0, _START, 0, 0):
@@ -197,7 +191,7 @@ def fastscan_order(dut: Dut) -> None:
         check(not scan(dut, own[2], 0, 2, 3), "silence", "an answer to the third number before the first")
 
 
-@unnumbered("CiA 305 6.6.4", "fastscan in the configuration state: silence", needs=IDENTITY, persistent=True)
+@unnumbered("6.6.4: fastscan in the configuration state: silence", IDENTITY, persistent=True)
 def fastscan_configuring(dut: Dut) -> None:
     with unconfigured(dut) as own, configuring(dut, own):
         check(not scan(dut, 0, _START, 0, 0), "silence", "an answer")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import binascii
 import struct
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.cases.sdo import BEAT, NAMES
 from canopen_conformance.dut import Dut
@@ -61,7 +62,7 @@ def segments(data: bytes) -> int:
     return -(-len(data) // 7)
 
 
-@upload("CiA 301 7.2.4.3.13", "one block: size, segments, end with CRC")
+@upload("7.2.4.3.13: one block: size, segments, end with CRC")
 def sdo_block_upload(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 127)
     dut.request("A3")
@@ -71,7 +72,7 @@ def sdo_block_upload(dut: Dut) -> None:
     end_block_upload(dut, data)
 
 
-@upload("CiA 301 7.2.4.3.14", "blocks of one segment")
+@upload("7.2.4.3.14: blocks of one segment")
 def blocks_of_one(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 1)
     dut.request("A3")
@@ -84,7 +85,7 @@ def blocks_of_one(dut: Dut) -> None:
     end_block_upload(dut, data)
 
 
-@upload("CiA 301 7.2.4.3.14", "the client changes the block size from block to block")
+@upload("7.2.4.3.14: the client changes the block size from block to block")
 def changed_block_size(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 1)
     dut.request("A3")
@@ -96,7 +97,7 @@ def changed_block_size(dut: Dut) -> None:
     check(received[: len(data)] == data, data.hex(" "), received.hex(" "))
 
 
-@upload("CiA 301 7.2.4.3.14", "ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
+@upload("7.2.4.3.14: ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
 def resend(dut: Dut, received: int) -> None:
     _index, data = begin_block_upload(dut, 2)
     dut.request("A3")
@@ -109,7 +110,7 @@ def resend(dut: Dut, received: int) -> None:
     end_block_upload(dut, data)
 
 
-@upload("CiA 301 7.2.4.3.14", "the last block is lost: ackseq 0, and it comes again")
+@upload("7.2.4.3.14: the last block is lost: ackseq 0, and it comes again")
 def resend_last(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 127)
     dut.request("A3")
@@ -121,15 +122,13 @@ def resend_last(dut: Dut) -> None:
     end_block_upload(dut, data)
 
 
-@upload(
-    "CiA 301 7.2.4.3.13", "block size {0} at the initiate: 05040002h", needs=((0x1008, 0),), each=[(0,), (128,), (255,)]
-)
+@upload("7.2.4.3.13: block size {0} at the initiate: 05040002h", ((0x1008, 0),), each=[(0,), (128,), (255,)])
 def block_size_refused(dut: Dut, size: int) -> None:
     answer = initiate(dut, 0x1008, size)
     check(answer == struct.pack("<BHBI", 0x80, 0x1008, 0, Abort.BLOCK_SIZE), "abort 05040002h", answer.hex(" "))
 
 
-@upload("CiA 301 7.2.4.3.14", "block size {0} in an answer: 05040002h", each=[(0,), (128,)])
+@upload("7.2.4.3.14: block size {0} in an answer: 05040002h", each=[(0,), (128,)])
 def block_size_refused_later(dut: Dut, size: int) -> None:
     index, _data = begin_block_upload(dut, 1)
     dut.request("A3")
@@ -138,7 +137,7 @@ def block_size_refused_later(dut: Dut, size: int) -> None:
     dut.aborted(index, 0, Abort.BLOCK_SIZE)
 
 
-@upload("CiA 301 7.2.4.3.16", "a client without CRC finds 0 in its place")
+@upload("7.2.4.3.16: a client without CRC finds 0 in its place")
 def without_crc(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 127, crc=False)
     dut.request("A3")
@@ -147,7 +146,7 @@ def without_crc(dut: Dut) -> None:
     end_block_upload(dut, data, crc=False)
 
 
-@upload("CiA 301 7.2.4.3.13", "refused at the initiate: {2}", each=[
+@upload("7.2.4.3.13: refused at the initiate: {2}", each=[
     (0xFFFF, Abort.NO_OBJECT, "no object"), (None, Abort.WRITE_ONLY, "a write-only object"),
 ])  # fmt: skip
 def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
@@ -159,7 +158,7 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
     check(answer == struct.pack("<BHBI", 0x80, index, 0, code), f"abort {code:08X}h", answer.hex(" "))
 
 
-@upload("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, the transfer is over", each=[
+@upload("7.2.4.3.17: the client aborts {1}: no answer, the transfer is over", each=[
     (False, "before the start"), (True, "after a block"),
 ])  # fmt: skip
 def aborted(dut: Dut, started: bool, _when: str) -> None:
@@ -172,17 +171,12 @@ def aborted(dut: Dut, started: bool, _when: str) -> None:
     dut.ask("40 00 10 00", "43 00 10 00 *")
 
 
-@upload("CiA 301 7.3.2.3", "stop ends a block upload without a word")
-def stopped(dut: Dut) -> None:
-    begin_block_upload(dut, 1)
-    dut.nmt(STOP)
-    dut.request("A3")
-    dut.no_sdo()
-
-
-@upload(
-    "CiA 301 7.2.4.3.17", "a block command without a transfer: 05040001h", each=[("A1",), ("A2",), ("A3",), ("C1",)]
+upload("stopped 7.3.2.3: stop ends a block upload without a word")(
+    do.run(begin_block_upload, 1), do.nmt(STOP), do.request("A3"), do.no_sdo()
 )
+
+
+@upload("7.2.4.3.17: a block command without a transfer: 05040001h", each=[("A1",), ("A2",), ("A3",), ("C1",)])
 def no_transfer(dut: Dut, command: str) -> None:
     initiate(dut, 0x1000, 127)
     dut.request("80 00 10 00 00 00 00 08")
@@ -222,7 +216,7 @@ def one_segment(dut: Dut, size: int | None = 2, crc: bool = True) -> None:
     dut.answer("A2 01 .. 00 00 00 00 00")
 
 
-@download("CiA 301 7.2.4.3.9", "one segment, {1}", needs=BEAT, each=[(2, "size stated"), (None, "size not stated")])
+@download("7.2.4.3.9: one segment, {1}", BEAT, each=[(2, "size stated"), (None, "size not stated")])
 def sdo_block_download_download(dut: Dut, size: int | None, _how: str) -> None:
     one_segment(dut, size)
     end_block_download(dut, VALUE)
@@ -230,15 +224,15 @@ def sdo_block_download_download(dut: Dut, size: int | None, _how: str) -> None:
     dut.holds("H", 0x1017, 0, 0x1234)
 
 
-@download("CiA 301 7.2.4.3.16", "a client without CRC: what stands in its place is not looked at", needs=BEAT)
-def sdo_block_download_without_crc(dut: Dut) -> None:
-    one_segment(dut, crc=False)
-    end_block_download(dut, VALUE, crc=0xBEEF)
-    dut.answer("A1")
-    dut.holds("H", 0x1017, 0, 0x1234)
+download("without_crc 7.2.4.3.16: a client without CRC: what stands in its place is not looked at", BEAT)(
+    do.run(one_segment, crc=False),
+    do.run(end_block_download, VALUE, crc=0xBEEF),
+    do.answer("A1"),
+    do.holds("H", 0x1017, 0, 0x1234),
+)
 
 
-@download("CiA 301 7.2.4.3.16", "a wrong CRC: 05040004h, nothing is written", needs=BEAT)
+@download("7.2.4.3.16: a wrong CRC: 05040004h, nothing is written", BEAT)
 def bad_crc(dut: Dut) -> None:
     before = dut.integer("H", 0x1017)
     one_segment(dut)
@@ -248,9 +242,8 @@ def bad_crc(dut: Dut) -> None:
 
 
 @download(
-    "CiA 301 7.2.4.3.11",
-    "{1} bytes at the end than stated",
-    needs=BEAT,
+    "7.2.4.3.11: {1} bytes at the end than stated",
+    BEAT,
     each=[(4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)],
 )
 def size_mismatch(dut: Dut, unused: int, _how: str, code: int) -> None:
@@ -261,14 +254,12 @@ def size_mismatch(dut: Dut, unused: int, _how: str, code: int) -> None:
     dut.holds("H", 0x1017, 0, before)
 
 
-@download("CiA 301 7.2.4.3.10", "segment number 0: 05040003h", needs=BEAT)
-def sequence_zero(dut: Dut) -> None:
-    begin_block_download(dut, 0x1017, 2)
-    dut.request("00 34 12")
-    dut.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER)
+download("sequence_zero 7.2.4.3.10: segment number 0: 05040003h", BEAT)(
+    do.run(begin_block_download, 0x1017, 2), do.request("00 34 12"), do.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER)
+)
 
 
-@download("CiA 301 7.2.4.3.9", "refused at the initiate: {3}", each=[
+@download("7.2.4.3.9: refused at the initiate: {3}", each=[
     (0x1000, 4, Abort.READ_ONLY, "a read-only object"), (0xFFFF, 4, Abort.NO_OBJECT, "no object"),
 ])  # fmt: skip
 def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why: str) -> None:
@@ -277,7 +268,7 @@ def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why:
     dut.aborted(index, 0, *codes)
 
 
-@download("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, nothing is written", needs=BEAT, each=[
+@download("7.2.4.3.17: the client aborts {1}: no answer, nothing is written", BEAT, each=[
     (False, "before the first segment"), (True, "before the end"),
 ])  # fmt: skip
 def sdo_block_download_aborted(dut: Dut, sent: bool, _when: str) -> None:
@@ -291,20 +282,18 @@ def sdo_block_download_aborted(dut: Dut, sent: bool, _when: str) -> None:
     dut.holds("H", 0x1017, 0, before)
 
 
-@download("CiA 301 7.2.4.3.11", "a refused value is refused at the end", needs=((0x1019, 0),))
-def refused_value(dut: Dut) -> None:
-    begin_block_download(dut, 0x1019, 1)
-    segment(dut, 1, b"\xf1", True)
-    dut.answer("A2 01 ..")
-    end_block_download(dut, b"\xf1")
-    dut.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE)
-    dut.holds("B", 0x1019, 0, 0)
-
-
-@download("CiA 301 7.2.4.3.9", "after a block download another transfer goes as ever", needs=BEAT)
-def afterwards(dut: Dut) -> None:
-    one_segment(dut)
-    end_block_download(dut, VALUE)
-    dut.answer("A1")
-    dut.ask("40 17 10 00", "4B 17 10 00 34 12")
-    dut.ask("2B 17 10 00 00 00", "60 17 10 00")
+download("refused_value 7.2.4.3.11: a refused value is refused at the end", ((0x1019, 0),))(
+    do.run(begin_block_download, 0x1019, 1),
+    do.run(segment, 1, b"\xf1", True),
+    do.answer("A2 01 .."),
+    do.run(end_block_download, b"\xf1"),
+    do.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE),
+    do.holds("B", 0x1019, 0, 0),
+)
+download("afterwards 7.2.4.3.9: after a block download another transfer goes as ever", BEAT)(
+    one_segment,
+    do.run(end_block_download, VALUE),
+    do.answer("A1"),
+    do.ask("40 17 10 00", "4B 17 10 00 34 12"),
+    do.ask("2B 17 10 00 00 00", "60 17 10 00"),
+)

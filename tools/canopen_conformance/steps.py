@@ -1,0 +1,95 @@
+"""The steps of a case as values: ``do.put("H", 0x1017, 0, 20)`` calls ``Dut.put`` so when the case runs.
+
+A step is any function of the Dut: a case is a sequence of them, or one function of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Concatenate, ParamSpec
+
+from canopen_conformance.case import Step
+from canopen_conformance.dut import Dut
+
+P = ParamSpec("P")
+
+
+def run(function: Callable[Concatenate[Dut, P], object], *arguments: P.args, **named: P.kwargs) -> Step:
+    """Return the step that calls ``function`` with the Dut and these arguments."""
+    return lambda dut: function(dut, *arguments, **named)
+
+
+def _step(method: Callable[Concatenate[Dut, P], object]) -> Callable[P, Step]:
+    return lambda *arguments, **named: lambda dut: method(dut, *arguments, **named)
+
+
+def all_of(*steps: Step) -> Step:
+    """Take the steps in their order."""
+
+    def take(dut: Dut) -> None:
+        for step in steps:
+            step(dut)
+
+    return take
+
+
+def repeat(times: int, *steps: Step) -> Step:
+    """Take the steps so many times."""
+    return all_of(*times * steps)
+
+
+def within(context: Callable[[Dut], AbstractContextManager[object]], *steps: Step) -> Step:
+    """Take the steps inside a context."""
+
+    def take(dut: Dut) -> None:
+        with context(dut):
+            all_of(*steps)(dut)
+
+    return take
+
+
+def unchanged(kind: str, index: int, sub: int, *steps: Step) -> Step:
+    """Take the steps, and check that they left the value of an object as it was."""
+
+    def take(dut: Dut) -> None:
+        before = dut.number(kind, index, sub)
+        all_of(*steps)(dut)
+        dut.holds(kind, index, sub, before)
+
+    return take
+
+
+nmt = _step(Dut.nmt)
+reset = _step(Dut.reset)
+boot_up = _step(Dut.boot_up)
+waits_for_start = _step(Dut.waits_for_start)
+enter = _step(Dut.enter)
+state = _step(Dut.state)
+beat = _step(Dut.beat)
+heartbeat = _step(Dut.heartbeat)
+no_heartbeat = _step(Dut.no_heartbeat)
+request = _step(Dut.request)
+answer = _step(Dut.answer)
+ask = _step(Dut.ask)
+aborted = _step(Dut.aborted)
+no_sdo = _step(Dut.no_sdo)
+read = _step(Dut.read)
+put = _step(Dut.put)
+accepts = _step(Dut.accepts)
+holds = _step(Dut.holds)
+refuses = _step(Dut.refuses)
+refuses_bytes = _step(Dut.refuses_bytes)
+read_segments = _step(Dut.read_segments)
+integer = _step(Dut.integer)
+send = _step(Dut.send)
+expect = _step(Dut.expect)
+silence = _step(Dut.silence)
+sleep = _step(Dut.sleep)
+forget = _step(Dut.forget)
+emcy = _step(Dut.emcy)
+no_emcy = _step(Dut.no_emcy)
+pdo = _step(Dut.pdo)
+no_pdo = _step(Dut.no_pdo)
+send_pdo = _step(Dut.send_pdo)
+forget_pdo = _step(Dut.forget_pdo)
