@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Concatenate, ParamSpec
+from typing import Concatenate, ParamSpec, TypeVar
 
 from canopen_conformance.case import Step
 from canopen_conformance.dut import Dut
+from canopen_conformance.wire import Frame
 
 P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def run(function: Callable[Concatenate[Dut, P], object], *arguments: P.args, **named: P.kwargs) -> Step:
@@ -20,7 +22,7 @@ def run(function: Callable[Concatenate[Dut, P], object], *arguments: P.args, **n
     return lambda dut: function(dut, *arguments, **named)
 
 
-def _step(method: Callable[Concatenate[Dut, P], object]) -> Callable[P, Step]:
+def _step(method: Callable[Concatenate[Dut, P], T]) -> Callable[P, Callable[[Dut], T]]:
     return lambda *arguments, **named: lambda dut: method(dut, *arguments, **named)
 
 
@@ -45,6 +47,27 @@ def within(context: Callable[[Dut], AbstractContextManager[object]], *steps: Ste
     def take(dut: Dut) -> None:
         with context(dut):
             all_of(*steps)(dut)
+
+    return take
+
+
+def after(ms: float, what: str, frame: Callable[[Dut], Frame]) -> Step:
+    """Check that the frame of a step arrives so many milliseconds from now; ``what`` is this time."""
+
+    def take(dut: Dut) -> None:
+        start_us = dut.now_us
+        dut.check_ms(what, frame(dut).at_us - start_us, ms)
+
+    return take
+
+
+def each_ms(ms: float, times: int, what: str, frame: Callable[[Dut], Frame]) -> Step:
+    """Check that the frame of a step comes again so many times, ``ms`` apart; ``what`` is the whole time."""
+
+    def take(dut: Dut) -> None:
+        first_us = frame(dut).at_us
+        last_us = [frame(dut).at_us for _ in range(times)][-1]
+        dut.check_ms(what, last_us - first_us, times * ms)
 
     return take
 

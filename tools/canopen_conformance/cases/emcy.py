@@ -133,38 +133,31 @@ def check_on(dut: Dut) -> None:
         raise NotApplicableError("1014h: EMCY is switched off")
 
 
-@case("7.5.2.17: the default CAN-ID is 080h + node-id", NEEDS)
-def default(dut: Dut) -> None:
-    check_on(dut)
-    dut.holds("I", 0x1014, 0, 0x80 + dut.node_id)
-
-
-@case("7.5.2.17: with bit 31 set there is no EMCY, but register and history", HISTORY)
-def switched_off(dut: Dut) -> None:
-    make_error(dut)
-    cure_error(dut)
-    clear(dut)
-    dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id)
-    break_sync(dut)
-    dut.holds("B", 0x1001, 0, 0x11)
-    dut.holds("B", 0x1003, 0, 1)
-    dut.no_emcy()
-
-
-@case("7.5.2.17: another CAN-ID while the object exists: 06090030h", NEEDS)
-def moved_while_valid(dut: Dut) -> None:
-    check_on(dut)
-    dut.refuses("I", 0x1014, 0, 0x390, Abort.INVALID_VALUE)
-    dut.holds("I", 0x1014, 0, 0x80 + dut.node_id)
-
-
-@case("7.5.2.17: switched off, moved, switched on", NEEDS)
-def moved(dut: Dut) -> None:
-    dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id)
-    dut.put("I", 0x1014, 0, 0x390)
-    break_sync(dut)
-    dut.expect(0x390, "40 82 *")
-    dut.no_emcy()
+case("default 7.5.2.17: the default CAN-ID is 080h + node-id", NEEDS)(
+    check_on, lambda dut: dut.holds("I", 0x1014, 0, 0x80 + dut.node_id)
+)
+case("switched_off 7.5.2.17: with bit 31 set there is no EMCY, but register and history", HISTORY)(
+    make_error,
+    cure_error,
+    clear,
+    lambda dut: dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id),
+    break_sync,
+    do.holds("B", 0x1001, 0, 0x11),
+    do.holds("B", 0x1003, 0, 1),
+    do.no_emcy(),
+)
+case("moved_while_valid 7.5.2.17: another CAN-ID while the object exists: 06090030h", NEEDS)(
+    check_on,
+    do.refuses("I", 0x1014, 0, 0x390, Abort.INVALID_VALUE),
+    lambda dut: dut.holds("I", 0x1014, 0, 0x80 + dut.node_id),
+)
+case("moved 7.5.2.17: switched off, moved, switched on", NEEDS)(
+    lambda dut: dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id),
+    do.put("I", 0x1014, 0, 0x390),
+    break_sync,
+    do.expect(0x390, "40 82 *"),
+    do.no_emcy(),
+)
 
 
 @case("7.5.2.17: 1014h = {0:08X}h: 06090030h", NEEDS, each=[

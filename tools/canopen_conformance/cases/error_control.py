@@ -11,6 +11,7 @@ from canopen_conformance.wire import (
     REMOTE_FLAG,
     RESET_COMMUNICATION,
     START,
+    STATES,
     STOP,
     STOPPED,
     Abort,
@@ -40,20 +41,12 @@ def lost(dut: Dut, within_ms: int = 100) -> None:
 # --- producer ---------------------------------------------------------------------------------------------
 
 
-@heartbeat("7.2.8.3.2.2: a heartbeat each {0} ms", PRODUCER, each=[(20,), (50,), (110,)])
-def period(dut: Dut, ms: int) -> None:
-    dut.accepts("H", 0x1017, 0, ms)
-    first = dut.heartbeat("7F", 2 * ms)
-    for _ in range(3):
-        last = dut.heartbeat("7F", 2 * ms)
-    dut.check_ms("three periods of", last.at_us - first.at_us, 3 * ms)
-
-
-heartbeat.each(
-    "heartbeat_state 7.2.8.3.2.2: the heartbeat in {1} carries {0:02X}h",
-    PRODUCER,
-    [(PRE_OPERATIONAL, "PRE-OPERATIONAL"), (OPERATIONAL, "OPERATIONAL"), (STOPPED, "STOPPED")],
-)(lambda state, _name: (do.beat(), do.enter(state), do.state(state)))
+heartbeat.each("period 7.2.8.3.2.2: a heartbeat each {0} ms", PRODUCER, [(20,), (50,), (110,)])(
+    lambda ms: (do.accepts("H", 0x1017, 0, ms), do.each_ms(ms, 3, "three periods of", do.heartbeat("7F", 2 * ms)))
+)
+heartbeat.each("heartbeat_state 7.2.8.3.2.2: the heartbeat in {1} carries {0:02X}h", PRODUCER, STATES)(
+    lambda state, _name: (do.beat(), do.enter(state), do.state(state))
+)
 heartbeat("producer_off 7.5.2.20: 1017h = 0 ends the heartbeat", PRODUCER)(
     do.beat(), do.heartbeat(), do.put("H", 0x1017, 0, 0), do.forget(), do.no_heartbeat(ms=80)
 )
@@ -88,15 +81,9 @@ heartbeat("not_before_first 7.2.8.3.2.2: nobody is missed before a first heartbe
 )
 
 
-@heartbeat("7.2.8.2.2.3: a lost heartbeat: EMCY 8130h after the consumer time", CONSUMER)
-def lost_heartbeat(dut: Dut) -> None:
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 100)
-    dut.send(0x700 + WATCHED, "05")
-    start_us = dut.now_us
-    frame = dut.emcy("30 81 *", 200)
-    dut.check_ms("consumer time", frame.at_us - start_us, 100)
-
-
+heartbeat("lost_heartbeat 7.2.8.2.2.3: a lost heartbeat: EMCY 8130h after the consumer time", CONSUMER)(
+    do.run(watch, 100), do.after(100, "consumer time", do.emcy("30 81 *", 200))
+)
 heartbeat("lost_once 7.2.8.2.2.3: a lost heartbeat is reported once", CONSUMER)(
     do.run(watch, 20), lost, do.no_emcy(ms=80)
 )
@@ -189,44 +176,33 @@ def life(dut: Dut, guard_ms: int, factor: int) -> None:
     dut.forget()
 
 
-@guarding("7.2.8.3.2.1: the answer carries the state; the toggle bit starts at 0 and alternates", GUARDING)
-def toggle(dut: Dut) -> None:
-    life(dut, 0, 0)
-    for wanted in ("7F", "FF", "7F", "FF"):
-        guard(dut, wanted)
-
-
-@guarding("7.2.8.3.2.1: guarding in {1}", GUARDING, each=[(OPERATIONAL, "OPERATIONAL"), (STOPPED, "STOPPED")])
-def guarding_state(dut: Dut, state: int, _name: str) -> None:
-    life(dut, 0, 0)
-    guard(dut, "7F")
-    dut.enter(state)
-    guard(dut, f"{state | 0x80:02X}")
-    guard(dut, f"{state:02X}")
-
-
+guarding("toggle 7.2.8.3.2.1: the answer carries the state; the toggle bit starts at 0 and alternates", GUARDING)(
+    do.run(life, 0, 0), do.repeat(2, do.run(guard, "7F"), do.run(guard, "FF"))
+)
+guarding.each("guarding_state 7.2.8.3.2.1: guarding in {1}", GUARDING, STATES[1:])(
+    lambda state, _name: (
+        do.run(life, 0, 0),
+        do.run(guard, "7F"),
+        do.enter(state),
+        do.run(guard, f"{state | 0x80:02X}"),
+        do.run(guard, f"{state:02X}"),
+    )
+)
 guarding("toggle_reset 7.2.8.3.2.1: reset communication sets the toggle bit to 0", GUARDING)(
     do.run(life, 0, 0), do.run(guard, "7F"), do.reset(RESET_COMMUNICATION), do.run(life, 0, 0), do.run(guard, "7F")
 )
 
 
-@guarding("7.2.8.2.2.2: the life time runs out: EMCY 8130h; the next remote frame cures", GUARDING)
-def life_lost(dut: Dut) -> None:
-    life(dut, 30, 2)
-    guard(dut, "7F")
-    start_us = dut.now_us
-    frame = dut.emcy("30 81 *", 120)
-    dut.check_ms("life time", frame.at_us - start_us, 60)
-    guard(dut, "FF")
-    dut.emcy("00 00 *")
-
-
-@guarding("7.2.8.2.2.2: remote frames in time: no life guarding error", GUARDING)
-def life_in_time(dut: Dut) -> None:
-    life(dut, 50, 3)
-    for wanted in ("7F", "FF", "7F"):
-        guard(dut, wanted)
-        dut.no_emcy(ms=80)
+guarding("life_lost 7.2.8.2.2.2: the life time runs out: EMCY 8130h; the next remote frame cures", GUARDING)(
+    do.run(life, 30, 2),
+    do.run(guard, "7F"),
+    do.after(60, "life time", do.emcy("30 81 *", 120)),
+    do.run(guard, "FF"),
+    do.emcy("00 00 *"),
+)
+guarding("life_in_time 7.2.8.2.2.2: remote frames in time: no life guarding error", GUARDING)(
+    do.run(life, 50, 3), *(step for wanted in ("7F", "FF", "7F") for step in (do.run(guard, wanted), do.no_emcy(ms=80)))
+)
 
 
 @guarding("7.2.8.2.2.2: no life guarding before the first remote frame, nor with {0}", GUARDING, each=[
@@ -256,9 +232,6 @@ guarding("life_behaviour 7.5.2.32: life guarding lost in OPERATIONAL: PRE-OPERAT
 )
 
 
-@guarding("7.2.8.3.2.1: a data frame on the guarding identifier is not answered", GUARDING)
-def no_guard(dut: Dut) -> None:
-    life(dut, 0, 0)
-    dut.nmt(STOP)
-    dut.send(0x700 + dut.node_id)
-    dut.no_heartbeat()
+guarding("no_guard 7.2.8.3.2.1: a data frame on the guarding identifier is not answered", GUARDING)(
+    do.run(life, 0, 0), do.nmt(STOP), lambda dut: dut.send(0x700 + dut.node_id), do.no_heartbeat()
+)

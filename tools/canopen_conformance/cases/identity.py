@@ -74,18 +74,14 @@ def configuration_lost(dut: Dut) -> None:
     dut.holds("I", 0x1020, 1, before)
 
 
-@identity(
-    "7.5.2.33: 1200h:{0} is the pre-defined COB-ID {1:03X}h + node-id",
+identity.each(
+    "sdo_server 7.5.2.33: 1200h:{0} is the pre-defined COB-ID {1:03X}h + node-id",
     ((0x1200, 1), (0x1200, 2)),
-    each=[(1, 0x600), (2, 0x580)],
+    [(1, 0x600), (2, 0x580)],
+)(lambda sub, base: lambda dut: dut.holds("I", 0x1200, sub, base + dut.node_id))
+identity.each("sdo_server_constant 7.5.2.33: 1200h:{0} cannot be written", ((0x1200, 1), (0x1200, 2)), [(1,), (2,)])(
+    lambda sub: lambda dut: dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, Abort.READ_ONLY)
 )
-def sdo_server(dut: Dut, sub: int, base: int) -> None:
-    dut.holds("I", 0x1200, sub, base + dut.node_id)
-
-
-@identity("7.5.2.33: 1200h:{0} cannot be written", ((0x1200, 1), (0x1200, 2)), each=[(1,), (2,)])
-def sdo_server_constant(dut: Dut, sub: int) -> None:
-    dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, Abort.READ_ONLY)
 
 
 def predefined(dut: Dut, index: int, base: int) -> None:
@@ -140,11 +136,11 @@ storage.each(
 )(lambda index, _name, signature: do.refuses_bytes(index, 1, signature.encode(), *WRONG_SIGNATURE))
 
 
-@storage("7.5.2.13: the signature of the other object is a wrong one", GROUP, each=[
-    (0x1010, LOAD), (0x1011, SAVE),
-])  # fmt: skip
-def other_signature(dut: Dut, index: int, signature: int) -> None:
-    dut.refuses("I", index, 1, signature, *WRONG_SIGNATURE)
+storage.each(
+    "other_signature 7.5.2.13: the signature of the other object is a wrong one",
+    GROUP,
+    [(0x1010, LOAD), (0x1011, SAVE)],
+)(lambda index, signature: do.refuses("I", index, 1, signature, *WRONG_SIGNATURE))
 
 
 storage.each("size 7.5.2.13: {1}: two bytes are refused by their length", GROUP, BOTH)(
@@ -152,9 +148,9 @@ storage.each("size 7.5.2.13: {1}: two bytes are refused by their length", GROUP,
 )
 
 
-@storage("7.5.2.13: {1} of a group that is not there: 06090011h", GROUP, each=BOTH)
-def no_group(dut: Dut, index: int, _name: str) -> None:
-    dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB)
+storage.each("no_group 7.5.2.13: {1} of a group that is not there: 06090011h", GROUP, BOTH)(
+    lambda index, _name: lambda dut: dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB)
+)
 
 
 storage.each(

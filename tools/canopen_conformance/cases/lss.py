@@ -146,11 +146,9 @@ def inquire(dut: Dut, part: int, _name: str) -> None:
         dut.expect(SLAVE, struct.pack("<BIxxx", 0x5A + part, own[part]).hex())
 
 
-@case("6.5: inquire node-id", IDENTITY)
-def inquire_node_id(dut: Dut) -> None:
-    with configuring(dut):
-        say(dut, 0x5E)
-        dut.expect(SLAVE, f"5E {dut.node_id:02X} 00 00 00 00 00 00")
+case("inquire_node_id 6.5: inquire node-id", IDENTITY)(
+    do.within(configuring, do.run(say, 0x5E), lambda dut: dut.expect(SLAVE, f"5E {dut.node_id:02X} 00 00 00 00 00 00"))
+)
 
 
 case.each(
@@ -249,10 +247,8 @@ case("store 6.4.3: store configuration: error 0", IDENTITY, persistent=True)(
 )
 
 
-@case("6.4: configuration services in the waiting state do nothing", IDENTITY, each=[
-    (0x11, OTHER_ID), (0x13, 0), (0x17, 0),
-])  # fmt: skip
-def configure_waiting(dut: Dut, service: int, value: int) -> None:
-    say(dut, service, value)
-    dut.silence(SLAVE)
-    dut.reset(RESET_COMMUNICATION)
+case.each(
+    "configure_waiting 6.4: configuration services in the waiting state do nothing",
+    IDENTITY,
+    [(0x11, OTHER_ID), (0x13, 0), (0x17, 0)],
+)(lambda service, value: (do.run(say, service, value), do.silence(SLAVE), do.reset(RESET_COMMUNICATION)))

@@ -17,7 +17,9 @@ from canopen_conformance.wire import (
     REMOTE_FLAG,
     RESET_COMMUNICATION,
     RESET_NODE,
+    RESETS,
     START,
+    STATES,
     STOP,
     STOPPED,
 )
@@ -25,80 +27,54 @@ from canopen_conformance.wire import (
 case = Service("nmt")
 
 HEARTBEAT = ((0x1017, 0),)
-STATES = {PRE_OPERATIONAL: "PRE-OPERATIONAL", OPERATIONAL: "OPERATIONAL", STOPPED: "STOPPED"}
-COMMANDS = {START: "start", STOP: "stop", ENTER_PRE_OPERATIONAL: "enter PRE-OPERATIONAL"}
+COMMANDS = [(START, "start"), (STOP, "stop"), (ENTER_PRE_OPERATIONAL, "enter PRE-OPERATIONAL")]
 AFTER = {START: OPERATIONAL, STOP: STOPPED, ENTER_PRE_OPERATIONAL: PRE_OPERATIONAL}
-RESETS = {RESET_NODE: "reset node", RESET_COMMUNICATION: "reset communication"}
-TARGETS = ("to this node", "to all nodes")
-
-
-@case(
-    "7.2.8.3.1: {3} in {2}, {4}",
-    HEARTBEAT,
-    each=[
-        (before, command, STATES[before], COMMANDS[command], target)
-        for target in TARGETS
-        for before in STATES
-        for command in COMMANDS
-    ],
-)
-def transition(dut: Dut, before: int, command: int, _in: str, _what: str, target: str) -> None:
-    dut.beat()
-    dut.enter(before)
-    dut.nmt(command, None if target == TARGETS[0] else 0)
-    dut.state(AFTER[command])
-
-
-@case(
-    "7.2.8.3.1: {3} in {2}, {4}: boot-up, then PRE-OPERATIONAL",
-    HEARTBEAT,
-    each=[
-        (before, command, STATES[before], RESETS[command], target)
-        for target in TARGETS
-        for before in STATES
-        for command in RESETS
-    ],
-)
-def reset(dut: Dut, before: int, command: int, _in: str, _what: str, target: str) -> None:
-    dut.waits_for_start()
-    dut.enter(before)
-    dut.forget()
-    dut.nmt(command, None if target == TARGETS[0] else 0)
-    dut.boot_up()
-    dut.beat()
-    dut.state(PRE_OPERATIONAL)
-
+TARGETS = [(None, "to this node"), (0, "to all nodes")]
 
 case.each(
-    "ignored 7.2.8.3.1: ignored: {1}",
+    "transition 7.2.8.3.1: {1[1]} in {0[1]}, {2[1]}",
+    HEARTBEAT,
+    [(before, command, target) for target in TARGETS for before in STATES for command in COMMANDS],
+)(
+    lambda before, command, target: (
+        do.beat(),
+        do.enter(before[0]),
+        do.nmt(command[0], target[0]),
+        do.state(AFTER[command[0]]),
+    )
+)
+case.each(
+    "reset 7.2.8.3.1: {1[1]} in {0[1]}, {2[1]}: boot-up, then PRE-OPERATIONAL",
+    HEARTBEAT,
+    [(before, command, target) for target in TARGETS for before in STATES for command in RESETS],
+)(
+    lambda before, command, target: (
+        do.waits_for_start(),
+        do.enter(before[0]),
+        do.forget(),
+        do.nmt(command[0], target[0]),
+        do.boot_up(),
+        do.beat(),
+        do.state(PRE_OPERATIONAL),
+    )
+)
+case.each(
+    "ignored 7.2.8.3.1: ignored: {2}",
     HEARTBEAT,
     [
-        (frame, why)
-        for why, frame in {
-            "start of another node": (0, "01 7E"),
-            "no data": (0, ""),
-            "one byte": (0, "01"),
-            "three bytes": (0, "01 00 00"),
-            "eight bytes": (0, "01 00 00 00 00 00 00 00"),
-            "command specifier 0": (0, "00 00"),
-            "command specifier 3": (0, "03 00"),
-            "command specifier 127": (0, "7F 00"),
-            "command specifier 131": (0, "83 00"),
-            "command specifier 255": (0, "FF 00"),
-            "start in a 29-bit frame": (EXTENDED_FLAG, "01 00"),
-            "a remote frame": (REMOTE_FLAG, ""),
-        }.items()
+        (0, "01 7E", "start of another node"),
+        (0, "", "no data"),
+        (0, "01", "one byte"),
+        (0, "01 00 00", "three bytes"),
+        (0, "01 00 00 00 00 00 00 00", "eight bytes"),
+        *((0, f"{command:02X} 00", f"command specifier {command}") for command in (0, 3, 127, 131, 255)),
+        (EXTENDED_FLAG, "01 00", "start in a 29-bit frame"),
+        (REMOTE_FLAG, "", "a remote frame"),
     ],
-)(lambda frame, _why: (do.beat(), do.send(*frame), do.state(PRE_OPERATIONAL), do.silence()))
-
-
-@case("7.2.8.3.1: node-id + 128 in the command is not this node", HEARTBEAT)
-def node_id_with_high_bit(dut: Dut) -> None:
-    dut.beat()
-    dut.nmt(START, 0x80 | dut.node_id)
-    dut.state(PRE_OPERATIONAL)
-
-
+)(lambda can_id, data, _why: (do.beat(), do.send(can_id, data), do.state(PRE_OPERATIONAL), do.silence()))
+case("node_id_with_high_bit 7.2.8.3.1: node-id + 128 in the command is not this node", HEARTBEAT)(
+    do.beat(), lambda dut: dut.nmt(START, 0x80 | dut.node_id), do.state(PRE_OPERATIONAL)
+)
 case.each(
     "boot_up_once 7.2.8.3.3: the boot-up message is one byte 00, and one message alone", (), [(RESET_NODE,), (130,)]
 )(lambda command: (do.reset(command), do.silence(), do.no_heartbeat(ms=10)))
@@ -114,9 +90,9 @@ def boot_up_first(dut: Dut) -> None:
     dut.boot_up()
 
 
-case.each(
-    "sdo_served 7.3.2.3: SDO is served in {1}", (), [(PRE_OPERATIONAL, "PRE-OPERATIONAL"), (OPERATIONAL, "OPERATIONAL")]
-)(lambda state, _name: (do.enter(state), do.ask("40 00 10 00", "43 00 10 00 *")))
+case.each("sdo_served 7.3.2.3: SDO is served in {1}", (), STATES[:2])(
+    lambda state, _name: (do.enter(state), do.ask("40 00 10 00", "43 00 10 00 *"))
+)
 case("sdo_stopped 7.3.2.3: SDO is not served in STOPPED, and served again after it")(
     do.nmt(STOP),
     do.request("40 00 10 00"),
@@ -137,23 +113,18 @@ def stop_ends_sdo(dut: Dut) -> None:
     dut.ask("60", lambda data: data[0] == 0x80)
 
 
-@case(
-    "7.3.2.3: a synchronous TPDO in {1}: {2}",
+case.each(
+    "tpdo_by_state 7.3.2.3: a synchronous TPDO in {1}: {2}",
     TPDO1,
-    each=[
-        (PRE_OPERATIONAL, "PRE-OPERATIONAL", "silent"),
-        (OPERATIONAL, "OPERATIONAL", "sent"),
-        (STOPPED, "STOPPED", "silent"),
-    ],
+    [(*state, does) for state, does in zip(STATES, ("silent", "sent", "silent"), strict=True)],
+)(
+    lambda state, _name, does: (
+        do.run(enable_tpdo1, 1),
+        do.enter(state),
+        do.send(0x080),
+        do.pdo() if does == "sent" else do.no_pdo(),
+    )
 )
-def tpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
-    enable_tpdo1(dut, transmission=1)
-    dut.enter(state)
-    dut.send(0x080)
-    if does == "sent":
-        dut.pdo()
-    else:
-        dut.no_pdo()
 
 
 @case("7.3.2.3: TPDOs stop when OPERATIONAL is left, and go on when it is entered again", TPDO1)
@@ -171,7 +142,7 @@ def tpdo_leave_and_return(dut: Dut) -> None:
 @case(
     "7.3.2.3: an RPDO in {1}: {2}",
     ((0x1013, 0), (0x1400, 1), (0x1600, 0)),
-    each=[(PRE_OPERATIONAL, "PRE-OPERATIONAL", "ignored"), (OPERATIONAL, "OPERATIONAL", "taken")],
+    each=[(*STATES[0], "ignored"), (*STATES[1], "taken")],
 )
 def rpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
     mapped_rpdo1(dut, 0x10130020)

@@ -171,9 +171,9 @@ def restored(dut: Dut) -> None:
         dut.holds(*entry, value)
 
 
-@case("7.5.2.37: PDO parameters are written in OPERATIONAL too", TPDO1)
-def operational(dut: Dut) -> None:
-    dut.enter(OPERATIONAL)
-    enable_tpdo1(dut, 1)
-    dut.send(0x080)
-    dut.expect(dut.integer("I", 0x1800, 1) & 0x7FF)
+case("operational 7.5.2.37: PDO parameters are written in OPERATIONAL too", TPDO1)(
+    do.enter(OPERATIONAL),
+    do.run(enable_tpdo1, 1),
+    do.send(0x080),
+    lambda dut: dut.expect(dut.integer("I", 0x1800, 1) & 0x7FF),
+)

@@ -105,10 +105,9 @@ def segment_without_transfer(dut: Dut, command: str, _what: str) -> None:
     check(data[0] == 0x80 and data[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND), "abort 05040001h", data.hex(" "))
 
 
-@expedited("7.2.4.3: a request of {0} bytes is no SDO", each=[(0,), (1,), (4,), (7,)])
-def request_length(dut: Dut, length: int) -> None:
-    dut.send(0x600 + dut.node_id, bytes.fromhex("4000100000000000")[:length])
-    dut.no_sdo()
+expedited.each("request_length 7.2.4.3: a request of {0} bytes is no SDO", (), [(0,), (1,), (4,), (7,)])(
+    lambda length: (lambda dut: dut.send(0x600 + dut.node_id, bytes.fromhex("4000100000000000")[:length]), do.no_sdo())
+)
 
 
 @expedited(
@@ -124,10 +123,9 @@ def no_request(dut: Dut, can_id: int, _what: str) -> None:
     dut.no_sdo()
 
 
-@expedited("7.2.4.3: a request to another node is not answered")
-def other_node(dut: Dut) -> None:
-    dut.send(0x600 + (dut.node_id ^ 0x40), "40 00 10 00 00 00 00 00")
-    dut.no_sdo()
+expedited("other_node 7.2.4.3: a request to another node is not answered")(
+    lambda dut: dut.send(0x600 + (dut.node_id ^ 0x40), "40 00 10 00 00 00 00 00"), do.no_sdo()
+)
 
 
 expedited(

@@ -37,11 +37,11 @@ sync("bit_31 7.5.2.5: bit 31 of 1005h is not looked at", (*TPDO1, (0x1005, 0)))(
 )
 
 
-@sync("7.3.5: 1005h with the restricted CAN-ID {0:03X}h: 06090030h", ((0x1005, 0),), each=[
-    (0x000,), (0x07F,), (0x101,), (0x580 | 5,), (0x600 | 5,), (0x6E0,), (0x701,),
-])  # fmt: skip
-def restricted(dut: Dut, can_id: int) -> None:
-    dut.refuses("I", 0x1005, 0, can_id, Abort.INVALID_VALUE)
+sync.each(
+    "restricted 7.3.5: 1005h with the restricted CAN-ID {0:03X}h: 06090030h",
+    ((0x1005, 0),),
+    [(0x000,), (0x07F,), (0x101,), (0x580 | 5,), (0x600 | 5,), (0x6E0,), (0x701,)],
+)(lambda can_id: do.refuses("I", 0x1005, 0, can_id, Abort.INVALID_VALUE))
 
 
 sync("remote_frame 7.2.5: a remote frame is no SYNC", TPDO1)(
@@ -144,11 +144,11 @@ time.each("taken 7.5.2.15: 1012h = {0:08X}h is taken", TIME, [(0x100,), (0x80000
 )
 
 
-@time("7.3.5: 1012h with the restricted CAN-ID {0:03X}h: 06090030h", TIME, each=[
-    (0x001,), (0x07F,), (0x101,), (0x581,), (0x601,), (0x6E0,), (0x701,),
-])  # fmt: skip
-def time_restricted(dut: Dut, can_id: int) -> None:
-    dut.refuses("I", 0x1012, 0, CONSUME | can_id, Abort.INVALID_VALUE)
+time.each(
+    "restricted 7.3.5: 1012h with the restricted CAN-ID {0:03X}h: 06090030h",
+    TIME,
+    [(0x001,), (0x07F,), (0x101,), (0x581,), (0x601,), (0x6E0,), (0x701,)],
+)(lambda can_id: do.refuses("I", 0x1012, 0, CONSUME | can_id, Abort.INVALID_VALUE))
 
 
 @time("7.2.6.3: a TIME message in {1} is not answered and no error", (*TIME, (0x1001, 0)), each=[

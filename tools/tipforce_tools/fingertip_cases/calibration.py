@@ -232,9 +232,9 @@ def wrong_unlock(dut: Dut) -> None:
         unlock(dut)
 
 
-@calibration("2140h: the active record cannot be written")
-def active_read_only(dut: Dut) -> None:
-    dut.refuses_bytes(0x2140, 0, record(dut), Abort.READ_ONLY)
+calibration("active_read_only 2140h: the active record cannot be written")(
+    lambda dut: dut.refuses_bytes(0x2140, 0, record(dut), Abort.READ_ONLY)
+)
 
 
 def loaded(dut: Dut, newtons: float) -> None:

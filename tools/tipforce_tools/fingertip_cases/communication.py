@@ -44,11 +44,9 @@ nmt.each(
 )(lambda value: (do.refuses("I", 0x1F80, 0, value, Abort.INVALID_VALUE), do.holds("I", 0x1F80, 0, 4)))
 
 
-@node_guarding("7.2.8.2.2: with a heartbeat there is no node guarding", GUARDING)
-def heartbeat_excludes(dut: Dut) -> None:
-    dut.put("H", 0x1017, 0, 5000)
-    dut.send(0x700 + dut.node_id | REMOTE_FLAG)
-    dut.no_heartbeat()
+node_guarding("heartbeat_excludes 7.2.8.2.2: with a heartbeat there is no node guarding", GUARDING)(
+    do.put("H", 0x1017, 0, 5000), lambda dut: dut.send(0x700 + dut.node_id | REMOTE_FLAG), do.no_heartbeat()
+)
 
 
 @error_control("7.2.8.3.2.2: the boot-up message starts the first period of the default 1017h", PRODUCER)
@@ -61,11 +59,11 @@ def first_period(dut: Dut) -> None:
     dut.check_ms("boot-up to heartbeat", beat.at_us - boot.at_us, ms)
 
 
-@error_control("7.5.2.19: {0:08X}h is refused: {1}", CONSUMER, each=[
-    (0x00800064, "node-id 128"), (0x01700064, "reserved bits"), (0xFF700064, "reserved bits"),
-])  # fmt: skip
-def consumer_value(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1016, 1, value, Abort.INVALID_VALUE)
+error_control.each(
+    "consumer_value 7.5.2.19: {0:08X}h is refused: {1}",
+    CONSUMER,
+    [(0x00800064, "node-id 128"), (0x01700064, "reserved bits"), (0xFF700064, "reserved bits")],
+)(lambda value, _why: do.refuses("I", 0x1016, 1, value, Abort.INVALID_VALUE))
 
 
 error_control("behaviour_refused 7.5.2.32: 1029h:1 = 3 is refused", ((0x1029, 1),))(
@@ -89,12 +87,9 @@ emcy("queue 7.5.2.18: many messages wait, in their order", INHIBIT)(
 )
 
 
-@emcy("7.2.7.1: another node sends this node's heartbeat: EMCY 8150h, once", NEEDS)
-def collision(dut: Dut) -> None:
-    for _ in range(3):
-        dut.send(0x700 + dut.node_id, "05")
-    dut.emcy("50 81 11 *")
-    dut.no_emcy()
+emcy("collision 7.2.7.1: another node sends this node's heartbeat: EMCY 8150h, once", NEEDS)(
+    do.repeat(3, lambda dut: dut.send(0x700 + dut.node_id, "05")), do.emcy("50 81 11 *"), do.no_emcy()
+)
 
 
 @emcy("7.2.7.1: an identifier that a TPDO has left may be another node's", (*NEEDS, (0x1800, 1)))

@@ -103,16 +103,15 @@ def counted_anew(dut: Dut) -> None:
     check(answered == [3], "an answer to the third SYNC", f"answers to SYNC {answered}")
 
 
-@tpdo("7.2.2.2: type 0: silent at a SYNC while there was no event", TPDO1)
-def acyclic(dut: Dut) -> None:
-    enable_tpdo1(dut, 0)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.sleep(dut.link.tolerance_ms)
-    dut.forget_pdo()
-    for _ in range(3):
-        dut.send(0x080)
-    dut.no_pdo()
+tpdo("acyclic 7.2.2.2: type 0: silent at a SYNC while there was no event", TPDO1)(
+    do.run(enable_tpdo1, 0),
+    do.nmt(START),
+    do.send(0x080),
+    lambda dut: dut.sleep(dut.link.tolerance_ms),
+    do.forget_pdo(),
+    do.repeat(3, do.send(0x080)),
+    do.no_pdo(),
+)
 
 
 tpdo.each("first_values 7.2.2.2: type {0}: sent once when OPERATIONAL is entered", TPDO1, [(254,), (255,)])(
@@ -218,20 +217,20 @@ interrupts_404("hysteresis 6136h: the hysteresis holds a value outside until it 
 )
 
 
-@interrupts_404("CiA 301 7.2.2.2: type 0: an interrupt is sent with the next SYNC, once", NEEDS)
-def interrupts_404_acyclic(dut: Dut) -> None:
-    dut.put("f", 0x6133, 1, 100.0)
-    begin(dut, 0)
-    dut.send(0x080)
-    dut.sleep(dut.link.tolerance_ms)
-    dut.forget_pdo()
-    shift(dut, 150.0)
-    dut.sleep(5)
-    dut.send(0x080)
-    dut.pdo()
-    dut.sleep(5)
-    dut.send(0x080)
-    dut.no_pdo()
+interrupts_404("acyclic CiA 301 7.2.2.2: type 0: an interrupt is sent with the next SYNC, once", NEEDS)(
+    do.put("f", 0x6133, 1, 100.0),
+    do.run(begin, 0),
+    do.send(0x080),
+    lambda dut: dut.sleep(dut.link.tolerance_ms),
+    do.forget_pdo(),
+    do.run(shift, 150.0),
+    do.sleep(5),
+    do.send(0x080),
+    do.pdo(),
+    do.sleep(5),
+    do.send(0x080),
+    do.no_pdo(),
+)
 
 
 @interrupts_404(

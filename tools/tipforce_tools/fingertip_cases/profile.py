@@ -43,23 +43,19 @@ def settle(dut: Dut) -> None:
 # --- what the channels are --------------------------------------------------------------------------------
 
 
-@profile_404("6110h: the sensor type of a {0}", each=[
-    (part, value) for part, value in zip(PARTS, (70, 10001, 10002, 10003, 10003), strict=True)
-])  # fmt: skip
-def sensor_type(dut: Dut, part: str, value: int) -> None:
-    dut.holds("H", 0x6110, channel(dut, part), value)
-
-
-@profile_404("6131h: the unit of a {0}", each=[
-    (part, value) for part, value in zip(PARTS, (0xFA010100, 0x210000, 0x210000, 0x410000, 0x410000), strict=True)
-])  # fmt: skip
-def unit(dut: Dut, part: str, value: int) -> None:
-    dut.holds("I", 0x6131, channel(dut, part), value)
-
-
-@profile_404("6132h: the decimal digits of a {0}", each=list(zip(PARTS, (1, 3, 3, 2, 2), strict=True)))
-def digits(dut: Dut, part: str, value: int) -> None:
-    dut.holds("B", 0x6132, channel(dut, part), value)
+profile_404.each(
+    "sensor_type 6110h: the sensor type of a {0}",
+    (),
+    [(part, value) for part, value in zip(PARTS, (70, 10001, 10002, 10003, 10003), strict=True)],
+)(lambda part, value: lambda dut: dut.holds("H", 0x6110, channel(dut, part), value))
+profile_404.each(
+    "unit 6131h: the unit of a {0}",
+    (),
+    [(part, value) for part, value in zip(PARTS, (0xFA010100, 0x210000, 0x210000, 0x410000, 0x410000), strict=True)],
+)(lambda part, value: lambda dut: dut.holds("I", 0x6131, channel(dut, part), value))
+profile_404.each("digits 6132h: the decimal digits of a {0}", (), list(zip(PARTS, (1, 3, 3, 2, 2), strict=True)))(
+    lambda part, value: lambda dut: dut.holds("B", 0x6132, channel(dut, part), value)
+)
 
 
 @profile_404("{0:04X}h: sub-index 0 of {0:04X}h counts {1}", each=[
@@ -251,18 +247,15 @@ def filter_type(dut: Dut, value: int) -> None:
     dut.holds("B", 0x61A0, 1, 0)
 
 
-@settings_404("61A0h: filter type {0} is refused", each=[
-    (3, Abort.INVALID_VALUE), (99, Abort.INVALID_VALUE), (101, Abort.TOO_HIGH), (255, Abort.TOO_HIGH),
-])  # fmt: skip
-def filter_type_refused(dut: Dut, value: int, code: int) -> None:
-    dut.refuses("B", 0x61A0, 1, value, code)
-    dut.holds("B", 0x61A0, 1, 0)
-
-
-@settings_404("61A0h: a contact channel has no filter: 06090011h")
-def filter_of_contact(dut: Dut) -> None:
-    dut.refuses("B", 0x61A0, gauges(dut) + 1, 1, Abort.NO_SUB)
-    dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, Abort.NO_SUB)
+settings_404.each(
+    "filter_type_refused 61A0h: filter type {0} is refused",
+    (),
+    [(3, Abort.INVALID_VALUE), (99, Abort.INVALID_VALUE), (101, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)],
+)(lambda value, code: (do.refuses("B", 0x61A0, 1, value, code), do.holds("B", 0x61A0, 1, 0)))
+settings_404("filter_of_contact 61A0h: a contact channel has no filter: 06090011h")(
+    lambda dut: dut.refuses("B", 0x61A0, gauges(dut) + 1, 1, Abort.NO_SUB),
+    lambda dut: dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, Abort.NO_SUB),
+)
 
 
 @settings_404("61A1h: a moving average takes {0} values: {1}", each=[
@@ -322,7 +315,6 @@ def autotare_signature(dut: Dut) -> None:
     dut.refuses("I", 0x6139, 1, table.SIGNATURE_TARA, Abort.NO_SUB)
 
 
-@settings_404("6139h: autotare without calibration: 08000022h")
-def autotare_unknown(dut: Dut) -> None:
-    uncalibrated(dut)
-    dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, Abort.DEVICE_STATE)
+settings_404("autotare_unknown 6139h: autotare without calibration: 08000022h")(
+    uncalibrated, lambda dut: dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, Abort.DEVICE_STATE)
+)

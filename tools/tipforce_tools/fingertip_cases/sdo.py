@@ -25,21 +25,16 @@ block_upload = Service("sdo_block", own=True)
 download = Service("sdo_block_download", own=True)
 
 
-@sdo("7.2.4.3.17: 06010001h: a read of {0:04X}h:{1}, which can only be written", each=[
-    (0x2104, 0), (0x2105, 3), (0x6125, 1),
-])  # fmt: skip
-def write_only(dut: Dut, index: int, sub: int) -> None:
-    dut.request(struct.pack("<BHB", 0x40, index, sub))
-    dut.aborted(index, sub, Abort.WRITE_ONLY)
-
-
-@sdo("7.2.4.3.17: 06090032h: a value below the limit of {0:04X}h:{1}", each=[
-    (0x6114, 1, "I", 99), (0x6112, 1, "B", 0), (0x61A1, 1, "H", 0),
-])  # fmt: skip
-def value_low(dut: Dut, index: int, sub: int, kind: str, value: int) -> None:
-    before = dut.number(kind, index, sub)
-    dut.refuses(kind, index, sub, value, Abort.TOO_LOW)
-    dut.holds(kind, index, sub, before)
+sdo.each(
+    "write_only 7.2.4.3.17: 06010001h: a read of {0:04X}h:{1}, which can only be written",
+    (),
+    [(0x2104, 0), (0x2105, 3), (0x6125, 1)],
+)(lambda index, sub: (do.request(struct.pack("<BHB", 0x40, index, sub)), do.aborted(index, sub, Abort.WRITE_ONLY)))
+sdo.each(
+    "value_low 7.2.4.3.17: 06090032h: a value below the limit of {0:04X}h:{1}",
+    (),
+    [(0x6114, 1, "I", 99), (0x6112, 1, "B", 0), (0x61A1, 1, "H", 0)],
+)(lambda index, sub, kind, value: do.unchanged(kind, index, sub, do.refuses(kind, index, sub, value, Abort.TOO_LOW)))
 
 
 RECORD = ((0x2141, 0),)
@@ -246,12 +241,11 @@ download.each("too_much 7.2.4.3.10: more data than stated: {0:08X}h, before the 
 )
 
 
-@download("7.2.4.3.9: a size that the object cannot have is refused at the initiate", BEAT, each=[
-    (1, Abort.TOO_SHORT), (3, Abort.TOO_LONG), (0xFFFFFFFF, Abort.TOO_LONG),
-])  # fmt: skip
-def refused_size(dut: Dut, size: int, code: int) -> None:
-    dut.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size))
-    dut.aborted(0x1017, 0, code)
+download.each(
+    "refused_size 7.2.4.3.9: a size that the object cannot have is refused at the initiate",
+    BEAT,
+    [(1, Abort.TOO_SHORT), (3, Abort.TOO_LONG), (0xFFFFFFFF, Abort.TOO_LONG)],
+)(lambda size, code: (do.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size)), do.aborted(0x1017, 0, code)))
 
 
 @download("7.2.4.3.17: a client that is silent {1}: 05040000h", BEAT, each=[
