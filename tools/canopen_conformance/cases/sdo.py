@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance.case import NotApplicableError, Service, Step, check
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import EXTENDED_FLAG, REMOTE_FLAG, RESET_COMMUNICATION, Abort
 
@@ -15,23 +15,27 @@ segmented = Service("sdo_segmented")
 BEAT = ((0x1017, 0),)
 
 
-@expedited("7.2.4.3.6: an UNSIGNED32 is read expedited, with its size", each=[(0x1000, 0), (0x1018, 1)])
-def upload_u32(dut: Dut, index: int, sub: int) -> None:
-    head = struct.pack("<BHB", 0x40, index, sub)
-    dut.ask(head, f"43 {head[1:].hex()} *")
+def not_written(*steps: Step) -> Step:
+    """Take the steps, and check that they left 1017h as it was."""
+    return do.unchanged("H", 0x1017, 0, *steps)
 
 
+def over(dut: Dut) -> None:
+    """Check that no transfer goes on: a segment is aborted."""
+    dut.ask("60", lambda data: data[0] == 0x80)
+
+
+expedited.each(
+    "upload_u32 7.2.4.3.6: an UNSIGNED32 is read expedited, with its size", (), [("00 10 00",), ("18 10 01",)]
+)(lambda place: do.ask(f"40 {place}", f"43 {place} *"))
 expedited("upload_u16 7.2.4.3.6: an UNSIGNED16 is read expedited, two bytes unused", BEAT)(
     do.ask("40 17 10 00", "4B 17 10 00 .. ..")
 )
 
 
-@expedited("7.2.4.3.6: an UNSIGNED8 is read expedited, three bytes unused", each=[(0x1001, 0), (0x1018, 0)])
-def upload_u8(dut: Dut, index: int, sub: int) -> None:
-    head = struct.pack("<BHB", 0x40, index, sub)
-    dut.ask(head, f"4F {head[1:].hex()} ..")
-
-
+expedited.each(
+    "upload_u8 7.2.4.3.6: an UNSIGNED8 is read expedited, three bytes unused", (), [("01 10 00",), ("18 10 00",)]
+)(lambda place: do.ask(f"40 {place}", f"4F {place} .."))
 expedited("download 7.2.4.3.3: a write is confirmed with 60h and the multiplexer, and is read back", BEAT)(
     do.ask("2B 17 10 00 34 12", "60 17 10 00"), do.ask("40 17 10 00", "4B 17 10 00 34 12")
 )
@@ -49,14 +53,15 @@ expedited("download_without_size 7.2.4.3.3: expedited without a size: the object
 )
 
 
-@expedited("7.2.4.3.3: {1} bytes for an UNSIGNED16 are refused", BEAT, each=[
-    ("2F", 1, Abort.TOO_SHORT), ("27", 3, Abort.TOO_LONG), ("23", 4, Abort.TOO_LONG),
-])  # fmt: skip
-def download_size(dut: Dut, command: str, _size: int, code: int) -> None:
-    before = dut.integer("H", 0x1017)
-    dut.request(f"{command} 17 10 00 11 00 00 00")
-    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
-    dut.holds("H", 0x1017, 0, before)
+expedited.each(
+    "download_size 7.2.4.3.3: {1} bytes for an UNSIGNED16 are refused",
+    BEAT,
+    [("2F", 1, Abort.TOO_SHORT), ("27", 3, Abort.TOO_LONG), ("23", 4, Abort.TOO_LONG)],
+)(
+    lambda command, _size, code: not_written(
+        do.request(f"{command} 17 10 00 11 00 00 00"), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
+    )
+)
 
 
 @expedited("7.2.4.3.17: 06010002h: a write to {0:04X}h:{1}, which can only be read", each=[
@@ -68,18 +73,13 @@ def read_only(dut: Dut, index: int, sub: int) -> None:
     dut.aborted(index, sub, Abort.READ_ONLY)
 
 
-@expedited("7.2.4.3.17: 06020000h: {0} of an object that is not there", each=[("upload",), ("download",)])
-def no_object(dut: Dut, which: str) -> None:
-    dut.request("40 FF FF 00" if which == "upload" else "23 FF FF 00")
-    dut.aborted(0xFFFF, 0, Abort.NO_OBJECT)
-
-
-@expedited("7.2.4.3.17: 06090011h: {0} of a sub-index that is not there", each=[("upload",), ("download",)])
-def no_sub(dut: Dut, which: str) -> None:
-    dut.request("40 18 10 77" if which == "upload" else "23 18 10 77")
-    dut.aborted(0x1018, 0x77, Abort.NO_SUB)
-
-
+BOTH_WAYS = [("upload", "40"), ("download", "23")]
+expedited.each("no_object 7.2.4.3.17: 06020000h: {0} of an object that is not there", (), BOTH_WAYS)(
+    lambda _which, command: (do.request(f"{command} FF FF 00"), do.aborted(0xFFFF, 0, Abort.NO_OBJECT))
+)
+expedited.each("no_sub 7.2.4.3.17: 06090011h: {0} of a sub-index that is not there", (), BOTH_WAYS)(
+    lambda _which, command: (do.request(f"{command} 18 10 77"), do.aborted(0x1018, 0x77, Abort.NO_SUB))
+)
 expedited("variable_sub 7.4.3: a simple variable has sub-index 0 alone")(
     do.request("40 00 10 01"), do.aborted(0x1000, 1, Abort.NO_SUB)
 )
@@ -197,12 +197,10 @@ def upload_toggle(dut: Dut, segments: int, _when: str) -> None:
         dut.ask("60", "0. *")
     dut.request("60" if segments else "70")
     dut.aborted(index, 0, Abort.TOGGLE_BIT)
-    dut.ask("60", lambda data: data[0] == 0x80)
+    over(dut)
 
 
-segmented("upload_over 7.2.4.3.7: after the last segment the transfer is over")(
-    begin_upload, do.read_segments(), do.ask("60", lambda data: data[0] == 0x80)
-)
+segmented("upload_over 7.2.4.3.7: after the last segment the transfer is over")(begin_upload, do.read_segments(), over)
 
 
 @segmented("7.2.4.3.17: the client aborts an upload: no answer, the transfer is over")
@@ -210,7 +208,7 @@ def upload_abort(dut: Dut) -> None:
     index, _size = begin_upload(dut)
     dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
     dut.no_sdo()
-    dut.ask("60", lambda data: data[0] == 0x80)
+    over(dut)
 
 
 @segmented("7.2.4.3.17: a download segment during an upload: 05040001h")
@@ -221,7 +219,7 @@ def upload_wrong_segment(dut: Dut) -> None:
 
 
 segmented("upload_reset 7.2.8.2.1.6: reset communication ends a transfer")(
-    begin_upload, do.reset(RESET_COMMUNICATION), do.ask("60", lambda data: data[0] == 0x80)
+    begin_upload, do.reset(RESET_COMMUNICATION), over
 )
 
 
@@ -242,23 +240,15 @@ segmented("download_two 7.2.4.3.4: two segments: the toggle bit alternates from 
     begin_download, do.ask("0C 34", "20"), do.ask("1D 12", "30"), do.holds("H", 0x1017, 0, 0x1234)
 )
 segmented("download_late 7.2.4.3.4: nothing is written before the last segment", BEAT)(
-    do.unchanged("H", 0x1017, 0, begin_download, do.ask("0C 34", "20"), do.request("80 17 10 00 00 00 00 08"))
+    not_written(begin_download, do.ask("0C 34", "20"), do.request("80 17 10 00 00 00 00 08"))
 )
 
 
-@segmented("7.2.4.3.4: a wrong toggle bit {1}: 05030000h, nothing is written", BEAT, each=[
-    (0, "at first"), (1, "later"),
-])  # fmt: skip
-def download_toggle(dut: Dut, segments: int, _when: str) -> None:
-    before = dut.integer("H", 0x1017)
-    begin_download(dut)
-    if segments:
-        dut.ask("0C 34", "20")
-    dut.request("0D 12" if segments else "1B 34 12")
-    dut.aborted(0x1017, 0, Abort.TOGGLE_BIT)
-    dut.holds("H", 0x1017, 0, before)
-
-
+segmented.each(
+    "download_toggle 7.2.4.3.4: a wrong toggle bit {1}: 05030000h, nothing is written",
+    BEAT,
+    [((do.request("1B 34 12"),), "at first"), ((do.ask("0C 34", "20"), do.request("0D 12")), "later")],
+)(lambda steps, _when: not_written(begin_download, *steps, do.aborted(0x1017, 0, Abort.TOGGLE_BIT)))
 segmented.each("download_short 7.2.4.3.4: fewer bytes than stated: {0:08X}h", BEAT, [(Abort.TOO_SHORT,)])(
     lambda code: (begin_download, do.request("0D 34"), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH))
 )
@@ -267,25 +257,25 @@ segmented.each("download_long 7.2.4.3.4: more bytes than stated: {0:08X}h", BEAT
 )
 
 
-@segmented("7.2.4.3.4: size not stated, {1} than the object: refused at the end", BEAT, each=[
-    ("0D 34", "shorter", Abort.TOO_SHORT), ("01 34 12 56 78 9A BC DE", "longer", Abort.TOO_LONG),
-])  # fmt: skip
-def download_wrong_end(dut: Dut, segment: str, _how: str, code: int) -> None:
-    begin_download(dut, None)
-    dut.request(segment)
-    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
-
-
-@segmented("7.2.4.3.17: the client aborts a download: the transfer is over, nothing is written", BEAT)
-def download_abort(dut: Dut) -> None:
-    before = dut.integer("H", 0x1017)
-    begin_download(dut)
-    dut.request("80 17 10 00 00 00 00 08")
-    dut.no_sdo()
-    dut.ask("0B 34 12", lambda data: data[0] == 0x80)
-    dut.holds("H", 0x1017, 0, before)
-
-
+segmented.each(
+    "download_wrong_end 7.2.4.3.4: size not stated, {1} than the object: refused at the end",
+    BEAT,
+    [("0D 34", "shorter", Abort.TOO_SHORT), ("01 34 12 56 78 9A BC DE", "longer", Abort.TOO_LONG)],
+)(
+    lambda segment, _how, code: (
+        do.run(begin_download, None),
+        do.request(segment),
+        do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH),
+    )
+)
+segmented("download_abort 7.2.4.3.17: the client aborts a download: the transfer is over, nothing is written", BEAT)(
+    not_written(
+        begin_download,
+        do.request("80 17 10 00 00 00 00 08"),
+        do.no_sdo(),
+        do.ask("0B 34 12", lambda data: data[0] == 0x80),
+    )
+)
 segmented("download_wrong_segment 7.2.4.3.17: an upload segment during a download: 05040001h", BEAT)(
     begin_download, do.request("60"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
 )

@@ -7,7 +7,7 @@ import struct
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
-from canopen_conformance.cases.sdo import BEAT, NAMES
+from canopen_conformance.cases.sdo import BEAT, NAMES, not_written
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import STOP, Abort
 
@@ -37,6 +37,15 @@ def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> tuple[int
     raise NotApplicableError("no string of several segments")
 
 
+def begun_upload(dut: Dut, started: bool = True) -> int:
+    """Initiate a block upload of one segment a block, and (``started``) receive the first; the index."""
+    index, _data = begin_block_upload(dut, 1)
+    if started:
+        dut.request("A3")
+        block(dut, 1, False)
+    return index
+
+
 def block(dut: Dut, count: int, last: bool) -> bytes:
     """``count`` segments numbered from 1, the last of them marked as the last of all or not."""
     data = b""
@@ -62,14 +71,20 @@ def segments(data: bytes) -> int:
     return -(-len(data) // 7)
 
 
+def last_block(dut: Dut, data: bytes, begin: int = 0, crc: bool = True) -> None:
+    """``data`` from byte ``begin`` on in one block, its acknowledgement, and the end."""
+    rest = data[begin:]
+    received = block(dut, segments(rest), True)
+    check(received[: len(rest)] == rest, rest.hex(" "), received.hex(" "))
+    dut.request(f"A2 {segments(rest):02X} 7F")
+    end_block_upload(dut, data, crc)
+
+
 @upload("7.2.4.3.13: one block: size, segments, end with CRC")
 def sdo_block_upload(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 127)
     dut.request("A3")
-    received = block(dut, segments(data), True)
-    check(received[: len(data)] == data, data.hex(" "), received.hex(" "))
-    dut.request(f"A2 {segments(data):02X} 7F")
-    end_block_upload(dut, data)
+    last_block(dut, data)
 
 
 @upload("7.2.4.3.14: blocks of one segment")
@@ -89,12 +104,9 @@ def blocks_of_one(dut: Dut) -> None:
 def changed_block_size(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 1)
     dut.request("A3")
-    received = block(dut, 1, False)
+    check(block(dut, 1, False) == data[:7], data[:7].hex(" "), "another segment")
     dut.request("A2 01 7F")
-    received += block(dut, segments(data) - 1, True)
-    dut.request(f"A2 {segments(data) - 1:02X} 7F")
-    end_block_upload(dut, data)
-    check(received[: len(data)] == data, data.hex(" "), received.hex(" "))
+    last_block(dut, data, 7)
 
 
 @upload("7.2.4.3.14: ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
@@ -103,11 +115,7 @@ def resend(dut: Dut, received: int) -> None:
     dut.request("A3")
     block(dut, 2, segments(data) == 2)
     dut.request(f"A2 {received:02X} 7F")
-    rest = data[7 * received :]
-    sent_again = block(dut, segments(rest), True)
-    check(sent_again[: len(rest)] == rest, rest.hex(" "), sent_again.hex(" "))
-    dut.request(f"A2 {segments(rest):02X} 7F")
-    end_block_upload(dut, data)
+    last_block(dut, data, 7 * received)
 
 
 @upload("7.2.4.3.14: the last block is lost: ackseq 0, and it comes again")
@@ -117,9 +125,7 @@ def resend_last(dut: Dut) -> None:
     for _ in range(2):
         block(dut, segments(data), True)
         dut.request("A2 00 7F")
-    block(dut, segments(data), True)
-    dut.request(f"A2 {segments(data):02X} 7F")
-    end_block_upload(dut, data)
+    last_block(dut, data)
 
 
 @upload("7.2.4.3.13: block size {0} at the initiate: 05040002h", ((0x1008, 0),), each=[(0,), (128,), (255,)])
@@ -130,9 +136,7 @@ def block_size_refused(dut: Dut, size: int) -> None:
 
 @upload("7.2.4.3.14: block size {0} in an answer: 05040002h", each=[(0,), (128,)])
 def block_size_refused_later(dut: Dut, size: int) -> None:
-    index, _data = begin_block_upload(dut, 1)
-    dut.request("A3")
-    block(dut, 1, False)
+    index = begun_upload(dut)
     dut.request(f"A2 01 {size:02X}")
     dut.aborted(index, 0, Abort.BLOCK_SIZE)
 
@@ -141,9 +145,7 @@ def block_size_refused_later(dut: Dut, size: int) -> None:
 def without_crc(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 127, crc=False)
     dut.request("A3")
-    block(dut, segments(data), True)
-    dut.request(f"A2 {segments(data):02X} 7F")
-    end_block_upload(dut, data, crc=False)
+    last_block(dut, data, crc=False)
 
 
 @upload("7.2.4.3.13: refused at the initiate: {2}", each=[
@@ -162,17 +164,14 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
     (False, "before the start"), (True, "after a block"),
 ])  # fmt: skip
 def aborted(dut: Dut, started: bool, _when: str) -> None:
-    index, _data = begin_block_upload(dut, 1)
-    if started:
-        dut.request("A3")
-        block(dut, 1, False)
+    index = begun_upload(dut, started)
     dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
     dut.no_sdo()
     dut.ask("40 00 10 00", "43 00 10 00 *")
 
 
 upload("stopped 7.3.2.3: stop ends a block upload without a word")(
-    do.run(begin_block_upload, 1), do.nmt(STOP), do.request("A3"), do.no_sdo()
+    do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.no_sdo()
 )
 
 
@@ -216,14 +215,14 @@ def one_segment(dut: Dut, size: int | None = 2, crc: bool = True) -> None:
     dut.answer("A2 01 .. 00 00 00 00 00")
 
 
-@download("7.2.4.3.9: one segment, {1}", BEAT, each=[(2, "size stated"), (None, "size not stated")])
-def sdo_block_download_download(dut: Dut, size: int | None, _how: str) -> None:
-    one_segment(dut, size)
-    end_block_download(dut, VALUE)
-    dut.answer("A1")
-    dut.holds("H", 0x1017, 0, 0x1234)
-
-
+download.each("download 7.2.4.3.9: one segment, {1}", BEAT, [(2, "size stated"), (None, "size not stated")])(
+    lambda size, _how: (
+        do.run(one_segment, size),
+        do.run(end_block_download, VALUE),
+        do.answer("A1"),
+        do.holds("H", 0x1017, 0, 0x1234),
+    )
+)
 download("without_crc 7.2.4.3.16: a client without CRC: what stands in its place is not looked at", BEAT)(
     do.run(one_segment, crc=False),
     do.run(end_block_download, VALUE, crc=0xBEEF),
@@ -232,28 +231,24 @@ download("without_crc 7.2.4.3.16: a client without CRC: what stands in its place
 )
 
 
-@download("7.2.4.3.16: a wrong CRC: 05040004h, nothing is written", BEAT)
-def bad_crc(dut: Dut) -> None:
-    before = dut.integer("H", 0x1017)
-    one_segment(dut)
-    end_block_download(dut, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1)
-    dut.aborted(0x1017, 0, Abort.CRC_ERROR)
-    dut.holds("H", 0x1017, 0, before)
-
-
-@download(
-    "7.2.4.3.11: {1} bytes at the end than stated",
-    BEAT,
-    each=[(4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)],
+download("bad_crc 7.2.4.3.16: a wrong CRC: 05040004h, nothing is written", BEAT)(
+    not_written(
+        one_segment,
+        do.run(end_block_download, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1),
+        do.aborted(0x1017, 0, Abort.CRC_ERROR),
+    )
 )
-def size_mismatch(dut: Dut, unused: int, _how: str, code: int) -> None:
-    before = dut.integer("H", 0x1017)
-    one_segment(dut)
-    end_block_download(dut, (VALUE + bytes(5))[: 7 - unused], unused)
-    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
-    dut.holds("H", 0x1017, 0, before)
-
-
+download.each(
+    "size_mismatch 7.2.4.3.11: {1} bytes at the end than stated",
+    BEAT,
+    [(4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)],
+)(
+    lambda unused, _how, code: not_written(
+        one_segment,
+        do.run(end_block_download, (VALUE + bytes(5))[: 7 - unused], unused),
+        do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH),
+    )
+)
 download("sequence_zero 7.2.4.3.10: segment number 0: 05040003h", BEAT)(
     do.run(begin_block_download, 0x1017, 2), do.request("00 34 12"), do.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER)
 )
@@ -268,20 +263,11 @@ def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why:
     dut.aborted(index, 0, *codes)
 
 
-@download("7.2.4.3.17: the client aborts {1}: no answer, nothing is written", BEAT, each=[
-    (False, "before the first segment"), (True, "before the end"),
-])  # fmt: skip
-def sdo_block_download_aborted(dut: Dut, sent: bool, _when: str) -> None:
-    before = dut.integer("H", 0x1017)
-    if sent:
-        one_segment(dut)
-    else:
-        begin_block_download(dut, 0x1017, 2)
-    dut.request("80 17 10 00 00 00 00 08")
-    dut.no_sdo()
-    dut.holds("H", 0x1017, 0, before)
-
-
+download.each(
+    "aborted 7.2.4.3.17: the client aborts {1}: no answer, nothing is written",
+    BEAT,
+    [(do.run(begin_block_download, 0x1017, 2), "before the first segment"), (one_segment, "before the end")],
+)(lambda begun, _when: not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.no_sdo()))
 download("refused_value 7.2.4.3.11: a refused value is refused at the end", ((0x1019, 0),))(
     do.run(begin_block_download, 0x1019, 1),
     do.run(segment, 1, b"\xf1", True),

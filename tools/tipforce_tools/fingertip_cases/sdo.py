@@ -6,10 +6,10 @@ import struct
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import Service, check
-from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload
+from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload, not_written, over
 from canopen_conformance.cases.sdo_block import (
     begin_block_download,
-    begin_block_upload,
+    begun_upload,
     block,
     end_block_download,
     initiate,
@@ -53,7 +53,7 @@ def upload_restart(dut: Dut) -> None:
 def upload_timeout(dut: Dut) -> None:
     index, _size = begin_upload(dut)
     dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
-    dut.ask("60", lambda data: data[0] == 0x80)
+    over(dut)
 
 
 segmented("upload_patience 7.2.4.3.17: each request gives the client its time anew")(
@@ -76,25 +76,26 @@ segmented.each(
 )(lambda index, size, code: (do.request(struct.pack("<BHBI", 0x21, index, 0, size)), do.aborted(index, 0, code)))
 
 
-@segmented(
-    "7.2.4.3.3: refused at the initiate: {3}",
-    each=[
+segmented.each(
+    "download_refused 7.2.4.3.3: refused at the initiate: {3}",
+    (),
+    [
         (0x1008, 0, Abort.READ_ONLY, "a read-only object"),
         (0xFFFF, 0, Abort.NO_OBJECT, "no object"),
         (0x1018, 9, Abort.NO_SUB, "no sub-index"),
     ],
+)(
+    lambda index, sub, code, _why: (
+        do.request(struct.pack("<BHBI", 0x21, index, sub, 20)),
+        do.aborted(index, sub, code),
+        do.ask("00", lambda data: data[0] == 0x80),
+    )
 )
-def download_refused(dut: Dut, index: int, sub: int, code: int, _why: str) -> None:
-    dut.request(struct.pack("<BHBI", 0x21, index, sub, 20))
-    dut.aborted(index, sub, code)
-    dut.ask("00", lambda data: data[0] == 0x80)
-
-
 segmented("download_restart 7.2.4.2.2: a new initiate gives up the download that went on", BEAT)(
     begin_download, do.ask("0C 99", "20"), begin_download, do.ask("0B 34 12", "20"), do.holds("H", 0x1017, 0, 0x1234)
 )
 segmented("download_timeout 7.2.4.3.17: a silent client: 05040000h, nothing is written", BEAT)(
-    do.unchanged("H", 0x1017, 0, begin_download, do.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200))
+    not_written(begin_download, do.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200))
 )
 
 
@@ -110,9 +111,7 @@ LONG = ((0x1021, 0),)
 
 @block_upload("7.2.4.3.14: ackseq beyond what was sent: 05040003h")
 def acknowledged_too_much(dut: Dut) -> None:
-    index, _data = begin_block_upload(dut, 1)
-    dut.request("A3")
-    block(dut, 1, False)
+    index = begun_upload(dut)
     dut.request("A2 02 7F")
     dut.aborted(index, 0, Abort.SEQUENCE_NUMBER)
 
@@ -150,7 +149,7 @@ def full_block(dut: Dut) -> None:
 
 
 block_upload("restart 7.2.4.2.13: an initiate gives up the block upload that went on")(
-    do.run(begin_block_upload, 1), do.request("A3"), do.run(block, 1, False), do.ask("40 00 10 00", "43 00 10 00 *")
+    begun_upload, do.ask("40 00 10 00", "43 00 10 00 *")
 )
 
 
@@ -163,7 +162,7 @@ block_upload("restart 7.2.4.2.13: an initiate gives up the block upload that wen
     ],
 )
 def wrong_command(dut: Dut, request: str, _why: str) -> None:
-    index, _data = begin_block_upload(dut, 1)
+    index = begun_upload(dut, False)
     dut.request(request)
     dut.aborted(index, 0, Abort.UNKNOWN_COMMAND)
 
@@ -173,10 +172,7 @@ def wrong_command(dut: Dut, request: str, _why: str) -> None:
     each=[(False, "before the start"), (True, "after a block")],
 )
 def silent_client(dut: Dut, started: bool, _when: str) -> None:
-    index, _data = begin_block_upload(dut, 1)
-    if started:
-        dut.request("A3")
-        block(dut, 1, False)
+    index = begun_upload(dut, started)
     dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
 
 
@@ -195,40 +191,39 @@ def end_record(dut: Dut, data: bytes, acknowledged: int) -> None:
     check(dut.read(0x2141) == data, "the record that was written", "another one")
 
 
+def send(dut: Dut, data: bytes, *numbers: int) -> None:
+    """Segments of a block of ``data``, by their numbers in it."""
+    for number in numbers:
+        segment(dut, number, data[7 * number - 7 : 7 * number], 7 * number >= len(data))
+
+
 @download("7.2.4.3.10: many segments: the whole record is written", RECORD)
 def many(dut: Dut) -> None:
     data, last = begin_record(dut)
-    for number in range(1, last + 1):
-        segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
+    send(dut, data, *range(1, last + 1))
     end_record(dut, data, last)
 
 
 @download("7.2.4.3.10: a segment is lost: ackseq names the one before it, and the rest is sent again", RECORD)
 def lost_segment(dut: Dut) -> None:
     data, last = begin_record(dut)
-    for number in range(1, last + 1):
-        if number != 3:
-            segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
+    send(dut, data, 1, 2, *range(4, last + 1))
     dut.answer("A2 02 ..")
-    for number in range(1, last - 1):
-        segment(dut, number, data[7 * number + 7 : 7 * number + 14], number == last - 2)
+    send(dut, data[14:], *range(1, last - 1))
     end_record(dut, data, last - 2)
 
 
 @download("7.2.4.3.10: a segment that comes twice counts once", RECORD)
 def twice(dut: Dut) -> None:
     data, last = begin_record(dut)
-    for number in range(1, last + 1):
-        for _ in range(2 if number == 2 else 1):
-            segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
+    send(dut, data, 1, 2, *range(2, last + 1))
     end_record(dut, data, last)
 
 
 @download("7.2.4.3.10: the last segment is lost: the server says after a while what it has", RECORD)
 def lost_last(dut: Dut) -> None:
     data, last = begin_record(dut)
-    for number in range(1, last):
-        segment(dut, number, data[7 * number - 7 : 7 * number])
+    send(dut, data, *range(1, last))
     dut.answer(f"A2 {last - 1:02X} ..", within_ms=900)
     segment(dut, 1, data[7 * last - 7 :], True)
     dut.answer("A2 01 ..")
