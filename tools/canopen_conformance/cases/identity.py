@@ -10,7 +10,7 @@ from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.pdo import TPDO1, check_mapped
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, Abort
+from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, RESETS, Abort
 
 identity = Service("identity")
 storage = Service("storage")
@@ -153,25 +153,16 @@ storage.each("no_group 7.5.2.13: {1} of a group that is not there: 06090011h", G
 )
 
 
-storage.each(
-    "not_stored 7.5.2.13: what is not stored is lost by {1}",
-    ((0x1016, 1),),
-    [
-        (RESET_NODE, "reset node"),
-        (RESET_COMMUNICATION, "reset communication"),
-    ],
-)(lambda command, _name: do.unchanged("I", 0x1016, 1, do.put("I", 0x1016, 1, VALUE), do.reset(command)))
+storage.each("not_stored 7.5.2.13: what is not stored is lost by {1}", ((0x1016, 1),), RESETS)(
+    lambda command, _name: do.unchanged("I", 0x1016, 1, do.put("I", 0x1016, 1, VALUE), do.reset(command))
+)
 
 
 @storage(
     "7.5.2.13: 1010h:{0} stores communication parameters for {2}",
     ALL,
     persistent=True,
-    each=[
-        (sub, command, name)
-        for sub in (1, 2)
-        for command, name in ((RESET_NODE, "reset node"), (RESET_COMMUNICATION, "reset communication"))
-    ],
+    each=[(sub, *command) for sub in (1, 2) for command in RESETS],
 )
 def stored(dut: Dut, sub: int, command: int, _name: str) -> None:
     if not dut.exists(0x1010, sub):

@@ -8,7 +8,7 @@ from canopen_conformance import steps as do
 from canopen_conformance.case import Service, check
 from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import OPERATIONAL, PRE_OPERATIONAL, REMOTE_FLAG, START, STOPPED, Abort
+from canopen_conformance.wire import REMOTE_FLAG, START, STATES, Abort
 
 sync = Service("sync")
 time = Service("time")
@@ -151,16 +151,16 @@ time.each(
 )(lambda can_id: do.refuses("I", 0x1012, 0, CONSUME | can_id, Abort.INVALID_VALUE))
 
 
-@time("7.2.6.3: a TIME message in {1} is not answered and no error", (*TIME, (0x1001, 0)), each=[
-    (PRE_OPERATIONAL, "PRE-OPERATIONAL"), (OPERATIONAL, "OPERATIONAL"), (STOPPED, "STOPPED"),
-])  # fmt: skip
-def message(dut: Dut, state: int, _name: str) -> None:
-    dut.put("I", 0x1012, 0, CONSUME | 0x100)
-    dut.enter(state)
-    dut.sleep(20)
-    dut.forget()
-    dut.send(0x100, NOON)
-    dut.silence()
+time.each("message 7.2.6.3: a TIME message in {1} is not answered and no error", (*TIME, (0x1001, 0)), STATES)(
+    lambda state, _name: (
+        do.put("I", 0x1012, 0, CONSUME | 0x100),
+        do.enter(state),
+        do.sleep(20),
+        do.forget(),
+        do.send(0x100, NOON),
+        do.silence(),
+    )
+)
 
 
 @time("7.2.6.3: a TIME message of {0} bytes is passed over", TIME, each=[(0,), (5,), (8,)])

@@ -5,11 +5,13 @@ from __future__ import annotations
 import binascii
 import math
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, Service, check
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, Abort
+from canopen_conformance.wire import RESET_NODE, RESETS, Abort
 from canopen_device.core import codes
 from tipforce.dictionary import table, table_objects
 from tipforce_tools.fingertip_cases.profile import gauges, settle
@@ -55,6 +57,12 @@ def refused(dut: Dut, code: int) -> None:
     dut.refuses("I", 0x2104, 0, table.SIGNATURE_COMMIT, code)
     if (dut.read(0x2140), dut.read(0x2103, 3), dut.read(0x2103, 4)) != before:
         raise CheckError("the active calibration unchanged", "another one")
+
+
+def not_committed(dut: Dut, code: int, /, **changed: float) -> None:
+    """A record with these changes may be staged, and its commit is refused."""
+    stage(dut, record(dut, **changed))
+    refused(dut, code)
 
 
 @calibration("2141h: the staged record is written and read as one byte string")
@@ -143,31 +151,27 @@ def late_write(dut: Dut) -> None:
     refused(dut, Abort.INCOMPATIBLE)
 
 
-@calibration("2104h: {1} may be staged, and is not committed: 06090030h", each=[
-    ("x2100_2", "NaN in the matrix", math.nan), ("x2101_1", "infinity in an offset", math.inf),
-    ("x2106_1", "NaN in the covariance", math.nan), ("x2110_1", "NaN as tip radius", math.nan),
-])  # fmt: skip
-def not_finite(dut: Dut, field: str, _what: str, value: float) -> None:
-    stage(dut, record(dut, **{field: value}))
-    refused(dut, Abort.INVALID_VALUE)
-
-
-@calibration(
-    "2104h: {0}: 06090030h",
-    each=[
+calibration.each(
+    "not_finite 2104h: {1} may be staged, and is not committed: 06090030h",
+    (),
+    [
+        ("x2100_2", "NaN in the matrix", math.nan),
+        ("x2101_1", "infinity in an offset", math.inf),
+        ("x2106_1", "NaN in the covariance", math.nan),
+        ("x2110_1", "NaN as tip radius", math.nan),
+    ],
+)(lambda field, _what, value: do.run(not_committed, Abort.INVALID_VALUE, **{field: value}))
+calibration.each(
+    "contradiction 2104h: {0}: 06090030h",
+    (),
+    [
         ("theta minimum above maximum", {"x2110_2": 20.0, "x2110_3": 10.0}),
         ("contact-off above contact-on", {"x2110_5": 0.6}),
     ],
-)
-def contradiction(dut: Dut, _what: str, fields: dict[str, float]) -> None:
-    stage(dut, record(dut, **fields))
-    refused(dut, Abort.INVALID_VALUE)
-
-
-@calibration("2104h: {0} matrix: 06090031h", each=[("a singular", 0.0), ("an ill-conditioned", 0.1)])
-def ill_conditioned(dut: Dut, _what: str, value: float) -> None:
-    stage(dut, record(dut, x2100_1=value))
-    refused(dut, Abort.TOO_HIGH)
+)(lambda _what, fields: do.run(not_committed, Abort.INVALID_VALUE, **fields))
+calibration.each(
+    "ill_conditioned 2104h: {0} matrix: 06090031h", (), [("a singular", 0.0), ("an ill-conditioned", 0.1)]
+)(lambda _what, value: do.run(not_committed, Abort.TOO_HIGH, x2100_1=value))
 
 
 @calibration("2105h: a lower condition limit refuses what was allowed")
@@ -186,17 +190,21 @@ calibration.each(
 )(lambda value, code: do.refuses("f", 0x2105, 1, value, code))
 
 
-def unlock(dut: Dut) -> None:
-    """Unlock with the signature."""
-    dut.put("I", 0x2105, 3, table.SIGNATURE_OPEN)
+@contextmanager
+def with_lock(dut: Dut) -> Iterator[None]:
+    """Locked within, unlocked with the signature after."""
+    try:
+        dut.put("B", 0x2105, 2, 1)
+        yield
+    finally:
+        dut.put("I", 0x2105, 3, table.SIGNATURE_OPEN)
 
 
 @calibration("2105h: locked: staged writes and commit are refused with 08000022h")
 def locked(dut: Dut) -> None:
     data = record(dut)
     stage(dut, data)
-    try:
-        dut.put("B", 0x2105, 2, 1)
+    with with_lock(dut):
         dut.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)
         dut.refuses("B", 0x2110, 6, 1, Abort.DEVICE_STATE)
         dut.refuses_bytes(0x2141, 0, data, Abort.DEVICE_STATE)
@@ -204,34 +212,15 @@ def locked(dut: Dut) -> None:
         dut.refuses("B", 0x2105, 2, 0, Abort.DEVICE_STATE)
         refused(dut, Abort.DEVICE_STATE)
         dut.holds("B", 0x2105, 2, 1)
-    finally:
-        unlock(dut)
     dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
 
 
-@calibration(
-    "2105h: the lock outlives {1}",
-    each=[(RESET_NODE, "reset node"), (RESET_COMMUNICATION, "reset communication")],
+calibration.each("lock_kept 2105h: the lock outlives {1}", (), RESETS)(
+    lambda command, _name: do.within(with_lock, do.reset(command), do.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE))
 )
-def lock_kept(dut: Dut, command: int, _name: str) -> None:
-    try:
-        dut.put("B", 0x2105, 2, 1)
-        dut.reset(command)
-        dut.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)
-    finally:
-        unlock(dut)
-
-
-@calibration("2105h: unlocking with a wrong signature: 08000020h, still locked")
-def wrong_unlock(dut: Dut) -> None:
-    try:
-        dut.put("B", 0x2105, 2, 1)
-        dut.refuses("I", 0x2105, 3, 0x6E65706E, Abort.NOT_STORED)
-        dut.holds("B", 0x2105, 2, 1)
-    finally:
-        unlock(dut)
-
-
+calibration("wrong_unlock 2105h: unlocking with a wrong signature: 08000020h, still locked")(
+    do.within(with_lock, do.refuses("I", 0x2105, 3, 0x6E65706E, Abort.NOT_STORED), do.holds("B", 0x2105, 2, 1))
+)
 calibration("active_read_only 2140h: the active record cannot be written")(
     lambda dut: dut.refuses_bytes(0x2140, 0, record(dut), Abort.READ_ONLY)
 )
@@ -298,8 +287,7 @@ BEYOND, OVERLOAD = 1 << table.FAULT_BEYOND_CALIBRATED, 1 << table.FAULT_OVERLOAD
 ])  # fmt: skip
 def matrix_size(dut: Dut, newtons_per_strain: float, code: int) -> None:
     n = gauges(dut)
-    stage(dut, record(dut, **{f"x2100_{sub}": newtons_per_strain for sub in (1, n + 2, 2 * n + 3)}))
-    refused(dut, code)
+    not_committed(dut, code, **{f"x2100_{sub}": newtons_per_strain for sub in (1, n + 2, 2 * n + 3)})
 
 
 @validity("{0}h: {1} may be staged, and is not committed: 06090030h", each=[
@@ -311,8 +299,7 @@ def matrix_size(dut: Dut, newtons_per_strain: float, code: int) -> None:
     ("2115", "NaN as gain", "x2115_0", math.nan), ("2116", "a limit below zero", "x2116_0", -1.0),
 ])  # fmt: skip
 def not_valid(dut: Dut, _object: str, _what: str, field: str, value: float) -> None:
-    stage(dut, record(dut, **{field: value}))
-    refused(dut, Abort.INVALID_VALUE)
+    not_committed(dut, Abort.INVALID_VALUE, **{field: value})
 
 
 @validity("2112h: {0}: bit {1} of 2124h", each=[

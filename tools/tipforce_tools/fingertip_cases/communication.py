@@ -19,6 +19,7 @@ from canopen_conformance.wire import (
     REMOTE_FLAG,
     RESET_COMMUNICATION,
     RESET_NODE,
+    RESETS,
     START,
     Abort,
 )
@@ -72,14 +73,9 @@ error_control("behaviour_refused 7.5.2.32: 1029h:1 = 3 is refused", ((0x1029, 1)
 emcy("history_full 7.5.2.4: a full history drops the oldest", HISTORY)(
     clear, do.repeat(10, make_error, cure_error), do.holds("B", 0x1003, 0, 8), do.read(0x1003, 8)
 )
-emcy.each(
-    "history_reset 7.5.2.4: the history outlives {1}",
-    HISTORY,
-    [
-        (RESET_COMMUNICATION, "reset communication"),
-        (RESET_NODE, "reset node"),
-    ],
-)(lambda command, _name: (clear, make_error, do.reset(command), do.holds("B", 0x1003, 0, 1)))
+emcy.each("history_reset 7.5.2.4: the history outlives {1}", HISTORY, RESETS[::-1])(
+    lambda command, _name: (clear, make_error, do.reset(command), do.holds("B", 0x1003, 0, 1))
+)
 emcy("queue 7.5.2.18: many messages wait, in their order", INHIBIT)(
     do.put("H", 0x1015, 0, 20),
     do.repeat(12, break_sync, do.send(0x080)),

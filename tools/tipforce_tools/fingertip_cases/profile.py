@@ -43,19 +43,14 @@ def settle(dut: Dut) -> None:
 # --- what the channels are --------------------------------------------------------------------------------
 
 
-profile_404.each(
-    "sensor_type 6110h: the sensor type of a {0}",
-    (),
-    [(part, value) for part, value in zip(PARTS, (70, 10001, 10002, 10003, 10003), strict=True)],
-)(lambda part, value: lambda dut: dut.holds("H", 0x6110, channel(dut, part), value))
-profile_404.each(
-    "unit 6131h: the unit of a {0}",
-    (),
-    [(part, value) for part, value in zip(PARTS, (0xFA010100, 0x210000, 0x210000, 0x410000, 0x410000), strict=True)],
-)(lambda part, value: lambda dut: dut.holds("I", 0x6131, channel(dut, part), value))
-profile_404.each("digits 6132h: the decimal digits of a {0}", (), list(zip(PARTS, (1, 3, 3, 2, 2), strict=True)))(
-    lambda part, value: lambda dut: dut.holds("B", 0x6132, channel(dut, part), value)
-)
+for header, kind, index, values in (
+    ("sensor_type 6110h: the sensor type of a {0}", "H", 0x6110, (70, 10001, 10002, 10003, 10003)),
+    ("unit 6131h: the unit of a {0}", "I", 0x6131, (0xFA010100, 0x210000, 0x210000, 0x410000, 0x410000)),
+    ("digits 6132h: the decimal digits of a {0}", "B", 0x6132, (1, 3, 3, 2, 2)),
+):
+    profile_404.each(header, (), [(part, kind, index, value) for part, value in zip(PARTS, values, strict=True)])(
+        lambda part, kind, index, value: lambda dut: dut.holds(kind, index, channel(dut, part), value)
+    )
 
 
 @profile_404("{0:04X}h: sub-index 0 of {0:04X}h counts {1}", each=[
@@ -69,18 +64,9 @@ def count(dut: Dut, index: int, which: str) -> None:
 profile_404.each(
     "read_only {0:04X}h: {0:04X}h cannot be written",
     (),
-    [
-        (0x6100, "f"),
-        (0x6110, "H"),
-        (0x6130, "f"),
-        (0x6131, "I"),
-        (0x6132, "B"),
-        (0x6150, "B"),
-        (0x7100, "h"),
-        (0x7130, "h"),
-        (0x9100, "i"),
-        (0x9130, "i"),
-    ],
+    list(
+        zip((0x6100, 0x6110, 0x6130, 0x6131, 0x6132, 0x6150, 0x7100, 0x7130, 0x9100, 0x9130), "fHfIBBhhii", strict=True)
+    ),
 )(lambda index, kind: do.refuses(kind, index, 1, 0, Abort.READ_ONLY))
 
 
