@@ -75,16 +75,6 @@ def test_further_gauges_go_in_further_tpdos(n: int, last: int) -> None:
 
 
 @pytest.mark.parametrize("n", [5, 8])
-def test_contact_of_more_gauges(n: int) -> None:
-    P, phi, theta = struct.unpack("<hhh", sync(finger(n, load=PUSH))[0x285][:6])
-    assert (P, phi, theta) == (
-        pytest.approx(1000, abs=1),
-        pytest.approx(17500, abs=6),
-        pytest.approx(1000, abs=20),
-    )
-
-
-@pytest.mark.parametrize("n", [5, 8])
 def test_more_gauges_make_the_force_more_certain(n: int) -> None:
     # With C the mean over k gauges the variance of a component is that of one gauge over k.
     sigma = 1e-6
