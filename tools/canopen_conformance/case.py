@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from canopen_conformance.dut import Dut
 
 Step: TypeAlias = "Callable[[Dut], object]"
+Needs: TypeAlias = Sequence[tuple[int, int]] | Callable[..., Sequence[tuple[int, int]]]
+"""The (index, sub-index) that must exist, or a function that returns them for a row."""
 
 
 class CheckError(Exception):
@@ -88,7 +90,7 @@ class Service:
     def __call__(
         self,
         header: str,
-        needs: Sequence[tuple[int, int]] = (),
+        needs: Needs = (),
         *,
         each: Sequence[tuple[Any, ...]] = ((),),
         persistent: bool = False,
@@ -113,7 +115,7 @@ class Service:
                         clause.format(*row),
                         match[3].format(*row),
                         lambda dut, row=row: [step(dut, *row) for step in steps],  # type: ignore[misc]
-                        tuple(needs),
+                        tuple(needs(*row) if callable(needs) else needs),
                         persistent,
                         self._own,
                         error_frames,
@@ -126,7 +128,7 @@ class Service:
     def each(
         self,
         header: str,
-        needs: Sequence[tuple[int, int]],
+        needs: Needs,
         rows: Sequence[tuple[Any, ...]],
         *,
         persistent: bool = False,

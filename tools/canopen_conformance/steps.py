@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Concatenate, ParamSpec, TypeVar
 
-from canopen_conformance.case import Step
+from canopen_conformance.case import Step, check
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import Frame
 
@@ -68,6 +68,16 @@ def each_ms(ms: float, times: int, what: str, frame: Callable[[Dut], Frame]) -> 
         first_us = frame(dut).at_us
         last_us = [frame(dut).at_us for _ in range(times)][-1]
         dut.check_ms(what, last_us - first_us, times * ms)
+
+    return take
+
+
+def matches(kind: str, index: int, sub: int, mask: int, bits: int, expected: str) -> Step:
+    """Check an integer under a mask; ``expected`` says what it is to be."""
+
+    def take(dut: Dut) -> None:
+        value = dut.integer(kind, index, sub)
+        check(value & mask == bits, expected, f"{value:08X}h")
 
     return take
 

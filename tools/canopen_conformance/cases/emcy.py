@@ -80,13 +80,12 @@ def clear(dut: Dut) -> None:
     dut.put("B", 0x1003, 0, 0)
 
 
-@case("7.5.2.4: an error is entered with its code", HISTORY)
-def history(dut: Dut) -> None:
-    clear(dut)
-    make_error(dut)
-    dut.holds("B", 0x1003, 0, 1)
-    entry = dut.integer("I", 0x1003, 1)
-    check(entry & 0xFFFF == 0x8240, "1003h:1 = ....8240h", f"{entry:08X}h")
+case("history 7.5.2.4: an error is entered with its code", HISTORY)(
+    clear,
+    make_error,
+    do.holds("B", 0x1003, 0, 1),
+    do.matches("I", 0x1003, 1, 0xFFFF, 0x8240, "1003h:1 = ....8240h"),
+)
 
 
 @case("7.5.2.4: the newest error is sub-index 1, the others move up", (*HISTORY, (0x1016, 1)))

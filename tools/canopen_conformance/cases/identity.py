@@ -28,21 +28,20 @@ identity("status_register 7.5.2.3: 1002h is an UNSIGNED32 that cannot be written
 )
 
 
-@identity("7.5.2.8: {0:04X}h is a text of visible characters", each=[(0x1008,), (0x1009,), (0x100A,)])
+NAMES = [(0x1008,), (0x1009,), (0x100A,)]
+
+
+@identity("7.5.2.8: {0:04X}h is a text of visible characters", lambda index: ((index, 0),), each=NAMES)
 def name(dut: Dut, index: int) -> None:
-    if not dut.exists(index, 0):
-        raise NotApplicableError(f"no object {index:04X}h")
     data = dut.read(index)
     if not data.rstrip(b"\0"):
         raise NotApplicableError(f"{index:04X}h is empty")
     check(not any(not 0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")), "visible characters", data.hex(" "))
 
 
-@identity("7.5.2.8: {0:04X}h cannot be written", each=[(0x1008,), (0x1009,), (0x100A,)])
-def name_constant(dut: Dut, index: int) -> None:
-    if not dut.exists(index, 0):
-        raise NotApplicableError(f"no object {index:04X}h")
-    dut.refuses_bytes(index, 0, b"abcd", Abort.READ_ONLY)
+identity.each("name_constant 7.5.2.8: {0:04X}h cannot be written", lambda index: ((index, 0),), NAMES)(
+    lambda index: do.refuses_bytes(index, 0, b"abcd", Abort.READ_ONLY)
+)
 
 
 @identity("7.5.2.21: 1018h has the vendor-ID, and one to four entries")
@@ -54,13 +53,9 @@ def identity_identity(dut: Dut) -> None:
             dut.integer("I", 0x1018, sub)
 
 
-@identity("7.5.2.21: 1018h:{0} cannot be written", each=[(1,), (2,), (3,), (4,)])
-def identity_identity_constant(dut: Dut, sub: int) -> None:
-    if not dut.exists(0x1018, sub):
-        raise NotApplicableError(f"no 1018h:{sub}")
-    dut.refuses("I", 0x1018, sub, 1, Abort.READ_ONLY)
-
-
+identity.each(
+    "identity_constant 7.5.2.21: 1018h:{0} cannot be written", lambda sub: ((0x1018, sub),), [(1,), (2,), (3,), (4,)]
+)(lambda sub: do.refuses("I", 0x1018, sub, 1, Abort.READ_ONLY))
 identity.each(
     "configuration_date 7.5.2.23: 1020h:{0} is written and read back", ((0x1020, 1), (0x1020, 2)), [(1,), (2,)]
 )(lambda sub: (do.put("I", 0x1020, sub, 0x12345678), do.holds("I", 0x1020, sub, 0x12345678)))
@@ -160,13 +155,11 @@ storage.each("not_stored 7.5.2.13: what is not stored is lost by {1}", ((0x1016,
 
 @storage(
     "7.5.2.13: 1010h:{0} stores communication parameters for {2}",
-    ALL,
+    lambda sub, _command, _name: (*ALL, (0x1010, sub)),
     persistent=True,
     each=[(sub, *command) for sub in (1, 2) for command in RESETS],
 )
 def stored(dut: Dut, sub: int, command: int, _name: str) -> None:
-    if not dut.exists(0x1010, sub):
-        raise NotApplicableError(f"no 1010h:{sub}")
     with restored(dut):
         dut.put("I", 0x1016, 1, VALUE)
         store(dut, sub)
@@ -177,13 +170,11 @@ def stored(dut: Dut, sub: int, command: int, _name: str) -> None:
 
 @storage(
     "7.5.2.14: 1011h:{0} changes nothing before a reset, then brings the defaults",
-    ALL,
+    lambda sub: (*ALL, (0x1011, sub)),
     persistent=True,
     each=[(1,), (2,)],
 )
 def restore(dut: Dut, sub: int) -> None:
-    if not dut.exists(0x1011, sub):
-        raise NotApplicableError(f"no 1011h:{sub}")
     with restored(dut):
         dut.put("I", 0x1016, 1, VALUE)
         store(dut, 1)

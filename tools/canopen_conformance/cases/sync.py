@@ -17,12 +17,9 @@ COUNTER = (*TPDO1, (0x1019, 0), (0x1800, 6))
 LENGTH = (*TPDO1, (0x1019, 0), (0x1014, 0))
 
 
-@sync("7.3.3: the default CAN-ID of SYNC is 080h", ((0x1005, 0),))
-def default(dut: Dut) -> None:
-    cob_id = dut.integer("I", 0x1005)
-    check(cob_id & 0x3FFFFFFF == 0x80, "1005h = 080h", f"{cob_id:08X}h")
-
-
+sync("default 7.3.3: the default CAN-ID of SYNC is 080h", ((0x1005, 0),))(
+    do.matches("I", 0x1005, 0, 0x3FFFFFFF, 0x80, "1005h = 080h")
+)
 sync("moved 7.5.2.5: SYNC on another CAN-ID: that one alone acts", (*TPDO1, (0x1005, 0)))(
     do.run(enable_tpdo1, 1),
     do.put("I", 0x1005, 0, 0x90),
@@ -133,12 +130,7 @@ CONSUME = 0x80000000
 NOON = struct.pack("<IH", 12 * 3600 * 1000, 14000)
 
 
-@time("7.3.3: the default CAN-ID of TIME is 100h", TIME)
-def time_default(dut: Dut) -> None:
-    cob_id = dut.integer("I", 0x1012)
-    check(cob_id & 0x7FF == 0x100, "CAN-ID 100h", f"{cob_id:08X}h")
-
-
+time("default 7.3.3: the default CAN-ID of TIME is 100h", TIME)(do.matches("I", 0x1012, 0, 0x7FF, 0x100, "CAN-ID 100h"))
 time.each("taken 7.5.2.15: 1012h = {0:08X}h is taken", TIME, [(0x100,), (0x80000390,), (0x80000100,)])(
     lambda value: (do.accepts("I", 0x1012, 0, value), do.holds("I", 0x1012, 0, value))
 )
