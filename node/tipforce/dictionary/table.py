@@ -10,7 +10,7 @@ tuples where the entries of one run differ. The type is the letter that ``struct
 not state its own.
 """
 
-from canopen_device.core import codes, communication
+from canopen_device.core import codes, communication, object_dictionary
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # never run: MicroPython has no typing
@@ -35,13 +35,14 @@ if TYPE_CHECKING:  # never run: MicroPython has no typing
 U8, U16, U32, I16, I32, REAL32, STRING, DOMAIN = "B", "H", "I", "h", "i", "f", "s", "D"
 VAR, ARRAY, RECORD = 7, 8, 9
 
-TPDO = 1  # may be mapped into a TPDO
-RPDO = 2  # may be mapped into an RPDO
-ADD_NODE_ID = 4  # the default is this number plus the node-id
-STAGED = 8  # part of the calibration record, in table order; any REAL32 may be staged, NaN included
-VIEW = 16  # another form of a 6xxxh value: not a value of its own, never stored
-NOT_STORED = 32  # read-write, but a state and not a setting
-COUNTED = 64  # decides what is sent or what it means: a change of it counts in 2126h
+# Flags, those of the device core.
+TPDO = object_dictionary.TPDO  # may be mapped into a TPDO
+RPDO = object_dictionary.RPDO  # may be mapped into an RPDO
+ADD_NODE_ID = object_dictionary.ADD_NODE_ID  # the default is this number plus the node-id
+STAGED = object_dictionary.ANY_FLOAT  # part of the calibration record, in table order; NaN may be staged
+VIEW = object_dictionary.VIEW  # another form of a 6xxxh value: not a value of its own, never stored
+NOT_STORED = object_dictionary.NOT_STORED  # read-write, but a state and not a setting
+COUNTED = object_dictionary.COUNTED  # decides what is sent or what it means: a change of it counts in 2126h
 
 MAX_MAPPED = 8
 
