@@ -100,6 +100,11 @@ EMCY_OVERLOAD = 0x5020
 COMMAND_TARE, COMMAND_CLEAR_TARE, COMMAND_ZERO = 1, 2, 3
 
 
+def forms(index: int) -> "tuple[int, int, int]":
+    """The indices of a value of the profile area: as REAL32, INTEGER16 and INTEGER32."""
+    return index, index + INT16_FORM, index + INT32_FORM
+
+
 def channels(n: int) -> "tuple[Channel, ...]":
     """The n + 6 channels, sub-index 1 first, each in the form of ``Channel``.
 
