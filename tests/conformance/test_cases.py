@@ -28,12 +28,3 @@ def test_there_are_enough_cases_and_their_names_differ() -> None:
 def test_titles_are_printable_and_every_clause_is_of_one_form() -> None:
     form = r"CiA 301 7(\.\d+)+|CiA 302-2 1F80h|CiA 305 6(\.\d)+|(CiA 404|tipforce) [0-9A-F]{4}h"
     assert [case.name for case in CASES if not (case.title.isprintable() and re.fullmatch(form, case.clause))] == []
-
-
-def test_every_service_has_cases() -> None:
-    services = """
-        nmt error_control node_guarding sdo sdo_segmented sdo_block sdo_block_download tpdo rpdo pdo_parameters sync
-        emcy time lss lss_identify lss_unconfigured storage identity profile_404 settings_404 interrupts_404
-        calibration bus_faults validity
-    """
-    assert {case.name.partition(".")[0] for case in CASES} == set(services.split())

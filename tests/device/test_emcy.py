@@ -38,22 +38,6 @@ def test_an_error_is_said_once_and_cured_once() -> None:
     assert talk.get("B", 0x1001) == 0
 
 
-def test_the_inhibit_time_separates_messages_and_loses_none() -> None:
-    talk = serving()
-    assert talk.put("H", 0x1015, 0, 100) == 0
-    for detail in range(3):
-        raised(talk, 0x5030, detail)
-    talk.say("""
-        < 085#3050210000000000
-        + 9999
-        + 1
-        < 085#3050210100000000
-        + 10000
-        < 085#3050210200000000
-        + 100000
-    """)
-
-
 def test_what_waits_is_bounded() -> None:
     talk = serving()
     talk.say("> 000#0205")

@@ -1,26 +1,11 @@
 """NMT slave (CiA 301, 7.2.8): the start by itself, and what the two resets return."""
 
-from canopen_device.testing import MemoryStore
 from device.tiny import Recorder, booted, operational
 
 ENABLE_TPDO1 = """
     > 605#2300180185010040
     < 585#6000180100000000
 """
-
-
-def test_self_starting_node_enters_operational_after_boot_up() -> None:
-    # 1F80h with bit 2 clear (CiA 302-2), stored, so that it holds at the next start.
-    store = MemoryStore()
-    talk = booted(store)
-    talk.say("""
-        > 605#23801F0000000000
-        < 585#60801F0000000000
-        > 605#2310100273617665
-        < 585#6010100200000000
-    """)
-    again = booted(store)
-    assert again.device.nmt.state == 5
 
 
 def test_reset_communication_returns_only_the_communication_area() -> None:

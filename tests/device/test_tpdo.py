@@ -15,14 +15,6 @@ def test_application_latches_before_the_tpdo_is_packed() -> None:
     talk.say("+ 66\n> 080#\n< 185#42FEFF\n+ 1\n> 080#\n< 185#43FEFF")
 
 
-def test_sync_cob_id_changes_at_once() -> None:
-    talk = booted()
-    assert talk.put("I", 0x1800, 1, 0x40000185) == 0
-    talk.say("> 000#0105")
-    talk.put("I", 0x1005, 0, 0x90)
-    talk.say("> 080#\n> 090#\n< 185#11FEFF")
-
-
 def test_syncs_count_anew_after_a_start_value_change() -> None:
     talk = booted()
     assert talk.put("B", 0x1800, 2, 3) == talk.put("I", 0x1800, 1, 0x40000185) == 0

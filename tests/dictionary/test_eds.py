@@ -31,7 +31,9 @@ def _import(text: str, folder: Path, node_id: int | None = NODE_ID, suffix: str 
 
 @pytest.mark.parametrize(("n", "simulated"), ALL)
 def test_canopen_reads_what_the_table_says(n: int, simulated: bool, tmp_path: Path) -> None:
-    od = _import(eds_text(n, simulated), tmp_path)
+    text = eds_text(n, simulated)
+    assert eds_faults(text) == []
+    od = _import(text, tmp_path)
     assert sorted(od.indices) == [found.index for found in objects(n, simulated)]
     for found in objects(n, simulated):
         entry = od[found.index]

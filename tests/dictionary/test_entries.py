@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 from typing import Any
 
 import pytest
@@ -72,16 +70,6 @@ def test_counts_follow_the_number_of_gauges(n: int) -> None:
 def test_count_errors() -> None:
     with pytest.raises(InputError, match="allowed 3 to 8"):
         len([*od.CALIBRATION_MATRIX.entries(9)])
-
-
-def test_frozen_and_copied() -> None:
-    entry: Entry[int] = od.CALIBRATION_GENERATION
-    with pytest.raises(AttributeError):
-        entry.index = 3  # type: ignore[misc]
-    assert copy.deepcopy(entry) == pickle.loads(pickle.dumps(entry)) == entry
-    array = od.CALIBRATION_MATRIX
-    assert copy.deepcopy(array) == pickle.loads(pickle.dumps(array)) == array
-    assert len({entry, copy.copy(entry)}) == 1
 
 
 def test_every_constant_has_the_python_type_of_its_letter() -> None:

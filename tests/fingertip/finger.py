@@ -80,11 +80,15 @@ class Finger(Conversation):
         assert self.put("H", 0x1017, 0, 0) == 0
         self.say("> 000#0105")
 
+    def frames(self, after_us: int = 1000, data: bytes = b"") -> dict[int, bytes]:
+        """What a SYNC after some time brings, by COB-ID."""
+        self.now_us += after_us
+        self.step([(0x80, data)])
+        return dict(self.take())
+
     def sync(self, after_us: int = 1000) -> Pdos:
         """A SYNC after some time; both TPDOs must carry the same status and counter."""
-        self.now_us += after_us
-        self.step([(0x80, b"")])
-        sent = dict(self.take())
+        sent = self.frames(after_us)
         assert sorted(sent) == [0x185, 0x285]
         one, two = (struct.unpack("<hhhBB", sent[can_id]) for can_id in (0x185, 0x285))
         assert one[3:] == two[3:]

@@ -29,13 +29,6 @@ def with_emcy(talk: Finger) -> Finger:
     return talk
 
 
-def sync(talk: Finger) -> dict[int, bytes]:
-    """The frames of one SYNC."""
-    talk.now_us += 1000
-    talk.step([(0x80, b"")])
-    return dict(talk.take())
-
-
 def magnitude(sent: dict[int, bytes]) -> int:
     """7130h P of TPDO2, 1 mN."""
     return int(struct.unpack("<h", sent[0x285][:2])[0])
@@ -49,7 +42,7 @@ def drift(talk: Finger, gauge: int, microstrain: float) -> None:
 def test_gauges_that_agree() -> None:
     talk = redundant()
     for _ in range(200):
-        assert sync(talk)[0x285][6] == CALIBRATED | CONTACT
+        assert talk.frames()[0x285][6] == CALIBRATED | CONTACT
     assert talk.get("H", 0x2124) == 0
     talk.quiet()
 
@@ -58,17 +51,17 @@ def test_two_gauges_of_a_pair_cannot_be_told_apart() -> None:
     """Gauges 1 and 4 see F1 alone: which one drifts cannot be known, so nothing is shown."""
     talk = with_emcy(redundant(6))
     drift(talk, 3, 50.0)
-    sent = sync(talk)
+    sent = talk.frames()
     assert sent[0x285][6] == CALIBRATED | FAULT
     assert sent[0x285][:6] == bytes.fromhex("008000800080")
     assert talk.get("H", 0x2124) == CONTRADICTION
     assert sent[0x85] == bytes.fromhex("3050210C00000000")
     drift(talk, 3, 0.0)
-    assert sync(talk)[0x285][6] == CALIBRATED | CONTACT
+    assert talk.frames()[0x285][6] == CALIBRATED | CONTACT
     for _ in range(98):
-        assert 0x85 not in sync(talk)
+        assert 0x85 not in talk.frames()
     # 100 ms after the last contradiction it has ended.
-    ended = [sync(talk).get(0x85) for _ in range(3)]
+    ended = [talk.frames().get(0x85) for _ in range(3)]
     assert [data for data in ended if data] == [bytes.fromhex("00000030500C0000")]
 
 
@@ -76,7 +69,7 @@ def test_a_gauge_that_contradicts_two_others_is_left_out() -> None:
     """With eight gauges 1, 4 and 7 see F1: two of them agree."""
     talk = redundant(8)
     drift(talk, 3, 50.0)
-    sent = sync(talk)
+    sent = talk.frames()
     assert sent[0x285][6] == CALIBRATED | CONTACT | SATURATED
     assert magnitude(sent) == pytest.approx(1000, abs=30)
     assert talk.get("H", 0x2124) == CONTRADICTION | 1 << 3
@@ -89,11 +82,11 @@ def test_a_gauge_that_contradicts_two_others_is_left_out() -> None:
 
 def test_four_gauges_detect_and_isolate_nothing() -> None:
     talk = redundant(4)
-    assert sync(talk)[0x285][6] == CALIBRATED | CONTACT
+    assert talk.frames()[0x285][6] == CALIBRATED | CONTACT
     drift(talk, 0, 50.0)
-    assert sync(talk)[0x285][6] == CALIBRATED | FAULT
+    assert talk.frames()[0x285][6] == CALIBRATED | FAULT
     drift(talk, 2, 50.0)  # gauge 3 alone sees F3: its fault is a force to whoever looks
-    sent = sync(talk)
+    sent = talk.frames()
     assert sent[0x285][6] & FAULT == 0
 
 
@@ -102,18 +95,18 @@ def test_the_limit_allows_for_the_model() -> None:
     for model, faults in ((0.0, CONTRADICTION), (0.2, 0)):
         talk = redundant(6, model)
         drift(talk, 2, 20.0)
-        sync(talk)
+        talk.frames()
         assert talk.get("H", 0x2124) == faults
 
 
 def test_a_fault_below_the_limit_is_in_the_uncertainty() -> None:
     talk = redundant(6)
-    sync(talk)
+    talk.frames()
     clean = talk.get("f", 0x2107, 1)
     worst = 0.0
     drift(talk, 2, 3.0)
     for _ in range(20):
-        sync(talk)
+        talk.frames()
         if talk.get("H", 0x2124) == 0:
             worst = max(worst, talk.get("f", 0x2107, 1))
     assert worst > 2.0 * clean
@@ -141,29 +134,29 @@ def test_beyond_the_calibrated_force_the_values_stay_and_the_model_part_grows() 
 
 def test_overload_hides_the_force_until_it_is_5_percent_below() -> None:
     talk = with_emcy(finger(calibrated=validity(), load=(4.1, *PUSH[1:])))
-    sent = sync(talk)
+    sent = talk.frames()
     assert sent[0x285] == bytes.fromhex("008000800080") + bytes((CALIBRATED | SATURATED, sent[0x185][7]))
     assert sent[0x85] == bytes.fromhex("205021") + struct.pack("<HHx", 15, 0)
     assert talk.get("H", 0x2124) == OVERLOAD | BEYOND
     assert [talk.get("B", 0x6150, sub) for sub in range(1, 8)] == [0, 0, 0, 3, 3, 5, 3]
     talk.source.load = (3.9, *PUSH[1:])
-    assert sync(talk)[0x285][6] & SATURATED
+    assert talk.frames()[0x285][6] & SATURATED
     talk.source.load = (3.7, *PUSH[1:])
-    sent = sync(talk)
+    sent = talk.frames()
     assert sent[0x85] == bytes.fromhex("000000") + struct.pack("<HHx", 0x5020, 15)
     assert magnitude(sent) == pytest.approx(3700, abs=2)
 
 
 def test_temperature_outside_of_the_calibration() -> None:
     talk = with_emcy(finger(calibrated=validity(), load=PUSH))
-    sync(talk)
+    talk.frames()
     talk.source.temperature = 3100
-    sent = sync(talk)
+    sent = talk.frames()
     assert magnitude(sent) == pytest.approx(1000, abs=2)
     assert talk.get("H", 0x2124) == TEMPERATURE
     assert sent[0x85] == bytes.fromhex("104209") + struct.pack("<HHx", 14, 0)
     talk.source.temperature = 3000
-    assert sync(talk)[0x85] == bytes.fromhex("000000") + struct.pack("<HHx", 0x4210, 14)
+    assert talk.frames()[0x85] == bytes.fromhex("000000") + struct.pack("<HHx", 0x4210, 14)
 
 
 def test_temperature_is_compensated_where_it_is_known() -> None:
@@ -204,7 +197,7 @@ def test_health_is_sent_on_a_change_at_most_every_10_ms() -> None:
     sent = []
     for k in range(40):  # the temperature leaves and re-enters the range at each SYNC, every millisecond
         talk.source.temperature = 3100 if k % 2 else 2900
-        if 0x485 in sync(talk):
+        if 0x485 in talk.frames():
             sent.append(k)
     assert sent[:1] == [1]
     assert [b - a for a, b in pairwise(sent)] == [10] * (len(sent) - 1)

@@ -184,12 +184,9 @@ def test_uncertainty_and_real32_values_may_be_mapped() -> None:
     assert talk.put("I", 0x1A02, 1, 0x21070120) == talk.put("I", 0x1A02, 2, 0x61300720) == 0
     assert talk.put("B", 0x1A02, 0, 2) == talk.put("I", 0x1802, 1, 0x40000385) == 0
     for _ in range(2):
-        talk.now_us += 1000
-        talk.step([(0x80, b"")])
-        u_P, P = struct.unpack("<ff", dict(talk.take())[0x385])
+        u_P, P = struct.unpack("<ff", talk.frames()[0x385])
         assert (u_P, P) == (pytest.approx(0.01, rel=1e-4), pytest.approx(1.0, abs=1e-3))
-    talk.step([(0x80, b"")])
-    assert all(math.isnan(value) for value in struct.unpack("<ff", dict(talk.take())[0x385]))  # stale
+    assert all(math.isnan(value) for value in struct.unpack("<ff", talk.frames(0)[0x385]))  # stale
 
 
 def test_slow_syncs_alone_latch_whatever_else_is_read_or_sent() -> None:
@@ -216,9 +213,7 @@ def test_numbered_sync_gives_its_number_to_the_sample() -> None:
     talk = finger(load=PUSH)
     assert talk.put("B", 0x1019, 0, 240) == 0
     for number, after_us, stale in ((7, 1000, 0), (8, 10, STALE), (240, 1000, 0), (1, 1000, 0)):
-        talk.now_us += after_us
-        talk.step([(0x80, bytes((number,)))])
-        *_, status, counter = struct.unpack("<hhhBB", dict(talk.take())[0x285])
+        *_, status, counter = struct.unpack("<hhhBB", talk.frames(after_us, bytes((number,)))[0x285])
         assert (counter, status & STALE) == (number, stale)
     talk.advance(1_100_000)
     talk.get("f", 0x6130, 7)

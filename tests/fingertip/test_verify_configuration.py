@@ -59,9 +59,7 @@ def change_span(talk: Finger) -> None:
 def change_offset(talk: Finger) -> None:
     """One that a command changes."""
     talk.source.offset_microstrain[0] += 0.5
-    talk.now_us += 1000
-    talk.step([(0x80, b"")])
-    talk.take()
+    talk.frames()
     assert talk.put("I", 0x6125, 1, ZERO) == 0
 
 

@@ -9,10 +9,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
     from canopen_conformance.dut import Dut
+
+Step: TypeAlias = "Callable[[Dut], object]"
+Needs: TypeAlias = Sequence[tuple[int, int]] | Callable[..., Sequence[tuple[int, int]]]
+"""The (index, sub-index) that must exist, or a function that returns them for a row."""
 
 
 class CheckError(Exception):
@@ -61,52 +65,83 @@ class Case:
     name: str
     clause: str
     title: str
-    body: Callable[[Dut], None]
+    body: Step
     needs: tuple[tuple[int, int], ...]
     persistent: bool
     own: bool
     error_frames: bool
 
 
-class Service:
-    """The cases of a service of the standard, in the module that declares them; ``own`` as in Case."""
+_HEADER = re.compile(r"(?:(?!tipforce )([a-z]\w*) )?((?:CiA \S+ |tipforce )?\S+): (.*)")
 
-    def __init__(self, name: str, own: bool = False) -> None:
+
+class Service:
+    """The cases of a service of the standard, in the module that declares them; ``own`` as in Case.
+
+    A case has the header "clause: title" or "name clause: title"; a clause that is a number alone is of ``standard``.
+    """
+
+    def __init__(self, name: str, own: bool = False, standard: str = "CiA 301") -> None:
         self.name = name
         self.cases: list[Case] = []
         self._own = own
+        self._standard = standard
 
     def __call__(
         self,
-        clause: str,
-        title: str,
+        header: str,
+        needs: Needs = (),
         *,
-        needs: Sequence[tuple[int, int]] = (),
         each: Sequence[tuple[Any, ...]] = ((),),
         persistent: bool = False,
         error_frames: bool = False,
-    ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-        """Declare a case, or one per tuple of ``each``: arguments of the function after the Dut, and of the title.
+    ) -> Callable[..., Callable[..., object]]:
+        """Declare a case by its steps, called with the Dut in their order; a decorator of a single one.
 
-        Its name is the service, the function's name without the service, and the number of the tuple.
+        With ``each`` one per row: arguments of a step after the Dut, and of clause and title. Its name is the service,
+        that of the header, or of the first step without the service, and the number of the row.
         """
+        match = _HEADER.fullmatch(header)
+        if match is None:
+            raise ValueError(f"{header!r}: the form of a case is 'name clause: title'")
+        clause = match[2] if " " in match[2] else f"{self._standard} {match[2]}"
 
-        def declare(body: Callable[..., None]) -> Callable[..., None]:
-            name = f"{self.name}.{body.__name__.removeprefix(f'{self.name}_')}"
-            for number, arguments in enumerate(each, 1):
+        def declare(*steps: Callable[..., object]) -> Callable[..., object]:
+            name = f"{self.name}.{match[1] or steps[0].__name__.removeprefix(f'{self.name}_')}"
+            for number, row in enumerate(each, 1):
                 self.cases.append(
                     Case(
                         name + (f".{number}" if len(each) > 1 else ""),
-                        clause.format(*arguments),
-                        title.format(*arguments),
-                        lambda dut, arguments=arguments: body(dut, *arguments),  # type: ignore[misc]
-                        tuple(needs),
+                        clause.format(*row),
+                        match[3].format(*row),
+                        lambda dut, row=row: [step(dut, *row) for step in steps],  # type: ignore[misc]
+                        tuple(needs(*row) if callable(needs) else needs),
                         persistent,
                         self._own,
                         error_frames,
                     )
                 )
-            return body
+            return steps[0]
+
+        return declare
+
+    def each(
+        self,
+        header: str,
+        needs: Needs,
+        rows: Sequence[tuple[Any, ...]],
+        *,
+        persistent: bool = False,
+    ) -> Callable[[Callable[..., Step | tuple[Step, ...]]], object]:
+        """Declare a case per row by a function of its values that returns the step, or the steps."""
+
+        def declare(steps: Callable[..., Step | tuple[Step, ...]]) -> object:
+            def body(dut: Dut, *row: object) -> None:
+                taken = steps(*row)
+                for step in taken if isinstance(taken, tuple) else (taken,):
+                    step(dut)
+
+            return self(header, needs, each=rows, persistent=persistent)(body)
 
         return declare
 

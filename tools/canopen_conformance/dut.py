@@ -8,6 +8,7 @@ from contextlib import suppress
 
 from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product
 from canopen_conformance.wire import (
+    ANSWER_MS,
     ENTER_PRE_OPERATIONAL,
     OPERATIONAL,
     PRE_OPERATIONAL,
@@ -37,11 +38,15 @@ _SLOW_RESET_MS = 250
 
 
 class Dut(Frames):
-    """One device on a link, with its present node-id. ``product``: of the caller's own cases, if it has any."""
+    """One device on a link, with its present node-id. ``product``: of the caller's own cases, if it has any.
+
+    ``pdo_id``: CAN-ID of the PDO that a case has set up.
+    """
 
     def __init__(self, link: Link, node_id: int, product: Product | None = None) -> None:
         super().__init__(link, node_id)
         self.product = product
+        self.pdo_id = 0
         self._survey: dict[tuple[int, int], bool] = {}
         self._of_product: bool | None = None
         self._starts_by_itself: bool | None = None
@@ -156,6 +161,40 @@ class Dut(Frames):
         self.forget(can_id)
         self.expect(can_id, within_ms=2 * _BEAT_MS)
         self.expect(can_id, f"{expected:02X}", 2 * _BEAT_MS)
+
+    def heartbeat(self, wanted: Wanted = None, within_ms: float = ANSWER_MS) -> Frame:
+        """Return the next heartbeat, or answer to node guarding, which must match."""
+        return self.expect(0x700 + self.node_id, wanted, within_ms)
+
+    def no_heartbeat(self, ms: float = QUIET_MS) -> None:
+        """Check that there is no heartbeat."""
+        self.silence(0x700 + self.node_id, ms=ms)
+
+    def emcy(self, wanted: Wanted = None, within_ms: float = ANSWER_MS) -> Frame:
+        """Return the next EMCY, which must match."""
+        return self.expect(0x80 + self.node_id, wanted, within_ms)
+
+    def no_emcy(self, ms: float = QUIET_MS) -> None:
+        """Check that there is no EMCY."""
+        self.silence(0x80 + self.node_id, ms=ms)
+
+    # --- the PDO that the case has set up -------------------------------------------------------------------
+
+    def pdo(self, wanted: Wanted = None, within_ms: float = ANSWER_MS) -> Frame:
+        """Return the next frame of the PDO, which must match."""
+        return self.expect(self.pdo_id, wanted, within_ms)
+
+    def no_pdo(self, ms: float = QUIET_MS) -> None:
+        """Check that the PDO is not sent."""
+        self.silence(self.pdo_id, ms=ms)
+
+    def forget_pdo(self) -> None:
+        """Discard pending frames of the PDO."""
+        self.forget(self.pdo_id)
+
+    def send_pdo(self, data: bytes | str = b"") -> None:
+        """Send the PDO."""
+        self.send(self.pdo_id, data)
 
     def enter(self, state: int) -> None:
         """Change from PRE-OPERATIONAL, the state after a reset, to ``state``."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     Entry = tuple[str, str, int, Value, "int | float | None", "int | float | None"]
 
 # Flags of an entry.
-TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, NOT_STORED, COUNTED, VIEW = 1, 2, 4, 8, 16, 32, 64
+TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, VIEW, NOT_STORED, COUNTED = 1, 2, 4, 8, 16, 32, 64
 
 SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4}  # module ``wide_types`` adds to these tables
 RANGES = {

@@ -135,20 +135,22 @@ class Transfer:
         self.ignored = response
         return False
 
+    def _awaited(self, belongs: "Callable[[bytes], bool]") -> "Exchange":
+        """Return the next response that belongs to what was sent; silence and other responses change nothing."""
+        response = yield True
+        while response is None or not belongs(response):
+            response = yield self._ignore(response)
+        return response
+
     def _initiate(self, command: int, content: bytes, specifiers: "tuple[int, ...]") -> "Exchange":
         """Send an initiate request; return the response about this object with one of ``specifiers``."""
         self._send(bytes((command,)) + self.place + content)
-        response = yield True
-        while response is None or response[1:4] != self.place or response[0] >> 5 not in specifiers:
-            response = yield self._ignore(response)
-        return response
+        return (yield from self._awaited(lambda r: r[1:4] == self.place and r[0] >> 5 in specifiers))
 
     def _segment(self, request: bytes, specifier: int, toggle: int) -> "Exchange":
         """Send a segment or the request of one; return the response, whose toggle bit must be the request's."""
         self._send(request)
-        response = yield True
-        while response is None or response[0] >> 5 != specifier:
-            response = yield self._ignore(response)
+        response = yield from self._awaited(lambda r: r[0] >> 5 == specifier)
         if response[0] & 0x10 != toggle:
             raise TransferError(codes.TOGGLE, "a segment has the wrong toggle bit")
         return response
@@ -265,9 +267,7 @@ class BlockUpload(Upload):
         self._send(b"\xa3")
         while not self._complete:
             yield from self._block()
-        response = yield True
-        while response is None or response[0] & 0xE3 != 0xC1:
-            response = yield self._ignore(response)
+        response = yield from self._awaited(lambda r: r[0] & 0xE3 == 0xC1)
         self._finish(response, bool(first[0] & _WITH_CRC))
 
     def _block(self) -> "Conversation":
@@ -324,7 +324,7 @@ class BlockDownload(Download):
         offset, block_size, empty_blocks = 0, first[4], 0
         while offset < (len(content) or 1):
             sent = self._send_block(offset, block_size)
-            response = yield from self._response(0xA2)
+            response = yield from self._awaited(lambda r: r[0] & 0xE3 == 0xA2)
             if response[1] > sent:
                 raise TransferError(codes.BLOCK_SEQUENCE, f"{response[1]} segments acknowledged of {sent} sent")
             empty_blocks = 0 if response[1] else empty_blocks + 1
@@ -334,7 +334,7 @@ class BlockDownload(Download):
             self._arrived(offset)
         crc = crc16(content) if first[0] & _WITH_CRC else 0
         self._send(bytes((0xC1 | (offset - len(content)) << 2, crc & 0xFF, crc >> 8)))
-        yield from self._response(0xA1)
+        yield from self._awaited(lambda r: r[0] & 0xE3 == 0xA1)
 
     def _send_block(self, offset: int, block_size: int) -> int:
         """Send the segments of one block; return their number."""
@@ -349,9 +349,3 @@ class BlockDownload(Download):
             if last:
                 break
         return number
-
-    def _response(self, command: int) -> "Exchange":
-        response = yield True
-        while response is None or response[0] & 0xE3 != command:
-            response = yield self._ignore(response)
-        return response

@@ -10,8 +10,7 @@ from canopen_device.core import communication
 from canopen_device.eds import description as eds
 from canopen_device.eds import standard, values
 from canopen_device.eds.description import Description, Entry, Object
-from canopen_device.eds.keys import read_key
-from canopen_device.eds.sections import EdsFile, Section
+from canopen_device.eds.sections import EdsFile, Section, read_key
 from canopen_device.errors import InputError
 from canopen_device.paths_below import below
 from canopen_device.types import LETTER_OF_CODE, TYPES, Value

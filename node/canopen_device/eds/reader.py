@@ -7,9 +7,8 @@ from pathlib import Path
 from canopen_device.eds import values
 from canopen_device.eds.checks import check
 from canopen_device.eds.description import Description
-from canopen_device.eds.keys import BIT_RATES_KBIT_S, read_key
 from canopen_device.eds.objects import read_objects
-from canopen_device.eds.sections import MOST_BYTES, EdsFile, Section, decoded, parse
+from canopen_device.eds.sections import BIT_RATES_KBIT_S, MOST_BYTES, EdsFile, Section, decoded, parse, read_key
 from canopen_device.eds.standard import add_compact_pdos, add_mandatory
 from canopen_device.errors import InputError
 

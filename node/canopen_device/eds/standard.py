@@ -117,23 +117,18 @@ def _add(
     bases: tuple[int, ...],
     granularity: int,
 ) -> None:
-    listed = {index for index in eds.objects if first <= index <= first + _MOST - 1}
-    missing = max(0, count - len(listed))
-    number = 0
-    while missing and number < _MOST:
-        index = first + number
-        mapping = index + at.MAPPING
-        made = []
-        if index not in eds.objects:
+    absent = [number for number in range(_MOST) if first + number not in eds.objects]
+    missing = absent[: max(0, count - (_MOST - len(absent)))]
+    for number in range(missing[-1] + 1 if missing else 0):
+        index, made = first + number, []
+        if number in missing:
             made.append(_parameter(section, eds, index, number, mask, bases))
-            missing -= 1
-        if mapping not in eds.objects:
-            made.append(_mapping(section, mapping, granularity))
-        for made_object in made:
-            eds.objects[made_object.index] = made_object
-            for entry in made_object.entries.values():
+        if index + at.MAPPING not in eds.objects:
+            made.append(_mapping(section, index + at.MAPPING, granularity))
+        for added in made:
+            eds.objects[added.index] = added
+            for entry in added.entries.values():
                 eds.take(entry)
-        number += 1
 
 
 def _parameter(

@@ -11,8 +11,7 @@ from xml.sax.saxutils import quoteattr
 from canopen_device.core import communication
 from canopen_device.core.object_dictionary import RPDO, TPDO
 from canopen_device.eds.description import Description, Entry, Object
-from canopen_device.eds.keys import KEYS
-from canopen_device.eds.sections import MOST_LINES, EdsFile, Findings, Section, add_key, open_section
+from canopen_device.eds.sections import KEYS, MOST_LINES, EdsFile, Findings, Section, add_key, open_section
 from canopen_device.errors import InputError
 from canopen_device.types import Value
 

@@ -4,8 +4,8 @@ from canopen_device.lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from canopen_device.machine.application import DeviceApplication as DeviceApplication
     from canopen_device.machine.cia402 import Drive as Drive
+    from canopen_device.machine.device import DeviceApplication as DeviceApplication
     from canopen_device.machine.device import SimulatedDevice as SimulatedDevice
     from canopen_device.machine.device import device_from_file as device_from_file
     from canopen_device.machine.device import shipped_eds as shipped_eds
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "running": ("simulated_device", "simulated_devices"),
-    "device": ("device_from_file", "SimulatedDevice", "shipped_eds"),
-    "application": ("DeviceApplication",),
+    "device": ("device_from_file", "DeviceApplication", "SimulatedDevice", "shipped_eds"),
     "cia402": ("Drive",),
     "signals": ("Ramp", "Sine", "RandomWalk", "Recorded", "recorded", "Follows"),
 }

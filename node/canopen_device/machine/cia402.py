@@ -11,7 +11,7 @@ from canopen_device.core.codes import INVALID_VALUE
 from canopen_device.core.emcy import GENERIC, PROFILE
 from canopen_device.eds.description import Entry
 from canopen_device.errors import InputError
-from canopen_device.machine.application import DeviceApplication
+from canopen_device.machine.device import DeviceApplication
 from canopen_device.types import Value
 
 ERROR_CODE, CONTROL, STATUS, QUICK_STOP_OPTION = 0x603F, 0x6040, 0x6041, 0x605A

@@ -17,7 +17,6 @@ from canopen_device.eds.description import Description, Entry
 from canopen_device.eds.load import EdsWarning, Load, Save, core_value, device_of, python_value
 from canopen_device.eds.reader import read_eds
 from canopen_device.errors import InputError
-from canopen_device.machine.application import DeviceApplication
 from canopen_device.machine.faults import Faults
 from canopen_device.machine.signals import Driver, Signal
 from canopen_device.paths_below import below
@@ -30,6 +29,37 @@ Key = int | tuple[int, int] | str
 
 _ACYCLIC = 0  # the transmission type of a PDO that is sent on the SYNC after a change
 _POLL_US = 10_000  # how soon a change by another thread is sent
+
+
+class DeviceApplication:
+    """What a simulated device does beyond CANopen. Every method may be overridden; this class does nothing.
+
+    ``self.device`` is the device: ``self.device[0x6064] = 100`` sets a value and sends the PDOs that are due on it.
+    The methods run in the thread of the bus loop and must not wait; an exception ends the loop.
+    """
+
+    device: SimulatedDevice
+    period_s = 0.01
+    """``step`` is called so often, and on each SYNC."""
+
+    def on_start(self) -> None:
+        """Handle the creation of the device. Raise InputError here if its EDS lacks what the application needs."""
+
+    def on_reset(self) -> None:
+        """Handle an NMT reset node, also the first: all values are those of the EDS, or stored ones."""
+
+    def on_write(self, entry: Entry, value: Value) -> int:  # noqa: ARG002
+        """Handle a value that a master writes, by SDO or PDO: return 0 to accept it, or an SDO abort code.
+
+        The value is stored after this call. Objects below 2000h belong to CANopen itself and are not reported.
+        """
+        return 0
+
+    def on_sync(self) -> None:
+        """Handle a SYNC: set the values that its PDOs carry."""
+
+    def step(self, dt_s: float) -> None:
+        """Let ``dt_s`` seconds pass."""
 
 
 class SimulatedDevice:

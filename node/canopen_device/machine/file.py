@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import operator
+import types
+from collections.abc import Mapping, Sequence
+from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -14,114 +18,58 @@ from canopen_device.machine.faults import EMCY, SILENT, SLOW, WRONG_TOGGLE, Plan
 from canopen_device.paths_below import below
 from canopen_device.toml_table import convert, read_table
 
-_STRICT = {"forbid_unknown_fields": True, "tag_field": "kind"}
+
+def _list_of(*structs: type[msgspec.Struct]) -> Any:
+    return types.GenericAlias(tuple, (reduce(operator.or_, structs), ...))
 
 
-class RampPart(msgspec.Struct, tag="ramp", **_STRICT):
-    """See ``signals.Ramp``."""
-
-    object: str | int
-    start: float
-    end: float
-    duration_s: float
-    repeats: bool = False
-
-
-class SinePart(msgspec.Struct, tag="sine", **_STRICT):
-    """See ``signals.Sine``."""
-
-    object: str | int
-    amplitude: float
-    cycle_s: float
-    offset: float = 0.0
-    phase_deg: float = 0.0
+def _tables(kinds: Mapping[str, Sequence[tuple[Any, ...]]]) -> Any:
+    """Return the type of a list of tables: (key, type, default where there is one) by the value of ``kind``."""
+    return _list_of(
+        *(
+            msgspec.defstruct(kind, keys, tag=kind, tag_field="kind", forbid_unknown_fields=True)
+            for kind, keys in kinds.items()
+        )
+    )
 
 
-class RandomWalkPart(msgspec.Struct, tag="random_walk", **_STRICT):
-    """See ``signals.RandomWalk``."""
-
-    object: str | int
-    step: float
-    low: float
-    high: float
-    start: float = 0.0
-    every_s: float = 0.1
-    seed: int = 0
-
-
-class CsvPart(msgspec.Struct, tag="csv", **_STRICT):
-    """See ``signals.recorded``."""
-
-    object: str | int
-    file: str
-    column: str
-    time_column: str = "t_s"
-    repeats: bool = False
-
-
-class FollowsPart(msgspec.Struct, tag="follows", **_STRICT):
-    """See ``signals.Follows``."""
-
-    object: str | int
-    source: str | int
-    gain: float = 1.0
-    offset: float = 0.0
-    lag_s: float = 0.0
-
-
-class SilentPart(msgspec.Struct, tag=SILENT, **_STRICT):
-    """The device neither hears nor sends."""
-
-    at_s: float = 0.0
-    for_s: float | None = None
-
-
-class SlowPart(msgspec.Struct, tag=SLOW, **_STRICT):
-    """SDO responses come late."""
-
-    delay_s: float
-    at_s: float = 0.0
-    for_s: float | None = None
-
-
-class WrongTogglePart(msgspec.Struct, tag=WRONG_TOGGLE, **_STRICT):
-    """SDO segments have the wrong toggle bit."""
-
-    at_s: float = 0.0
-    for_s: float | None = None
-
-
-class EmcyPart(msgspec.Struct, tag=EMCY, **_STRICT):
-    """An error is active: EMCY when it begins and when it ends."""
-
-    code: int
-    register: int = 1
-    at_s: float = 0.0
-    for_s: float | None = None
-
-
-class DevicePart(msgspec.Struct, forbid_unknown_fields=True):
-    """One device."""
-
-    eds: str
-    node_id: int | None = None
-    application: str = ""
-    store: str = ""
-    values: dict[str, int | float | str] = {}
-    signal: tuple[RampPart | SinePart | RandomWalkPart | CsvPart | FollowsPart, ...] = ()
-    fault: tuple[SilentPart | SlowPart | WrongTogglePart | EmcyPart, ...] = ()
-
-
-class MachinePart(msgspec.Struct, forbid_unknown_fields=True):
-    """The whole file."""
-
-    device: tuple[DevicePart, ...]
+_OBJECT = ("object", str | int)
+_SIGNALS = _tables({
+    "ramp": [_OBJECT, ("start", float), ("end", float), ("duration_s", float), ("repeats", bool, False)],
+    "sine": [
+        _OBJECT, ("amplitude", float), ("cycle_s", float), ("offset", float, 0.0), ("phase_deg", float, 0.0),
+    ],
+    "random_walk": [
+        _OBJECT, ("step", float), ("low", float), ("high", float), ("start", float, 0.0), ("every_s", float, 0.1),
+        ("seed", int, 0),
+    ],
+    "csv": [_OBJECT, ("file", str), ("column", str), ("time_column", str, "t_s"), ("repeats", bool, False)],
+    "follows": [
+        _OBJECT, ("source", str | int), ("gain", float, 1.0), ("offset", float, 0.0), ("lag_s", float, 0.0),
+    ],
+})  # fmt: skip
+_WHEN = (("at_s", float, 0.0), ("for_s", float | None, None))
+_FAULTS = _tables({
+    SILENT: _WHEN,
+    SLOW: [("delay_s", float), *_WHEN],
+    WRONG_TOGGLE: _WHEN,
+    EMCY: [("code", int), ("register", int, 1), *_WHEN],
+})  # fmt: skip
+_DEVICE = msgspec.defstruct(
+    "Device",
+    [
+        ("eds", str), ("node_id", int | None, None), ("application", str, ""), ("store", str, ""),
+        ("values", dict[str, int | float | str], {}), ("signal", _SIGNALS, ()), ("fault", _FAULTS, ()),
+    ],
+    forbid_unknown_fields=True,
+)  # fmt: skip
+_MACHINE = msgspec.defstruct("Machine", [("device", _list_of(_DEVICE))], forbid_unknown_fields=True)
 
 
 def read_machine(path: str | Path) -> list[SimulatedDevice]:
     """Return the devices of a TOML file; files that it names are below its folder. Raises InputError."""
     place = str(path)
-    machine = convert(MachinePart, read_table(path, place), place)
+    machine: Any = convert(_MACHINE, read_table(path, place), place)
     if not machine.device:
         raise InputError(f"{place}: no device; write [[device]] with eds and node_id")
     folder, made = Path(path).resolve().parent, []
@@ -143,33 +91,31 @@ def check_node_ids(devices: Sequence[SimulatedDevice], place: str = "") -> None:
         seen.add(device.core.node_id)
 
 
-def _device(part: DevicePart, folder: Path) -> SimulatedDevice:
+def _device(part: Any, folder: Path) -> SimulatedDevice:
     driven: dict[Key, signals.Signal] = {}
-    for signal in part.signal:
-        if signal.object in driven:
-            raise InputError(f"{signal.object!r}: two signals; an object has one")
-        driven[signal.object] = _signal(signal, folder)
+    for table in part.signal:
+        if table.object in driven:
+            raise InputError(f"{table.object!r}: two signals; an object has one")
+        driven[table.object] = _signal(folder, str(table.__struct_config__.tag), **msgspec.structs.asdict(table))
     device = made_device(part.eds, part.node_id, part.application, part.values, driven, part.store, folder)
-    for fault in part.fault:
-        given = {name: getattr(fault, name) for name in ("delay_s", "code", "register") if hasattr(fault, name)}
-        device.faults.plan(Planned(str(fault.__struct_config__.tag), fault.at_s, fault.for_s, given))
+    for table in part.fault:
+        given = msgspec.structs.asdict(table)
+        at_s, for_s = given.pop("at_s"), given.pop("for_s")
+        device.faults.plan(Planned(str(table.__struct_config__.tag), at_s, for_s, given))
     return device
 
 
-def _signal(part: RampPart | SinePart | RandomWalkPart | CsvPart | FollowsPart, folder: Path) -> signals.Signal:
+def _signal(folder: Path, kind: str, object: str | int, **given: Any) -> signals.Signal:
     """Return the signal of a table. Raises InputError for a time that is not above 0, and limits out of order."""
     for name in ("duration_s", "cycle_s", "every_s"):
-        if hasattr(part, name) and not getattr(part, name) > 0.0:
-            raise InputError(f"signal of {part.object!r}: {name} {getattr(part, name)}: allowed is above 0")
-    if isinstance(part, RampPart):
-        return signals.Ramp(part.start, part.end, part.duration_s, part.repeats)
-    if isinstance(part, SinePart):
-        return signals.Sine(part.amplitude, part.offset, part.cycle_s, part.phase_deg)
-    if isinstance(part, CsvPart):
-        path = below(folder, part.file, f"signal of {part.object!r}: file")
-        return signals.recorded(path, part.column, part.time_column, part.repeats)
-    if isinstance(part, FollowsPart):
-        return signals.Follows(part.source, part.gain, part.offset, part.lag_s)
-    if not part.low <= part.start <= part.high:
-        raise InputError(f"signal of {part.object!r}: start {part.start}: allowed are {part.low} to {part.high}")
-    return signals.RandomWalk(part.start, part.step, part.low, part.high, part.every_s, part.seed)
+        if name in given and not given[name] > 0.0:
+            raise InputError(f"signal of {object!r}: {name} {given[name]}: allowed is above 0")
+    if kind == "csv":
+        path = below(folder, given["file"], f"signal of {object!r}: file")
+        return signals.recorded(path, given["column"], given["time_column"], given["repeats"])
+    if kind == "follows":
+        return signals.Follows(given.pop("source"), **given)
+    if kind == "random_walk" and not given["low"] <= given["start"] <= given["high"]:
+        limits = f"{given['low']} to {given['high']}"
+        raise InputError(f"signal of {object!r}: start {given['start']}: allowed are {limits}")
+    return {"ramp": signals.Ramp, "sine": signals.Sine, "random_walk": signals.RandomWalk}[kind](**given)

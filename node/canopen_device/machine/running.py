@@ -10,14 +10,13 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from canopen_device.errors import InputError
-from canopen_device.machine.device import Key, SimulatedDevice, device_from_file
+from canopen_device.machine.device import DeviceApplication, Key, SimulatedDevice, device_from_file
 from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
 
 if TYPE_CHECKING:
     import can
 
-    from canopen_device.machine.application import DeviceApplication
     from canopen_device.machine.signals import Signal
     from canopen_device.types import Value
 

@@ -18,12 +18,6 @@ FIRST_OBJECT = communication.FIRST  # below are the data types: mapped, they are
 
 _FORCE_SCALE = 0.001  # N; also of 2123h
 _UNCERTAINTIES = (("u_P", "N"), ("u_phi", "degree"), ("u_theta", "degree"))
-_PROCESS_VALUES = (
-    indices.PROCESS_VALUE,
-    indices.PROCESS_VALUE + table.INT16_FORM,
-    indices.PROCESS_VALUE + table.INT32_FORM,
-)
-_FIELD_VALUES = (indices.FIELD_VALUE, indices.FIELD_VALUE + table.INT16_FORM, indices.FIELD_VALUE + table.INT32_FORM)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,11 +144,11 @@ def _flag(entry: Entry[Any], start: int, bit: int, name: str, description: str) 
 
 def _measurement(entry: Entry[Any], start: int, n: int) -> Signal | None:
     """The quantities that have a unit, a resolution and a value for unknown; None for any other."""
-    if entry.index in _PROCESS_VALUES:
+    if entry.index in table.forms(indices.PROCESS_VALUE):
         symbol, what, _, digits, _, unit, _, _ = table.channels(n)[entry.sub - 1]
         limit = 180.0 if unit == "degree" else None
         return _scaled(entry, start, symbol, 10.0**-digits, unit, what, limit)
-    if entry.index in _FIELD_VALUES:
+    if entry.index in table.forms(indices.FIELD_VALUE):
         return _scaled(entry, start, f"SG{entry.sub}_counts", 1.0, "counts", f"field value of gauge {entry.sub}")
     if entry.index == indices.UNCERTAINTY:
         name, unit = _UNCERTAINTIES[entry.sub - 1]

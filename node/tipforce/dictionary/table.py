@@ -10,7 +10,7 @@ tuples where the entries of one run differ. The type is the letter that ``struct
 not state its own.
 """
 
-from canopen_device.core import codes, communication
+from canopen_device.core import codes, communication, object_dictionary
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # never run: MicroPython has no typing
@@ -35,13 +35,14 @@ if TYPE_CHECKING:  # never run: MicroPython has no typing
 U8, U16, U32, I16, I32, REAL32, STRING, DOMAIN = "B", "H", "I", "h", "i", "f", "s", "D"
 VAR, ARRAY, RECORD = 7, 8, 9
 
-TPDO = 1  # may be mapped into a TPDO
-RPDO = 2  # may be mapped into an RPDO
-ADD_NODE_ID = 4  # the default is this number plus the node-id
-STAGED = 8  # part of the calibration record, in table order; any REAL32 may be staged, NaN included
-VIEW = 16  # another form of a 6xxxh value: not a value of its own, never stored
-NOT_STORED = 32  # read-write, but a state and not a setting
-COUNTED = 64  # decides what is sent or what it means: a change of it counts in 2126h
+# Flags, those of the device core.
+TPDO = object_dictionary.TPDO  # may be mapped into a TPDO
+RPDO = object_dictionary.RPDO  # may be mapped into an RPDO
+ADD_NODE_ID = object_dictionary.ADD_NODE_ID  # the default is this number plus the node-id
+STAGED = object_dictionary.ANY_FLOAT  # part of the calibration record, in table order; NaN may be staged
+VIEW = object_dictionary.VIEW  # another form of a 6xxxh value: not a value of its own, never stored
+NOT_STORED = object_dictionary.NOT_STORED  # read-write, but a state and not a setting
+COUNTED = object_dictionary.COUNTED  # decides what is sent or what it means: a change of it counts in 2126h
 
 MAX_MAPPED = 8
 
@@ -99,6 +100,11 @@ EMCY_OVERLOAD = 0x5020
 COMMAND_TARE, COMMAND_CLEAR_TARE, COMMAND_ZERO = 1, 2, 3
 
 
+def forms(index: int) -> "tuple[int, int, int]":
+    """The indices of a value of the profile area: as REAL32, INTEGER16 and INTEGER32."""
+    return index, index + INT16_FORM, index + INT32_FORM
+
+
 def channels(n: int) -> "tuple[Channel, ...]":
     """The n + 6 channels, sub-index 1 first, each in the form of ``Channel``.
 
@@ -123,20 +129,13 @@ def tpdos(n: int) -> "tuple[Pdo, ...]":
 
     The parameter objects 18xxh and 1Axxh and the DBC messages follow from this.
     """
-    status, counter, register = (0x2120, 0), (0x2121, 0), (communication.ERROR_REGISTER, 0)
+    status, counter = (0x2120, 0), (0x2121, 0)
+    health = ((0x2122, 0), (0x2123, 0), (0x2124, 0), (0x2126, 0), (communication.ERROR_REGISTER, 0))
     declared: list[Pdo] = [
         (1, "Gauges", codes.TPDO_BASES[0], True, 1, 0, _run(0x7130, 1, 3) + (status, counter)),
         (2, "Contact", codes.TPDO_BASES[1], True, 1, 0, _run(0x7130, n + 4, n + 6) + (status, counter)),
         (3, "Force", codes.TPDO_BASES[2], False, 1, 0, _run(0x7130, n + 1, n + 3) + (status, counter)),
-        (
-            4,
-            "Health",
-            codes.TPDO_BASES[3],
-            False,
-            255,
-            1000,
-            ((0x2122, 0), (0x2123, 0), (0x2124, 0), (0x2126, 0), register),
-        ),
+        (4, "Health", codes.TPDO_BASES[3], False, 255, 1000, health),
     ]
     if n > 3:
         declared.append((5, "Gauges2", 0, False, 1, 0, _run(0x7130, 4, min(n, 6)) + (status, counter)))
@@ -165,28 +164,11 @@ def _run(index: int, first: int, last: int) -> "Mapped":
     return tuple((index, sub) for sub in range(first, last + 1))
 
 
-def var(
-    index: int,
-    name: str,
-    slug: str,
-    kind: str,
-    access: str,
-    flags: int = 0,
-    default: "Value" = 0,
-    low: "Limit" = None,
-    high: "Limit" = None,
-    unit: str = "",
-) -> "Object":
-    """A variable: an object of one value."""
-    return (index, VAR, name, slug, ((0, 1, name, slug, kind, access, flags, default, low, high, unit),))
-
-
-def array(
-    index: int,
-    name: str,
-    slug: str,
+def run(
+    first: int,
     count: int,
     names: "str | tuple[str, ...]",
+    slug: str,
     kind: str,
     access: str,
     flags: int = 0,
@@ -194,18 +176,23 @@ def array(
     low: "Limit" = None,
     high: "Limit" = None,
     unit: str = "",
+) -> "Run":
+    """Equal entries from sub-index ``first`` on; the functions below pass ``rest`` from ``kind`` on."""
+    return (first, count, names, slug, kind, access, flags, default, low, high, unit)
+
+
+def var(index: int, name: str, slug: str, *rest: "Any", **unit: "Any") -> "Object":
+    """A variable: an object of one value."""
+    return (index, VAR, name, slug, (run(0, 1, name, slug, *rest, **unit),))
+
+
+def array(
+    index: int, name: str, slug: str, count: int, names: "str | tuple[str, ...]", *rest: "Any", **unit: "Any"
 ) -> "Object":
     """An array of ``count`` values of one type; its sub-index 0 is added."""
-    run = (1, count, names, slug, kind, access, flags, default, low, high, unit)
-    return (index, ARRAY, name, slug, (run,))
+    return (index, ARRAY, name, slug, (run(1, count, names, slug, *rest, **unit),))
 
 
 def record(index: int, name: str, slug: str, *entries: "tuple[Any, ...]") -> "Object":
-    """Entries as (sub, name, slug, type, access, flags, default, low, high, unit), the tail optional."""
-    filled: list[Run] = []
-    for entry in entries:
-        tail = (0, 0, None, None, "")[len(entry) - 5 :]
-        sub, label, part, kind, access = entry[:5]
-        flags, default, low, high, unit = tuple(entry[5:]) + tail
-        filled.append((sub, 1, label, slug + "." + part, kind, access, flags, default, low, high, unit))
-    return (index, RECORD, name, slug, tuple(filled))
+    """A record of entries (sub, name, slug, rest...)."""
+    return (index, RECORD, name, slug, tuple([run(e[0], 1, e[1], slug + "." + e[2], *e[3:]) for e in entries]))

@@ -39,6 +39,7 @@ from tipforce.dictionary.table import (
     product_code,
     record,
     rpdos,
+    run,
     tpdos,
     var,
 )
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import Any
 
-    from tipforce.dictionary.table import Converter, Limit, Object, Pdo, Run, Value
+    from tipforce.dictionary.table import Converter, Object, Pdo
 
 
 def objects(
@@ -104,7 +105,7 @@ def _with_sub0(row: "Object") -> "Object":
     if code == VAR or entries[0][0] == 0:
         return row
     highest = entries[-1][0] + entries[-1][1] - 1
-    count: Run = (0, 1, "Highest sub-index supported", "count", U8, "const", 0, highest, None, None, "")
+    count = run(0, 1, "Highest sub-index supported", "count", U8, "const", 0, highest)
     return (index, code, name, slug, (count,) + entries)
 
 
@@ -125,8 +126,8 @@ def communication_area(product: int, simulated: bool) -> "tuple[Object, ...]":
             "Pre-defined error field",
             "error_history",
             (
-                (0, 1, "Number of errors", "error_history.count", U8, "rw", NOT_STORED, 0, None, None, ""),
-                (1, 8, "Error %d", "error_history", U32, "ro", 0, 0, None, None, ""),
+                run(0, 1, "Number of errors", "error_history.count", U8, "rw", NOT_STORED),
+                run(1, 8, "Error %d", "error_history", U32, "ro"),
             ),
         ),
         var(communication.COB_ID_SYNC, "COB-ID SYNC", "sync.cob_id", U32, "rw", COUNTED, codes.SYNC_COB_ID),
@@ -232,10 +233,8 @@ def pdo_objects(direction: str, first: int, pdo: "Pdo") -> "tuple[Object, Object
             title + " mapping",
             slug + ".mapping",
             (
-                (0, 1, "Number of mapped objects", slug + ".mapped",
-                 U8, "rw", counted, len(bits), 0, MAX_MAPPED, ""),
-                (1, MAX_MAPPED, "Mapped object %d", slug + ".mapping",
-                 U32, "rw", counted, slots, None, None, ""),
+                run(0, 1, "Number of mapped objects", slug + ".mapped", U8, "rw", counted, len(bits), 0, MAX_MAPPED),
+                run(1, MAX_MAPPED, "Mapped object %d", slug + ".mapping", U32, "rw", counted, slots),
             ),
         ),
     )
@@ -388,12 +387,8 @@ def profile(n: int, converter: "Converter") -> "Iterator[Object]":
     symbols = tuple(c[0] for c in chans)
     total = n + 6
 
-    def single(
-        index: int, name: str, slug: str, count: int, kind: str, access: str, flags: int = 0,
-        default: "Value | tuple[Value, ...]" = 0, low: "Limit" = None, high: "Limit" = None, unit: str = "",
-    ) -> "Object":
-        names = symbols[:count]
-        return array(index, name, slug, count, names, kind, access, flags, default, low, high, unit)
+    def single(index: int, name: str, slug: str, count: int, *rest: "Any") -> "Object":
+        return array(index, name, slug, count, symbols[:count], *rest)
 
     yield from (
         single(0x6110, "AI sensor type", "sensor_type", total, U16, "ro", 0, tuple(c[4] for c in chans)),
@@ -405,8 +400,8 @@ def profile(n: int, converter: "Converter") -> "Iterator[Object]":
         (
             0x6139, ARRAY, "AI autotare", "autotare",
             (
-                (0, 1, "Highest sub-index supported", "count", U8, "const", 0, n + 1, None, None, ""),
-                (n + 1, 1, "F1, F2, F3", "autotare", U32, "wo", 0, 0, None, None, ""),
+                run(0, 1, "Highest sub-index supported", "count", U8, "const", 0, n + 1),
+                run(n + 1, 1, "F1, F2, F3", "autotare", U32, "wo"),
             ),
         ),
         single(0x6150, "AI status", "channel_status", total, U8, "ro", TPDO),

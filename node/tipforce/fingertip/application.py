@@ -30,16 +30,12 @@ _LIVE = (
     communication.MANUFACTURER_STATUS, indices.UNCERTAINTY, indices.STATUS, indices.COUNTER, indices.TEMPERATURE,
     indices.U_P, indices.FAULTS, indices.CONFIGURATION_COUNTER, indices.CHANNEL_STATUS,
 )  # fmt: skip
-_LIVE_FORMS = (
-    indices.FIELD_VALUE, indices.FIELD_VALUE + table.INT16_FORM, indices.FIELD_VALUE + table.INT32_FORM,
-    indices.PROCESS_VALUE, indices.PROCESS_VALUE + table.INT16_FORM, indices.PROCESS_VALUE + table.INT32_FORM,
-)  # fmt: skip
 
 
 class Fingertip(Application):
     """Everything between a gauge source and the object dictionary of one node."""
 
-    live = frozenset(_LIVE + _LIVE_FORMS)
+    live = frozenset(_LIVE + table.forms(indices.FIELD_VALUE) + table.forms(indices.PROCESS_VALUE))
 
     def __init__(self, device: Device, n: int, source: "Source") -> None:
         self.device = device

@@ -1,7 +1,6 @@
 """A fingertip node, put together: dictionary (from the table), CANopen device, application, gauge source."""
 
 from canopen_device.core import communication
-from canopen_device.core import object_dictionary as od_flags
 from canopen_device.core.codes import LSS_UNCONFIGURED
 from canopen_device.core.node import Device
 from canopen_device.core.object_dictionary import ObjectDictionary
@@ -39,37 +38,18 @@ def build(
         if index in (communication.STORED_EDS, communication.EDS_FORMAT) and not eds:
             continue
         for first, count, _label, _part, kind, access, flags, default, low, high, _unit in entries:
-            core_flags = _flags(flags)
+            stored_elsewhere = table.NOT_STORED if flags & (table.STAGED | table.VIEW) else 0
             for k in range(count):
                 value: "Value" = default[k] if isinstance(default, tuple) else default
                 if kind == "D":
                     value = b""
-                entry = (kind, access, core_flags, value, low, high)
+                entry = (kind, access, flags | stored_elsewhere, value, low, high)
                 shared[entry] = od.add(index, first + k, shared.get(entry, entry))
     if eds:
         od.readers[communication.STORED_EDS] = lambda _sub: eds
     first = communication.IDENTITY << 8
     od.readers[communication.IDENTITY] = lambda sub: serial if sub == 4 else od.values[first | sub]
     return od
-
-
-def _flags(flags: int) -> int:
-    """The table's flags in the words of the device core."""
-    if not flags:
-        return 0  # most entries
-    found = 0
-    for ours, theirs in (
-        (table.TPDO, od_flags.TPDO),
-        (table.RPDO, od_flags.RPDO),
-        (table.ADD_NODE_ID, od_flags.ADD_NODE_ID),
-        (table.STAGED, od_flags.ANY_FLOAT | od_flags.NOT_STORED),
-        (table.VIEW, od_flags.VIEW | od_flags.NOT_STORED),
-        (table.NOT_STORED, od_flags.NOT_STORED),
-        (table.COUNTED, od_flags.COUNTED),
-    ):
-        if flags & ours:
-            found |= theirs
-    return found
 
 
 def fingertip_node(

@@ -4,6 +4,7 @@ docs/objects.md; interrupts (6133h to 6136h) send the event-driven TPDOs of chan
 """
 
 from canopen_device.core import emcy
+from canopen_device.core.codes import EVENT_DRIVEN
 from tipforce.dictionary import indices, table
 
 TYPE_CHECKING = False
@@ -15,12 +16,8 @@ if TYPE_CHECKING:
     from .sample import Sample
 
 
-_ON_SYNC_AFTER_EVENT, _EVENT_DRIVEN = 0, 254
-_CHANNEL_VALUES = (
-    indices.PROCESS_VALUE,
-    indices.PROCESS_VALUE + table.INT16_FORM,
-    indices.PROCESS_VALUE + table.INT32_FORM,
-)
+_ON_SYNC_AFTER_EVENT = 0  # a transmission type
+_CHANNEL_VALUES = table.forms(indices.PROCESS_VALUE)
 _LIMITS = (indices.INTERRUPT_LOWER, indices.INTERRUPT_UPPER, indices.INTERRUPT_HYSTERESIS)
 _INSIDE, _BELOW, _ABOVE, _UNKNOWN = 0, -1, 1, 2
 
@@ -46,7 +43,7 @@ class Interrupts:
         """Find the channels to watch; called when settings or PDOs may have changed."""
         self.watched = {}
         for number, transmission, keys in self._device.tpdos.mapped():
-            if transmission == _ON_SYNC_AFTER_EVENT or transmission >= _EVENT_DRIVEN:
+            if transmission == _ON_SYNC_AFTER_EVENT or transmission >= EVENT_DRIVEN:
                 for index, sub in keys:
                     if index in _CHANNEL_VALUES and self._configured(sub):
                         self.watched.setdefault(sub, []).append(number)
@@ -166,7 +163,7 @@ class Reports:
         due_us = max(now_us, self._next_us)
         asked = False
         for number, transmission, keys in self._device.tpdos.mapped():
-            if transmission >= _EVENT_DRIVEN and (indices.FAULTS, 0) in keys:
+            if transmission >= EVENT_DRIVEN and (indices.FAULTS, 0) in keys:
                 self._device.tpdos.request(number, due_us)
                 asked = True
         if asked:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.cases.pdo import INVALID
 from canopen_conformance.dut import Dut
@@ -29,7 +30,7 @@ def make_error(dut: Dut) -> bytes:
 def cure_error(dut: Dut) -> bytes:
     """Clear the error of ``make_error``; return the EMCY that reports it."""
     dut.send(0x080)
-    return dut.expect(0x80 + dut.node_id, "00 00 *").data
+    return dut.emcy("00 00 *").data
 
 
 NEEDS = ((0x1014, 0), (0x1001, 0))
@@ -37,51 +38,38 @@ HISTORY = (*NEEDS, (0x1003, 0))
 INHIBIT = (*NEEDS, (0x1015, 0))
 
 
-@case("CiA 301 7.2.7.3", "the message: 8 bytes, code, error register, the manufacturer's five", needs=NEEDS)
+@case("7.2.7.3: the message: 8 bytes, code, error register, the manufacturer's five", NEEDS)
 def message(dut: Dut) -> None:
     data = make_error(dut)
     if len(data) != 8 or data[:2] != b"\x40\x82" or data[2:3] != dut.read(0x1001):
         raise CheckError("40 82, 1001h and five bytes", data.hex(" "))
 
 
-@case("CiA 301 7.5.2.2", "1001h is 0 without an error", needs=NEEDS)
-def register_clear(dut: Dut) -> None:
-    dut.holds("B", 0x1001, 0, 0)
+case("register_clear 7.5.2.2: 1001h is 0 without an error", NEEDS)(do.holds("B", 0x1001, 0, 0))
+case("register_bits 7.5.2.2: a communication error sets bits 0 and 4 of 1001h", NEEDS)(
+    make_error, do.holds("B", 0x1001, 0, 0x11)
+)
 
 
-@case("CiA 301 7.5.2.2", "a communication error sets bits 0 and 4 of 1001h", needs=NEEDS)
-def register_bits(dut: Dut) -> None:
-    make_error(dut)
-    dut.holds("B", 0x1001, 0, 0x11)
-
-
-@case("CiA 301 7.2.7.1", "the end of an error: EMCY 0000h with the register as it is then", needs=NEEDS)
+@case("7.2.7.1: the end of an error: EMCY 0000h with the register as it is then", NEEDS)
 def cured(dut: Dut) -> None:
     make_error(dut)
     data = cure_error(dut)
     check(data[2] == 0 and dut.integer("B", 0x1001) == 0, "error register 0", data.hex(" "))
 
 
-@case("CiA 301 7.2.7.1", "of two errors one ends: the register keeps the other's bits", needs=(*NEEDS, (0x1016, 1)))
+@case("7.2.7.1: of two errors one ends: the register keeps the other's bits", (*NEEDS, (0x1016, 1)))
 def cured_one(dut: Dut) -> None:
     dut.put("I", 0x1016, 1, 0x700014)
     dut.send(0x770, "05")
-    dut.expect(0x80 + dut.node_id, "30 81 11 *")
+    dut.emcy("30 81 11 *")
     make_error(dut)
     check(cure_error(dut)[2] == 0x11, "error register 11h", "another one")
 
 
-@case(
-    "CiA 301 7.2.8.2.1.5",
-    "{1} clears the register",
-    needs=NEEDS,
-    each=[(129, "reset node"), (130, "reset communication")],
-)
-def register_reset(dut: Dut, command: int, _name: str) -> None:
-    make_error(dut)
-    dut.reset(command)
-    dut.holds("B", 0x1001, 0, 0)
-    dut.silence(0x80 + dut.node_id)
+case.each(
+    "register_reset 7.2.8.2.1.5: {1} clears the register", NEEDS, [(129, "reset node"), (130, "reset communication")]
+)(lambda command, _name: (make_error, do.reset(command), do.holds("B", 0x1001, 0, 0), do.no_emcy()))
 
 
 # --- history ----------------------------------------------------------------------------------------------
@@ -92,57 +80,47 @@ def clear(dut: Dut) -> None:
     dut.put("B", 0x1003, 0, 0)
 
 
-@case("CiA 301 7.5.2.4", "an error is entered with its code", needs=HISTORY)
-def history(dut: Dut) -> None:
-    clear(dut)
-    make_error(dut)
-    dut.holds("B", 0x1003, 0, 1)
-    entry = dut.integer("I", 0x1003, 1)
-    check(entry & 0xFFFF == 0x8240, "1003h:1 = ....8240h", f"{entry:08X}h")
+case("history 7.5.2.4: an error is entered with its code", HISTORY)(
+    clear,
+    make_error,
+    do.holds("B", 0x1003, 0, 1),
+    do.matches("I", 0x1003, 1, 0xFFFF, 0x8240, "1003h:1 = ....8240h"),
+)
 
 
-@case("CiA 301 7.5.2.4", "the newest error is sub-index 1, the others move up", needs=(*HISTORY, (0x1016, 1)))
+@case("7.5.2.4: the newest error is sub-index 1, the others move up", (*HISTORY, (0x1016, 1)))
 def history_order(dut: Dut) -> None:
     clear(dut)
     dut.put("I", 0x1016, 1, 0x700014)
     dut.send(0x770, "05")
-    dut.expect(0x80 + dut.node_id, "30 81 *")
+    dut.emcy("30 81 *")
     make_error(dut)
     codes = [dut.integer("I", 0x1003, sub) & 0xFFFF for sub in (1, 2)]
     if codes != [0x8240, 0x8130] or dut.integer("B", 0x1003, 0) != 2:
         raise CheckError("8240h, 8130h", str([f"{code:04X}h" for code in codes]))
 
 
-@case("CiA 301 7.5.2.4", "the end of an error is no entry", needs=HISTORY)
-def history_cure(dut: Dut) -> None:
-    clear(dut)
-    make_error(dut)
-    cure_error(dut)
-    dut.holds("B", 0x1003, 0, 1)
+case("history_cure 7.5.2.4: the end of an error is no entry", HISTORY)(
+    clear, make_error, cure_error, do.holds("B", 0x1003, 0, 1)
+)
+case("history_cleared 7.5.2.4: 0 written to sub-index 0 empties the history", HISTORY)(
+    make_error, clear, do.holds("B", 0x1003, 0, 0)
+)
+case.each("history_value 7.5.2.4: {0} written to sub-index 0: 06090030h", HISTORY, [(1,), (8,), (255,)])(
+    lambda value: do.refuses("B", 0x1003, 0, value, Abort.INVALID_VALUE)
+)
 
 
-@case("CiA 301 7.5.2.4", "0 written to sub-index 0 empties the history", needs=HISTORY)
-def history_cleared(dut: Dut) -> None:
-    make_error(dut)
-    clear(dut)
-    dut.holds("B", 0x1003, 0, 0)
-
-
-@case("CiA 301 7.5.2.4", "{0} written to sub-index 0: 06090030h", needs=HISTORY, each=[(1,), (8,), (255,)])
-def history_value(dut: Dut, value: int) -> None:
-    dut.refuses("B", 0x1003, 0, value, Abort.INVALID_VALUE)
-
-
-@case("CiA 301 7.5.2.4", "an entry that is empty: 08000024h", needs=HISTORY, each=[(1,), (2,)])
+@case("7.5.2.4: an entry that is empty: 08000024h", HISTORY, each=[(1,), (2,)])
 def history_empty(dut: Dut, sub: int) -> None:
     clear(dut)
     dut.request(struct.pack("<BHB", 0x40, 0x1003, sub))
     dut.aborted(0x1003, sub, Abort.NO_DATA, Abort.GENERAL_ERROR, *(() if sub == 1 else (Abort.NO_SUB,)))
 
 
-@case("CiA 301 7.5.2.4", "entries cannot be written", needs=(*HISTORY, (0x1003, 1)))
-def history_read_only(dut: Dut) -> None:
-    dut.refuses("I", 0x1003, 1, 0, Abort.READ_ONLY)
+case("history_read_only 7.5.2.4: entries cannot be written", (*HISTORY, (0x1003, 1)))(
+    do.refuses("I", 0x1003, 1, 0, Abort.READ_ONLY)
+)
 
 
 # --- 1014h ------------------------------------------------------------------------------------------------
@@ -154,41 +132,34 @@ def check_on(dut: Dut) -> None:
         raise NotApplicableError("1014h: EMCY is switched off")
 
 
-@case("CiA 301 7.5.2.17", "the default CAN-ID is 080h + node-id", needs=NEEDS)
-def default(dut: Dut) -> None:
-    check_on(dut)
-    dut.holds("I", 0x1014, 0, 0x80 + dut.node_id)
+case("default 7.5.2.17: the default CAN-ID is 080h + node-id", NEEDS)(
+    check_on, lambda dut: dut.holds("I", 0x1014, 0, 0x80 + dut.node_id)
+)
+case("switched_off 7.5.2.17: with bit 31 set there is no EMCY, but register and history", HISTORY)(
+    make_error,
+    cure_error,
+    clear,
+    lambda dut: dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id),
+    break_sync,
+    do.holds("B", 0x1001, 0, 0x11),
+    do.holds("B", 0x1003, 0, 1),
+    do.no_emcy(),
+)
+case("moved_while_valid 7.5.2.17: another CAN-ID while the object exists: 06090030h", NEEDS)(
+    check_on,
+    do.refuses("I", 0x1014, 0, 0x390, Abort.INVALID_VALUE),
+    lambda dut: dut.holds("I", 0x1014, 0, 0x80 + dut.node_id),
+)
+case("moved 7.5.2.17: switched off, moved, switched on", NEEDS)(
+    lambda dut: dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id),
+    do.put("I", 0x1014, 0, 0x390),
+    break_sync,
+    do.expect(0x390, "40 82 *"),
+    do.no_emcy(),
+)
 
 
-@case("CiA 301 7.5.2.17", "with bit 31 set there is no EMCY, but register and history", needs=HISTORY)
-def switched_off(dut: Dut) -> None:
-    make_error(dut)
-    cure_error(dut)
-    clear(dut)
-    dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id)
-    break_sync(dut)
-    dut.holds("B", 0x1001, 0, 0x11)
-    dut.holds("B", 0x1003, 0, 1)
-    dut.silence(0x80 + dut.node_id)
-
-
-@case("CiA 301 7.5.2.17", "another CAN-ID while the object exists: 06090030h", needs=NEEDS)
-def moved_while_valid(dut: Dut) -> None:
-    check_on(dut)
-    dut.refuses("I", 0x1014, 0, 0x390, Abort.INVALID_VALUE)
-    dut.holds("I", 0x1014, 0, 0x80 + dut.node_id)
-
-
-@case("CiA 301 7.5.2.17", "switched off, moved, switched on", needs=NEEDS)
-def moved(dut: Dut) -> None:
-    dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id)
-    dut.put("I", 0x1014, 0, 0x390)
-    break_sync(dut)
-    dut.expect(0x390, "40 82 *")
-    dut.silence(0x80 + dut.node_id)
-
-
-@case("CiA 301 7.5.2.17", "1014h = {0:08X}h: 06090030h", needs=NEEDS, each=[
+@case("7.5.2.17: 1014h = {0:08X}h: 06090030h", NEEDS, each=[
     (0x000,), (0x07F,), (0x101,), (0x581,), (0x601,), (0x6E0,), (0x701,), (0x20000390,), (0x40000390,), (0x00001390,),
 ])  # fmt: skip
 def refused(dut: Dut, value: int) -> None:
@@ -199,7 +170,7 @@ def refused(dut: Dut, value: int) -> None:
 # --- 1015h ------------------------------------------------------------------------------------------------
 
 
-@case("CiA 301 7.5.2.18", "the inhibit time lies between two messages, and none is lost", needs=INHIBIT)
+@case("7.5.2.18: the inhibit time lies between two messages, and none is lost", INHIBIT)
 def inhibit(dut: Dut) -> None:
     dut.put("H", 0x1015, 0, 500)
     make_error(dut)
@@ -208,20 +179,12 @@ def inhibit(dut: Dut) -> None:
     break_sync(dut)
     dut.send(0x080)
     for number, wanted in enumerate(("00 00 *", "40 82 *", "00 00 *"), 1):
-        frame = dut.expect(0x80 + dut.node_id, wanted, 80)
+        frame = dut.emcy(wanted, 80)
         dut.check_ms("inhibit times of 50 ms", frame.at_us - first_us, 50 * number)
-    dut.silence(0x80 + dut.node_id, ms=70)
+    dut.no_emcy(ms=70)
 
 
-@case("CiA 301 7.5.2.18", "inhibit time 0: every message at once", needs=INHIBIT)
-def no_inhibit(dut: Dut) -> None:
-    dut.put("H", 0x1015, 0, 0)
-    for _ in range(3):
-        make_error(dut)
-        cure_error(dut)
-
-
-@case("CiA 301 7.3.2.3", "EMCY is sent in OPERATIONAL", needs=NEEDS)
-def operational(dut: Dut) -> None:
-    dut.nmt(START)
-    make_error(dut)
+case("no_inhibit 7.5.2.18: inhibit time 0: every message at once", INHIBIT)(
+    do.put("H", 0x1015, 0, 0), do.repeat(3, make_error, cure_error)
+)
+case("operational 7.3.2.3: EMCY is sent in OPERATIONAL", NEEDS)(do.nmt(START), make_error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import Service
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import (
@@ -10,6 +11,7 @@ from canopen_conformance.wire import (
     REMOTE_FLAG,
     RESET_COMMUNICATION,
     START,
+    STATES,
     STOP,
     STOPPED,
     Abort,
@@ -33,51 +35,27 @@ def watch(dut: Dut, ms: int, node_id: int = WATCHED, sub: int = 1) -> None:
 
 def lost(dut: Dut, within_ms: int = 100) -> None:
     """The device reports a lost heartbeat by EMCY, with generic and communication error in the register."""
-    dut.expect(0x80 + dut.node_id, lambda d: len(d) == 8 and d[:2] == b"\x30\x81" and d[2] & 0x11 == 0x11, within_ms)
+    dut.emcy(lambda d: len(d) == 8 and d[:2] == b"\x30\x81" and d[2] & 0x11 == 0x11, within_ms)
 
 
 # --- producer ---------------------------------------------------------------------------------------------
 
 
-@heartbeat("CiA 301 7.2.8.3.2.2", "a heartbeat each {0} ms", needs=PRODUCER, each=[(20,), (50,), (110,)])
-def period(dut: Dut, ms: int) -> None:
-    dut.accepts("H", 0x1017, 0, ms)
-    first = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
-    for _ in range(3):
-        last = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
-    dut.check_ms("three periods of", last.at_us - first.at_us, 3 * ms)
-
-
-@heartbeat(
-    "CiA 301 7.2.8.3.2.2",
-    "the heartbeat in {1} carries {0:02X}h",
-    needs=PRODUCER,
-    each=[(PRE_OPERATIONAL, "PRE-OPERATIONAL"), (OPERATIONAL, "OPERATIONAL"), (STOPPED, "STOPPED")],
+heartbeat.each("period 7.2.8.3.2.2: a heartbeat each {0} ms", PRODUCER, [(20,), (50,), (110,)])(
+    lambda ms: (do.accepts("H", 0x1017, 0, ms), do.each_ms(ms, 3, "three periods of", do.heartbeat("7F", 2 * ms)))
 )
-def heartbeat_state(dut: Dut, state: int, _name: str) -> None:
-    dut.beat()
-    dut.enter(state)
-    dut.state(state)
+heartbeat.each("heartbeat_state 7.2.8.3.2.2: the heartbeat in {1} carries {0:02X}h", PRODUCER, STATES)(
+    lambda state, _name: (do.beat(), do.enter(state), do.state(state))
+)
+heartbeat("producer_off 7.5.2.20: 1017h = 0 ends the heartbeat", PRODUCER)(
+    do.beat(), do.heartbeat(), do.put("H", 0x1017, 0, 0), do.forget(), do.no_heartbeat(ms=80)
+)
+heartbeat("new_period 7.5.2.20: a new period holds from the write on", PRODUCER)(
+    do.put("H", 0x1017, 0, 5000), do.forget(), do.put("H", 0x1017, 0, 40), do.heartbeat("7F", 40)
+)
 
 
-@heartbeat("CiA 301 7.5.2.20", "1017h = 0 ends the heartbeat", needs=PRODUCER)
-def producer_off(dut: Dut) -> None:
-    dut.beat()
-    dut.expect(0x700 + dut.node_id)
-    dut.put("H", 0x1017, 0, 0)
-    dut.forget()
-    dut.silence(0x700 + dut.node_id, ms=80)
-
-
-@heartbeat("CiA 301 7.5.2.20", "a new period holds from the write on", needs=PRODUCER)
-def new_period(dut: Dut) -> None:
-    dut.put("H", 0x1017, 0, 5000)
-    dut.forget()
-    dut.put("H", 0x1017, 0, 40)
-    dut.expect(0x700 + dut.node_id, "7F", 40)
-
-
-@heartbeat("CiA 301 7.5.2.20", "{1} bytes for 1017h are refused", needs=PRODUCER, each=[("B", 1), ("I", 4)])
+@heartbeat("7.5.2.20: {1} bytes for 1017h are refused", PRODUCER, each=[("B", 1), ("I", 4)])
 def producer_size(dut: Dut, kind: str, size: int) -> None:
     dut.refuses(kind, 0x1017, 0, 100, Abort.WRONG_LENGTH, Abort.TOO_LONG if size > 2 else Abort.TOO_SHORT)
 
@@ -85,80 +63,47 @@ def producer_size(dut: Dut, kind: str, size: int) -> None:
 # --- consumer ---------------------------------------------------------------------------------------------
 
 
-@heartbeat("CiA 301 7.5.2.19", "1016h is read back as written", needs=CONSUMER)
-def consumer_read_back(dut: Dut) -> None:
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 1234)
-    dut.holds("I", 0x1016, 1, WATCHED << 16 | 1234)
+heartbeat("consumer_read_back 7.5.2.19: 1016h is read back as written", CONSUMER)(
+    do.put("I", 0x1016, 1, WATCHED << 16 | 1234), do.holds("I", 0x1016, 1, WATCHED << 16 | 1234)
+)
+heartbeat("consumer_twice 7.5.2.19: a node-id in two entries is refused with 06040043h", (*CONSUMER, (0x1016, 2)))(
+    do.put("I", 0x1016, 1, WATCHED << 16 | 1000),
+    do.refuses("I", 0x1016, 2, WATCHED << 16 | 500, Abort.INCOMPATIBLE),
+    do.holds("I", 0x1016, 2, 0),
+)
+heartbeat("consumer_twice_off 7.5.2.19: the same node-id with time 0 is no second watch", (*CONSUMER, (0x1016, 2)))(
+    do.put("I", 0x1016, 1, WATCHED << 16 | 1000),
+    do.put("I", 0x1016, 2, WATCHED << 16),
+    do.put("I", 0x1016, 1, WATCHED << 16 | 500),
+)
+heartbeat("not_before_first 7.2.8.3.2.2: nobody is missed before a first heartbeat", CONSUMER)(
+    do.put("I", 0x1016, 1, WATCHED << 16 | 20), do.no_emcy(ms=100)
+)
 
 
-@heartbeat("CiA 301 7.5.2.19", "a node-id in two entries is refused with 06040043h", needs=(*CONSUMER, (0x1016, 2)))
-def consumer_twice(dut: Dut) -> None:
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 1000)
-    dut.refuses("I", 0x1016, 2, WATCHED << 16 | 500, Abort.INCOMPATIBLE)
-    dut.holds("I", 0x1016, 2, 0)
-
-
-@heartbeat("CiA 301 7.5.2.19", "the same node-id with time 0 is no second watch", needs=(*CONSUMER, (0x1016, 2)))
-def consumer_twice_off(dut: Dut) -> None:
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 1000)
-    dut.put("I", 0x1016, 2, WATCHED << 16)
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 500)
-
-
-@heartbeat("CiA 301 7.2.8.3.2.2", "nobody is missed before a first heartbeat", needs=CONSUMER)
-def not_before_first(dut: Dut) -> None:
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 20)
-    dut.silence(0x80 + dut.node_id, ms=100)
-
-
-@heartbeat("CiA 301 7.2.8.2.2.3", "a lost heartbeat: EMCY 8130h after the consumer time", needs=CONSUMER)
-def lost_heartbeat(dut: Dut) -> None:
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 100)
-    dut.send(0x700 + WATCHED, "05")
-    start_us = dut.now_us
-    frame = dut.expect(0x80 + dut.node_id, "30 81 *", 200)
-    dut.check_ms("consumer time", frame.at_us - start_us, 100)
-
-
-@heartbeat("CiA 301 7.2.8.2.2.3", "a lost heartbeat is reported once", needs=CONSUMER)
-def lost_once(dut: Dut) -> None:
-    watch(dut, 20)
-    lost(dut)
-    dut.silence(0x80 + dut.node_id, ms=80)
-
-
-@heartbeat("CiA 301 7.2.8.2.2.3", "heartbeats in time: no EMCY; the time runs from the last one", needs=CONSUMER)
-def in_time(dut: Dut) -> None:
-    watch(dut, 150)
-    for _ in range(4):
-        dut.silence(0x80 + dut.node_id, ms=60)
-        dut.send(0x700 + WATCHED, "05")
-    dut.silence(0x80 + dut.node_id, ms=60)
-    lost(dut, 200)
-
-
-@heartbeat("CiA 301 7.2.7.1", "a heartbeat that returns cures: EMCY 0000h, and 1001h is clear", needs=CONSUMER)
-def returned(dut: Dut) -> None:
-    watch(dut, 30)
-    lost(dut)
-    dut.send(0x700 + WATCHED, "05")
-    dut.expect(0x80 + dut.node_id, "00 00 00 *")
-    dut.holds("B", 0x1001, 0, 0)
-
-
-@heartbeat("CiA 301 7.2.8.2.2.3", "a heartbeat that returned is watched again", needs=CONSUMER)
-def watched_again(dut: Dut) -> None:
-    watch(dut, 20)
-    lost(dut)
-    dut.send(0x700 + WATCHED, "05")
-    dut.expect(0x80 + dut.node_id, "00 00 *")
-    lost(dut)
+heartbeat("lost_heartbeat 7.2.8.2.2.3: a lost heartbeat: EMCY 8130h after the consumer time", CONSUMER)(
+    do.run(watch, 100), do.after(100, "consumer time", do.emcy("30 81 *", 200))
+)
+heartbeat("lost_once 7.2.8.2.2.3: a lost heartbeat is reported once", CONSUMER)(
+    do.run(watch, 20), lost, do.no_emcy(ms=80)
+)
+heartbeat("in_time 7.2.8.2.2.3: heartbeats in time: no EMCY; the time runs from the last one", CONSUMER)(
+    do.run(watch, 150),
+    do.repeat(4, do.no_emcy(ms=60), do.send(0x700 + WATCHED, "05")),
+    do.no_emcy(ms=60),
+    do.run(lost, 200),
+)
+heartbeat("returned 7.2.7.1: a heartbeat that returns cures: EMCY 0000h, and 1001h is clear", CONSUMER)(
+    do.run(watch, 30), lost, do.send(0x700 + WATCHED, "05"), do.emcy("00 00 00 *"), do.holds("B", 0x1001, 0, 0)
+)
+heartbeat("watched_again 7.2.8.2.2.3: a heartbeat that returned is watched again", CONSUMER)(
+    do.run(watch, 20), lost, do.send(0x700 + WATCHED, "05"), do.emcy("00 00 *"), lost
+)
 
 
 @heartbeat(
-    "CiA 301 7.5.2.32",
-    "1029h:1 = {0}: a lost heartbeat in {2} leads to {4}",
-    needs=BEHAVIOUR,
+    "7.5.2.32: 1029h:1 = {0}: a lost heartbeat in {2} leads to {4}",
+    BEHAVIOUR,
     each=[
         (0, OPERATIONAL, "OPERATIONAL", PRE_OPERATIONAL, "PRE-OPERATIONAL"),
         (1, OPERATIONAL, "OPERATIONAL", OPERATIONAL, "OPERATIONAL"),
@@ -177,60 +122,50 @@ def behaviour(dut: Dut, value: int, before: int, _in: str, after: int, _to: str)
     dut.state(after)
 
 
-@heartbeat(
-    "CiA 301 7.2.8.3.2.2",
-    "no heartbeat: {1}",
-    needs=CONSUMER,
-    each=[
+heartbeat.each(
+    "no_heartbeat 7.2.8.3.2.2: no heartbeat: {1}",
+    CONSUMER,
+    [
         ((0, "05 05"), "two bytes"),
         ((0, ""), "no data"),
         ((REMOTE_FLAG, ""), "a remote frame"),
         ((1, "05"), "of another node"),
     ],
+)(
+    lambda frame, _why: (
+        do.put("I", 0x1016, 1, WATCHED << 16 | 20),
+        do.send(frame[0] + 0x700 + WATCHED, frame[1]),
+        do.no_emcy(ms=80),
+    )
 )
-def no_heartbeat(dut: Dut, frame: tuple[int, str], _why: str) -> None:
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 20)
-    dut.send(frame[0] + 0x700 + WATCHED, frame[1])
-    dut.silence(0x80 + dut.node_id, ms=80)
 
 
-@heartbeat("CiA 301 7.5.2.19", "four nodes are watched, each for itself", needs=(*CONSUMER, (0x1016, 4)))
+@heartbeat("7.5.2.19: four nodes are watched, each for itself", (*CONSUMER, (0x1016, 4)))
 def four(dut: Dut) -> None:
     for sub in (1, 2, 3, 4):
         watch(dut, 200 if sub == 3 else 40, WATCHED + sub, sub)
     for _ in range(3):
         lost(dut)
     dut.send(0x700 + WATCHED + 3, "05")
-    dut.silence(0x80 + dut.node_id, ms=50)
+    dut.no_emcy(ms=50)
     lost(dut, 250)
 
 
-@heartbeat("CiA 301 7.5.2.19", "an entry set to 0 is watched no more", needs=CONSUMER)
-def watch_off(dut: Dut) -> None:
-    watch(dut, 60)
-    dut.put("I", 0x1016, 1, 0)
-    dut.silence(0x80 + dut.node_id, ms=120)
-
-
-@heartbeat("CiA 301 7.5.2.19", "a lost node whose entry is set to 0 is an error no more", needs=CONSUMER)
-def lost_then_off(dut: Dut) -> None:
-    watch(dut, 20)
-    lost(dut)
-    dut.put("I", 0x1016, 1, 0)
-    dut.holds("B", 0x1001, 0, 0)
-
-
-@heartbeat("CiA 301 7.2.8.2.1.6", "reset communication ends every watch", needs=CONSUMER)
-def watch_reset(dut: Dut) -> None:
-    watch(dut, 60)
-    dut.reset(RESET_COMMUNICATION)
-    dut.silence(0x80 + dut.node_id, ms=120)
+heartbeat("watch_off 7.5.2.19: an entry set to 0 is watched no more", CONSUMER)(
+    do.run(watch, 60), do.put("I", 0x1016, 1, 0), do.no_emcy(ms=120)
+)
+heartbeat("lost_then_off 7.5.2.19: a lost node whose entry is set to 0 is an error no more", CONSUMER)(
+    do.run(watch, 20), lost, do.put("I", 0x1016, 1, 0), do.holds("B", 0x1001, 0, 0)
+)
+heartbeat("watch_reset 7.2.8.2.1.6: reset communication ends every watch", CONSUMER)(
+    do.run(watch, 60), do.reset(RESET_COMMUNICATION), do.no_emcy(ms=120)
+)
 
 
 def guard(dut: Dut, wanted: str) -> None:
     """The guarding master's remote frame, and the answer."""
     dut.send(0x700 + dut.node_id | REMOTE_FLAG)
-    dut.expect(0x700 + dut.node_id, wanted)
+    dut.heartbeat(wanted)
 
 
 def life(dut: Dut, guard_ms: int, factor: int) -> None:
@@ -241,94 +176,62 @@ def life(dut: Dut, guard_ms: int, factor: int) -> None:
     dut.forget()
 
 
-@guarding(
-    "CiA 301 7.2.8.3.2.1", "the answer carries the state; the toggle bit starts at 0 and alternates", needs=GUARDING
+guarding("toggle 7.2.8.3.2.1: the answer carries the state; the toggle bit starts at 0 and alternates", GUARDING)(
+    do.run(life, 0, 0), do.repeat(2, do.run(guard, "7F"), do.run(guard, "FF"))
 )
-def toggle(dut: Dut) -> None:
-    life(dut, 0, 0)
-    for wanted in ("7F", "FF", "7F", "FF"):
-        guard(dut, wanted)
-
-
-@guarding(
-    "CiA 301 7.2.8.3.2.1", "guarding in {1}", needs=GUARDING, each=[(OPERATIONAL, "OPERATIONAL"), (STOPPED, "STOPPED")]
+guarding.each("guarding_state 7.2.8.3.2.1: guarding in {1}", GUARDING, STATES[1:])(
+    lambda state, _name: (
+        do.run(life, 0, 0),
+        do.run(guard, "7F"),
+        do.enter(state),
+        do.run(guard, f"{state | 0x80:02X}"),
+        do.run(guard, f"{state:02X}"),
+    )
 )
-def guarding_state(dut: Dut, state: int, _name: str) -> None:
-    life(dut, 0, 0)
-    guard(dut, "7F")
-    dut.enter(state)
-    guard(dut, f"{state | 0x80:02X}")
-    guard(dut, f"{state:02X}")
+guarding("toggle_reset 7.2.8.3.2.1: reset communication sets the toggle bit to 0", GUARDING)(
+    do.run(life, 0, 0), do.run(guard, "7F"), do.reset(RESET_COMMUNICATION), do.run(life, 0, 0), do.run(guard, "7F")
+)
 
 
-@guarding("CiA 301 7.2.8.3.2.1", "reset communication sets the toggle bit to 0", needs=GUARDING)
-def toggle_reset(dut: Dut) -> None:
-    life(dut, 0, 0)
-    guard(dut, "7F")
-    dut.reset(RESET_COMMUNICATION)
-    life(dut, 0, 0)
-    guard(dut, "7F")
+guarding("life_lost 7.2.8.2.2.2: the life time runs out: EMCY 8130h; the next remote frame cures", GUARDING)(
+    do.run(life, 30, 2),
+    do.run(guard, "7F"),
+    do.after(60, "life time", do.emcy("30 81 *", 120)),
+    do.run(guard, "FF"),
+    do.emcy("00 00 *"),
+)
+guarding("life_in_time 7.2.8.2.2.2: remote frames in time: no life guarding error", GUARDING)(
+    do.run(life, 50, 3), *(step for wanted in ("7F", "FF", "7F") for step in (do.run(guard, wanted), do.no_emcy(ms=80)))
+)
 
 
-@guarding("CiA 301 7.2.8.2.2.2", "the life time runs out: EMCY 8130h; the next remote frame cures", needs=GUARDING)
-def life_lost(dut: Dut) -> None:
-    life(dut, 30, 2)
-    guard(dut, "7F")
-    start_us = dut.now_us
-    frame = dut.expect(0x80 + dut.node_id, "30 81 *", 120)
-    dut.check_ms("life time", frame.at_us - start_us, 60)
-    guard(dut, "FF")
-    dut.expect(0x80 + dut.node_id, "00 00 *")
-
-
-@guarding("CiA 301 7.2.8.2.2.2", "remote frames in time: no life guarding error", needs=GUARDING)
-def life_in_time(dut: Dut) -> None:
-    life(dut, 50, 3)
-    for wanted in ("7F", "FF", "7F"):
-        guard(dut, wanted)
-        dut.silence(0x80 + dut.node_id, ms=80)
-
-
-@guarding("CiA 301 7.2.8.2.2.2", "no life guarding before the first remote frame, nor with {0}", needs=GUARDING, each=[
+@guarding("7.2.8.2.2.2: no life guarding before the first remote frame, nor with {0}", GUARDING, each=[
     ("guard time 0", 0, 3), ("life time factor 0", 20, 0),
 ])  # fmt: skip
 def life_off(dut: Dut, _which: str, guard_ms: int, factor: int) -> None:
     life(dut, 20, 1)
-    dut.silence(0x80 + dut.node_id, ms=60)
+    dut.no_emcy(ms=60)
     life(dut, guard_ms, factor)
     guard(dut, "7F")
-    dut.silence(0x80 + dut.node_id, ms=90)
+    dut.no_emcy(ms=90)
 
 
-@guarding("CiA 301 7.5.2.11", "guard time set to 0 ends life guarding that runs", needs=GUARDING)
-def life_ended(dut: Dut) -> None:
-    life(dut, 60, 1)
-    guard(dut, "7F")
-    dut.put("H", 0x100C, 0, 0)
-    dut.silence(0x80 + dut.node_id, ms=120)
+guarding("life_ended 7.5.2.11: guard time set to 0 ends life guarding that runs", GUARDING)(
+    do.run(life, 60, 1), do.run(guard, "7F"), do.put("H", 0x100C, 0, 0), do.no_emcy(ms=120)
+)
+guarding("heartbeat_ends_life 7.2.8.2.2: a heartbeat that is switched on ends life guarding that runs", GUARDING)(
+    do.run(life, 60, 1), do.run(guard, "7F"), do.put("H", 0x1017, 0, 5000), do.no_emcy(ms=120)
+)
+guarding("life_behaviour 7.5.2.32: life guarding lost in OPERATIONAL: PRE-OPERATIONAL", (*GUARDING, (0x1029, 1)))(
+    do.put("B", 0x1029, 1, 0),
+    do.run(life, 30, 1),
+    do.nmt(START),
+    do.run(guard, "05"),
+    do.emcy("30 81 *", 100),
+    do.run(guard, "FF"),
+)
 
 
-@guarding("CiA 301 7.2.8.2.2", "a heartbeat that is switched on ends life guarding that runs", needs=GUARDING)
-def heartbeat_ends_life(dut: Dut) -> None:
-    life(dut, 60, 1)
-    guard(dut, "7F")
-    dut.put("H", 0x1017, 0, 5000)
-    dut.silence(0x80 + dut.node_id, ms=120)
-
-
-@guarding("CiA 301 7.5.2.32", "life guarding lost in OPERATIONAL: PRE-OPERATIONAL", needs=(*GUARDING, (0x1029, 1)))
-def life_behaviour(dut: Dut) -> None:
-    dut.put("B", 0x1029, 1, 0)
-    life(dut, 30, 1)
-    dut.nmt(START)
-    guard(dut, "05")
-    dut.expect(0x80 + dut.node_id, "30 81 *", 100)
-    guard(dut, "FF")
-
-
-@guarding("CiA 301 7.2.8.3.2.1", "a data frame on the guarding identifier is not answered", needs=GUARDING)
-def no_guard(dut: Dut) -> None:
-    life(dut, 0, 0)
-    dut.nmt(STOP)
-    dut.send(0x700 + dut.node_id)
-    dut.silence(0x700 + dut.node_id)
+guarding("no_guard 7.2.8.3.2.1: a data frame on the guarding identifier is not answered", GUARDING)(
+    do.run(life, 0, 0), do.nmt(STOP), lambda dut: dut.send(0x700 + dut.node_id), do.no_heartbeat()
+)

@@ -6,50 +6,45 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.pdo import TPDO1, check_mapped
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, Abort
+from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, RESETS, Abort
 
 identity = Service("identity")
 storage = Service("storage")
 
 
-@identity("CiA 301 7.5.2.1", "1000h is there, an UNSIGNED32, and stays the same")
+@identity("7.5.2.1: 1000h is there, an UNSIGNED32, and stays the same")
 def device_type(dut: Dut) -> None:
     first = dut.integer("I", 0x1000)
     dut.holds("I", 0x1000, 0, first)
 
 
-@identity("CiA 301 7.5.2.2", "1001h is there, an UNSIGNED8")
-def error_register(dut: Dut) -> None:
-    dut.integer("B", 0x1001)
+identity("error_register 7.5.2.2: 1001h is there, an UNSIGNED8")(do.integer("B", 0x1001))
+identity("status_register 7.5.2.3: 1002h is an UNSIGNED32 that cannot be written", ((0x1002, 0),))(
+    do.integer("I", 0x1002), do.refuses("I", 0x1002, 0, 0, Abort.READ_ONLY)
+)
 
 
-@identity("CiA 301 7.5.2.3", "1002h is an UNSIGNED32 that cannot be written", needs=((0x1002, 0),))
-def status_register(dut: Dut) -> None:
-    dut.integer("I", 0x1002)
-    dut.refuses("I", 0x1002, 0, 0, Abort.READ_ONLY)
+NAMES = [(0x1008,), (0x1009,), (0x100A,)]
 
 
-@identity("CiA 301 7.5.2.8", "{0:04X}h is a text of visible characters", each=[(0x1008,), (0x1009,), (0x100A,)])
+@identity("7.5.2.8: {0:04X}h is a text of visible characters", lambda index: ((index, 0),), each=NAMES)
 def name(dut: Dut, index: int) -> None:
-    if not dut.exists(index, 0):
-        raise NotApplicableError(f"no object {index:04X}h")
     data = dut.read(index)
     if not data.rstrip(b"\0"):
         raise NotApplicableError(f"{index:04X}h is empty")
     check(not any(not 0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")), "visible characters", data.hex(" "))
 
 
-@identity("CiA 301 7.5.2.8", "{0:04X}h cannot be written", each=[(0x1008,), (0x1009,), (0x100A,)])
-def name_constant(dut: Dut, index: int) -> None:
-    if not dut.exists(index, 0):
-        raise NotApplicableError(f"no object {index:04X}h")
-    dut.refuses_bytes(index, 0, b"abcd", Abort.READ_ONLY)
+identity.each("name_constant 7.5.2.8: {0:04X}h cannot be written", lambda index: ((index, 0),), NAMES)(
+    lambda index: do.refuses_bytes(index, 0, b"abcd", Abort.READ_ONLY)
+)
 
 
-@identity("CiA 301 7.5.2.21", "1018h has the vendor-ID, and one to four entries")
+@identity("7.5.2.21: 1018h has the vendor-ID, and one to four entries")
 def identity_identity(dut: Dut) -> None:
     highest = dut.integer("B", 0x1018, 0)
     check(1 <= highest <= 4, "1 to 4 entries", str(highest))
@@ -58,20 +53,15 @@ def identity_identity(dut: Dut) -> None:
             dut.integer("I", 0x1018, sub)
 
 
-@identity("CiA 301 7.5.2.21", "1018h:{0} cannot be written", each=[(1,), (2,), (3,), (4,)])
-def identity_identity_constant(dut: Dut, sub: int) -> None:
-    if not dut.exists(0x1018, sub):
-        raise NotApplicableError(f"no 1018h:{sub}")
-    dut.refuses("I", 0x1018, sub, 1, Abort.READ_ONLY)
+identity.each(
+    "identity_constant 7.5.2.21: 1018h:{0} cannot be written", lambda sub: ((0x1018, sub),), [(1,), (2,), (3,), (4,)]
+)(lambda sub: do.refuses("I", 0x1018, sub, 1, Abort.READ_ONLY))
+identity.each(
+    "configuration_date 7.5.2.23: 1020h:{0} is written and read back", ((0x1020, 1), (0x1020, 2)), [(1,), (2,)]
+)(lambda sub: (do.put("I", 0x1020, sub, 0x12345678), do.holds("I", 0x1020, sub, 0x12345678)))
 
 
-@identity("CiA 301 7.5.2.23", "1020h:{0} is written and read back", needs=((0x1020, 1), (0x1020, 2)), each=[(1,), (2,)])
-def configuration_date(dut: Dut, sub: int) -> None:
-    dut.put("I", 0x1020, sub, 0x12345678)
-    dut.holds("I", 0x1020, sub, 0x12345678)
-
-
-@identity("CiA 301 7.5.2.23", "1020h is lost with what it speaks of, unless stored", needs=((0x1020, 1),))
+@identity("7.5.2.23: 1020h is lost with what it speaks of, unless stored", ((0x1020, 1),))
 def configuration_lost(dut: Dut) -> None:
     before = dut.integer("I", 0x1020, 1)
     dut.put("I", 0x1020, 1, before ^ 0xFF)
@@ -79,33 +69,14 @@ def configuration_lost(dut: Dut) -> None:
     dut.holds("I", 0x1020, 1, before)
 
 
-@identity(
-    "CiA 301 7.5.2.33",
-    "1200h:{0} is the pre-defined COB-ID {1:03X}h + node-id",
-    needs=((0x1200, 1), (0x1200, 2)),
-    each=[(1, 0x600), (2, 0x580)],
+identity.each(
+    "sdo_server 7.5.2.33: 1200h:{0} is the pre-defined COB-ID {1:03X}h + node-id",
+    ((0x1200, 1), (0x1200, 2)),
+    [(1, 0x600), (2, 0x580)],
+)(lambda sub, base: lambda dut: dut.holds("I", 0x1200, sub, base + dut.node_id))
+identity.each("sdo_server_constant 7.5.2.33: 1200h:{0} cannot be written", ((0x1200, 1), (0x1200, 2)), [(1,), (2,)])(
+    lambda sub: lambda dut: dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, Abort.READ_ONLY)
 )
-def sdo_server(dut: Dut, sub: int, base: int) -> None:
-    dut.holds("I", 0x1200, sub, base + dut.node_id)
-
-
-@identity("CiA 301 7.5.2.33", "1200h:{0} cannot be written", needs=((0x1200, 1), (0x1200, 2)), each=[(1,), (2,)])
-def sdo_server_constant(dut: Dut, sub: int) -> None:
-    dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, Abort.READ_ONLY)
-
-
-@identity(
-    "CiA 301 7.3.3",
-    "the COB-ID of TPDO{0} is the pre-defined one, unless it is disabled",
-    each=[(1,), (2,), (3,), (4,)],
-)
-def predefined_tpdo(dut: Dut, number: int) -> None:
-    predefined(dut, 0x1800 + number - 1, 0x80 + 0x100 * number)
-
-
-@identity("CiA 301 7.3.3", "the COB-ID of RPDO1 is the pre-defined one, unless it is disabled")
-def predefined_rpdo(dut: Dut) -> None:
-    predefined(dut, 0x1400, 0x200)
 
 
 def predefined(dut: Dut, index: int, base: int) -> None:
@@ -116,6 +87,16 @@ def predefined(dut: Dut, index: int, base: int) -> None:
     if cob_id & 0x7F not in (0, dut.node_id):
         raise NotApplicableError(f"{index:04X}h:01 is configured: {cob_id:08X}h belongs to another node")
     check(cob_id & 0x80000000 or cob_id & 0x7FF == base + dut.node_id, f"{base + dut.node_id:03X}h", f"{cob_id:08X}h")
+
+
+identity.each(
+    "predefined_tpdo 7.3.3: the COB-ID of TPDO{0} is the pre-defined one, unless it is disabled",
+    (),
+    [(1,), (2,), (3,), (4,)],
+)(lambda number: do.run(predefined, 0x1800 + number - 1, 0x80 + 0x100 * number))
+identity("predefined_rpdo 7.3.3: the COB-ID of RPDO1 is the pre-defined one, unless it is disabled")(
+    do.run(predefined, 0x1400, 0x200)
+)
 
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
@@ -143,54 +124,42 @@ def store(dut: Dut, sub: int) -> None:
     check(not code, "parameters stored", f"abort {code:08X}h")
 
 
-@storage("CiA 301 7.5.2.13", "{1} with a wrong signature ({2}): 08000020h", needs=GROUP, each=[
-    (index, name, signature) for index, name in BOTH for signature in ("evas", "SAVE", "loaf", "abcd")
-])  # fmt: skip
-def wrong_signature(dut: Dut, index: int, _name: str, signature: str) -> None:
-    dut.refuses_bytes(index, 1, signature.encode(), *WRONG_SIGNATURE)
+storage.each(
+    "wrong_signature 7.5.2.13: {1} with a wrong signature ({2}): 08000020h",
+    GROUP,
+    [(index, name, signature) for index, name in BOTH for signature in ("evas", "SAVE", "loaf", "abcd")],
+)(lambda index, _name, signature: do.refuses_bytes(index, 1, signature.encode(), *WRONG_SIGNATURE))
 
 
-@storage("CiA 301 7.5.2.13", "the signature of the other object is a wrong one", needs=GROUP, each=[
-    (0x1010, LOAD), (0x1011, SAVE),
-])  # fmt: skip
-def other_signature(dut: Dut, index: int, signature: int) -> None:
-    dut.refuses("I", index, 1, signature, *WRONG_SIGNATURE)
+storage.each(
+    "other_signature 7.5.2.13: the signature of the other object is a wrong one",
+    GROUP,
+    [(0x1010, LOAD), (0x1011, SAVE)],
+)(lambda index, signature: do.refuses("I", index, 1, signature, *WRONG_SIGNATURE))
 
 
-@storage("CiA 301 7.5.2.13", "{1}: two bytes are refused by their length", needs=GROUP, each=BOTH)
-def size(dut: Dut, index: int, _name: str) -> None:
-    dut.refuses("H", index, 1, 0x6173, Abort.TOO_SHORT, Abort.WRONG_LENGTH)
+storage.each("size 7.5.2.13: {1}: two bytes are refused by their length", GROUP, BOTH)(
+    lambda index, _name: do.refuses("H", index, 1, 0x6173, Abort.TOO_SHORT, Abort.WRONG_LENGTH)
+)
 
 
-@storage("CiA 301 7.5.2.13", "{1} of a group that is not there: 06090011h", needs=GROUP, each=BOTH)
-def no_group(dut: Dut, index: int, _name: str) -> None:
-    dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB)
+storage.each("no_group 7.5.2.13: {1} of a group that is not there: 06090011h", GROUP, BOTH)(
+    lambda index, _name: lambda dut: dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB)
+)
 
 
-@storage("CiA 301 7.5.2.13", "what is not stored is lost by {1}", needs=((0x1016, 1),), each=[
-    (RESET_NODE, "reset node"), (RESET_COMMUNICATION, "reset communication"),
-])  # fmt: skip
-def not_stored(dut: Dut, command: int, _name: str) -> None:
-    before = dut.integer("I", 0x1016, 1)
-    dut.put("I", 0x1016, 1, VALUE)
-    dut.reset(command)
-    dut.holds("I", 0x1016, 1, before)
+storage.each("not_stored 7.5.2.13: what is not stored is lost by {1}", ((0x1016, 1),), RESETS)(
+    lambda command, _name: do.unchanged("I", 0x1016, 1, do.put("I", 0x1016, 1, VALUE), do.reset(command))
+)
 
 
 @storage(
-    "CiA 301 7.5.2.13",
-    "1010h:{0} stores communication parameters for {2}",
-    needs=ALL,
+    "7.5.2.13: 1010h:{0} stores communication parameters for {2}",
+    lambda sub, _command, _name: (*ALL, (0x1010, sub)),
     persistent=True,
-    each=[
-        (sub, command, name)
-        for sub in (1, 2)
-        for command, name in ((RESET_NODE, "reset node"), (RESET_COMMUNICATION, "reset communication"))
-    ],
+    each=[(sub, *command) for sub in (1, 2) for command in RESETS],
 )
 def stored(dut: Dut, sub: int, command: int, _name: str) -> None:
-    if not dut.exists(0x1010, sub):
-        raise NotApplicableError(f"no 1010h:{sub}")
     with restored(dut):
         dut.put("I", 0x1016, 1, VALUE)
         store(dut, sub)
@@ -200,15 +169,12 @@ def stored(dut: Dut, sub: int, command: int, _name: str) -> None:
 
 
 @storage(
-    "CiA 301 7.5.2.14",
-    "1011h:{0} changes nothing before a reset, then brings the defaults",
-    needs=ALL,
+    "7.5.2.14: 1011h:{0} changes nothing before a reset, then brings the defaults",
+    lambda sub: (*ALL, (0x1011, sub)),
     persistent=True,
     each=[(1,), (2,)],
 )
 def restore(dut: Dut, sub: int) -> None:
-    if not dut.exists(0x1011, sub):
-        raise NotApplicableError(f"no 1011h:{sub}")
     with restored(dut):
         dut.put("I", 0x1016, 1, VALUE)
         store(dut, 1)
@@ -219,9 +185,8 @@ def restore(dut: Dut, sub: int) -> None:
 
 
 @storage(
-    "CiA 301 7.5.2.13",
-    "PDO parameters are stored, and the PDO works as stored",
-    needs=((0x1010, 2), *TPDO1),
+    "7.5.2.13: PDO parameters are stored, and the PDO works as stored",
+    ((0x1010, 2), *TPDO1),
     persistent=True,
 )
 def stored_pdo(dut: Dut) -> None:

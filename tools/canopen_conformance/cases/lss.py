@@ -1,4 +1,4 @@
-"""LSS slave: switch state, configure, inquire (CiA 305).
+"""LSS slave: switch state, configure, inquire, identify (CiA 305).
 
 All of them select the device by its identity, so that other LSS slaves on the bus stay as they are; the two cases of
 "switch state global" switch all of them to configuration and back.
@@ -10,15 +10,18 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance import steps as do
+from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import RESET_COMMUNICATION, STOP
+from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, STOP
 
-case = Service("lss")
+case = Service("lss", standard="CiA 305")
+numbered = Service("lss_identify", standard="CiA 305")
+unnumbered = Service("lss_unconfigured", standard="CiA 305")
 
 IDENTITY = ((0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 MASTER, SLAVE = 0x7E5, 0x7E4
-UNCONFIGURED = 255
+UNCONFIGURED, START_SCAN = 255, 0x80
 OTHER_ID = 0x5D
 PARTS = ("vendor-ID", "product code", "revision number", "serial number")
 
@@ -72,7 +75,7 @@ def in_configuration(dut: Dut) -> bool:
     return dut.heard(SLAVE, 30) is not None
 
 
-@case("CiA 305 6.3.1", "switch state global, configuration: inquiries are answered", needs=IDENTITY)
+@case("6.3.1: switch state global, configuration: inquiries are answered", IDENTITY)
 def global_configuration(dut: Dut) -> None:
     say(dut, 0x04, 1)
     answered = in_configuration(dut)
@@ -81,7 +84,7 @@ def global_configuration(dut: Dut) -> None:
         raise NotApplicableError("no LSS slave")
 
 
-@case("CiA 305 6.3.1", "switch state global, waiting: inquiries are not answered", needs=IDENTITY)
+@case("6.3.1: switch state global, waiting: inquiries are not answered", IDENTITY)
 def global_waiting(dut: Dut) -> None:
     with configuring(dut):
         pass
@@ -89,14 +92,12 @@ def global_waiting(dut: Dut) -> None:
     dut.silence(SLAVE)
 
 
-@case("CiA 305 6.3.1", "switch state global with mode {0} does nothing", needs=IDENTITY, each=[(2,), (255,)])
-def global_mode(dut: Dut, mode: int) -> None:
-    say(dut, 0x04, mode)
-    say(dut, 0x5E)
-    dut.silence(SLAVE)
+case.each("global_mode 6.3.1: switch state global with mode {0} does nothing", IDENTITY, [(2,), (255,)])(
+    lambda mode: (do.run(say, 0x04, mode), do.run(say, 0x5E), do.silence(SLAVE))
+)
 
 
-@case("CiA 305 6.3.2", "switch state selective: answer 44h, then configuration", needs=IDENTITY)
+@case("6.3.2: switch state selective: answer 44h, then configuration", IDENTITY)
 def selective(dut: Dut) -> None:
     select(dut, identity(dut))
     data = slave_answer(dut)
@@ -105,7 +106,7 @@ def selective(dut: Dut) -> None:
     check(data == b"\x44" + bytes(7) and configured, "44h and the configuration state", data.hex(" "))
 
 
-@case("CiA 305 6.3.2", "switch state selective with another {1}: silence", needs=IDENTITY, each=list(enumerate(PARTS)))
+@case("6.3.2: switch state selective with another {1}: silence", IDENTITY, each=list(enumerate(PARTS)))
 def selective_other(dut: Dut, part: int, _name: str) -> None:
     numbers = identity(dut)
     numbers[part] ^= 1
@@ -114,21 +115,21 @@ def selective_other(dut: Dut, part: int, _name: str) -> None:
     dut.silence(SLAVE)
 
 
-@case("CiA 305 6.3.2", "switch state selective without its first request: silence", needs=IDENTITY)
+@case("6.3.2: switch state selective without its first request: silence", IDENTITY)
 def selective_incomplete(dut: Dut) -> None:
     for part, number in list(enumerate(identity(dut)))[1:]:
         say(dut, 0x40 + part, number=number)
     dut.silence(SLAVE)
 
 
-@case("CiA 305 6.3.2", "switch state selective in another order: silence", needs=IDENTITY)
+@case("6.3.2: switch state selective in another order: silence", IDENTITY)
 def selective_order(dut: Dut) -> None:
     for part, number in reversed(list(enumerate(identity(dut)))):
         say(dut, 0x40 + part, number=number)
     dut.silence(SLAVE)
 
 
-@case("CiA 305 6.3.2", "after a wrong selection the right one selects", needs=IDENTITY)
+@case("6.3.2: after a wrong selection the right one selects", IDENTITY)
 def selective_again(dut: Dut) -> None:
     numbers = identity(dut)
     select(dut, [numbers[0], numbers[1] ^ 1, *numbers[2:]])
@@ -140,51 +141,33 @@ def selective_again(dut: Dut) -> None:
 # --- inquire ----------------------------------------------------------------------------------------------
 
 
-@case("CiA 305 6.5", "inquire {1}", needs=IDENTITY, each=list(enumerate(PARTS)))
+@case("6.5: inquire {1}", IDENTITY, each=list(enumerate(PARTS)))
 def inquire(dut: Dut, part: int, _name: str) -> None:
     with configuring(dut) as own:
         say(dut, 0x5A + part)
         dut.expect(SLAVE, struct.pack("<BIxxx", 0x5A + part, own[part]).hex())
 
 
-@case("CiA 305 6.5", "inquire node-id", needs=IDENTITY)
-def inquire_node_id(dut: Dut) -> None:
-    with configuring(dut):
-        say(dut, 0x5E)
-        dut.expect(SLAVE, f"5E {dut.node_id:02X} 00 00 00 00 00 00")
-
-
-@case(
-    "CiA 305 6.5", "an inquiry in the waiting state is not answered", needs=IDENTITY, each=[(0x5A,), (0x5D,), (0x5E,)]
+case("inquire_node_id 6.5: inquire node-id", IDENTITY)(
+    do.within(configuring, do.run(say, 0x5E), lambda dut: dut.expect(SLAVE, f"5E {dut.node_id:02X} 00 00 00 00 00 00"))
 )
-def inquire_waiting(dut: Dut, service: int) -> None:
-    say(dut, service)
-    dut.silence(SLAVE)
 
 
-@case("CiA 305 6.5", "an unknown service is not answered", needs=IDENTITY, each=[(0x00,), (0x60,), (0xFF,)])
-def unknown(dut: Dut, service: int) -> None:
-    with configuring(dut):
-        say(dut, service)
-        dut.silence(SLAVE)
+case.each(
+    "inquire_waiting 6.5: an inquiry in the waiting state is not answered", IDENTITY, [(0x5A,), (0x5D,), (0x5E,)]
+)(lambda service: (do.run(say, service), do.silence(SLAVE)))
+case.each("unknown 6.5: an unknown service is not answered", IDENTITY, [(0x00,), (0x60,), (0xFF,)])(
+    lambda service: do.within(configuring, do.run(say, service), do.silence(SLAVE))
+)
+case.each("length 6.2: a request of {0} bytes is passed over", IDENTITY, [(0,), (1,), (7,)])(
+    lambda size: do.within(configuring, do.send(MASTER, (b"\x5e" + bytes(7))[:size]), do.silence(SLAVE))
+)
+case("reset 6.2: reset communication leads back to the waiting state", IDENTITY)(
+    do.within(configuring, do.reset(RESET_COMMUNICATION), do.run(say, 0x5E), do.silence(SLAVE))
+)
 
 
-@case("CiA 305 6.2", "a request of {0} bytes is passed over", needs=IDENTITY, each=[(0,), (1,), (7,)])
-def length(dut: Dut, size: int) -> None:
-    with configuring(dut):
-        dut.send(MASTER, (b"\x5e" + bytes(7))[:size])
-        dut.silence(SLAVE)
-
-
-@case("CiA 305 6.2", "reset communication leads back to the waiting state", needs=IDENTITY)
-def reset(dut: Dut) -> None:
-    with configuring(dut):
-        dut.reset(RESET_COMMUNICATION)
-        say(dut, 0x5E)
-        dut.silence(SLAVE)
-
-
-@case("CiA 301 7.3.2.3", "LSS is served in STOPPED, and nothing else is", needs=IDENTITY)
+@case("CiA 301 7.3.2.3: LSS is served in STOPPED, and nothing else is", IDENTITY)
 def stopped(dut: Dut) -> None:
     own = identity(dut)
     dut.nmt(STOP)
@@ -196,19 +179,14 @@ def stopped(dut: Dut) -> None:
 # --- configure --------------------------------------------------------------------------------------------
 
 
-@case(
-    "CiA 305 6.4.1", "configure node-id {0}: out of range, error 1", needs=IDENTITY, each=[(0,), (128,), (200,), (254,)]
-)
-def node_id_refused(dut: Dut, node_id: int) -> None:
-    with configuring(dut):
-        say(dut, 0x11, node_id)
-        dut.expect(SLAVE, "11 01 00 00 00 00 00 00")
+case.each(
+    "node_id_refused 6.4.1: configure node-id {0}: out of range, error 1", IDENTITY, [(0,), (128,), (200,), (254,)]
+)(lambda node_id: do.within(configuring, do.run(say, 0x11, node_id), do.expect(SLAVE, "11 01 00 00 00 00 00 00")))
 
 
 @case(
-    "CiA 305 6.4.1",
-    "configure node-id {0}: taken, and not in use before a reset",
-    needs=IDENTITY,
+    "6.4.1: configure node-id {0}: taken, and not in use before a reset",
+    IDENTITY,
     persistent=True,
     each=[(1,), (127,), (255,)],
 )
@@ -222,7 +200,7 @@ def node_id_taken(dut: Dut, node_id: int) -> None:
             say(dut, 0x11, dut.node_id)
 
 
-@case("CiA 305 6.4.1", "the new node-id is in use after reset communication", needs=IDENTITY, persistent=True)
+@case("6.4.1: the new node-id is in use after reset communication", IDENTITY, persistent=True)
 def node_id_changed(dut: Dut) -> None:
     old = dut.node_id
     with configuring(dut) as own:
@@ -256,7 +234,7 @@ def restore_node_id(dut: Dut, own: list[int], node_id: int) -> None:
     dut.boot_up()
 
 
-@case("CiA 305 6.4.2", "configure bit timing, table {0}, index {1}: error {2}", needs=IDENTITY, persistent=True, each=[
+@case("6.4.2: configure bit timing, table {0}, index {1}: error {2}", IDENTITY, persistent=True, each=[
     *((0, index, 0) for index in (0, 2, 3, 4, 8)), (0, 5, 1), (0, 10, 1), (1, 0, 1),
 ])  # fmt: skip
 def bit_timing(dut: Dut, table: int, index: int, error: int) -> None:
@@ -266,17 +244,184 @@ def bit_timing(dut: Dut, table: int, index: int, error: int) -> None:
         say(dut, 0x13, 0, 0)
 
 
-@case("CiA 305 6.4.3", "store configuration: error 0", needs=IDENTITY, persistent=True)
-def store(dut: Dut) -> None:
-    with configuring(dut):
-        say(dut, 0x17)
-        dut.expect(SLAVE, "17 00 00 00 00 00 00 00", 2000)
+case("store 6.4.3: store configuration: error 0", IDENTITY, persistent=True)(
+    do.within(configuring, do.run(say, 0x17), do.expect(SLAVE, "17 00 00 00 00 00 00 00", 2000))
+)
 
 
-@case("CiA 305 6.4", "configuration services in the waiting state do nothing", needs=IDENTITY, each=[
-    (0x11, OTHER_ID), (0x13, 0), (0x17, 0),
-])  # fmt: skip
-def configure_waiting(dut: Dut, service: int, value: int) -> None:
-    say(dut, service, value)
+case.each(
+    "configure_waiting 6.4: configuration services in the waiting state do nothing",
+    IDENTITY,
+    [(0x11, OTHER_ID), (0x13, 0), (0x17, 0)],
+)(lambda service, value: (do.run(say, service, value), do.silence(SLAVE), do.reset(RESET_COMMUNICATION)))
+
+
+# --- identify, and a device without a node-id ------------------------------------------------------------------
+
+
+def identify(dut: Dut, numbers: list[int]) -> None:
+    """Identify remote slave: vendor, product, revision from, to, serial from, to."""
+    for part, number in enumerate(numbers):
+        say(dut, 0x46 + part, number=number)
+
+
+def ranges(own: list[int]) -> list[int]:
+    """The six numbers that this device alone fits."""
+    return [own[0], own[1], own[2], own[2], own[3], own[3]]
+
+
+@numbered("6.6.1: identify remote slave: a device in the ranges answers 4Fh", IDENTITY)
+def identified(dut: Dut) -> None:
+    identify(dut, ranges(identity(dut)))
+    data = slave_answer(dut)
+    check(data == b"\x4f" + bytes(7), "4F and zeros", data.hex(" "))
+
+
+@numbered("6.6.1: identify remote slave: the ends of the ranges may lie apart", IDENTITY)
+def identified_in_range(dut: Dut) -> None:
+    own = identity(dut)
+    identify(dut, [own[0], own[1], 0, 0xFFFFFFFF, 0, 0xFFFFFFFF])
+    slave_answer(dut)
+
+
+@numbered(
+    "6.6.1: identify remote slave: {2} is not this device's: silence",
+    IDENTITY,
+    each=[
+        (0, 1, "the vendor-ID"),
+        (1, 1, "the product code"),
+        (2, 1, "a revision from above"),
+        (3, -1, "a revision to below"),
+        (4, 1, "a serial number from above"),
+        (5, -1, "a serial number to below"),
+    ],
+)
+def not_identified(dut: Dut, part: int, step: int, _name: str) -> None:
+    numbers = ranges(identity(dut))
+    numbers[part] += step
+    if not 0 <= numbers[part] <= 0xFFFFFFFF:
+        raise NotApplicableError("the identity lies at the end of the range")
+    identify(dut, numbers)
     dut.silence(SLAVE)
-    dut.reset(RESET_COMMUNICATION)
+
+
+@numbered("6.6.1: identify remote slave in another order: silence", IDENTITY)
+def identify_order(dut: Dut) -> None:
+    for part, number in reversed(list(enumerate(ranges(identity(dut))))):
+        say(dut, 0x46 + part, number=number)
+    dut.silence(SLAVE)
+
+
+numbered("configured 6.6.3: identify non-configured remote slave: a device with a node-id is silent")(
+    do.run(say, 0x4C), do.silence(SLAVE)
+)
+numbered("configured_fastscan 6.6.4: fastscan: a device with a node-id is silent")(
+    do.run(say, 0x51, 0, 0, 0, 0, 0x80), do.silence(SLAVE)
+)
+
+
+@contextmanager
+def unconfigured(dut: Dut) -> Iterator[list[int]]:
+    """The device without a node-id within, with its own after; yields its identity."""
+    old = dut.node_id
+    with configuring(dut) as own:
+        say(dut, 0x11, UNCONFIGURED)
+        answer = dut.expect(SLAVE).data
+    if answer[1]:
+        raise NotApplicableError("node-id 255 is refused")
+    dut.nmt(RESET_COMMUNICATION)
+    dut.sleep(10)
+    dut.forget()
+    dut.node_id = UNCONFIGURED
+    try:
+        yield own
+    finally:
+        restore_node_id(dut, own, old)
+
+
+def scan(dut: Dut, number: int, bit: int, part: int, following: int) -> bool:
+    """One request of fastscan; whether a device says yes."""
+    dut.send(MASTER, bytes((0x51,)) + number.to_bytes(4, "little") + bytes((bit, part, following)))
+    return dut.heard(SLAVE, 20) is not None
+
+
+@unnumbered("6.3.2: without a node-id: no boot-up, no answer to NMT and SDO", IDENTITY, persistent=True)
+def silent(dut: Dut) -> None:
+    old = dut.node_id
+    with unconfigured(dut):
+        for command in (1, RESET_NODE):
+            dut.send(0x000, bytes((command, 0)))
+        dut.send(0x600 + old, "40 00 10 00 00 00 00 00")
+        dut.silence(0x580 + old, 0x700 + old, 0x80 + old, 0x700 + UNCONFIGURED)
+
+
+@unnumbered("6.6.3: identify non-configured remote slave: answer 50h", IDENTITY, persistent=True)
+def lss_unconfigured_identify(dut: Dut) -> None:
+    with unconfigured(dut):
+        say(dut, 0x4C)
+        dut.expect(SLAVE, "50 00 00 00 00 00 00 00")
+
+
+@unnumbered("6.5: inquire node-id: 255", IDENTITY, persistent=True)
+def lss_unconfigured_inquire(dut: Dut) -> None:
+    with unconfigured(dut) as own, configuring(dut, own):
+        say(dut, 0x5E)
+        dut.expect(SLAVE, "5E FF *")
+
+
+@unnumbered("6.4.1: a node-id is given: boot-up as soon as configuration is left", IDENTITY, persistent=True)
+def boots(dut: Dut) -> None:
+    old = dut.node_id
+    with unconfigured(dut) as own:
+        with configuring(dut, own):
+            say(dut, 0x11, old)
+            dut.expect(SLAVE, "11 00 *")
+            dut.silence(0x700 + old, ms=10)
+        dut.expect(0x700 + old, "00", 5000)
+        dut.node_id = old
+        dut.ask("40 00 10 00", "43 00 10 00 *")
+
+
+@unnumbered("6.6.4: fastscan finds all 128 bits and leads to configuration", IDENTITY, persistent=True)
+def fastscan(dut: Dut) -> None:
+    with unconfigured(dut) as own:
+        if not scan(dut, 0, START_SCAN, 0, 0):
+            raise NotApplicableError("no fastscan")
+        numbers = []
+        for part in range(4):
+            number = 0
+            for bit in range(31, -1, -1):
+                if not scan(dut, number, bit, part, part):
+                    number |= 1 << bit
+            # The number is complete: confirm it, and go on to the next one, after the last to the first.
+            check(scan(dut, number, 0, part, (part + 1) % 4), f"an answer to {number:08X}h in part {part}", "silence")
+            numbers.append(number)
+        check(numbers == own, str(own), str(numbers))
+        check(in_configuration(dut), "the configuration state", "no answer to an inquiry")
+
+
+@unnumbered("6.6.4: fastscan with another {1}: silence", IDENTITY, persistent=True, each=[
+    (0, "vendor-ID"), (1, "product code"),
+])  # fmt: skip
+def fastscan_other(dut: Dut, part: int, _name: str) -> None:
+    with unconfigured(dut) as own:
+        if not scan(dut, 0, START_SCAN, 0, 0):
+            raise NotApplicableError("no fastscan")
+        check(not part or scan(dut, own[0], 0, 0, 1), "an answer to the vendor-ID", "silence")
+        if scan(dut, own[part] ^ 0x100, 0, part, part):
+            raise CheckError("silence", "an answer to a number that is not the device's")
+
+
+@unnumbered("6.6.4: fastscan of a part that is not its turn: silence", IDENTITY, persistent=True)
+def fastscan_order(dut: Dut) -> None:
+    with unconfigured(dut) as own:
+        if not scan(dut, 0, START_SCAN, 0, 0):
+            raise NotApplicableError("no fastscan")
+        check(not scan(dut, own[2], 0, 2, 3), "silence", "an answer to the third number before the first")
+
+
+@unnumbered("6.6.4: fastscan in the configuration state: silence", IDENTITY, persistent=True)
+def fastscan_configuring(dut: Dut) -> None:
+    with unconfigured(dut) as own, configuring(dut, own):
+        check(not scan(dut, 0, START_SCAN, 0, 0), "silence", "an answer")
+    waiting(dut)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.emcy import break_sync
 from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1
@@ -16,7 +17,9 @@ from canopen_conformance.wire import (
     REMOTE_FLAG,
     RESET_COMMUNICATION,
     RESET_NODE,
+    RESETS,
     START,
+    STATES,
     STOP,
     STOPPED,
 )
@@ -24,96 +27,60 @@ from canopen_conformance.wire import (
 case = Service("nmt")
 
 HEARTBEAT = ((0x1017, 0),)
-STATES = {PRE_OPERATIONAL: "PRE-OPERATIONAL", OPERATIONAL: "OPERATIONAL", STOPPED: "STOPPED"}
-COMMANDS = {START: "start", STOP: "stop", ENTER_PRE_OPERATIONAL: "enter PRE-OPERATIONAL"}
+COMMANDS = [(START, "start"), (STOP, "stop"), (ENTER_PRE_OPERATIONAL, "enter PRE-OPERATIONAL")]
 AFTER = {START: OPERATIONAL, STOP: STOPPED, ENTER_PRE_OPERATIONAL: PRE_OPERATIONAL}
-RESETS = {RESET_NODE: "reset node", RESET_COMMUNICATION: "reset communication"}
-TARGETS = ("to this node", "to all nodes")
+TARGETS = [(None, "to this node"), (0, "to all nodes")]
 
-
-@case(
-    "CiA 301 7.2.8.3.1",
-    "{3} in {2}, {4}",
-    needs=HEARTBEAT,
-    each=[
-        (before, command, STATES[before], COMMANDS[command], target)
-        for target in TARGETS
-        for before in STATES
-        for command in COMMANDS
-    ],
+case.each(
+    "transition 7.2.8.3.1: {1[1]} in {0[1]}, {2[1]}",
+    HEARTBEAT,
+    [(before, command, target) for target in TARGETS for before in STATES for command in COMMANDS],
+)(
+    lambda before, command, target: (
+        do.beat(),
+        do.enter(before[0]),
+        do.nmt(command[0], target[0]),
+        do.state(AFTER[command[0]]),
+    )
 )
-def transition(dut: Dut, before: int, command: int, _in: str, _what: str, target: str) -> None:
-    dut.beat()
-    dut.enter(before)
-    dut.nmt(command, None if target == TARGETS[0] else 0)
-    dut.state(AFTER[command])
-
-
-@case(
-    "CiA 301 7.2.8.3.1",
-    "{3} in {2}, {4}: boot-up, then PRE-OPERATIONAL",
-    needs=HEARTBEAT,
-    each=[
-        (before, command, STATES[before], RESETS[command], target)
-        for target in TARGETS
-        for before in STATES
-        for command in RESETS
-    ],
+case.each(
+    "reset 7.2.8.3.1: {1[1]} in {0[1]}, {2[1]}: boot-up, then PRE-OPERATIONAL",
+    HEARTBEAT,
+    [(before, command, target) for target in TARGETS for before in STATES for command in RESETS],
+)(
+    lambda before, command, target: (
+        do.waits_for_start(),
+        do.enter(before[0]),
+        do.forget(),
+        do.nmt(command[0], target[0]),
+        do.boot_up(),
+        do.beat(),
+        do.state(PRE_OPERATIONAL),
+    )
 )
-def reset(dut: Dut, before: int, command: int, _in: str, _what: str, target: str) -> None:
-    dut.waits_for_start()
-    dut.enter(before)
-    dut.forget()
-    dut.nmt(command, None if target == TARGETS[0] else 0)
-    dut.boot_up()
-    dut.beat()
-    dut.state(PRE_OPERATIONAL)
-
-
-@case(
-    "CiA 301 7.2.8.3.1",
-    "ignored: {1}",
-    needs=HEARTBEAT,
-    each=[
-        (frame, why)
-        for why, frame in {
-            "start of another node": (0, "01 7E"),
-            "no data": (0, ""),
-            "one byte": (0, "01"),
-            "three bytes": (0, "01 00 00"),
-            "eight bytes": (0, "01 00 00 00 00 00 00 00"),
-            "command specifier 0": (0, "00 00"),
-            "command specifier 3": (0, "03 00"),
-            "command specifier 127": (0, "7F 00"),
-            "command specifier 131": (0, "83 00"),
-            "command specifier 255": (0, "FF 00"),
-            "start in a 29-bit frame": (EXTENDED_FLAG, "01 00"),
-            "a remote frame": (REMOTE_FLAG, ""),
-        }.items()
+case.each(
+    "ignored 7.2.8.3.1: ignored: {2}",
+    HEARTBEAT,
+    [
+        (0, "01 7E", "start of another node"),
+        (0, "", "no data"),
+        (0, "01", "one byte"),
+        (0, "01 00 00", "three bytes"),
+        (0, "01 00 00 00 00 00 00 00", "eight bytes"),
+        *((0, f"{command:02X} 00", f"command specifier {command}") for command in (0, 3, 127, 131, 255)),
+        (EXTENDED_FLAG, "01 00", "start in a 29-bit frame"),
+        (REMOTE_FLAG, "", "a remote frame"),
     ],
+)(lambda can_id, data, _why: (do.beat(), do.send(can_id, data), do.state(PRE_OPERATIONAL), do.silence()))
+case("node_id_with_high_bit 7.2.8.3.1: node-id + 128 in the command is not this node", HEARTBEAT)(
+    do.beat(), lambda dut: dut.nmt(START, 0x80 | dut.node_id), do.state(PRE_OPERATIONAL)
 )
-def ignored(dut: Dut, frame: tuple[int, str], _why: str) -> None:
-    dut.beat()
-    dut.send(*frame)
-    dut.state(PRE_OPERATIONAL)
-    dut.silence()
+case.each(
+    "boot_up_once 7.2.8.3.3: the boot-up message is one byte 00, and one message alone", (), [(RESET_NODE,), (130,)]
+)(lambda command: (do.reset(command), do.silence(), do.no_heartbeat(ms=10)))
 
 
-@case("CiA 301 7.2.8.3.1", "node-id + 128 in the command is not this node", needs=HEARTBEAT)
-def node_id_with_high_bit(dut: Dut) -> None:
-    dut.beat()
-    dut.nmt(START, 0x80 | dut.node_id)
-    dut.state(PRE_OPERATIONAL)
-
-
-@case("CiA 301 7.2.8.3.3", "the boot-up message is one byte 00, and one message alone", each=[(RESET_NODE,), (130,)])
-def boot_up_once(dut: Dut, command: int) -> None:
-    dut.reset(command)
-    dut.silence()
-    dut.silence(0x700 + dut.node_id, ms=10)
-
-
-@case("CiA 301 7.2.8.3.3", "nothing is sent before the boot-up message", needs=HEARTBEAT)
+@case("7.2.8.3.3: nothing is sent before the boot-up message", HEARTBEAT)
 def boot_up_first(dut: Dut) -> None:
     dut.enter(OPERATIONAL)
     dut.forget()
@@ -123,24 +90,19 @@ def boot_up_first(dut: Dut) -> None:
     dut.boot_up()
 
 
-@case(
-    "CiA 301 7.3.2.3", "SDO is served in {1}", each=[(PRE_OPERATIONAL, "PRE-OPERATIONAL"), (OPERATIONAL, "OPERATIONAL")]
+case.each("sdo_served 7.3.2.3: SDO is served in {1}", (), STATES[:2])(
+    lambda state, _name: (do.enter(state), do.ask("40 00 10 00", "43 00 10 00 *"))
 )
-def sdo_served(dut: Dut, state: int, _name: str) -> None:
-    dut.enter(state)
-    dut.ask("40 00 10 00", "43 00 10 00 *")
+case("sdo_stopped 7.3.2.3: SDO is not served in STOPPED, and served again after it")(
+    do.nmt(STOP),
+    do.request("40 00 10 00"),
+    do.no_sdo(),
+    do.nmt(ENTER_PRE_OPERATIONAL),
+    do.ask("40 00 10 00", "43 00 10 00 *"),
+)
 
 
-@case("CiA 301 7.3.2.3", "SDO is not served in STOPPED, and served again after it")
-def sdo_stopped(dut: Dut) -> None:
-    dut.nmt(STOP)
-    dut.request("40 00 10 00")
-    dut.no_sdo()
-    dut.nmt(ENTER_PRE_OPERATIONAL)
-    dut.ask("40 00 10 00", "43 00 10 00 *")
-
-
-@case("CiA 301 7.3.2.3", "stop ends an SDO transfer without a word", needs=((0x1008, 0),))
+@case("7.3.2.3: stop ends an SDO transfer without a word", ((0x1008, 0),))
 def stop_ends_sdo(dut: Dut) -> None:
     if dut.ask("40 08 10 00")[0] & 0xE3 != 0x41:
         raise NotApplicableError("1008h fits into one frame")
@@ -151,75 +113,62 @@ def stop_ends_sdo(dut: Dut) -> None:
     dut.ask("60", lambda data: data[0] == 0x80)
 
 
-@case(
-    "CiA 301 7.3.2.3",
-    "a synchronous TPDO in {1}: {2}",
-    needs=TPDO1,
-    each=[
-        (PRE_OPERATIONAL, "PRE-OPERATIONAL", "silent"),
-        (OPERATIONAL, "OPERATIONAL", "sent"),
-        (STOPPED, "STOPPED", "silent"),
-    ],
+case.each(
+    "tpdo_by_state 7.3.2.3: a synchronous TPDO in {1}: {2}",
+    TPDO1,
+    [(*state, does) for state, does in zip(STATES, ("silent", "sent", "silent"), strict=True)],
+)(
+    lambda state, _name, does: (
+        do.run(enable_tpdo1, 1),
+        do.enter(state),
+        do.send(0x080),
+        do.pdo() if does == "sent" else do.no_pdo(),
+    )
 )
-def tpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
-    can_id = enable_tpdo1(dut, transmission=1)
-    dut.enter(state)
-    dut.send(0x080)
-    if does == "sent":
-        dut.expect(can_id)
-    else:
-        dut.silence(can_id)
 
 
-@case("CiA 301 7.3.2.3", "TPDOs stop when OPERATIONAL is left, and go on when it is entered again", needs=TPDO1)
+@case("7.3.2.3: TPDOs stop when OPERATIONAL is left, and go on when it is entered again", TPDO1)
 def tpdo_leave_and_return(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, transmission=1)
+    enable_tpdo1(dut, transmission=1)
     for command in (ENTER_PRE_OPERATIONAL, STOP):
         dut.nmt(START)
         dut.send(0x080)
-        dut.expect(can_id)
+        dut.pdo()
         dut.nmt(command)
         dut.send(0x080)
-        dut.silence(can_id)
+        dut.no_pdo()
 
 
 @case(
-    "CiA 301 7.3.2.3",
-    "an RPDO in {1}: {2}",
-    needs=((0x1013, 0), (0x1400, 1), (0x1600, 0)),
-    each=[(PRE_OPERATIONAL, "PRE-OPERATIONAL", "ignored"), (OPERATIONAL, "OPERATIONAL", "taken")],
+    "7.3.2.3: an RPDO in {1}: {2}",
+    ((0x1013, 0), (0x1400, 1), (0x1600, 0)),
+    each=[(*STATES[0], "ignored"), (*STATES[1], "taken")],
 )
 def rpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
-    can_id = mapped_rpdo1(dut, 0x10130020)
+    mapped_rpdo1(dut, 0x10130020)
     dut.put("I", 0x1013, 0, 0)
     dut.enter(state)
-    dut.send(can_id, struct.pack("<I", 0x70000000))
+    dut.send_pdo(struct.pack("<I", 0x70000000))
     time_us = dut.integer("I", 0x1013)
     check((time_us >= 0x70000000) == (does == "taken"), f"the RPDO {does}", f"1013h = {time_us:08X}h")
 
 
-@case("CiA 301 7.3.2.3", "an EMCY waits while STOPPED and comes after it", needs=((0x1014, 0), (0x1016, 1)))
-def emcy_waits(dut: Dut) -> None:
-    dut.put("I", 0x1016, 1, 0x700000 | 40)
-    dut.send(0x770, "05")
-    dut.nmt(STOP)
-    dut.silence(0x80 + dut.node_id, ms=100)
-    dut.nmt(ENTER_PRE_OPERATIONAL)
-    dut.expect(0x80 + dut.node_id, "30 81 *")
-
-
-@case("CiA 301 7.3.2.3", "SYNC is not looked at in STOPPED", needs=((0x1005, 0), (0x1014, 0)))
-def sync_stopped(dut: Dut) -> None:
-    dut.nmt(STOP)
-    break_sync(dut)
-    dut.nmt(ENTER_PRE_OPERATIONAL)
-    dut.silence(0x80 + dut.node_id)
+case("emcy_waits 7.3.2.3: an EMCY waits while STOPPED and comes after it", ((0x1014, 0), (0x1016, 1)))(
+    do.put("I", 0x1016, 1, 0x700000 | 40),
+    do.send(0x770, "05"),
+    do.nmt(STOP),
+    do.no_emcy(ms=100),
+    do.nmt(ENTER_PRE_OPERATIONAL),
+    do.emcy("30 81 *"),
+)
+case("sync_stopped 7.3.2.3: SYNC is not looked at in STOPPED", ((0x1005, 0), (0x1014, 0)))(
+    do.nmt(STOP), break_sync, do.nmt(ENTER_PRE_OPERATIONAL), do.no_emcy()
+)
 
 
 @case(
-    "CiA 302-2 1F80h",
-    "bit 2 clear and stored: OPERATIONAL by itself after boot-up",
-    needs=((0x1F80, 0), (0x1010, 2), (0x1011, 2), (0x1017, 0)),
+    "CiA 302-2 1F80h: bit 2 clear and stored: OPERATIONAL by itself after boot-up",
+    ((0x1F80, 0), (0x1010, 2), (0x1011, 2), (0x1017, 0)),
     persistent=True,
 )
 def self_start(dut: Dut) -> None:

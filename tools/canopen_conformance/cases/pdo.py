@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from itertools import pairwise
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.dut import LAST_DATA_TYPE, Dut
 from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, START
@@ -32,10 +33,17 @@ def remap(dut: Dut, mapping: int, *words: int) -> None:
     dut.put("B", mapping, 0, len(words))
 
 
-def enable_tpdo1(dut: Dut, transmission: int, *words: int, **others: int) -> int:
-    """Set up TPDO1 with this type and mapping (none: unchanged); return its CAN-ID.
+def enable_tpdo1(
+    dut: Dut,
+    transmission: int,
+    *words: int,
+    inhibit_100us: int | None = None,
+    event_ms: int | None = None,
+    sync_start: int | None = None,
+) -> int:
+    """Set up TPDO1 with this type and mapping (none: unchanged) as ``Dut.pdo_id``; return its CAN-ID.
 
-    ``others``: inhibit_100us, event_ms, sync_start. A TPDO1 without mapped objects is not applicable.
+    A TPDO1 without mapped objects is not applicable.
     """
     cob_id = disable_pdo(dut, 0x1800)
     if words:
@@ -43,13 +51,12 @@ def enable_tpdo1(dut: Dut, transmission: int, *words: int, **others: int) -> int
     else:
         check_mapped(dut)
     dut.put("B", 0x1800, 2, transmission)
-    for name, sub, kind in (("inhibit_100us", 3, "H"), ("event_ms", 5, "H"), ("sync_start", 6, "B")):
-        if name in others:
-            dut.put(kind, 0x1800, sub, others[name])
-        elif dut.exists(0x1800, sub):
-            dut.put(kind, 0x1800, sub, 0)
+    for value, sub, kind in ((inhibit_100us, 3, "H"), (event_ms, 5, "H"), (sync_start, 6, "B")):
+        if value is not None or dut.exists(0x1800, sub):
+            dut.put(kind, 0x1800, sub, value or 0)
     dut.put("I", 0x1800, 1, cob_id)
-    return cob_id & 0x7FF
+    dut.pdo_id = cob_id & 0x7FF
+    return dut.pdo_id
 
 
 def check_mapped(dut: Dut) -> None:
@@ -66,14 +73,15 @@ def check_mapped(dut: Dut) -> None:
 
 
 def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> int:
-    """Set up a valid RPDO1 with this mapping; return its CAN-ID."""
+    """Set up a valid RPDO1 with this mapping as ``Dut.pdo_id``; return its CAN-ID."""
     cob_id = disable_pdo(dut, 0x1400)
     remap(dut, 0x1600, *words)
     dut.put("B", 0x1400, 2, transmission)
     if event_ms:
         dut.put("H", 0x1400, 5, event_ms)
     dut.put("I", 0x1400, 1, cob_id)
-    return cob_id & 0x7FF
+    dut.pdo_id = cob_id & 0x7FF
+    return dut.pdo_id
 
 
 TIMED = (*TPDO1, (0x1800, 3), (0x1800, 5))
@@ -92,7 +100,7 @@ def on_syncs(dut: Dut, can_id: int, count: int) -> list[int]:
     return answered
 
 
-@tpdo("CiA 301 7.2.2.2", "type {0}: one TPDO for {0} SYNCs", needs=TPDO1, each=[(1,), (2,), (3,), (5,)])
+@tpdo("7.2.2.2: type {0}: one TPDO for {0} SYNCs", TPDO1, each=[(1,), (2,), (3,), (5,)])
 def cyclic(dut: Dut, transmission: int) -> None:
     can_id = enable_tpdo1(dut, transmission)
     dut.nmt(START)
@@ -102,86 +110,80 @@ def cyclic(dut: Dut, transmission: int) -> None:
         raise CheckError(f"three TPDOs, {transmission} SYNCs apart", f"answers to SYNC {answered}")
 
 
-@tpdo("CiA 301 7.2.2.2", "type {0}: a SYNC sends nothing", needs=TPDO1, each=[(254,), (255,)])
+@tpdo("7.2.2.2: type {0}: a SYNC sends nothing", TPDO1, each=[(254,), (255,)])
 def event_driven(dut: Dut, transmission: int) -> None:
-    can_id = enable_tpdo1(dut, transmission)
+    enable_tpdo1(dut, transmission)
     dut.nmt(START)
     dut.sleep(20)
-    dut.forget(can_id)
+    dut.forget_pdo()
     dut.send(0x080)
-    dut.silence(can_id)
+    dut.no_pdo()
 
 
-@tpdo("CiA 301 7.5.2.37", "event timer {0} ms", needs=TIMED, each=[(20,), (60,)])
+@tpdo("7.5.2.37: event timer {0} ms", TIMED, each=[(20,), (60,)])
 def event_timer(dut: Dut, ms: int) -> None:
-    can_id = enable_tpdo1(dut, 255, event_ms=ms)
+    enable_tpdo1(dut, 255, event_ms=ms)
     dut.nmt(START)
-    first = dut.expect(can_id, within_ms=2 * ms)
+    first = dut.pdo(within_ms=2 * ms)
     for _ in range(3):
-        last = dut.expect(can_id, within_ms=2 * ms)
+        last = dut.pdo(within_ms=2 * ms)
     dut.check_ms("three times", last.at_us - first.at_us, 3 * ms)
 
 
-@tpdo("CiA 301 7.5.2.37", "event timer 0 ends the cyclic sending", needs=TIMED)
-def event_timer_off(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 255, event_ms=20)
-    dut.nmt(START)
-    dut.expect(can_id)
-    dut.put("H", 0x1800, 5, 0)
-    dut.forget(can_id)
-    dut.silence(can_id, ms=60)
+tpdo("event_timer_off 7.5.2.37: event timer 0 ends the cyclic sending", TIMED)(
+    do.run(enable_tpdo1, 255, event_ms=20),
+    do.nmt(START),
+    do.pdo(),
+    do.put("H", 0x1800, 5, 0),
+    do.forget_pdo(),
+    do.no_pdo(ms=60),
+)
+tpdo("event_timer_stops 7.5.2.37: the event timer does nothing outside OPERATIONAL", TIMED)(
+    do.run(enable_tpdo1, 255, event_ms=20),
+    do.no_pdo(ms=60),
+    do.nmt(START),
+    do.pdo(within_ms=40),
+    do.nmt(ENTER_PRE_OPERATIONAL),
+    do.sleep(5),
+    do.forget_pdo(),
+    do.no_pdo(ms=60),
+)
 
 
-@tpdo("CiA 301 7.5.2.37", "the event timer does nothing outside OPERATIONAL", needs=TIMED)
-def event_timer_stops(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 255, event_ms=20)
-    dut.silence(can_id, ms=60)
-    dut.nmt(START)
-    dut.expect(can_id, within_ms=40)
-    dut.nmt(ENTER_PRE_OPERATIONAL)
-    dut.sleep(5)
-    dut.forget(can_id)
-    dut.silence(can_id, ms=60)
-
-
-@tpdo("CiA 301 7.5.2.37", "the inhibit time holds back the event timer", needs=TIMED)
+@tpdo("7.5.2.37: the inhibit time holds back the event timer", TIMED)
 def inhibit(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 255, event_ms=10, inhibit_100us=800)
+    enable_tpdo1(dut, 255, event_ms=10, inhibit_100us=800)
     dut.nmt(START)
-    first = dut.expect(can_id)
+    first = dut.pdo()
     for _ in range(2):
-        last = dut.expect(can_id, within_ms=120)
+        last = dut.pdo(within_ms=120)
     dut.check_ms("two inhibit times of 80 ms", last.at_us - first.at_us, 160)
 
 
-@tpdo("CiA 301 7.5.2.37", "a TPDO with bit 31 set is not sent", needs=TPDO1)
-def invalid(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
-    disable_pdo(dut, 0x1800)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.silence(can_id)
+tpdo("invalid 7.5.2.37: a TPDO with bit 31 set is not sent", TPDO1)(
+    do.run(enable_tpdo1, 1), do.run(disable_pdo, 0x1800), do.nmt(START), do.send(0x080), do.no_pdo()
+)
 
 
-@tpdo("CiA 301 7.5.2.37", "a TPDO that was moved is sent with its new CAN-ID alone", needs=TPDO1)
+@tpdo("7.5.2.37: a TPDO that was moved is sent with its new CAN-ID alone", TPDO1)
 def moved(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
+    enable_tpdo1(dut, 1)
     cob_id = disable_pdo(dut, 0x1800) & ~0x7FF | 0x390
     dut.put("I", 0x1800, 1, cob_id | INVALID)
     dut.put("I", 0x1800, 1, cob_id)
     dut.nmt(START)
     dut.send(0x080)
     dut.expect(0x390)
-    dut.silence(can_id)
+    dut.no_pdo()
 
 
-@tpdo("CiA 301 7.2.2.5.1", "a TPDO is as long as its mapping says", needs=TPDO1)
+@tpdo("7.2.2.5.1: a TPDO is as long as its mapping says", TPDO1)
 def length(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
+    enable_tpdo1(dut, 1)
     bits = sum(dut.integer("I", 0x1A00, sub) & 0xFF for sub in range(1, dut.integer("B", 0x1A00, 0) + 1))
     dut.nmt(START)
     dut.send(0x080)
-    size = len(dut.expect(can_id).data)
+    size = len(dut.pdo().data)
     check(size == (bits + 7) // 8, f"{bits} bits", f"{size} bytes")
 
 
@@ -199,110 +201,98 @@ def set_time(dut: Dut) -> None:
     dut.put("I", TIME, 0, 0)
 
 
-@rpdo("CiA 301 7.2.2.2", "an RPDO of type {0} acts at once", needs=HIGH_RESOLUTION, each=[(254,), (255,)])
+@rpdo("7.2.2.2: an RPDO of type {0} acts at once", HIGH_RESOLUTION, each=[(254,), (255,)])
 def received(dut: Dut, transmission: int) -> None:
-    can_id = mapped_rpdo1(dut, RPDO_TIME_U32, transmission=transmission)
+    mapped_rpdo1(dut, RPDO_TIME_U32, transmission=transmission)
     dut.nmt(START)
     set_time(dut)
-    dut.send(can_id, struct.pack("<I", 0x60000000))
+    dut.send_pdo(struct.pack("<I", 0x60000000))
     high_resolution(dut, 0x60000000, 0x61000000)
 
 
-@rpdo(
-    "CiA 301 7.2.2.2",
-    "a synchronous RPDO of type {0} acts with the next SYNC",
-    needs=HIGH_RESOLUTION,
-    each=[(0,), (1,), (240,)],
+rpdo.each(
+    "received_on_sync 7.2.2.2: a synchronous RPDO of type {0} acts with the next SYNC",
+    HIGH_RESOLUTION,
+    [(0,), (1,), (240,)],
+)(
+    lambda transmission: (
+        do.run(mapped_rpdo1, RPDO_TIME_U32, transmission=transmission),
+        do.nmt(START),
+        set_time,
+        do.send_pdo(struct.pack("<I", 0x60000000)),
+        do.run(high_resolution, 0, 0x60000000),
+        do.send(0x080),
+        do.run(high_resolution, 0x60000000, 0x61000000),
+    )
 )
-def received_on_sync(dut: Dut, transmission: int) -> None:
-    can_id = mapped_rpdo1(dut, RPDO_TIME_U32, transmission=transmission)
-    dut.nmt(START)
-    set_time(dut)
-    dut.send(can_id, struct.pack("<I", 0x60000000))
-    high_resolution(dut, 0, 0x60000000)
-    dut.send(0x080)
-    high_resolution(dut, 0x60000000, 0x61000000)
-
-
-@rpdo("CiA 301 7.2.2.2", "of two synchronous RPDOs before a SYNC the last one acts", needs=HIGH_RESOLUTION)
-def last_before_sync(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, RPDO_TIME_U32, transmission=1)
-    dut.nmt(START)
-    dut.send(can_id, struct.pack("<I", 0x60000000))
-    dut.send(can_id, struct.pack("<I", 0x70000000))
-    dut.send(0x080)
-    high_resolution(dut, 0x70000000, 0x71000000)
-
-
-@rpdo("CiA 301 7.2.2.5.1", "a longer RPDO: the mapped bytes count", needs=HIGH_RESOLUTION)
-def longer(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, RPDO_TIME_U32)
-    dut.nmt(START)
-    dut.send(can_id, struct.pack("<II", 0x60000000, 0x99999999))
-    high_resolution(dut, 0x60000000, 0x61000000)
-
-
-@rpdo("CiA 301 7.2.2.5.1", "a shorter RPDO: EMCY 8210h, nothing is taken", needs=(*HIGH_RESOLUTION, (0x1014, 0)))
-def shorter(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, RPDO_TIME_U32)
-    dut.nmt(START)
-    set_time(dut)
-    dut.send(can_id, "00 00 60")
-    dut.expect(0x80 + dut.node_id, "10 82 *")
-    high_resolution(dut, 0, 0x600000)
-
-
-@rpdo("CiA 301 7.4.7.1", "dummy entries skip bytes of an RPDO", needs=HIGH_RESOLUTION)
-def dummies(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, 0x00050008, RPDO_TIME_U32, 0x00060010)
-    dut.nmt(START)
-    dut.send(can_id, "AA 00 00 00 60 BB CC")
-    high_resolution(dut, 0x60000000, 0x61000000)
+rpdo("last_before_sync 7.2.2.2: of two synchronous RPDOs before a SYNC the last one acts", HIGH_RESOLUTION)(
+    do.run(mapped_rpdo1, RPDO_TIME_U32, transmission=1),
+    do.nmt(START),
+    do.send_pdo(struct.pack("<I", 0x60000000)),
+    do.send_pdo(struct.pack("<I", 0x70000000)),
+    do.send(0x080),
+    do.run(high_resolution, 0x70000000, 0x71000000),
+)
+rpdo("longer 7.2.2.5.1: a longer RPDO: the mapped bytes count", HIGH_RESOLUTION)(
+    do.run(mapped_rpdo1, RPDO_TIME_U32),
+    do.nmt(START),
+    do.send_pdo(struct.pack("<II", 0x60000000, 0x99999999)),
+    do.run(high_resolution, 0x60000000, 0x61000000),
+)
+rpdo("shorter 7.2.2.5.1: a shorter RPDO: EMCY 8210h, nothing is taken", (*HIGH_RESOLUTION, (0x1014, 0)))(
+    do.run(mapped_rpdo1, RPDO_TIME_U32),
+    do.nmt(START),
+    set_time,
+    do.send_pdo("00 00 60"),
+    do.emcy("10 82 *"),
+    do.run(high_resolution, 0, 0x600000),
+)
+rpdo("dummies 7.4.7.1: dummy entries skip bytes of an RPDO", HIGH_RESOLUTION)(
+    do.run(mapped_rpdo1, 0x00050008, RPDO_TIME_U32, 0x00060010),
+    do.nmt(START),
+    do.send_pdo("AA 00 00 00 60 BB CC"),
+    do.run(high_resolution, 0x60000000, 0x61000000),
+)
 
 
 @rpdo(
-    "CiA 301 7.5.2.35",
-    "an RPDO that stays away: EMCY 8250h after its event timer",
-    needs=(*HIGH_RESOLUTION, (0x1400, 5)),
+    "7.5.2.35: an RPDO that stays away: EMCY 8250h after its event timer",
+    (*HIGH_RESOLUTION, (0x1400, 5)),
 )
 def deadline(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, RPDO_TIME_U32, event_ms=50)
+    mapped_rpdo1(dut, RPDO_TIME_U32, event_ms=50)
     dut.nmt(START)
-    dut.send(can_id, bytes(4))
+    dut.send_pdo(bytes(4))
     start_us = dut.now_us
-    frame = dut.expect(0x80 + dut.node_id, "50 82 *")
+    frame = dut.emcy("50 82 *")
     dut.check_ms("event timer", frame.at_us - start_us, 50)
-    dut.silence(0x80 + dut.node_id, ms=70)
-    dut.send(can_id, bytes(4))
-    dut.expect(0x80 + dut.node_id, "00 00 *")
+    dut.no_emcy(ms=70)
+    dut.send_pdo(bytes(4))
+    dut.emcy("00 00 *")
 
 
-@rpdo("CiA 301 7.5.2.35", "an RPDO is not missed {1}", needs=(*HIGH_RESOLUTION, (0x1400, 5)), each=[
+@rpdo("7.5.2.35: an RPDO is not missed {1}", (*HIGH_RESOLUTION, (0x1400, 5)), each=[
     (False, "before the first one"), (True, "after OPERATIONAL was left"),
 ])  # fmt: skip
 def no_deadline(dut: Dut, came: bool, _when: str) -> None:
-    can_id = mapped_rpdo1(dut, RPDO_TIME_U32, event_ms=40)
+    mapped_rpdo1(dut, RPDO_TIME_U32, event_ms=40)
     dut.nmt(START)
     if came:
-        dut.send(can_id, bytes(4))
+        dut.send_pdo(bytes(4))
         dut.nmt(ENTER_PRE_OPERATIONAL)
-    dut.silence(0x80 + dut.node_id, ms=100)
+    dut.no_emcy(ms=100)
 
 
-@rpdo("CiA 301 7.5.2.35", "RPDOs in time: no EMCY", needs=(*HIGH_RESOLUTION, (0x1400, 5)))
-def in_time(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, RPDO_TIME_U32, event_ms=150)
-    dut.nmt(START)
-    for _ in range(4):
-        dut.send(can_id, bytes(4))
-        dut.silence(0x80 + dut.node_id, ms=70)
-
-
-@rpdo("CiA 301 7.5.2.35", "an RPDO with bit 31 set is not taken", needs=HIGH_RESOLUTION)
-def invalid_rpdo(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, RPDO_TIME_U32)
-    disable_pdo(dut, 0x1400)
-    dut.nmt(START)
-    set_time(dut)
-    dut.send(can_id, struct.pack("<I", 0x60000000))
-    high_resolution(dut, 0, 0x60000000)
+rpdo("in_time 7.5.2.35: RPDOs in time: no EMCY", (*HIGH_RESOLUTION, (0x1400, 5)))(
+    do.run(mapped_rpdo1, RPDO_TIME_U32, event_ms=150),
+    do.nmt(START),
+    do.repeat(4, do.send_pdo(bytes(4)), do.no_emcy(ms=70)),
+)
+rpdo("invalid_rpdo 7.5.2.35: an RPDO with bit 31 set is not taken", HIGH_RESOLUTION)(
+    do.run(mapped_rpdo1, RPDO_TIME_U32),
+    do.run(disable_pdo, 0x1400),
+    do.nmt(START),
+    set_time,
+    do.send_pdo(struct.pack("<I", 0x60000000)),
+    do.run(high_resolution, 0, 0x60000000),
+)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.pdo import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
 from canopen_conformance.dut import Dut
@@ -23,20 +24,20 @@ RESTRICTED = (0x000, 0x001, 0x07F, 0x101, 0x180, 0x581, 0x5FF, 0x601, 0x67F, 0x6
 U8, U16, U32 = 5, 6, 7  # dummy types
 
 
-@case("CiA 301 7.5.2.37", "sub-index 0 of {2}'s communication parameters", needs=EITHER, each=BOTH)
+@case("7.5.2.37: sub-index 0 of {2}'s communication parameters", EITHER, each=BOTH)
 def highest_sub(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
     highest = dut.integer("B", communication, 0)
     check(2 <= highest <= 6, "2 to 6", str(highest))
 
 
-@case("CiA 301 7.5.2.37", "sub-index 4 of {2} is reserved: 06090011h", needs=EITHER, each=BOTH)
+@case("7.5.2.37: sub-index 4 of {2} is reserved: 06090011h", EITHER, each=BOTH)
 def reserved_sub(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
     if dut.exists(communication, 4):
         raise NotApplicableError(f"{communication:04X}h:04 is the compatibility entry of older versions of CiA 301")
     dut.refuses("B", communication, 4, 0, Abort.NO_SUB)
 
 
-@case("CiA 301 7.5.2.35", "{2}: another CAN-ID while it is valid: 06090030h", needs=EITHER, each=BOTH)
+@case("7.5.2.35: {2}: another CAN-ID while it is valid: 06090030h", EITHER, each=BOTH)
 def moved_while_valid(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
     cob_id = disable_pdo(dut, communication)
     dut.put("I", communication, 1, cob_id)
@@ -44,7 +45,7 @@ def moved_while_valid(dut: Dut, communication: int, _mapping: int, _name: str) -
     dut.holds("I", communication, 1, cob_id)
 
 
-@case("CiA 301 7.5.2.35", "{2}: disabled, moved, enabled", needs=EITHER, each=BOTH)
+@case("7.5.2.35: {2}: disabled, moved, enabled", EITHER, each=BOTH)
 def moved(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
     cob_id = disable_pdo(dut, communication)
     new = cob_id & ~0x7FF | 0x390
@@ -53,7 +54,7 @@ def moved(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
     dut.holds("I", communication, 1, new)
 
 
-@case("CiA 301 7.3.5", "{2} with the restricted CAN-ID {3:03X}h: 06090030h", needs=EITHER, each=[
+@case("7.3.5: {2} with the restricted CAN-ID {3:03X}h: 06090030h", EITHER, each=[
     (*pdo, can_id) for pdo in BOTH for can_id in RESTRICTED
 ])  # fmt: skip
 def restricted(dut: Dut, communication: int, _mapping: int, _name: str, can_id: int) -> None:
@@ -61,14 +62,14 @@ def restricted(dut: Dut, communication: int, _mapping: int, _name: str, can_id: 
     dut.refuses("I", communication, 1, can_id | flags, Abort.INVALID_VALUE)
 
 
-@case("CiA 301 7.5.2.35", "{2}: transmission type {3} is reserved: 06090030h", needs=EITHER, each=[
+@case("7.5.2.35: {2}: transmission type {3} is reserved: 06090030h", EITHER, each=[
     (*pdo, value) for pdo in BOTH for value in (241, 246, 251)
 ])  # fmt: skip
 def reserved_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int) -> None:
     dut.refuses("B", communication, 2, value, Abort.INVALID_VALUE, Abort.TOO_HIGH)
 
 
-@case("CiA 301 7.5.2.35", "{2}: transmission type {3} is taken", needs=EITHER, each=[
+@case("7.5.2.35: {2}: transmission type {3} is taken", EITHER, each=[
     (*pdo, value) for pdo in BOTH for value in (0, 1, 240, 254, 255)
 ])  # fmt: skip
 def allowed_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int) -> None:
@@ -77,7 +78,7 @@ def allowed_type(dut: Dut, communication: int, _mapping: int, _name: str, value:
     dut.holds("B", communication, 2, value)
 
 
-@case("CiA 301 7.5.2.37", "{1} is not changed while the TPDO is valid", needs=(*TPDO1, (0x1800, 3), (0x1800, 6)), each=[
+@case("7.5.2.37: {1} is not changed while the TPDO is valid", (*TPDO1, (0x1800, 3), (0x1800, 6)), each=[
     (3, "inhibit time", "H"), (6, "SYNC start value", "B"),
 ])  # fmt: skip
 def not_while_valid(dut: Dut, sub: int, _name: str, kind: str) -> None:
@@ -86,13 +87,12 @@ def not_while_valid(dut: Dut, sub: int, _name: str, kind: str) -> None:
     dut.holds(kind, 0x1800, sub, 0)
 
 
-@case("CiA 301 7.5.2.37", "SYNC start value 241 is refused", needs=((0x1800, 6),))
-def start_value(dut: Dut) -> None:
-    disable_pdo(dut, 0x1800)
-    dut.refuses("B", 0x1800, 6, 241, Abort.TOO_HIGH, Abort.INVALID_VALUE)
+case("start_value 7.5.2.37: SYNC start value 241 is refused", ((0x1800, 6),))(
+    do.run(disable_pdo, 0x1800), do.refuses("B", 0x1800, 6, 241, Abort.TOO_HIGH, Abort.INVALID_VALUE)
+)
 
 
-@case("CiA 301 7.5.2.36", "{2}: {4} is not written while the PDO is valid", needs=EITHER, each=[
+@case("7.5.2.36: {2}: {4} is not written while the PDO is valid", EITHER, each=[
     (*pdo, sub, name) for pdo in BOTH for sub, name in ((0, "the number of entries"), (1, "an entry"))
 ])  # fmt: skip
 def mapping_while_valid(dut: Dut, communication: int, mapping: int, _name: str, sub: int, _what: str) -> None:
@@ -100,7 +100,7 @@ def mapping_while_valid(dut: Dut, communication: int, mapping: int, _name: str, 
     dut.refuses("I" if sub else "B", mapping, sub, 0, *WHILE_VALID)
 
 
-@case("CiA 301 7.5.2.36", "{2}: an entry is not written while sub-index 0 is not 0", needs=EITHER, each=BOTH)
+@case("7.5.2.36: {2}: an entry is not written while sub-index 0 is not 0", EITHER, each=BOTH)
 def entry_while_mapped(dut: Dut, communication: int, mapping: int, _name: str) -> None:
     disable_pdo(dut, communication)
     if not dut.integer("B", mapping, 0):
@@ -108,7 +108,7 @@ def entry_while_mapped(dut: Dut, communication: int, mapping: int, _name: str) -
     dut.refuses("I", mapping, 1, dut.integer("I", mapping, 1), *WHILE_VALID)
 
 
-@case("CiA 301 7.5.2.36", "{2}: an object that is not there: {4}", needs=EITHER, each=[
+@case("7.5.2.36: {2}: an object that is not there: {4}", EITHER, each=[
     (*pdo, word, name) for pdo in BOTH for word, name in ((0xFFFF0008, "no index"), (0x10187708, "no sub-index"))
 ])  # fmt: skip
 def maps_nothing(dut: Dut, communication: int, mapping: int, _name: str, word: int, _what: str) -> None:
@@ -121,7 +121,7 @@ def maps_nothing(dut: Dut, communication: int, mapping: int, _name: str, word: i
         dut.refuses("I", mapping, 1, word, Abort.NO_OBJECT, Abort.NO_SUB, Abort.NOT_MAPPABLE)
 
 
-@case("CiA 301 7.5.2.36", "more than 64 bits: 06040042h", needs=RPDO1)
+@case("7.5.2.36: more than 64 bits: 06040042h", RPDO1)
 def too_many_bits(dut: Dut) -> None:
     disable_pdo(dut, 0x1400)
     dut.put("B", 0x1600, 0, 0)
@@ -132,31 +132,24 @@ def too_many_bits(dut: Dut) -> None:
     dut.put("B", 0x1600, 0, 2)
 
 
-@case("CiA 301 7.5.2.36", "{2}: more entries than there are sub-indices is refused", needs=EITHER, each=BOTH)
+@case("7.5.2.36: {2}: more entries than there are sub-indices is refused", EITHER, each=BOTH)
 def too_many_entries(dut: Dut, communication: int, mapping: int, _name: str) -> None:
     disable_pdo(dut, communication)
     dut.put("B", mapping, 0, 0)
     dut.refuses("B", mapping, 0, 65, Abort.PDO_LENGTH, Abort.TOO_HIGH, Abort.INVALID_VALUE)
 
 
-@case(
-    "CiA 301 7.4.7.1",
-    "dummy types fill an RPDO",
-    needs=RPDO1,
-    each=[(U8, 8), (U16, 16), (U32, 32), (2, 8), (3, 16), (4, 32)],
+case.each("dummy 7.4.7.1: dummy types fill an RPDO", RPDO1, [(U8, 8), (U16, 16), (U32, 32), (2, 8), (3, 16), (4, 32)])(
+    lambda index, bits: do.run(mapped_rpdo1, index << 16 | bits)
 )
-def dummy(dut: Dut, index: int, bits: int) -> None:
-    mapped_rpdo1(dut, index << 16 | bits)
+case("dummy_tpdo 7.4.7.1: dummy types are not for a TPDO", TPDO1)(
+    do.run(disable_pdo, 0x1800),
+    do.put("B", 0x1A00, 0, 0),
+    do.refuses("I", 0x1A00, 1, 0x00050008, Abort.NO_OBJECT, Abort.NOT_MAPPABLE),
+)
 
 
-@case("CiA 301 7.4.7.1", "dummy types are not for a TPDO", needs=TPDO1)
-def dummy_tpdo(dut: Dut) -> None:
-    disable_pdo(dut, 0x1800)
-    dut.put("B", 0x1A00, 0, 0)
-    dut.refuses("I", 0x1A00, 1, 0x00050008, Abort.NO_OBJECT, Abort.NOT_MAPPABLE)
-
-
-@case("CiA 301 7.5.2.38", "a refused mapping leaves the one before", needs=TPDO1)
+@case("7.5.2.38: a refused mapping leaves the one before", TPDO1)
 def refused_mapping(dut: Dut) -> None:
     disable_pdo(dut, 0x1800)
     before = [dut.integer("I", 0x1A00, sub) for sub in range(1, dut.integer("B", 0x1A00, 0) + 1)]
@@ -166,7 +159,7 @@ def refused_mapping(dut: Dut) -> None:
             dut.holds("I", 0x1A00, sub, word)
 
 
-@case("CiA 301 7.2.8.2.1.6", "reset communication restores mapping, type and COB-ID", needs=TPDO1)
+@case("7.2.8.2.1.6: reset communication restores mapping, type and COB-ID", TPDO1)
 def restored(dut: Dut) -> None:
     entries = [("I", 0x1800, 1), ("B", 0x1800, 2), ("B", 0x1A00, 0), ("I", 0x1A00, 1)]
     before = [dut.integer(*entry) for entry in entries]
@@ -178,9 +171,9 @@ def restored(dut: Dut) -> None:
         dut.holds(*entry, value)
 
 
-@case("CiA 301 7.5.2.37", "PDO parameters are written in OPERATIONAL too", needs=TPDO1)
-def operational(dut: Dut) -> None:
-    dut.enter(OPERATIONAL)
-    enable_tpdo1(dut, 1)
-    dut.send(0x080)
-    dut.expect(dut.integer("I", 0x1800, 1) & 0x7FF)
+case("operational 7.5.2.37: PDO parameters are written in OPERATIONAL too", TPDO1)(
+    do.enter(OPERATIONAL),
+    do.run(enable_tpdo1, 1),
+    do.send(0x080),
+    lambda dut: dut.expect(dut.integer("I", 0x1800, 1) & 0x7FF),
+)

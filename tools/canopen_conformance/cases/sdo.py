@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance import steps as do
+from canopen_conformance.case import NotApplicableError, Service, Step, check
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import EXTENDED_FLAG, REMOTE_FLAG, RESET_COMMUNICATION, Abort
 
@@ -14,60 +15,56 @@ segmented = Service("sdo_segmented")
 BEAT = ((0x1017, 0),)
 
 
-@expedited("CiA 301 7.2.4.3.6", "an UNSIGNED32 is read expedited, with its size", each=[(0x1000, 0), (0x1018, 1)])
-def upload_u32(dut: Dut, index: int, sub: int) -> None:
-    head = struct.pack("<BHB", 0x40, index, sub)
-    dut.ask(head, f"43 {head[1:].hex()} *")
+def not_written(*steps: Step) -> Step:
+    """Take the steps, and check that they left 1017h as it was."""
+    return do.unchanged("H", 0x1017, 0, *steps)
 
 
-@expedited("CiA 301 7.2.4.3.6", "an UNSIGNED16 is read expedited, two bytes unused", needs=BEAT)
-def upload_u16(dut: Dut) -> None:
-    dut.ask("40 17 10 00", "4B 17 10 00 .. ..")
+def over(dut: Dut) -> None:
+    """Check that no transfer goes on: a segment is aborted."""
+    dut.ask("60", lambda data: data[0] == 0x80)
 
 
-@expedited("CiA 301 7.2.4.3.6", "an UNSIGNED8 is read expedited, three bytes unused", each=[(0x1001, 0), (0x1018, 0)])
-def upload_u8(dut: Dut, index: int, sub: int) -> None:
-    head = struct.pack("<BHB", 0x40, index, sub)
-    dut.ask(head, f"4F {head[1:].hex()} ..")
+expedited.each(
+    "upload_u32 7.2.4.3.6: an UNSIGNED32 is read expedited, with its size", (), [("00 10 00",), ("18 10 01",)]
+)(lambda place: do.ask(f"40 {place}", f"43 {place} *"))
+expedited("upload_u16 7.2.4.3.6: an UNSIGNED16 is read expedited, two bytes unused", BEAT)(
+    do.ask("40 17 10 00", "4B 17 10 00 .. ..")
+)
 
 
-@expedited("CiA 301 7.2.4.3.3", "a write is confirmed with 60h and the multiplexer, and is read back", needs=BEAT)
-def download(dut: Dut) -> None:
-    dut.ask("2B 17 10 00 34 12", "60 17 10 00")
-    dut.ask("40 17 10 00", "4B 17 10 00 34 12")
+expedited.each(
+    "upload_u8 7.2.4.3.6: an UNSIGNED8 is read expedited, three bytes unused", (), [("01 10 00",), ("18 10 00",)]
+)(lambda place: do.ask(f"40 {place}", f"4F {place} .."))
+expedited("download 7.2.4.3.3: a write is confirmed with 60h and the multiplexer, and is read back", BEAT)(
+    do.ask("2B 17 10 00 34 12", "60 17 10 00"), do.ask("40 17 10 00", "4B 17 10 00 34 12")
+)
+expedited("download_u8 7.2.4.3.3: a write of one byte", ((0x1019, 0),))(
+    do.ask("2F 19 10 00 0A", "60 19 10 00"), do.ask("40 19 10 00", "4F 19 10 00 0A")
+)
+expedited("download_u32 7.2.4.3.3: a write of four bytes", ((0x1016, 1),))(
+    do.put("I", 0x1016, 1, 0x7003E8),
+    do.put("I", 0x1016, 1, 0),
+    do.ask("23 16 10 01 E8 03 70 00", "60 16 10 01"),
+    do.ask("40 16 10 01", "43 16 10 01 E8 03 70 00"),
+)
+expedited("download_without_size 7.2.4.3.3: expedited without a size: the object's own length holds", BEAT)(
+    do.ask("22 17 10 00 34 12 FF FF", "60 17 10 00"), do.ask("40 17 10 00", "4B 17 10 00 34 12")
+)
 
 
-@expedited("CiA 301 7.2.4.3.3", "a write of one byte", needs=((0x1019, 0),))
-def download_u8(dut: Dut) -> None:
-    dut.ask("2F 19 10 00 0A", "60 19 10 00")
-    dut.ask("40 19 10 00", "4F 19 10 00 0A")
+expedited.each(
+    "download_size 7.2.4.3.3: {1} bytes for an UNSIGNED16 are refused",
+    BEAT,
+    [("2F", 1, Abort.TOO_SHORT), ("27", 3, Abort.TOO_LONG), ("23", 4, Abort.TOO_LONG)],
+)(
+    lambda command, _size, code: not_written(
+        do.request(f"{command} 17 10 00 11 00 00 00"), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
+    )
+)
 
 
-@expedited("CiA 301 7.2.4.3.3", "a write of four bytes", needs=((0x1016, 1),))
-def download_u32(dut: Dut) -> None:
-    dut.put("I", 0x1016, 1, 0x7003E8)
-    dut.put("I", 0x1016, 1, 0)
-    dut.ask("23 16 10 01 E8 03 70 00", "60 16 10 01")
-    dut.ask("40 16 10 01", "43 16 10 01 E8 03 70 00")
-
-
-@expedited("CiA 301 7.2.4.3.3", "expedited without a size: the object's own length holds", needs=BEAT)
-def download_without_size(dut: Dut) -> None:
-    dut.ask("22 17 10 00 34 12 FF FF", "60 17 10 00")
-    dut.ask("40 17 10 00", "4B 17 10 00 34 12")
-
-
-@expedited("CiA 301 7.2.4.3.3", "{1} bytes for an UNSIGNED16 are refused", needs=BEAT, each=[
-    ("2F", 1, Abort.TOO_SHORT), ("27", 3, Abort.TOO_LONG), ("23", 4, Abort.TOO_LONG),
-])  # fmt: skip
-def download_size(dut: Dut, command: str, _size: int, code: int) -> None:
-    before = dut.integer("H", 0x1017)
-    dut.request(f"{command} 17 10 00 11 00 00 00")
-    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
-    dut.holds("H", 0x1017, 0, before)
-
-
-@expedited("CiA 301 7.2.4.3.17", "06010002h: a write to {0:04X}h:{1}, which can only be read", each=[
+@expedited("7.2.4.3.17: 06010002h: a write to {0:04X}h:{1}, which can only be read", each=[
     (0x1000, 0), (0x1001, 0), (0x1018, 1), (0x1018, 0),
 ])  # fmt: skip
 def read_only(dut: Dut, index: int, sub: int) -> None:
@@ -76,25 +73,19 @@ def read_only(dut: Dut, index: int, sub: int) -> None:
     dut.aborted(index, sub, Abort.READ_ONLY)
 
 
-@expedited("CiA 301 7.2.4.3.17", "06020000h: {0} of an object that is not there", each=[("upload",), ("download",)])
-def no_object(dut: Dut, which: str) -> None:
-    dut.request("40 FF FF 00" if which == "upload" else "23 FF FF 00")
-    dut.aborted(0xFFFF, 0, Abort.NO_OBJECT)
+BOTH_WAYS = [("upload", "40"), ("download", "23")]
+expedited.each("no_object 7.2.4.3.17: 06020000h: {0} of an object that is not there", (), BOTH_WAYS)(
+    lambda _which, command: (do.request(f"{command} FF FF 00"), do.aborted(0xFFFF, 0, Abort.NO_OBJECT))
+)
+expedited.each("no_sub 7.2.4.3.17: 06090011h: {0} of a sub-index that is not there", (), BOTH_WAYS)(
+    lambda _which, command: (do.request(f"{command} 18 10 77"), do.aborted(0x1018, 0x77, Abort.NO_SUB))
+)
+expedited("variable_sub 7.4.3: a simple variable has sub-index 0 alone")(
+    do.request("40 00 10 01"), do.aborted(0x1000, 1, Abort.NO_SUB)
+)
 
 
-@expedited("CiA 301 7.2.4.3.17", "06090011h: {0} of a sub-index that is not there", each=[("upload",), ("download",)])
-def no_sub(dut: Dut, which: str) -> None:
-    dut.request("40 18 10 77" if which == "upload" else "23 18 10 77")
-    dut.aborted(0x1018, 0x77, Abort.NO_SUB)
-
-
-@expedited("CiA 301 7.4.3", "a simple variable has sub-index 0 alone")
-def variable_sub(dut: Dut) -> None:
-    dut.request("40 00 10 01")
-    dut.aborted(0x1000, 1, Abort.NO_SUB)
-
-
-@expedited("CiA 301 7.2.4.3.17", "{2}: {1} to an object of 0 to 240", needs=((0x1019, 0),), each=[
+@expedited("7.2.4.3.17: {2}: {1} to an object of 0 to 240", ((0x1019, 0),), each=[
     (241, "241", "06090031h"), (255, "255", "06090031h"),
 ])  # fmt: skip
 def value_high(dut: Dut, value: int, _shown: str, _code: str) -> None:
@@ -102,30 +93,25 @@ def value_high(dut: Dut, value: int, _shown: str, _code: str) -> None:
     dut.holds("B", 0x1019, 0, 0)
 
 
-@expedited("CiA 301 7.2.4.3.17", "05040001h: command specifier {0}", each=[("E0",), ("FF",)])
-def unknown_command(dut: Dut, command: str) -> None:
-    dut.request(f"{command} 17 10 00")
-    dut.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
-
-
-@expedited(
-    "CiA 301 7.2.4.3.17", "05040001h: {1} segment without a transfer", each=[("00", "a download"), ("60", "an upload")]
+expedited.each("unknown_command 7.2.4.3.17: 05040001h: command specifier {0}", (), [("E0",), ("FF",)])(
+    lambda command: (do.request(f"{command} 17 10 00"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND))
 )
+
+
+@expedited("7.2.4.3.17: 05040001h: {1} segment without a transfer", each=[("00", "a download"), ("60", "an upload")])
 def segment_without_transfer(dut: Dut, command: str, _what: str) -> None:
     dut.request(f"{command} 00 00 00")
     data = dut.answer()
     check(data[0] == 0x80 and data[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND), "abort 05040001h", data.hex(" "))
 
 
-@expedited("CiA 301 7.2.4.3", "a request of {0} bytes is no SDO", each=[(0,), (1,), (4,), (7,)])
-def request_length(dut: Dut, length: int) -> None:
-    dut.send(0x600 + dut.node_id, bytes.fromhex("4000100000000000")[:length])
-    dut.no_sdo()
+expedited.each("request_length 7.2.4.3: a request of {0} bytes is no SDO", (), [(0,), (1,), (4,), (7,)])(
+    lambda length: (lambda dut: dut.send(0x600 + dut.node_id, bytes.fromhex("4000100000000000")[:length]), do.no_sdo())
+)
 
 
 @expedited(
-    "CiA 301 7.2.4.3",
-    "not a request: {1}",
+    "7.2.4.3: not a request: {1}",
     each=[
         (EXTENDED_FLAG | 0x600, "a 29-bit frame"),
         (REMOTE_FLAG | 0x600, "a remote frame"),
@@ -137,46 +123,31 @@ def no_request(dut: Dut, can_id: int, _what: str) -> None:
     dut.no_sdo()
 
 
-@expedited("CiA 301 7.2.4.3", "a request to another node is not answered")
-def other_node(dut: Dut) -> None:
-    dut.send(0x600 + (dut.node_id ^ 0x40), "40 00 10 00 00 00 00 00")
-    dut.no_sdo()
+expedited("other_node 7.2.4.3: a request to another node is not answered")(
+    lambda dut: dut.send(0x600 + (dut.node_id ^ 0x40), "40 00 10 00 00 00 00 00"), do.no_sdo()
+)
 
 
-@expedited("CiA 301 7.2.4.3.17", "an abort of the client is not answered, and ends nothing when nothing goes on")
-def client_abort_idle(dut: Dut) -> None:
-    dut.request("80 00 10 00 00 00 00 08")
-    dut.no_sdo()
-    dut.ask("40 00 10 00", "43 00 10 00 *")
-
-
-@expedited("CiA 301 7.2.4.3.6", "reserved bytes of a request are not looked at")
-def reserved_bytes(dut: Dut) -> None:
-    dut.ask("40 00 10 00 FF FF FF FF", "43 00 10 00 *")
-
-
-@expedited("CiA 301 7.2.4.3.3", "unused bytes of a write are not looked at", needs=BEAT)
-def unused_bytes(dut: Dut) -> None:
-    dut.ask("2B 17 10 00 34 12 FF FF", "60 17 10 00")
-    dut.holds("H", 0x1017, 0, 0x1234)
-
-
-@expedited("CiA 301 7.2.4.3", "every request has one answer, in order")
-def in_order(dut: Dut) -> None:
-    for _ in range(3):
-        dut.ask("40 00 10 00", "43 00 10 00 *")
-        dut.ask("40 18 10 00", "4F 18 10 00 *")
-    dut.no_sdo()
+expedited(
+    "client_abort_idle 7.2.4.3.17: an abort of the client is not answered, and ends nothing when nothing goes on"
+)(do.request("80 00 10 00 00 00 00 08"), do.no_sdo(), do.ask("40 00 10 00", "43 00 10 00 *"))
+expedited("reserved_bytes 7.2.4.3.6: reserved bytes of a request are not looked at")(
+    do.ask("40 00 10 00 FF FF FF FF", "43 00 10 00 *")
+)
+expedited("unused_bytes 7.2.4.3.3: unused bytes of a write are not looked at", BEAT)(
+    do.ask("2B 17 10 00 34 12 FF FF", "60 17 10 00"), do.holds("H", 0x1017, 0, 0x1234)
+)
+expedited("in_order 7.2.4.3: every request has one answer, in order")(
+    do.repeat(3, do.ask("40 00 10 00", "43 00 10 00 *"), do.ask("40 18 10 00", "4F 18 10 00 *")), do.no_sdo()
+)
 
 
 @expedited(
-    "CiA 301 7.4.3",
-    "sub-index 0 of {0:04X}h is the highest sub-index",
+    "7.4.3: sub-index 0 of {0:04X}h is the highest sub-index",
+    lambda index: ((index, 1),),
     each=[(0x1018,), (0x1200,), (0x1016,), (0x1800,)],
 )
 def highest_sub(dut: Dut, index: int) -> None:
-    if not dut.exists(index, 1):
-        raise NotApplicableError(f"no object {index:04X}h with sub-indices")
     highest = dut.integer("B", index, 0)
     dut.request(struct.pack("<BHB", 0x40, index, highest))
     dut.answer(lambda data: data[0] != 0x80 or data[4:] == struct.pack("<I", Abort.WRITE_ONLY))
@@ -208,7 +179,7 @@ def begin_download(dut: Dut, size: int | None = 2) -> None:
 # --- upload -----------------------------------------------------------------------------------------------
 
 
-@segmented("CiA 301 7.2.4.3.7", "all segments: the toggle bit alternates from 0, the stated size comes")
+@segmented("7.2.4.3.7: all segments: the toggle bit alternates from 0, the stated size comes")
 def upload(dut: Dut) -> None:
     _index, size = begin_upload(dut)
     size_read = len(dut.read_segments())
@@ -216,8 +187,7 @@ def upload(dut: Dut) -> None:
 
 
 @segmented(
-    "CiA 301 7.2.4.3.7",
-    "a wrong toggle bit {1}: 05030000h, and the transfer is over",
+    "7.2.4.3.7: a wrong toggle bit {1}: 05030000h, and the transfer is over",
     each=[(0, "at first"), (1, "later")],
 )
 def upload_toggle(dut: Dut, segments: int, _when: str) -> None:
@@ -226,39 +196,33 @@ def upload_toggle(dut: Dut, segments: int, _when: str) -> None:
         dut.ask("60", "0. *")
     dut.request("60" if segments else "70")
     dut.aborted(index, 0, Abort.TOGGLE_BIT)
-    dut.ask("60", lambda data: data[0] == 0x80)
+    over(dut)
 
 
-@segmented("CiA 301 7.2.4.3.7", "after the last segment the transfer is over")
-def upload_over(dut: Dut) -> None:
-    begin_upload(dut)
-    dut.read_segments()
-    dut.ask("60", lambda data: data[0] == 0x80)
+segmented("upload_over 7.2.4.3.7: after the last segment the transfer is over")(begin_upload, do.read_segments(), over)
 
 
-@segmented("CiA 301 7.2.4.3.17", "the client aborts an upload: no answer, the transfer is over")
+@segmented("7.2.4.3.17: the client aborts an upload: no answer, the transfer is over")
 def upload_abort(dut: Dut) -> None:
     index, _size = begin_upload(dut)
     dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
     dut.no_sdo()
-    dut.ask("60", lambda data: data[0] == 0x80)
+    over(dut)
 
 
-@segmented("CiA 301 7.2.4.3.17", "a download segment during an upload: 05040001h")
+@segmented("7.2.4.3.17: a download segment during an upload: 05040001h")
 def upload_wrong_segment(dut: Dut) -> None:
     index, _size = begin_upload(dut)
     dut.request("00")
     dut.aborted(index, 0, Abort.UNKNOWN_COMMAND)
 
 
-@segmented("CiA 301 7.2.8.2.1.6", "reset communication ends a transfer")
-def upload_reset(dut: Dut) -> None:
-    begin_upload(dut)
-    dut.reset(RESET_COMMUNICATION)
-    dut.ask("60", lambda data: data[0] == 0x80)
+segmented("upload_reset 7.2.8.2.1.6: reset communication ends a transfer")(
+    begin_upload, do.reset(RESET_COMMUNICATION), over
+)
 
 
-@segmented("CiA 301 7.2.4.3.7", "the value is taken at the initiate: a string read twice is the same")
+@segmented("7.2.4.3.7: the value is taken at the initiate: a string read twice is the same")
 def upload_twice(dut: Dut) -> None:
     index, _size = begin_upload(dut)
     first = dut.read_segments()
@@ -268,85 +232,54 @@ def upload_twice(dut: Dut) -> None:
 # --- download ---------------------------------------------------------------------------------------------
 
 
-@segmented("CiA 301 7.2.4.3.4", "one segment, {1}", needs=BEAT, each=[(2, "size stated"), (None, "size not stated")])
-def sdo_segmented_download(dut: Dut, size: int | None, _how: str) -> None:
-    begin_download(dut, size)
-    dut.ask("0B 34 12", "20")
-    dut.holds("H", 0x1017, 0, 0x1234)
+segmented.each("download 7.2.4.3.4: one segment, {1}", BEAT, [(2, "size stated"), (None, "size not stated")])(
+    lambda size, _how: (do.run(begin_download, size), do.ask("0B 34 12", "20"), do.holds("H", 0x1017, 0, 0x1234))
+)
+segmented("download_two 7.2.4.3.4: two segments: the toggle bit alternates from 0", BEAT)(
+    begin_download, do.ask("0C 34", "20"), do.ask("1D 12", "30"), do.holds("H", 0x1017, 0, 0x1234)
+)
+segmented("download_late 7.2.4.3.4: nothing is written before the last segment", BEAT)(
+    not_written(begin_download, do.ask("0C 34", "20"), do.request("80 17 10 00 00 00 00 08"))
+)
 
 
-@segmented("CiA 301 7.2.4.3.4", "two segments: the toggle bit alternates from 0", needs=BEAT)
-def download_two(dut: Dut) -> None:
-    begin_download(dut)
-    dut.ask("0C 34", "20")
-    dut.ask("1D 12", "30")
-    dut.holds("H", 0x1017, 0, 0x1234)
+segmented.each(
+    "download_toggle 7.2.4.3.4: a wrong toggle bit {1}: 05030000h, nothing is written",
+    BEAT,
+    [((do.request("1B 34 12"),), "at first"), ((do.ask("0C 34", "20"), do.request("0D 12")), "later")],
+)(lambda steps, _when: not_written(begin_download, *steps, do.aborted(0x1017, 0, Abort.TOGGLE_BIT)))
+segmented.each("download_short 7.2.4.3.4: fewer bytes than stated: {0:08X}h", BEAT, [(Abort.TOO_SHORT,)])(
+    lambda code: (begin_download, do.request("0D 34"), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH))
+)
+segmented.each("download_long 7.2.4.3.4: more bytes than stated: {0:08X}h", BEAT, [(Abort.TOO_LONG,)])(
+    lambda code: (begin_download, do.request("09 34 12 56"), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH))
+)
 
 
-@segmented("CiA 301 7.2.4.3.4", "nothing is written before the last segment", needs=BEAT)
-def download_late(dut: Dut) -> None:
-    before = dut.integer("H", 0x1017)
-    begin_download(dut)
-    dut.ask("0C 34", "20")
-    dut.request("80 17 10 00 00 00 00 08")
-    dut.holds("H", 0x1017, 0, before)
-
-
-@segmented("CiA 301 7.2.4.3.4", "a wrong toggle bit {1}: 05030000h, nothing is written", needs=BEAT, each=[
-    (0, "at first"), (1, "later"),
-])  # fmt: skip
-def download_toggle(dut: Dut, segments: int, _when: str) -> None:
-    before = dut.integer("H", 0x1017)
-    begin_download(dut)
-    if segments:
-        dut.ask("0C 34", "20")
-    dut.request("0D 12" if segments else "1B 34 12")
-    dut.aborted(0x1017, 0, Abort.TOGGLE_BIT)
-    dut.holds("H", 0x1017, 0, before)
-
-
-@segmented("CiA 301 7.2.4.3.4", "fewer bytes than stated: {0:08X}h", needs=BEAT, each=[(Abort.TOO_SHORT,)])
-def download_short(dut: Dut, code: int) -> None:
-    begin_download(dut)
-    dut.request("0D 34")
-    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
-
-
-@segmented("CiA 301 7.2.4.3.4", "more bytes than stated: {0:08X}h", needs=BEAT, each=[(Abort.TOO_LONG,)])
-def download_long(dut: Dut, code: int) -> None:
-    begin_download(dut)
-    dut.request("09 34 12 56")
-    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
-
-
-@segmented("CiA 301 7.2.4.3.4", "size not stated, {1} than the object: refused at the end", needs=BEAT, each=[
-    ("0D 34", "shorter", Abort.TOO_SHORT), ("01 34 12 56 78 9A BC DE", "longer", Abort.TOO_LONG),
-])  # fmt: skip
-def download_wrong_end(dut: Dut, segment: str, _how: str, code: int) -> None:
-    begin_download(dut, None)
-    dut.request(segment)
-    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
-
-
-@segmented("CiA 301 7.2.4.3.17", "the client aborts a download: the transfer is over, nothing is written", needs=BEAT)
-def download_abort(dut: Dut) -> None:
-    before = dut.integer("H", 0x1017)
-    begin_download(dut)
-    dut.request("80 17 10 00 00 00 00 08")
-    dut.no_sdo()
-    dut.ask("0B 34 12", lambda data: data[0] == 0x80)
-    dut.holds("H", 0x1017, 0, before)
-
-
-@segmented("CiA 301 7.2.4.3.17", "an upload segment during a download: 05040001h", needs=BEAT)
-def download_wrong_segment(dut: Dut) -> None:
-    begin_download(dut)
-    dut.request("60")
-    dut.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
-
-
-@segmented("CiA 301 7.2.4.3.4", "a refused value is refused with the last segment", needs=((0x1019, 0),))
-def download_value(dut: Dut) -> None:
-    dut.ask("21 19 10 00 01", "60 19 10 00")
-    dut.request("0D F1")
-    dut.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE)
+segmented.each(
+    "download_wrong_end 7.2.4.3.4: size not stated, {1} than the object: refused at the end",
+    BEAT,
+    [("0D 34", "shorter", Abort.TOO_SHORT), ("01 34 12 56 78 9A BC DE", "longer", Abort.TOO_LONG)],
+)(
+    lambda segment, _how, code: (
+        do.run(begin_download, None),
+        do.request(segment),
+        do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH),
+    )
+)
+segmented("download_abort 7.2.4.3.17: the client aborts a download: the transfer is over, nothing is written", BEAT)(
+    not_written(
+        begin_download,
+        do.request("80 17 10 00 00 00 00 08"),
+        do.no_sdo(),
+        do.ask("0B 34 12", lambda data: data[0] == 0x80),
+    )
+)
+segmented("download_wrong_segment 7.2.4.3.17: an upload segment during a download: 05040001h", BEAT)(
+    begin_download, do.request("60"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
+)
+segmented("download_value 7.2.4.3.4: a refused value is refused with the last segment", ((0x1019, 0),))(
+    do.ask("21 19 10 00 01", "60 19 10 00"),
+    do.request("0D F1"),
+    do.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE),
+)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import binascii
 import struct
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
-from canopen_conformance.cases.sdo import BEAT, NAMES
+from canopen_conformance.cases.sdo import BEAT, NAMES, not_written
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import STOP, Abort
 
@@ -36,6 +37,15 @@ def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> tuple[int
     raise NotApplicableError("no string of several segments")
 
 
+def begun_upload(dut: Dut, started: bool = True) -> int:
+    """Initiate a block upload of one segment a block, and (``started``) receive the first; the index."""
+    index, _data = begin_block_upload(dut, 1)
+    if started:
+        dut.request("A3")
+        block(dut, 1, False)
+    return index
+
+
 def block(dut: Dut, count: int, last: bool) -> bytes:
     """``count`` segments numbered from 1, the last of them marked as the last of all or not."""
     data = b""
@@ -61,17 +71,23 @@ def segments(data: bytes) -> int:
     return -(-len(data) // 7)
 
 
-@upload("CiA 301 7.2.4.3.13", "one block: size, segments, end with CRC")
+def last_block(dut: Dut, data: bytes, begin: int = 0, crc: bool = True) -> None:
+    """``data`` from byte ``begin`` on in one block, its acknowledgement, and the end."""
+    rest = data[begin:]
+    received = block(dut, segments(rest), True)
+    check(received[: len(rest)] == rest, rest.hex(" "), received.hex(" "))
+    dut.request(f"A2 {segments(rest):02X} 7F")
+    end_block_upload(dut, data, crc)
+
+
+@upload("7.2.4.3.13: one block: size, segments, end with CRC")
 def sdo_block_upload(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 127)
     dut.request("A3")
-    received = block(dut, segments(data), True)
-    check(received[: len(data)] == data, data.hex(" "), received.hex(" "))
-    dut.request(f"A2 {segments(data):02X} 7F")
-    end_block_upload(dut, data)
+    last_block(dut, data)
 
 
-@upload("CiA 301 7.2.4.3.14", "blocks of one segment")
+@upload("7.2.4.3.14: blocks of one segment")
 def blocks_of_one(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 1)
     dut.request("A3")
@@ -84,70 +100,55 @@ def blocks_of_one(dut: Dut) -> None:
     end_block_upload(dut, data)
 
 
-@upload("CiA 301 7.2.4.3.14", "the client changes the block size from block to block")
+@upload("7.2.4.3.14: the client changes the block size from block to block")
 def changed_block_size(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 1)
     dut.request("A3")
-    received = block(dut, 1, False)
+    check(block(dut, 1, False) == data[:7], data[:7].hex(" "), "another segment")
     dut.request("A2 01 7F")
-    received += block(dut, segments(data) - 1, True)
-    dut.request(f"A2 {segments(data) - 1:02X} 7F")
-    end_block_upload(dut, data)
-    check(received[: len(data)] == data, data.hex(" "), received.hex(" "))
+    last_block(dut, data, 7)
 
 
-@upload("CiA 301 7.2.4.3.14", "ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
+@upload("7.2.4.3.14: ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
 def resend(dut: Dut, received: int) -> None:
     _index, data = begin_block_upload(dut, 2)
     dut.request("A3")
     block(dut, 2, segments(data) == 2)
     dut.request(f"A2 {received:02X} 7F")
-    rest = data[7 * received :]
-    sent_again = block(dut, segments(rest), True)
-    check(sent_again[: len(rest)] == rest, rest.hex(" "), sent_again.hex(" "))
-    dut.request(f"A2 {segments(rest):02X} 7F")
-    end_block_upload(dut, data)
+    last_block(dut, data, 7 * received)
 
 
-@upload("CiA 301 7.2.4.3.14", "the last block is lost: ackseq 0, and it comes again")
+@upload("7.2.4.3.14: the last block is lost: ackseq 0, and it comes again")
 def resend_last(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 127)
     dut.request("A3")
     for _ in range(2):
         block(dut, segments(data), True)
         dut.request("A2 00 7F")
-    block(dut, segments(data), True)
-    dut.request(f"A2 {segments(data):02X} 7F")
-    end_block_upload(dut, data)
+    last_block(dut, data)
 
 
-@upload(
-    "CiA 301 7.2.4.3.13", "block size {0} at the initiate: 05040002h", needs=((0x1008, 0),), each=[(0,), (128,), (255,)]
-)
+@upload("7.2.4.3.13: block size {0} at the initiate: 05040002h", ((0x1008, 0),), each=[(0,), (128,), (255,)])
 def block_size_refused(dut: Dut, size: int) -> None:
     answer = initiate(dut, 0x1008, size)
     check(answer == struct.pack("<BHBI", 0x80, 0x1008, 0, Abort.BLOCK_SIZE), "abort 05040002h", answer.hex(" "))
 
 
-@upload("CiA 301 7.2.4.3.14", "block size {0} in an answer: 05040002h", each=[(0,), (128,)])
+@upload("7.2.4.3.14: block size {0} in an answer: 05040002h", each=[(0,), (128,)])
 def block_size_refused_later(dut: Dut, size: int) -> None:
-    index, _data = begin_block_upload(dut, 1)
-    dut.request("A3")
-    block(dut, 1, False)
+    index = begun_upload(dut)
     dut.request(f"A2 01 {size:02X}")
     dut.aborted(index, 0, Abort.BLOCK_SIZE)
 
 
-@upload("CiA 301 7.2.4.3.16", "a client without CRC finds 0 in its place")
+@upload("7.2.4.3.16: a client without CRC finds 0 in its place")
 def without_crc(dut: Dut) -> None:
     _index, data = begin_block_upload(dut, 127, crc=False)
     dut.request("A3")
-    block(dut, segments(data), True)
-    dut.request(f"A2 {segments(data):02X} 7F")
-    end_block_upload(dut, data, crc=False)
+    last_block(dut, data, crc=False)
 
 
-@upload("CiA 301 7.2.4.3.13", "refused at the initiate: {2}", each=[
+@upload("7.2.4.3.13: refused at the initiate: {2}", each=[
     (0xFFFF, Abort.NO_OBJECT, "no object"), (None, Abort.WRITE_ONLY, "a write-only object"),
 ])  # fmt: skip
 def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
@@ -159,30 +160,22 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
     check(answer == struct.pack("<BHBI", 0x80, index, 0, code), f"abort {code:08X}h", answer.hex(" "))
 
 
-@upload("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, the transfer is over", each=[
+@upload("7.2.4.3.17: the client aborts {1}: no answer, the transfer is over", each=[
     (False, "before the start"), (True, "after a block"),
 ])  # fmt: skip
 def aborted(dut: Dut, started: bool, _when: str) -> None:
-    index, _data = begin_block_upload(dut, 1)
-    if started:
-        dut.request("A3")
-        block(dut, 1, False)
+    index = begun_upload(dut, started)
     dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
     dut.no_sdo()
     dut.ask("40 00 10 00", "43 00 10 00 *")
 
 
-@upload("CiA 301 7.3.2.3", "stop ends a block upload without a word")
-def stopped(dut: Dut) -> None:
-    begin_block_upload(dut, 1)
-    dut.nmt(STOP)
-    dut.request("A3")
-    dut.no_sdo()
-
-
-@upload(
-    "CiA 301 7.2.4.3.17", "a block command without a transfer: 05040001h", each=[("A1",), ("A2",), ("A3",), ("C1",)]
+upload("stopped 7.3.2.3: stop ends a block upload without a word")(
+    do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.no_sdo()
 )
+
+
+@upload("7.2.4.3.17: a block command without a transfer: 05040001h", each=[("A1",), ("A2",), ("A3",), ("C1",)])
 def no_transfer(dut: Dut, command: str) -> None:
     initiate(dut, 0x1000, 127)
     dut.request("80 00 10 00 00 00 00 08")
@@ -222,53 +215,46 @@ def one_segment(dut: Dut, size: int | None = 2, crc: bool = True) -> None:
     dut.answer("A2 01 .. 00 00 00 00 00")
 
 
-@download("CiA 301 7.2.4.3.9", "one segment, {1}", needs=BEAT, each=[(2, "size stated"), (None, "size not stated")])
-def sdo_block_download_download(dut: Dut, size: int | None, _how: str) -> None:
-    one_segment(dut, size)
-    end_block_download(dut, VALUE)
-    dut.answer("A1")
-    dut.holds("H", 0x1017, 0, 0x1234)
-
-
-@download("CiA 301 7.2.4.3.16", "a client without CRC: what stands in its place is not looked at", needs=BEAT)
-def sdo_block_download_without_crc(dut: Dut) -> None:
-    one_segment(dut, crc=False)
-    end_block_download(dut, VALUE, crc=0xBEEF)
-    dut.answer("A1")
-    dut.holds("H", 0x1017, 0, 0x1234)
-
-
-@download("CiA 301 7.2.4.3.16", "a wrong CRC: 05040004h, nothing is written", needs=BEAT)
-def bad_crc(dut: Dut) -> None:
-    before = dut.integer("H", 0x1017)
-    one_segment(dut)
-    end_block_download(dut, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1)
-    dut.aborted(0x1017, 0, Abort.CRC_ERROR)
-    dut.holds("H", 0x1017, 0, before)
-
-
-@download(
-    "CiA 301 7.2.4.3.11",
-    "{1} bytes at the end than stated",
-    needs=BEAT,
-    each=[(4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)],
+download.each("download 7.2.4.3.9: one segment, {1}", BEAT, [(2, "size stated"), (None, "size not stated")])(
+    lambda size, _how: (
+        do.run(one_segment, size),
+        do.run(end_block_download, VALUE),
+        do.answer("A1"),
+        do.holds("H", 0x1017, 0, 0x1234),
+    )
 )
-def size_mismatch(dut: Dut, unused: int, _how: str, code: int) -> None:
-    before = dut.integer("H", 0x1017)
-    one_segment(dut)
-    end_block_download(dut, (VALUE + bytes(5))[: 7 - unused], unused)
-    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
-    dut.holds("H", 0x1017, 0, before)
+download("without_crc 7.2.4.3.16: a client without CRC: what stands in its place is not looked at", BEAT)(
+    do.run(one_segment, crc=False),
+    do.run(end_block_download, VALUE, crc=0xBEEF),
+    do.answer("A1"),
+    do.holds("H", 0x1017, 0, 0x1234),
+)
 
 
-@download("CiA 301 7.2.4.3.10", "segment number 0: 05040003h", needs=BEAT)
-def sequence_zero(dut: Dut) -> None:
-    begin_block_download(dut, 0x1017, 2)
-    dut.request("00 34 12")
-    dut.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER)
+download("bad_crc 7.2.4.3.16: a wrong CRC: 05040004h, nothing is written", BEAT)(
+    not_written(
+        one_segment,
+        do.run(end_block_download, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1),
+        do.aborted(0x1017, 0, Abort.CRC_ERROR),
+    )
+)
+download.each(
+    "size_mismatch 7.2.4.3.11: {1} bytes at the end than stated",
+    BEAT,
+    [(4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)],
+)(
+    lambda unused, _how, code: not_written(
+        one_segment,
+        do.run(end_block_download, (VALUE + bytes(5))[: 7 - unused], unused),
+        do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH),
+    )
+)
+download("sequence_zero 7.2.4.3.10: segment number 0: 05040003h", BEAT)(
+    do.run(begin_block_download, 0x1017, 2), do.request("00 34 12"), do.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER)
+)
 
 
-@download("CiA 301 7.2.4.3.9", "refused at the initiate: {3}", each=[
+@download("7.2.4.3.9: refused at the initiate: {3}", each=[
     (0x1000, 4, Abort.READ_ONLY, "a read-only object"), (0xFFFF, 4, Abort.NO_OBJECT, "no object"),
 ])  # fmt: skip
 def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why: str) -> None:
@@ -277,34 +263,23 @@ def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why:
     dut.aborted(index, 0, *codes)
 
 
-@download("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, nothing is written", needs=BEAT, each=[
-    (False, "before the first segment"), (True, "before the end"),
-])  # fmt: skip
-def sdo_block_download_aborted(dut: Dut, sent: bool, _when: str) -> None:
-    before = dut.integer("H", 0x1017)
-    if sent:
-        one_segment(dut)
-    else:
-        begin_block_download(dut, 0x1017, 2)
-    dut.request("80 17 10 00 00 00 00 08")
-    dut.no_sdo()
-    dut.holds("H", 0x1017, 0, before)
-
-
-@download("CiA 301 7.2.4.3.11", "a refused value is refused at the end", needs=((0x1019, 0),))
-def refused_value(dut: Dut) -> None:
-    begin_block_download(dut, 0x1019, 1)
-    segment(dut, 1, b"\xf1", True)
-    dut.answer("A2 01 ..")
-    end_block_download(dut, b"\xf1")
-    dut.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE)
-    dut.holds("B", 0x1019, 0, 0)
-
-
-@download("CiA 301 7.2.4.3.9", "after a block download another transfer goes as ever", needs=BEAT)
-def afterwards(dut: Dut) -> None:
-    one_segment(dut)
-    end_block_download(dut, VALUE)
-    dut.answer("A1")
-    dut.ask("40 17 10 00", "4B 17 10 00 34 12")
-    dut.ask("2B 17 10 00 00 00", "60 17 10 00")
+download.each(
+    "aborted 7.2.4.3.17: the client aborts {1}: no answer, nothing is written",
+    BEAT,
+    [(do.run(begin_block_download, 0x1017, 2), "before the first segment"), (one_segment, "before the end")],
+)(lambda begun, _when: not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.no_sdo()))
+download("refused_value 7.2.4.3.11: a refused value is refused at the end", ((0x1019, 0),))(
+    do.run(begin_block_download, 0x1019, 1),
+    do.run(segment, 1, b"\xf1", True),
+    do.answer("A2 01 .."),
+    do.run(end_block_download, b"\xf1"),
+    do.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE),
+    do.holds("B", 0x1019, 0, 0),
+)
+download("afterwards 7.2.4.3.9: after a block download another transfer goes as ever", BEAT)(
+    one_segment,
+    do.run(end_block_download, VALUE),
+    do.answer("A1"),
+    do.ask("40 17 10 00", "4B 17 10 00 34 12"),
+    do.ask("2B 17 10 00 00 00", "60 17 10 00"),
+)

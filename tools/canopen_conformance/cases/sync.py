@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import struct
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import Service, check
 from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import OPERATIONAL, PRE_OPERATIONAL, REMOTE_FLAG, START, STOPPED, Abort
+from canopen_conformance.wire import REMOTE_FLAG, START, STATES, Abort
 
 sync = Service("sync")
 time = Service("time")
@@ -16,73 +17,57 @@ COUNTER = (*TPDO1, (0x1019, 0), (0x1800, 6))
 LENGTH = (*TPDO1, (0x1019, 0), (0x1014, 0))
 
 
-@sync("CiA 301 7.3.3", "the default CAN-ID of SYNC is 080h", needs=((0x1005, 0),))
-def default(dut: Dut) -> None:
-    cob_id = dut.integer("I", 0x1005)
-    check(cob_id & 0x3FFFFFFF == 0x80, "1005h = 080h", f"{cob_id:08X}h")
+sync("default 7.3.3: the default CAN-ID of SYNC is 080h", ((0x1005, 0),))(
+    do.matches("I", 0x1005, 0, 0x3FFFFFFF, 0x80, "1005h = 080h")
+)
+sync("moved 7.5.2.5: SYNC on another CAN-ID: that one alone acts", (*TPDO1, (0x1005, 0)))(
+    do.run(enable_tpdo1, 1),
+    do.put("I", 0x1005, 0, 0x90),
+    do.nmt(START),
+    do.send(0x080),
+    do.no_pdo(),
+    do.send(0x090),
+    do.pdo(),
+)
+sync("bit_31 7.5.2.5: bit 31 of 1005h is not looked at", (*TPDO1, (0x1005, 0)))(
+    do.run(enable_tpdo1, 1), do.put("I", 0x1005, 0, 0x80000090), do.nmt(START), do.send(0x090), do.pdo()
+)
 
 
-@sync("CiA 301 7.5.2.5", "SYNC on another CAN-ID: that one alone acts", needs=(*TPDO1, (0x1005, 0)))
-def moved(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
-    dut.put("I", 0x1005, 0, 0x90)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.silence(can_id)
-    dut.send(0x090)
-    dut.expect(can_id)
+sync.each(
+    "restricted 7.3.5: 1005h with the restricted CAN-ID {0:03X}h: 06090030h",
+    ((0x1005, 0),),
+    [(0x000,), (0x07F,), (0x101,), (0x580 | 5,), (0x600 | 5,), (0x6E0,), (0x701,)],
+)(lambda can_id: do.refuses("I", 0x1005, 0, can_id, Abort.INVALID_VALUE))
 
 
-@sync("CiA 301 7.5.2.5", "bit 31 of 1005h is not looked at", needs=(*TPDO1, (0x1005, 0)))
-def bit_31(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
-    dut.put("I", 0x1005, 0, 0x80000090)
-    dut.nmt(START)
-    dut.send(0x090)
-    dut.expect(can_id)
-
-
-@sync("CiA 301 7.3.5", "1005h with the restricted CAN-ID {0:03X}h: 06090030h", needs=((0x1005, 0),), each=[
-    (0x000,), (0x07F,), (0x101,), (0x580 | 5,), (0x600 | 5,), (0x6E0,), (0x701,),
-])  # fmt: skip
-def restricted(dut: Dut, can_id: int) -> None:
-    dut.refuses("I", 0x1005, 0, can_id, Abort.INVALID_VALUE)
-
-
-@sync("CiA 301 7.2.5", "a remote frame is no SYNC", needs=TPDO1)
-def remote_frame(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
-    dut.nmt(START)
-    dut.send(0x080 | REMOTE_FLAG)
-    dut.silence(can_id)
+sync("remote_frame 7.2.5: a remote frame is no SYNC", TPDO1)(
+    do.run(enable_tpdo1, 1), do.nmt(START), do.send(0x080 | REMOTE_FLAG), do.no_pdo()
+)
 
 
 # --- counter ----------------------------------------------------------------------------------------------
 
 
-@sync("CiA 301 7.5.2.22", "1019h = {0} is refused", needs=((0x1019, 0),), each=[(1,), (241,), (255,)])
-def overflow_refused(dut: Dut, value: int) -> None:
-    dut.refuses("B", 0x1019, 0, value, Abort.INVALID_VALUE, Abort.TOO_HIGH)
-    dut.holds("B", 0x1019, 0, 0)
+sync.each("overflow_refused 7.5.2.22: 1019h = {0} is refused", ((0x1019, 0),), [(1,), (241,), (255,)])(
+    lambda value: (do.refuses("B", 0x1019, 0, value, Abort.INVALID_VALUE, Abort.TOO_HIGH), do.holds("B", 0x1019, 0, 0))
+)
+sync.each("overflow_taken 7.5.2.22: 1019h = {0} is taken", ((0x1019, 0),), [(0,), (2,), (240,)])(
+    lambda value: (do.accepts("B", 0x1019, 0, value), do.holds("B", 0x1019, 0, value))
+)
 
 
-@sync("CiA 301 7.5.2.22", "1019h = {0} is taken", needs=((0x1019, 0),), each=[(0,), (2,), (240,)])
-def overflow_taken(dut: Dut, value: int) -> None:
-    dut.accepts("B", 0x1019, 0, value)
-    dut.holds("B", 0x1019, 0, value)
-
-
-@sync("CiA 301 7.2.5.3.1", "with 1019h a SYNC with its counter acts", needs=COUNTER)
+@sync("7.2.5.3.1: with 1019h a SYNC with its counter acts", COUNTER)
 def counted(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
+    enable_tpdo1(dut, 1)
     dut.put("B", 0x1019, 0, 10)
     dut.nmt(START)
     for counter in (1, 2, 10, 1):
         dut.send(0x080, bytes((counter,)))
-        dut.expect(can_id)
+        dut.pdo()
 
 
-@sync("CiA 301 7.2.5.3.1", "SYNC of {1}: EMCY 8240h, and no TPDO", needs=LENGTH, each=[
+@sync("7.2.5.3.1: SYNC of {1}: EMCY 8240h, and no TPDO", LENGTH, each=[
     ((0, "01"), "one byte without 1019h"),
     ((0, "01 02 03 04 05 06 07 08"), "eight bytes without 1019h"),
     ((10, ""), "no data with 1019h"),
@@ -90,15 +75,15 @@ def counted(dut: Dut) -> None:
 ])  # fmt: skip
 def wrong_length(dut: Dut, what: tuple[int, str], _shown: str) -> None:
     overflow, data = what
-    can_id = enable_tpdo1(dut, 1)
+    enable_tpdo1(dut, 1)
     dut.put("B", 0x1019, 0, overflow)
     dut.nmt(START)
     dut.send(0x080, data)
-    dut.expect(0x80 + dut.node_id, "40 82 *")
-    dut.silence(can_id)
+    dut.emcy("40 82 *")
+    dut.no_pdo()
 
 
-@sync("CiA 301 7.5.2.37", "SYNC start value {1}, type {0}: the first TPDO goes with that counter", needs=COUNTER, each=[
+@sync("7.5.2.37: SYNC start value {1}, type {0}: the first TPDO goes with that counter", COUNTER, each=[
     (1, 3, (1, 2, 3, 4, 5), (3, 4, 5)), (2, 4, (1, 2, 3, 4, 5, 6, 7), (4, 6)), (1, 1, (2, 3, 10, 1, 2), (1, 2)),
 ])  # fmt: skip
 def start_value(dut: Dut, transmission: int, start: int, counters: tuple[int, ...], answered: tuple[int, ...]) -> None:
@@ -113,12 +98,9 @@ def start_value(dut: Dut, transmission: int, start: int, counters: tuple[int, ..
     check(tuple(numbers) == answered, f"TPDOs with the counters {answered}", str(numbers))
 
 
-@sync("CiA 301 7.5.2.37", "without a counter the start value has no meaning", needs=COUNTER)
-def start_without_counter(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1, sync_start=5)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.expect(can_id)
+sync("start_without_counter 7.5.2.37: without a counter the start value has no meaning", COUNTER)(
+    do.run(enable_tpdo1, 1, sync_start=5), do.nmt(START), do.send(0x080), do.pdo()
+)
 
 
 # --- window -----------------------------------------------------------------------------------------------
@@ -126,17 +108,17 @@ def start_without_counter(dut: Dut) -> None:
 WINDOW = ((0x1007, 0), (0x1013, 0), (0x1400, 1), (0x1600, 0))
 
 
-@sync("CiA 301 7.5.2.7", "a synchronous RPDO {1} the window of 1007h is {2}", needs=WINDOW, each=[
+@sync("7.5.2.7: a synchronous RPDO {1} the window of 1007h is {2}", WINDOW, each=[
     (10, "within", "taken"), (150, "after", "discarded"),
 ])  # fmt: skip
 def window(dut: Dut, wait_ms: int, _when: str, fate: str) -> None:
-    can_id = mapped_rpdo1(dut, 0x10130020, transmission=1)
+    mapped_rpdo1(dut, 0x10130020, transmission=1)
     dut.put("I", 0x1007, 0, 80000)
     dut.nmt(START)
     dut.put("I", 0x1013, 0, 0)
     dut.send(0x080)
     dut.sleep(wait_ms)
-    dut.send(can_id, struct.pack("<I", 0x60000000))
+    dut.send_pdo(struct.pack("<I", 0x60000000))
     dut.send(0x080)
     time_us = dut.integer("I", 0x1013)
     check((time_us >= 0x60000000) == (fate == "taken"), f"the RPDO {fate}", f"1013h = {time_us:08X}h")
@@ -148,38 +130,32 @@ CONSUME = 0x80000000
 NOON = struct.pack("<IH", 12 * 3600 * 1000, 14000)
 
 
-@time("CiA 301 7.3.3", "the default CAN-ID of TIME is 100h", needs=TIME)
-def time_default(dut: Dut) -> None:
-    cob_id = dut.integer("I", 0x1012)
-    check(cob_id & 0x7FF == 0x100, "CAN-ID 100h", f"{cob_id:08X}h")
+time("default 7.3.3: the default CAN-ID of TIME is 100h", TIME)(do.matches("I", 0x1012, 0, 0x7FF, 0x100, "CAN-ID 100h"))
+time.each("taken 7.5.2.15: 1012h = {0:08X}h is taken", TIME, [(0x100,), (0x80000390,), (0x80000100,)])(
+    lambda value: (do.accepts("I", 0x1012, 0, value), do.holds("I", 0x1012, 0, value))
+)
 
 
-@time("CiA 301 7.5.2.15", "1012h = {0:08X}h is taken", needs=TIME, each=[(0x100,), (0x80000390,), (0x80000100,)])
-def taken(dut: Dut, value: int) -> None:
-    dut.accepts("I", 0x1012, 0, value)
-    dut.holds("I", 0x1012, 0, value)
+time.each(
+    "restricted 7.3.5: 1012h with the restricted CAN-ID {0:03X}h: 06090030h",
+    TIME,
+    [(0x001,), (0x07F,), (0x101,), (0x581,), (0x601,), (0x6E0,), (0x701,)],
+)(lambda can_id: do.refuses("I", 0x1012, 0, CONSUME | can_id, Abort.INVALID_VALUE))
 
 
-@time("CiA 301 7.3.5", "1012h with the restricted CAN-ID {0:03X}h: 06090030h", needs=TIME, each=[
-    (0x001,), (0x07F,), (0x101,), (0x581,), (0x601,), (0x6E0,), (0x701,),
-])  # fmt: skip
-def time_restricted(dut: Dut, can_id: int) -> None:
-    dut.refuses("I", 0x1012, 0, CONSUME | can_id, Abort.INVALID_VALUE)
+time.each("message 7.2.6.3: a TIME message in {1} is not answered and no error", (*TIME, (0x1001, 0)), STATES)(
+    lambda state, _name: (
+        do.put("I", 0x1012, 0, CONSUME | 0x100),
+        do.enter(state),
+        do.sleep(20),
+        do.forget(),
+        do.send(0x100, NOON),
+        do.silence(),
+    )
+)
 
 
-@time("CiA 301 7.2.6.3", "a TIME message in {1} is not answered and no error", needs=(*TIME, (0x1001, 0)), each=[
-    (PRE_OPERATIONAL, "PRE-OPERATIONAL"), (OPERATIONAL, "OPERATIONAL"), (STOPPED, "STOPPED"),
-])  # fmt: skip
-def message(dut: Dut, state: int, _name: str) -> None:
-    dut.put("I", 0x1012, 0, CONSUME | 0x100)
-    dut.enter(state)
-    dut.sleep(20)
-    dut.forget()
-    dut.send(0x100, NOON)
-    dut.silence()
-
-
-@time("CiA 301 7.2.6.3", "a TIME message of {0} bytes is passed over", needs=TIME, each=[(0,), (5,), (8,)])
+@time("7.2.6.3: a TIME message of {0} bytes is passed over", TIME, each=[(0,), (5,), (8,)])
 def time_wrong_length(dut: Dut, size: int) -> None:
     dut.put("I", 0x1012, 0, CONSUME | 0x100)
     dut.send(0x100, (NOON + NOON)[:size])
@@ -187,7 +163,7 @@ def time_wrong_length(dut: Dut, size: int) -> None:
     dut.ask("40 00 10 00", "43 00 10 00 *")
 
 
-@time("CiA 301 7.5.2.16", "1013h counts microseconds", needs=HIGH_RESOLUTION)
+@time("7.5.2.16: 1013h counts microseconds", HIGH_RESOLUTION)
 def runs(dut: Dut) -> None:
     first, start_us = dut.integer("I", 0x1013), dut.now_us
     dut.sleep(100)
@@ -195,7 +171,7 @@ def runs(dut: Dut) -> None:
     dut.check_ms("between two readings", (second - first) & 0xFFFFFFFF, (end_us - start_us) / 1000)
 
 
-@time("CiA 301 7.5.2.16", "1013h runs on from what is written, and wraps", needs=HIGH_RESOLUTION)
+@time("7.5.2.16: 1013h runs on from what is written, and wraps", HIGH_RESOLUTION)
 def written(dut: Dut) -> None:
     dut.put("I", 0x1013, 0, 0xFFFFFFF0)
     start_us = dut.now_us

@@ -5,16 +5,19 @@ from __future__ import annotations
 import binascii
 import math
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, Service, check
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, Abort
+from canopen_conformance.wire import RESET_NODE, RESETS, Abort
 from canopen_device.core import codes
 from tipforce.dictionary import table, table_objects
 from tipforce_tools.fingertip_cases.profile import gauges, settle
 
-calibration = Service("calibration", own=True)
-validity = Service("validity", own=True)
+calibration = Service("calibration", standard="tipforce", own=True)
+validity = Service("validity", standard="tipforce", own=True)
 
 NEWTONS_PER_STRAIN = 5000.0
 ON_N, OFF_N = 0.5, 0.3
@@ -56,7 +59,13 @@ def refused(dut: Dut, code: int) -> None:
         raise CheckError("the active calibration unchanged", "another one")
 
 
-@calibration("tipforce 2141h", "the staged record is written and read as one byte string")
+def not_committed(dut: Dut, code: int, /, **changed: float) -> None:
+    """A record with these changes may be staged, and its commit is refused."""
+    stage(dut, record(dut, **changed))
+    refused(dut, code)
+
+
+@calibration("2141h: the staged record is written and read as one byte string")
 def staged(dut: Dut) -> None:
     data = record(dut)
     stage(dut, data)
@@ -66,8 +75,7 @@ def staged(dut: Dut) -> None:
 
 
 @calibration(
-    "tipforce 2141h",
-    "a record of {0:+d} bytes is refused, the staged one stays",
+    "2141h: a record of {0:+d} bytes is refused, the staged one stays",
     each=[(1, Abort.TOO_LONG), (-1, Abort.TOO_SHORT)],
 )
 def staged_size(dut: Dut, more: int, code: int) -> None:
@@ -77,7 +85,7 @@ def staged_size(dut: Dut, more: int, code: int) -> None:
     check(dut.read(0x2141) == data, "the record", "another one")
 
 
-@calibration("tipforce 2141h", "a load sense of 2 in a record is refused")
+@calibration("2141h: a load sense of 2 in a record is refused")
 def staged_sense(dut: Dut) -> None:
     fields = table_objects.staged(gauges(dut))
     at = fields.index((0x2110, 6, "B"))
@@ -87,7 +95,7 @@ def staged_sense(dut: Dut) -> None:
     dut.refuses("B", 0x2110, 6, 2, Abort.TOO_HIGH)
 
 
-@calibration("tipforce 2103h", "2103h:2 is the CRC-32 of the staged record")
+@calibration("2103h: 2103h:2 is the CRC-32 of the staged record")
 def staged_crc(dut: Dut) -> None:
     data = record(dut, x2102_1=77)
     stage(dut, data)
@@ -96,14 +104,14 @@ def staged_crc(dut: Dut) -> None:
     dut.holds("I", 0x2103, 2, binascii.crc32(record(dut, x2102_1=78)))
 
 
-@calibration("tipforce 2102h", "2102h:5 is the condition number of the staged matrix")
+@calibration("2102h: 2102h:5 is the condition number of the staged matrix")
 def condition(dut: Dut) -> None:
     stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN))
     condition = dut.number("f", 0x2102, 5)
     check(abs(condition - 4.0) <= 1e-4, "4", str(condition))
 
 
-@calibration("tipforce 2104h", "a commit activates: CRC, generation, 2140h, status bit 1")
+@calibration("2104h: a commit activates: CRC, generation, 2140h, status bit 1")
 def committed(dut: Dut) -> None:
     generation = dut.integer("I", 0x2103, 4)
     data = record(dut)
@@ -115,7 +123,7 @@ def committed(dut: Dut) -> None:
     check(dut.integer("B", 0x2120) & 2, "status bit 1", "clear")
 
 
-@calibration("tipforce 2104h", "a staged write changes nothing that is active")
+@calibration("2104h: a staged write changes nothing that is active")
 def staged_only(dut: Dut) -> None:
     data = record(dut)
     commit(dut, data)
@@ -123,55 +131,50 @@ def staged_only(dut: Dut) -> None:
     check(dut.read(0x2140) == data, "the committed record", "another one")
 
 
-@calibration("tipforce 2104h", "a wrong signature: 08000020h", each=[(0,), (0x74696D64,), (0x65766173,)])
+@calibration("2104h: a wrong signature: 08000020h", each=[(0,), (0x74696D64,), (0x65766173,)])
 def wrong_signature(dut: Dut, signature: int) -> None:
     stage(dut, record(dut))
     dut.refuses("I", 0x2104, 0, signature, Abort.NOT_STORED)
 
 
-@calibration("tipforce 2104h", "CRC mismatch: 06040043h")
+@calibration("2104h: CRC mismatch: 06040043h")
 def wrong_crc(dut: Dut) -> None:
     stage(dut, record(dut))
     dut.put("I", 0x2103, 1, 1)
     refused(dut, Abort.INCOMPATIBLE)
 
 
-@calibration("tipforce 2104h", "a write after the CRC was given: 06040043h")
+@calibration("2104h: a write after the CRC was given: 06040043h")
 def late_write(dut: Dut) -> None:
     stage(dut, record(dut))
     dut.put("f", 0x2101, 1, 1e-6)
     refused(dut, Abort.INCOMPATIBLE)
 
 
-@calibration("tipforce 2104h", "{1} may be staged, and is not committed: 06090030h", each=[
-    ("x2100_2", "NaN in the matrix", math.nan), ("x2101_1", "infinity in an offset", math.inf),
-    ("x2106_1", "NaN in the covariance", math.nan), ("x2110_1", "NaN as tip radius", math.nan),
-])  # fmt: skip
-def not_finite(dut: Dut, field: str, _what: str, value: float) -> None:
-    stage(dut, record(dut, **{field: value}))
-    refused(dut, Abort.INVALID_VALUE)
-
-
-@calibration(
-    "tipforce 2104h",
-    "{0}: 06090030h",
-    each=[
+calibration.each(
+    "not_finite 2104h: {1} may be staged, and is not committed: 06090030h",
+    (),
+    [
+        ("x2100_2", "NaN in the matrix", math.nan),
+        ("x2101_1", "infinity in an offset", math.inf),
+        ("x2106_1", "NaN in the covariance", math.nan),
+        ("x2110_1", "NaN as tip radius", math.nan),
+    ],
+)(lambda field, _what, value: do.run(not_committed, Abort.INVALID_VALUE, **{field: value}))
+calibration.each(
+    "contradiction 2104h: {0}: 06090030h",
+    (),
+    [
         ("theta minimum above maximum", {"x2110_2": 20.0, "x2110_3": 10.0}),
         ("contact-off above contact-on", {"x2110_5": 0.6}),
     ],
-)
-def contradiction(dut: Dut, _what: str, fields: dict[str, float]) -> None:
-    stage(dut, record(dut, **fields))
-    refused(dut, Abort.INVALID_VALUE)
+)(lambda _what, fields: do.run(not_committed, Abort.INVALID_VALUE, **fields))
+calibration.each(
+    "ill_conditioned 2104h: {0} matrix: 06090031h", (), [("a singular", 0.0), ("an ill-conditioned", 0.1)]
+)(lambda _what, value: do.run(not_committed, Abort.TOO_HIGH, x2100_1=value))
 
 
-@calibration("tipforce 2104h", "{0} matrix: 06090031h", each=[("a singular", 0.0), ("an ill-conditioned", 0.1)])
-def ill_conditioned(dut: Dut, _what: str, value: float) -> None:
-    stage(dut, record(dut, x2100_1=value))
-    refused(dut, Abort.TOO_HIGH)
-
-
-@calibration("tipforce 2105h", "a lower condition limit refuses what was allowed")
+@calibration("2105h: a lower condition limit refuses what was allowed")
 def condition_limit(dut: Dut) -> None:
     stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN))
     dut.put("f", 0x2105, 1, 3.0)
@@ -180,26 +183,28 @@ def condition_limit(dut: Dut) -> None:
     dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
 
 
-@calibration(
-    "tipforce 2105h",
-    "a condition limit of {0} is refused",
-    each=[(0.5, Abort.TOO_LOW), (math.nan, Abort.INVALID_VALUE)],
-)
-def condition_limit_range(dut: Dut, value: float, code: int) -> None:
-    dut.refuses("f", 0x2105, 1, value, code)
+calibration.each(
+    "condition_limit_range 2105h: a condition limit of {0} is refused",
+    (),
+    [(0.5, Abort.TOO_LOW), (math.nan, Abort.INVALID_VALUE)],
+)(lambda value, code: do.refuses("f", 0x2105, 1, value, code))
 
 
-def unlock(dut: Dut) -> None:
-    """Unlock with the signature."""
-    dut.put("I", 0x2105, 3, table.SIGNATURE_OPEN)
+@contextmanager
+def with_lock(dut: Dut) -> Iterator[None]:
+    """Locked within, unlocked with the signature after."""
+    try:
+        dut.put("B", 0x2105, 2, 1)
+        yield
+    finally:
+        dut.put("I", 0x2105, 3, table.SIGNATURE_OPEN)
 
 
-@calibration("tipforce 2105h", "locked: staged writes and commit are refused with 08000022h")
+@calibration("2105h: locked: staged writes and commit are refused with 08000022h")
 def locked(dut: Dut) -> None:
     data = record(dut)
     stage(dut, data)
-    try:
-        dut.put("B", 0x2105, 2, 1)
+    with with_lock(dut):
         dut.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)
         dut.refuses("B", 0x2110, 6, 1, Abort.DEVICE_STATE)
         dut.refuses_bytes(0x2141, 0, data, Abort.DEVICE_STATE)
@@ -207,38 +212,18 @@ def locked(dut: Dut) -> None:
         dut.refuses("B", 0x2105, 2, 0, Abort.DEVICE_STATE)
         refused(dut, Abort.DEVICE_STATE)
         dut.holds("B", 0x2105, 2, 1)
-    finally:
-        unlock(dut)
     dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
 
 
-@calibration(
-    "tipforce 2105h",
-    "the lock outlives {1}",
-    each=[(RESET_NODE, "reset node"), (RESET_COMMUNICATION, "reset communication")],
+calibration.each("lock_kept 2105h: the lock outlives {1}", (), RESETS)(
+    lambda command, _name: do.within(with_lock, do.reset(command), do.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE))
 )
-def lock_kept(dut: Dut, command: int, _name: str) -> None:
-    try:
-        dut.put("B", 0x2105, 2, 1)
-        dut.reset(command)
-        dut.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)
-    finally:
-        unlock(dut)
-
-
-@calibration("tipforce 2105h", "unlocking with a wrong signature: 08000020h, still locked")
-def wrong_unlock(dut: Dut) -> None:
-    try:
-        dut.put("B", 0x2105, 2, 1)
-        dut.refuses("I", 0x2105, 3, 0x6E65706E, Abort.NOT_STORED)
-        dut.holds("B", 0x2105, 2, 1)
-    finally:
-        unlock(dut)
-
-
-@calibration("tipforce 2140h", "the active record cannot be written")
-def active_read_only(dut: Dut) -> None:
-    dut.refuses_bytes(0x2140, 0, record(dut), Abort.READ_ONLY)
+calibration("wrong_unlock 2105h: unlocking with a wrong signature: 08000020h, still locked")(
+    do.within(with_lock, do.refuses("I", 0x2105, 3, 0x6E65706E, Abort.NOT_STORED), do.holds("B", 0x2105, 2, 1))
+)
+calibration("active_read_only 2140h: the active record cannot be written")(
+    lambda dut: dut.refuses_bytes(0x2140, 0, record(dut), Abort.READ_ONLY)
+)
 
 
 def loaded(dut: Dut, newtons: float) -> None:
@@ -251,7 +236,7 @@ def loaded(dut: Dut, newtons: float) -> None:
     settle(dut)
 
 
-@calibration("tipforce 2120h", "contact: bit 0, P is the size of F")
+@calibration("2120h: contact: bit 0, P is the size of F")
 def contact(dut: Dut) -> None:
     loaded(dut, 5.0)
     n = gauges(dut)
@@ -260,14 +245,14 @@ def contact(dut: Dut) -> None:
         raise CheckError("contact present, F1 = 5 N, P = 5 N", f"F1 {force}, P {magnitude}")
 
 
-@calibration("CiA 404 6125h", "autozero is refused while contact is present: 08000022h")
-def zero_in_contact(dut: Dut) -> None:
-    loaded(dut, 5.0)
-    dut.refuses("I", 0x6125, 1, table.SIGNATURE_ZERO, Abort.DEVICE_STATE)
-    dut.refuses("H", 0x2130, 0, table.COMMAND_ZERO, Abort.DEVICE_STATE)
+calibration("zero_in_contact CiA 404 6125h: autozero is refused while contact is present: 08000022h")(
+    do.run(loaded, 5.0),
+    do.refuses("I", 0x6125, 1, table.SIGNATURE_ZERO, Abort.DEVICE_STATE),
+    do.refuses("H", 0x2130, 0, table.COMMAND_ZERO, Abort.DEVICE_STATE),
+)
 
 
-@calibration("CiA 404 6139h", "autotare takes the force as zero; command 2 clears it")
+@calibration("CiA 404 6139h: autotare takes the force as zero; command 2 clears it")
 def tare(dut: Dut) -> None:
     loaded(dut, 5.0)
     n = gauges(dut)
@@ -279,9 +264,7 @@ def tare(dut: Dut) -> None:
     dut.holds("f", 0x2111, 1, 0.0)
 
 
-@calibration(
-    "tipforce 2100h", "1010h:4 stores the active record, 1011h:4 forgets it", persistent=True, needs=((0x1010, 4),)
-)
+@calibration("2100h: 1010h:4 stores the active record, 1011h:4 forgets it", ((0x1010, 4),), persistent=True)
 def stored(dut: Dut) -> None:
     data = record(dut, x2102_1=99)
     commit(dut, data)
@@ -299,16 +282,15 @@ def stored(dut: Dut) -> None:
 BEYOND, OVERLOAD = 1 << table.FAULT_BEYOND_CALIBRATED, 1 << table.FAULT_OVERLOAD
 
 
-@validity("tipforce 2104h", "a matrix of {0:g} N per unit strain: 0{1:X}h", each=[
+@validity("2104h: a matrix of {0:g} N per unit strain: 0{1:X}h", each=[
     (1e-6 * NEWTONS_PER_STRAIN, Abort.TOO_LOW), (1e6 * NEWTONS_PER_STRAIN, Abort.TOO_HIGH),
 ])  # fmt: skip
 def matrix_size(dut: Dut, newtons_per_strain: float, code: int) -> None:
     n = gauges(dut)
-    stage(dut, record(dut, **{f"x2100_{sub}": newtons_per_strain for sub in (1, n + 2, 2 * n + 3)}))
-    refused(dut, code)
+    not_committed(dut, code, **{f"x2100_{sub}": newtons_per_strain for sub in (1, n + 2, 2 * n + 3)})
 
 
-@validity("tipforce {0}h", "{1} may be staged, and is not committed: 06090030h", each=[
+@validity("{0}h: {1} may be staged, and is not committed: 06090030h", each=[
     ("2112", "a calibrated force below zero", "x2112_1", -1.0),
     ("2112", "an overload force below zero", "x2112_2", -1.0),
     ("2112", "a lowest temperature above the highest", "x2112_3", 1.0),
@@ -317,11 +299,10 @@ def matrix_size(dut: Dut, newtons_per_strain: float, code: int) -> None:
     ("2115", "NaN as gain", "x2115_0", math.nan), ("2116", "a limit below zero", "x2116_0", -1.0),
 ])  # fmt: skip
 def not_valid(dut: Dut, _object: str, _what: str, field: str, value: float) -> None:
-    stage(dut, record(dut, **{field: value}))
-    refused(dut, Abort.INVALID_VALUE)
+    not_committed(dut, Abort.INVALID_VALUE, **{field: value})
 
 
-@validity("tipforce 2112h", "{0}: bit {1} of 2124h", each=[
+@validity("2112h: {0}: bit {1} of 2124h", each=[
     ("beyond the calibrated force the value stays", 13, "x2112_1"),
     ("beyond the overload force it is unknown", 15, "x2112_2"),
 ])  # fmt: skip
@@ -336,7 +317,7 @@ def forces(dut: Dut, _what: str, bit: int, field: str) -> None:
     dut.holds("B", 0x6150, n + 4, 0 if bit == 13 else 3)
 
 
-@validity("tipforce 2113h", "a gauge at its converter limit is saturated")
+@validity("2113h: a gauge at its converter limit is saturated")
 def converter_limit(dut: Dut) -> None:
     loaded(dut, 5.0)
     commit(dut, record(dut, x2113_1=4.0 / NEWTONS_PER_STRAIN))
@@ -346,7 +327,7 @@ def converter_limit(dut: Dut) -> None:
     check(faults & 1, "bit 0 of 2124h", f"{faults:04X}h")
 
 
-@validity("tipforce 6149h", "{0} outside its span: 6150h {2:02X}h, and the value is {3}", each=[
+@validity("6149h: {0} outside its span: 6150h {2:02X}h, and the value is {3}", each=[
     ("a gauge", 1, 3, "unknown"), ("P", 0, 3, "shown"),
 ])  # fmt: skip
 def span(dut: Dut, _what: str, sub: int, status: int, shown: str) -> None:
@@ -360,7 +341,7 @@ def span(dut: Dut, _what: str, sub: int, status: int, shown: str) -> None:
     check(known == (shown == "shown"), shown, "shown" if known else "unknown")
 
 
-@validity("tipforce 2126h", "{0} counts where it changes a value, and only then", each=[
+@validity("2126h: {0} counts where it changes a value, and only then", each=[
     ("a process value offset", "f", 0x6124, 1, 7.0), ("a span", "f", 0x6149, 1, 999.0),
     ("a filter", "B", 0x61A0, 1, 1), ("a transmission type", "B", 0x1802, 2, 7), ("1019h", "B", 0x1019, 0, 9),
     ("the identifier of SYNC", "I", 0x1005, 0, 0x91), ("that of EMCY", "I", 0x1014, 0, 0x80000091),
@@ -376,7 +357,7 @@ def counted(dut: Dut, _what: str, kind: str, index: int, sub: int, value: float)
     dut.holds("B", 0x2126, 0, before + 1 & 0xFF)
 
 
-@validity("tipforce 2126h", "{0} written back as it was read does not count", each=[
+@validity("2126h: {0} written back as it was read does not count", each=[
     ("an interrupt limit", 0x6135, 1), ("its INTEGER16 form", 0x7135, 1), ("a span", 0x6148, 4), ("1005h", 0x1005, 0),
 ])  # fmt: skip
 def written_back(dut: Dut, _what: str, index: int, sub: int) -> None:
@@ -386,7 +367,7 @@ def written_back(dut: Dut, _what: str, index: int, sub: int) -> None:
     dut.holds("B", 0x2126, 0, before)
 
 
-@validity("tipforce 2126h", "a commit, a tare and its end count; a commit of the same record does not")
+@validity("2126h: a commit, a tare and its end count; a commit of the same record does not")
 def counted_commands(dut: Dut) -> None:
     loaded(dut, 5.0)
     n, before = gauges(dut), dut.integer("B", 0x2126)
@@ -401,8 +382,6 @@ def counted_commands(dut: Dut) -> None:
     dut.holds("B", 0x2126, 0, before + 3 & 0xFF)
 
 
-@validity("tipforce 2126h", "0 after a boot")
-def counter_at_boot(dut: Dut) -> None:
-    dut.put("f", 0x6124, 1, 7.0)
-    dut.reset(RESET_NODE)
-    dut.holds("B", 0x2126, 0, 0)
+validity("counter_at_boot 2126h: 0 after a boot")(
+    do.put("f", 0x6124, 1, 7.0), do.reset(RESET_NODE), do.holds("B", 0x2126, 0, 0)
+)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.emcy import HISTORY, INHIBIT, NEEDS, break_sync, clear, cure_error, make_error
 from canopen_conformance.cases.error_control import CONSUMER, GUARDING, PRODUCER
@@ -18,6 +19,7 @@ from canopen_conformance.wire import (
     REMOTE_FLAG,
     RESET_COMMUNICATION,
     RESET_NODE,
+    RESETS,
     START,
     Abort,
 )
@@ -33,119 +35,83 @@ time = Service("time", own=True)
 bus_faults = Service("bus_faults", own=True)
 
 
-@nmt("CiA 302-2 1F80h", "the node waits for start: bit 2 is set by default", needs=((0x1F80, 0),))
-def startup_waits(dut: Dut) -> None:
-    dut.ask("40 80 1F 00", "43 80 1F 00 04 00 00 00")
-
-
-@nmt(
-    "CiA 302-2 1F80h",
-    "{0:08X}h asks for what a slave is not: refused",
-    needs=((0x1F80, 0),),
-    each=[(1,), (5,), (0x10,)],
+nmt("startup_waits CiA 302-2 1F80h: the node waits for start: bit 2 is set by default", ((0x1F80, 0),))(
+    do.ask("40 80 1F 00", "43 80 1F 00 04 00 00 00")
 )
-def startup_refused(dut: Dut, value: int) -> None:
-    dut.refuses("I", 0x1F80, 0, value, Abort.INVALID_VALUE)
-    dut.holds("I", 0x1F80, 0, 4)
+nmt.each(
+    "startup_refused CiA 302-2 1F80h: {0:08X}h asks for what a slave is not: refused",
+    ((0x1F80, 0),),
+    [(1,), (5,), (0x10,)],
+)(lambda value: (do.refuses("I", 0x1F80, 0, value, Abort.INVALID_VALUE), do.holds("I", 0x1F80, 0, 4)))
 
 
-@node_guarding("CiA 301 7.2.8.2.2", "with a heartbeat there is no node guarding", needs=GUARDING)
-def heartbeat_excludes(dut: Dut) -> None:
-    dut.put("H", 0x1017, 0, 5000)
-    dut.send(0x700 + dut.node_id | REMOTE_FLAG)
-    dut.silence(0x700 + dut.node_id)
-
-
-@error_control(
-    "CiA 301 7.2.8.3.2.2", "the boot-up message starts the first period of the default 1017h", needs=PRODUCER
+node_guarding("heartbeat_excludes 7.2.8.2.2: with a heartbeat there is no node guarding", GUARDING)(
+    do.put("H", 0x1017, 0, 5000), lambda dut: dut.send(0x700 + dut.node_id | REMOTE_FLAG), do.no_heartbeat()
 )
+
+
+@error_control("7.2.8.3.2.2: the boot-up message starts the first period of the default 1017h", PRODUCER)
 def first_period(dut: Dut) -> None:
     ms = dut.integer("H", 0x1017)
     dut.forget()
     dut.nmt(RESET_COMMUNICATION)
     boot = dut.boot_up()
-    beat = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
+    beat = dut.heartbeat("7F", 2 * ms)
     dut.check_ms("boot-up to heartbeat", beat.at_us - boot.at_us, ms)
 
 
-@error_control("CiA 301 7.5.2.19", "{0:08X}h is refused: {1}", needs=CONSUMER, each=[
-    (0x00800064, "node-id 128"), (0x01700064, "reserved bits"), (0xFF700064, "reserved bits"),
-])  # fmt: skip
-def consumer_value(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1016, 1, value, Abort.INVALID_VALUE)
+error_control.each(
+    "consumer_value 7.5.2.19: {0:08X}h is refused: {1}",
+    CONSUMER,
+    [(0x00800064, "node-id 128"), (0x01700064, "reserved bits"), (0xFF700064, "reserved bits")],
+)(lambda value, _why: do.refuses("I", 0x1016, 1, value, Abort.INVALID_VALUE))
 
 
-@error_control("CiA 301 7.5.2.32", "1029h:1 = 3 is refused", needs=((0x1029, 1),))
-def behaviour_refused(dut: Dut) -> None:
-    dut.refuses("B", 0x1029, 1, 3, Abort.TOO_HIGH)
+error_control("behaviour_refused 7.5.2.32: 1029h:1 = 3 is refused", ((0x1029, 1),))(
+    do.refuses("B", 0x1029, 1, 3, Abort.TOO_HIGH)
+)
+emcy("history_full 7.5.2.4: a full history drops the oldest", HISTORY)(
+    clear, do.repeat(10, make_error, cure_error), do.holds("B", 0x1003, 0, 8), do.read(0x1003, 8)
+)
+emcy.each("history_reset 7.5.2.4: the history outlives {1}", HISTORY, RESETS[::-1])(
+    lambda command, _name: (clear, make_error, do.reset(command), do.holds("B", 0x1003, 0, 1))
+)
+emcy("queue 7.5.2.18: many messages wait, in their order", INHIBIT)(
+    do.put("H", 0x1015, 0, 20),
+    do.repeat(12, break_sync, do.send(0x080)),
+    do.repeat(12, do.emcy("40 82 *"), do.emcy("00 00 *")),
+)
 
 
-@emcy("CiA 301 7.5.2.4", "a full history drops the oldest", needs=HISTORY)
-def history_full(dut: Dut) -> None:
-    clear(dut)
-    for _ in range(10):
-        make_error(dut)
-        cure_error(dut)
-    dut.holds("B", 0x1003, 0, 8)
-    dut.read(0x1003, 8)
+emcy("collision 7.2.7.1: another node sends this node's heartbeat: EMCY 8150h, once", NEEDS)(
+    do.repeat(3, lambda dut: dut.send(0x700 + dut.node_id, "05")), do.emcy("50 81 11 *"), do.no_emcy()
+)
 
 
-@emcy("CiA 301 7.5.2.4", "the history outlives {1}", needs=HISTORY, each=[
-    (RESET_COMMUNICATION, "reset communication"), (RESET_NODE, "reset node"),
-])  # fmt: skip
-def history_reset(dut: Dut, command: int, _name: str) -> None:
-    clear(dut)
-    make_error(dut)
-    dut.reset(command)
-    dut.holds("B", 0x1003, 0, 1)
-
-
-@emcy("CiA 301 7.5.2.18", "many messages wait, in their order", needs=INHIBIT)
-def queue(dut: Dut) -> None:
-    dut.put("H", 0x1015, 0, 20)
-    for _ in range(12):
-        break_sync(dut)
-        dut.send(0x080)
-    for _ in range(12):
-        dut.expect(0x80 + dut.node_id, "40 82 *")
-        dut.expect(0x80 + dut.node_id, "00 00 *")
-
-
-@emcy("CiA 301 7.2.7.1", "another node sends this node's heartbeat: EMCY 8150h, once", needs=NEEDS)
-def collision(dut: Dut) -> None:
-    for _ in range(3):
-        dut.send(0x700 + dut.node_id, "05")
-    dut.expect(0x80 + dut.node_id, "50 81 11 *")
-    dut.silence(0x80 + dut.node_id)
-
-
-@emcy("CiA 301 7.2.7.1", "an identifier that a TPDO has left may be another node's", needs=(*NEEDS, (0x1800, 1)))
+@emcy("7.2.7.1: an identifier that a TPDO has left may be another node's", (*NEEDS, (0x1800, 1)))
 def no_collision(dut: Dut) -> None:
     cob_id = dut.integer("I", 0x1800, 1)
     dut.nmt(START)
     dut.put("I", 0x1800, 1, cob_id | INVALID)
     dut.send(cob_id & 0x7FF, bytes(8))
-    dut.silence(0x80 + dut.node_id)
+    dut.no_emcy()
     dut.put("I", 0x1800, 1, cob_id)
     dut.send(cob_id & 0x7FF, bytes(8))
-    dut.expect(0x80 + dut.node_id, "50 81 *")
+    dut.emcy("50 81 *")
 
 
-@identity("CiA 404 1000h", "device profile 404, an analogue input block")
-def profile(dut: Dut) -> None:
-    dut.holds("I", 0x1000, 0, 0x00020194)
+identity("profile CiA 404 1000h: device profile 404, an analogue input block")(do.holds("I", 0x1000, 0, 0x00020194))
 
 
-@identity("CiA 301 7.5.2.21", "product code: tipforce, the number of gauges is 3 to 8")
+@identity("7.5.2.21: product code: tipforce, the number of gauges is 3 to 8")
 def product(dut: Dut) -> None:
     code = dut.integer("I", 0x1018, 2)
     check(code & 0xFFFFFC00 == 0x54500000 and 3 <= code & 0xFF <= 8, "545000nnh to 545003nnh", f"{code:08X}h")
 
 
 @identity(
-    "CiA 301 7.5.2.24",
-    "1021h begins as an EDS does; 1022h says that it is not compressed",
-    needs=((0x1021, 0), (0x1022, 0)),
+    "7.5.2.24: 1021h begins as an EDS does; 1022h says that it is not compressed",
+    ((0x1021, 0), (0x1022, 0)),
 )
 def eds(dut: Dut) -> None:
     dut.ask("40 21 10 00", "41 21 10 00 *")
@@ -155,67 +121,64 @@ def eds(dut: Dut) -> None:
     dut.holds("H", 0x1022, 0, 0)
 
 
-@identity("CiA 301 7.5.2.24", "1021h cannot be written", needs=((0x1022, 0),))
-def eds_constant(dut: Dut) -> None:
-    dut.request("21 21 10 00 04")
-    dut.aborted(0x1021, 0, Abort.READ_ONLY)
+identity("eds_constant 7.5.2.24: 1021h cannot be written", ((0x1022, 0),))(
+    do.request("21 21 10 00 04"), do.aborted(0x1021, 0, Abort.READ_ONLY)
+)
 
 
 COMMUNICATION = ((0x1010, 2), (0x1011, 2), (0x1016, 1))
 APPLICATION = ((0x1010, 3), (0x1011, 3), (0x6114, 1))
 
 
-@storage("CiA 301 7.5.2.13", "1010h:{0} reads 1: the device stores on command", each=[(1,), (2,), (3,), (4,)])
+@storage("7.5.2.13: 1010h:{0} reads 1: the device stores on command", each=[(1,), (2,), (3,), (4,)])
 def capability(dut: Dut, sub: int) -> None:
     if dut.try_write(0x1010, sub, struct.pack("<I", LOAD)) not in WRONG_SIGNATURE:
         raise NotApplicableError("the device has nowhere to store")
     dut.holds("I", 0x1010, sub, 1)
 
 
-@storage("CiA 301 7.2.8.2.1.6", "reset communication leaves the application's parameters", needs=((0x6114, 1),))
-def application_kept(dut: Dut) -> None:
-    dut.put("I", 0x6114, 1, 777)
-    dut.reset(RESET_COMMUNICATION)
-    dut.holds("I", 0x6114, 1, 777)
-    dut.reset(RESET_NODE)
-    dut.holds("I", 0x6114, 1, 500)
-
-
-@storage(
-    "CiA 301 7.5.2.13",
-    "communication and application are stored each for itself",
-    needs=(*COMMUNICATION, *APPLICATION),
-    persistent=True,
+storage("application_kept 7.2.8.2.1.6: reset communication leaves the application's parameters", ((0x6114, 1),))(
+    do.put("I", 0x6114, 1, 777),
+    do.reset(RESET_COMMUNICATION),
+    do.holds("I", 0x6114, 1, 777),
+    do.reset(RESET_NODE),
+    do.holds("I", 0x6114, 1, 500),
 )
-def separate(dut: Dut) -> None:
-    with restored(dut):
-        dut.put("I", 0x1016, 1, VALUE)
-        dut.put("I", 0x6114, 1, 777)
-        store(dut, 3)
-        dut.reset(RESET_NODE)
-        dut.holds("I", 0x1016, 1, 0)
-        dut.holds("I", 0x6114, 1, 777)
-
-
-@storage(
-    "CiA 301 7.5.2.14",
-    "1011h:{0} leaves the other group as it is stored",
-    needs=(*COMMUNICATION, *APPLICATION),
+storage(
+    "separate 7.5.2.13: communication and application are stored each for itself",
+    (*COMMUNICATION, *APPLICATION),
     persistent=True,
-    each=[(2, 0, 777), (3, VALUE, 500)],
+)(
+    do.within(
+        restored,
+        do.put("I", 0x1016, 1, VALUE),
+        do.put("I", 0x6114, 1, 777),
+        do.run(store, 3),
+        do.reset(RESET_NODE),
+        do.holds("I", 0x1016, 1, 0),
+        do.holds("I", 0x6114, 1, 777),
+    )
 )
-def restore_one(dut: Dut, sub: int, communication: int, application: int) -> None:
-    with restored(dut):
-        dut.put("I", 0x1016, 1, VALUE)
-        dut.put("I", 0x6114, 1, 777)
-        store(dut, 1)
-        dut.put("I", 0x1011, sub, LOAD)
-        dut.reset(RESET_NODE)
-        dut.holds("I", 0x1016, 1, communication)
-        dut.holds("I", 0x6114, 1, application)
+storage.each(
+    "restore_one 7.5.2.14: 1011h:{0} leaves the other group as it is stored",
+    (*COMMUNICATION, *APPLICATION),
+    [(2, 0, 777), (3, VALUE, 500)],
+    persistent=True,
+)(
+    lambda sub, communication, application: do.within(
+        restored,
+        do.put("I", 0x1016, 1, VALUE),
+        do.put("I", 0x6114, 1, 777),
+        do.run(store, 1),
+        do.put("I", 0x1011, sub, LOAD),
+        do.reset(RESET_NODE),
+        do.holds("I", 0x1016, 1, communication),
+        do.holds("I", 0x6114, 1, application),
+    )
+)
 
 
-@storage("CiA 301 7.5.2.13", "a state is not stored: {2}", needs=ALL, persistent=True, each=[
+@storage("7.5.2.13: a state is not stored: {2}", ALL, persistent=True, each=[
     (0x2130, "H", "the command 2130h", 2, 0), (0x2103, "I", "the expected CRC 2103h:1", 0x12345678, 0),
 ])  # fmt: skip
 def state(dut: Dut, index: int, kind: str, _name: str, value: int, after: int) -> None:
@@ -227,49 +190,30 @@ def state(dut: Dut, index: int, kind: str, _name: str, value: int, after: int) -
         dut.holds(kind, index, sub, after)
 
 
-@sync(
-    "CiA 301 7.5.2.5",
-    "1005h = {0:08X}h is refused: {1}",
-    needs=((0x1005, 0),),
-    each=[
+sync.each(
+    "refused 7.5.2.5: 1005h = {0:08X}h is refused: {1}",
+    ((0x1005, 0),),
+    [
         (0x40000080, "this device produces no SYNC"),
         (0x20000080, "no 29-bit identifier"),
         (0x00000880, "no 29-bit identifier"),
     ],
+)(lambda value, _why: do.refuses("I", 0x1005, 0, value, Abort.INVALID_VALUE))
+sync("length_cured 7.2.7.1: a SYNC of the right length cures 8240h", LENGTH)(
+    do.repeat(2, do.send(0x080, "01"), do.emcy("40 82 *"), do.send(0x080), do.emcy("00 00 00 *"))
 )
-def refused(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1005, 0, value, Abort.INVALID_VALUE)
-
-
-@sync("CiA 301 7.2.7.1", "a SYNC of the right length cures 8240h", needs=LENGTH)
-def length_cured(dut: Dut) -> None:
-    for _ in range(2):
-        dut.send(0x080, "01")
-        dut.expect(0x80 + dut.node_id, "40 82 *")
-        dut.send(0x080)
-        dut.expect(0x80 + dut.node_id, "00 00 00 *")
-
-
-@sync("CiA 301 7.2.7.1", "many SYNCs of wrong length are one error", needs=LENGTH)
-def length_once(dut: Dut) -> None:
-    for _ in range(5):
-        dut.send(0x080, "01")
-    dut.expect(0x80 + dut.node_id, "40 82 *")
-    dut.silence(0x80 + dut.node_id)
-
-
-@time(
-    "CiA 301 7.5.2.15",
-    "1012h = {0:08X}h is refused: {1}",
-    needs=TIME,
-    each=[
+sync("length_once 7.2.7.1: many SYNCs of wrong length are one error", LENGTH)(
+    do.repeat(5, do.send(0x080, "01")), do.emcy("40 82 *"), do.no_emcy()
+)
+time.each(
+    "refused 7.5.2.15: 1012h = {0:08X}h is refused: {1}",
+    TIME,
+    [
         (0xC0000100, "this device produces no TIME"),
         (0xA0000100, "no 29-bit identifier"),
         (0x80000900, "no 29-bit identifier"),
     ],
-)
-def time_refused(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1012, 0, value, Abort.INVALID_VALUE)
+)(lambda value, _why: do.refuses("I", 0x1012, 0, value, Abort.INVALID_VALUE))
 
 
 CONTROLLER, BUS_OFF, RESTARTED = 0x004, 0x040, 0x100
@@ -282,50 +226,34 @@ def report(dut: Dut, error_class: int, data: str = NONE) -> None:
     dut.send(ERROR_FLAG | error_class, data)
 
 
-@bus_faults("CiA 301 7.2.7.1", "error passive: EMCY 8120h once; active again: the cure", error_frames=True)
-def passive(dut: Dut) -> None:
-    report(dut, CONTROLLER, PASSIVE)
-    report(dut, CONTROLLER, PASSIVE)
-    dut.expect(0x80 + dut.node_id, "20 81 11 *")
-    dut.silence(0x80 + dut.node_id)
-    report(dut, CONTROLLER, ACTIVE)
-    dut.expect(0x80 + dut.node_id, "00 00 00 *")
-
-
-@bus_faults("CiA 301 7.2.7.1", "overrun: EMCY 8110h once, cured when none came for a second", error_frames=True)
-def overrun(dut: Dut) -> None:
-    for _ in range(3):
-        report(dut, CONTROLLER, OVERFLOW)
-    dut.expect(0x80 + dut.node_id, "10 81 11 *")
-    dut.silence(0x80 + dut.node_id, ms=900)
-    dut.expect(0x80 + dut.node_id, "00 00 00 *")
-
-
-@bus_faults("CiA 301 7.2.7.1", "bus-off: silent, and EMCY 8140h when it is over", error_frames=True)
-def bus_off(dut: Dut) -> None:
-    dut.beat()
-    report(dut, BUS_OFF)
-    dut.forget()
-    dut.silence(0x700 + dut.node_id, ms=50)
-    report(dut, RESTARTED)
-    dut.expect(0x80 + dut.node_id, "40 81 *")
-    dut.ask("40 00 10 00", "43 00 10 00 *")
-
-
-@bus_faults("CiA 301 7.5.2.32", "bus-off in OPERATIONAL: PRE-OPERATIONAL by 1029h", error_frames=True)
-def bus_off_behaviour(dut: Dut) -> None:
-    dut.beat()
-    dut.nmt(START)
-    dut.state(OPERATIONAL)
-    report(dut, BUS_OFF)
-    report(dut, RESTARTED)
-    dut.state(PRE_OPERATIONAL)
-
-
-@bus_faults("CiA 301 7.2.7.1", "bus-off twice in a row: both are reported", error_frames=True)
-def bus_off_again(dut: Dut) -> None:
-    for _ in range(2):
-        report(dut, BUS_OFF)
-        dut.sleep(10)
-        report(dut, RESTARTED)
-        dut.expect(0x80 + dut.node_id, "40 81 *")
+bus_faults("passive 7.2.7.1: error passive: EMCY 8120h once; active again: the cure", error_frames=True)(
+    do.run(report, CONTROLLER, PASSIVE),
+    do.run(report, CONTROLLER, PASSIVE),
+    do.emcy("20 81 11 *"),
+    do.no_emcy(),
+    do.run(report, CONTROLLER, ACTIVE),
+    do.emcy("00 00 00 *"),
+)
+bus_faults("overrun 7.2.7.1: overrun: EMCY 8110h once, cured when none came for a second", error_frames=True)(
+    do.repeat(3, do.run(report, CONTROLLER, OVERFLOW)), do.emcy("10 81 11 *"), do.no_emcy(ms=900), do.emcy("00 00 00 *")
+)
+bus_faults("bus_off 7.2.7.1: bus-off: silent, and EMCY 8140h when it is over", error_frames=True)(
+    do.beat(),
+    do.run(report, BUS_OFF),
+    do.forget(),
+    do.no_heartbeat(ms=50),
+    do.run(report, RESTARTED),
+    do.emcy("40 81 *"),
+    do.ask("40 00 10 00", "43 00 10 00 *"),
+)
+bus_faults("bus_off_behaviour 7.5.2.32: bus-off in OPERATIONAL: PRE-OPERATIONAL by 1029h", error_frames=True)(
+    do.beat(),
+    do.nmt(START),
+    do.state(OPERATIONAL),
+    do.run(report, BUS_OFF),
+    do.run(report, RESTARTED),
+    do.state(PRE_OPERATIONAL),
+)
+bus_faults("bus_off_again 7.2.7.1: bus-off twice in a row: both are reported", error_frames=True)(
+    do.repeat(2, do.run(report, BUS_OFF), do.sleep(10), do.run(report, RESTARTED), do.emcy("40 81 *"))
+)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, Service, check
 from canopen_conformance.cases.pdo import (
     HIGH_RESOLUTION,
@@ -24,10 +25,10 @@ from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, REMOTE_FLAG, START, 
 pdo_parameters = Service("pdo_parameters", own=True)
 rpdo = Service("rpdo", own=True)
 tpdo = Service("tpdo", own=True)
-interrupts_404 = Service("interrupts_404", own=True)
+interrupts_404 = Service("interrupts_404", standard="CiA 404", own=True)
 
 
-@pdo_parameters("CiA 301 7.5.2.35", "{2}: a 29-bit CAN-ID is not offered: 06090030h", needs=EITHER, each=[
+@pdo_parameters("7.5.2.35: {2}: a 29-bit CAN-ID is not offered: 06090030h", EITHER, each=[
     (*pdo, bits) for pdo in BOTH for bits in (0x20000000, 0x800)
 ])  # fmt: skip
 def extended(dut: Dut, communication: int, _mapping: int, _name: str, bits: int) -> None:
@@ -35,20 +36,20 @@ def extended(dut: Dut, communication: int, _mapping: int, _name: str, bits: int)
     dut.refuses("I", communication, 1, cob_id | bits, Abort.INVALID_VALUE)
 
 
-@pdo_parameters("CiA 301 7.5.2.37", "a TPDO that answers to remote frames is not offered: 06090030h", needs=TPDO1)
+@pdo_parameters("7.5.2.37: a TPDO that answers to remote frames is not offered: 06090030h", TPDO1)
 def rtr(dut: Dut) -> None:
     cob_id = disable_pdo(dut, 0x1800)
     dut.refuses("I", 0x1800, 1, cob_id & ~NO_RTR, Abort.INVALID_VALUE)
 
 
-@pdo_parameters("CiA 301 7.5.2.37", "{2}: transmission type {3} (by remote frame) is refused", needs=EITHER, each=[
-    (*pdo, value) for pdo in BOTH for value in (252, 253)
-])  # fmt: skip
-def rtr_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int) -> None:
-    dut.refuses("B", communication, 2, value, Abort.INVALID_VALUE)
+pdo_parameters.each(
+    "rtr_type 7.5.2.37: {2}: transmission type {3} (by remote frame) is refused",
+    EITHER,
+    [(*pdo, value) for pdo in BOTH for value in (252, 253)],
+)(lambda communication, _mapping, _name, value: do.refuses("B", communication, 2, value, Abort.INVALID_VALUE))
 
 
-@pdo_parameters("CiA 301 7.5.2.36", "06040041h: {3}", needs=EITHER, each=[
+@pdo_parameters("7.5.2.36: 06040041h: {3}", EITHER, each=[
     (0x1800, 0x1A00, 0x10000020, "1000h is not mappable"),
     (0x1800, 0x1A00, 0x21040020, "a write-only object in a TPDO"),
     (0x1400, 0x1600, 0x21200008, "a read-only object in an RPDO"),
@@ -62,7 +63,7 @@ def not_mappable(dut: Dut, communication: int, mapping: int, word: int, _what: s
     dut.refuses("I", mapping, 1, word, Abort.NOT_MAPPABLE)
 
 
-@pdo_parameters("CiA 301 7.5.2.36", "{2}: an entry of 0 counted in is refused", needs=EITHER, each=BOTH)
+@pdo_parameters("7.5.2.36: {2}: an entry of 0 counted in is refused", EITHER, each=BOTH)
 def empty_entry(dut: Dut, communication: int, mapping: int, _name: str) -> None:
     disable_pdo(dut, communication)
     dut.put("B", mapping, 0, 0)
@@ -70,41 +71,27 @@ def empty_entry(dut: Dut, communication: int, mapping: int, _name: str) -> None:
     dut.refuses("B", mapping, 0, 1, Abort.NO_OBJECT, Abort.NOT_MAPPABLE)
 
 
-@rpdo("CiA 301 7.2.2.2", "what waited for a SYNC is forgotten when OPERATIONAL is left", needs=HIGH_RESOLUTION)
-def forgotten(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, TIME_U32, transmission=1)
-    dut.nmt(START)
-    set_time(dut)
-    dut.send(can_id, struct.pack("<I", 0x60000000))
-    dut.nmt(ENTER_PRE_OPERATIONAL)
-    dut.nmt(START)
-    dut.send(0x080)
-    high_resolution(dut, 0, 0x60000000)
+rpdo("forgotten 7.2.2.2: what waited for a SYNC is forgotten when OPERATIONAL is left", HIGH_RESOLUTION)(
+    do.run(mapped_rpdo1, TIME_U32, transmission=1),
+    do.nmt(START),
+    set_time,
+    do.send_pdo(struct.pack("<I", 0x60000000)),
+    do.nmt(ENTER_PRE_OPERATIONAL),
+    do.nmt(START),
+    do.send(0x080),
+    do.run(high_resolution, 0, 0x60000000),
+)
+rpdo("length_cured 7.2.7.1: an RPDO of the right length cures 8210h", (*HIGH_RESOLUTION, (0x1014, 0)))(
+    do.run(mapped_rpdo1, TIME_U32),
+    do.nmt(START),
+    do.repeat(2, do.send_pdo(), do.emcy("10 82 *"), do.send_pdo(bytes(4)), do.emcy("00 00 00 *")),
+)
+tpdo("cyclic_240 7.2.2.2: type 240: silent for the 200 SYNCs after a TPDO", TPDO1)(
+    do.run(enable_tpdo1, 240), do.nmt(START), do.repeat(239, do.send(0x080)), do.no_pdo(ms=50), do.send(0x080), do.pdo()
+)
 
 
-@rpdo("CiA 301 7.2.7.1", "an RPDO of the right length cures 8210h", needs=(*HIGH_RESOLUTION, (0x1014, 0)))
-def length_cured(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, TIME_U32)
-    dut.nmt(START)
-    for _ in range(2):
-        dut.send(can_id)
-        dut.expect(0x80 + dut.node_id, "10 82 *")
-        dut.send(can_id, bytes(4))
-        dut.expect(0x80 + dut.node_id, "00 00 00 *")
-
-
-@tpdo("CiA 301 7.2.2.2", "type 240: silent for the 200 SYNCs after a TPDO", needs=TPDO1)
-def cyclic_240(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 240)
-    dut.nmt(START)
-    for _ in range(239):
-        dut.send(0x080)
-    dut.silence(can_id, ms=50)
-    dut.send(0x080)
-    dut.expect(can_id)
-
-
-@tpdo("CiA 301 7.2.2.2", "the SYNCs count anew when OPERATIONAL is entered", needs=TPDO1)
+@tpdo("7.2.2.2: the SYNCs count anew when OPERATIONAL is entered", TPDO1)
 def counted_anew(dut: Dut) -> None:
     can_id = enable_tpdo1(dut, 3)
     dut.nmt(START)
@@ -116,27 +103,23 @@ def counted_anew(dut: Dut) -> None:
     check(answered == [3], "an answer to the third SYNC", f"answers to SYNC {answered}")
 
 
-@tpdo("CiA 301 7.2.2.2", "type 0: silent at a SYNC while there was no event", needs=TPDO1)
-def acyclic(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 0)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.sleep(dut.link.tolerance_ms)
-    dut.forget(can_id)
-    for _ in range(3):
-        dut.send(0x080)
-    dut.silence(can_id)
+tpdo("acyclic 7.2.2.2: type 0: silent at a SYNC while there was no event", TPDO1)(
+    do.run(enable_tpdo1, 0),
+    do.nmt(START),
+    do.send(0x080),
+    lambda dut: dut.sleep(dut.link.tolerance_ms),
+    do.forget_pdo(),
+    do.repeat(3, do.send(0x080)),
+    do.no_pdo(),
+)
 
 
-@tpdo("CiA 301 7.2.2.2", "type {0}: sent once when OPERATIONAL is entered", needs=TPDO1, each=[(254,), (255,)])
-def first_values(dut: Dut, transmission: int) -> None:
-    can_id = enable_tpdo1(dut, transmission)
-    dut.nmt(START)
-    dut.expect(can_id)
-    dut.silence(can_id)
+tpdo.each("first_values 7.2.2.2: type {0}: sent once when OPERATIONAL is entered", TPDO1, [(254,), (255,)])(
+    lambda transmission: (do.run(enable_tpdo1, transmission), do.nmt(START), do.pdo(), do.no_pdo())
+)
 
 
-@tpdo("CiA 301 7.2.2.5.2", "a remote frame is not answered by a TPDO without RTR", needs=TPDO1)
+@tpdo("7.2.2.5.2: a remote frame is not answered by a TPDO without RTR", TPDO1)
 def remote_frame(dut: Dut) -> None:
     can_id = enable_tpdo1(dut, 1)
     dut.nmt(START)
@@ -144,25 +127,25 @@ def remote_frame(dut: Dut) -> None:
     dut.silence(can_id)
 
 
-@tpdo("CiA 301 7.5.2.38", "a new mapping: contents in the order of the entries, little-endian", needs=TPDO1)
+@tpdo("7.5.2.38: a new mapping: contents in the order of the entries, little-endian", TPDO1)
 def remapped(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1, 0x10010008, 0x21230010, 0x10020020)
+    enable_tpdo1(dut, 1, 0x10010008, 0x21230010, 0x10020020)
     dut.nmt(START)
     dut.send(0x080)
-    data = dut.expect(can_id, lambda d: len(d) == 7).data
+    data = dut.pdo(lambda d: len(d) == 7).data
     wanted = dut.read(0x1001) + dut.read(0x2123) + dut.read(0x1002)
     check(data == wanted, wanted.hex(" "), data.hex(" "))
 
 
-@tpdo("CiA 301 7.5.2.38", "a TPDO that maps nothing is not sent", needs=TPDO1)
+@tpdo("7.5.2.38: a TPDO that maps nothing is not sent", TPDO1)
 def nothing_mapped(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
+    enable_tpdo1(dut, 1)
     cob_id = disable_pdo(dut, 0x1800)
     remap(dut, 0x1A00)
     dut.put("I", 0x1800, 1, cob_id)
     dut.nmt(START)
     dut.send(0x080)
-    dut.silence(can_id)
+    dut.no_pdo()
 
 
 GAUGE_1 = 0x71300110
@@ -172,9 +155,9 @@ NUMBERED = (*TPDO1, (0x1019, 0))
 SAMPLE_MS = 130  # 100 ms after the last SYNC samples are taken without one
 
 
-def begin(dut: Dut, transmission: int = 255, **others: int) -> int:
+def begin(dut: Dut, transmission: int = 255, inhibit_100us: int | None = None) -> int:
     """TPDO1 carries gauge 1, OPERATIONAL, what it says at first has been heard; its CAN-ID."""
-    can_id = enable_tpdo1(dut, transmission, GAUGE_1, **others)
+    can_id = enable_tpdo1(dut, transmission, GAUGE_1, inhibit_100us=inhibit_100us)
     dut.nmt(START)
     dut.sleep(SAMPLE_MS)
     dut.forget(can_id)
@@ -186,90 +169,83 @@ def shift(dut: Dut, microstrain: float) -> None:
     dut.put("f", 0x6124, 1, microstrain)
 
 
-@interrupts_404("CiA 404 6133h", "a change of {0} microstrain with a delta of 100: {1}", needs=NEEDS, each=[
+@interrupts_404("6133h: a change of {0} microstrain with a delta of 100: {1}", NEEDS, each=[
     (150.0, "sent"), (-150.0, "sent"), (50.0, "silent"),
 ])  # fmt: skip
 def delta(dut: Dut, change: float, what: str) -> None:
     dut.put("f", 0x6133, 1, 100.0)
-    can_id = begin(dut)
+    begin(dut)
     shift(dut, change)
     if what == "sent":
-        dut.expect(can_id, within_ms=SAMPLE_MS)
-    dut.silence(can_id, ms=SAMPLE_MS)
+        dut.pdo(within_ms=SAMPLE_MS)
+    dut.no_pdo(ms=SAMPLE_MS)
 
 
-@interrupts_404("CiA 404 6133h", "delta 0: no interrupt", needs=NEEDS)
-def delta_off(dut: Dut) -> None:
-    can_id = begin(dut)
-    shift(dut, 1000.0)
-    dut.silence(can_id, ms=SAMPLE_MS)
+interrupts_404("delta_off 6133h: delta 0: no interrupt", NEEDS)(begin, do.run(shift, 1000.0), do.no_pdo(ms=SAMPLE_MS))
+interrupts_404("delta_sum 6133h: small changes add up to a delta", NEEDS)(
+    do.put("f", 0x6133, 1, 100.0),
+    begin,
+    do.run(shift, 60.0),
+    do.no_pdo(ms=SAMPLE_MS),
+    do.run(shift, 120.0),
+    do.pdo(within_ms=SAMPLE_MS),
+)
 
 
-@interrupts_404("CiA 404 6133h", "small changes add up to a delta", needs=NEEDS)
-def delta_sum(dut: Dut) -> None:
-    dut.put("f", 0x6133, 1, 100.0)
-    can_id = begin(dut)
-    shift(dut, 60.0)
-    dut.silence(can_id, ms=SAMPLE_MS)
-    shift(dut, 120.0)
-    dut.expect(can_id, within_ms=SAMPLE_MS)
-
-
-@interrupts_404("CiA 404 {0:04X}h", "the limit {0:04X}h is passed, and passed again: one TPDO each", needs=NEEDS, each=[
+@interrupts_404("{0:04X}h: the limit {0:04X}h is passed, and passed again: one TPDO each", NEEDS, each=[
     (0x6135, 200.0), (0x6134, -200.0),
 ])  # fmt: skip
 def limit(dut: Dut, index: int, value: float) -> None:
     dut.put("f", index, 1, value)
-    can_id = begin(dut)
+    begin(dut)
     for microstrain in (1.5 * value, 0.0):
         shift(dut, microstrain)
-        dut.expect(can_id, within_ms=SAMPLE_MS)
-        dut.silence(can_id, ms=SAMPLE_MS)
+        dut.pdo(within_ms=SAMPLE_MS)
+        dut.no_pdo(ms=SAMPLE_MS)
 
 
-@interrupts_404("CiA 404 6136h", "the hysteresis holds a value outside until it is well inside", needs=NEEDS)
-def hysteresis(dut: Dut) -> None:
-    dut.put("f", 0x6135, 1, 200.0)
-    dut.put("f", 0x6136, 1, 100.0)
-    can_id = begin(dut)
-    shift(dut, 250.0)
-    dut.expect(can_id, within_ms=SAMPLE_MS)
-    shift(dut, 150.0)
-    dut.silence(can_id, ms=SAMPLE_MS)
-    shift(dut, 50.0)
-    dut.expect(can_id, within_ms=SAMPLE_MS)
+interrupts_404("hysteresis 6136h: the hysteresis holds a value outside until it is well inside", NEEDS)(
+    do.put("f", 0x6135, 1, 200.0),
+    do.put("f", 0x6136, 1, 100.0),
+    begin,
+    do.run(shift, 250.0),
+    do.pdo(within_ms=SAMPLE_MS),
+    do.run(shift, 150.0),
+    do.no_pdo(ms=SAMPLE_MS),
+    do.run(shift, 50.0),
+    do.pdo(within_ms=SAMPLE_MS),
+)
 
 
-@interrupts_404("CiA 301 7.2.2.2", "type 0: an interrupt is sent with the next SYNC, once", needs=NEEDS)
-def interrupts_404_acyclic(dut: Dut) -> None:
-    dut.put("f", 0x6133, 1, 100.0)
-    can_id = begin(dut, 0)
-    dut.send(0x080)
-    dut.sleep(dut.link.tolerance_ms)
-    dut.forget(can_id)
-    shift(dut, 150.0)
-    dut.sleep(5)
-    dut.send(0x080)
-    dut.expect(can_id)
-    dut.sleep(5)
-    dut.send(0x080)
-    dut.silence(can_id)
+interrupts_404("acyclic CiA 301 7.2.2.2: type 0: an interrupt is sent with the next SYNC, once", NEEDS)(
+    do.put("f", 0x6133, 1, 100.0),
+    do.run(begin, 0),
+    do.send(0x080),
+    lambda dut: dut.sleep(dut.link.tolerance_ms),
+    do.forget_pdo(),
+    do.run(shift, 150.0),
+    do.sleep(5),
+    do.send(0x080),
+    do.pdo(),
+    do.sleep(5),
+    do.send(0x080),
+    do.no_pdo(),
+)
 
 
 @interrupts_404(
-    "CiA 301 7.5.2.37",
-    "the inhibit time lies between two interrupts; the later value is not lost",
-    needs=(*NEEDS, (0x1800, 3)),
+    "CiA 301 7.5.2.37: the inhibit time lies between two interrupts; the later value is not lost",
+    (*NEEDS, (0x1800, 3)),
 )
 def inhibit(dut: Dut) -> None:
     dut.put("f", 0x6133, 1, 100.0)
     dut.put("I", 0x6114, 1, 5000)
-    can_id = begin(dut, 255, inhibit_100us=4000)
+    begin(dut, 255, inhibit_100us=4000)
     dut.sleep(400)
     shift(dut, 150.0)
-    first = dut.expect(can_id, within_ms=SAMPLE_MS)
+    first = dut.pdo(within_ms=SAMPLE_MS)
     shift(dut, 300.0)
-    second = dut.expect(can_id, within_ms=500)
+    second = dut.pdo(within_ms=500)
     if second.at_us - first.at_us < 1000 * (400 - dut.link.tolerance_ms):
         raise CheckError("400 ms between two TPDOs", f"{(second.at_us - first.at_us) / 1000:.0f} ms")
     check(second.data != first.data, "the later value", "the first one again")
@@ -278,74 +254,73 @@ def inhibit(dut: Dut) -> None:
 # --- what a PDO carries -----------------------------------------------------------------------------------
 
 
-@interrupts_404("tipforce 2121h", "the sample counter goes up by one for each SYNC, and wraps", needs=TPDO1)
+@interrupts_404("tipforce 2121h: the sample counter goes up by one for each SYNC, and wraps", TPDO1)
 def counter(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1, COUNTER)
+    enable_tpdo1(dut, 1, COUNTER)
     dut.nmt(START)
     last = -1
     for _ in range(260):
         dut.sleep(1)
         dut.send(0x080)
-        value = dut.expect(can_id).data[0]
+        value = dut.pdo().data[0]
         check(last < 0 or value == (last + 1) & 0xFF, str((last + 1) & 0xFF), str(value))
         last = value
 
 
-@interrupts_404("tipforce 2121h", "with 1019h = 240 the counter is the number of the SYNC, 1 to 240", needs=NUMBERED)
+@interrupts_404("tipforce 2121h: with 1019h = 240 the counter is the number of the SYNC, 1 to 240", NUMBERED)
 def numbered(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1, COUNTER)
+    enable_tpdo1(dut, 1, COUNTER)
     dut.put("B", 0x1019, 0, 240)
     dut.nmt(START)
     for number in (1, 2, 7, 8, 239, 240, 1, 120):  # also where numbers were left out
         dut.send(0x080, bytes((number,)))
-        value = dut.expect(can_id).data[0]
+        value = dut.pdo().data[0]
         check(value == number, str(number), str(value))
 
 
-@interrupts_404("tipforce 2121h", "all TPDOs of one SYNC carry the same counter", needs=(*TPDO1, (0x1801, 1)))
+@interrupts_404("tipforce 2121h: all TPDOs of one SYNC carry the same counter", (*TPDO1, (0x1801, 1)))
 def one_sample(dut: Dut) -> None:
     second = dut.integer("I", 0x1801, 1)
     if second & 0x80000000:
         dut.put("I", 0x1801, 1, second & ~0x80000000)
-    can_id = enable_tpdo1(dut, 1)
+    enable_tpdo1(dut, 1)
     dut.nmt(START)
     for _ in range(3):
         dut.sleep(1)
         dut.send(0x080)
-        first = dut.expect(can_id).data
+        first = dut.pdo().data
         other = dut.expect(second & 0x7FF).data
         check(first[7] == other[7] and first[6] == other[6], "one status and counter", f"{first.hex()} {other.hex()}")
 
 
-@interrupts_404("tipforce 2120h", "a SYNC that finds no new sample: status bit 3, the counter repeated", needs=TPDO1)
+@interrupts_404("tipforce 2120h: a SYNC that finds no new sample: status bit 3, the counter repeated", TPDO1)
 def stale(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1, STATUS, COUNTER)
+    enable_tpdo1(dut, 1, STATUS, COUNTER)
     dut.put("I", 0x6114, 1, 1000000)
     dut.nmt(START)
     for _ in range(2):  # one of two pairs lies within one sample period
         for _ in range(2):
             dut.send(0x080)
-        first, second = dut.expect(can_id).data, dut.expect(can_id).data
+        first, second = dut.pdo().data, dut.pdo().data
         if second[1] == first[1]:
             break
     check(second[1] == first[1] and second[0] & 8, "bit 3, and the same counter", f"{first.hex()} {second.hex()}")
 
 
-@interrupts_404("tipforce 2130h", "command {0}: {1:08X}h", each=[(4, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)])
-def command_refused(dut: Dut, value: int, code: int) -> None:
-    dut.refuses("H", 0x2130, 0, value, code)
+interrupts_404.each(
+    "command_refused tipforce 2130h: command {0}: {1:08X}h", (), [(4, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)]
+)(lambda value, code: do.refuses("H", 0x2130, 0, value, code))
 
 
 @interrupts_404(
-    "tipforce 2120h",
-    "a {0}-byte object is read as its type says",
+    "tipforce 2120h: a {0}-byte object is read as its type says",
     each=[(1, 0x2120), (1, 0x2121), (2, 0x2122), (2, 0x2123), (2, 0x2124)],
 )
 def live_sizes(dut: Dut, size: int, index: int) -> None:
     check(len(dut.read(index)) == size, f"{size} bytes", "another size")
 
 
-@interrupts_404("tipforce 2120h", "status bit 1 follows the calibration")
+@interrupts_404("tipforce 2120h: status bit 1 follows the calibration")
 def calibrated_bit(dut: Dut) -> None:
     active = dut.integer("I", 0x2103, 3)
     dut.sleep(110)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import Abort
 from tipforce.dictionary import table
 
-profile_404 = Service("profile_404", own=True)
-settings_404 = Service("settings_404", own=True)
+profile_404 = Service("profile_404", standard="CiA 404", own=True)
+settings_404 = Service("settings_404", standard="CiA 404", own=True)
 
 NEWEST_MS = 110  # a live value that is read is at most 100 ms old
 SIMULATED = ((0x2200, 1), (0x2201, 1))
@@ -42,26 +43,17 @@ def settle(dut: Dut) -> None:
 # --- what the channels are --------------------------------------------------------------------------------
 
 
-@profile_404("CiA 404 6110h", "the sensor type of a {0}", each=[
-    (part, value) for part, value in zip(PARTS, (70, 10001, 10002, 10003, 10003), strict=True)
-])  # fmt: skip
-def sensor_type(dut: Dut, part: str, value: int) -> None:
-    dut.holds("H", 0x6110, channel(dut, part), value)
+for header, kind, index, values in (
+    ("sensor_type 6110h: the sensor type of a {0}", "H", 0x6110, (70, 10001, 10002, 10003, 10003)),
+    ("unit 6131h: the unit of a {0}", "I", 0x6131, (0xFA010100, 0x210000, 0x210000, 0x410000, 0x410000)),
+    ("digits 6132h: the decimal digits of a {0}", "B", 0x6132, (1, 3, 3, 2, 2)),
+):
+    profile_404.each(header, (), [(part, kind, index, value) for part, value in zip(PARTS, values, strict=True)])(
+        lambda part, kind, index, value: lambda dut: dut.holds(kind, index, channel(dut, part), value)
+    )
 
 
-@profile_404("CiA 404 6131h", "the unit of a {0}", each=[
-    (part, value) for part, value in zip(PARTS, (0xFA010100, 0x210000, 0x210000, 0x410000, 0x410000), strict=True)
-])  # fmt: skip
-def unit(dut: Dut, part: str, value: int) -> None:
-    dut.holds("I", 0x6131, channel(dut, part), value)
-
-
-@profile_404("CiA 404 6132h", "the decimal digits of a {0}", each=list(zip(PARTS, (1, 3, 3, 2, 2), strict=True)))
-def digits(dut: Dut, part: str, value: int) -> None:
-    dut.holds("B", 0x6132, channel(dut, part), value)
-
-
-@profile_404("CiA 404 {0:04X}h", "sub-index 0 of {0:04X}h counts {1}", each=[
+@profile_404("{0:04X}h: sub-index 0 of {0:04X}h counts {1}", each=[
     *((index, "all channels") for index in (0x6110, 0x6112, 0x6114, 0x6130, 0x6131, 0x6132, 0x6150, 0x7130, 0x9130)),
     *((index, "the gauges") for index in (0x6100, 0x6120, 0x6124, 0x6125, 0x61A0, 0x7100, 0x9100)),
 ])  # fmt: skip
@@ -69,24 +61,13 @@ def count(dut: Dut, index: int, which: str) -> None:
     dut.holds("B", index, 0, gauges(dut) + (6 if which == "all channels" else 0))
 
 
-@profile_404(
-    "CiA 404 {0:04X}h",
-    "{0:04X}h cannot be written",
-    each=[
-        (0x6100, "f"),
-        (0x6110, "H"),
-        (0x6130, "f"),
-        (0x6131, "I"),
-        (0x6132, "B"),
-        (0x6150, "B"),
-        (0x7100, "h"),
-        (0x7130, "h"),
-        (0x9100, "i"),
-        (0x9130, "i"),
-    ],
-)
-def read_only(dut: Dut, index: int, kind: str) -> None:
-    dut.refuses(kind, index, 1, 0, Abort.READ_ONLY)
+profile_404.each(
+    "read_only {0:04X}h: {0:04X}h cannot be written",
+    (),
+    list(
+        zip((0x6100, 0x6110, 0x6130, 0x6131, 0x6132, 0x6150, 0x7100, 0x7130, 0x9100, 0x9130), "fHfIBBhhii", strict=True)
+    ),
+)(lambda index, kind: do.refuses(kind, index, 1, 0, Abort.READ_ONLY))
 
 
 # --- one value in three forms -----------------------------------------------------------------------------
@@ -98,7 +79,7 @@ def in_form(value: float, digits: int, kind: str) -> int:
     return round(min(max(value * 10.0**digits, -highest), highest))
 
 
-@profile_404("CiA 404 7130h", "7130h and 9130h are 6130h, to the resolution of 6132h")
+@profile_404("7130h: 7130h and 9130h are 6130h, to the resolution of 6132h")
 def live_forms(dut: Dut) -> None:
     dut.put("f", 0x6124, 1, 123.456)  # so that there is something to see without a load
     settle(dut)
@@ -111,7 +92,7 @@ def live_forms(dut: Dut) -> None:
 SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
 
 
-@profile_404("CiA 404 6{0:03X}h", "6{0:03X}h, 7{0:03X}h and 9{0:03X}h are one value, written through {1}", each=[
+@profile_404("6{0:03X}h: 6{0:03X}h, 7{0:03X}h and 9{0:03X}h are one value, written through {1}", each=[
     (offset, form) for offset in SETTINGS for form in ("REAL32", "INTEGER16", "INTEGER32")
 ])  # fmt: skip
 def setting_forms(dut: Dut, offset: int, form: str) -> None:
@@ -125,16 +106,14 @@ def setting_forms(dut: Dut, offset: int, form: str) -> None:
     check(abs(real - (210 if counts else 210.5)) <= 1e-4, "210.5 (counts: 210)", str(real))
 
 
-@profile_404(
-    "CiA 404 7124h", "a value that INTEGER16 cannot hold reads as its end", each=[(1e6, 0x7FFF), (-1e6, -0x7FFF)]
-)
+@profile_404("7124h: a value that INTEGER16 cannot hold reads as its end", each=[(1e6, 0x7FFF), (-1e6, -0x7FFF)])
 def setting_saturates(dut: Dut, value: float, shown: int) -> None:
     dut.put("f", 0x6124, 1, value)
     dut.holds("h", 0x7124, 1, shown)
     dut.holds("i", 0x9124, 1, round(value * 10))
 
 
-@profile_404("CiA 404 6130h", "{0} is not finite: 06090030h", each=[(math.nan,), (math.inf,), (-math.inf,)])
+@profile_404("6130h: {0} is not finite: 06090030h", each=[(math.nan,), (math.inf,), (-math.inf,)])
 def not_finite(dut: Dut, value: float) -> None:
     for index in (0x6124, 0x6133, 0x6148):
         dut.refuses("f", index, 1, value, Abort.INVALID_VALUE)
@@ -143,7 +122,7 @@ def not_finite(dut: Dut, value: float) -> None:
 # --- status and unknown values ----------------------------------------------------------------------------
 
 
-@profile_404("CiA 404 6150h", "without calibration a {0} is not valid, and unknown in every form", each=[
+@profile_404("6150h: without calibration a {0} is not valid, and unknown in every form", each=[
     (part,) for part in PARTS[1:]
 ])  # fmt: skip
 def unknown(dut: Dut, part: str) -> None:
@@ -157,15 +136,11 @@ def unknown(dut: Dut, part: str) -> None:
     check(math.isnan(value), "NaN", str(value))
 
 
-@profile_404("CiA 404 6150h", "a gauge is valid without calibration")
-def gauge_valid(dut: Dut) -> None:
-    settle(dut)
-    dut.holds("B", 0x6150, 1, 0)
+profile_404("gauge_valid 6150h: a gauge is valid without calibration")(settle, do.holds("B", 0x6150, 1, 0))
 
 
 @profile_404(
-    "CiA 404 6150h",
-    "a gauge beyond INTEGER16: overload {1:02X}h, 7130h at its end, 6130h and 9130h as they are",
+    "6150h: a gauge beyond INTEGER16: overload {1:02X}h, 7130h at its end, 6130h and 9130h as they are",
     each=[(5000.0, 3, 0x7FFF), (-5000.0, 5, -0x7FFF)],
 )
 def overload(dut: Dut, microstrain: float, status: int, shown: int) -> None:
@@ -177,7 +152,7 @@ def overload(dut: Dut, microstrain: float, status: int, shown: int) -> None:
         raise CheckError("9130h = 10 x 6130h", "another value")
 
 
-@profile_404("CiA 404 6150h", "simulated fault {0}: gauge 1 {1}", needs=SIMULATED, each=[
+@profile_404("6150h: simulated fault {0}: gauge 1 {1}", SIMULATED, each=[
     (3, "saturated", 0x7FFF, 3), (2, "open", table.UNKNOWN_I16, 1), (4, "silent", table.UNKNOWN_I16, 1),
 ])  # fmt: skip
 def fault(dut: Dut, number: int, _name: str, shown: int, status: int) -> None:
@@ -192,7 +167,7 @@ def fault(dut: Dut, number: int, _name: str, shown: int, status: int) -> None:
         dut.put("H", 0x2200, 1, 0)
 
 
-@profile_404("CiA 404 6130h", "a load that is applied shows in the gauges", needs=SIMULATED)
+@profile_404("6130h: a load that is applied shows in the gauges", SIMULATED)
 def load(dut: Dut) -> None:
     before = [dut.number("f", 0x2201, sub) for sub in (1, 2, 3)]
     settle(dut)
@@ -207,30 +182,27 @@ def load(dut: Dut) -> None:
             dut.put("f", 0x2201, sub, value)
 
 
-@settings_404("CiA 404 6112h", "operating mode {0} is refused", each=[(0, Abort.TOO_LOW), (2, Abort.TOO_HIGH)])
-def operating_mode(dut: Dut, value: int, code: int) -> None:
-    dut.refuses("B", 0x6112, 1, value, code)
+settings_404.each("operating_mode 6112h: operating mode {0} is refused", (), [(0, Abort.TOO_LOW), (2, Abort.TOO_HIGH)])(
+    lambda value, code: do.refuses("B", 0x6112, 1, value, code)
+)
 
 
-@settings_404("CiA 404 6114h", "the sample period of one channel is that of all")
+@settings_404("6114h: the sample period of one channel is that of all")
 def sample_period(dut: Dut) -> None:
     dut.put("I", 0x6114, 2, 1000)
     for sub in (1, 3, gauges(dut) + 6):
         dut.holds("I", 0x6114, sub, 1000)
 
 
-@settings_404(
-    "CiA 404 6114h",
-    "a sample period of {0} microseconds is refused",
-    each=[(0, Abort.TOO_LOW), (99, Abort.TOO_LOW), (1000001, Abort.TOO_HIGH)],
-)
-def sample_period_range(dut: Dut, value: int, code: int) -> None:
-    dut.refuses("I", 0x6114, 1, value, code)
+settings_404.each(
+    "sample_period_range 6114h: a sample period of {0} microseconds is refused",
+    (),
+    [(0, Abort.TOO_LOW), (99, Abort.TOO_LOW), (1000001, Abort.TOO_HIGH)],
+)(lambda value, code: do.refuses("I", 0x6114, 1, value, code))
 
 
 @settings_404(
-    "CiA 404 6120h",
-    "two scaling points at one field value: 06090030h, the first stays",
+    "6120h: two scaling points at one field value: 06090030h, the first stays",
     each=[(0x6120, 0x6122), (0x6122, 0x6120)],
 )
 def scaling_points(dut: Dut, index: int, other: int) -> None:
@@ -239,7 +211,7 @@ def scaling_points(dut: Dut, index: int, other: int) -> None:
     dut.holds("f", index, 1, before)
 
 
-@settings_404("CiA 404 6130h", "process value = scaled field value + offset")
+@settings_404("6130h: process value = scaled field value + offset")
 def scaling(dut: Dut) -> None:
     dut.put("f", 0x6123, 1, 2000.0)  # gain 0.2 instead of 0.1
     dut.put("f", 0x6124, 1, 10.0)
@@ -250,7 +222,7 @@ def scaling(dut: Dut) -> None:
     )  # noise between two readings
 
 
-@settings_404("CiA 404 61A0h", "filter type {0} is offered, and is that of all gauges", each=[(1,), (2,), (100,)])
+@settings_404("61A0h: filter type {0} is offered, and is that of all gauges", each=[(1,), (2,), (100,)])
 def filter_type(dut: Dut, value: int) -> None:
     dut.put("H", 0x61A1, gauges(dut), 8)
     dut.put("B", 0x61A0, 1, value)
@@ -261,21 +233,18 @@ def filter_type(dut: Dut, value: int) -> None:
     dut.holds("B", 0x61A0, 1, 0)
 
 
-@settings_404("CiA 404 61A0h", "filter type {0} is refused", each=[
-    (3, Abort.INVALID_VALUE), (99, Abort.INVALID_VALUE), (101, Abort.TOO_HIGH), (255, Abort.TOO_HIGH),
-])  # fmt: skip
-def filter_type_refused(dut: Dut, value: int, code: int) -> None:
-    dut.refuses("B", 0x61A0, 1, value, code)
-    dut.holds("B", 0x61A0, 1, 0)
+settings_404.each(
+    "filter_type_refused 61A0h: filter type {0} is refused",
+    (),
+    [(3, Abort.INVALID_VALUE), (99, Abort.INVALID_VALUE), (101, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)],
+)(lambda value, code: (do.refuses("B", 0x61A0, 1, value, code), do.holds("B", 0x61A0, 1, 0)))
+settings_404("filter_of_contact 61A0h: a contact channel has no filter: 06090011h")(
+    lambda dut: dut.refuses("B", 0x61A0, gauges(dut) + 1, 1, Abort.NO_SUB),
+    lambda dut: dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, Abort.NO_SUB),
+)
 
 
-@settings_404("CiA 404 61A0h", "a contact channel has no filter: 06090011h")
-def filter_of_contact(dut: Dut) -> None:
-    dut.refuses("B", 0x61A0, gauges(dut) + 1, 1, Abort.NO_SUB)
-    dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, Abort.NO_SUB)
-
-
-@settings_404("CiA 404 61A1h", "a moving average takes {0} values: {1}", each=[
+@settings_404("61A1h: a moving average takes {0} values: {1}", each=[
     (256, "taken", 0), (257, "06090031h", Abort.TOO_HIGH), (65535, "06090031h", Abort.TOO_HIGH),
 ])  # fmt: skip
 def filter_window(dut: Dut, value: int, _shown: str, code: int) -> None:
@@ -287,7 +256,7 @@ def filter_window(dut: Dut, value: int, _shown: str, code: int) -> None:
     dut.holds("H", 0x61A1, 1, 1 if code else value)
 
 
-@settings_404("CiA 404 61A1h", "filter type {0} takes the constant 65535", each=[(2,), (100,)])
+@settings_404("61A1h: filter type {0} takes the constant 65535", each=[(2,), (100,)])
 def filter_longest(dut: Dut, kind: int) -> None:
     dut.put("H", 0x61A1, 1, 65535)
     dut.put("B", 0x61A0, 1, kind)
@@ -295,7 +264,7 @@ def filter_longest(dut: Dut, kind: int) -> None:
     dut.holds("B", 0x61A0, 1, kind)
 
 
-@settings_404("CiA 404 61A1h", "a repeating average of {0} conversions of 1 ms is unknown until then", each=[(300,)])
+@settings_404("61A1h: a repeating average of {0} conversions of 1 ms is unknown until then", each=[(300,)])
 def filter_block(dut: Dut, values: int) -> None:
     dut.put("I", 0x6114, 1, 1000)
     dut.put("H", 0x61A1, 1, values)
@@ -307,12 +276,12 @@ def filter_block(dut: Dut, values: int) -> None:
     check(not math.isnan(dut.number("f", 0x6130, 1)), "6130h:1 known after the first average", "NaN")
 
 
-@settings_404("CiA 404 6125h", "autozero with a wrong signature: 08000020h")
-def autozero_signature(dut: Dut) -> None:
-    dut.refuses("I", 0x6125, 1, 0x6F72657B, Abort.NOT_STORED)
+settings_404("autozero_signature 6125h: autozero with a wrong signature: 08000020h")(
+    do.refuses("I", 0x6125, 1, 0x6F72657B, Abort.NOT_STORED)
+)
 
 
-@settings_404("CiA 404 6125h", "autozero brings the gauge to zero by 6124h alone")
+@settings_404("6125h: autozero brings the gauge to zero by 6124h alone")
 def autozero(dut: Dut) -> None:
     uncalibrated(dut)
     dut.put("f", 0x6124, 1, 100.0)
@@ -324,7 +293,7 @@ def autozero(dut: Dut) -> None:
         raise CheckError("6130h:1 near 0, 6120h-6123h as before", str(dut.number("f", 0x6130, 1)))
 
 
-@settings_404("CiA 404 6139h", "autotare: only the sub-index of F1 exists, with a wrong signature 08000020h")
+@settings_404("6139h: autotare: only the sub-index of F1 exists, with a wrong signature 08000020h")
 def autotare_signature(dut: Dut) -> None:
     n = gauges(dut)
     dut.holds("B", 0x6139, 0, n + 1)
@@ -332,7 +301,6 @@ def autotare_signature(dut: Dut) -> None:
     dut.refuses("I", 0x6139, 1, table.SIGNATURE_TARA, Abort.NO_SUB)
 
 
-@settings_404("CiA 404 6139h", "autotare without calibration: 08000022h")
-def autotare_unknown(dut: Dut) -> None:
-    uncalibrated(dut)
-    dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, Abort.DEVICE_STATE)
+settings_404("autotare_unknown 6139h: autotare without calibration: 08000022h")(
+    uncalibrated, lambda dut: dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, Abort.DEVICE_STATE)
+)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import struct
 
+from canopen_conformance import steps as do
 from canopen_conformance.case import Service, check
-from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload
+from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload, not_written, over
 from canopen_conformance.cases.sdo_block import (
     begin_block_download,
-    begin_block_upload,
+    begun_upload,
     block,
     end_block_download,
     initiate,
@@ -24,27 +25,22 @@ block_upload = Service("sdo_block", own=True)
 download = Service("sdo_block_download", own=True)
 
 
-@sdo("CiA 301 7.2.4.3.17", "06010001h: a read of {0:04X}h:{1}, which can only be written", each=[
-    (0x2104, 0), (0x2105, 3), (0x6125, 1),
-])  # fmt: skip
-def write_only(dut: Dut, index: int, sub: int) -> None:
-    dut.request(struct.pack("<BHB", 0x40, index, sub))
-    dut.aborted(index, sub, Abort.WRITE_ONLY)
-
-
-@sdo("CiA 301 7.2.4.3.17", "06090032h: a value below the limit of {0:04X}h:{1}", each=[
-    (0x6114, 1, "I", 99), (0x6112, 1, "B", 0), (0x61A1, 1, "H", 0),
-])  # fmt: skip
-def value_low(dut: Dut, index: int, sub: int, kind: str, value: int) -> None:
-    before = dut.number(kind, index, sub)
-    dut.refuses(kind, index, sub, value, Abort.TOO_LOW)
-    dut.holds(kind, index, sub, before)
+sdo.each(
+    "write_only 7.2.4.3.17: 06010001h: a read of {0:04X}h:{1}, which can only be written",
+    (),
+    [(0x2104, 0), (0x2105, 3), (0x6125, 1)],
+)(lambda index, sub: (do.request(struct.pack("<BHB", 0x40, index, sub)), do.aborted(index, sub, Abort.WRITE_ONLY)))
+sdo.each(
+    "value_low 7.2.4.3.17: 06090032h: a value below the limit of {0:04X}h:{1}",
+    (),
+    [(0x6114, 1, "I", 99), (0x6112, 1, "B", 0), (0x61A1, 1, "H", 0)],
+)(lambda index, sub, kind, value: do.unchanged(kind, index, sub, do.refuses(kind, index, sub, value, Abort.TOO_LOW)))
 
 
 RECORD = ((0x2141, 0),)
 
 
-@segmented("CiA 301 7.2.4.2.5", "a new initiate gives up the upload that went on")
+@segmented("7.2.4.2.5: a new initiate gives up the upload that went on")
 def upload_restart(dut: Dut) -> None:
     _index, size = begin_upload(dut)
     dut.ask("60", "0. *")
@@ -53,71 +49,57 @@ def upload_restart(dut: Dut) -> None:
     check(size_read == size, f"{size} bytes from the start", f"{size_read}")
 
 
-@segmented("CiA 301 7.2.4.3.17", "a silent client: 05040000h, and the transfer is over")
+@segmented("7.2.4.3.17: a silent client: 05040000h, and the transfer is over")
 def upload_timeout(dut: Dut) -> None:
     index, _size = begin_upload(dut)
     dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
-    dut.ask("60", lambda data: data[0] == 0x80)
+    over(dut)
 
 
-@segmented("CiA 301 7.2.4.3.17", "each request gives the client its time anew")
-def upload_patience(dut: Dut) -> None:
-    begin_upload(dut)
-    dut.no_sdo(ms=700)
-    dut.ask("60", "0. *")
-    dut.no_sdo(ms=700)
-    dut.ask("70", lambda data: data[0] & 0xF0 == 0x10)
-
-
-@segmented(
-    "CiA 301 7.2.4.3.3",
-    "a stated size that the object cannot have is refused at the initiate",
-    each=[
+segmented("upload_patience 7.2.4.3.17: each request gives the client its time anew")(
+    begin_upload,
+    do.no_sdo(ms=700),
+    do.ask("60", "0. *"),
+    do.no_sdo(ms=700),
+    do.ask("70", lambda data: data[0] & 0xF0 == 0x10),
+)
+segmented.each(
+    "download_stated 7.2.4.3.3: a stated size that the object cannot have is refused at the initiate",
+    (),
+    [
         (0x1017, 1, Abort.TOO_SHORT),
         (0x1017, 3, Abort.TOO_LONG),
         (0x2141, 5, Abort.TOO_SHORT),
         (0x2141, 0x10000, Abort.TOO_LONG),
         (0x1017, 0, Abort.TOO_SHORT),
     ],
-)
-def download_stated(dut: Dut, index: int, size: int, code: int) -> None:
-    dut.request(struct.pack("<BHBI", 0x21, index, 0, size))
-    dut.aborted(index, 0, code)
+)(lambda index, size, code: (do.request(struct.pack("<BHBI", 0x21, index, 0, size)), do.aborted(index, 0, code)))
 
 
-@segmented(
-    "CiA 301 7.2.4.3.3",
-    "refused at the initiate: {3}",
-    each=[
+segmented.each(
+    "download_refused 7.2.4.3.3: refused at the initiate: {3}",
+    (),
+    [
         (0x1008, 0, Abort.READ_ONLY, "a read-only object"),
         (0xFFFF, 0, Abort.NO_OBJECT, "no object"),
         (0x1018, 9, Abort.NO_SUB, "no sub-index"),
     ],
+)(
+    lambda index, sub, code, _why: (
+        do.request(struct.pack("<BHBI", 0x21, index, sub, 20)),
+        do.aborted(index, sub, code),
+        do.ask("00", lambda data: data[0] == 0x80),
+    )
 )
-def download_refused(dut: Dut, index: int, sub: int, code: int, _why: str) -> None:
-    dut.request(struct.pack("<BHBI", 0x21, index, sub, 20))
-    dut.aborted(index, sub, code)
-    dut.ask("00", lambda data: data[0] == 0x80)
+segmented("download_restart 7.2.4.2.2: a new initiate gives up the download that went on", BEAT)(
+    begin_download, do.ask("0C 99", "20"), begin_download, do.ask("0B 34 12", "20"), do.holds("H", 0x1017, 0, 0x1234)
+)
+segmented("download_timeout 7.2.4.3.17: a silent client: 05040000h, nothing is written", BEAT)(
+    not_written(begin_download, do.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200))
+)
 
 
-@segmented("CiA 301 7.2.4.2.2", "a new initiate gives up the download that went on", needs=BEAT)
-def download_restart(dut: Dut) -> None:
-    begin_download(dut)
-    dut.ask("0C 99", "20")
-    begin_download(dut)
-    dut.ask("0B 34 12", "20")
-    dut.holds("H", 0x1017, 0, 0x1234)
-
-
-@segmented("CiA 301 7.2.4.3.17", "a silent client: 05040000h, nothing is written", needs=BEAT)
-def download_timeout(dut: Dut) -> None:
-    before = dut.integer("H", 0x1017)
-    begin_download(dut)
-    dut.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)
-    dut.holds("H", 0x1017, 0, before)
-
-
-@segmented("CiA 301 7.2.4.3.4", "many segments: a whole record is written and read back", needs=RECORD)
+@segmented("7.2.4.3.4: many segments: a whole record is written and read back", RECORD)
 def download_many(dut: Dut) -> None:
     record = bytes(len(dut.read(0x2141)) - 1) + b"\1"
     dut.refuses_bytes(0x2141, 0, record, 0)
@@ -127,19 +109,16 @@ def download_many(dut: Dut) -> None:
 LONG = ((0x1021, 0),)
 
 
-@block_upload("CiA 301 7.2.4.3.14", "ackseq beyond what was sent: 05040003h")
+@block_upload("7.2.4.3.14: ackseq beyond what was sent: 05040003h")
 def acknowledged_too_much(dut: Dut) -> None:
-    index, _data = begin_block_upload(dut, 1)
-    dut.request("A3")
-    block(dut, 1, False)
+    index = begun_upload(dut)
     dut.request("A2 02 7F")
     dut.aborted(index, 0, Abort.SEQUENCE_NUMBER)
 
 
 @block_upload(
-    "CiA 301 7.2.4.3.13",
-    "protocol switch: {0} bytes and pst {1} give a {2} upload",
-    needs=((0x1000, 0),),
+    "7.2.4.3.13: protocol switch: {0} bytes and pst {1} give a {2} upload",
+    ((0x1000, 0),),
     each=[(4, 4, "expedited"), (4, 255, "expedited"), (4, 3, "block"), (4, 0, "block")],
 )
 def protocol_switch(dut: Dut, _size: int, switch: int, how: str) -> None:
@@ -148,14 +127,14 @@ def protocol_switch(dut: Dut, _size: int, switch: int, how: str) -> None:
     check(answer[0] == wanted, f"{wanted:02X}h", f"{answer[0]:02X}h")
 
 
-@block_upload("CiA 301 7.2.4.3.13", "protocol switch to a segmented upload")
+@block_upload("7.2.4.3.13: protocol switch to a segmented upload")
 def protocol_switch_segmented(dut: Dut) -> None:
     answer = initiate(dut, 0x1008, 127, 100)
     check(answer[0] == 0x41, "41h", f"{answer[0]:02X}h")
     dut.read_segments()
 
 
-@block_upload("CiA 301 7.2.4.3.14", "full blocks of 127 segments", needs=LONG)
+@block_upload("7.2.4.3.14: full blocks of 127 segments", LONG)
 def full_block(dut: Dut) -> None:
     size = struct.unpack("<I", initiate(dut, 0x1021, 127)[4:])[0]
     dut.request("A3")
@@ -169,17 +148,13 @@ def full_block(dut: Dut) -> None:
         check(part == first[offset : offset + 7], part.hex(" "), first[offset : offset + 7].hex(" "))
 
 
-@block_upload("CiA 301 7.2.4.2.13", "an initiate gives up the block upload that went on")
-def restart(dut: Dut) -> None:
-    begin_block_upload(dut, 1)
-    dut.request("A3")
-    block(dut, 1, False)
-    dut.ask("40 00 10 00", "43 00 10 00 *")
+block_upload("restart 7.2.4.2.13: an initiate gives up the block upload that went on")(
+    begun_upload, do.ask("40 00 10 00", "43 00 10 00 *")
+)
 
 
 @block_upload(
-    "CiA 301 7.2.4.3.17",
-    "{1}: 05040001h",
+    "7.2.4.3.17: {1}: 05040001h",
     each=[
         ("A2 01 7F", "an answer before the start"),
         ("A1", "an end before the start"),
@@ -187,21 +162,17 @@ def restart(dut: Dut) -> None:
     ],
 )
 def wrong_command(dut: Dut, request: str, _why: str) -> None:
-    index, _data = begin_block_upload(dut, 1)
+    index = begun_upload(dut, False)
     dut.request(request)
     dut.aborted(index, 0, Abort.UNKNOWN_COMMAND)
 
 
 @block_upload(
-    "CiA 301 7.2.4.3.17",
-    "a client that is silent {1}: 05040000h",
+    "7.2.4.3.17: a client that is silent {1}: 05040000h",
     each=[(False, "before the start"), (True, "after a block")],
 )
 def silent_client(dut: Dut, started: bool, _when: str) -> None:
-    index, _data = begin_block_upload(dut, 1)
-    if started:
-        dut.request("A3")
-        block(dut, 1, False)
+    index = begun_upload(dut, started)
     dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
 
 
@@ -220,42 +191,39 @@ def end_record(dut: Dut, data: bytes, acknowledged: int) -> None:
     check(dut.read(0x2141) == data, "the record that was written", "another one")
 
 
-@download("CiA 301 7.2.4.3.10", "many segments: the whole record is written", needs=RECORD)
+def send(dut: Dut, data: bytes, *numbers: int) -> None:
+    """Segments of a block of ``data``, by their numbers in it."""
+    for number in numbers:
+        segment(dut, number, data[7 * number - 7 : 7 * number], 7 * number >= len(data))
+
+
+@download("7.2.4.3.10: many segments: the whole record is written", RECORD)
 def many(dut: Dut) -> None:
     data, last = begin_record(dut)
-    for number in range(1, last + 1):
-        segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
+    send(dut, data, *range(1, last + 1))
     end_record(dut, data, last)
 
 
-@download(
-    "CiA 301 7.2.4.3.10", "a segment is lost: ackseq names the one before it, and the rest is sent again", needs=RECORD
-)
+@download("7.2.4.3.10: a segment is lost: ackseq names the one before it, and the rest is sent again", RECORD)
 def lost_segment(dut: Dut) -> None:
     data, last = begin_record(dut)
-    for number in range(1, last + 1):
-        if number != 3:
-            segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
+    send(dut, data, 1, 2, *range(4, last + 1))
     dut.answer("A2 02 ..")
-    for number in range(1, last - 1):
-        segment(dut, number, data[7 * number + 7 : 7 * number + 14], number == last - 2)
+    send(dut, data[14:], *range(1, last - 1))
     end_record(dut, data, last - 2)
 
 
-@download("CiA 301 7.2.4.3.10", "a segment that comes twice counts once", needs=RECORD)
+@download("7.2.4.3.10: a segment that comes twice counts once", RECORD)
 def twice(dut: Dut) -> None:
     data, last = begin_record(dut)
-    for number in range(1, last + 1):
-        for _ in range(2 if number == 2 else 1):
-            segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
+    send(dut, data, 1, 2, *range(2, last + 1))
     end_record(dut, data, last)
 
 
-@download("CiA 301 7.2.4.3.10", "the last segment is lost: the server says after a while what it has", needs=RECORD)
+@download("7.2.4.3.10: the last segment is lost: the server says after a while what it has", RECORD)
 def lost_last(dut: Dut) -> None:
     data, last = begin_record(dut)
-    for number in range(1, last):
-        segment(dut, number, data[7 * number - 7 : 7 * number])
+    send(dut, data, *range(1, last))
     dut.answer(f"A2 {last - 1:02X} ..", within_ms=900)
     segment(dut, 1, data[7 * last - 7 :], True)
     dut.answer("A2 01 ..")
@@ -263,22 +231,19 @@ def lost_last(dut: Dut) -> None:
     dut.answer("A1")
 
 
-@download("CiA 301 7.2.4.3.10", "more data than stated: {0:08X}h, before the end", needs=BEAT, each=[(Abort.TOO_LONG,)])
-def too_much(dut: Dut, code: int) -> None:
-    begin_block_download(dut, 0x1017, 2)
-    segment(dut, 1, bytes(7))
-    dut.aborted(0x1017, 0, code)
+download.each("too_much 7.2.4.3.10: more data than stated: {0:08X}h, before the end", BEAT, [(Abort.TOO_LONG,)])(
+    lambda code: (do.run(begin_block_download, 0x1017, 2), do.run(segment, 1, bytes(7)), do.aborted(0x1017, 0, code))
+)
 
 
-@download("CiA 301 7.2.4.3.9", "a size that the object cannot have is refused at the initiate", needs=BEAT, each=[
-    (1, Abort.TOO_SHORT), (3, Abort.TOO_LONG), (0xFFFFFFFF, Abort.TOO_LONG),
-])  # fmt: skip
-def refused_size(dut: Dut, size: int, code: int) -> None:
-    dut.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size))
-    dut.aborted(0x1017, 0, code)
+download.each(
+    "refused_size 7.2.4.3.9: a size that the object cannot have is refused at the initiate",
+    BEAT,
+    [(1, Abort.TOO_SHORT), (3, Abort.TOO_LONG), (0xFFFFFFFF, Abort.TOO_LONG)],
+)(lambda size, code: (do.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size)), do.aborted(0x1017, 0, code)))
 
 
-@download("CiA 301 7.2.4.3.17", "a client that is silent {1}: 05040000h", needs=BEAT, each=[
+@download("7.2.4.3.17: a client that is silent {1}: 05040000h", BEAT, each=[
     (False, "during a block"), (True, "before the end"),
 ])  # fmt: skip
 def sdo_block_download_silent_client(dut: Dut, sent: bool, _when: str) -> None:
@@ -290,8 +255,6 @@ def sdo_block_download_silent_client(dut: Dut, sent: bool, _when: str) -> None:
     dut.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)
 
 
-@download("CiA 301 7.2.4.3.11", "no end but another command: 05040001h", needs=BEAT)
-def wrong_end(dut: Dut) -> None:
-    one_segment(dut)
-    dut.request("C2")
-    dut.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
+download("wrong_end 7.2.4.3.11: no end but another command: 05040001h", BEAT)(
+    one_segment, do.request("C2"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
+)
