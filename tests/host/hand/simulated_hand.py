@@ -201,7 +201,7 @@ class Channel(SdoChannel):
         super().__init__(network, node_id, clock=line.now_s)
         self._line = line
 
-    def _wait(self, what: str, attempt: Any, deadline_s: float = 0.0) -> bytes:
+    async def _wait(self, what: str, attempt: Any, deadline_s: float = 0.0, *, blocks: bool) -> bytes:  # noqa: ARG002
         self._exchange = exchange = Exchange(self, what, attempt, deadline_s)
         try:
             while True:
