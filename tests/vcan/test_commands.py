@@ -33,7 +33,7 @@ def run(launch: Launch, host: Bus, bus: RawBus) -> Run:
         """What the node said to the command has passed by the host, too, and can't be taken for an answer to it."""
         since_s = time.monotonic()
         bus.send(HEARTBEAT + NOBODY, b"\x7f")
-        return host.heartbeats.wait(NOBODY, (0x7F,), since_s, 1.0)
+        return host.heartbeats.wait(NOBODY, 0x7F, since_s, 1.0)
 
     def to_the_end(*words: str, code: int = OK, fresh: bool = False) -> Command:
         command = launch(*words, *BUS, fresh=fresh)

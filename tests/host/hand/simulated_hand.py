@@ -183,11 +183,11 @@ class _Heartbeats:
     def state(self, node_id: int) -> int | None:
         return self._last[node_id][1] if node_id in self._last else None
 
-    def wait(self, node_id: int, states: Sequence[int], since_s: float, timeout_s: float) -> bool:
+    def wait(self, node_id: int, wanted: int, since_s: float, timeout_s: float) -> bool:
         until_s = self._line.now_s() + timeout_s
         while True:
             heard_s, state = self._last.get(node_id, (-1.0, -1))
-            if heard_s >= since_s and state in states:
+            if heard_s >= since_s and state == wanted:
                 return True
             if self._line.now_s() >= until_s:
                 return False

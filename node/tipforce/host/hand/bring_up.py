@@ -15,7 +15,6 @@ from typing import TypeVar
 import numpy as np
 
 from canopen_device.core import codes, communication
-from canopen_device.core.codes import INITIALISING
 from canopen_device.types import Value
 from tipforce.dictionary import objects, table
 from tipforce.dictionary.signals import tpdo_messages
@@ -177,7 +176,7 @@ def _assign_one(connection: Bus, master: LssMaster, plan: FingerPlan, store: boo
     master.release()
     if former != codes.LSS_UNCONFIGURED:
         connection.nmt("reset-comm", former)
-    if not connection.heartbeats.wait(plan.node_id, (INITIALISING,), since_s, BOOT_S):
+    if not connection.heartbeats.wait(plan.node_id, codes.INITIALISING, since_s, BOOT_S):
         raise NoResponseError(f"{address} did not boot with its new node-id {plan.node_id} within {BOOT_S:g} s")
     return f"{address}: node-id {plan.node_id}" + (f", before {former}" if former != codes.LSS_UNCONFIGURED else "")
 
