@@ -134,29 +134,6 @@ def test_what_the_kernel_dropped_is_counted() -> None:
 
 
 @needs_recvmmsg
-def test_a_busy_thread_does_not_stop_it() -> None:
-    stop = threading.Event()
-
-    def work() -> None:
-        while not stop.is_set():
-            sum(range(1000))
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
-        with connected() as (receiver, bus):
-            for number in range(500):
-                bus.send(can_frame(1, struct.pack("<q", number)))
-            found: list[int] = []
-            while len(found) < 500:
-                found += receiver.receive(5.0)["data"].copy().view("<i8")[:, 0].tolist()
-            assert found == list(range(500))
-    finally:
-        stop.set()
-        thread.join()
-
-
-@needs_recvmmsg
 def test_several_receivers_come_in_the_order_of_time() -> None:
     with connected() as (first, bus), connected("can1") as (second, other), ReceiverGroup([first, second]) as group:
         for number in range(20):
