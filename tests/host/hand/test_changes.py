@@ -19,7 +19,7 @@ from host.bus_with_nodes import beam_calibration, new_channel
 from host.hand.test_hand import Fingers, kinds, latest, until
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError, SdoAbortError
-from tipforce.host.configuration.calibration import write_calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration, read_calibration
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import read_calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import estimates as estimate_rows
 from tipforce.host.decoding import judged
