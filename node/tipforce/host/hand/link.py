@@ -23,11 +23,11 @@ from canopen_device.core.codes import FUNCTION_MASK, HEARTBEAT_BASE, SDO_RESPONS
 from tipforce.dictionary import objects
 from tipforce.errors import EnvironmentLackError, TipforceError
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
-from tipforce.host.hand.bring_up import responding_nodes
 from tipforce.host.hand.file import HandFile
 from tipforce.host.live.receive import open_receiver
 from tipforce.host.live.receiver import Receiver
 from tipforce.host.network.bus import Bus
+from tipforce.host.network.find import responding_nodes
 from tipforce.host.network.open_bus import open_bus
 from tipforce.samples.sync_numbers import LARGEST
 
