@@ -21,6 +21,7 @@ from host.bus_with_nodes import beam_calibration, new_channel
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -214,3 +215,20 @@ def test_a_stopped_hand_sends_nothing_more(fingers: Fingers) -> None:
                 if message is not None and message.arbitration_id < 0x700:
                     heard.append(message)
         assert heard == []
+
+
+def test_a_dead_receiver_is_told(fingers: Fingers, monkeypatch: pytest.MonkeyPatch) -> None:
+    with running(fingers) as hand:
+        events: list[Event] = []
+        hand.on_event(events.append)
+        monkeypatch.setattr("threading.excepthook", lambda _args: None)
+
+        def broken(_timeout_s: float) -> None:
+            raise ZeroDivisionError("receiver")
+
+        monkeypatch.setattr(hand._link, "receive", broken)
+        until(lambda: hand.error is not None, "it should be noticed")
+        assert not hand.settled()
+        assert hand.state(1) == "unknown: reception has ended"
+        until(lambda: any(e.kind == "failed" for e in events), "it should be an event")
+        assert "ended: ZeroDivisionError" in next(e.text for e in events if e.kind == "failed")
