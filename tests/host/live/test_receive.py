@@ -21,8 +21,7 @@ from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.frames.frame_array import SENT
 from tipforce.host.live import recvmmsg
 from tipforce.host.live.receive import SocketReceiver, open_receiver, prepare_socket
-from tipforce.host.live.receive_group import ReceiverGroup
-from tipforce.host.live.receiver import SWITCH_INTERVAL_S, Filter, InterfaceDownError, Selection
+from tipforce.host.live.receiver import SWITCH_INTERVAL_S, Filter, InterfaceDownError, ReceiverGroup, Selection
 
 CONTACT = bytes.fromhex("2E1129239A110303")
 needs_recvmmsg = pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")

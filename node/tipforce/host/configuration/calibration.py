@@ -239,20 +239,6 @@ class Calibration:
                 raise InputError(f"calibration {low}: {text}")
 
     @property
-    def not_known(self) -> tuple[str, ...]:
-        """What the calibration does not state of its validity, in words; all of it for files of version 1."""
-        missing = {
-            "calibrated force": self.calibrated_force_newtons,
-            "overload force": self.overload_force_newtons,
-            "temperature range": self.temperature_min_degC or self.temperature_max_degC,
-            "model uncertainty": self.model_uncertainty,
-            "converter limit": self.converter_limit_strain.all(),
-        }
-        if self.gauges > 3:
-            missing["redundancy limit"] = self.redundancy_limit
-        return tuple(name for name, value in missing.items() if not value)
-
-    @property
     def gauges(self) -> int:
         """Number of gauges n."""
         return int(self.C.shape[1])
