@@ -105,7 +105,7 @@ def _value(name: str, cell: str, unloaded: bool) -> float:
     return value
 
 
-def _time_faults(line: list[int], times: list[float]) -> list[BadRow]:
+def time_faults(line: list[int], times: list[float]) -> list[BadRow]:
     """Return the fewest rows whose removal leaves the times in order, with the reason.
 
     One clock jump is then one bad row (or one run of rows), not all following rows.
@@ -194,7 +194,7 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
     good = np.ones(len(line), dtype=np.bool_)
     table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns.names))
     if "t_s" in columns.names:
-        late = _time_faults(line, table[:, columns.names.index("t_s")].tolist())
+        late = time_faults(line, table[:, columns.names.index("t_s")].tolist())
         bad = sorted([*bad, *late])
         good = ~np.isin(line, [row.line for row in late])
     values_of = {name: table[good, k] for k, name in enumerate(columns.names)}
