@@ -24,8 +24,7 @@ from canopen_device.can_frame import CAN_FRAME
 from canopen_device.core.codes import SYNC_COB_ID
 from canopen_device.running.loop import Frame
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.hand.link import KEPT_FRAMES, SERVICE_FILTERS, Link
-from tipforce.host.hand.sync import ThreadSync
+from tipforce.host.hand.link import KEPT_FRAMES, SERVICE_FILTERS, Link, ThreadSync
 from tipforce.host.live.receive import SocketReceiver, prepare_socket
 from tipforce.host.network.bus import Bus
 

@@ -27,7 +27,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from websockets.sync.client import connect
 
 from tipforce.host.live.receive import SocketReceiver
-from tipforce.host.live.receive_group import ReceiverGroup
+from tipforce.host.live.receiver import ReceiverGroup
 from tipforce.scene import beam_calibration
 from tipforce.watching.feeds import FrameFeed
 from tipforce.watching.fingers import Finger, with_layout

@@ -189,7 +189,7 @@ def _log_backwards() -> Observed:
 def _rows_backwards() -> Observed:
     t_s = np.arange(100.0)
     t_s[60:64] -= 10.0
-    faults = time_faults(np.arange(2, 102), t_s)
+    faults = time_faults(list(range(2, 102)), t_s.tolist())
     lines = [line for line, _ in faults]
     held = lines == [62, 63, 64, 65] and all(reason for _, reason in faults)
     return Observed(held, f"lines {lines}: {faults[0][1]}" if faults else "nothing found")

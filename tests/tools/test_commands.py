@@ -18,7 +18,7 @@ from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.entries import entries
-from tipforce.host.configuration.calibration import write_calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.network.bus import Bus
 from tipforce_tools.cli.main import main
 from tools.rig import Tipforce, called

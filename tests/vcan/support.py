@@ -43,7 +43,7 @@ _context.set_forkserver_preload(
         *(f"tipforce_tools.network.{name}" for name in ("load", "nodes", "config", "hand", "sdo")),
         "tipforce_tools.calibrate.transfer",
         *(f"tipforce_tools.{name}.{part}" for name in ("dump", "log", "replay") for part in ("command", "session")),
-        "tipforce.host.live.receive_group", "tipforce.host.live.send", "tipforce_tools.log.writers",
+        "tipforce.host.live.receiver", "tipforce.host.live.send", "tipforce_tools.log.writers",
         *(f"tipforce_tools.view.{name}" for name in ("command", "server", "sources")),
     ]
 )  # fmt: skip

@@ -12,7 +12,8 @@ import pytest
 
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
-from tipforce.host.configuration.calibration import Calibration, write_calibration
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.network.bus import Bus
 from tipforce_tools.demo.job import case_calibration
 from vcan.support import BUS, HEARTBEAT, NODE_ID, Command, Launch, RawBus, wait_until
@@ -33,7 +34,7 @@ def run(launch: Launch, host: Bus, bus: RawBus) -> Run:
         """What the node said to the command has passed by the host, too, and can't be taken for an answer to it."""
         since_s = time.monotonic()
         bus.send(HEARTBEAT + NOBODY, b"\x7f")
-        return host.heartbeats.wait(NOBODY, (0x7F,), since_s, 1.0)
+        return host.heartbeats.wait(NOBODY, 0x7F, since_s, 1.0)
 
     def to_the_end(*words: str, code: int = OK, fresh: bool = False) -> Command:
         command = launch(*words, *BUS, fresh=fresh)

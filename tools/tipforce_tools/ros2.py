@@ -144,7 +144,7 @@ def _feed(args: argparse.Namespace, opened: ExitStack) -> tuple[Feed, int]:
     fingers, gauges = hand_fingers(file), file.finger[0].gauges
     if args.no_bring_up:
         from tipforce.host.live.receive import open_receiver
-        from tipforce.host.live.receive_group import ReceiverGroup
+        from tipforce.host.live.receiver import ReceiverGroup
 
         receiver = opened.enter_context(open_receiver({**file.bus, **bus_options(args)}))
         return FrameFeed(BusSource(ReceiverGroup([receiver])), lambda _node_id: None, gauges, fingers), gauges

@@ -14,7 +14,7 @@ from tipforce.errors import TipforceError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 
 if TYPE_CHECKING:
-    from tipforce.host.live.receive_group import ReceiverGroup
+    from tipforce.host.live.receiver import ReceiverGroup
     from tipforce.host.logs.reader import LogReader
 
 Clock = Callable[[], float]

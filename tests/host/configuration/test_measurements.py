@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.host.configuration import measurements
 from tipforce.host.configuration.measurements import MODES, BadRow, Measurements, read_measurements, write_measurements
 
 HEADER = "SG1,SG2,SG3,P_N,phi_deg,theta_deg"
@@ -150,17 +149,6 @@ def test_gauge_readings_alone(tmp_path: Path) -> None:
     assert not found.unloaded.any()
     with pytest.raises(InputError, match="P_N, phi_deg, theta_deg is missing"):
         read(tmp_path, "SG1,SG2,SG3\n1,2,3\n", loads=True)
-
-
-def test_blocks_join(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = [f"{k},2,3,1,{k},0" for k in range(25)]
-    rows[13] = "oops"
-    whole = read(tmp_path, "\n".join([HEADER, *rows]))
-    monkeypatch.setattr(measurements, "BLOCK_LINES", 4)
-    parts = read(tmp_path, "\n".join([HEADER, *rows]))
-    assert parts.bad == whole.bad == (BadRow(15, "1 cells, the header has 6"),)
-    assert parts.line.tolist() == whole.line.tolist() == [k + 2 for k in range(25) if k != 13]
-    np.testing.assert_array_equal(parts.strain, whole.strain)
 
 
 def test_written_rows_read_back(tmp_path: Path) -> None:

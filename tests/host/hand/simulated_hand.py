@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,6 +24,7 @@ from canopen_device.core.node import Device
 from host.bus_with_nodes import beam_calibration
 from tipforce.dictionary.entries import Entry
 from tipforce.fingertip.node import fingertip_node
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.host.hand import bring_up as bring_up_module
@@ -183,11 +185,11 @@ class _Heartbeats:
     def state(self, node_id: int) -> int | None:
         return self._last[node_id][1] if node_id in self._last else None
 
-    def wait(self, node_id: int, states: Sequence[int], since_s: float, timeout_s: float) -> bool:
+    def wait(self, node_id: int, wanted: int, since_s: float, timeout_s: float) -> bool:
         until_s = self._line.now_s() + timeout_s
         while True:
             heard_s, state = self._last.get(node_id, (-1.0, -1))
-            if heard_s >= since_s and state in states:
+            if heard_s >= since_s and state == wanted:
                 return True
             if self._line.now_s() >= until_s:
                 return False
@@ -201,7 +203,7 @@ class Channel(SdoChannel):
         super().__init__(network, node_id, clock=line.now_s)
         self._line = line
 
-    def _wait(self, what: str, attempt: Any, deadline_s: float = 0.0) -> bytes:
+    async def _wait(self, what: str, attempt: Any, deadline_s: float = 0.0, *, blocks: bool) -> bytes:  # noqa: ARG002
         self._exchange = exchange = Exchange(self, what, attempt, deadline_s)
         try:
             while True:
@@ -327,8 +329,10 @@ class SimulatedHand:
 
 
 @contextlib.contextmanager
-def simulated_hand(policy: str = "refuse", echo: bool = True) -> Iterator[SimulatedHand]:
-    """A hand of fingers 1 and 2 that runs."""
+def simulated_hand(
+    policy: str = "refuse", echo: bool = True, numbered: bool = True, folder: Path | None = None
+) -> Iterator[SimulatedHand]:
+    """A hand of fingers 1 and 2 that runs; with ``folder`` its file names their calibration."""
     with pytest.MonkeyPatch.context() as patch:
         line = Line(NODE_IDS)
         patch.setattr(time, "monotonic", line.now_s)
@@ -348,10 +352,13 @@ def simulated_hand(policy: str = "refuse", echo: bool = True) -> Iterator[Simula
         for module in (hand_module, bring_up_module):
             patch.setattr(module, "side_by_side", lambda act, of: [act(one) for one in of])
         link = _Link(line, echo)
+        calibration = "" if folder is None else "cal.toml"
+        if folder is not None:
+            write_calibration(folder / calibration, beam_calibration())
         file = HandFile(
-            finger=tuple(FingerPlan(node_id=n, serial=n) for n in NODE_IDS),
-            hand=HandPlan(sync_hz=SYNC_HZ, heartbeat_ms=HEARTBEAT_MS, foreign_changes=policy, numbered_sync=True),  # type: ignore[arg-type]
-            bus={}, folder="",
+            finger=tuple(FingerPlan(node_id=n, serial=n, calibration=calibration) for n in NODE_IDS),
+            hand=HandPlan(sync_hz=SYNC_HZ, heartbeat_ms=HEARTBEAT_MS, foreign_changes=policy, numbered_sync=numbered),  # type: ignore[arg-type]
+            bus={}, folder=str(folder or ""),
         )  # fmt: skip
         hand = Hand(file, link)  # type: ignore[arg-type]
         hand._queue._pool = _Pool(line)  # type: ignore[assignment]

@@ -285,6 +285,10 @@ def _renumbered(hand: SimulatedHand) -> None:
     hand.line.at(30_000, lambda: hand.line.put(codes.NMT_COB_ID, bytes((codes.NMT_RESET_COMMUNICATION, 2))))
 
 
+def _health_off(hand: SimulatedHand) -> None:
+    inject(hand, first_writes(hand, "health off"))
+
+
 def _tare_after_health(hand: SimulatedHand) -> None:
     first = first_writes(hand, "health off")
     inject(hand, first)
@@ -292,6 +296,7 @@ def _tare_after_health(hand: SimulatedHand) -> None:
 
 
 HOLES: dict[str, Callable[[SimulatedHand], None]] = {
+    "health off": _health_off,
     "256 writes, health off": _wrapped,
     "256 writes": _wrapped_with_health,
     "health off, then a tare": _tare_after_health,

@@ -17,8 +17,8 @@ from canopen_device.running.store import FileStore
 from host.bus_with_nodes import FaultyBus, beam_calibration, connected, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration import write_calibration
-from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up, responding_nodes
+from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, read_hand
 from tipforce.host.network import find
@@ -144,7 +144,7 @@ def test_responses_to_another_master_are_no_second_node(tmp_path: Path, monkeypa
             time.sleep(seconds)
 
         monkeypatch.setattr(find, "time", SimpleNamespace(sleep=sleep))
-        assert responding_nodes(connection) == {1}
+        assert find.responding_nodes(connection) == {1}
 
 
 def test_a_calibration_that_the_node_refuses(tmp_path: Path) -> None:

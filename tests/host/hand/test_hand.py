@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import threading
 import time
@@ -20,7 +19,8 @@ from canopen_device.running.store import FileStore
 from host.bus_with_nodes import beam_calibration, new_channel
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration import write_calibration
+from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -181,21 +181,11 @@ def test_a_front_end_fault_is_an_event_and_no_number(fingers: Fingers) -> None:
         until(lambda: not np.isnan(latest(hand)).any(), "the force should be known again")
 
 
-def test_asyncio_and_callbacks(fingers: Fingers) -> None:
+def test_callbacks(fingers: Fingers) -> None:
     seen: list[int] = []
-
-    async def consume(hand: Hand) -> int:
-        count = 0
-        async for rows in hand.blocks():
-            count += len(rows)
-            if count >= 10:
-                break
-        return count
-
     with running(fingers) as hand:
         hand.on_rows(lambda rows: seen.append(len(rows)))
-        assert asyncio.run(asyncio.wait_for(consume(hand), WAIT_S)) >= 10
-        assert sum(seen) >= 10
+        until(lambda: sum(seen) >= 10, "rows should come")
         with pytest.raises(InputError, match="already started"):
             hand.start()
 
@@ -214,3 +204,20 @@ def test_a_stopped_hand_sends_nothing_more(fingers: Fingers) -> None:
                 if message is not None and message.arbitration_id < 0x700:
                     heard.append(message)
         assert heard == []
+
+
+def test_a_dead_receiver_is_told(fingers: Fingers, monkeypatch: pytest.MonkeyPatch) -> None:
+    with running(fingers) as hand:
+        events: list[Event] = []
+        hand.on_event(events.append)
+        monkeypatch.setattr("threading.excepthook", lambda _args: None)
+
+        def broken(_timeout_s: float) -> None:
+            raise ZeroDivisionError("receiver")
+
+        monkeypatch.setattr(hand._link, "receive", broken)
+        until(lambda: hand.error is not None, "it should be noticed")
+        assert not hand.settled()
+        assert hand.state(1) == "unknown: reception has ended"
+        until(lambda: any(e.kind == "failed" for e in events), "it should be an event")
+        assert "ended: ZeroDivisionError" in next(e.text for e in events if e.kind == "failed")

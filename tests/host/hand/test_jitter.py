@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.hand.sync import Jitter, ThreadSync
+from tipforce.host.hand.link import Jitter, ThreadSync
 
 
 @pytest.mark.parametrize("nominal_ns", [1_000_000, 0])

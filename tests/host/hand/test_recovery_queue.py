@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from tipforce.host.hand import recovery_queue as module
-from tipforce.host.hand.recovery_queue import RecoveryQueue
+from tipforce.host.hand import recovery as module
+from tipforce.host.hand.recovery import RecoveryQueue
 
 WAIT_S = 60.0
 

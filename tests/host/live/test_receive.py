@@ -21,8 +21,7 @@ from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.frames.frame_array import SENT
 from tipforce.host.live import recvmmsg
 from tipforce.host.live.receive import SocketReceiver, open_receiver, prepare_socket
-from tipforce.host.live.receive_group import ReceiverGroup
-from tipforce.host.live.receiver import SWITCH_INTERVAL_S, Filter, InterfaceDownError, Selection
+from tipforce.host.live.receiver import SWITCH_INTERVAL_S, Filter, InterfaceDownError, ReceiverGroup, Selection
 
 CONTACT = bytes.fromhex("2E1129239A110303")
 needs_recvmmsg = pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
@@ -131,29 +130,6 @@ def test_what_the_kernel_dropped_is_counted() -> None:
         assert len(found) + receiver.dropped == 2000
     assert found == sorted(found)
     assert receiver.dropped > 0
-
-
-@needs_recvmmsg
-def test_a_busy_thread_does_not_stop_it() -> None:
-    stop = threading.Event()
-
-    def work() -> None:
-        while not stop.is_set():
-            sum(range(1000))
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    try:
-        with connected() as (receiver, bus):
-            for number in range(500):
-                bus.send(can_frame(1, struct.pack("<q", number)))
-            found: list[int] = []
-            while len(found) < 500:
-                found += receiver.receive(5.0)["data"].copy().view("<i8")[:, 0].tolist()
-            assert found == list(range(500))
-    finally:
-        stop.set()
-        thread.join()
 
 
 @needs_recvmmsg

@@ -75,12 +75,6 @@ def test_the_flags_of_a_frame_are_kept() -> None:
     assert found["can_id"].tolist() == [0x8000_0701, 0x4000_0702, 0x7FE]
 
 
-def test_closing_is_quick() -> None:
-    """canopen waits for its receiver up to a second: every command line would."""
-    with connected() as (connection, _):
-        assert connection.network.NOTIFIER_CYCLE < 0.2
-
-
 def frames(count: int) -> list[can.Message]:
     return [can.Message(arbitration_id=k, timestamp=k, is_extended_id=False) for k in range(count)]
 

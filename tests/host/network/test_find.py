@@ -16,7 +16,7 @@ from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.find import FoundNode, find_nodes
-from tipforce.host.network.finger import FingertipClient, Identity
+from tipforce.host.network.finger import FingertipClient
 
 WAIT_S = 0.2
 
@@ -122,22 +122,3 @@ def test_a_dead_bus_is_an_error(connection: Bus, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(connection.network, "send_message", refuse)
     with pytest.raises(EnvironmentLackError, match="network is down"):
         find_nodes(connection, [5], WAIT_S)
-
-
-@pytest.mark.parametrize(
-    ("product", "is_fingertip", "gauges", "simulated"),
-    [
-        (0x54500003, True, 3, False),
-        (0x54500108, True, 8, True),
-        (0x54500102, False, 2, True),
-        (0x54500009, False, 9, False),
-        (0x54510003, False, 3, False),
-        (0x54500203, True, 3, False),
-        (0x54500403, False, 3, False),
-        (0x54500013, False, 3, False),
-        (0, False, 0, False),
-    ],
-)
-def test_product_codes(product: int, is_fingertip: bool, gauges: int, simulated: bool) -> None:
-    identity = Identity(0, product, 0, 0)
-    assert (identity.is_fingertip, identity.gauges, identity.simulated) == (is_fingertip, gauges, simulated)

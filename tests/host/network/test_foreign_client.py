@@ -29,19 +29,6 @@ def both(tmp_path: Path) -> Iterator[tuple[Bus, Any]]:
         yield connection, node
 
 
-def test_sdo_by_the_names_of_the_eds(both: tuple[Bus, Any]) -> None:
-    _, node = both
-    assert node.sdo[0x1018][2].raw == 0x54500103
-    assert isinstance(node.sdo[0x1008].raw, str)
-    node.sdo[0x1017].raw = 321
-    assert node.sdo[0x1017].raw == 321
-    node.sdo[0x2100][3].raw = 1.5
-    assert node.sdo[0x2100][3].raw == 1.5
-    with pytest.raises(canopen.SdoAbortedError) as caught:
-        node.sdo[0x2105][2].raw = 7
-    assert caught.value.code == 0x06090031
-
-
 def test_pdo_configuration_is_read_changed_and_saved(both: tuple[Bus, Any]) -> None:
     connection, node = both
     node.tpdo.read()

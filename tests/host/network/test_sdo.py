@@ -106,14 +106,6 @@ def test_an_abort_names_place_code_and_meaning(
     assert len(starts) == 1, "an abort is an answer, so nothing is tried again"
 
 
-def test_after_an_abort_the_channel_works(connection: Bus) -> None:
-    sdo = connection.sdo(NODE)
-    for _ in range(3):
-        with pytest.raises(SdoAbortError):
-            sdo.write(od.CALIBRATION_STAGED_RECORD, bytes(200))
-        assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
-
-
 @pytest.mark.parametrize(
     "damage",
     [

@@ -5,15 +5,13 @@ from __future__ import annotations
 import asyncio
 import struct
 import threading
-from typing import Any
+from collections.abc import Callable, Coroutine
+from typing import Any, NamedTuple
 
 import can
 import canopen
 import pytest
-from bench.fuzz_sdo import Response
 
-from canopen_device.core.sdo_client import BlockDownload, BlockUpload, Upload
-from device.test_sdo_client import Behaviour, malice
 from host.bus_with_nodes import finger
 from host.virtual_time import DelayedBus, run
 from tipforce.dictionary import objects as od
@@ -75,34 +73,42 @@ def test_15_fingers_are_configured_in_the_time_of_the_slowest() -> None:
     assert len(set(alone_s)) == 2, "some have one object more: a write, and two reads"
 
 
-def test_tasks_share_a_channel() -> None:
-    async def work() -> None:
-        network = canopen.Network()
-        DelayedBus(network, [finger(5)], DELAY_S)
-        sdo = channel(network, 5)
-        assert await asyncio.gather(*(sdo.read_async(od.IDENTITY_SERIAL) for _ in range(5))) == [1005] * 5
+class Talk(NamedTuple):
+    """A channel to node 5, and the bus."""
 
-    run(work())
+    sdo: SdoChannel
+    bus: Any
 
 
-def test_a_cancelled_transfer_is_aborted_and_gives_its_turn_back() -> None:
-    async def work() -> None:
-        network = canopen.Network()
-        bus = DelayedBus(network, [finger(5)], 0.1)
-        sdo = channel(network, 5)
-        first = asyncio.create_task(sdo.read_async(od.DEVICE_NAME))
-        second = asyncio.create_task(sdo.read_async(od.DEVICE_NAME))
-        third = asyncio.create_task(sdo.read_async(od.IDENTITY_SERIAL))
-        await asyncio.sleep(0.15)
-        first.cancel()
-        second.cancel()
-        assert await third == 1005
-        aborts = [data for _, data in bus.sent if data[0] == 0x80]
-        assert aborts == [struct.pack("<BHBI", 0x80, 0x1008, 0, 0x08000000)]
-        with pytest.raises(asyncio.CancelledError):
-            await first
+def with_node_5(
+    kind: type[DelayedBus] = DelayedBus, delay_s: float = DELAY_S, **options: Any
+) -> Callable[[Callable[[Talk], Coroutine[Any, Any, None]]], Callable[[], None]]:
+    """Make a test of a coroutine, in virtual time."""
 
-    run(work())
+    def test_of(test: Callable[[Talk], Coroutine[Any, Any, None]]) -> Callable[[], None]:
+        async def work() -> None:
+            network = canopen.Network()
+            bus = kind(network, [finger(5)], delay_s)
+            await test(Talk(channel(network, 5, **options), bus))
+
+        return lambda: run(work())
+
+    return test_of
+
+
+@with_node_5(delay_s=0.1)
+async def test_a_cancelled_transfer_is_aborted_and_gives_its_turn_back(talk: Talk) -> None:
+    first = asyncio.create_task(talk.sdo.read_async(od.DEVICE_NAME))
+    second = asyncio.create_task(talk.sdo.read_async(od.DEVICE_NAME))
+    third = asyncio.create_task(talk.sdo.read_async(od.IDENTITY_SERIAL))
+    await asyncio.sleep(0.15)
+    first.cancel()
+    second.cancel()
+    assert await third == 1005
+    aborts = [data for _, data in talk.bus.sent if data[0] == 0x80]
+    assert aborts == [struct.pack("<BHBI", 0x80, 0x1008, 0, 0x08000000)]
+    with pytest.raises(asyncio.CancelledError):
+        await first
 
 
 def test_a_silent_node_costs_its_tries_and_an_abort_none() -> None:
@@ -120,14 +126,8 @@ def test_a_silent_node_costs_its_tries_and_an_abort_none() -> None:
     run(work())
 
 
-class Trickle:
-    """A server that answers each request of a segment with one byte, ``delay_s`` later, for ever."""
-
-    channel_info = "trickle"
-
-    def __init__(self, network: canopen.Network, delay_s: float) -> None:
-        self._network, self._delay_s = network, delay_s
-        network.bus = self  # type: ignore[assignment]
+class Trickle(DelayedBus):
+    """A server that answers each request of a segment with one byte, later, for ever."""
 
     def send(self, message: Any, _timeout: float | None = None) -> None:
         """Answer an initiate or segment request."""
@@ -138,34 +138,14 @@ class Trickle:
             answer = bytes((command & 0x10 | 6 << 1, 0x55)) + bytes(6)
         else:
             return
-        asyncio.get_running_loop().call_later(self._delay_s, self._network.notify, 0x585, bytearray(answer), 0.0)
+        self._loop.call_later(self._delay_s, self._network.notify, 0x585, bytearray(answer), 0.0)
 
 
-def test_a_server_that_always_answers_in_time_meets_the_deadline() -> None:
-    async def work() -> None:
-        network = canopen.Network()
-        Trickle(network, 0.4)
-        with pytest.raises(NoResponseError, match=r"the last: the transfer exceeded its deadline"):
-            await channel(network, 5, deadline_s=7.0).upload_async(0x1008, 0)
-        assert asyncio.get_running_loop().time() == pytest.approx(7.0, abs=1e-3)
-
-    run(work())
-
-
-def test_a_full_transmit_queue_delays_a_block() -> None:
-    """The queue of a SocketCAN interface holds ten frames, a block has up to 127."""
-
-    async def work() -> None:
-        network = canopen.Network()
-        bus = ShortQueue(network, [finger(5)], DELAY_S)
-        sdo = channel(network, 5)
-        record = bytes(range(100)) + bytes(58)
-        await sdo.write_async(od.CALIBRATION_STAGED_RECORD, record)
-        assert bus.refused > 0
-        assert await sdo.read_async(od.CALIBRATION_STAGED_RECORD) == record
-        assert sdo.has_blocks
-
-    run(work())
+@with_node_5(Trickle, 0.4, deadline_s=7.0)
+async def test_a_server_that_always_answers_in_time_meets_the_deadline(talk: Talk) -> None:
+    with pytest.raises(NoResponseError, match=r"the last: the transfer exceeded its deadline"):
+        await talk.sdo.upload_async(0x1008, 0)
+    assert asyncio.get_running_loop().time() == pytest.approx(7.0, abs=1e-3)
 
 
 class ShortQueue(DelayedBus):
@@ -187,18 +167,14 @@ class ShortQueue(DelayedBus):
         self._queued -= 1
 
 
-def test_a_node_without_blocks_is_asked_for_segments_from_then_on() -> None:
-    async def work() -> None:
-        network = canopen.Network()
-        bus = NoBlocks(network, [finger(5)], DELAY_S)
-        sdo = channel(network, 5)
-        for _ in range(2):
-            record = await sdo.read_async(od.CALIBRATION_ACTIVE_RECORD)
-            await sdo.write_async(od.CALIBRATION_STAGED_RECORD, record)
-        starts = [data[0] for _, data in bus.sent if data[0] in (0xA4, 0xC6, 0x40, 0x21)]
-        assert starts == [0xA4, 0x40, 0x21, 0x40, 0x21]
-
-    run(work())
+@with_node_5(ShortQueue)
+async def test_a_full_transmit_queue_delays_a_block(talk: Talk) -> None:
+    """The queue of a SocketCAN interface holds ten frames, a block has up to 127."""
+    record = bytes(range(100)) + bytes(58)
+    await talk.sdo.write_async(od.CALIBRATION_STAGED_RECORD, record)
+    assert talk.bus.refused > 0
+    assert await talk.sdo.read_async(od.CALIBRATION_STAGED_RECORD) == record
+    assert talk.sdo.has_blocks
 
 
 class NoBlocks(DelayedBus):
@@ -214,69 +190,26 @@ class NoBlocks(DelayedBus):
             super().send(message)
 
 
-def test_a_thread_waits_for_the_turn_of_a_task() -> None:
+@with_node_5(NoBlocks)
+async def test_a_node_without_blocks_is_asked_for_segments_from_then_on(talk: Talk) -> None:
+    for _ in range(2):
+        record = await talk.sdo.read_async(od.CALIBRATION_ACTIVE_RECORD)
+        await talk.sdo.write_async(od.CALIBRATION_STAGED_RECORD, record)
+    starts = [data[0] for _, data in talk.bus.sent if data[0] in (0xA4, 0xC6, 0x40, 0x21)]
+    assert starts == [0xA4, 0x40, 0x21, 0x40, 0x21]
+
+
+@with_node_5()
+async def test_a_thread_waits_for_the_turn_of_a_task(talk: Talk) -> None:
     """A channel is given to threads and tasks in the order in which they ask for it."""
-
-    async def work() -> None:
-        network = canopen.Network()
-        DelayedBus(network, [finger(5)], DELAY_S)
-        sdo = channel(network, 5)
-        turn, later = sdo._turns.request(), sdo._turns.request()
-        thread = threading.Thread(target=later.result)
-        thread.start()
-        task = asyncio.create_task(sdo.read_async(od.IDENTITY_SERIAL))
-        await asyncio.sleep(1.0)
-        assert (turn.done(), later.done(), task.done()) == (True, False, False)
-        sdo._turns.release()
-        thread.join()
-        assert not task.done()
-        sdo._turns.release()
-        assert await task == 1005
-
-    run(work())
-
-
-class Malicious:
-    """A server of the malicious ones, at node 5."""
-
-    channel_info = "malice"
-
-    def __init__(self, network: canopen.Network, server: Behaviour) -> None:
-        self._network, self._server = network, server
-        network.bus = self  # type: ignore[assignment]
-
-    def send(self, message: Any, _timeout: float | None = None) -> None:
-        """Let the server respond."""
-        loop = asyncio.get_running_loop()
-        for answer in self._server(round(1e6 * loop.time()), bytes(message.data)):
-            self._later(answer.delay_us, answer)
-
-    def _later(self, delay_us: int, answer: Response) -> None:
-        asyncio.get_running_loop().call_later(1e-6 * delay_us, self._receive, answer)
-
-    def _receive(self, answer: Response) -> None:
-        self._network.notify(0x585, bytearray(answer.data), 0.0)
-        answer.times -= 1
-        if answer.times > 0:
-            self._later(answer.every_us, answer)
-
-
-@pytest.mark.parametrize("name", [name for name in malice() if "endless" not in name])  # the limit here is 256 kB
-def test_a_malicious_node_costs_one_error_within_the_deadline(name: str) -> None:
-    make, server, _, text = malice()[name]
-    kind = type(make())
-
-    async def work() -> float:
-        network = canopen.Network()
-        Malicious(network, server)
-        sdo = channel(network, 5, retries=0, deadline_s=5.0)
-        sdo.has_blocks = kind in (BlockUpload, BlockDownload)
-        reads = issubclass(kind, Upload)
-        transfer = sdo.upload_async(0x2000, 0, True) if reads else sdo.download_async(0x2000, 0, bytes(range(40)))
-        with pytest.raises(NoResponseError, match=r"^node 5 \(0x05\), (read|write) of 0x2000:00: no ") as caught:
-            await transfer
-        assert text in str(caught.value)
-        assert len(str(caught.value).splitlines()) == 1
-        return asyncio.get_running_loop().time()
-
-    assert run(work()) <= 5.0
+    turn, later = talk.sdo._turns.request(), talk.sdo._turns.request()
+    thread = threading.Thread(target=later.result)
+    thread.start()
+    task = asyncio.create_task(talk.sdo.read_async(od.IDENTITY_SERIAL))
+    await asyncio.sleep(1.0)
+    assert (turn.done(), later.done(), task.done()) == (True, False, False)
+    talk.sdo._turns.release()
+    thread.join()
+    assert not task.done()
+    talk.sdo._turns.release()
+    assert await task == 1005

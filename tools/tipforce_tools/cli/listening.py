@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
-    from tipforce.host.live.receive_group import ReceiverGroup
+    from tipforce.host.live.receiver import ReceiverGroup
     from tipforce_tools.dump.output import Target
 
 
@@ -23,8 +23,7 @@ def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | 
     Raises EnvironmentLackError if a bus cannot be opened, after closing the others.
     """
     from tipforce.host.live.receive import open_receiver
-    from tipforce.host.live.receive_group import ReceiverGroup
-    from tipforce.host.live.receiver import TICK_S, Selection
+    from tipforce.host.live.receiver import TICK_S, ReceiverGroup, Selection
 
     options = resolved_options(args, named=bool(targets))
     tick = TICK_S if tick_s is None else tick_s

@@ -30,7 +30,7 @@ from tipforce_tools.cli.listening import counted
 from tipforce_tools.dump.output import STDIN, JsonWriter, Target, TextWriter, Writer, select, split_targets
 
 if TYPE_CHECKING:
-    from tipforce.host.live.receive_group import ReceiverGroup
+    from tipforce.host.live.receiver import ReceiverGroup
 
 
 def _decoder(gauges: int, eds: EdsFiles) -> Decoder:

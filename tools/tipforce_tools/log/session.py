@@ -20,7 +20,7 @@ from tipforce_tools.dump.output import split_targets
 from tipforce_tools.log.writers import LogWriter, format_suffix, open_writer
 
 if TYPE_CHECKING:
-    from tipforce.host.live.receive_group import ReceiverGroup
+    from tipforce.host.live.receiver import ReceiverGroup
 
 
 def default_name(second: float) -> str:

@@ -93,7 +93,7 @@ def _source(args: argparse.Namespace) -> Iterator[Source]:
 def _listen(args: argparse.Namespace, path: Path | None, maker: FingerMaker, fallback: Fallback | None) -> Source:
     from tipforce.host.hand.file import read_hand
     from tipforce.host.live.receive import open_receiver
-    from tipforce.host.live.receive_group import ReceiverGroup
+    from tipforce.host.live.receiver import ReceiverGroup
     from tipforce.watching.feeds import FrameFeed
     from tipforce.watching.fingers import hand_fingers
     from tipforce.watching.frame_sources import BusSource

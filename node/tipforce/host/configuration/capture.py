@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from canopen_device.core.codes import STANDARD_MASK, SYNC_COB_ID
 from tipforce.arrays import BoolArray, FloatArray
@@ -17,7 +16,7 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import mapping_signals, tpdo_messages
 from tipforce.errors import InputError, SdoAbortError
-from tipforce.host.decoding.decoder import Decoder, Samples
+from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.network.bus import Bus
 from tipforce.sensor.contact import scalar
@@ -33,16 +32,16 @@ _ROUNDS = 3  # number of attempts to replace stale samples
 _FLAGS = ("counter", "saturated", "stale", "fault")
 
 
-class Block(NamedTuple):
-    """k samples as received."""
+class Sample(NamedTuple):
+    """One sample as received."""
 
-    t_s: FloatArray
-    microstrain: FloatArray
-    """(k, n); NaN where the node reports unknown."""
-    counter: npt.NDArray[np.int64]
-    saturated: BoolArray
-    stale: BoolArray
-    fault: BoolArray
+    t_s: float
+    microstrain: Sequence[float]
+    """Of the n gauges; NaN where the node reports unknown."""
+    counter: int
+    saturated: bool
+    stale: bool
+    fault: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,18 +170,18 @@ class GaugeReader:
         if samples < 2:
             raise InputError(f"a capture of {samples} samples: allowed are 2 or more")
         self.start()
-        blocks: list[Block] = []
+        rows: list[Sample] = []
         silent = taken = 0
         for _ in range(_ROUNDS):
-            block, unanswered = (self._by_pdo if self._can_id else self._by_sdo)(samples - taken, taken, on_progress)
+            more, unanswered = (self._by_pdo if self._can_id else self._by_sdo)(samples - taken, taken, on_progress)
             silent += unanswered
-            blocks.append(block)
-            before, taken = taken, int(_fresh(_joined(blocks)).sum())
+            rows += more
+            before, taken = taken, sum(_fresh(rows))
             if taken in (before, samples):
                 break
         if silent and not taken:
             self._sdo.read(od.STATUS)  # raises NoResponseError if the node no longer responds
-        return self._judged(_joined(blocks), samples, silent)
+        return self._judged(rows, samples, silent)
 
     def moves(self) -> bool:
         """Return whether the sample counter (2121h) increments, and not only by the number of the SYNC."""
@@ -204,20 +203,23 @@ class GaugeReader:
             self._connection.sync()
         return None
 
-    def _judged(self, block: Block, samples: int, silent: int) -> Capture:
-        hit = np.isnan(block.microstrain) & (block.saturated & ~block.stale)[:, np.newaxis]
+    def _judged(self, rows: list[Sample], samples: int, silent: int) -> Capture:
+        microstrain = np.array([row.microstrain for row in rows], dtype=np.float64).reshape(-1, self._n)
+        flags: BoolArray = np.array([row[3:] for row in rows], dtype=np.bool_).reshape(-1, 3)
+        saturated, stale, fault = flags.T
+        hit = np.isnan(microstrain) & (saturated & ~stale)[:, np.newaxis]
         if self._can_id:
-            hit |= np.abs(np.nan_to_num(block.microstrain)) >= LARGEST_MICROSTRAIN - 0.5 * RESOLUTION_MICROSTRAIN
-        fresh = _fresh(block)
-        good = fresh & ~block.saturated & ~block.fault & ~hit.any(axis=1) & np.isfinite(block.microstrain).all(axis=1)
-        faulty = int(block.fault.sum())
+            hit |= np.abs(np.nan_to_num(microstrain)) >= LARGEST_MICROSTRAIN - 0.5 * RESOLUTION_MICROSTRAIN
+        fresh = np.array(_fresh(rows), dtype=np.bool_)
+        good = fresh & ~saturated & ~fault & ~hit.any(axis=1) & np.isfinite(microstrain).all(axis=1)
+        faulty = int(fault.sum())
         return Capture(
-            microstrain=block.microstrain[good],
-            t_s=block.t_s[good],
+            microstrain=microstrain[good],
+            t_s=np.array([row.t_s for row in rows], dtype=np.float64)[good],
             asked=samples,
             saturated=tuple(int(count) for count in hit.sum(axis=0)),
-            stale=int(block.stale.sum()),
-            repeated=int((~fresh & ~block.stale).sum()),
+            stale=int(stale.sum()),
+            repeated=int((~fresh & ~stale).sum()),
             faulty=faulty,
             faults=self._sdo.read(od.FAULTS) if faulty else 0,
             silent=silent,
@@ -232,62 +234,44 @@ class GaugeReader:
         mine: FrameArray = frames[frames["can_id"] == self._can_id][-1:]
         return mine
 
-    def _by_pdo(self, count: int, before: int, on_progress: Callable[[int], None]) -> tuple[Block, int]:
-        frames: list[FrameArray] = []
-        silent = in_a_row = 0
+    def _paced(self, count: int, before: int, on_progress: Callable[[int], None]) -> Iterator[None]:
+        """Yield once a period; each sample is progress."""
         for k in range(count):
             due_s = time.monotonic() + self.period_s
+            yield
+            on_progress(before + k + 1)
+            time.sleep(max(0.0, due_s - time.monotonic()))
+
+    def _by_pdo(self, count: int, before: int, on_progress: Callable[[int], None]) -> tuple[list[Sample], int]:
+        frames: list[FrameArray] = []
+        silent = in_a_row = 0
+        for _ in self._paced(count, before, on_progress):
             answer = self._ask()
             frames.append(answer)
             in_a_row = 0 if len(answer) else in_a_row + 1
             silent += in_a_row > 0
             if in_a_row >= _SILENT:
                 break
-            on_progress(before + k + 1)
-            time.sleep(max(0.0, due_s - time.monotonic()))
+        rows: list[Sample] = []
         for samples in self._decoder.decode(np.concatenate(frames)).values():
-            return _block(samples, self._n), silent
-        return _nothing(self._n), silent
+            gauges = zip(*(samples.columns[f"SG{k + 1}"].tolist() for k in range(self._n)), strict=True)
+            rows += map(Sample, (samples.t_ns * 1e-9).tolist(), gauges, *(samples.columns[n].tolist() for n in _FLAGS))
+        return rows, silent
 
-    def _by_sdo(self, count: int, before: int, on_progress: Callable[[int], None]) -> tuple[Block, int]:
-        rows: list[tuple[float, list[float], int, int]] = []
-        for k in range(count):
-            due_s = time.monotonic() + self.period_s
+    def _by_sdo(self, count: int, before: int, on_progress: Callable[[int], None]) -> tuple[list[Sample], int]:
+        rows: list[Sample] = []
+        for _ in self._paced(count, before, on_progress):
             self._connection.sync()
             counter = self._sdo.read(od.COUNTER)
             gauges = [self._sdo.read(od.PROCESS_VALUE[k + 1]) for k in range(self._n)]
             status = self._sdo.read(od.STATUS)
             if self._sdo.read(od.COUNTER) == counter:  # otherwise another sample was latched in between
-                rows.append((time.monotonic(), gauges, counter, status))
-            on_progress(before + k + 1)
-            time.sleep(max(0.0, due_s - time.monotonic()))
-        if not rows:
-            return _nothing(self._n), 0
-        times, gauges_read, counters, statuses = zip(*rows, strict=True)
-        bits = {name: np.array(statuses) >> bit & 1 == 1 for bit, (name, _) in enumerate(table.STATUS_BITS)}
-        flags = (bits[name] for name in _FLAGS[1:])
-        t_s, microstrain = np.array(times, dtype=np.float64), np.array(gauges_read, dtype=np.float64)
-        return Block(t_s, microstrain, np.array(counters, dtype=np.int64), *flags), 0
+                set_now = [name for bit, (name, _) in enumerate(table.STATUS_BITS) if status >> bit & 1]
+                rows.append(Sample(time.monotonic(), gauges, counter, *(name in set_now for name in _FLAGS[1:])))
+        return rows, 0
 
 
-def _block(samples: Samples, gauges: int) -> Block:
-    columns = samples.columns
-    microstrain = np.stack([columns[f"SG{k + 1}"] for k in range(gauges)], axis=-1)
-    flags = (columns[name] for name in _FLAGS[1:])
-    t_s = samples.t_ns.astype(np.float64) * 1e-9
-    return Block(t_s, microstrain, columns["counter"].astype(np.int64), *flags)
-
-
-def _nothing(gauges: int) -> Block:
-    none = np.zeros(0, dtype=np.bool_)
-    return Block(np.zeros(0), np.zeros((0, gauges)), np.zeros(0, dtype=np.int64), none, none, none)
-
-
-def _joined(blocks: list[Block]) -> Block:
-    return Block(*(np.concatenate(column) for column in zip(*blocks, strict=True)))
-
-
-def _fresh(block: Block) -> BoolArray:
+def _fresh(rows: list[Sample]) -> list[bool]:
     """Return which samples are independent: not stale, and without the counter of the previous sample."""
-    moved: BoolArray = np.diff(block.counter, prepend=-1) != 0
-    return moved & ~block.stale
+    before = [-1, *(row.counter for row in rows)]
+    return [not row.stale and row.counter != last for row, last in zip(rows, before, strict=False)]

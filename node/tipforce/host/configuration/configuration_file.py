@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import msgspec
 import tomli_w
@@ -23,9 +24,10 @@ from tipforce.dictionary.entries import Entry, describe
 from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects, Place
-from tipforce.host.network.sdo import Read, SdoChannel, Steps, Write
+from tipforce.host.network.sdo import Blocking, SdoChannel, finished
 
 _TEXT = "s"  # VISIBLE_STRING
+Transfers: TypeAlias = SdoChannel | Blocking
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,25 +233,25 @@ def apply_configuration(sdo: SdoChannel, wanted: Configuration) -> None:
 
     If the node rejects one, the previous values are restored as far as the node accepts them.
     """
-    sdo.run(_apply(wanted))
+    finished(_apply(Blocking(sdo), wanted))
 
 
 async def apply_configuration_async(sdo: SdoChannel, wanted: Configuration) -> None:
     """Apply for asyncio: several nodes are configured at once. Raises as ``apply_configuration``."""
-    await sdo.run_async(_apply(wanted))
+    await _apply(sdo, wanted)
 
 
-def _apply(wanted: Configuration) -> Steps[None]:
-    before = yield from _present(wanted)
+async def _apply(sdo: Transfers, wanted: Configuration) -> None:
+    before = await _present(sdo, wanted)
     try:
-        yield from _write(wanted)
+        await _write(sdo, wanted)
     except SdoAbortError:
         with contextlib.suppress(SdoAbortError, NoResponseError):
-            yield from _write(before)
+            await _write(sdo, before)
         raise
 
 
-def _present(wanted: Configuration) -> Steps[Configuration]:
+async def _present(sdo: Transfers, wanted: Configuration) -> Configuration:
     """Return the node's present values of the objects that ``wanted`` changes; of a PDO its whole mapping."""
     entries = {key: entry for key, (entry, _) in wanted.items() if entry.access != "wo"}
     for pdo in _pdos(wanted):
@@ -257,20 +259,20 @@ def _present(wanted: Configuration) -> Steps[Configuration]:
         entries[cob_id.index, cob_id.sub] = cob_id
         if any(index == count.index for index, _ in wanted):
             entries[count.index, 0] = count
-            for sub in range(1, int((yield Read(count))) + 1):
+            for sub in range(1, int(await sdo.read_async(count)) + 1):
                 entries[count.index, sub] = _entry(count.index, sub, "I")
     present: Configuration = {}
     for key, entry in sorted(entries.items()):
-        present[key] = entry, (yield Read(entry))
+        present[key] = entry, (await sdo.read_async(entry))
     return present
 
 
-def _write(values: Configuration) -> Steps[None]:
+async def _write(sdo: Transfers, values: Configuration) -> None:
     for pdo in _pdos(values):
-        yield from _apply_pdo(pdo, values)
+        await _apply_pdo(sdo, pdo, values)
     for (index, _), (entry, value) in values.items():
         if not _is_pdo(index):
-            yield Write(entry, value)
+            await sdo.write_async(entry, value)
 
 
 def _pdos(values: Configuration) -> list[int]:
@@ -288,28 +290,28 @@ def _entry(index: int, sub: int, letter: str) -> Entry[Value]:
     return Entry[Value](index, sub, letter, f"0x{index:04X}:{sub:02X}" if known is None else known.name, "rw", "")
 
 
-def _apply_pdo(parameters: int, wanted: Configuration) -> Steps[None]:
+async def _apply_pdo(sdo: Transfers, parameters: int, wanted: Configuration) -> None:
     mapping = parameters + communication.MAPPING
     cob_id, count = _pdo_entries(parameters)
-    final = wanted[parameters, 1][1] if (parameters, 1) in wanted else (yield Read(cob_id))
+    final = wanted[parameters, 1][1] if (parameters, 1) in wanted else (await sdo.read_async(cob_id))
     assert isinstance(final, int)
-    yield Write(cob_id, final | codes.COB_ID_INVALID)
+    await sdo.write_async(cob_id, final | codes.COB_ID_INVALID)
     if any(index == mapping for index, _ in wanted):
-        length = wanted[mapping, 0][1] if (mapping, 0) in wanted else (yield Read(count))
-        yield Write(count, 0)
+        length = wanted[mapping, 0][1] if (mapping, 0) in wanted else (await sdo.read_async(count))
+        await sdo.write_async(count, 0)
         for (index, sub), (entry, value) in wanted.items():
             if index == mapping and sub:
-                yield Write(entry, value)
-        yield Write(count, length)
+                await sdo.write_async(entry, value)
+        await sdo.write_async(count, length)
     for (index, sub), (entry, value) in wanted.items():
         if index == parameters and sub != 1:
-            yield Write(entry, value)
-    yield Write(cob_id, final)
+            await sdo.write_async(entry, value)
+    await sdo.write_async(cob_id, final)
 
 
 def apply_differences(sdo: SdoChannel, wanted: Configuration) -> Configuration:
     """Apply only what differs on the node, a PDO mapping as a whole; return what was written. Raises as the above."""
-    differing = sdo.run(_differing(wanted))
+    differing = finished(_differing(Blocking(sdo), wanted))
     mappings = {index for index, _ in differing if is_mapping(index)}
     written = {
         key: one
@@ -323,29 +325,29 @@ def apply_differences(sdo: SdoChannel, wanted: Configuration) -> Configuration:
 
 def verify_configuration(sdo: SdoChannel, wanted: Configuration) -> list[dict[str, object]]:
     """Return the differences: object, expected, found; write-only objects cannot be compared and are excluded."""
-    return sdo.run(_verify(wanted))
+    return finished(_verify(Blocking(sdo), wanted))
 
 
 async def verify_configuration_async(sdo: SdoChannel, wanted: Configuration) -> list[dict[str, object]]:
     """Verify for asyncio."""
-    return await sdo.run_async(_verify(wanted))
+    return await _verify(sdo, wanted)
 
 
-def _verify(wanted: Configuration) -> Steps[list[dict[str, object]]]:
+async def _verify(sdo: Transfers, wanted: Configuration) -> list[dict[str, object]]:
     differences: list[dict[str, object]] = []
-    for key, found in (yield from _differing(wanted)).items():
+    for key, found in (await _differing(sdo, wanted)).items():
         entry, value = wanted[key]
         shown, expected = types.format_value(entry.type, found), types.format_value(entry.type, value)
         differences.append({"object": f"{entry.name} ({entry})", "expected": expected, "found": shown})
     return differences
 
 
-def _differing(wanted: Configuration) -> Steps[dict[tuple[int, int], Value]]:
+async def _differing(sdo: Transfers, wanted: Configuration) -> dict[tuple[int, int], Value]:
     """Return the node's values of the objects that differ."""
     found: dict[tuple[int, int], Value] = {}
     for key, (entry, value) in wanted.items():
         if entry.access != "wo":
-            present = yield Read(entry)
+            present = await sdo.read_async(entry)
             if entry.encode(value) != entry.encode(present):
                 found[key] = present
     return found

@@ -6,9 +6,9 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
-from canopen_device.core import communication
+from canopen_device.core import codes, communication
 from canopen_device.types import Value
 from tipforce.dictionary import entries, table
 from tipforce.dictionary.entries import Entry
@@ -25,26 +25,6 @@ _CONTROLWORD = 0x6040  # of CiA 402
 _COUNTED = re.compile(r"(.+):(\d+)")
 
 
-class DeviceObjects(Protocol):
-    """Names, types and settings of one node."""
-
-    @property
-    def settings(self) -> Mapping[Place, Entry[Value]]:
-        """The settings by (index, sub).
-
-        A default includes the node-id where the flag ``ADD_NODE_ID`` is set; a stem names the object of a list.
-        """
-
-    def resolve(self, text: str) -> Entry[Value]:
-        """The entry that a person names. Raises InputError."""
-
-    def name(self, index: int, sub: int) -> str | None:
-        """The name that ``resolve`` reads, None for an entry without one."""
-
-    def check(self, entry: Entry[Value], value: Value) -> None:
-        """Raises InputError for a value that the device rejects in any case."""
-
-
 class FingertipObjects:
     """The dictionary of a fingertip with so many gauges."""
 
@@ -53,7 +33,10 @@ class FingertipObjects:
 
     @cached_property
     def settings(self) -> Mapping[Place, Entry[Value]]:
-        """The objects stored by 1010h:2 and 1010h:3. The calibration is not among them."""
+        """The objects stored by 1010h:2 and 1010h:3, by (index, sub). The calibration is not among them.
+
+        A default includes the node-id where the flag ``ADD_NODE_ID`` is set; a stem names the object of a list.
+        """
         settings: dict[Place, Entry[Value]] = {}
         for place, entry in entries.entries(self._gauges, True).items():
             if entry.access == "rw" and not entry.flags & _NO_SETTING:
@@ -64,18 +47,16 @@ class FingertipObjects:
         return settings
 
     def resolve(self, text: str) -> Entry[Value]:
-        """As ``dictionary.entries``."""
+        """The entry that a person names, as ``dictionary.entries``. Raises InputError."""
         return entries.resolve(text, self._gauges)
 
     def name(self, index: int, sub: int) -> str | None:
-        """The dotted name."""
+        """The dotted name, which ``resolve`` reads; None for an entry without one."""
         entry = entries.describe(index, sub, self._gauges)
         return None if entry is None else entry.name
 
     def check(self, entry: Entry[Value], value: Value) -> None:
-        """TPDOs do not support RTR."""
-        from canopen_device.core import codes
-
+        """Raises InputError for a value that the device rejects in any case: TPDOs do not support RTR."""
         of_tpdo = communication.TPDO <= entry.index <= communication.LAST_TPDO
         if of_tpdo and entry.sub == 1 and not int(value) & codes.NO_RTR:
             raise InputError(
@@ -149,3 +130,7 @@ class EdsObjects:
         if (entry.low is not None and value < entry.low) or (entry.high is not None and value > entry.high):
             low, high = ("any" if limit is None else limit for limit in (entry.low, entry.high))
             raise InputError(f"{entry.name} ({entry}) is {value}: allowed are {low} to {high}")
+
+
+DeviceObjects: TypeAlias = FingertipObjects | EdsObjects
+"""Names, types and settings of one node."""

@@ -1,7 +1,4 @@
-"""Read and write measurements as CSV: gauge readings with loads, times and modes; bad rows by line and reason.
-
-A block of lines is parsed at once if all its rows are valid, otherwise row by row with reasons.
-"""
+"""Read and write measurements as CSV: gauge readings with loads, times and modes; bad rows by line and reason."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ import re
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,6 +24,7 @@ LEAST_LOAD_NEWTONS, MOST_LOAD_NEWTONS = 1e-9, 1e9
 LARGEST_ANGLE_DEG = 720.0
 LARGEST_MICROSTRAIN = 1e6
 _ANGLE = (-LARGEST_ANGLE_DEG, LARGEST_ANGLE_DEG, "degrees")
+_GAUGE = (-LARGEST_MICROSTRAIN, LARGEST_MICROSTRAIN, "microstrain")
 _LIMITS = {
     "P_N": (0.0, MOST_LOAD_NEWTONS, "N: turn phi_deg by 180 for the opposite force"),
     "phi_deg": _ANGLE,
@@ -36,6 +34,11 @@ _LIMITS = {
     "t_s": (-1e18, 1e18, "s"),
 }
 """Least and largest value of a column, and the unit for messages; the columns of gauges are in microstrain."""
+
+
+MIN_GAUGES, MAX_GAUGES = 3, 8
+LOAD_COLUMNS = ("P_N", "phi_deg", "theta_deg")
+OPTIONAL_COLUMNS = ("t_s", "temperature_degC", "weight")
 
 
 class Columns(NamedTuple):
@@ -52,158 +55,6 @@ class Columns(NamedTuple):
     ignored: tuple[str, ...]
 
 
-class Block(NamedTuple):
-    """Valid rows, and the faults of the others."""
-
-    line: IntArray
-    values: FloatArray
-    """(rows, names)."""
-    mode: npt.NDArray[np.int8]
-    faults: list[tuple[int, str]]
-
-
-def read_block(lines: list[str], first_line: int, columns: Columns) -> Block:
-    """Return the rows of some lines; first_line is the number of the first."""
-    return _quick(lines, first_line, columns) or _careful(lines, first_line, columns)
-
-
-def time_faults(line: IntArray, t_s: FloatArray) -> list[tuple[int, str]]:
-    """Return the fewest rows whose removal leaves the times in order, with the reason.
-
-    One clock jump is then one bad row (or one run of rows), not all following rows.
-    """
-    if not (np.diff(t_s) < 0.0).any():
-        return []
-    times = t_s.tolist()
-    ends: list[float] = []
-    end_rows: list[int] = []
-    before = [-1] * len(times)
-    for row, t in enumerate(times):
-        place = bisect_right(ends, t)
-        before[row] = end_rows[place - 1] if place else -1
-        ends[place : place + 1] = [t]
-        end_rows[place : place + 1] = [row]
-    kept, row = set(), end_rows[-1]
-    while row >= 0:
-        kept.add(row)
-        row = before[row]
-    faults, last, after = [], None, None
-    followers = sorted(kept)
-    for row, t in enumerate(times):
-        if row in kept:
-            last = row
-            continue
-        place = bisect_right(followers, row)
-        after = followers[place] if place < len(followers) else None
-        if last is not None and t < times[last]:
-            reason = f"t_s is {t:g}, before the {times[last]:g} of line {line[last]}"
-        else:
-            reason = f"t_s is {t:g}, after the {times[after]:g} of line {line[after]}" if after is not None else "t_s"
-        faults.append((int(line[row]), reason + ": times must not decrease"))
-    return faults
-
-
-def _quick(lines: list[str], first_line: int, columns: Columns) -> Block | None:
-    """Return all rows at once; None if any of them may be invalid."""
-    separators = columns.cells - 1
-    if any(text.count(",") != separators or '"' in text or "_" in text for text in lines):
-        return None
-    try:
-        values = np.loadtxt(lines, delimiter=",", usecols=columns.places, comments=None, ndmin=2)
-    except ValueError:
-        return None
-    mode = np.full(len(lines), -1, dtype=np.int8)
-    if columns.mode is not None:
-        codes = {name: code for code, name in enumerate(MODES)} | {"": -1}
-        mode_codes = [codes.get(text.split(",")[columns.mode].strip()) for text in lines]
-        if None in mode_codes:
-            return None
-        mode = np.array(mode_codes, dtype=np.int8)
-    if values.shape[0] != len(lines) or not _all_good(values, mode, columns.names):
-        return None
-    return Block(first_line + np.arange(len(lines)), values, mode, [])
-
-
-def _limits(name: str) -> tuple[float, float, str]:
-    return _LIMITS.get(name, (-LARGEST_MICROSTRAIN, LARGEST_MICROSTRAIN, "microstrain"))
-
-
-def _all_good(values: FloatArray, mode: npt.NDArray[np.int8], names: tuple[str, ...]) -> bool:
-    low, high = np.array([_limits(name)[:2] for name in names]).T
-    if not ((values >= low) & (values <= high)).all():
-        return False
-    if "P_N" not in names:
-        return True
-    P = values[:, names.index("P_N")]
-    return not ((P > 0.0) & ((P < LEAST_LOAD_NEWTONS) | (mode == MODES.index("tare")))).any()
-
-
-def _careful(lines: list[str], first_line: int, columns: Columns) -> Block:
-    line, values, modes, faults = [], [], [], []
-    for number, text in enumerate(lines, first_line):
-        row = _row(text, columns)
-        if isinstance(row, str):
-            faults.append((number, row))
-        else:
-            line.append(number)
-            values.append(row[0])
-            modes.append(row[1])
-    return Block(
-        np.array(line, dtype=np.int64),
-        np.array(values, dtype=np.float64).reshape(len(values), len(columns.names)),
-        np.array(modes, dtype=np.int8),
-        faults,
-    )
-
-
-def _row(text: str, columns: Columns) -> tuple[list[float], int] | str:
-    """Return (values, mode) of one line, or its fault."""
-    if not text.strip():
-        return "the line is empty"
-    try:
-        cells = [cell.strip() for cell in next(csv.reader([text], strict=True))]
-    except csv.Error as error:
-        return f"the quotes do not match ({error})"
-    if len(cells) != columns.cells:
-        return f"{len(cells)} cells, the header has {columns.cells}"
-    word = "" if columns.mode is None else cells[columns.mode]
-    if word and word not in MODES:
-        return f"mode is {word!r}, allowed: {', '.join(MODES)} or blank"
-    row: dict[str, float] = {}
-    for name, place in zip(columns.names, columns.places, strict=True):
-        value = _value(name, cells[place], word == "tare" or row.get("P_N") == 0.0)
-        if isinstance(value, str):
-            return value
-        row[name] = value
-    if word == "tare" and row.get("P_N", 0.0) != 0.0:
-        return f"mode is tare, an unloaded reading, but P_N is {row['P_N']:g}"
-    return list(row.values()), MODES.index(word) if word else -1
-
-
-def _value(name: str, cell: str, unloaded: bool) -> float | str:
-    """Return the number in a cell, or its fault."""
-    if not cell and unloaded and name in ("P_N", "phi_deg", "theta_deg"):
-        return 0.0
-    try:
-        value = float(cell) if "_" not in cell else nan
-    except ValueError:
-        return f"{name} is {cell!r}, not a number" if cell else f"{name} is blank"
-    if not isfinite(value):
-        return f"{name} is {cell!r}, allowed are finite numbers"
-    low, high, unit = _limits(name)
-    if not low <= value <= high:
-        return f"{name} is {cell}, allowed is {low:g} to {high:g} {unit}"
-    if name == "P_N" and 0.0 < value < LEAST_LOAD_NEWTONS:
-        return f"P_N is {cell}, allowed is 0 (unloaded), or {LEAST_LOAD_NEWTONS:g} N and more"
-    return value
-
-
-MIN_GAUGES, MAX_GAUGES = 3, 8
-LOAD_COLUMNS = ("P_N", "phi_deg", "theta_deg")
-OPTIONAL_COLUMNS = ("t_s", "temperature_degC", "weight")
-BLOCK_LINES = 50_000
-
-
 class BadRow(NamedTuple):
     """A line that cannot be used, and the reason."""
 
@@ -213,6 +64,76 @@ class BadRow(NamedTuple):
 
     def __str__(self) -> str:
         return f"line {self.line}: {self.reason}"
+
+
+def _row(text: str, columns: Columns) -> tuple[list[float], int]:
+    """Return (values, mode) of one line. Raises InputError with its fault."""
+    if not text.strip():
+        raise InputError("the line is empty")
+    try:
+        cells = next(csv.reader([text], strict=True)) if '"' in text else text.split(",")
+    except csv.Error as error:
+        raise InputError(f"the quotes do not match ({error})") from None
+    if len(cells) != columns.cells:
+        raise InputError(f"{len(cells)} cells, the header has {columns.cells}")
+    word = "" if columns.mode is None else cells[columns.mode].strip()
+    if word and word not in MODES:
+        raise InputError(f"mode is {word!r}, allowed: {', '.join(MODES)} or blank")
+    row: dict[str, float] = {}
+    for name, place in zip(columns.names, columns.places, strict=True):
+        row[name] = _value(name, cells[place].strip(), word == "tare" or row.get("P_N") == 0.0)
+    if word == "tare" and row.get("P_N", 0.0) != 0.0:
+        raise InputError(f"mode is tare, an unloaded reading, but P_N is {row['P_N']:g}")
+    return list(row.values()), MODES.index(word) if word else -1
+
+
+def _value(name: str, cell: str, unloaded: bool) -> float:
+    """Return the number in a cell. Raises InputError with its fault."""
+    if not cell and unloaded and name in LOAD_COLUMNS:
+        return 0.0
+    try:
+        value = float(cell)
+    except ValueError:
+        raise InputError(f"{name} is {cell!r}, not a number" if cell else f"{name} is blank") from None
+    if not isfinite(value) or "_" in cell:
+        raise InputError(f"{name} is {cell!r}, allowed are finite numbers")
+    low, high, unit = _LIMITS.get(name, _GAUGE)
+    if not low <= value <= high:
+        raise InputError(f"{name} is {cell}, allowed is {low:g} to {high:g} {unit}")
+    if name == "P_N" and 0.0 < value < LEAST_LOAD_NEWTONS:
+        raise InputError(f"P_N is {cell}, allowed is 0 (unloaded), or {LEAST_LOAD_NEWTONS:g} N and more")
+    return value
+
+
+def time_faults(line: list[int], times: list[float]) -> list[BadRow]:
+    """Return the fewest rows whose removal leaves the times in order, with the reason.
+
+    One clock jump is then one bad row (or one run of rows), not all following rows.
+    """
+    if times == sorted(times):
+        return []
+    ends: list[float] = []
+    end_rows: list[int] = []
+    before = [-1] * len(times)
+    for row, t in enumerate(times):
+        place = bisect_right(ends, t)
+        before[row] = end_rows[place - 1] if place else -1
+        ends[place : place + 1] = [t]
+        end_rows[place : place + 1] = [row]
+    kept: list[int] = []
+    row = end_rows[-1]
+    while row >= 0:
+        kept.append(row)
+        row = before[row]
+    kept.reverse()
+    faults = []
+    for row in sorted(set(range(len(times))).difference(kept)):
+        place = bisect_right(kept, row)
+        early = place > 0 and times[row] < times[kept[place - 1]]
+        other = kept[place - 1] if early else kept[place]
+        reason = f"t_s is {times[row]:g}, {'before' if early else 'after'} the {times[other]:g} of line {line[other]}"
+        faults.append(BadRow(line[row], f"{reason}: times must not decrease"))
+    return faults
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -260,24 +181,27 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
     columns = _header(path, lines[0], loads)
     if not any(line.strip() for line in lines[1:]):
         raise InputError(f"{path}: line 1 is a header without rows")
-    blocks = [
-        read_block(lines[start : start + BLOCK_LINES], start + 1, columns)
-        for start in range(1, len(lines), BLOCK_LINES)
-    ]
-    line = np.concatenate([block.line for block in blocks])
-    values = np.concatenate([block.values for block in blocks])
-    mode = np.concatenate([block.mode for block in blocks])
-    bad = [BadRow(*fault) for block in blocks for fault in block.faults]
+    line, rows, modes, bad = list[int](), list[list[float]](), list[int](), list[BadRow]()
+    for number, text in enumerate(lines[1:], 2):
+        try:
+            values, mode = _row(text, columns)
+        except InputError as error:
+            bad.append(BadRow(number, str(error)))
+        else:
+            line.append(number)
+            rows.append(values)
+            modes.append(mode)
+    good = np.ones(len(line), dtype=np.bool_)
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns.names))
     if "t_s" in columns.names:
-        late = time_faults(line, values[:, columns.names.index("t_s")])
-        bad = sorted([*bad, *(BadRow(*fault) for fault in late)])
-        good = ~np.isin(line, [fault[0] for fault in late])
-        line, values, mode = line[good], values[good], mode[good]
-    values_of = {name: values[:, k] for k, name in enumerate(columns.names)}
+        late = time_faults(line, table[:, columns.names.index("t_s")].tolist())
+        bad = sorted([*bad, *late])
+        good = ~np.isin(line, [row.line for row in late])
+    values_of = {name: table[good, k] for k, name in enumerate(columns.names)}
     gauges = [column for name, column in values_of.items() if name.startswith("SG")]
     angles = [np.radians(values_of[name]) if name in values_of else None for name in LOAD_COLUMNS[1:]]
     return Measurements(
-        line=line,
+        line=np.array(line, dtype=np.int64)[good],
         strain=np.stack(gauges, axis=-1) * 1e-6,
         P_newtons=values_of.get("P_N"),
         phi_rad=angles[0],
@@ -285,7 +209,7 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
         t_s=values_of.get("t_s"),
         temperature_degC=values_of.get("temperature_degC"),
         weight=values_of.get("weight"),
-        mode=None if columns.mode is None else mode,
+        mode=None if columns.mode is None else np.array(modes, dtype=np.int8)[good],
         bad=tuple(bad),
         ignored_columns=columns.ignored,
     )

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration, read_calibration
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import estimates as estimate_rows
 from tipforce.host.decoding import judged
@@ -44,7 +44,7 @@ def read_calibrations(texts: Iterable[str]) -> dict[int | None, Calibration]:
                 raise InputError(f"--calibration {text}: write CAL.toml, or NODE=CAL.toml with a node-id from 1 to 127")
         if node in found:
             raise InputError(f"--calibration {text}: {'all nodes have' if node is None else f'node {node} has'} one")
-        found[node] = read_calibration(path if equals else text, with_fit=True)
+        found[node] = Calibration.read(path if equals else text)
     return found
 
 

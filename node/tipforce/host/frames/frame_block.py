@@ -101,11 +101,8 @@ class CandumpBlock:
         """Return the block with only its first frames, FD frames included in the count."""
         if count >= len(self):
             return self
-        fd = [one for number, one in enumerate(self.fd) if one.row + number < count]
-        classic = count - len(fd)
-        return CandumpBlock(
-            self.frames[:classic], self.interface[:classic], self.names, self.sent[:classic], self.timed, tuple(fd)
-        )
+        fd_rows = np.array([frame.row + number < count for number, frame in enumerate(self.fd)], dtype=np.bool_)
+        return self.take(slice(count - int(fd_rows.sum())), fd_rows)
 
     def in_order(self) -> Iterator[tuple[int, int, int, bytes, int, bool] | FdFrame]:
         """Yield classic frames as (t_ns, can_id, length, data, interface, sent), and CAN FD frames in their places."""

@@ -12,10 +12,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
-import numpy as np
-
 from canopen_device.core import codes, communication
-from canopen_device.core.codes import INITIALISING
 from canopen_device.types import Value
 from tipforce.dictionary import objects, table
 from tipforce.dictionary.signals import tpdo_messages
@@ -26,14 +23,13 @@ from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.find import DEVICE_TYPE, device_type_responses
+from tipforce.host.network.find import FIND_S, responding_nodes
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssAddress, LssMaster
 from tipforce.host.network.nmt import command_and_wait
 from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
-FIND_S = 0.25  # for the responses of all nodes to one request each
 HEALTH_MS = 300
 """Event timer of the health PDO: 2126h comes at least so often."""
 
@@ -177,7 +173,7 @@ def _assign_one(connection: Bus, master: LssMaster, plan: FingerPlan, store: boo
     master.release()
     if former != codes.LSS_UNCONFIGURED:
         connection.nmt("reset-comm", former)
-    if not connection.heartbeats.wait(plan.node_id, (INITIALISING,), since_s, BOOT_S):
+    if not connection.heartbeats.wait(plan.node_id, codes.INITIALISING, since_s, BOOT_S):
         raise NoResponseError(f"{address} did not boot with its new node-id {plan.node_id} within {BOOT_S:g} s")
     return f"{address}: node-id {plan.node_id}" + (f", before {former}" if former != codes.LSS_UNCONFIGURED else "")
 
@@ -195,14 +191,6 @@ def select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
             if found is not None:
                 return found
     return None
-
-
-def responding_nodes(connection: Bus) -> set[int]:
-    """Request 1000h from every node-id; return those that respond."""
-    frames = device_type_responses(connection, range(1, codes.NODE_ID_MASK + 1), FIND_S)
-    frames = frames[(frames["data"][:, 1:4] == DEVICE_TYPE).all(axis=1)]  # not those that another master requested
-    answers = frames["can_id"].astype(np.int64) - codes.SDO_RESPONSE_BASE
-    return set(answers[(answers > 0) & (answers <= codes.NODE_ID_MASK)].tolist())
 
 
 def _check_alone(sdo: SdoChannel) -> str:

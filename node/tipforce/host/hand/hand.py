@@ -21,19 +21,17 @@ from typing import Any
 
 import numpy as np
 
+from canopen_device.core import emcy
 from canopen_device.core.codes import OPERATIONAL
 from tipforce.errors import EnvironmentLackError, InputError, RefusedError, TipforceError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.frames.frame_array import FRAME
-from tipforce.host.hand.bring_up import FingerReport, bring_up, side_by_side
-from tipforce.host.hand.events import BabbleWatch, Event, Supervisor
+from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up, side_by_side
+from tipforce.host.hand.events import BabbleWatch, Event, Supervisor, waited_s
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
-from tipforce.host.hand.link import Link, SharedLink, open_link
-from tipforce.host.hand.recovery import Recovery
-from tipforce.host.hand.recovery_queue import RecoveryQueue
+from tipforce.host.hand.link import Jitter, JitterFigures, Link, SharedLink, open_link, sync_data, wanted_overflow
+from tipforce.host.hand.recovery import LOST, Recovery, RecoveryQueue
 from tipforce.host.hand.rows import Collector, Delivery, HandRows, RowStream
-from tipforce.host.hand.supervision import Supervision
-from tipforce.host.hand.sync import Jitter, JitterFigures, sync_data, wanted_overflow
 from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
@@ -44,6 +42,10 @@ HEARTBEATS_MISSED = 2.5  # heartbeat time-out in periods
 REOPEN_S = 0.1
 _TICK_S = 0.01
 _MOST_OLD_BATCHES = 1000
+_RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
+_HEALTH_SILENT_S = 1.5e-3 * HEALTH_MS  # then 2126h is read
+_UNANSWERED_S = 1.0  # a finger that is off is noticed by its heartbeat before
+_LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +80,8 @@ class Hand:
             file, lambda: self._link.connection, self._supervisor, self._collector, self._delivery.event
         )
         self._queue = RecoveryQueue(self._recovery.recover)
-        self._supervision = Supervision(
-            self._supervisor, BabbleWatch(plan.sync_hz), self._collector, self._recovery, self._queue,
-            self._delivery.event,
-        )  # fmt: skip
+        self._babbling = BabbleWatch(plan.sync_hz)
+        self._probe_s = self._heard_s = 0.0  # of the next LSS search; all frames up to then were read
         self._nodes: set[int] | None = None  # all on the bus, by the bring-up
         self._end_sync: Callable[[], None] = lambda: None
         self._thread: threading.Thread | None = None
@@ -300,7 +300,51 @@ class Hand:
             self._collector.trust.count_rows(rows.reason, now_s)
             self._jitter.add(rows.sync_ns)
             self._delivery.put(rows)
-        self._supervision.process(frames, now_s)
+        self._supervise(frames, now_s)
+
+    def _supervise(self, frames: FrameArray, now_s: float) -> None:
+        """Judge what frames say of the fingers, also that none came: events, and the recoveries they call for."""
+        self._heard_s = max(self._heard_s, now_s - waited_s(frames, time.time_ns()))
+        for event in self._supervisor.add(frames, self._heard_s) + self._babbling.add(frames, now_s):
+            self._delivery.event(event)
+            self._react(event)
+        trust, states = self._collector.trust, self._supervisor.states
+        for node_id in trust.take_changes():
+            text = "it was changed by another master: its values are unknown until they are verified"
+            self._delivery.event(Event(time.monotonic(), node_id, "changed", text))
+        for node_id in trust.take_unanswered(now_s, max(_UNANSWERED_S, 1.5 * self._supervisor.timeout_s)):
+            if states[node_id] == OPERATIONAL:
+                self._delivery.event(Event(time.monotonic(), node_id, "failed", "operational, but it answers no SYNC"))
+                trust.ask(node_id, self._recovery.needed_keys(node_id))
+                self._queue.need([node_id])
+        due = trust.due(now_s, _HEALTH_SILENT_S)
+        self._queue.need([n for n in due if states[n] == OPERATIONAL or trust.changed(n)])  # starts what waits, too
+        self._queue.need(trust.take_asked(now_s), quiet=True)
+        # Search by LSS: a finger that lost its node-id at power-off sends no boot-up message.
+        if now_s >= self._probe_s:
+            self._probe_s = now_s + _LOST_PROBE_S
+            if any(state < 0 for state in states.values()):
+                self._queue.need([LOST])
+
+    def _react(self, event: Event) -> None:
+        """Request the recovery that an event calls for."""
+        node_id = event.node_id
+        if event.kind == "boot_up":
+            self._recovery.booted(node_id)
+            self._queue.need([node_id])
+        elif event.kind == "heartbeat_lost":
+            self._recovery.silent(node_id)
+            self._queue.drop(node_id)
+        elif event.kind in ("state", "heartbeat_back"):
+            self._collector.expect(node_id, event.code == OPERATIONAL)
+            if event.kind == "heartbeat_back" or event.code != OPERATIONAL:
+                self._queue.need([node_id])
+        elif event.kind == "duplicate":
+            self._collector.trust.suspect([node_id])  # until SDO shows what it is, and that one node responds
+            self._queue.need([node_id])
+        elif event.kind == "emcy" and event.code in _RECOVERED_BY_HAND:
+            self._collector.trust.suspect([node_id], (COUNTER,))
+            self._queue.need([node_id])
 
     # --- SYNC -----------------------------------------------------------------------------------------------------
 

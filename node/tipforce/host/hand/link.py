@@ -1,24 +1,35 @@
 """Access of a hand to its bus: a connection for SDO and NMT, a receiver for all frames, and a SYNC producer.
 
 On SocketCAN the receiver is a separate raw socket, which also receives the SYNCs that the kernel sends. On other
-interfaces one python-can bus does both, and own SYNCs are inserted among the received frames when they are sent.
+interfaces one python-can bus does both, and own SYNCs, sent by a thread, are inserted among the received frames.
 """
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from itertools import accumulate, cycle, pairwise
+from statistics import median
 from typing import Any
 
+import can
+import numpy as np
+import numpy.typing as npt
+
 from canopen_device.core.codes import FUNCTION_MASK, HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
-from tipforce.errors import EnvironmentLackError
+from tipforce.dictionary import objects
+from tipforce.errors import EnvironmentLackError, TipforceError
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
-from tipforce.host.hand.sync import ThreadSync, kernel_sync
+from tipforce.host.hand.file import HandFile
 from tipforce.host.live.receive import open_receiver
 from tipforce.host.live.receiver import Receiver
 from tipforce.host.network.bus import Bus
+from tipforce.host.network.find import responding_nodes
 from tipforce.host.network.open_bus import open_bus
+from tipforce.samples.sync_numbers import LARGEST
 
 SERVICE_FILTERS = (
     {"can_id": SDO_RESPONSE_BASE, "can_mask": FUNCTION_MASK, "extended": False},
@@ -113,3 +124,153 @@ class SocketLink(Link):
 def open_link(options: Mapping[str, Any]) -> Link:
     """Open the bus that ``options`` (keywords of ``can.Bus``) name. Raises EnvironmentLackError."""
     return SocketLink(options) if options.get("interface") == "socketcan" else Link(Bus(open_bus(**options)))
+
+
+def sync_data(first: int, overflow: int = LARGEST) -> list[bytes]:
+    """Return the data of SYNCs to send in turn: numbers from ``first`` up to ``overflow`` and on from 1; 0: without."""
+    return [bytes(((first + k - 1) % overflow + 1,)) for k in range(overflow)] if first else [b""]
+
+
+def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
+    """Send SYNCs with ``data`` in turn by CAN_BCM on python-can's SocketCAN bus, until the returned function is called.
+
+    Raises EnvironmentLackError.
+    """
+    messages = [can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=number) for number in data]
+    try:
+        task = bus.send_periodic(messages, period_s)
+    except (can.CanError, OSError) as error:
+        raise EnvironmentLackError(f"SYNC by the kernel's broadcast manager: {error}; `modprobe can-bcm`") from error
+
+    def stop() -> None:
+        with suppress(can.CanError, OSError):  # a removed interface has removed its tasks too
+            task.stop()
+
+    return stop
+
+
+class ThreadSync:
+    """Send SYNCs with ``data`` in turn from a thread at fixed times: a late one does not delay the following ones."""
+
+    def __init__(self, send: Callable[[bytes], None], period_s: float, data: Sequence[bytes] = (b"",)) -> None:
+        self._send, self._period_s, self._data = send, period_s, cycle(data)
+        self._stopped = threading.Event()
+        self.error: Exception | None = None
+        """The error that ended it."""
+        self.skipped = 0
+        """SYNCs that were omitted because their time had passed."""
+        self._thread = threading.Thread(target=self._run, name="SYNC", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop sending; returns when the thread has ended."""
+        self._stopped.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        due_s = time.monotonic()
+        while not self._stopped.is_set():
+            try:
+                self._send(next(self._data))
+            except EnvironmentLackError as error:
+                self.error = error
+                return
+            due_s += self._period_s
+            # More than half a period late: omitted, because two SYNCs close together leave no time for the first.
+            behind = int((time.monotonic() - due_s) / self._period_s + 0.5)
+            if behind > 0:
+                self.skipped += behind
+                due_s += behind * self._period_s
+            # A wait on the event would wake later than a sleep; stop() takes at most a period.
+            time.sleep(max(due_s - time.monotonic(), 0.0))
+
+
+_LISTEN_S = 0.5  # for the SYNC of another device
+
+
+def wanted_overflow(link: Link, file: HandFile, nodes: set[int] | None) -> int | None:
+    """Return 1019h for the fingers: LARGEST to number, 0 not to; None where no SYNC of another device is received.
+
+    ``nodes``: node-ids of all nodes on the bus; None: they are searched.
+    """
+    plan = file.hand
+    if not plan.sync_hz:
+        return _of_other_producer(link)
+    if plan.numbered_sync != "auto":
+        return LARGEST if plan.numbered_sync else 0
+    others = (responding_nodes(link.connection) if nodes is None else nodes) - set(file.node_ids)
+    return LARGEST if all(_takes_numbers(link, node_id) for node_id in others) else 0
+
+
+def _takes_numbers(link: Link, node_id: int) -> bool:
+    try:
+        return link.connection.sdo(node_id).read(objects.SYNC_COUNTER_OVERFLOW) > 1
+    except TipforceError:
+        return False
+
+
+def _of_other_producer(link: Link) -> int | None:
+    deadline_s = time.monotonic() + _LISTEN_S
+    while (left_s := deadline_s - time.monotonic()) > 0:
+        frames = link.receive(left_s)
+        lengths = frames["length"][frames["can_id"] == SYNC_COB_ID]
+        if len(lengths):
+            return LARGEST if lengths[-1] == 1 else 0
+    return None
+
+
+_BIN_NS, _BINS = 1000, 50_001  # up to 50 ms; the last bin is for larger ones
+
+
+@dataclass(frozen=True, slots=True)
+class JitterFigures:
+    """Deviations of SYNC periods from the nominal one, microseconds; NaN before the first period."""
+
+    periods: int
+    mean_period_us: float
+    p50_us: float
+    p99_us: float
+    largest_us: float
+
+
+class Jitter:
+    """Collect the receive times of SYNCs with the nominal period ``period_ns`` (0: unknown, the mean is used)."""
+
+    def __init__(self, period_ns: int = 0) -> None:
+        self._period_ns = period_ns
+        self._histogram = [0] * _BINS
+        self._last_ns: int | None = None
+        self._sum_ns = self._largest_ns = 0
+        self._periods = 0
+
+    def add(self, sync_ns: npt.NDArray[np.int64]) -> None:
+        """Add the times of further SYNCs (m,), in order."""
+        times = ([] if self._last_ns is None else [self._last_ns]) + sync_ns.tolist()
+        periods = [after - before for before, after in pairwise(times)]
+        if times:
+            self._last_ns = times[-1]
+        if periods:
+            self._period_ns = self._period_ns or int(median(periods))
+        for period in periods:
+            deviation = abs(period - self._period_ns)
+            self._histogram[min(deviation // _BIN_NS, _BINS - 1)] += 1
+            self._sum_ns += period
+            self._largest_ns = max(self._largest_ns, deviation)
+        self._periods += len(periods)
+
+    def skip(self) -> None:
+        """Restart with the next SYNC after a deliberate interruption."""
+        self._last_ns = None
+
+    def figures(self) -> JitterFigures:
+        """Return the results so far; percentiles to a microsecond, rounded up."""
+        if not self._periods:
+            return JitterFigures(0, *[float("nan")] * 4)
+        percentiles_us = []
+        for share in (0.50, 0.99):
+            least = share * self._periods  # before the histogram, which another thread may extend
+            place = next(place for place, count in enumerate(accumulate(self._histogram)) if count >= least)
+            percentiles_us.append(min((place + 1) * _BIN_NS, self._largest_ns) / 1e3)
+        p50, p99 = percentiles_us
+        return JitterFigures(self._periods, self._sum_ns / self._periods / 1e3, p50, p99, self._largest_ns / 1e3)

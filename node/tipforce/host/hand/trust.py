@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -45,32 +46,34 @@ COMMANDED = (objects.CALIBRATION_ACTIVE_CRC, objects.TARE_F1, objects.TARE_F2, o
 """What commands change, besides the offsets."""
 
 
+@dataclass(slots=True)
 class Finger:
     """What is known of one finger; objects by ``key_of``."""
 
-    __slots__ = (
-        "answered_row", "answered_s", "asked", "asked_s", "block_until_s", "changed", "claims", "due_s", "flight_s",
-        "health_s", "hidden", "known", "pending", "place", "seen", "shown_row", "told", "transfer", "unanswered",
-        "unsure",
-    )  # fmt: skip
-
-    def __init__(self) -> None:
-        self.known: Mapping[int, int] = {}
-        self.seen: dict[int, int] = {}
-        self.unsure: set[int] = set()
-        self.asked = frozenset[int]()
-        self.asked_s = 0.0  # when they are to be read
-        self.hidden = False  # the hand itself configures it, or is going to
-        self.changed = self.told = False  # something was seen otherwise; that is an event
-        self.pending = False  # to be verified
-        self.due_s = 0.0
-        # By object, the identifiers that it may send, though it should not; None: any.
-        self.claims: dict[int, set[int | None]] = {}
-        self.place, self.transfer = -1, frozenset[int]()  # of the last download, and what it may change
-        self.flight_s, self.block_until_s = -math.inf, -math.inf
-        self.health_s = math.inf
-        self.answered_row = self.shown_row = 0
-        self.answered_s, self.unanswered = math.inf, False  # the time of the last answer; said that there is none
+    node_id: int
+    column: int
+    """Its place among the fingers."""
+    known: Mapping[int, int] = field(default_factory=dict)
+    seen: dict[int, int] = field(default_factory=dict)
+    unsure: set[int] = field(default_factory=set)
+    asked: frozenset[int] = frozenset()
+    asked_s: float = 0.0  # when they are to be read
+    hidden: bool = False  # the hand itself configures it, or is going to
+    changed: bool = False  # something was seen otherwise
+    announced: bool = False  # that is an event
+    pending: bool = False  # to be verified
+    due_s: float = 0.0
+    # By object, the identifiers that it may send, though it should not; None: any.
+    claims: dict[int, set[int | None]] = field(default_factory=dict)
+    place: int = -1  # of the last download
+    transfer: frozenset[int] = frozenset()  # what that may change
+    flight_s: float = -math.inf
+    block_until_s: float = -math.inf
+    health_s: float = math.inf
+    answered_row: int = 0
+    answered_s: float = math.inf  # the time of the last answer
+    unanswered: bool = False  # that there is none is an event
+    shown_row: int = 0
 
 
 _Handler = Callable[[Finger, int, float], None]
@@ -87,7 +90,7 @@ class Trust:
         self.lock = threading.Lock()
         self.shown = [True] * len(node_ids)
         self._node_ids = tuple(node_ids)
-        self._fingers = [Finger() for _ in node_ids]
+        self._fingers = [Finger(n, k) for k, n in enumerate(node_ids)]
         self._answers = {health.cob_id_base + n: k for k, n in enumerate(node_ids)} | dict(answers)
         self._rows, self._real_rows = entries(gauges, True), entries(gauges)
         self._shift = next(s.start_bit for s in health.signals if s.index == indices.CONFIGURATION_COUNTER)
@@ -124,7 +127,7 @@ class Trust:
         """
         with self.lock:
             finger = self._at(node_id)
-            finger.known, finger.hidden, finger.changed, finger.told = known, False, False, False
+            finger.known, finger.hidden, finger.changed, finger.announced = known, False, False, False
             finger.asked, finger.asked_s = frozenset(later).difference(finger.seen), self._now_s + _LATER_S
             finger.unsure = {key for key, value in known.items() if finger.seen.get(key) != value} - finger.asked
             for key in finger.unsure:
@@ -132,17 +135,17 @@ class Trust:
             finger.claims = {key: values for key, values in finger.claims.items() if values != {known.get(key)}}
             finger.pending, finger.due_s = bool(finger.unsure), self._now_s + _AGAIN_S
             self.ids = dict(self._fixed)
-            for k, one in enumerate(self._fingers):
-                cob_id = one.known.get(communication.RPDO << 8 | 1, codes.COB_ID_INVALID)
+            for other in self._fingers:
+                cob_id = other.known.get(communication.RPDO << 8 | 1, codes.COB_ID_INVALID)
                 if not cob_id & codes.COB_ID_INVALID:
-                    self.ids.setdefault(cob_id & codes.STANDARD_MASK, (self._command, k, _ANY))
+                    self.ids.setdefault(cob_id & codes.STANDARD_MASK, (self._command, other.column, _ANY))
             self._judge()
 
     def refuse(self, node_id: int, changed: Collection[int]) -> None:
         """Keep values unknown until these objects are seen as they are known."""
         with self.lock:
             finger = self._at(node_id)
-            finger.hidden, finger.pending, finger.changed, finger.told = False, False, True, True
+            finger.hidden, finger.pending, finger.changed, finger.announced = False, False, True, True
             finger.unsure |= set(changed)
             self._judge()
 
@@ -182,16 +185,16 @@ class Trust:
     def take_changes(self) -> list[int]:
         """Return the fingers of which a change was seen since the last call."""
         with self.lock:
-            told = [k for k, one in enumerate(self._fingers) if one.changed and not one.told]
-            for k in told:
-                self._fingers[k].told = True
-            return [self._node_ids[k] for k in told]
+            changed = [finger for finger in self._fingers if finger.changed and not finger.announced]
+            for finger in changed:
+                finger.announced = True
+            return [finger.node_id for finger in changed]
 
     def due(self, now_s: float, health_s: float) -> list[int]:
         """Return the fingers to verify now: unsure ones, and those whose health PDO did not come for ``health_s``."""
         with self.lock:
             self._now_s, due = now_s, []
-            for node_id, finger in zip(self._node_ids, self._fingers, strict=True):
+            for finger in self._fingers:
                 if not finger.known or finger.hidden:
                     finger.health_s = now_s
                     continue
@@ -199,16 +202,16 @@ class Trust:
                 if unverified or now_s - min(finger.health_s, now_s) > health_s:
                     finger.due_s = now_s + (DECIDE_S if finger.changed else _AGAIN_S)
                     finger.health_s = now_s
-                    due.append(node_id)
+                    due.append(finger.node_id)
             return due
 
     def take_asked(self, now_s: float) -> list[int]:
         """Return the fingers of which objects are to be read while values are shown; each once."""
         with self.lock:
-            asked = [k for k, finger in enumerate(self._fingers) if finger.asked and now_s >= finger.asked_s]
-            for k in asked:
-                self._fingers[k].asked_s = math.inf
-            return [self._node_ids[k] for k in asked]
+            asked = [finger for finger in self._fingers if finger.asked and now_s >= finger.asked_s]
+            for finger in asked:
+                finger.asked_s = math.inf
+            return [finger.node_id for finger in asked]
 
     def shows(self, node_id: int) -> bool:
         """Return whether the values of a finger are shown."""
@@ -228,25 +231,24 @@ class Trust:
     def take_unanswered(self, now_s: float, limit_s: float) -> list[int]:
         """Return the verified fingers that answered no SYNC for so long; each once, until it answers again."""
         with self.lock:
-            found = [
-                k
-                for k, one in enumerate(self._fingers)
-                if self.shown[k]
-                and not one.unanswered
-                and self._row - one.answered_row >= _UNANSWERED_ROWS
-                and now_s - one.answered_s > limit_s
+            silent = [
+                finger
+                for finger in self._fingers
+                if self.shown[finger.column]
+                and not finger.unanswered
+                and self._row - finger.answered_row >= _UNANSWERED_ROWS
+                and now_s - finger.answered_s > limit_s
             ]
-            for k in found:
-                self._fingers[k].unanswered = True
-            return [self._node_ids[k] for k in found]
+            for finger in silent:
+                finger.unanswered = True
+            return [finger.node_id for finger in silent]
 
     def settled(self, now_s: float) -> bool:
         """Return whether rows come, and all fingers are in them."""
         with self.lock:
             come = now_s - self._row_s < max(_SETTLED_S, 3.0 * self._period_s)
             return come and all(
-                shown and self._row - finger.shown_row < _SETTLED_ROWS
-                for shown, finger in zip(self.shown, self._fingers, strict=True)
+                self.shown[finger.column] and self._row - finger.shown_row < _SETTLED_ROWS for finger in self._fingers
             )
 
     def note(self, can_id: int, length: int, word: int, now_s: float) -> None:
@@ -260,8 +262,8 @@ class Trust:
 
     def _nmt(self, _finger: Finger, word: int, now_s: float) -> None:
         command, node_id = word & 0xFF, word >> 8 & 0xFF
-        for of, finger in zip(self._node_ids, self._fingers, strict=True):
-            if node_id in (0, of):
+        for finger in self._fingers:
+            if node_id in (0, finger.node_id):
                 restarts = command in (codes.NMT_RESET_NODE, codes.NMT_RESET_COMMUNICATION)
                 if restarts:
                     self._forget(finger)
@@ -376,15 +378,16 @@ class Trust:
             finger.pending |= finger.changed and not finger.unsure
 
     def _judge(self) -> None:
-        for k, finger in enumerate(self._fingers):
-            self.shown[k] = not (finger.hidden or finger.unsure or self._claimed(k))
+        for finger in self._fingers:
+            self.shown[finger.column] = not (finger.hidden or finger.unsure or self._claimed(finger))
 
-    def _claimed(self, k: int) -> bool:
+    def _claimed(self, finger: Finger) -> bool:
         """Return whether another finger may send what is taken for an answer of this one."""
         return any(
-            value is None or (not value & codes.COB_ID_INVALID and self._answers.get(value & codes.STANDARD_MASK) == k)
+            value is None
+            or (not value & codes.COB_ID_INVALID and self._answers.get(value & codes.STANDARD_MASK) == finger.column)
             for other in self._fingers
-            if other.claims and other is not self._fingers[k]
+            if other.claims and other is not finger
             for values in other.claims.values()
             for value in values
         )

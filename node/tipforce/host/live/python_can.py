@@ -82,23 +82,16 @@ def message_block(messages: Iterable[can.Message], names: dict[str, int], channe
             fd.append(FdFrame(len(classic), t_ns, can_id, flags, data, interface(message), sent))
         else:
             classic.append(message)
-    frames = message_frames(classic)
+    frames: FrameArray = np.zeros(len(classic), dtype=FRAME)
     number = np.array([interface(message) for message in classic], dtype=np.uint16)
-    frames["channel"] = number
     sent_here = np.array([not message.is_rx for message in classic], dtype=np.bool_)
-    return CandumpBlock(frames, number, tuple(names), sent_here, fd=tuple(fd))
-
-
-def message_frames(messages: list[can.Message]) -> FrameArray:
-    """Return classic python-can messages as FRAME (n,); ``channel`` stays 0."""
-    frames: FrameArray = np.zeros(len(messages), dtype=FRAME)
-    frames["t_ns"] = [round(message.timestamp * 1e9) for message in messages]
-    frames["can_id"] = [raw_can_id(message) for message in messages]
-    frames["length"] = [min(message.dlc, 8) for message in messages]
-    frames["flags"] = [0 if message.is_rx else SENT for message in messages]
-    data = b"".join(bytes(message.data)[:8].ljust(8, b"\0") for message in messages)
+    frames["t_ns"] = [round(message.timestamp * 1e9) for message in classic]
+    frames["can_id"] = [raw_can_id(message) for message in classic]
+    frames["length"] = [min(message.dlc, 8) for message in classic]
+    frames["channel"], frames["flags"] = number, sent_here * SENT
+    data = b"".join(bytes(message.data)[:8].ljust(8, b"\0") for message in classic)
     frames["data"] = np.frombuffer(data, dtype=np.uint8).reshape(-1, 8)
-    return frames
+    return CandumpBlock(frames, number, tuple(names), sent_here, fd=tuple(fd))
 
 
 def message(t_ns: int, can_id: int, length: int, data: bytes, channel: str, sent: bool, **flags: bool) -> can.Message:

@@ -17,7 +17,7 @@ import canopen
 from canopen_device.core import codes
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
-from tipforce.host.network.nmt import Heartbeats
+from tipforce.host.network.nmt import NMT_COMMANDS, Heartbeats
 from tipforce.host.network.open_bus import open_bus
 from tipforce.host.network.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel, checked_time
 
@@ -25,13 +25,6 @@ if TYPE_CHECKING:
     from tipforce.host.network.find import FoundNode
     from tipforce.host.network.finger import Finger
 
-NMT_COMMANDS = {
-    "start": codes.NMT_START,
-    "stop": codes.NMT_STOP,
-    "preop": codes.NMT_ENTER_PRE_OPERATIONAL,
-    "reset-node": codes.NMT_RESET_NODE,
-    "reset-comm": codes.NMT_RESET_COMMUNICATION,
-}
 _SYNC_SILENT_S = 1.0
 _LONGEST_SYNC_PERIOD_S = 10.0
 _RECEIVE_CYCLE_S = 0.05  # maximum time for which close() waits for the receiver; canopen's own is a second
@@ -162,7 +155,7 @@ class Bus:
             raise InputError(f"NMT command {command!r}: allowed are {', '.join(NMT_COMMANDS)}")
         if node_id not in range(128):
             raise InputError(f"node-id {node_id!r}: allowed are 1 to 127, and 0 for all nodes")
-        self.send(codes.NMT_COB_ID, bytes((NMT_COMMANDS[command], node_id)))
+        self.send(codes.NMT_COB_ID, bytes((NMT_COMMANDS[command][0], node_id)))
 
     def sync(self) -> None:
         """Send one SYNC, with its number where ``sync_overflow`` asks for one."""

@@ -7,12 +7,13 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from canopen_device.core import codes
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.service_texts import state_text
 from tipforce.dictionary.table import REVISION
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError
-from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import checked_time
 from tipforce.samples import reasons
@@ -20,9 +21,10 @@ from tipforce.samples import reasons
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
 
-DEVICE_TYPE = (0x00, 0x10, 0x00)
-"""1000h:00 in bytes 1 to 3 of a request, and of its response or abort."""
-_READ_DEVICE_TYPE = bytes((0x40, *DEVICE_TYPE, 0, 0, 0, 0))
+FIND_S = 0.25
+"""For the responses of all nodes to one request each."""
+_DEVICE_TYPE = (0x00, 0x10, 0x00)  # 1000h:00 in bytes 1 to 3 of a request, and of its response or abort
+_READ_DEVICE_TYPE = bytes((0x40, *_DEVICE_TYPE, 0, 0, 0, 0))
 _IN_A_ROW, _GAP_S = 8, 1e-3  # requests without a pause, so that short transmit queues do not overflow
 _STEP_S = 0.02  # between looks whether every node-id was heard
 
@@ -72,14 +74,17 @@ def find_nodes(connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2) ->
     return [_describe(connection, n, states.get(n), n in answered) for n in sorted(answered | set(states))]
 
 
-def device_type_responses(connection: Bus, node_ids: Collection[int], wait_s: float) -> FrameArray:
-    """Request 1000h from every node-id; return all frames received within ``wait_s``, FRAME (n,).
+def responding_nodes(connection: Bus) -> set[int]:
+    """Request 1000h from every node-id; return those that respond within FIND_S.
 
     The full time, even if each has responded: a second node with the same id needs its time too.
     """
-    _request_device_types(connection, node_ids)
-    time.sleep(checked_time("wait_s", wait_s))
-    return connection.buffer.take_all()
+    _request_device_types(connection, range(1, codes.NODE_ID_MASK + 1))
+    time.sleep(FIND_S)
+    frames = connection.buffer.take_all()
+    frames = frames[(frames["data"][:, 1:4] == _DEVICE_TYPE).all(axis=1)]  # not those that another master requested
+    node_ids = frames["can_id"].astype(np.int64) - codes.SDO_RESPONSE_BASE
+    return set(node_ids[(node_ids > 0) & (node_ids <= codes.NODE_ID_MASK)].tolist())
 
 
 def _request_device_types(connection: Bus, node_ids: Collection[int]) -> None:

@@ -17,6 +17,7 @@ from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry, gauges_of
 from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration, difference
+from tipforce.host.network.lss import LssAddress
 from tipforce.host.network.sdo import SdoChannel, checked_time
 
 if TYPE_CHECKING:
@@ -41,13 +42,8 @@ _REFUSALS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class Identity(LssAddress):
     """Object 1018h and the information in the product code."""
-
-    vendor: int
-    product: int
-    revision: int
-    serial: int
 
     @property
     def is_fingertip(self) -> bool:

@@ -171,9 +171,6 @@ class ContactStream(Iterator[Contact], AsyncIterator[Contact]):
         """Return the next sample. Raises NoNewSampleError if none arrives in time."""
         return self._reader.next(time.monotonic() + self._timeout_s, self._period_s)
 
-    def __aiter__(self) -> ContactStream:
-        return self
-
     async def __anext__(self) -> Contact:
         """Return the next sample; the event loop runs meanwhile."""
         return await asyncio.to_thread(self.__next__)

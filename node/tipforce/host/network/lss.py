@@ -10,14 +10,16 @@ import struct
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from canopen_device.core import codes
 from tipforce.errors import InputError, NoResponseError, RefusedError
-from tipforce.host.network.bus import Bus
+
+if TYPE_CHECKING:
+    from tipforce.host.network.bus import Bus
 
 DEFAULT_TIMEOUT_S = 0.1
 STORE_TIMEOUT_S = 2.0  # a node responds after its memory is written
-PARTS = ("vendor", "product", "revision", "serial")
 
 _STORE_ERRORS = {1: "it has no memory for node-id and bit rate", 2: "its memory failed"}
 
@@ -83,8 +85,8 @@ class LssMaster:
 
     def select(self, address: LssAddress) -> bool:
         """Set the node with this address to the configuration state, node-id or not; False without a response."""
-        for k, part in enumerate(PARTS[:3]):
-            self._send(codes.LSS_SELECT_FIRST + k, struct.pack("<I", getattr(address, part)))
+        for k, part in enumerate((address.vendor, address.product, address.revision)):
+            self._send(codes.LSS_SELECT_FIRST + k, struct.pack("<I", part))
         return self._ask(codes.LSS_SELECT_LAST, struct.pack("<I", address.serial), codes.LSS_SELECTED) is not None
 
     def node_id(self) -> int:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import can
 
 from canopen_device.can_frame import raw_can_id
-from canopen_device.core.codes import HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, OPERATIONAL, PRE_OPERATIONAL, STOPPED
+from canopen_device.core import codes
+from canopen_device.core.codes import HEARTBEAT_BASE, NODE_ID_MASK
 from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.dictionary.service_texts import state_text
 from tipforce.errors import NoResponseError
@@ -58,28 +59,27 @@ class Heartbeats(can.Listener):
         with self._arrived:
             return self._last[node_id][1] if node_id in self._last else None
 
-    def wait(self, node_id: int, states: Collection[int], since_s: float, timeout_s: float) -> bool:
-        """Wait for a heartbeat with one of ``states`` after ``since_s`` (monotonic); return False if there is none."""
+    def wait(self, node_id: int, wanted: int, since_s: float, timeout_s: float) -> bool:
+        """Wait for a heartbeat with a state after ``since_s`` (monotonic); return False if there is none."""
         deadline_s = time.monotonic() + timeout_s
         with self._arrived:
             while True:
                 heard_s, state = self._last.get(node_id, (-1.0, -1))
-                if heard_s >= since_s and state in states:
+                if heard_s >= since_s and state == wanted:
                     return True
                 left_s = deadline_s - time.monotonic()
                 if left_s <= 0 or not self._arrived.wait(left_s):
                     return False
 
 
-_REACHED = {
-    "start": (OPERATIONAL,),
-    "stop": (STOPPED,),
-    "preop": (PRE_OPERATIONAL,),
-    # A reset ends with the boot-up message.
-    "reset-node": (INITIALISING,),
-    "reset-comm": (INITIALISING,),
+NMT_COMMANDS = {
+    "start": (codes.NMT_START, codes.OPERATIONAL),
+    "stop": (codes.NMT_STOP, codes.STOPPED),
+    "preop": (codes.NMT_ENTER_PRE_OPERATIONAL, codes.PRE_OPERATIONAL),
+    "reset-node": (codes.NMT_RESET_NODE, codes.INITIALISING),  # a reset ends with the boot-up message
+    "reset-comm": (codes.NMT_RESET_COMMUNICATION, codes.INITIALISING),
 }
-
+"""Command specifier, and the state that the heartbeat then reports."""
 
 _AGAIN_S = 0.5
 
@@ -102,7 +102,7 @@ def command_and_wait(
     not report it in time: they are off, or their heartbeat (1017h) is slower or 0.
     """
     since_s = time.monotonic()
-    wanted, reached = _REACHED[command], dict[int, str]()
+    wanted, reached = NMT_COMMANDS[command][1], dict[int, str]()
     again_s = timeout_s if command.startswith("reset") else _AGAIN_S
     waiting = sorted(node_ids)
     while waiting:
@@ -114,7 +114,7 @@ def command_and_wait(
         until_s = min(now_s + again_s, since_s + timeout_s)
         for node_id in waiting:
             if connection.heartbeats.wait(node_id, wanted, since_s, max(0.0, until_s - time.monotonic())):
-                reached[node_id] = NMT_STATES[wanted[0]]
+                reached[node_id] = NMT_STATES[wanted]
         waiting = [node_id for node_id in waiting if node_id not in reached]
     if waiting:
         last = ((node_id, connection.heartbeats.state(node_id)) for node_id in waiting)

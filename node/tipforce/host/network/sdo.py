@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
-from dataclasses import dataclass
-from inspect import iscoroutine
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import canopen
 
@@ -21,9 +19,9 @@ from canopen_device.types import Value
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry, resolve
-from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError, TipforceError
+from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError
 from tipforce.host.decoding.duplicates import PRODUCT, SERIAL, DuplicateNodes
-from tipforce.host.network.sdo_exchange import Exchange, Turns
+from tipforce.host.network.sdo_exchange import Attempt, Exchange, Turns
 
 T = TypeVar("T", bound=Value)
 R = TypeVar("R")
@@ -36,25 +34,6 @@ SECOND_RESPONSE_S = 0.05
 _STEP_S = 0.002
 _MOST_PROBES = 16
 _DOMAIN = "D"  # the only type of objects that are long on a fingertip
-
-
-@dataclass(frozen=True, slots=True)
-class Read:
-    """A step of ``SdoChannel.run``: read an entry."""
-
-    entry: Entry[Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Write:
-    """A step of ``SdoChannel.run``: write an entry."""
-
-    entry: Entry[Any]
-    value: Any
-
-
-Steps: TypeAlias = Generator[Read | Write, Any, R]
-"""Transfers in sequence: yields each, receives the value that was read, or the error of the transfer as exception."""
 
 
 def checked_time(name: str, time_s: float) -> float:
@@ -132,22 +111,9 @@ class SdoChannel:
         """Write the object called ``name``. Raises as ``write``, and as reading it by name."""
         self.write(self._entry(name), value)
 
-    def run(self, steps: Steps[R]) -> R:
-        """Do the transfers of ``steps`` and return its value. Raises what it raises."""
-
-        try:
-            _each(steps, self.read, self.write).send(None)  # it never waits
-        except StopIteration as end:
-            result: R = end.value
-        return result
-
-    async def run_async(self, steps: Steps[R]) -> R:
-        """Run for asyncio: the steps of one channel in sequence, those of several channels at once."""
-        return await _each(steps, self.read_async, self.write_async)
-
     def upload(self, index: int, sub: int, long: bool = False) -> bytes:
         """Return the bytes of an entry (an SDO upload). ``long``: in blocks, except data too short for them."""
-        return self._wait(*self._upload(index, sub, long))
+        return finished(self._wait(*self._upload(index, sub, long), blocks=True))
 
     def download(
         self,
@@ -163,15 +129,15 @@ class SdoChannel:
         ``progress`` receives the number of bytes that the node has acknowledged, in the thread that receives frames;
         ``deadline_s`` is the time for a transfer that takes longer than that of the channel.
         """
-        self._wait(*self._download(index, sub, data, progress), deadline_s)
+        finished(self._wait(*self._download(index, sub, data, progress), deadline_s, blocks=True))
 
     async def upload_async(self, index: int, sub: int, long: bool = False) -> bytes:
         """Upload for asyncio."""
-        return await self._wait_async(*self._upload(index, sub, long))
+        return await self._wait(*self._upload(index, sub, long), blocks=False)
 
     async def download_async(self, index: int, sub: int, data: bytes) -> None:
         """Download for asyncio."""
-        await self._wait_async(*self._download(index, sub, data))
+        await self._wait(*self._download(index, sub, data), blocks=False)
 
     def check_duplicates(self, wait: bool = False) -> None:
         """Raise DuplicateNodeError if two nodes respond with this node-id. Without a suspicion nothing is sent.
@@ -186,7 +152,7 @@ class SdoChannel:
         watch.retry(node_id)
         for number in range(_MOST_PROBES):
             try:
-                self._transferred(*self._upload(*(SERIAL if number else PRODUCT), long=False))
+                finished(self._transferred(*self._upload(*(SERIAL if number else PRODUCT), long=False), blocks=True))
             except SdoAbortError:  # a response, too
                 pass
             except NoResponseError:
@@ -236,7 +202,7 @@ class SdoChannel:
             self._gauges = product & 0xF if table.MIN_GAUGES <= product & 0xF <= table.MAX_GAUGES else table.MIN_GAUGES
         return resolve(name, self._gauges)
 
-    def _upload(self, index: int, sub: int, long: bool) -> tuple[str, Callable[[int, int, int], Transfer]]:
+    def _upload(self, index: int, sub: int, long: bool) -> tuple[str, Attempt]:
         def attempt(number: int, timeout_us: int, deadline_us: int) -> Transfer:
             kind = BlockUpload if long and self.has_blocks and number == 1 else Upload
             return kind(index, sub, timeout_us, deadline_us)
@@ -245,7 +211,7 @@ class SdoChannel:
 
     def _download(
         self, index: int, sub: int, data: bytes, progress: Callable[[int], None] | None = None
-    ) -> tuple[str, Callable[[int, int, int], Transfer]]:
+    ) -> tuple[str, Attempt]:
         def attempt(number: int, timeout_us: int, deadline_us: int) -> Transfer:
             long = len(data) > SWITCH_BYTES
             kind = BlockDownload if long and self.has_blocks and number == 1 else Download
@@ -253,55 +219,38 @@ class SdoChannel:
 
         return f"write of 0x{index:04X}:{sub:02X}", attempt
 
-    def _wait(self, what: str, attempt: Callable[[int, int, int], Transfer], deadline_s: float = 0.0) -> bytes:
-        self.check_duplicates()
+    async def _wait(self, what: str, attempt: Attempt, deadline_s: float = 0.0, *, blocks: bool) -> bytes:
+        """Do a transfer. ``blocks``: without an event loop, this thread waits; see ``finished``."""
+        await self._check(blocks)
         try:
-            return self._transferred(what, attempt, deadline_s)
+            return await self._transferred(what, attempt, deadline_s, blocks=blocks)
         except NoResponseError:  # responses of two nodes among each other are valid for neither
-            self.check_duplicates()
+            await self._check(blocks)
             raise
 
-    def _transferred(self, what: str, attempt: Callable[[int, int, int], Transfer], deadline_s: float = 0.0) -> bytes:
+    async def _check(self, blocks: bool) -> None:
+        if blocks:
+            self.check_duplicates()
+        elif self._suspected:
+            await asyncio.to_thread(self.check_duplicates)
+
+    async def _transferred(self, what: str, attempt: Attempt, deadline_s: float = 0.0, *, blocks: bool) -> bytes:
         turn = self._turns.request()
         try:
-            turn.result()
+            turn.result() if blocks else await asyncio.wrap_future(turn)
         except BaseException:
             self._turns.withdraw(turn)
             raise
         self._exchange = exchange = Exchange(self, what, attempt, deadline_s)
         try:
-            while True:
-                exchange.step()
-                with suppress(TimeoutError):
-                    return exchange.done.result(exchange.left_s)
-        finally:
-            self._end(exchange)
-
-    async def _wait_async(self, what: str, attempt: Callable[[int, int, int], Transfer]) -> bytes:
-        await self._check_async()
-        try:
-            return await self._transferred_async(what, attempt)
-        except NoResponseError:
-            await self._check_async()
-            raise
-
-    async def _check_async(self) -> None:
-        if self._suspected:
-            await asyncio.to_thread(self.check_duplicates)
-
-    async def _transferred_async(self, what: str, attempt: Callable[[int, int, int], Transfer]) -> bytes:
-        turn = self._turns.request()
-        try:
-            await asyncio.wrap_future(turn)
-        except BaseException:
-            self._turns.withdraw(turn)
-            raise
-        self._exchange = exchange = Exchange(self, what, attempt)
-        try:
-            done = asyncio.wrap_future(exchange.done)
+            done = exchange.done if blocks else asyncio.wrap_future(exchange.done)
             while not done.done():
                 exchange.step()
-                await asyncio.wait({done}, timeout=exchange.left_s)
+                if isinstance(done, asyncio.Future):
+                    await asyncio.wait({done}, timeout=exchange.left_s)
+                else:
+                    with suppress(TimeoutError):
+                        done.exception(exchange.left_s)
             return done.result()
         finally:
             self._end(exchange)
@@ -318,18 +267,26 @@ class SdoChannel:
             exchange.step(bytes(data))
 
 
-async def _each(steps: Steps[R], read: Callable[[Entry[Any]], Any], write: Callable[[Entry[Any], Any], Any]) -> R:
-    """Do each transfer of ``steps``; an error of one is raised there."""
+class Blocking:
+    """The transfers of a channel for a coroutine without an event loop: its thread waits; see ``finished``."""
+
+    def __init__(self, sdo: SdoChannel) -> None:
+        self._sdo = sdo
+
+    async def read_async(self, entry: Entry[T]) -> T:
+        """As ``SdoChannel.read``."""
+        return self._sdo.read(entry)
+
+    async def write_async(self, entry: Entry[T], value: T) -> None:
+        """As ``SdoChannel.write``."""
+        self._sdo.write(entry, value)
+
+
+def finished(work: Coroutine[Any, Any, R]) -> R:
+    """Run a coroutine that never waits for an event loop, and return its result. Raises what it raises."""
     try:
-        step = next(steps)
-        while True:
-            try:
-                answer = read(step.entry) if isinstance(step, Read) else write(step.entry, step.value)
-                value = await answer if iscoroutine(answer) else answer
-            except TipforceError as error:
-                step = steps.throw(error)
-            else:
-                step = steps.send(value)
+        work.send(None)
     except StopIteration as end:
         result: R = end.value
         return result
+    raise AssertionError("the coroutine waits for an event loop")

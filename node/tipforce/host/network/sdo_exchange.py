@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import can
 
@@ -17,6 +17,9 @@ from tipforce.errors import EnvironmentLackError, NoResponseError, SdoAbortError
 
 if TYPE_CHECKING:
     from tipforce.host.network.sdo import SdoChannel
+
+Attempt: TypeAlias = Callable[[int, int, int], Transfer]
+"""``attempt(number, timeout_us, deadline_us)`` returns the transfer of each attempt; numbers start at 1."""
 
 _FULL_QUEUE_US = 2000  # pause after the bus refused a segment of a block: its transmit queue is full
 _REFUSALS = (can.CanError, OSError, RuntimeError)  # canopen raises the last for a closed bus
@@ -58,14 +61,9 @@ class Turns:
 
 
 class Exchange:
-    """A transfer with its retries. ``done`` gets the data or the error, in whichever thread steps it last.
+    """A transfer with its retries. ``done`` gets the data or the error, in whichever thread steps it last."""
 
-    ``attempt(number, timeout_us, deadline_us)`` returns the transfer of each attempt; numbers start at 1.
-    """
-
-    def __init__(
-        self, channel: SdoChannel, what: str, attempt: Callable[[int, int, int], Transfer], deadline_s: float = 0.0
-    ) -> None:
+    def __init__(self, channel: SdoChannel, what: str, attempt: Attempt, deadline_s: float = 0.0) -> None:
         self._channel = channel
         self._place = f"node {channel.node_id} (0x{channel.node_id:02X}), {what}"
         self._attempt = attempt
