@@ -12,7 +12,7 @@ from typing import Any
 from canopen_device import types
 from tipforce.dictionary import table, table_objects
 from tipforce.dictionary.entries import Entry, Object, objects
-from tipforce.output_file import C_SOURCE, make_folder, write_file
+from tipforce.output_file import C_SOURCE, write_files
 
 HERE = Path(__file__).parent
 ESTIMATOR = (
@@ -32,11 +32,7 @@ def c_files(n: int = 3, converter: table.Converter = table.CONVERTER_16) -> dict
 
 def write_c_files(folder: Path, n: int, converter: table.Converter = table.CONVERTER_16) -> list[Path]:
     """Write them into ``folder``, which is created if it is missing. Raises InputError, WriteError."""
-    texts = c_files(n, converter)
-    make_folder(folder)
-    for name, text in texts.items():
-        write_file(folder / name, text, C_SOURCE)
-    return [folder / name for name in texts]
+    return write_files(folder, {name: (text, C_SOURCE) for name, text in c_files(n, converter).items()})
 
 
 _FLAGS = (
