@@ -13,7 +13,6 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.request import bus_options
 
 
 @pytest.mark.parametrize(
@@ -87,9 +86,9 @@ def bus_arguments(*words: str) -> argparse.Namespace:
 
 
 def test_only_what_was_said_goes_to_python_can() -> None:
-    assert bus_options(bus_arguments()) == {}
+    assert common.bus_options(bus_arguments()) == {}
     words = ["-i", "socketcan", "-c", "vcan0", "-b", "500000", "--bus-kwargs", "receive_own_messages=True"]
-    assert bus_options(bus_arguments(*words)) == {
+    assert common.bus_options(bus_arguments(*words)) == {
         "interface": "socketcan",
         "channel": "vcan0",
         "bitrate": 500000,

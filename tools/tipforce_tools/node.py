@@ -111,7 +111,7 @@ def _serve(args: argparse.Namespace, device: Device, port: Port, place: str) -> 
     from tipforce_tools.cli import service
     from tipforce_tools.cli.listening import StopSignals
 
-    who = f"node {common.shown_id(args.node_id)}"
+    who = common.shown_node(args.node_id)
     notifier = service.Notifier()
     source = "" if args.source == "sim" else f"source {args.source}, "
     common.note(args, f"{who}: layout {args.layout}, {source}{place}; Ctrl-C ends it")

@@ -1,4 +1,4 @@
-"""`tipforce calibrate fit`: readings under known loads in, a calibration file and an account of it out."""
+"""`tipforce calibrate fit`: readings under known loads to a calibration file; `apply|verify`: that file and a node."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of fit."""
     parser.epilog = (
         "DATA.csv: SG1..SGn in microstrain, P_N, phi_deg, theta_deg; optional t_s, temperature_degC, weight (readings\n"
@@ -63,13 +63,12 @@ def add_model_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run_fit(args: argparse.Namespace) -> int:
     """Print the fit and write the file: 0. With --strict and bad rows or a doubtful fit: no file, 1."""
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.output_file import CALIBRATION, check_output
     from tipforce_tools.calibrate.fitting import FitRequest, fitted, publish, write
     from tipforce_tools.cli.one_finger_csv import check_one_node
-    from tipforce_tools.cli.request import request_of
 
     if args.output:
         check_output(args.output, CALIBRATION, [args.data])
@@ -77,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     check_one_node(args.data, data)
     if not len(data.line):
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
-    request = request_of(FitRequest, args)
+    request = FitRequest.of(args)
     request.check_gauges(data.strain.shape[1], args.data)
     if not 0 <= args.serial < 2**32:
         raise InputError(f"--serial {args.serial}: allowed is 0 to {2**32 - 1}")
@@ -107,3 +106,46 @@ def _date(text: str) -> datetime.date:
         return datetime.date.fromisoformat(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r}: write it as 2025-12-31") from None
+
+
+# --- apply and verify ------------------------------------------------------------------------------------------
+
+
+def add_transfer_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of apply and verify."""
+    parser.epilog = (
+        "apply writes the record, which the node checks by CRC-32, commits it, reads it back, compares it byte for\n"
+        "byte, and stores it. If the node refuses (exit code 12), the previous calibration stays active.\n"
+        "verify exits with 1 if the node's active calibration differs from the file, and names each difference.\n"
+        "  tipforce calibrate apply finger.toml --node 5 -i socketcan -c can0"
+    )
+    parser.add_argument("file", metavar="CAL.toml")
+    parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
+    parser.add_argument("--no-store", action="store_true", help="apply only until the next reset")
+    common.add_confirm_argument(parser)
+    common.add_sdo_arguments(parser)
+
+
+def run_transfer(args: argparse.Namespace) -> int:
+    """Apply (return 0; raises RefusedError) or verify (return 0 if equal, 1 if different)."""
+    from tipforce.host.configuration.calibration import read_calibration
+    from tipforce.host.network.finger import FingertipClient
+
+    calibration = read_calibration(args.file)
+    name = common.shown_node(args.node)
+    if args.action == "apply" and not args.no_store:
+        common.confirm(args, f"{name}: this replaces its stored calibration")
+    with common.open_connection(args) as connection:
+        client = FingertipClient(connection.sdo(args.node))
+        if args.action == "apply":
+            generation = client.apply_calibration(
+                calibration, not args.no_store, lambda step: common.note(args, f"{name}: {step}")
+            )
+            crc32 = f"0x{calibration.crc32():08X}"
+            record = {"node": args.node, "generation": generation, "crc32": crc32}
+            common.print_record(args, record, f"applied, generation {generation}, CRC-32 {crc32}")
+            return 0
+        differences = client.verify_calibration(calibration)
+    compared = {"node": args.node, "equal": not differences, "differences": differences}
+    common.print_record(args, compared, "\n".join(differences) or "equal byte for byte")
+    return 1 if differences else 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import datetime
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -50,6 +50,11 @@ class FitRequest:
     sense: str | None
     serial: int
     date: datetime.date | None
+
+    @classmethod
+    def of(cls, args: argparse.Namespace) -> FitRequest:
+        """Take the flags of these names."""
+        return cls(**{field.name: getattr(args, field.name) for field in fields(cls)})
 
     @cached_property
     def structure(self) -> tuple[Geometry, tuple[Gauge, ...]] | None:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from tipforce.errors import DuplicateNodeError, InputError, TipforceError
 from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.output import rich_console, visible_streams
-from tipforce_tools.cli.request import BusArguments, Output, SdoArguments, bus_options
 
 if TYPE_CHECKING:
     import can
@@ -22,6 +21,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from tipforce.host.network.bus import Bus
+
+_BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +36,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def set_up_logging(args: Output) -> None:
+def set_up_logging(args: argparse.Namespace) -> None:
     """Log warnings of tipforce to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
     import logging
 
@@ -64,7 +65,13 @@ def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
     add_output_arguments(parser)
 
 
-def open_bus(args: BusArguments) -> can.BusABC:
+def bus_options(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the bus flags that the command line contains, as keywords of ``can.Bus``."""
+    options = {name: getattr(args, name) for name in _BUS_FLAGS if hasattr(args, name)}
+    return options | getattr(args, "bus_kwargs", {})
+
+
+def open_bus(args: argparse.Namespace) -> can.BusABC:
     """Open the bus named by the flags, python-can's configuration files and the environment."""
     from tipforce.host.network.open_bus import open_bus as open_bus_by_options
 
@@ -72,7 +79,7 @@ def open_bus(args: BusArguments) -> can.BusABC:
 
 
 @contextmanager
-def open_connection(args: SdoArguments) -> Iterator[Bus]:
+def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
     """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one."""
     import threading
 
@@ -171,6 +178,11 @@ def shown_id(number: int) -> str:
     return f"{number} (0x{number:02X})"
 
 
+def shown_node(number: int) -> str:
+    """Return a node in a message: `node 10 (0x0A)`."""
+    return f"node {shown_id(number)}"
+
+
 def print_json(record: dict[str, Any]) -> None:
     """Print one JSON line; NaN and infinity become null, because JSON has neither.
 
@@ -179,7 +191,7 @@ def print_json(record: dict[str, Any]) -> None:
     sys.stdout.write(json_line(record) + "\n")
 
 
-def print_record(args: Output, record: dict[str, Any], text: str) -> None:
+def print_record(args: argparse.Namespace, record: dict[str, Any], text: str) -> None:
     """Print the record as a JSON line with --json, otherwise the text that shows it."""
     if args.json:
         print_json(record)
@@ -202,7 +214,7 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def note(args: Output, text: str) -> None:
+def note(args: argparse.Namespace, text: str) -> None:
     """Print a line on stderr; nothing with -q."""
     if not args.quiet:
         print(text, file=sys.stderr)
@@ -210,7 +222,7 @@ def note(args: Output, text: str) -> None:
 
 @contextmanager
 def progress(
-    args: Output, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
+    args: argparse.Namespace, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
 ) -> Iterator[Callable[..., None]]:
     """Show a progress bar on stderr if it is a terminal, not with -q; call the result after each of ``total`` steps,
     or with the number of steps since the last call; with ``absolute`` with the number of all steps so far.
@@ -227,7 +239,7 @@ def progress(
         yield lambda steps=1: bar.update(task, **{"completed" if absolute else "advance": steps})
 
 
-def console(args: Output, *, stderr: bool = False) -> Console:
+def console(args: argparse.Namespace, *, stderr: bool = False) -> Console:
     """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width."""
     plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
     stream = sys.stderr if stderr else sys.stdout
@@ -238,7 +250,7 @@ def console(args: Output, *, stderr: bool = False) -> Console:
     return rich_console(stream, force_terminal=always, color_system=system, no_color=plain, width=width)
 
 
-def print_table(args: Output, table: Table) -> None:
+def print_table(args: argparse.Namespace, table: Table) -> None:
     """Print a table on stdout. In a narrow terminal it has no borders and words wrap; numbers do not.
 
     A truncated number (`4.…`) is useless, and a wrapped one appears beside the label of another. A word longer than
@@ -262,7 +274,7 @@ def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
 
 
-def confirm(args: BusArguments, what: str) -> None:
+def confirm(args: argparse.Namespace, what: str) -> None:
     """Ask before a persistent change on a real bus; not on virtual buses, nor with --yes.
 
     Raises InputError when the answer is no, or stdin is not a terminal.

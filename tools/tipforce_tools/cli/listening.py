@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Self
 
-from tipforce_tools.cli.request import bus_options
+from tipforce_tools.cli.common import bus_options
 
 if TYPE_CHECKING:
     from tipforce.host.live.receive_group import ReceiverGroup

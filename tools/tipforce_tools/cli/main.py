@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from tipforce_tools.cli.actions import Actions, CommandParser
 
 CALIBRATE = {
-    "fit": ("tipforce_tools.calibrate.fit", "fit a calibration to readings under known loads"),
-    "apply": ("tipforce_tools.calibrate.transfer", "write a calibration file to a node, verify and store it"),
+    "fit": ("tipforce_tools.calibrate.fit:fit", "fit a calibration to readings under known loads"),
+    "apply": ("tipforce_tools.calibrate.fit:transfer", "write a calibration file to a node, verify and store it"),
     "guide": ("tipforce_tools.calibrate.guide", "calibrate a node weight by weight and store the result; resumable"),
-    "verify": ("tipforce_tools.calibrate.transfer", "compare a calibration file with that of a node"),
+    "verify": ("tipforce_tools.calibrate.fit:transfer", "compare a calibration file with that of a node"),
 }
 SCENE = {"explain": ("tipforce_tools.scene.explain", "list what a scene builds, what it leaves out, and why")}
 DESIGN = {
@@ -55,9 +55,9 @@ COMMANDS: dict[str, tuple[str | Actions, str]] = {
     "sdo": ("tipforce_tools.network.sdo", "read or write one object of a node, or read all objects"),
     "hand": ("tipforce_tools.network.hand", "commission and run a hand defined in a TOML file"),
     "nmt": ("tipforce_tools.network.nodes:nmt", "start, stop or reset nodes, and wait for their heartbeats"),
-    "lss": ("tipforce_tools.network.lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
+    "lss": ("tipforce_tools.network.nodes:lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
     "firmware": (
-        "tipforce_tools.network.firmware",
+        "tipforce_tools.network.nodes:firmware",
         "install a program on nodes with program slots, or show its version",
     ),
     "config": ("tipforce_tools.network.config", "show, apply, compare or save the settings of a node (TOML or DCF)"),

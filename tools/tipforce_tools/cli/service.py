@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
     from canopen_device.running.loop import Port
@@ -127,7 +126,7 @@ def open_port(args: argparse.Namespace) -> tuple[Port, str]:
     """Return the port and its name: kernel sockets for SocketCAN, python-can for every other interface."""
     from canopen_device.running.ports import PythonCanPort, SocketCanPort
 
-    options = bus_options(args)
+    options = common.bus_options(args)
     if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:
         try:
             return SocketCanPort(options["channel"]), options["channel"]

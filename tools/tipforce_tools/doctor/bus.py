@@ -28,7 +28,7 @@ def configuration_check(flags: Mapping[str, Any]) -> Check:
     import can.util
 
     sources = []
-    given = [f"--{name} {value}" for name, value in flags.items() if value is not None and name != "can_filters"]
+    given = [f"--{name} {value}" for name, value in flags.items() if value is not None]
     if given:
         sources.append("flags (" + " ".join(given) + ")")
     sources += [f"{name}={os.environ[name]}" for name in VARIABLES if os.environ.get(name)]

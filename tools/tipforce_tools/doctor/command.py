@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
     from tipforce_tools.doctor import Check
@@ -53,7 +52,7 @@ def _checks(args: argparse.Namespace) -> Iterator[Check]:
     from tipforce_tools.doctor import machine
     from tipforce_tools.doctor.bus import bus_checks, configuration_check
 
-    options = bus_options(args)
+    options = common.bus_options(args)
     configuration = configuration_check(options)
     named = configuration.state == "ok"
     for check in machine.kernel_checks():

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
-from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
     from tipforce.host.hand.bring_up import FingerReport
@@ -107,7 +106,7 @@ def _warn_of_load(args: argparse.Namespace, file: HandFile) -> None:
     if not file.hand.sync_hz:
         return
     count, gauges = len(file.finger), file.finger[0].gauges
-    bit_rate = int(bus_options(args).get("bitrate") or file.bus.get("bitrate") or DEFAULT_BIT_RATE)
+    bit_rate = int(common.bus_options(args).get("bitrate") or file.bus.get("bitrate") or DEFAULT_BIT_RATE)
     pdos = list(file.messages)
     budget = hand_budget(count, file.hand.sync_hz, pdos, gauges, bit_rate, 1e-3 * file.hand.heartbeat_ms)
     share = f"{100 * budget.least_load:.0f} to {100 * budget.most_load:.0f} % of {bit_rate} bit/s"
@@ -124,7 +123,7 @@ def _up(args: argparse.Namespace) -> int:
     from tipforce_tools.cli.main import terminate_as_interrupt
 
     terminate_as_interrupt()
-    with Hand.from_file(args.file, **bus_options(args)) as hand:
+    with Hand.from_file(args.file, **common.bus_options(args)) as hand:
         hand.on_event(lambda event: _print_event(args, hand, event))
         started_s = time.monotonic()
         reports = hand.bring_up()
