@@ -15,7 +15,7 @@ from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FRAME
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor.bus import configuration_check, heard
+from tipforce_tools.doctor.command import configuration_check, heard
 from tipforce_tools.doctor.machine import can_interfaces, interface_checks, software_checks, vcan_checks
 
 UP = {"ifname": "can0", "flags": ["NOARP", "UP"], "txqlen": 1000}
@@ -110,7 +110,7 @@ def test_where_the_name_comes_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
 def test_vcan_that_works_and_vcan_that_does_not(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("tipforce_tools.vcan.run.choose", lambda _interfaces: "uml")
+    monkeypatch.setattr("tipforce_tools.vcan.command.choose", lambda _interfaces: "uml")
     assert main(["doctor"]) == 0
     assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in capsys.readouterr().out
 

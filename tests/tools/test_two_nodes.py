@@ -34,7 +34,7 @@ from tipforce.sources.simulated import SimulatedSource
 from tipforce.watching.fingers import Finger
 from tipforce.watching.watcher import Watcher
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor.bus import bus_checks, heard
+from tipforce_tools.doctor.command import bus_checks, heard
 from tipforce_tools.monitor.state import BusMonitor
 
 SAID = "two nodes respond as node 5"
@@ -178,13 +178,14 @@ def test_doctor_the_page_and_a_hand_say_it_of_frames(service: str, tmp_path: Pat
 
 def test_doctor_listens_longer_where_heartbeats_are_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
     slept: list[float] = []
-    monkeypatch.setattr("tipforce_tools.doctor.bus.time", SimpleNamespace(sleep=slept.append))
-    monkeypatch.setattr("tipforce_tools.doctor.bus.BEATS_S", 0.5)
-    for beats, longer in ((1, []), (2, [0.5]), (10, [0.5]), (11, [])):
+    clock = SimpleNamespace(sleep=slept.append, monotonic=lambda: sum(slept))
+    monkeypatch.setattr("tipforce_tools.cli.listening.time", clock)
+    monkeypatch.setattr("tipforce_tools.doctor.command.BEATS_S", 0.5)
+    for beats, longer in ((1, 0.0), (2, 0.5), (10, 0.5), (11, 0.0)):
         slept.clear()
         monkeypatch.setattr(FrameBuffer, "can_ids", lambda _self, n=beats: [0x706, 0x185, 0x185, *[0x705] * n])
         list(bus_checks({"interface": "virtual", "channel": new_channel()}, 0.1))
-        assert slept == [0.1, *longer]
+        assert slept == [0.1, longer]
 
 
 def test_monitor_sees_the_samples_of_two_nodes() -> None:

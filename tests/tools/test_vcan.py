@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.vcan import command, host, run, uml
+from tipforce_tools.vcan import command, host, uml
 
 SCRIPT = files("tipforce_tools.vcan").joinpath("init.sh").read_text()
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="the machine has no bash")
@@ -61,25 +61,25 @@ def test_the_place_follows_from_the_kernel(
     up: Sequence[str], can_make: bool, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake_kernel(monkeypatch, up=up, can_make=can_make)
-    assert run.choose(["vcan0", "vcan1"]) == place
+    assert command.choose(["vcan0", "vcan1"]) == place
 
 
 def test_uml_can_be_forced_and_then_nothing_is_probed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(host, "is_up", lambda _name: pytest.fail("probed"))
-    assert run.choose(["vcan0"], "uml") == "uml"
+    assert command.choose(["vcan0"], "uml") == "uml"
 
 
 def test_host_forced_on_a_kernel_without_vcan_says_what_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_kernel(monkeypatch)
     with pytest.raises(EnvironmentLackError, match=r"vcan0, vcan1 cannot be created.*modprobe vcan"):
-        run.choose(["vcan0", "vcan1"], "host")
+        command.choose(["vcan0", "vcan1"], "host")
 
 
 def test_the_namespace_command_makes_every_bus_before_it_runs_the_command(
     monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
 ) -> None:
     fake_kernel(monkeypatch, can_make=True)
-    assert run.run_with_vcan(["true", "-x"], interfaces=["a0", "b1"]) == 3
+    assert command.run_with_vcan(["true", "-x"], interfaces=["a0", "b1"]) == 3
     ((place, words),) = asked
     assert place == "here"
     assert {"--net", "--mount"} <= set(words)
@@ -128,7 +128,7 @@ def test_flags_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
         given.update(rest, command=list(words))
         return 0
 
-    monkeypatch.setattr(run, "run_with_vcan", note)
+    monkeypatch.setattr(command, "run_with_vcan", note)
     args = parse("--interfaces", "a,b", "--memory", "512M", "--timeout", "2.5", "--host", "--rw", "--", "true")
     assert command.run(args) == 0
     assert given == {
@@ -200,7 +200,7 @@ def test_where_there_is_no_linux_one_line_says_what_works(monkeypatch: pytest.Mo
 def test_a_command_that_is_not_there_is_127_before_anything_boots(
     asked: list[tuple[str, list[str]]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run.run_with_vcan(["no-such-program-here"]) == 127
+    assert command.run_with_vcan(["no-such-program-here"]) == 127
     assert asked == []
     assert capsys.readouterr().err == "tipforce vcan: no-such-program-here: command not found\n"
 

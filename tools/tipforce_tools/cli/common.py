@@ -7,8 +7,9 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from itertools import repeat
 from typing import TYPE_CHECKING, Any, Literal
 
 from tipforce.errors import DuplicateNodeError, InputError, TipforceError
@@ -267,6 +268,24 @@ def print_table(args: argparse.Namespace, table: Table) -> None:
         # The terminal wraps a table that is still too wide.
         screen.width = max(screen.width, screen.measure(table, options=unbounded).minimum)
     screen.print(table)
+
+
+def print_rows(
+    args: argparse.Namespace,
+    title: str,
+    headings: Iterable[str],
+    rows: Iterable[Iterable[str]],
+    styles: Iterable[str | None] | None = None,
+) -> None:
+    """Print a table of texts on stdout; a heading with > in front has its column at the right."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        table.add_column(heading.removeprefix(">"), justify="right" if heading.startswith(">") else "left")
+    for row, style in zip(rows, repeat(None) if styles is None else styles, strict=False):
+        table.add_row(*row, style=style)
+    print_table(args, table)
 
 
 def add_confirm_argument(parser: argparse.ArgumentParser) -> None:

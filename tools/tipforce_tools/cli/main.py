@@ -30,7 +30,7 @@ CALIBRATE = {
     "guide": ("tipforce_tools.calibrate.guide", "calibrate a node weight by weight and store the result; resumable"),
     "verify": ("tipforce_tools.calibrate.fit:transfer", "compare a calibration file with that of a node"),
 }
-SCENE = {"explain": ("tipforce_tools.scene.explain", "list what a scene builds, what it leaves out, and why")}
+SCENE = {"explain": ("tipforce_tools.scene:explain", "list what a scene builds, what it leaves out, and why")}
 DESIGN = {
     "table": (
         "tipforce_tools.design.tables:table",
@@ -47,8 +47,8 @@ DESIGN = {
 COMMANDS: dict[str, tuple[str | Actions, str]] = {
     "demo": ("tipforce_tools.demo.command", "calibrate, store, load, decode and compare simulated nodes; no hardware"),
     "node": ("tipforce_tools.node", "run one fingertip node on a CAN bus"),
-    "run": ("tipforce_tools.scene.run", "run a scene: nodes, loads, faults and a recording, defined in a TOML file"),
-    "simulate": ("tipforce_tools.simulate.command", "simulate CANopen devices from their EDS, or a machine in TOML"),
+    "run": ("tipforce_tools.scene:run", "run a scene: nodes, loads, faults and a recording, defined in a TOML file"),
+    "simulate": ("tipforce_tools.simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
     "scene": (SCENE, "explain what a scene builds, what it leaves out, and why"),
     "scan": ("tipforce_tools.network.nodes:scan", "list the nodes on the bus"),
     "read": ("tipforce_tools.network.nodes:read", "read the contact of fingers, with its uncertainty"),
@@ -63,7 +63,7 @@ COMMANDS: dict[str, tuple[str | Actions, str]] = {
     "config": ("tipforce_tools.network.config", "show, apply, compare or save the settings of a node (TOML or DCF)"),
     "calibrate": (CALIBRATE, "fit a calibration, write it to a node, verify it"),
     "tare": ("tipforce_tools.network.nodes:tare", "set the present force as zero, show the tare, or clear it"),
-    "estimate": ("tipforce_tools.estimate.command", "compute contact from gauge readings, with standard uncertainties"),
+    "estimate": ("tipforce_tools.estimate", "compute contact from gauge readings, with standard uncertainties"),
     "budget": ("tipforce_tools.budget", "compute the error budget of P, phi and theta by cause"),
     "dump": ("tipforce_tools.dump.command", "print frames as candump does; with --decode also their contact values"),
     "decode": ("tipforce_tools.decode.command", "convert logs to contact: text, CSV, JSON lines, Parquet, MCAP"),

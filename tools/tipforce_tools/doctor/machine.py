@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib.metadata
 import json
 import os
 import platform
@@ -12,14 +11,28 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from tipforce.errors import TipforceError
-from tipforce_tools.doctor import Check
 
 if TYPE_CHECKING:
     from tipforce.sources.iio_sysfs import Device
+
+State = Literal["ok", "note", "fail"]
+"""ok; note: works, with a remark; fail: the requested function will not work."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """``next_step`` is a command or a sentence, "" if none is needed."""
+
+    topic: str
+    state: State
+    finding: str
+    next_step: str = ""
+
 
 ARPHRD_CAN = 280  # linux/if_arp.h
 SHORT_QUEUE = 100  # frames; a hand responds to SYNC with more than the default of ten at once
@@ -102,12 +115,10 @@ def _bus_state(topic: str, name: str, data: dict[str, Any]) -> Iterator[Check]:
         return
     counters = data.get("berr_counter", {})
     counts = f" (errors sent {counters['tx']}, received {counters['rx']})" if counters else ""
+    step = "no acknowledgement, or different bit rates: check power, the two 120 ohm terminators, CAN-H and CAN-L"
     if state == "BUS-OFF":
         step = f"sudo ip link set {name} type can restart; restart-ms 100 restarts automatically"
-        yield Check(topic, "fail", f"bus-off{counts}", step)
-    else:
-        step = "no acknowledgement, or different bit rates: check power, the two 120 ohm terminators, CAN-H and CAN-L"
-        yield Check(topic, "fail", f"{state.lower()}{counts}", step)
+    yield Check(topic, "fail", f"{state.lower()}{counts}", step)
 
 
 def _can_raw() -> Check:
@@ -143,7 +154,7 @@ def _number(path: Path) -> int:
 
 def trial() -> int:
     """Run `true` with the buses; return its exit code. Raises EnvironmentLackError."""
-    from tipforce_tools.vcan.run import run_with_vcan
+    from tipforce_tools.vcan.command import run_with_vcan
 
     return run_with_vcan(["true"], interfaces=INTERFACES, timeout_s=120.0)
 
@@ -153,8 +164,8 @@ def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Check]:
     if sys.platform != "linux":
         yield Check("vcan", "note", f"vcan exists on Linux only, and this is {sys.platform}", _UDP)
         return
+    from tipforce_tools.vcan.command import choose
     from tipforce_tools.vcan.host import ELSEWHERE
-    from tipforce_tools.vcan.run import choose
 
     place = choose(INTERFACES)
     try:
@@ -164,8 +175,8 @@ def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Check]:
         return
     if code:
         yield Check("vcan", "note", f"`tipforce vcan -- true` ended with {code}", ELSEWHERE)
-        return
-    yield Check("vcan", "ok", f"`tipforce vcan` works: vcan0 and vcan1, {_PLACES[place]}")
+    else:
+        yield Check("vcan", "ok", f"`tipforce vcan` works: vcan0 and vcan1, {_PLACES[place]}")
 
 
 def multicast_checks() -> Iterator[Check]:
@@ -174,10 +185,9 @@ def multicast_checks() -> Iterator[Check]:
 
     try:
         open_bus(interface="udp_multicast", channel="239.74.163.2").shutdown()
+        yield Check("UDP bus", "ok", f"{_UDP} between programs, where vcan is not available")
     except TipforceError as error:
         yield Check("UDP bus", "note", str(error))
-        return
-    yield Check("UDP bus", "ok", f"{_UDP} between programs, where vcan is not available")
 
 
 # --- converters ---------------------------------------------------------------------------------------------------
@@ -280,19 +290,18 @@ def software_checks() -> Iterator[Check]:
     base = ", ".join(f"{name} {_version(name)}" for name in BASE)
     yield Check("software", "ok", f"tipforce {_version('tipforce')}, Python {platform.python_version()}, {base}")
     missing = [extra for extra, names in EXTRAS.items() if any(_version(name) == "missing" for name in names)]
-    if missing:
-        step = f'pip install "tipforce[{",".join(missing)}]"'
-        yield Check("extras", "note", f"not installed: {', '.join(missing)}", step)
-    else:
-        yield Check("extras", "ok", "all installed")
+    yield _lacks("extras", "not installed", missing, f'pip install "tipforce[{",".join(missing)}]"', "all installed")
     absent = [name for name in PEERS if shutil.which(name) is None]
-    if absent:
-        yield Check("peers", "note", f"not found: {', '.join(absent)}", "sudo apt-get install can-utils tshark")
-    else:
-        yield Check("peers", "ok", ", ".join(PEERS))
+    yield _lacks("peers", "not found", absent, "sudo apt-get install can-utils tshark", ", ".join(PEERS))
+
+
+def _lacks(topic: str, how: str, names: list[str], step: str, complete: str) -> Check:
+    return Check(topic, "note", f"{how}: {', '.join(names)}", step) if names else Check(topic, "ok", complete)
 
 
 def _version(name: str) -> str:
+    import importlib.metadata
+
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:

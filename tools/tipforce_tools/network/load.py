@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import time
 from typing import TYPE_CHECKING
 
 from canopen_device.core.codes import EXTENDED_FLAG, EXTENDED_MASK, STANDARD_MASK
@@ -79,10 +78,8 @@ def _count(text: str) -> int:
 
 
 def _live(args: argparse.Namespace) -> int:
-    import can
-
-    from tipforce.host.frames.frame_array import FrameBuffer
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, exact_bits
+    from tipforce_tools.cli.listening import frames_heard
 
     if not 0 < args.seconds <= 86400:
         raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0 s, up to a day")
@@ -90,16 +87,9 @@ def _live(args: argparse.Namespace) -> int:
     if bit_rate is None:
         bit_rate = DEFAULT_BIT_RATE
         common.note(args, f"assumed bit rate: {bit_rate} bit/s; set another with -b")
-    buffer = FrameBuffer()
     with common.open_bus(args) as bus:
-        notifier = can.Notifier(bus, [buffer], timeout=0.1)
-        started_s = time.monotonic()
-        time.sleep(args.seconds)
-        elapsed_s = time.monotonic() - started_s
-        notifier.stop()
-    frames = buffer.take_all()
-    bits = exact_bits(frames)
-    _print_live(args, frames, float(bits.sum()) / elapsed_s / bit_rate, elapsed_s)
+        frames, elapsed_s = frames_heard(bus, args.seconds)
+    _print_live(args, frames, float(exact_bits(frames).sum()) / elapsed_s / bit_rate, elapsed_s)
     return 0 if len(frames) else 5
 
 
