@@ -13,7 +13,6 @@ from itertools import repeat
 from typing import TYPE_CHECKING, Any, Literal
 
 from tipforce.errors import DuplicateNodeError, InputError, TipforceError
-from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.output import rich_console, visible_streams
 
 if TYPE_CHECKING:
@@ -51,12 +50,16 @@ def set_up_logging(args: argparse.Namespace) -> None:
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add python-can's bus flags, -i -c -b --fd --data-bitrate --timing --bus-kwargs, and the output flags."""
+    from tipforce_tools.cli import bus_flags
+
     bus_flags.add_bus_arguments(parser)
     add_output_arguments(parser)
 
 
 def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bus flags, the timeout and retries of SDO transfers, and the output flags."""
+    from tipforce_tools.cli import bus_flags
+
     bus_flags.add_bus_arguments(parser)
     group = parser.add_argument_group("SDO")
     group.add_argument(
