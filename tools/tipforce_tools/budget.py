@@ -61,8 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--theta", type=float, metavar="DEG")
     parser.add_argument("--sense", choices=("push", "pull"), help="of the loads (default: that of the file, else push)")
     sizes = parser.add_argument_group("causes")
-    for flag, unit, text, _, _ in _FLAGS:
-        sizes.add_argument(flag, type=float, metavar=unit.replace("%", "PERCENT"), help=text)
+    common.add_numbers(sizes, *((flag, None, unit.replace("%", "PERCENT"), text) for flag, unit, text, _, _ in _FLAGS))
     parser.add_argument("-o", "--output", metavar="FILE", help="a plot, .png or .svg")
     common.add_output_arguments(parser)
 

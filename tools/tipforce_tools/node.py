@@ -69,16 +69,15 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
         "(default %(default)s)",
     )  # fmt: skip
     group.add_argument("--trigger", metavar="NAME", help="of the buffer (default: the device's own, else a timer)")
-    group.add_argument("--scan-rate", type=float, default=1000.0, metavar="HZ", help="of that timer (default 1000)")
+    common.add_numbers(group, ("--scan-rate", 1000.0, "HZ", "of that timer (default 1000)"))
     group = parser.add_argument_group("replayed source")
-    group.add_argument("--speed", type=float, default=1.0, metavar="X", help="times the recorded speed (default 1)")
+    common.add_numbers(group, ("--speed", 1.0, "X", "times the recorded speed (default 1)"))
     group.add_argument("--loop", action="store_true", help="repeat at the end; otherwise the node reports no data")
     group = parser.add_argument_group("simulated source")
-    group.add_argument(
-        "--noise", type=float, default=0.5, metavar="UE", help="noise of each gauge, microstrain (default %(default)s)"
-    )
-    group.add_argument(
-        "--noise-1f", type=float, default=0.0, metavar="UE", help="1/f noise: microstrain at 1 Hz (default none)"
+    common.add_numbers(
+        group,
+        ("--noise", 0.5, "UE", "noise of each gauge, microstrain (default %(default)s)"),
+        ("--noise-1f", 0.0, "UE", "1/f noise: microstrain at 1 Hz (default none)"),
     )
     group.add_argument("--bits", type=int, choices=(16, 24), default=16, help="of the converter (default %(default)s)")
     group.add_argument("--offset", default="", metavar="UE,UE,...", help="unloaded reading of each gauge, microstrain")

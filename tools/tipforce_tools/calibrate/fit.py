@@ -32,10 +32,8 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
 def add_model_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags that say how the readings are believed to have come about."""
     group = parser.add_argument_group("model")
-    group.add_argument(
-        "--angle-scatter", type=float, default=0.5, metavar="DEG",
-        help="standard deviation of phi and of theta of a groove, the same error in all its rows (default %(default)s)",
-    )  # fmt: skip
+    scatter = "standard deviation of phi and of theta of a groove, the same error in all its rows (default %(default)s)"
+    common.add_numbers(group, ("--angle-scatter", 0.5, "DEG", scatter))
     group.add_argument(
         "--drift", choices=("none", "tare", "linear"),
         help="of the offsets (default: what predicts rows that the fit leaves out best)",
@@ -44,23 +42,17 @@ def add_model_arguments(parser: argparse.ArgumentParser) -> None:
         "--loss", choices=("huber", "soft-l1", "none"), default="huber",
         help="rows that disagree weigh less or are left out by name; none: all count (default %(default)s)",
     )  # fmt: skip
-    group.add_argument("--noise", type=float, metavar="UE", help="gauge noise in microstrain (default: estimated)")
+    common.add_numbers(group, ("--noise", None, "UE", "gauge noise in microstrain (default: estimated)"))
     group.add_argument(
         "--saturation", type=_limit, metavar="UE|none",
         help="converter limit in microstrain, kept in the file; none: no reading is at a limit",
     )  # fmt: skip
-    group.add_argument(
-        "--yield-stress", type=float, metavar="MPA", help="of the material, for the overload force (with --layout)"
+    common.add_numbers(
+        group, ("--yield-stress", None, "MPA", "of the material, for the overload force (with --layout)")
     )
     group.add_argument("--no-offset", action="store_true", help="the readings are zero unloaded: fit no offset")
     group.add_argument("--prior", choices=("beam",), help="lean on beam theory where loads are few; needs --layout")
-    group.add_argument(
-        "--prior-scatter",
-        type=float,
-        default=0.1,
-        metavar="SHARE",
-        help="how far theory may be off (default %(default)s)",
-    )
+    common.add_numbers(group, ("--prior-scatter", 0.1, "SHARE", "how far theory may be off (default %(default)s)"))
 
 
 def run_fit(args: argparse.Namespace) -> int:

@@ -42,15 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--auto", action="store_true", help="simulated node: apply the loads without prompts")
     group = parser.add_argument_group("capture")
     group.add_argument("--samples", type=int, default=200, metavar="N", help="of a capture (default %(default)s)")
-    group.add_argument("--period", type=float, default=5.0, metavar="MS", help="between samples (default %(default)s)")
-    group.add_argument(
-        "--max-std", type=float, default=5.0, metavar="UE",
-        help="limit of the scatter within a capture, microstrain (default %(default)s)",
-    )  # fmt: skip
-    group.add_argument(
-        "--max-drift", type=float, default=2.0, metavar="UE",
-        help="limit of the drift within a capture, microstrain (default %(default)s)",
-    )  # fmt: skip
+    common.add_numbers(
+        group,
+        ("--period", 5.0, "MS", "between samples (default %(default)s)"),
+        ("--max-std", 5.0, "UE", "limit of the scatter within a capture, microstrain (default %(default)s)"),
+        ("--max-drift", 2.0, "UE", "limit of the drift within a capture, microstrain (default %(default)s)"),
+    )
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout (for the file and the prior)")
     fit.add_model_arguments(parser)
     parser.set_defaults(angle_scatter=None, sense=None, date=None)  # None: 0.5 degree with weights, 0 with --auto

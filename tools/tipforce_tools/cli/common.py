@@ -36,6 +36,14 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_numbers(
+    parser: argparse.ArgumentParser | argparse._ArgumentGroup, *flags: tuple[str, float | None, str, str]
+) -> None:
+    """Add flags of one number each: (name, default, unit, help)."""
+    for name, default, unit, text in flags:
+        parser.add_argument(name, type=float, default=default, metavar=unit, help=text)
+
+
 def set_up_logging(args: argparse.Namespace) -> None:
     """Log warnings of tipforce to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
     import logging
