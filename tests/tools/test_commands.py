@@ -16,7 +16,6 @@ import pytest
 from canopen_device import types
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.dictionary import objects as od
-from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.entries import entries
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.network.bus import Bus
@@ -232,13 +231,6 @@ def test_config_apply_then_verify(tipforce: Tipforce, tmp_path: Path) -> None:
     }
 
 
-def test_config_of_a_dcf(tipforce: Tipforce, tmp_path: Path) -> None:
-    path = tmp_path / "finger.dcf"
-    path.write_text(dcf_text(3, 6, {(0x1015, 0): 33}), encoding="utf-8")
-    code, _, err = tipforce("config", "apply", 6, path)
-    assert (code, err) == (0, "node 6 (0x06): 1 objects, 0 different\n")
-
-
 # --- export ---------------------------------------------------------------------------------------------------------
 
 
@@ -256,14 +248,6 @@ def test_export_is_the_committed_file(export: Tipforce, tmp_path: Path, kind: st
     assert (code, out) == (0, "")
     assert err == f"{tmp_path / 'file'}: {len(expected.splitlines())} lines\n"
     assert (tmp_path / "file").read_bytes() == expected
-
-
-def test_export_of_others(export: Tipforce) -> None:
-    assert export("eds", "--gauges", 5)[1] == eds_text(5)
-    assert export("eds", "--simulated")[1] == eds_text(3, simulated=True)
-    dbc = export("dbc", "--nodes", "1-2")[1]
-    assert "TIP02_Contact" in dbc
-    assert "TIP03_Contact" not in dbc
 
 
 def test_a_bus_that_may_not_be_opened_is_9(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

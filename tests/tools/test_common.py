@@ -7,7 +7,6 @@ import io
 import json
 import math
 import sys
-from typing import Any
 
 import pytest
 
@@ -63,10 +62,6 @@ def test_a_set_of_node_ids(text: str, numbers: list[int]) -> None:
 def test_what_is_no_set_of_node_ids(text: str, message: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError, match=message):
         common.node_ids(text)
-
-
-def test_a_node_id_is_shown_twice() -> None:
-    assert common.shown_id(10) == "10 (0x0A)"
 
 
 def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
@@ -183,15 +178,3 @@ def test_colour(
         out, err = capsys.readouterr()
         assert ("\x1b[1;31m" in (err if stderr else out)) is coloured
         assert ("\x1b" in out + err) is coloured  # plain is plain: not bold, either
-
-
-def test_set_up_logging_silences_the_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
-    import logging
-
-    calls: list[dict[str, Any]] = []
-    monkeypatch.setattr(logging, "basicConfig", lambda **options: calls.append(options))
-    for words in ([], ["-q"], ["-v"]):
-        common.set_up_logging(bus_arguments(*words))
-    assert [call["level"] for call in calls] == [logging.WARNING, logging.ERROR, logging.DEBUG]
-    assert all(call["stream"] is sys.stderr for call in calls)
-    assert logging.getLogger("canopen").level == logging.CRITICAL

@@ -103,12 +103,6 @@ def test_angles_are_compared_round_the_circle() -> None:
     assert result.inside
 
 
-def test_coverage_factor() -> None:
-    """z of all comparisons together: the probability that any is outside is at most 1e-6 (Bonferroni)."""
-    z = job.coverage_factor(LOADS * 3)
-    assert LOADS * 3 * math.erfc(z / math.sqrt(2)) == pytest.approx(job.FAMILY_WISE_ERROR, rel=1e-3)
-
-
 def simulated_errors(calibration: Calibration, applied: FloatArray, draws: int, seed: int) -> FloatArray:
     """Errors of ``draws`` noisy readings in P, phi, theta, (draws, 3), worked out from strains: no use of bounds().
 
@@ -146,15 +140,3 @@ def test_the_bound_against_a_simulation(case: str, pull: bool, groove: int) -> N
     expected = np.hypot(u, 2 * job.HALF_STEP / math.sqrt(12))
     np.testing.assert_allclose(errors.std(axis=0), expected, rtol=0.03)
     assert (np.abs(errors.mean(axis=0)) < 0.05 * expected).all(), "no bias"
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_host_and_node_differ_by_rounding_only(case: str) -> None:
-    """The second bound has no noise in it: host and node see the same counts, the host in steps of the gauge PDO."""
-    calibration = job.case_calibration(case, True)
-    applied = np.array([4.4, 0.0, 45.0])
-    _, with_noise, host = job.bounds(calibration, applied, 6.0)
-    _, without, same = job.bounds(calibration, applied, 0.0)
-    np.testing.assert_array_equal(host, same)
-    np.testing.assert_array_equal(host, without)
-    assert (host < with_noise).all()

@@ -148,17 +148,6 @@ def test_a_number_is_never_cut(monkeypatch: pytest.MonkeyPatch) -> None:
         assert ("\u2502" in told) == (width == 200)
 
 
-def test_the_demo_fits_eighty_columns(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    stream = io.StringIO()
-    monkeypatch.setattr(common, "console", lambda *_, **__: Console(file=stream, width=80))
-    assert main(["demo", "-q"]) == 0
-    capsys.readouterr()
-    lines = stream.getvalue().splitlines()
-    assert len(lines) > 114
-    assert max(map(len, lines)) <= 80
-    assert "\u2026" not in stream.getvalue()
-
-
 @pytest.mark.parametrize(
     "words", ["scene explain scenes/grasp.toml", "design table 1", "design table fig9 --repeats 2"]
 )

@@ -7,7 +7,6 @@ import sys
 
 import pytest
 
-from tipforce_tools.cli.main import COMMANDS
 from tools import heavy
 from tools.command_lines import LINES
 
@@ -38,17 +37,3 @@ def told() -> list[str]:
 
 def test_no_help_imports_anything_heavy(told: list[str]) -> None:
     assert told == [" ".join(path) for path in PATHS]
-
-
-LOG_TOOLS = {"dump", "log", "replay", "decode", "plot", "monitor", "completion"}
-
-
-@pytest.mark.parametrize("name", sorted(LOG_TOOLS & set(COMMANDS)))
-def test_the_help_of_the_log_tools_has_examples(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    from tipforce_tools.cli.main import main
-
-    with pytest.raises(SystemExit) as caught:
-        main([name, "--help"])
-    assert caught.value.code == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert sum(line.startswith("  ") and f"tipforce {name} " in line for line in lines) >= 2

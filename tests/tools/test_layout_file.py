@@ -116,11 +116,6 @@ def test_a_calibration_finds_the_matrix_of_the_layout(tmp_path: Path) -> None:
     np.testing.assert_allclose(fit.C @ A, np.eye(3), atol=5e-3)
 
 
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_a_layout_by_name(name: str) -> None:
-    assert read_layout(name) == (FABRICATED, LAYOUTS[name])
-
-
 def test_a_layout_with_a_geometry(tmp_path: Path) -> None:
     path = tmp_path / "layout.toml"
     wanted = replace(FABRICATED, r_m=0.02)

@@ -222,10 +222,6 @@ def test_a_fault_of_ours_keeps_its_traceback(run_command: Run) -> None:
         run_command(raising(ZeroDivisionError()))
 
 
-def test_the_code_of_a_command_is_the_exit_code(run_command: Run) -> None:
-    assert run_command(lambda _args: 3) == 3
-
-
 def test_numbers_with_a_minus_are_values_not_flags(run_command: Run) -> None:
     seen: list[list[str]] = []
 

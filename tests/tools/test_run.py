@@ -7,13 +7,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from tipforce.scene.reader import read_scene
 from tipforce.scene.registry import identifiers, parts
-from tipforce_lab.report.study import Effort
-from tipforce_lab.scene_cost import STEPS, Measured, _differences, import_times, nondecreasing, part_costs, studies
+from tipforce_lab.scene_cost import part_costs
 from tipforce_tools.cli.main import main
 
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -107,43 +105,6 @@ def test_costs_are_those_of_the_parts_that_are_built() -> None:
     assert all((cost.import_ms is not None) == cost.built for cost in costs.values())
     assert all(cost.us_per_sample is None for cost in costs.values() if not cost.built)
     assert costs["nodes"].us_per_sample is not None
-
-
-def test_no_part_costs_less_than_nothing() -> None:
-    assert nondecreasing([1.0, 2.0, 2.0, 5.0]) == [1.0, 2.0, 2.0, 5.0]
-    assert nondecreasing([3.0, 1.0, 2.0, 7.0, 6.0]) == [2.0, 2.0, 2.0, 6.5, 6.5]
-    rng = np.random.default_rng(4)
-    for _ in range(50):
-        noisy = np.arange(12) + 5.0 * rng.normal(size=12)
-        found = nondecreasing(noisy.tolist())
-        assert found == sorted(found)
-        assert sum(found) == pytest.approx(noisy.sum())
-    times = [Measured(us, ms, (), 0.0) for us, ms in ((10.0, 1.0), (11.0, -0.5), (4.0, 0.25), (6.0, -1.0))]
-    steps = _differences(times)
-    assert min(min(step) for step in steps) >= 0.0
-    assert [us for us, _ in steps] == [0.0, 5.5, 0.0, 5.0]
-    assert sum(us for us, _ in steps) == pytest.approx(10.5)
-
-
-def test_import_times_go_to_the_part_that_loads() -> None:
-    path = SCENES / "tap.toml"
-    found = import_times(read_scene(path), path)
-    assert found["dynamics"] > 0.0
-    assert found["structure"] > 0.0  # numpy
-    assert "plot" not in found
-    assert "noise" not in found
-
-
-def test_the_study_of_the_report_ends_with_the_bare_nodes() -> None:
-    steps: list[None] = []
-    (study,) = studies(Effort(quick=True), lambda: steps.append(None))
-    assert len(steps) == STEPS
-    assert [one.method for one in study.series] == ["static", "full"]
-    static, full = (one.points for one in study.series)
-    assert len(static) < len(full)
-    assert full[0].error > static[0].error  # noise, dynamics and temperature
-    # Processor time, as a ratio within one run: it is about ten.
-    assert full[0].timing.seconds > 2.0 * static[0].timing.seconds
 
 
 def test_a_shipped_scene_is_found_by_name(

@@ -64,11 +64,6 @@ def test_the_place_follows_from_the_kernel(
     assert command.choose(["vcan0", "vcan1"]) == place
 
 
-def test_uml_can_be_forced_and_then_nothing_is_probed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(host, "is_up", lambda _name: pytest.fail("probed"))
-    assert command.choose(["vcan0"], "uml") == "uml"
-
-
 def test_host_forced_on_a_kernel_without_vcan_says_what_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_kernel(monkeypatch)
     with pytest.raises(EnvironmentLackError, match=r"vcan0, vcan1 cannot be created.*modprobe vcan"):
@@ -119,27 +114,6 @@ def test_the_command_is_taken_word_for_word(
     fake_kernel(monkeypatch)
     assert command.run(parse(*words)) == 4
     assert asked == [("uml", expected)]
-
-
-def test_flags_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    given: dict[str, object] = {}
-
-    def note(words: Sequence[str], **rest: object) -> int:
-        given.update(rest, command=list(words))
-        return 0
-
-    monkeypatch.setattr(command, "run_with_vcan", note)
-    args = parse("--interfaces", "a,b", "--memory", "512M", "--timeout", "2.5", "--host", "--rw", "--", "true")
-    assert command.run(args) == 0
-    assert given == {
-        "command": ["true"],
-        "interfaces": ["a", "b"],
-        "memory": "512M",
-        "timeout_s": 2.5,
-        "place": "host",
-        "writable": True,
-        "announced": False,
-    }
 
 
 class FakeStdin:
@@ -319,34 +293,6 @@ def test_the_environment_comes_through_the_file_unchanged(tmp_path: Path) -> Non
 def test_a_nul_byte_cannot_be_passed(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="NUL"):
         uml.write_list(tmp_path / "command", ["a\0b"])
-
-
-def test_the_modules_are_loaded_each_after_what_it_needs() -> None:
-    commands = [line.split() for line in SCRIPT.splitlines()]
-    loads = [words[1] for words in commands if words[:1] == ["load"] and "/can/" in words[1]]
-    assert loads == [
-        "net/can/can",
-        "net/can/can-raw",
-        "net/can/can-bcm",
-        "net/can/can-gw",
-        "drivers/net/can/dev/can-dev",
-        "drivers/net/can/vcan",
-        "drivers/net/can/vxcan",
-    ]
-    assert SCRIPT.index("load drivers/net/can/vxcan") < SCRIPT.index("ip link add dev")
-
-
-@needs_bash
-def test_the_scripts_are_valid_bash(tmp_path: Path) -> None:
-    for text in (SCRIPT, host._MAKE_BUSES, uml._WATCHED):
-        script = tmp_path / "script"
-        script.write_text(text)
-        subprocess.run(["bash", "-n", str(script)], check=True)
-
-
-@pytest.mark.parametrize(("text", "size"), [("2G", 2 << 30), ("512m", 512 << 20), ("65536K", 1 << 26)])
-def test_memory_sizes(text: str, size: int) -> None:
-    assert uml.memory_bytes(text) == size
 
 
 def test_memory_larger_than_dev_shm_lives_in_the_private_folder(tmp_path: Path) -> None:

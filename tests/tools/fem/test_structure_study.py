@@ -26,11 +26,6 @@ def _once(work: object, _: Effort) -> Timing:
     return Timing(1.0, 1.0, 1.0, 1)
 
 
-def test_the_steps_are_those_announced(found: tuple[dict[str, Study], int]) -> None:
-    assert found[1] == structure.STEPS
-    assert set(found[0]) == {"structure-condition", "structure-strain"}
-
-
 def test_models_and_their_errors(found: tuple[dict[str, Study], int]) -> None:
     study = found[0]["structure-condition"]
     errors = {one.method: [point.error for point in one.points] for one in study.series}

@@ -62,15 +62,3 @@ def test_a_judgement_that_is_switched_off_is_noticed(
     assert row.over == (False, False, False, True, True)
     assert not row.held  # five gauges can tell: no reason excuses it
     assert honesty._row("drift", 3, tuple(found)).held
-
-
-def test_remarks_count_what_the_table_has() -> None:
-    rows = [
-        honesty._row(fault, 5, (Counted(100, 90, wrong), *[Counted(100, 99, 0)] * 4))
-        for fault, wrong in (("none", 0), ("warm", 8))
-    ]
-    told = honesty._remarks(rows)
-    assert "contact PDO alone 8 of 180" in told[0]
-    assert told[1] == f"Fewest: {honesty.METHODS[1]}."
-    assert "97.2 %" in told[2]
-    assert [row.held for row in rows] == [True, True]  # the contact PDO does not carry the temperature

@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from tipforce_lab.report import run
 from tipforce_lab.report.study import Effort, Study
 from tipforce_tools.cli.main import main
 from tools.report import made
@@ -153,22 +152,3 @@ def test_the_page_is_written_where_it_is_asked_for(capsys: pytest.CaptureFixture
     assert "index.html" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     assert main(["report", "--only", "alpha", "-o", str(tmp_path / "file")]) == 2
-
-
-@pytest.mark.usefixtures("sound")
-def test_progress_covers_every_step() -> None:
-    job = run.Run(run.selected(None), Effort(quick=True), "")
-    advanced: list[None] = []
-    list(job.items(lambda: advanced.append(None)))
-    assert len(advanced) == job.steps == 2 + len(made.cases())
-
-
-def test_the_real_studies_are_modules_as_the_table_says() -> None:
-    import importlib
-
-    for key, (name, what) in run.STUDIES.items():
-        assert what
-        if key in ("estimators", "fits", "decoders"):
-            module = importlib.import_module(name)
-            assert module.STEPS > 0
-            assert callable(module.studies)
