@@ -92,11 +92,10 @@ def test_only_what_was_said_goes_to_python_can() -> None:
 
 
 @pytest.mark.parametrize("words", ["--timeout 0", "--timeout -1", "--timeout nan", "--timeout inf", "--retries -1"])
-def test_times_and_retries_that_make_no_sense(words: str) -> None:
-    arguments = bus_arguments("-i", "virtual", *words.split())
-    allowed = r"allowed are a time over 0 s and 0 or more retries"
-    with pytest.raises(InputError, match=allowed), common.open_connection(arguments):
-        pass
+def test_times_and_retries_that_make_no_sense(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        bus_arguments("-i", "virtual", *words.split())
+    assert "allowed" in capsys.readouterr().err
 
 
 class Terminal(io.StringIO):

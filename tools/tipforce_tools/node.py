@@ -69,22 +69,24 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
         "(default %(default)s)",
     )  # fmt: skip
     group.add_argument("--trigger", metavar="NAME", help="of the buffer (default: the device's own, else a timer)")
-    common.add_numbers(group, ("--scan-rate", 1000.0, "HZ", "of that timer (default 1000)"))
+    rate = common.number_within(0.0, 100_000.0, "is above 0 up to 100000 Hz", over=True)
+    common.add_numbers(group, ("--scan-rate", 1000.0, "HZ", "of that timer (default 1000)", rate))
     group = parser.add_argument_group("replayed source")
-    common.add_numbers(group, ("--speed", 1.0, "X", "times the recorded speed (default 1)"))
+    common.add_numbers(group, ("--speed", 1.0, "X", "times the recorded speed (default 1)", float))
     group.add_argument("--loop", action="store_true", help="repeat at the end; otherwise the node reports no data")
     group = parser.add_argument_group("simulated source")
+    noise = common.number_within(0.0, 1e6, "is 0 to 1e+06 microstrain")
     common.add_numbers(
         group,
-        ("--noise", 0.5, "UE", "noise of each gauge, microstrain (default %(default)s)"),
-        ("--noise-1f", 0.0, "UE", "1/f noise: microstrain at 1 Hz (default none)"),
+        ("--noise", 0.5, "UE", "noise of each gauge, microstrain (default %(default)s)", noise),
+        ("--noise-1f", 0.0, "UE", "1/f noise: microstrain at 1 Hz (default none)", noise),
     )
     group.add_argument("--bits", type=int, choices=(16, 24), default=16, help="of the converter (default %(default)s)")
     group.add_argument("--offset", default="", metavar="UE,UE,...", help="unloaded reading of each gauge, microstrain")
     group.add_argument(
         "--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons and degrees (default %(default)s)"
     )
-    group.add_argument("--seed", type=common.seed, default=0, help="of the noise (default %(default)s)")
+    group.add_argument("--seed", type=common.whole_number, default=0, help="of the noise (default %(default)s)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -161,8 +163,6 @@ def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, .
         from tipforce.sources.iio_gauges import Capture, open_iio
         from tipforce.sources.layout_file import read_bridge
 
-        if not 0.0 < args.scan_rate <= 100_000.0:
-            raise InputError(f"--scan-rate {args.scan_rate:g}: allowed is above 0 up to 100000 Hz")
         capture = Capture(args.capture, args.trigger, args.scan_rate)
         return open_iio(rest, args.layout, len(gauges), read_bridge(args.layout), capture)
     if kind == "replay" and rest:
@@ -180,9 +180,6 @@ def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge
     if not abs(load[0]) <= MOST_LOAD_NEWTONS:
         raise InputError(f"--load {args.load}: allowed is a force up to {MOST_LOAD_NEWTONS:g} N")
     offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
-    for flag, value in (("--noise", args.noise), ("--noise-1f", args.noise_1f)):
-        if not 0.0 <= value <= LARGEST_MICROSTRAIN:
-            raise InputError(f"{flag} {value}: allowed is 0 to {LARGEST_MICROSTRAIN:g} microstrain")
     if max(map(abs, offset)) > LARGEST_MICROSTRAIN:
         raise InputError(f"--offset {args.offset}: allowed is up to {LARGEST_MICROSTRAIN:g} microstrain")
     rows = gauge_matrix(geometry, gauges).tolist()

@@ -34,7 +34,7 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
         "scene", metavar="SCENE", help="a TOML file (docs/scenes.md), or the name of a shipped scene: grasp"
     )
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
-    parser.add_argument("--seed", type=common.seed, metavar="N", help="instead of the scene's seed")
+    parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")
     parser.add_argument("-o", "--log", metavar="LOG", help="write every frame to this file, as candump -L does")
     group = parser.add_argument_group("bus (in real time)")
     group.add_argument("-i", "--interface", help="python-can interface: socketcan, virtual, ...")

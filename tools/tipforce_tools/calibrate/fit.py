@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import math
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
@@ -21,7 +22,9 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="where the gauges sit (for the file and the prior)")
     add_model_arguments(parser)
     parser.add_argument("--sense", choices=("push", "pull"), help="load sense of the file (default: that of the data)")
-    parser.add_argument("--serial", type=int, default=0, metavar="N", help="serial number of the fingertip")
+    parser.add_argument(
+        "--serial", type=common.unsigned32, default=0, metavar="N", help="serial number of the fingertip"
+    )
     parser.add_argument("--date", type=_date, metavar="YYYY-MM-DD", help="default: today")
     parser.add_argument(
         "--strict", action="store_true", help="write no file and exit 1 if a row is bad, or the fit is in doubt"
@@ -32,8 +35,11 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
 def add_model_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags that say how the readings are believed to have come about."""
     group = parser.add_argument_group("model")
+    above_0 = common.number_within(0.0, common.MOST, "is above 0", over=True)
     scatter = "standard deviation of phi and of theta of a groove, the same error in all its rows (default %(default)s)"
-    common.add_numbers(group, ("--angle-scatter", 0.5, "DEG", scatter))
+    common.add_numbers(
+        group, ("--angle-scatter", 0.5, "DEG", scatter, common.number_within(0.0, 20.0, "is 0 to 20 degrees"))
+    )
     group.add_argument(
         "--drift", choices=("none", "tare", "linear"),
         help="of the offsets (default: what predicts rows that the fit leaves out best)",
@@ -42,17 +48,19 @@ def add_model_arguments(parser: argparse.ArgumentParser) -> None:
         "--loss", choices=("huber", "soft-l1", "none"), default="huber",
         help="rows that disagree weigh less or are left out by name; none: all count (default %(default)s)",
     )  # fmt: skip
-    common.add_numbers(group, ("--noise", None, "UE", "gauge noise in microstrain (default: estimated)"))
+    common.add_numbers(group, ("--noise", None, "UE", "gauge noise in microstrain (default: estimated)", above_0))
     group.add_argument(
         "--saturation", type=_limit, metavar="UE|none",
         help="converter limit in microstrain, kept in the file; none: no reading is at a limit",
     )  # fmt: skip
     common.add_numbers(
-        group, ("--yield-stress", None, "MPA", "of the material, for the overload force (with --layout)")
+        group, ("--yield-stress", None, "MPA", "of the material, for the overload force (with --layout)", above_0)
     )
     group.add_argument("--no-offset", action="store_true", help="the readings are zero unloaded: fit no offset")
     group.add_argument("--prior", choices=("beam",), help="lean on beam theory where loads are few; needs --layout")
-    common.add_numbers(group, ("--prior-scatter", 0.1, "SHARE", "how far theory may be off (default %(default)s)"))
+    common.add_numbers(
+        group, ("--prior-scatter", 0.1, "SHARE", "how far theory may be off (default %(default)s)", float)
+    )
 
 
 def run_fit(args: argparse.Namespace) -> int:
@@ -70,8 +78,6 @@ def run_fit(args: argparse.Namespace) -> int:
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
     request = FitRequest.of(args)
     request.check_gauges(data.strain.shape[1], args.data)
-    if not 0 <= args.serial < 2**32:
-        raise InputError(f"--serial {args.serial}: allowed is 0 to {2**32 - 1}")
     result = fitted(request, data, lambda text: common.note(args, text))
     doubtful = publish(args, args.data, request, result)
     if data.bad:
@@ -85,12 +91,8 @@ def run_fit(args: argparse.Namespace) -> int:
 
 
 def _limit(text: str) -> float:
-    if text == "none":
-        return float("inf")
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are microstrain above 0, and none") from None
+    above_0 = common.number_within(0.0, math.inf, "is above 0, in microstrain, or none", over=True)
+    return math.inf if text == "none" else above_0(text)
 
 
 def _date(text: str) -> datetime.date:

@@ -68,18 +68,10 @@ class FitRequest:
 
     @cached_property
     def model(self) -> Model:
-        """The model that the flags ask for. Raises InputError for values that are not allowed."""
+        """The model that the flags ask for. Raises InputError for a prior without a layout."""
         if self.prior and self.structure is None:
             raise InputError("--prior beam needs --layout: the theory depends on where the gauges sit")
         prior = beam_prior(*self.structure, self.prior_scatter) if self.prior and self.structure else None
-        if not 0.0 <= self.angle_scatter <= 20.0:
-            raise InputError(f"--angle-scatter {self.angle_scatter:g}: allowed is 0 to 20 degrees")
-        if self.noise is not None and not 0.0 < self.noise < np.inf:
-            raise InputError(f"--noise {self.noise:g}: allowed is above 0, in microstrain")
-        if self.saturation is not None and not self.saturation > 0.0:
-            raise InputError(f"--saturation {self.saturation:g}: allowed is above 0, in microstrain, or none")
-        if self.yield_stress is not None and not 0.0 < self.yield_stress < np.inf:
-            raise InputError(f"--yield-stress {self.yield_stress:g}: allowed is above 0, in MPa")
         scatter = float(np.radians(self.angle_scatter))
         return Model(
             offset=not self.no_offset,

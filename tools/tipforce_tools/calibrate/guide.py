@@ -42,11 +42,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--auto", action="store_true", help="simulated node: apply the loads without prompts")
     group = parser.add_argument_group("capture")
     group.add_argument("--samples", type=int, default=200, metavar="N", help="of a capture (default %(default)s)")
+    period = common.number_within(0.0, 1000.0, "is above 0, up to 1000", over=True)
+    limit = common.number_within(0.0, 1e6, "is above 0, up to 1e+06", over=True)
     common.add_numbers(
         group,
-        ("--period", 5.0, "MS", "between samples (default %(default)s)"),
-        ("--max-std", 5.0, "UE", "limit of the scatter within a capture, microstrain (default %(default)s)"),
-        ("--max-drift", 2.0, "UE", "limit of the drift within a capture, microstrain (default %(default)s)"),
+        ("--period", 5.0, "MS", "between samples (default %(default)s)", period),
+        ("--max-std", 5.0, "UE", "limit of the scatter within a capture, microstrain (default %(default)s)", limit),
+        ("--max-drift", 2.0, "UE", "limit of the drift within a capture, microstrain (default %(default)s)", limit),
     )
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout (for the file and the prior)")
     fit.add_model_arguments(parser)
@@ -151,10 +153,6 @@ def _check(args: argparse.Namespace) -> None:
     """Check flags that would otherwise fail after an hour of weights."""
     if not MIN_SAMPLES <= args.samples <= MAX_SAMPLES:
         raise InputError(f"--samples {args.samples}: allowed is {MIN_SAMPLES} to {MAX_SAMPLES}")
-    for flag, value, most in (("period", args.period, 1000.0), ("max-std", args.max_std, 1e6),
-                              ("max-drift", args.max_drift, 1e6)):  # fmt: skip
-        if not 0.0 < value <= most:
-            raise InputError(f"--{flag} {value:g}: allowed is above 0, up to {most:g}")
     if args.output:
         check_output(args.output, CALIBRATION)
     if args.angle_scatter is None:

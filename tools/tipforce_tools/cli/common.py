@@ -7,6 +7,7 @@ import math
 import os
 import re
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import repeat
@@ -36,14 +37,6 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_numbers(
-    parser: argparse.ArgumentParser | argparse._ArgumentGroup, *flags: tuple[str, float | None, str, str]
-) -> None:
-    """Add flags of one number each: (name, default, unit, help)."""
-    for name, default, unit, text in flags:
-        parser.add_argument(name, type=float, default=default, metavar=unit, help=text)
-
-
 def set_up_logging(args: argparse.Namespace) -> None:
     """Log warnings of tipforce to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
     import logging
@@ -70,10 +63,10 @@ def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
 
     bus_flags.add_bus_arguments(parser)
     group = parser.add_argument_group("SDO")
+    add_numbers(group, ("--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", timeout))
     group.add_argument(
-        "--timeout", type=float, default=0.5, metavar="S", help="timeout of a response (default %(default)s s)"
+        "--retries", type=whole_number, default=2, metavar="N", help="after a timeout (default %(default)s)"
     )
-    group.add_argument("--retries", type=int, default=2, metavar="N", help="after a timeout (default %(default)s)")
     add_output_arguments(parser)
 
 
@@ -93,14 +86,8 @@ def open_bus(args: argparse.Namespace) -> can.BusABC:
 @contextmanager
 def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
     """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one."""
-    import threading
-
     from tipforce.host.network.bus import Bus
 
-    if not 0 < args.timeout < threading.TIMEOUT_MAX or args.retries < 0:
-        raise InputError(
-            f"--timeout {args.timeout:g}, --retries {args.retries}: allowed are a time over 0 s and 0 or more retries"
-        )
     with Bus(open_bus(args), args.timeout, args.retries) as connection:
         try:
             yield connection
@@ -136,8 +123,8 @@ def count(text: str) -> int:
     return _whole(text, 1, math.inf, "whole numbers from 1", 10)
 
 
-def seed(text: str) -> int:
-    """Parse a seed of random numbers for argparse: a whole number from 0."""
+def whole_number(text: str) -> int:
+    """Parse a whole number from 0 for argparse: a seed of random numbers, a number of retries."""
     return _whole(text, 0, math.inf, "whole numbers from 0", 10)
 
 
@@ -158,8 +145,26 @@ def number_that(accepted: Callable[[float], bool], allowed: str) -> Callable[[st
     return parse
 
 
+def number_within(low: float, high: float, allowed: str, *, over: bool = False) -> Callable[[str], float]:
+    """Return a parser for argparse of a number from ``low``, or ``over`` it, to ``high``."""
+    return number_that(lambda value: low < value <= high or (value == low and not over), allowed)
+
+
 seconds = number_that(lambda value: 0 < value < math.inf, "are seconds, more than 0")
 """Parse a time in seconds for argparse: more than 0."""
+timeout = number_within(0.0, threading.TIMEOUT_MAX, "is a time over 0 s", over=True)
+"""Parse a time that a thread can wait for."""
+MOST = sys.float_info.max
+"""The largest finite number."""
+
+
+def add_numbers(
+    parser: argparse.ArgumentParser | argparse._ArgumentGroup,
+    *flags: tuple[str, float | None, str, str, Callable[[str], float]],
+) -> None:
+    """Add flags of one number each: (name, default, unit, help, parser of the text, which knows what is allowed)."""
+    for name, default, unit, text, parse in flags:
+        parser.add_argument(name, type=parse, default=default, metavar=unit, help=text)
 
 
 def node_id(text: str) -> int:

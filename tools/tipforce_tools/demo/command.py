@@ -6,7 +6,15 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
-from tipforce_tools.cli.common import add_output_arguments, note, print_json, print_record, print_rows, progress, seed
+from tipforce_tools.cli.common import (
+    add_output_arguments,
+    note,
+    print_json,
+    print_record,
+    print_rows,
+    progress,
+    whole_number,
+)
 from tipforce_tools.view.serving import add_page_arguments
 
 if TYPE_CHECKING:
@@ -22,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution. Otherwise the\n"
         "exit code is 1."
     )
-    parser.add_argument("--seed", type=seed, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)")
+    parser.add_argument(
+        "--seed", type=whole_number, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)"
+    )
     parser.add_argument(
         "--spoil", action="store_true", help="corrupt one element of each calibration matrix: the demo must fail"
     )

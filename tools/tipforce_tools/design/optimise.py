@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="3 to 5 (default %(default)s)")
     parser.add_argument("--starts", type=int, default=8, metavar="K", help="per configuration (default %(default)s)")
-    parser.add_argument("--seed", type=common.seed, default=0, help="of the starts (default %(default)s)")
+    parser.add_argument("--seed", type=common.whole_number, default=0, help="of the starts (default %(default)s)")
     parser.add_argument("-o", "--output", metavar="LAYOUT.toml", help="write the best design as a layout file")
     _add_loads(parser)
     _add_limits(parser)
@@ -42,13 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_loads(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("noise and loads")
+    not_negative = common.number_within(0.0, common.MOST, "is 0 or more")
     common.add_numbers(
         group,
-        ("--noise", 0.5, "UE", "per gauge, microstrain (%(default)s)"),
-        ("--load", 4.4, "N", "of every push (default %(default)s)"),
+        ("--noise", 0.5, "UE", "per gauge, microstrain (%(default)s)", not_negative),
+        ("--load", 4.4, "N", "of every push (default %(default)s)", float),
     )
     group.add_argument("--pad", default="0,180", metavar="MIN,MAX", help="contacts theta, degrees (%(default)s)")
-    common.add_numbers(group, ("--friction", 0.5, "MU", "half cone: atan MU (%(default)s)"))
+    common.add_numbers(group, ("--friction", 0.5, "MU", "half cone: atan MU (%(default)s)", float))
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
@@ -56,23 +57,24 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--envelope", default="30,30.2", metavar="X,Y", help="mm: 2 r across, d + h1/2 + r high (%(default)s)"
     )
-    common.add_numbers(group, ("--width", 10.0, "MM", "of the beams (default %(default)s)"))
+    common.add_numbers(group, ("--width", 10.0, "MM", "of the beams (default %(default)s)", float))
     group.add_argument("--free-width", action="store_true", help="allow a smaller width, down to a tenth")
     common.add_numbers(
         group,
-        ("--radius", None, "MM", "of the tip (default: free, at most X / 2)"),
-        ("--wall", 0.0, "MM", "least r - a (default %(default)s)"),
-        ("--slender", 10.0, "X", "least length over thickness (default %(default)s)"),
-        ("--min-h", 0.2, "MM", "least thickness (default %(default)s)"),
-        ("--gauge-length", 1.0, "MM", "default %(default)s"),
-        ("--clearance", 0.0, "MM", "of gauges to corners and each other (%(default)s)"),
+        ("--radius", None, "MM", "of the tip (default: free, at most X / 2)", float),
+        ("--wall", 0.0, "MM", "least r - a (default %(default)s)", float),
+        ("--slender", 10.0, "X", "least length over thickness (default %(default)s)", float),
+        ("--min-h", 0.2, "MM", "least thickness (default %(default)s)", float),
+        ("--gauge-length", 1.0, "MM", "default %(default)s", float),
+        ("--clearance", 0.0, "MM", "of gauges to corners and each other (%(default)s)", float),
     )
     group.add_argument("--upper-face", action="store_true", help="also allow gauges in the slit")
-    common.add_numbers(group, ("--slit", 0.25, "MM", "must stay open (default %(default)s)"))
+    common.add_numbers(group, ("--slit", 0.25, "MM", "must stay open (default %(default)s)", float))
     stress = group.add_mutually_exclusive_group()
-    common.add_numbers(stress, ("--max-stress", None, "MPA", "at the load, worst angle (default: the paper's)"))
+    common.add_numbers(stress, ("--max-stress", None, "MPA", "at the load, worst angle (default: the paper's)", float))
     stress.add_argument("--yield", dest="yield_MPa", type=float, metavar="MPA", help="stress at most this / --safety")
-    common.add_numbers(group, ("--safety", 1.5, "S", "for --yield (default %(default)s)"))
+    above_0 = common.number_within(0.0, math.inf, "is above 0", over=True)
+    common.add_numbers(group, ("--safety", 1.5, "S", "for --yield (default %(default)s)", above_0))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -83,8 +85,6 @@ def run(args: argparse.Namespace) -> int:
 
     if args.output:
         check_output(args.output, LAYOUT)
-    if not 0.0 <= args.noise < math.inf:
-        raise InputError(f"--noise {args.noise}: allowed is 0 or more")
     limits, loads = _limits_and_loads(args)
     with common.progress(args, "starts", steps(args.gauges, limits, args.starts)) as done:
         outcome = optimise(
@@ -106,8 +106,6 @@ def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:
     loads = LoadSet(args.load, *_pair("--pad", args.pad), args.friction)
     max_stress = args.max_stress
     if args.yield_MPa is not None:
-        if not args.safety > 0.0:
-            raise InputError(f"--safety {args.safety}: allowed is above 0")
         max_stress = args.yield_MPa / args.safety
     limits = Limits(
         envelope_x_m=envelope[0] * 1e-3,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from canopen_device.core.codes import EMCY_BASE, ERROR_FLAG, EXTENDED_FLAG, HEARTBEAT_BASE, NODE_ID_MASK, REMOTE_FLAG
-from tipforce.errors import InputError, TipforceError
+from tipforce.errors import TipforceError
 from tipforce_tools.cli import common
 from tipforce_tools.doctor import machine
 from tipforce_tools.doctor.machine import Check
@@ -37,14 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce doctor\n"
         "  tipforce doctor -i socketcan -c can0"
     )
-    parser.add_argument("--listen", type=float, default=1.2, metavar="S", help="listen for S (default %(default)s s)")
+    an_hour = common.number_within(0.0, 3600.0, "are 0 to 3600 s")
+    common.add_numbers(parser, ("--listen", 1.2, "S", "listen for S (default %(default)s s)", an_hour))
     common.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the findings; return 1 if a check failed."""
-    if not 0 <= args.listen <= 3600:
-        raise InputError(f"--listen {args.listen:g}: allowed are 0 to 3600 s")
     failed = False
     out = None if args.json else common.console(args)
     for check in _checks(args):

@@ -8,7 +8,6 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
 
@@ -60,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("file", metavar="FILE", help="hand.toml")
-    parser.add_argument("--seconds", type=float, metavar="S", help="run: end after this time")
+    parser.add_argument("--seconds", type=common.seconds, metavar="S", help="run: end after this time")
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)
 
@@ -69,8 +68,6 @@ def run(args: argparse.Namespace) -> int:
     """Run the action; return 0, or for up and run 1 if a finger failed."""
     from tipforce.host.hand.file import read_hand
 
-    if args.seconds is not None and not args.seconds > 0:
-        raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
     file = read_hand(args.file)
     if args.action == "check":
         return _check(args, file)

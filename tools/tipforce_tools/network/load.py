@@ -30,9 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     planned.add_argument("--gauges", type=int, default=3, metavar="N", help="of each finger, 3 (default) to 8")
     planned.add_argument("--heartbeat", type=float, default=1.0, metavar="S", help="period, 0 for none (default 1)")
-    planned.add_argument("--limit", type=float, default=80.0, metavar="PERCENT", help="default %(default)g")
+    percentage = common.number_within(0.0, 100.0, "is a percentage over 0, up to 100", over=True)
+    common.add_numbers(planned, ("--limit", 80.0, "PERCENT", "default %(default)g", percentage))
     live = parser.add_argument_group("live bus")
-    live.add_argument("--seconds", type=float, default=2.0, metavar="S", help="listening time (default %(default)g)")
+    a_day = common.number_within(0.0, 86400.0, "is a time over 0 s, up to a day", over=True)
+    common.add_numbers(live, ("--seconds", 2.0, "S", "listening time (default %(default)g)", a_day))
     common.add_bus_arguments(parser)
 
 
@@ -48,8 +50,6 @@ def _planned(args: argparse.Namespace) -> int:
     from tipforce.dictionary.signals import tpdo_messages
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, budget_lines, hand_budget, what_fits
 
-    if not 0 < args.limit <= 100:
-        raise InputError(f"--limit {args.limit:g}: allowed is a percentage over 0, up to 100")
     bit_rate = getattr(args, "bitrate", None) or DEFAULT_BIT_RATE
     names = {message.name.lower(): message.name for message in tpdo_messages(args.gauges)}
     # Unknown words stay, for the error that lists the known.
@@ -81,8 +81,6 @@ def _live(args: argparse.Namespace) -> int:
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, exact_bits
     from tipforce_tools.cli.listening import frames_heard
 
-    if not 0 < args.seconds <= 86400:
-        raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0 s, up to a day")
     bit_rate = getattr(args, "bitrate", None)
     if bit_rate is None:
         bit_rate = DEFAULT_BIT_RATE

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import threading
 from dataclasses import asdict
@@ -45,9 +44,8 @@ def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--nodes", type=common.node_ids, default=list(range(1, 128)), metavar="IDS", help="1,2,5-9 (default: all)"
     )
-    parser.add_argument(
-        "--wait", type=float, default=1.2, metavar="S", help="wait for responses and heartbeats (default %(default)s s)"
-    )
+    wait = common.number_within(0.0, threading.TIMEOUT_MAX, "is 0 s or more")
+    common.add_numbers(parser, ("--wait", 1.2, "S", "wait for responses and heartbeats (default %(default)s s)", wait))
     common.add_sdo_arguments(parser)
 
 
@@ -55,8 +53,6 @@ def run_scan(args: argparse.Namespace) -> int:
     """Print a line for each node; return 5 if there is none. Raises DuplicateNodeError for two with one node-id."""
     from tipforce.host.network.find import find_nodes
 
-    if not 0 <= args.wait < threading.TIMEOUT_MAX:
-        raise InputError(f"--wait {args.wait:g}: allowed is 0 s or more")
     with common.open_connection(args) as connection:
         nodes = find_nodes(connection, args.nodes, args.wait)
         for node in nodes:
@@ -83,14 +79,12 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_ids(parser)
     parser.add_argument("-n", "--count", type=common.count, default=1, metavar="N", help="samples of each (default 1)")
-    parser.add_argument("--wait", type=float, default=5.0, metavar="S", help="for each sample (default %(default)g s)")
+    common.add_numbers(parser, ("--wait", 5.0, "S", "for each sample (default %(default)g s)", common.timeout))
     common.add_sdo_arguments(parser)
 
 
 def run_read(args: argparse.Namespace) -> int:
     """Print ``count`` new samples of each finger: 0. Raises NoResponseError for a finger that gives none in time."""
-    if not 0.0 < args.wait < math.inf:
-        raise InputError(f"--wait {args.wait:g}: allowed is a time over 0 s")
     with common.open_connection(args) as connection:
         for _ in range(args.count):
             for node_id in args.ids:
@@ -156,13 +150,9 @@ def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
     add_choice(parser, "command", NMT_COMMANDS)
     parser.add_argument("ids", type=_ids_or_all, metavar="IDS", help="10, 0x0A, 1,2,5-9 or all")
     parser.add_argument(
-        "--wait",
-        nargs="?",
-        type=float,
-        const=10.0,
-        metavar="S",
+        "--wait", nargs="?", type=common.timeout, const=10.0, metavar="S",
         help="repeat the command until each heartbeat confirms it, for this long (%(const)s s unless given)",
-    )
+    )  # fmt: skip
     common.add_bus_arguments(parser)
 
 
@@ -181,8 +171,6 @@ def run_nmt(args: argparse.Namespace) -> int:
 
     if args.wait is not None and not args.ids:
         raise InputError("nmt all --wait: needs node-ids, for example 1-5")
-    if args.wait is not None and not 0 < args.wait < threading.TIMEOUT_MAX:
-        raise InputError(f"--wait {args.wait:g}: allowed is a time over 0 s")
     with Bus(common.open_bus(args)) as connection:
         if args.wait is None:
             for node_id in args.ids or [0]:
@@ -222,9 +210,8 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--product", type=common.unsigned32, default=product, metavar="N", help="default 0x%(default)X")
     group.add_argument("--vendor", type=common.unsigned32, default=0, metavar="N", help="default %(default)s")
     group.add_argument("--revision", type=common.unsigned32, metavar="N", help="default: this release's")
-    parser.add_argument(
-        "--lss-timeout", type=float, default=0.1, metavar="S", help="timeout of each response (default %(default)s s)"
-    )
+    timeout_help = "timeout of each response (default %(default)s s)"
+    common.add_numbers(parser, ("--lss-timeout", 0.1, "S", timeout_help, common.timeout))
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)
 
@@ -254,8 +241,6 @@ def run_lss(args: argparse.Namespace) -> int:
 
 
 def _check_lss(args: argparse.Namespace) -> None:
-    if not 0 < args.lss_timeout < threading.TIMEOUT_MAX:
-        raise InputError(f"--lss-timeout {args.lss_timeout:g}: allowed is a time over 0 s")
     if args.action == "assign" and not args.ids:
         raise InputError("lss assign: IDS missing; for example tipforce lss assign 1-5 --store")
     if args.action == "assign" and args.serial is not None and len(args.ids) != 1:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from canopen_device.visible_text import visible
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.cli import common
 
 DESCRIPTION = """\
 Run COMMAND where vcan0 and vcan1 are up, and exit with its exit code. The first of these that works is used: this
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (default: %(default)s)"
     )
     parser.add_argument("--memory", default="2G", metavar="SIZE", help="of User-mode Linux (default: %(default)s)")
-    parser.add_argument("--timeout", type=float, metavar="S", help="end COMMAND after S seconds, exit with 1")
+    parser.add_argument("--timeout", type=common.seconds, metavar="S", help="end COMMAND after S seconds, exit with 1")
     parser.add_argument("--rw", action="store_true", help="User-mode Linux: let COMMAND write your files")
     places = parser.add_mutually_exclusive_group()
     places.add_argument(
@@ -125,7 +126,7 @@ def run_with_vcan(
     """
     from tipforce_tools.vcan import host, uml
 
-    _check(interfaces, timeout_s)
+    _check(interfaces)
     uml.memory_bytes(memory)
     if shutil.which(command[0]) is None:
         print(f"tipforce vcan: {visible(command[0])}: command not found", file=sys.stderr)
@@ -145,11 +146,9 @@ def run_with_vcan(
     return host.run_here(host.namespace_command(interfaces, command) if chosen == "namespace" else command, timeout_s)
 
 
-def _check(interfaces: Sequence[str], timeout_s: float | None) -> None:
+def _check(interfaces: Sequence[str]) -> None:
     for name in interfaces:
         if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
             raise InputError(f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -")
     if not interfaces or len(set(interfaces)) != len(interfaces):
         raise InputError(f"--interfaces {','.join(interfaces)}: expected distinct names, for example vcan0,vcan1")
-    if timeout_s is not None and not 0 < timeout_s < float("inf"):
-        raise InputError(f"--timeout {timeout_s:g}: expected seconds above 0")
