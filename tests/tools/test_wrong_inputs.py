@@ -299,6 +299,7 @@ WRONG: list[tuple[str, int, str]] = [
             ("--source iio:device0", "--layout I: the gauges of a real converter need a [bridge] table"),
             ("--layout IV", "layout 'IV': neither one of I, II, III"),
             ("--noise -1", "--noise: '-1': allowed is 0 to 1e+06"),
+            ("--scan-rate 0", "--scan-rate: '0': allowed is above 0 up to 100000 Hz"),
             ("--noise nan", "--noise: 'nan': allowed is 0 to 1e+06"),
             ("--noise inf", "--noise: 'inf': allowed is 0 to 1e+06"),
             ("--load 1,2", "--load '1,2': expected 3 numbers separated by commas"),
