@@ -206,7 +206,7 @@ class _Sensor:
         strain = strain * (1e-6 if fault == "SI units" else 1.0)
         lines = np.arange(P.size) + 2
         data = Measurements(lines, strain, P, phi, theta, None, 20.0 + warmer, None, None, (), ())
-        return fitted(FitRequest.of(_ARGUMENTS), data).calibration
+        return fitted(FitRequest(_ARGUMENTS), data).calibration
 
 
 def _loads(rig: Rig, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

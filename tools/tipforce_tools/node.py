@@ -268,30 +268,28 @@ def _from_log(path: str, node_id: int | None) -> tuple[FloatArray, FloatArray, N
     from tipforce.host.logs.candump import read_candump
 
     decoder = Decoder()
-    times: dict[int, list[FloatArray]] = {}
-    values: dict[int, list[FloatArray]] = {}
+    readings: dict[int, list[tuple[FloatArray, FloatArray]]] = {}
     names = ("SG1", "SG2", "SG3", "stale", "fault")
     with open(path, encoding="utf-8", errors="replace") as file:
         for block in read_candump(file):
             for (sender, _message), samples in decoder.decode(block.frames, names).items():
                 columns = samples.columns
-                if not all(name in columns for name in names):
-                    continue
-                strain = np.column_stack([columns[name] for name in names[:3]]).astype(np.float64)
-                strain[columns["stale"] | columns["fault"]] = np.nan
-                times.setdefault(sender, []).append(np.asarray(samples.t_ns * 1e-9, dtype=np.float64))
-                values.setdefault(sender, []).append(strain)
-    if node_id is None and len(times) > 1:
-        ids = ", ".join(map(str, sorted(times)))
-        raise InputError(f"replay:{path}: contains gauges of the nodes {ids}; choose one: {path}@{min(times)}")
-    chosen = node_id if node_id is not None else next(iter(times), None)
-    if chosen not in times:
+                if all(name in columns for name in names):
+                    strain = np.column_stack([columns[name] for name in names[:3]]).astype(np.float64)
+                    strain[columns["stale"] | columns["fault"]] = np.nan
+                    readings.setdefault(sender, []).append((np.multiply(samples.t_ns, 1e-9, dtype=np.float64), strain))
+    if node_id is None and len(readings) > 1:
+        ids = ", ".join(map(str, sorted(readings)))
+        raise InputError(f"replay:{path}: contains gauges of the nodes {ids}; choose one: {path}@{min(readings)}")
+    chosen = node_id if node_id is not None else next(iter(readings), None)
+    if chosen not in readings:
         whose = "" if node_id is None else f" of node {node_id}"
         raise InputError(
             f"replay:{path}: no gauge PDO{whose}, and no CSV header with SG1; "
             "a recording is a CSV file with t_s,SG1,SG2,SG3 or a candump log with frames 0x180 + node-id"
         )
-    return np.concatenate(times[chosen]), np.concatenate(values[chosen]), None
+    t_s, microstrain = map(np.concatenate, zip(*readings[chosen], strict=True))
+    return t_s, microstrain, None
 
 
 def _counts(row: list[float], per_microstrain: float, ends: tuple[int, int]) -> tuple[int, ...] | None:

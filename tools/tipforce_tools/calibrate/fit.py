@@ -76,7 +76,7 @@ def run_fit(args: argparse.Namespace) -> int:
     check_one_node(args.data, data)
     if not len(data.line):
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
-    request = FitRequest.of(args)
+    request = FitRequest(args)
     request.check_gauges(data.strain.shape[1], args.data)
     result = fitted(request, data, lambda text: common.note(args, text))
     doubtful = publish(args, args.data, request, result)

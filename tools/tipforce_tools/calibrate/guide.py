@@ -79,7 +79,7 @@ def _guided(
     from tipforce_tools.calibrate.guide_walk import Walk, finish
 
     args.serial = identity.serial
-    request = FitRequest.of(args)
+    request = FitRequest(args)
     request.check_gauges(identity.gauges, "the node")
     _ = request.model  # wrong flags of the fit show before an hour of weights
     path = Path(args.session or f"session-{identity.serial}.csv")

@@ -220,13 +220,9 @@ def _failed(message: str, code: int) -> int:
 
 def terminate_as_interrupt() -> None:
     """Let SIGTERM end a long-running command as Ctrl-C does, so that it closes what it opened."""
-
     import signal
 
-    def interrupt(_number: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    signal.signal(signal.SIGTERM, interrupt)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 if __name__ == "__main__":

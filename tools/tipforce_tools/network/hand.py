@@ -173,15 +173,12 @@ def _rows(args: argparse.Namespace, hand: Hand) -> None:
     shown_s = 0.0
     names = [finger.name for finger in hand.file.finger]
     for rows in hand.blocks(args.seconds):
-        now = time.monotonic() - shown_s >= 1.0
-        if not args.json and not now:
-            continue
-        shown_s = time.monotonic() if now else shown_s
-        hand_rows = rows_one_by_one(rows, hand.node_ids, names)
-        for row, contacts in enumerate(hand_rows) if args.json else ():
-            common.print_json(_record(rows, row, contacts))
-        if not args.json:
-            print(_line(hand, hand_rows[-1]), flush=True)
+        if args.json:
+            for row, contacts in enumerate(rows_one_by_one(rows, hand.node_ids, names)):
+                common.print_json(_record(rows, row, contacts))
+        elif time.monotonic() - shown_s >= 1.0:
+            shown_s = time.monotonic()
+            print(_line(hand, rows_one_by_one(rows, hand.node_ids, names)[-1]), flush=True)
         if deadline_s is not None and time.monotonic() >= deadline_s:
             break
 

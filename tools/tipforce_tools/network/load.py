@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING
 
 from canopen_device.core.codes import EXTENDED_FLAG, EXTENDED_MASK, STANDARD_MASK
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-
-if TYPE_CHECKING:
-    from tipforce.host.frames.frame_array import FrameArray
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,6 +74,8 @@ def _count(text: str) -> int:
 
 
 def _live(args: argparse.Namespace) -> int:
+    import numpy as np
+
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, exact_bits
     from tipforce_tools.cli.listening import frames_heard
 
@@ -87,22 +85,15 @@ def _live(args: argparse.Namespace) -> int:
         common.note(args, f"assumed bit rate: {bit_rate} bit/s; set another with -b")
     with common.open_bus(args) as bus:
         frames, elapsed_s = frames_heard(bus, args.seconds)
-    _print_live(args, frames, float(exact_bits(frames).sum()) / elapsed_s / bit_rate, elapsed_s)
-    return 0 if len(frames) else 5
-
-
-def _print_live(args: argparse.Namespace, frames: FrameArray, load: float, elapsed_s: float) -> None:
-    import numpy as np
-
-    from tipforce.host.network.bus_load import exact_bits
-
+    bits_of_frames = exact_bits(frames).astype(np.float64)
+    load = float(bits_of_frames.sum()) / elapsed_s / bit_rate
     ids, place, counts = np.unique(frames["can_id"], return_inverse=True, return_counts=True)
-    bits = np.bincount(place, weights=exact_bits(frames).astype(np.float64), minlength=len(ids))
+    bits = np.bincount(place, weights=bits_of_frames, minlength=len(ids))
     if args.json:
         for can_id, count, own in zip(ids.tolist(), counts.tolist(), bits.tolist(), strict=True):
             common.print_json({"can_id": can_id, "per_second": count / elapsed_s, "bits_per_second": own / elapsed_s})
         common.print_json({"load": load, "frames_per_second": len(frames) / elapsed_s, "seconds": elapsed_s})
-        return
+        return 0 if len(frames) else 5
     print(f"load {100 * load:.1f} %, {len(frames) / elapsed_s:.0f} frames/s over {elapsed_s:.1f} s")
     for k in np.argsort(-bits)[:10].tolist():
         name = f"{int(ids[k]) & EXTENDED_MASK:08X}" if ids[k] & EXTENDED_FLAG else f"{int(ids[k]) & STANDARD_MASK:03X}"
@@ -110,3 +101,4 @@ def _print_live(args: argparse.Namespace, frames: FrameArray, load: float, elaps
         print(f"  {name:>8} {counts[k] / elapsed_s:10.1f} /s {share:6.1f} % of it")
     if len(ids) > 10:
         print(f"  and {len(ids) - 10} more identifiers")
+    return 0 if len(frames) else 5
