@@ -57,13 +57,6 @@ def test_a_silent_bus_and_one_that_does_not_open(capsys: pytest.CaptureFixture[s
     assert "->" in out
 
 
-def test_without_a_bus_it_says_how_to_name_one(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["doctor"]) == 0
-    out = capsys.readouterr().out
-    assert "no bus given" in out
-    assert "-i socketcan -c can0" in out
-
-
 @pytest.mark.parametrize(
     ("link", "state", "finding", "step"),
     [

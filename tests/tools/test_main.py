@@ -26,10 +26,11 @@ from tipforce.errors import (
 )
 from tipforce_tools.cli import main as module
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
-from tools import heavy
+from tools.command_lines import LINES
 from tools.decode.logs import log_lines, write_log
 
-HEAVY = (*heavy.OF_ALL, "hypothesis", "cyclonedds", "mcap")
+HEAVY_FOR_ALL = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "shtab", "websockets")
+HEAVY = (*HEAVY_FOR_ALL, "hypothesis", "cyclonedds", "mcap")
 
 
 def imported_by(*words: str, cwd: Path | None = None) -> set[str]:
@@ -114,7 +115,7 @@ def test_the_bare_command_imports_nothing_heavy(words: tuple[str, ...]) -> None:
     ],
 )
 def test_a_command_imports_what_it_needs(command: str, left_out: tuple[str, ...], tmp_path: Path) -> None:
-    """`--help` of each imports still less: test_help.py."""
+    """`--help` of each imports still less."""
     write_log(tmp_path / "run.log", log_lines(20))
     by_numpy = {"random"} if np.__version__.startswith("1.") else set()
     assert not imported_by(*command.split(), cwd=tmp_path) & set(left_out) - by_numpy
@@ -286,3 +287,35 @@ def test_closed_streams_are_no_fault(tmp_path: Path) -> None:
     )
     assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
     assert (tmp_path / "out.eds").read_text().startswith("[FileInfo]")
+
+
+# --- help ----------------------------------------------------------------------------------------------------------
+
+
+HEAVY_FOR_HELP = (*HEAVY_FOR_ALL, "matplotlib", "scipy", "pyarrow", "importlib.metadata")
+PATHS = [tuple(path.split()[1:]) for path in LINES]
+CODE = f"""\
+import contextlib, io, sys
+from tipforce_tools.cli.main import main
+for path in {PATHS!r}:
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        main([*path, "--help"])
+    assert text.getvalue().startswith("usage: tipforce " + " ".join(path)), path
+    heavy = [name for name in {HEAVY_FOR_HELP!r} if name in sys.modules]
+    print(*path, "imports" if heavy else "", *heavy)
+    for name in heavy:
+        del sys.modules[name]
+"""
+
+
+@pytest.fixture(scope="module")
+def told() -> list[str]:
+    """A line for each command and action: what heavy its help imports."""
+    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return [line.strip() for line in done.stdout.splitlines()]
+
+
+def test_no_help_imports_anything_heavy(told: list[str]) -> None:
+    assert told == [" ".join(path) for path in PATHS]

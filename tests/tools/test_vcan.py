@@ -88,11 +88,6 @@ def test_an_ordinary_user_gets_a_user_namespace(monkeypatch: pytest.MonkeyPatch)
     assert "--map-root-user" not in host.namespace_command(["vcan0"], ["true"])
 
 
-def test_no_interface_of_that_name_is_not_up() -> None:
-    assert not host.is_up("nosuchbus0")
-    assert not host.is_up("lo")  # up, as a rule, but no CAN interface
-
-
 # Arguments
 
 
@@ -293,10 +288,6 @@ def test_the_environment_comes_through_the_file_unchanged(tmp_path: Path) -> Non
 def test_a_nul_byte_cannot_be_passed(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="NUL"):
         uml.write_list(tmp_path / "command", ["a\0b"])
-
-
-def test_memory_larger_than_dev_shm_lives_in_the_private_folder(tmp_path: Path) -> None:
-    assert uml.memory_folder("99999G", tmp_path) == str(tmp_path)
 
 
 @needs_bash

@@ -11,8 +11,6 @@ from tipforce_tools.cli import common
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from rich.table import Table
-
     from tipforce.scene.registry import Identifier
     from tipforce.scene.results import Check, FingerResult
     from tipforce.scene.run import Options, Outcome
@@ -64,7 +62,7 @@ def run_run(args: argparse.Namespace) -> int:
     if args.json:
         _print_outcome(outcome)
     else:
-        common.print_table(args, _table(scene.title or args.scene, outcome))
+        _print_fingers(args, scene.title or args.scene, outcome)
         _print_checks(args, outcome)
     frames = sum(outcome.frames_by_id.values())
     common.note(
@@ -84,30 +82,20 @@ def _options(args: argparse.Namespace) -> Options:
     return Options(args.duration, args.seed, args.log, bus, args.realtime)
 
 
-def _table(title: str, outcome: Outcome) -> Table:
-    from rich.table import Table
-
-    table = Table(title=f"{title}: at the end, and errors over all samples with a known value", title_justify="left")
-    table.add_column("node", justify="right")
-    table.add_column("samples", justify="right")
-    table.add_column("", justify="left", no_wrap=True)
-    for name in ("applied", "estimated", "RMS error", "max error"):
-        table.add_column(name, justify="right")
-    table.add_column("missing", justify="left")
-    table.add_column("EMCY", justify="left")
+def _print_fingers(args: argparse.Namespace, title: str, outcome: Outcome) -> None:
+    rows = []
     for finger in outcome.fingers:
         columns = (finger.applied_end, finger.estimated_end, finger.rms_error, finger.max_error)
-        table.add_row(
-            common.shown_id(finger.node_id),
-            f"{finger.samples}\nof {finger.syncs}",
-            "P N\nphi deg\ntheta deg",
-            *("\n".join(_number(value, digits) for value, digits in zip(triple, _DIGITS, strict=True))
-              for triple in columns),
-            _remarks(finger),
-            _counts(finger.emcy),
-            end_section=True,
-        )  # fmt: skip
-    return table
+        values = [
+            "\n".join(_number(value, digits) for value, digits in zip(triple, _DIGITS, strict=True))
+            for triple in columns
+        ]
+        samples = f"{finger.samples}\nof {finger.syncs}"
+        node = common.shown_id(finger.node_id)
+        rows.append([node, samples, "P N\nphi deg\ntheta deg", *values, _remarks(finger), _counts(finger.emcy)])
+    title = f"{title}: at the end, and errors over all samples with a known value"
+    headings = (">node", ">samples", "", ">applied", ">estimated", ">RMS error", ">max error", "missing", "EMCY")
+    common.print_rows(args, title, headings, rows, lines=True)
 
 
 def _number(value: float, digits: int) -> str:

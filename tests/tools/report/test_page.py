@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tipforce.errors import InputError
-from tipforce_lab.report import page, plots
+from tipforce_lab.report import page
 from tipforce_lab.report.run import LeftOut, Report
 from tipforce_lab.report.study import Effort
 from tipforce_lab.report.text import advice, verdict
@@ -152,15 +151,6 @@ def test_files_are_written_and_the_lines_parse(written: list[Path]) -> None:
     assert [path.name for path in paths] == ["index.html", "report.jsonl", "near.svg", "far.svg", "known.svg"]
     records = [json.loads(line) for line in paths[1].read_text(encoding="utf-8").splitlines()]
     assert [one["record"] for one in records] == ["report", *["study"] * 3, "grid", *["case"] * 5, "left out"]
-
-
-def test_a_plot_can_be_a_file(report: Report, tmp_path: Path) -> None:
-    plots.save(report.studies[0], tmp_path / "one.png")
-    plots.save(report.studies[0], tmp_path / "one.svg")
-    assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
-    assert "<svg" in (tmp_path / "one.svg").read_text(encoding="utf-8")
-    with pytest.raises(InputError, match=r"allowed are the suffixes"):
-        plots.save(report.studies[0], tmp_path / "one.pdf")
 
 
 def test_the_document_takes_verdict_and_advice_over(written: list[Path]) -> None:

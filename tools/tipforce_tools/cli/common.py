@@ -292,11 +292,13 @@ def print_rows(
     headings: Iterable[str],
     rows: Iterable[Iterable[str]],
     styles: Iterable[str | None] | None = None,
+    *,
+    lines: bool = False,
 ) -> None:
-    """Print a table of texts on stdout; a heading with > in front has its column at the right."""
+    """Print a table on stdout, with ``lines`` between rows; > in front of a heading puts its column at the right."""
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", show_lines=lines)
     for heading in headings:
         table.add_column(heading.removeprefix(">"), justify="right" if heading.startswith(">") else "left")
     for row, style in zip(rows, repeat(None) if styles is None else styles, strict=False):
