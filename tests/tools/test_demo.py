@@ -18,6 +18,7 @@ from tipforce.sensor.structure.published import GROOVES_DEG
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_tools.cli.main import main
 from tipforce_tools.demo import job
+from tools.rig import Printed
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -58,9 +59,8 @@ def test_spoiled_calibrations_are_found(capsys: pytest.CaptureFixture[str]) -> N
     assert {row["case"] for row in outside} == set(CASES), "each node has a falsified matrix"
 
 
-def test_the_table_for_people(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demo", "--color", "never"]) == 0
-    out, err = capsys.readouterr()
+def test_the_table_for_people(printed: Printed) -> None:
+    out, err = printed(0, ["demo", "--color", "never"])
     assert out.count("Case ") == 3
     assert "\x1b" not in out
     assert out.count(" ok ") == LOADS

@@ -12,6 +12,7 @@ import pytest
 
 from tipforce_lab.design.other_bodies import condition_range
 from tipforce_tools.cli.main import main
+from tools.rig import Printed
 
 NEEDS_MATPLOTLIB = pytest.mark.skipif(
     importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`"
@@ -156,12 +157,9 @@ def test_sweep_of_a_shift_is_figure_6(capsys: pytest.CaptureFixture[str], everyt
             assert swept[shift] == pytest.approx(condition)
 
 
-def test_missing_matplotlib_names_the_extra(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_missing_matplotlib_names_the_extra(printed: Printed, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert main(["design", "table", "1", "-o", str(tmp_path)]) == 2
-    assert 'pip install "tipforce[plot]"' in capsys.readouterr().err
+    assert 'pip install "tipforce[plot]"' in printed(2, ["design", "table", "1", "-o", str(tmp_path)]).err
 
 
 @NEEDS_MATPLOTLIB

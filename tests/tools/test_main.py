@@ -28,6 +28,7 @@ from tipforce_tools.cli import main as module
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
 from tools.command_lines import LINES
 from tools.decode.logs import log_lines, write_log
+from tools.rig import Printed
 
 HEAVY_FOR_ALL = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "shtab", "websockets")
 HEAVY = (*HEAVY_FOR_ALL, "hypothesis", "cyclonedds", "mcap")
@@ -45,25 +46,22 @@ def imported_by(*words: str, cwd: Path | None = None) -> set[str]:
     return set(done.stdout.rpartition("MODULES ")[2].split())
 
 
-def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_command(printed: Printed) -> None:
     for words in (["--help"], ["-h"], ["help"]):
-        assert main(words) == 0
-        out, err = capsys.readouterr()
+        out, err = printed(0, words)
         assert not err
         for name, (_, summary) in COMMANDS.items():
             assert f"  {name:11}  {summary}\n" in out  # one column of names, one of summaries
         assert "exit codes: 0 ok, 1 " in out
 
 
-def test_no_word_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([]) == 2
-    assert "usage: tipforce COMMAND" in capsys.readouterr().out
+def test_no_word_is_a_usage_error(printed: Printed) -> None:
+    assert "usage: tipforce COMMAND" in printed(2, []).out
 
 
 @pytest.mark.parametrize("flag", ["--version", "-V"])
-def test_version(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([flag]) == 0
-    assert capsys.readouterr().out == f"tipforce {SOFTWARE_VERSION}\n"
+def test_version(flag: str, printed: Printed) -> None:
+    assert printed(0, [flag]).out == f"tipforce {SOFTWARE_VERSION}\n"
 
 
 # Commands that do something when nothing more is said.

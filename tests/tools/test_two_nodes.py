@@ -36,6 +36,7 @@ from tipforce.watching.watcher import Watcher
 from tipforce_tools.cli.main import main
 from tipforce_tools.doctor.command import bus_checks, heard
 from tipforce_tools.monitor.state import BusMonitor
+from tools.rig import Printed
 
 SAID = "two nodes respond as node 5"
 SPEAKING = (
@@ -148,13 +149,10 @@ def log_of(service: str, folder: Path) -> Path:
         "monitor LOG --once 5.8 --json",
     ],
 )
-def test_a_command_that_reads_a_log_says_it(
-    line: str, service: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_that_reads_a_log_says_it(line: str, service: str, tmp_path: Path, printed: Printed) -> None:
     path = log_of(service, tmp_path)
     words = line.replace("LOG", str(path)).replace("OUT", str(tmp_path / "out")).split()
-    assert main(words) == 0
-    out, err = capsys.readouterr()
+    out, err = printed(0, words)
     assert SERVICES[service][1] in out + err
     if line.startswith("decode"):
         assert "duplicate" in (tmp_path / "out.events.csv").read_text()
