@@ -45,11 +45,9 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.host.decoding.estimates import estimates
     from tipforce.output_file import check_output
-    from tipforce_tools.cli.one_finger_csv import check_one_node
 
     calibration = read_calibration(args.calibration, with_fit=True)
     data = read_measurements(args.gauges, loads=False)
-    check_one_node(args.gauges, data)
     if data.strain.shape[1] != calibration.gauges:
         raise InputError(
             f"{args.gauges} has {data.strain.shape[1]} gauges, the calibration {args.calibration} {calibration.gauges}"

@@ -250,10 +250,8 @@ def _looks_like_csv(path: str) -> bool:
 
 def _from_csv(path: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
     from tipforce.host.configuration.measurements import read_measurements
-    from tipforce_tools.cli.one_finger_csv import check_one_node
 
     data = read_measurements(path, loads=False)
-    check_one_node(path, data)
     if data.t_s is None:
         raise InputError(f"replay:{path}: column t_s is missing; a replay needs the time of each row in seconds")
     if data.bad:

@@ -68,12 +68,10 @@ def run_fit(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.output_file import CALIBRATION, check_output
     from tipforce_tools.calibrate.fitting import FitRequest, fitted, publish, write
-    from tipforce_tools.cli.one_finger_csv import check_one_node
 
     if args.output:
         check_output(args.output, CALIBRATION, [args.data])
     data = read_measurements(args.data, loads=True)
-    check_one_node(args.data, data)
     if not len(data.line):
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
     request = FitRequest(args)
