@@ -36,7 +36,6 @@ from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE
 from tipforce_lab.report.studies.honesty import GAUGES, says_ok
 from tipforce_tools.calibrate import fit as fit_command
 from tipforce_tools.calibrate.fitting import FitRequest, fitted
-from tipforce_tools.cli.request import request_of
 
 FULL = 1000
 ALLOWED_WRONG_PER_10000 = 1.0
@@ -207,7 +206,7 @@ class _Sensor:
         strain = strain * (1e-6 if fault == "SI units" else 1.0)
         lines = np.arange(P.size) + 2
         data = Measurements(lines, strain, P, phi, theta, None, 20.0 + warmer, None, None, (), ())
-        return fitted(request_of(FitRequest, _ARGUMENTS), data).calibration
+        return fitted(FitRequest(_ARGUMENTS), data).calibration
 
 
 def _loads(rig: Rig, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -311,7 +310,7 @@ def _broken(fault: str, V: FloatArray, k: int, rng: np.random.Generator) -> Floa
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    fit_command.add_arguments(parser)
+    fit_command.add_fit_arguments(parser)
     return parser.parse_args(
         ["simulated.csv", "--saturation", f"{CONVERTER_LIMIT * 1e6:g}", "--sense", "push", "--date", "2025-12-31"]
     )

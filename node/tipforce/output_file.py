@@ -10,7 +10,7 @@ import io
 import os
 import re
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -141,6 +141,19 @@ def write_file(path: str | Path, content: str | bytes, kind: Kind | None = None)
     """Write a whole file, text as UTF-8. Raises as new_file does."""
     with new_file(path, kind) as partial:
         partial.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def write_files(folder: Path, files: Mapping[str, tuple[str, Kind]]) -> list[Path]:
+    """Write texts by their names into a folder, created if it is missing; return the paths.
+
+    Raises as make_folder and new_file do; a file of another kind is refused before the first is written.
+    """
+    make_folder(folder)
+    for name, (_, kind) in files.items():
+        check_output(folder / name, kind)
+    for name, (text, kind) in files.items():
+        write_file(folder / name, text, kind)
+    return [folder / name for name in files]
 
 
 def figure_kind(path: str | Path, allowed: Iterable[str] = (".svg", ".png")) -> Kind:

@@ -10,7 +10,8 @@ import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.running import loop
-from tools.rig import Ended, Tipforce, called
+from tipforce_tools.cli.main import main
+from tools.rig import Ended, Printed, Streams, Tipforce, called
 
 
 @pytest.fixture(autouse=True)
@@ -51,5 +52,19 @@ def tipforce(bus_words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> 
     def run(*words: object) -> Ended:
         line = str(words[0]).split() if len(words) == 1 else words
         return called(capsys, *line, *bus_words)
+
+    return run
+
+
+@pytest.fixture
+def printed(capsys: pytest.CaptureFixture[str]) -> Printed:
+    """Run a command line and check its exit code."""
+
+    def run(code: int, words: Sequence[str]) -> Streams:
+        capsys.readouterr()
+        ended = main(words)
+        result = Streams(*capsys.readouterr())
+        assert ended == code, result.err
+        return result
 
     return run

@@ -35,6 +35,17 @@ class Ended(NamedTuple):
 Tipforce = Callable[..., Ended]
 
 
+class Streams(NamedTuple):
+    """What a command wrote."""
+
+    out: str
+    err: str
+
+
+Printed = Callable[[int, Sequence[str]], Streams]
+"""Run a command line that must end with this exit code; what it printed."""
+
+
 def called(capsys: pytest.CaptureFixture[str], *words: object) -> Ended:
     """Run the command line."""
     try:

@@ -15,6 +15,7 @@ from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_tools.cli.main import main
+from tools.rig import Printed
 
 CAUSES = [
     "gauge noise", "quantisation", "gain", "offset", "temperature, common", "temperature, mismatch",
@@ -100,25 +101,22 @@ def test_five_gauges_of_which_only_the_calibration_is_known(capsys: pytest.Captu
     assert "matrix: rank below 3" in capsys.readouterr().err
 
 
-def test_text_tells_where_first_order_does_not_hold(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["budget", "--load", "1", "--phi", "0", "--theta", "91"]) == 0
-    captured = capsys.readouterr()
+def test_text_tells_where_first_order_does_not_hold(printed: Printed) -> None:
+    captured = printed(0, ["budget", "--load", "1", "--phi", "0", "--theta", "91"])
     lines = captured.out.splitlines()
     assert lines[0].split() == ["cause", "u(P)", "N", "share", "u(phi)", "deg", "share", "u(theta)", "deg", "share"]
     assert lines[-1].startswith("total")
     assert len(lines) == 1 + len(CAUSES)
     assert "first order does not hold for theta at 1 of 1 loads" in captured.err
-    assert main(["budget", "-q"]) == 0
-    captured = capsys.readouterr()
+    captured = printed(0, ["budget", "-q"])
     assert captured.err == ""
     assert captured.out.splitlines()[0].split().count("max") == 3
 
 
 @pytest.mark.skipif(importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`")
 @pytest.mark.parametrize(("name", "head"), [("b.png", b"\x89PNG"), ("b.svg", b"<?xml")])
-def test_plot(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, head: bytes) -> None:
+def test_plot(printed: Printed, tmp_path: Path, name: str, head: bytes) -> None:
     path = tmp_path / name
     assert main(["budget", "-o", str(path)]) == 0
     assert path.read_bytes().startswith(head)
-    assert main(["budget", "-o", str(tmp_path / "no" / name)]) == 2
-    assert "does not exist; create it first" in capsys.readouterr().err
+    assert "does not exist; create it first" in printed(2, ["budget", "-o", str(tmp_path / "no" / name)]).err

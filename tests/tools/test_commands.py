@@ -16,12 +16,10 @@ import pytest
 from canopen_device import types
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.dictionary import objects as od
-from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.entries import entries
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.network.bus import Bus
-from tipforce_tools.cli.main import main
-from tools.rig import Tipforce, called
+from tools.rig import Printed, Tipforce, called
 
 ROOT = Path(__file__).parents[2]
 
@@ -153,7 +151,7 @@ def test_sdo_dump_of_a_node_that_has_less(tipforce: Tipforce) -> None:
 
 @pytest.mark.parametrize(("name", "what"), [("store:1", "stores parameters"), ("restore:4", "restores defaults")])
 def test_sdo_asks_before_something_persists(
-    capsys: pytest.CaptureFixture[str],
+    printed: Printed,
     monkeypatch: pytest.MonkeyPatch,
     name: str,
     what: str,
@@ -161,8 +159,7 @@ def test_sdo_asks_before_something_persists(
     """On a bus that counts as real; nobody is there to say yes."""
     monkeypatch.setattr("tipforce_tools.cli.common.open_connection", lambda _args: pytest.fail("the bus was opened"))
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
-    assert main(["sdo", "write", "5", name, "0x65766173", "-i", "socketcan", "-c", "can0"]) == 2
-    assert what in capsys.readouterr().err
+    assert what in printed(2, ["sdo", "write", "5", name, "0x65766173", "-i", "socketcan", "-c", "can0"]).err
 
 
 # --- calibrate ------------------------------------------------------------------------------------------------------
@@ -232,13 +229,6 @@ def test_config_apply_then_verify(tipforce: Tipforce, tmp_path: Path) -> None:
     }
 
 
-def test_config_of_a_dcf(tipforce: Tipforce, tmp_path: Path) -> None:
-    path = tmp_path / "finger.dcf"
-    path.write_text(dcf_text(3, 6, {(0x1015, 0): 33}), encoding="utf-8")
-    code, _, err = tipforce("config", "apply", 6, path)
-    assert (code, err) == (0, "node 6 (0x06): 1 objects, 0 different\n")
-
-
 # --- export ---------------------------------------------------------------------------------------------------------
 
 
@@ -258,18 +248,9 @@ def test_export_is_the_committed_file(export: Tipforce, tmp_path: Path, kind: st
     assert (tmp_path / "file").read_bytes() == expected
 
 
-def test_export_of_others(export: Tipforce) -> None:
-    assert export("eds", "--gauges", 5)[1] == eds_text(5)
-    assert export("eds", "--simulated")[1] == eds_text(3, simulated=True)
-    dbc = export("dbc", "--nodes", "1-2")[1]
-    assert "TIP02_Contact" in dbc
-    assert "TIP03_Contact" not in dbc
-
-
-def test_a_bus_that_may_not_be_opened_is_9(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_that_may_not_be_opened_is_9(printed: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(**_options: Any) -> None:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("can.Bus", refuse)
-    assert main(["scan", "-i", "slcan", "-c", "somewhere"]) == 9
-    assert "Permission denied" in capsys.readouterr().err
+    assert "Permission denied" in printed(9, ["scan", "-i", "slcan", "-c", "somewhere"]).err

@@ -14,9 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from tipforce_tools.cli.main import COMMANDS, main
+from tipforce_tools.cli.main import COMMANDS
 from tipforce_tools.completion import SHELLS, script
 from tools.command_lines import LINES, PARSERS
+from tools.rig import Printed
 
 SCRIPTS = {shell: script(shell) for shell in SHELLS}
 WAIT_S = 60.0
@@ -212,8 +213,6 @@ def test_fish_completes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("shell", SHELLS)
-def test_the_command_prints_it(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["completion", shell]) == 0
-    assert capsys.readouterr() == (SCRIPTS[shell], "")
-    assert main(["completion", shell, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"shell": shell, "script": SCRIPTS[shell]}
+def test_the_command_prints_it(shell: str, printed: Printed) -> None:
+    assert printed(0, ["completion", shell]) == (SCRIPTS[shell], "")
+    assert json.loads(printed(0, ["completion", shell, "--json"]).out) == {"shell": shell, "script": SCRIPTS[shell]}

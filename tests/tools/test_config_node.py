@@ -13,7 +13,6 @@ from canopen_device.core.node import Device
 from device.tiny import service_dictionary
 from host.bus_with_nodes import connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
-from tipforce.host.configuration.configuration_file import read_settings
 from tipforce.host.configuration.device_objects import FingertipObjects
 from tipforce.host.network.bus import Bus
 from tools.rig import Tipforce
@@ -49,12 +48,6 @@ def test_a_new_node_shows_nothing(tipforce: Tipforce) -> None:
     records = [json.loads(line) for line in out.splitlines()]
     assert len(records) == len(FingertipObjects(5).settings)
     assert all(record["value"] == pytest.approx(record["default"]) for record in records)
-
-
-def test_what_is_read_is_what_the_table_says(bench: tuple[Bus, str]) -> None:
-    objects = FingertipObjects(6)
-    defaults = {place: setting.default for place, setting in objects.settings.items()}
-    assert read_settings(bench[0].sdo(6), objects) == pytest.approx(defaults)
 
 
 def test_saved_from_one_applied_to_another(tipforce: Tipforce, bench: tuple[Bus, str], tmp_path: Path) -> None:

@@ -15,8 +15,9 @@ from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FRAME
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor.bus import configuration_check, heard
+from tipforce_tools.doctor.command import configuration_check, heard
 from tipforce_tools.doctor.machine import can_interfaces, interface_checks, software_checks, vcan_checks
+from tools.rig import Printed
 
 UP = {"ifname": "can0", "flags": ["NOARP", "UP"], "txqlen": 1000}
 
@@ -48,20 +49,11 @@ def test_a_bus_with_nodes_is_listened_to(capsys: pytest.CaptureFixture[str]) -> 
     assert any(topic == "software" for topic, _ in checks)
 
 
-def test_a_silent_bus_and_one_that_does_not_open(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["doctor", "--listen", "0.01", "-i", "virtual", "-c", new_channel()]) == 0
-    assert "no frames for" in capsys.readouterr().out
-    assert main(["doctor", "--listen", "0.01", "-i", "socketcan", "-c", "nowhere9"]) == 1
-    out = capsys.readouterr().out
+def test_a_silent_bus_and_one_that_does_not_open(printed: Printed) -> None:
+    assert "no frames for" in printed(0, ["doctor", "--listen", "0.01", "-i", "virtual", "-c", new_channel()]).out
+    out = printed(1, ["doctor", "--listen", "0.01", "-i", "socketcan", "-c", "nowhere9"]).out
     assert "fail bus: " in out
     assert "->" in out
-
-
-def test_without_a_bus_it_says_how_to_name_one(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["doctor"]) == 0
-    out = capsys.readouterr().out
-    assert "no bus given" in out
-    assert "-i socketcan -c can0" in out
 
 
 @pytest.mark.parametrize(
@@ -107,12 +99,9 @@ def test_where_the_name_comes_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     assert found.finding == f"virtual hand, from {path}"
 
 
-def test_vcan_that_works_and_vcan_that_does_not(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("tipforce_tools.vcan.run.choose", lambda _interfaces: "uml")
-    assert main(["doctor"]) == 0
-    assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in capsys.readouterr().out
+def test_vcan_that_works_and_vcan_that_does_not(monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
+    monkeypatch.setattr("tipforce_tools.vcan.command.choose", lambda _interfaces: "uml")
+    assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in printed(0, ["doctor"]).out
 
     def lacking() -> int:
         raise EnvironmentLackError("User-mode Linux ended before it had booted\n  Kernel panic")

@@ -16,6 +16,7 @@ from canopen_device.eds import read_eds
 from canopen_device.machine import shipped_eds
 from eds.samples import pdo, text, var
 from tipforce_tools.cli.main import main
+from tools.rig import Printed
 
 LOG = """\
 (1.000000) can0 000#0105
@@ -71,20 +72,18 @@ def test_decode_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytes
         assert said in capsys.readouterr().err
 
 
-def test_plot_draws_every_signal_of_the_file(eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plot_draws_every_signal_of_the_file(eds: str, tmp_path: Path, printed: Printed) -> None:
     pytest.importorskip("matplotlib")
     (tmp_path / "run.log").write_text(LOG)
     words = ["--eds", f"5={eds}", "-o", str(tmp_path / "run.svg"), "--json"]
-    assert main(["plot", str(tmp_path / "run.log"), *words]) == 0
-    (drive,) = json.loads(capsys.readouterr().out)["nodes"]
+    (drive,) = json.loads(printed(0, ["plot", str(tmp_path / "run.log"), *words]).out)["nodes"]
     assert {"Statusword", "Controlword", "Position_actual_value", "Velocity_actual_value"} <= set(drive["signals"])
 
 
-def test_dump_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dump_by_the_names_of_the_file(eds: str, tmp_path: Path, printed: Printed) -> None:
     sdo = "(1.040000) can0 605#40FF600000000000\n(1.041000) can0 585#43FF6000D0070000\n"
     (tmp_path / "run.log").write_text(LOG + sdo)
-    assert main(["dump", str(tmp_path / "run.log"), "--decode", "--eds", f"5={eds}"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = printed(0, ["dump", str(tmp_path / "run.log"), "--decode", "--eds", f"5={eds}"]).out.splitlines()
     assert "TPDO1  Statusword=592 Modes_of_operation_display=0" in lines[1]
     assert "RPDO1  Controlword=15 Modes_of_operation=1" in lines[2]
     assert "TPDO2  Position_actual_value=1000 Velocity_actual_value=-2" in lines[3]
@@ -144,55 +143,45 @@ LATER = "(2.000000) can0 285#E8030000FEFFFFFF\n(2.100000) can0 295#FDFFFFFF\n"
     ids=["written", "stored", "lost by a reset", "segmented", "block"],
 )  # fmt: skip
 def test_layouts_follow_the_sdo_traffic_of_the_log(
-    changed: str, after: dict[str, int], eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    changed: str, after: dict[str, int], eds: str, tmp_path: Path, printed: Printed
 ) -> None:
     (tmp_path / "run.log").write_text(LOG + changed + LATER)
     words = [str(tmp_path / "run.log"), "--eds", f"5={eds}"]
-    assert main(["decode", *words, "--format", "jsonl", "-q"]) == 0
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    rows = [json.loads(line) for line in printed(0, ["decode", *words, "--format", "jsonl", "-q"]).out.splitlines()]
     known = [{k: v for k, v in row.items() if v is not None and k.endswith("actual_value")} for row in rows]
     assert [row for row in known if row] == [{"Position_actual_value": 1000, "Velocity_actual_value": -2}, after]
-    assert main(["dump", *words, "--decode"]) == 0
-    shown = [line for line in capsys.readouterr().out.splitlines() if "actual_value=" in line]
+    shown = [line for line in printed(0, ["dump", *words, "--decode"]).out.splitlines() if "actual_value=" in line]
     assert [line.partition("TPDO2  ")[2] for line in shown] == [
         " ".join(f"{name}={value}" for name, value in one.items())
         for one in ({"Position_actual_value": 1000, "Velocity_actual_value": -2}, after)
     ]
 
 
-def test_monitor_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_monitor_by_the_names_of_the_file(eds: str, tmp_path: Path, printed: Printed) -> None:
     (tmp_path / "run.log").write_text(LOG + REMAP + "(1.600000) can0 295#FDFFFFFF\n(1.610000) can0 185#370200\n")
     words = ["monitor", str(tmp_path / "run.log"), "--eds", f"5={eds}"]
-    assert main([*words, "--json", "--once", "9"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["buses"][0]["nodes"]
+    (row,) = json.loads(printed(0, [*words, "--json", "--once", "9"]).out)["buses"][0]["nodes"]
     values = {name: one["value"] for name, one in row["readings"].items()}
     assert (values["Statusword"], values["Velocity_actual_value"]) == (0x237, -3)
-    assert main(words) == 0
-    assert "Statusword=567" in capsys.readouterr().out
+    assert "Statusword=567" in printed(0, words).out
 
 
-def test_the_eds_that_a_node_stores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_eds_that_a_node_stores(tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / "lamp.eds"
     path.write_text(text(var("1021", 0xF, "ro"), var("2000", 6, "rw", "500", ParameterName="Brightness")))
     bus = ("-i", "virtual", "-c", "stored-eds", "--json")
     with tipforce.simulated_device(path, 5, {"interface": "virtual", "channel": "stored-eds"}) as lamp:
-        assert main(["sdo", "dump", "5", *bus]) == 0
-        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        rows = [json.loads(line) for line in printed(0, ["sdo", "dump", "5", *bus]).out.splitlines()]
         assert ("Brightness", 500) in [(row["name"], row["value"]) for row in rows]
-        assert main(["config", "show", "5", *bus]) == 0
-        assert capsys.readouterr().out == ""
+        assert printed(0, ["config", "show", "5", *bus]).out == ""
         lamp["Brightness"] = 7
         for eds in ((), ("--eds", str(path))):
-            assert main(["config", "show", "5", *eds, *bus]) == 0
-            (row,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+            (row,) = [json.loads(line) for line in printed(0, ["config", "show", "5", *eds, *bus]).out.splitlines()]
             assert (row["index"], row["name"], row["value"], row["default"]) == ("0x2000", "Brightness", 7, 500)
         assert main(["sdo", "write", "5", "Brightness", "9", *bus]) == 0
-        assert main(["sdo", "read", "5", "brightness", *bus]) == 0
-        assert json.loads(capsys.readouterr().out)["value"] == 9
-        assert main(["sdo", "read", "5", "0x2000", "0", *bus]) == 0
-        assert json.loads(capsys.readouterr().out)["value"] == 9
-        assert main(["sdo", "read", "5", "brihtness", *bus]) == 2
-        assert "close to it: 'Brightness'" in capsys.readouterr().err
+        assert json.loads(printed(0, ["sdo", "read", "5", "brightness", *bus]).out)["value"] == 9
+        assert json.loads(printed(0, ["sdo", "read", "5", "0x2000", "0", *bus]).out)["value"] == 9
+        assert "close to it: 'Brightness'" in printed(2, ["sdo", "read", "5", "brihtness", *bus]).err
 
 
 def test_write_only_objects_are_set_and_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,7 +20,8 @@ from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.cli.main import main
-from tipforce_tools.estimate.command import COLUMNS
+from tipforce_tools.estimate import COLUMNS
+from tools.rig import Printed
 
 FloatArray = npt.NDArray[np.float64]
 A = strain_matrix(FABRICATED, "I")
@@ -236,17 +237,15 @@ def test_chunks_carry_the_hysteresis(
     assert {"no_contact" in row["status"].split() for row in whole} == {True, False}
 
 
-def test_json_and_output_file(calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_and_output_file(calibration: Path, tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / "gauges.csv"
     path.write_text(f'SG1,SG2,SG3\n{microstrain(2.0, 30.0, 50.0)}\n"a,b",2,3\n')
     out = tmp_path / "out.jsonl"
-    assert main(["estimate", str(calibration), str(path), "--json", "-o", str(out), "--strict", "-q"]) == 1
-    assert capsys.readouterr() == ("", "")
+    assert printed(1, ["estimate", str(calibration), str(path), "--json", "-o", str(out), "--strict", "-q"]) == ("", "")
     first, second = (json.loads(line) for line in out.read_text().splitlines())
     assert first["P_N"] == pytest.approx(2.0)
     assert first["status"] == "ok"
     assert second["P_N"] is None
     assert second["status"] == "bad: SG1 is 'a,b', not a number"
-    assert main(["estimate", str(calibration), str(path), "-q"]) == 0
-    rows = list(csv.reader(io.StringIO(capsys.readouterr().out)))
+    rows = list(csv.reader(io.StringIO(printed(0, ["estimate", str(calibration), str(path), "-q"]).out)))
     assert rows[2][-1] == "bad: SG1 is 'a,b', not a number"

@@ -17,6 +17,7 @@ from tipforce.watching.fingers import Finger
 from tipforce_tools.cli import common
 from tipforce_tools.cli.main import main
 from tipforce_tools.view.sources import is_scene, scene_source
+from tools.rig import Printed
 
 SCENE = """\
 duration_s = 0.2
@@ -50,39 +51,32 @@ def log(scene: Path, tmp_path: Path) -> Path:
     return path
 
 
-def test_no_row_says_why(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_row_says_why(log: Path, tmp_path: Path, printed: Printed) -> None:
     (tmp_path / "empty.log").write_text("")
-    assert main(["decode", str(tmp_path / "empty.log")]) == 0
-    assert capsys.readouterr() == ("", "no sample of a fingertip in 0 frames\n")
-    assert main(["decode", str(log), "--nodes", "77"]) == 0
-    out, err = capsys.readouterr()
+    assert printed(0, ["decode", str(tmp_path / "empty.log")]) == ("", "no sample of a fingertip in 0 frames\n")
+    out, err = printed(0, ["decode", str(log), "--nodes", "77"])
     assert not out
     assert err.startswith("no sample of a fingertip in ")
     assert err.endswith(" frames; --nodes may exclude it\n")
 
 
-def test_filters_behind_a_log_hold_for_it(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", f"{log},285:7FF", "-n", "3"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+def test_filters_behind_a_log_hold_for_it(log: Path, tmp_path: Path, printed: Printed) -> None:
+    lines = printed(0, ["dump", f"{log},285:7FF", "-n", "3"]).out.splitlines()
     assert [line.split()[1] for line in lines] == ["285"] * 3
-    assert main(["dump", str(tmp_path)]) == 2
-    assert "is a directory" in capsys.readouterr().err
+    assert "is a directory" in printed(2, ["dump", str(tmp_path)]).err
 
 
-def test_log_ends_after_seconds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_log_ends_after_seconds(tmp_path: Path, printed: Printed) -> None:
     path = tmp_path / "v.log"
-    assert main(["log", "-i", "virtual", "-c", "first_use", "-o", str(path), "--seconds", "0.05", "--json"]) == 0
-    out, _ = capsys.readouterr()
+    out, _ = printed(0, ["log", "-i", "virtual", "-c", "first_use", "-o", str(path), "--seconds", "0.05", "--json"])
     assert json.loads(out)["frames"] == 0
     assert json.loads(out)["seconds"] >= 0.05
 
 
-def test_a_run_that_was_too_short_to_judge_does_not_pass(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", str(scene), "-q", "--duration", "0.05"]) == 0
-    last = capsys.readouterr().out.splitlines()[-1]
+def test_a_run_that_was_too_short_to_judge_does_not_pass(scene: Path, printed: Printed) -> None:
+    last = printed(0, ["run", str(scene), "-q", "--duration", "0.05"]).out.splitlines()[-1]
     assert last == "NOT JUDGED: 0 of 2 expectations hold, 0 do not, 2 not judged (the run was too short)"
-    assert main(["run", str(scene), "-q"]) == 0
-    assert capsys.readouterr().out.splitlines()[-1] == "PASS: 2 of 2 expectations hold, 0 do not"
+    assert printed(0, ["run", str(scene), "-q"]).out.splitlines()[-1] == "PASS: 2 of 2 expectations hold, 0 do not"
 
 
 def test_a_scene_is_viewed_as_the_log_that_it_writes(scene: Path, tmp_path: Path) -> None:
@@ -102,19 +96,15 @@ def test_a_scene_is_viewed_as_the_log_that_it_writes(scene: Path, tmp_path: Path
         scene_source(silent, Finger, 3, 0.0, None)
 
 
-def test_gauges_of_a_decoded_log_are_measurements(
-    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_gauges_of_a_decoded_log_are_measurements(log: Path, tmp_path: Path, printed: Printed) -> None:
     calibration, gauges, both = (str(tmp_path / name) for name in ("cal.toml", "gauges.csv", "both.csv"))
     _write_calibration(calibration)
     assert main(["decode", str(log), "--nodes", "5", "--signals", "SG1,SG2,SG3", "-q", "-o", gauges]) == 0
-    assert main(["estimate", calibration, gauges, "--json", "-q"]) == 0
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    rows = [json.loads(line) for line in printed(0, ["estimate", calibration, gauges, "--json", "-q"]).out.splitlines()]
     assert len(rows) == 20
     assert all(abs(row["P_N"] - 2.0) < 0.01 and row["status"] == "ok" for row in rows)
     assert main(["decode", str(log), "--nodes", "5", "-q", "-o", both]) == 0
-    assert main(["estimate", calibration, both]) == 2
-    assert "SG1_ue beside P_N: this is a decoded log" in capsys.readouterr().err
+    assert "SG1_ue beside P_N: this is a decoded log" in printed(2, ["estimate", calibration, both]).err
 
 
 def _write_calibration(path: str) -> None:
@@ -147,17 +137,6 @@ def test_a_number_is_never_cut(monkeypatch: pytest.MonkeyPatch) -> None:
         told = stream.getvalue()
         assert all(number in told for number in ("-179.961", "1234.567", "+0.003")), told
         assert ("\u2502" in told) == (width == 200)
-
-
-def test_the_demo_fits_eighty_columns(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    stream = io.StringIO()
-    monkeypatch.setattr(common, "console", lambda *_, **__: Console(file=stream, width=80))
-    assert main(["demo", "-q"]) == 0
-    capsys.readouterr()
-    lines = stream.getvalue().splitlines()
-    assert len(lines) > 114
-    assert max(map(len, lines)) <= 80
-    assert "\u2026" not in stream.getvalue()
 
 
 @pytest.mark.parametrize(

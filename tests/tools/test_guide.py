@@ -21,7 +21,6 @@ from host.bus_with_nodes import apply_load, connected, fresh_sample, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration_file import read_calibration, read_fit
-from tipforce.host.configuration.capture import Capture
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
@@ -30,8 +29,6 @@ from tipforce.sensor.contact.estimate import force_vector, standard_uncertaintie
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
-from tipforce_tools.calibrate.guide_plan import Step
-from tipforce_tools.calibrate.guide_session import Session
 from tipforce_tools.cli.main import main
 
 OFFSETS = (12.0, -8.5, 5.3)
@@ -219,13 +216,6 @@ def test_by_itself(bench: Bench) -> None:
     assert "generation 2" in out
 
 
-def test_without_tpdo1_and_quietly(bench: Bench) -> None:
-    bench.connection.sdo(5).write(od.TPDO1_COB_ID, 0xC0000185)
-    code, out, err = bench.auto("-q")
-    assert (code, err) == (0, "")
-    assert "applied and stored" in out
-
-
 def test_more_gauges_than_three(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The record's C must be the best one for the record's covariance: a node gets A back from the two."""
     A = strain_matrix(FABRICATED, ("K_H", "S_H", "U", "L", "R"))
@@ -372,19 +362,6 @@ def test_a_node_that_goes_and_comes_back(
     found.listen()
     assert "no capture: node 5 (0x05)" in found.heard
     assert len(bench.rows()) == 2
-
-
-def test_a_node_that_goes_with_nobody_there_is_5(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    append = Session.append
-
-    def then_gone(session: Session, step: Step, capture: Capture) -> None:
-        append(session, step, capture)
-        _pull_the_plug(bench, monkeypatch, step.number == 3)
-
-    monkeypatch.setattr(Session, "append", then_gone)
-    code, _, err = bench.auto("--timeout", 0.05, "--retries", 0)
-    assert code == 5
-    assert "3 of 9 steps are in" in err
 
 
 # --- sessions ---------------------------------------------------------------------------------------------------------

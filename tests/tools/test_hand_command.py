@@ -12,6 +12,7 @@ from host.bus_with_nodes import beam_calibration, new_channel
 from host.hand.test_hand import Fingers
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce_tools.cli.main import main
+from tools.rig import Printed
 
 HAND = """
 [bus]
@@ -46,36 +47,31 @@ def hand(tmp_path: Path) -> Iterator[tuple[Fingers, Path]]:
     fingers.close()
 
 
-def test_check_needs_no_bus(hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["hand", "check", str(hand[1])]) == 0
-    out, err = capsys.readouterr()
+def test_check_needs_no_bus(hand: tuple[Fingers, Path], printed: Printed) -> None:
+    out, err = printed(0, ["hand", "check", str(hand[1])])
     assert "thumb" in out
     assert "cal.toml 0x" in out
     assert "bus load" in err
     hand[1].write_text(hand[1].read_text().replace("sync_hz = 50", "sync_hz = 5000"))
-    assert main(["hand", "check", str(hand[1]), "--json"]) == 0
-    out, err = capsys.readouterr()
+    out, err = printed(0, ["hand", "check", str(hand[1]), "--json"])
     assert [json.loads(line)["node_id"] for line in out.splitlines()] == [1, 2]
     assert "warning" in err
     assert "what fits under 80 %" in err
 
 
-def test_up_reports_each_finger(hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str]) -> None:
+def test_up_reports_each_finger(hand: tuple[Fingers, Path], printed: Printed) -> None:
     fingers, path = hand
-    assert main(["hand", "up", str(path)]) == 0
-    out, err = capsys.readouterr()
+    out, err = printed(0, ["hand", "up", str(path)])
     assert out == "thumb (1): up\nindex (2): up\n"
     assert "2 of 2 fingers up" in err
     fingers.switch_off(2)
-    assert main(["hand", "up", str(path), "--json"]) == 1
-    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    records = [json.loads(line) for line in printed(1, ["hand", "up", str(path), "--json"]).out.splitlines()]
     assert [record["failed"] for record in records] == [None, "find"]
     assert "does not respond to LSS" in records[1]["error"]
 
 
-def test_run_prints_rows_and_counts(hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["hand", "run", str(hand[1]), "--seconds", "0.5", "--json"]) == 0
-    out, err = capsys.readouterr()
+def test_run_prints_rows_and_counts(hand: tuple[Fingers, Path], printed: Printed) -> None:
+    out, err = printed(0, ["hand", "run", str(hand[1]), "--seconds", "0.5", "--json"])
     lines = [json.loads(line) for line in out.splitlines()]
     rows = [line for line in lines if "row" in line]
     assert len(rows) >= 5
@@ -85,8 +81,7 @@ def test_run_prints_rows_and_counts(hand: tuple[Fingers, Path], capsys: pytest.C
     assert {"calibrated", "started"} <= {line["event"] for line in lines if "event" in line}
     assert "SYNC period" in err
     assert "thumb (1): missing" in err
-    assert main(["hand", "run", str(hand[1]), "--seconds", "0.3", "-q"]) == 0
-    assert "thumb: P " in capsys.readouterr().out
+    assert "thumb: P " in printed(0, ["hand", "run", str(hand[1]), "--seconds", "0.3", "-q"]).out
 
 
 def test_an_uncalibrated_finger_is_named_and_its_rows_say_why(

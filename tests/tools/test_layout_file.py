@@ -10,8 +10,6 @@ import pytest
 
 from canopen_device.core.node import Device
 from tipforce.errors import InputError
-from tipforce.sensor.calibration.fit import Readings, fit_calibration
-from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.gauges import Gauge, GaugePosition, gauge_matrix
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS
@@ -101,24 +99,6 @@ def test_the_node_reads_what_the_layout_says(tmp_path: Path, devices: list[Devic
     source = source_of(device)
     assert isinstance(source, SimulatedSource)
     np.testing.assert_allclose(source.rows, gauge_matrix(ODD, PLACES), rtol=1e-13)
-
-
-def test_a_calibration_finds_the_matrix_of_the_layout(tmp_path: Path) -> None:
-    path = tmp_path / "layout.toml"
-    write_layout(path, ODD, PLACES)
-    A = gauge_matrix(*read_layout(str(path)))
-    rng = np.random.default_rng(11)
-    theta = np.radians(np.tile(np.arange(5.0, 180.0, 10.0), 4))
-    phi = theta + np.repeat(np.radians([-40.0, -15.0, 15.0, 40.0]), 18)
-    P = np.where(np.arange(theta.size) % 9 == 0, 0.0, 4.4)
-    strain = force_vector(P, phi, theta) @ A.T + 20e-6 + rng.normal(0.0, 0.5e-6, (theta.size, 4))
-    fit = fit_calibration(Readings(strain, P, phi, theta))
-    np.testing.assert_allclose(fit.C @ A, np.eye(3), atol=5e-3)
-
-
-@pytest.mark.parametrize("name", LAYOUTS)
-def test_a_layout_by_name(name: str) -> None:
-    assert read_layout(name) == (FABRICATED, LAYOUTS[name])
 
 
 def test_a_layout_with_a_geometry(tmp_path: Path) -> None:

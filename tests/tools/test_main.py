@@ -26,10 +26,12 @@ from tipforce.errors import (
 )
 from tipforce_tools.cli import main as module
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
-from tools import heavy
+from tools.command_lines import LINES
 from tools.decode.logs import log_lines, write_log
+from tools.rig import Printed
 
-HEAVY = (*heavy.OF_ALL, "hypothesis", "cyclonedds", "mcap")
+HEAVY_FOR_ALL = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "shtab", "websockets")
+HEAVY = (*HEAVY_FOR_ALL, "hypothesis", "cyclonedds", "mcap")
 
 
 def imported_by(*words: str, cwd: Path | None = None) -> set[str]:
@@ -44,25 +46,22 @@ def imported_by(*words: str, cwd: Path | None = None) -> set[str]:
     return set(done.stdout.rpartition("MODULES ")[2].split())
 
 
-def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_command(printed: Printed) -> None:
     for words in (["--help"], ["-h"], ["help"]):
-        assert main(words) == 0
-        out, err = capsys.readouterr()
+        out, err = printed(0, words)
         assert not err
         for name, (_, summary) in COMMANDS.items():
             assert f"  {name:11}  {summary}\n" in out  # one column of names, one of summaries
         assert "exit codes: 0 ok, 1 " in out
 
 
-def test_no_word_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([]) == 2
-    assert "usage: tipforce COMMAND" in capsys.readouterr().out
+def test_no_word_is_a_usage_error(printed: Printed) -> None:
+    assert "usage: tipforce COMMAND" in printed(2, []).out
 
 
 @pytest.mark.parametrize("flag", ["--version", "-V"])
-def test_version(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([flag]) == 0
-    assert capsys.readouterr().out == f"tipforce {SOFTWARE_VERSION}\n"
+def test_version(flag: str, printed: Printed) -> None:
+    assert printed(0, [flag]).out == f"tipforce {SOFTWARE_VERSION}\n"
 
 
 # Commands that do something when nothing more is said.
@@ -114,7 +113,7 @@ def test_the_bare_command_imports_nothing_heavy(words: tuple[str, ...]) -> None:
     ],
 )
 def test_a_command_imports_what_it_needs(command: str, left_out: tuple[str, ...], tmp_path: Path) -> None:
-    """`--help` of each imports still less: test_help.py."""
+    """`--help` of each imports still less."""
     write_log(tmp_path / "run.log", log_lines(20))
     by_numpy = {"random"} if np.__version__.startswith("1.") else set()
     assert not imported_by(*command.split(), cwd=tmp_path) & set(left_out) - by_numpy
@@ -222,10 +221,6 @@ def test_a_fault_of_ours_keeps_its_traceback(run_command: Run) -> None:
         run_command(raising(ZeroDivisionError()))
 
 
-def test_the_code_of_a_command_is_the_exit_code(run_command: Run) -> None:
-    assert run_command(lambda _args: 3) == 3
-
-
 def test_numbers_with_a_minus_are_values_not_flags(run_command: Run) -> None:
     seen: list[list[str]] = []
 
@@ -290,3 +285,35 @@ def test_closed_streams_are_no_fault(tmp_path: Path) -> None:
     )
     assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
     assert (tmp_path / "out.eds").read_text().startswith("[FileInfo]")
+
+
+# --- help ----------------------------------------------------------------------------------------------------------
+
+
+HEAVY_FOR_HELP = (*HEAVY_FOR_ALL, "matplotlib", "scipy", "pyarrow", "importlib.metadata")
+PATHS = [tuple(path.split()[1:]) for path in LINES]
+CODE = f"""\
+import contextlib, io, sys
+from tipforce_tools.cli.main import main
+for path in {PATHS!r}:
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        main([*path, "--help"])
+    assert text.getvalue().startswith("usage: tipforce " + " ".join(path)), path
+    heavy = [name for name in {HEAVY_FOR_HELP!r} if name in sys.modules]
+    print(*path, "imports" if heavy else "", *heavy)
+    for name in heavy:
+        del sys.modules[name]
+"""
+
+
+@pytest.fixture(scope="module")
+def told() -> list[str]:
+    """A line for each command and action: what heavy its help imports."""
+    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return [line.strip() for line in done.stdout.splitlines()]
+
+
+def test_no_help_imports_anything_heavy(told: list[str]) -> None:
+    assert told == [" ".join(path) for path in PATHS]

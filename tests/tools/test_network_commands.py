@@ -199,7 +199,13 @@ def test_the_load_of_a_live_bus(tipforce: Tipforce, bench: tuple[Bus, str]) -> N
     records = [json.loads(line) for line in out.splitlines()]
     assert code == 0
     assert "assumed bit rate: 1000000 bit/s" in err
-    heartbeats = {r["can_id"]: r["per_second"] for r in records[:-1]}
-    assert heartbeats == {0x705: pytest.approx(50, rel=0.3), 0x706: pytest.approx(50, rel=0.3)}
-    assert records[-1]["load"] == pytest.approx(sum(r["bits_per_second"] for r in records[:-1]) / 1e6)
+    of_id = {r["can_id"]: r for r in records[:-1]}
+    together = records[-1]
+    counts = {can_id: r["per_second"] * together["seconds"] for can_id, r in of_id.items()}
+    assert set(counts) == {0x705, 0x706}
+    assert all(count == pytest.approx(round(count)) and round(count) >= 1 for count in counts.values())
+    assert together["frames_per_second"] * together["seconds"] == pytest.approx(sum(counts.values()))
+    bits = {can_id: r["bits_per_second"] / r["per_second"] for can_id, r in of_id.items()}
+    assert all(55 <= of_frame <= 66 for of_frame in bits.values())  # one byte of data: 55 bits, and stuff bits
+    assert together["load"] == pytest.approx(sum(r["bits_per_second"] for r in of_id.values()) / 1e6)
     del bench

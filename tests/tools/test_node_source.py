@@ -169,7 +169,6 @@ def test_capture_by_a_trigger_that_is_not_there(
     assert "--trigger t0: no such trigger; there are none" in capsys.readouterr().err
     assert run_node("-q", "--layout", path, "--source", "iio:a", "--capture", "buffer") == 2
     assert "modprobe iio-trig-hrtimer" in capsys.readouterr().err
-    assert run_node("-q", "--layout", path, "--source", "iio:a", "--scan-rate", "0") == 2
     assert not devices
     tree.add_trigger(0, "adc-dev0")
     assert run_node("-q", "--layout", path, "--source", "iio:a") == 0, "a trigger, but no buffer: polled, and said"

@@ -18,6 +18,7 @@ from host.bus_with_nodes import new_channel
 from tipforce_tools.cli import service
 from tipforce_tools.cli.listening import StopSignals
 from tipforce_tools.cli.main import main
+from tools.rig import Printed
 
 UNIT = Path(__file__).parents[2] / "tools/systemd/tipforce-node@.service"
 
@@ -91,9 +92,7 @@ def test_without_systemd_or_with_one_that_is_gone_nothing_happens(monkeypatch: p
         notifier.close()
 
 
-def test_priority_is_set_or_its_refusal_says_what_to_do(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_priority_is_set_or_its_refusal_says_what_to_do(monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
     asked: list[int] = []
 
     def allow(_pid: int, _policy: int, parameter: os.sched_param) -> None:
@@ -107,10 +106,8 @@ def test_priority_is_set_or_its_refusal_says_what_to_do(
     assert asked == [80]
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     words = ["node", "--node-id", "5", "-i", "virtual", "-c", new_channel()]
-    assert main([*words, "--priority", "80"]) == 9
-    assert "LimitRTPRIO=80" in capsys.readouterr().err
-    assert main([*words, "--priority", "100"]) == 2
-    assert "allowed are 1 to 99" in capsys.readouterr().err
+    assert "LimitRTPRIO=80" in printed(9, [*words, "--priority", "80"]).err
+    assert "allowed are 1 to 99" in printed(2, [*words, "--priority", "100"]).err
 
 
 @pytest.mark.parametrize("number", [errno.EPERM, errno.ENOMEM])

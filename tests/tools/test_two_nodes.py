@@ -34,8 +34,9 @@ from tipforce.sources.simulated import SimulatedSource
 from tipforce.watching.fingers import Finger
 from tipforce.watching.watcher import Watcher
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor.bus import bus_checks, heard
+from tipforce_tools.doctor.command import bus_checks, heard
 from tipforce_tools.monitor.state import BusMonitor
+from tools.rig import Printed
 
 SAID = "two nodes respond as node 5"
 SPEAKING = (
@@ -148,13 +149,10 @@ def log_of(service: str, folder: Path) -> Path:
         "monitor LOG --once 5.8 --json",
     ],
 )
-def test_a_command_that_reads_a_log_says_it(
-    line: str, service: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_that_reads_a_log_says_it(line: str, service: str, tmp_path: Path, printed: Printed) -> None:
     path = log_of(service, tmp_path)
     words = line.replace("LOG", str(path)).replace("OUT", str(tmp_path / "out")).split()
-    assert main(words) == 0
-    out, err = capsys.readouterr()
+    out, err = printed(0, words)
     assert SERVICES[service][1] in out + err
     if line.startswith("decode"):
         assert "duplicate" in (tmp_path / "out.events.csv").read_text()
@@ -178,13 +176,14 @@ def test_doctor_the_page_and_a_hand_say_it_of_frames(service: str, tmp_path: Pat
 
 def test_doctor_listens_longer_where_heartbeats_are_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
     slept: list[float] = []
-    monkeypatch.setattr("tipforce_tools.doctor.bus.time", SimpleNamespace(sleep=slept.append))
-    monkeypatch.setattr("tipforce_tools.doctor.bus.BEATS_S", 0.5)
-    for beats, longer in ((1, []), (2, [0.5]), (10, [0.5]), (11, [])):
+    clock = SimpleNamespace(sleep=slept.append, monotonic=lambda: sum(slept))
+    monkeypatch.setattr("tipforce_tools.cli.listening.time", clock)
+    monkeypatch.setattr("tipforce_tools.doctor.command.BEATS_S", 0.5)
+    for beats, longer in ((1, 0.0), (2, 0.5), (10, 0.5), (11, 0.0)):
         slept.clear()
         monkeypatch.setattr(FrameBuffer, "can_ids", lambda _self, n=beats: [0x706, 0x185, 0x185, *[0x705] * n])
         list(bus_checks({"interface": "virtual", "channel": new_channel()}, 0.1))
-        assert slept == [0.1, *longer]
+        assert slept == [0.1, longer]
 
 
 def test_monitor_sees_the_samples_of_two_nodes() -> None:

@@ -12,7 +12,8 @@ import pytest
 
 from tipforce.errors import EnvironmentLackError
 from tipforce_tools.doctor.machine import vcan_checks
-from tipforce_tools.vcan import host, run, uml
+from tipforce_tools.vcan import command as vcan_command
+from tipforce_tools.vcan import host, uml
 
 FILES = 600
 LACKING = host.missing_packages() if sys.platform == "linux" else ["Linux"]
@@ -35,7 +36,7 @@ def amx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def run_inside(code: str, writable: bool = False) -> int:
     command = [sys.executable, "-c", code]
-    return run.run_with_vcan(command, place="uml", timeout_s=120.0, memory="512M", writable=writable)
+    return vcan_command.run_with_vcan(command, place="uml", timeout_s=120.0, memory="512M", writable=writable)
 
 
 def test_without_the_library_that_processor_shows_the_fault(amx: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,7 +41,7 @@ _context.set_forkserver_preload(
         *(f"tipforce_tools.cli.{name}" for name in ("main", "bus_flags", "service")), "tipforce.sources.layout_file",
         "tipforce_tools.node",
         *(f"tipforce_tools.network.{name}" for name in ("load", "nodes", "config", "hand", "sdo")),
-        "tipforce_tools.calibrate.transfer",
+        "tipforce_tools.calibrate.fit",
         *(f"tipforce_tools.{name}.{part}" for name in ("dump", "log", "replay") for part in ("command", "session")),
         "tipforce.host.live.receiver", "tipforce.host.live.send", "tipforce_tools.log.writers",
         *(f"tipforce_tools.view.{name}" for name in ("command", "server", "sources")),

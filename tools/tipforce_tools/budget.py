@@ -56,13 +56,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", nargs="?", metavar="CAL.toml")
     parser.add_argument("--layout", metavar="NAME|FILE", help="gauge layout: I, II, III or a layout file")
     parser.add_argument("--uncalibrated", action="store_true", help="C from theory, without a calibration")
-    parser.add_argument("--load", type=float, default=4.4, metavar="N", help="P in newtons (default %(default)s)")
-    parser.add_argument("--phi", type=float, metavar="DEG", help="with --theta: one load instead of the pad")
-    parser.add_argument("--theta", type=float, metavar="DEG")
+    load = common.number_within(1.0 / _MOST, _MOST, f"is {1.0 / _MOST:g} to {_MOST:g} N")
+    angle = common.number_within(-360.0, 360.0, "are degrees from -360 to 360")
+    common.add_numbers(
+        parser,
+        ("--load", 4.4, "N", "P in newtons (default %(default)s)", load),
+        ("--phi", None, "DEG", "with --theta: one load instead of the pad", angle),
+    )
+    parser.add_argument("--theta", type=angle, metavar="DEG")
     parser.add_argument("--sense", choices=("push", "pull"), help="of the loads (default: that of the file, else push)")
     sizes = parser.add_argument_group("causes")
-    for flag, unit, text, _, _ in _FLAGS:
-        sizes.add_argument(flag, type=float, metavar=unit.replace("%", "PERCENT"), help=text)
+    cause = common.number_within(0.0, _MOST, f"is 0 to {_MOST:g}")
+    common.add_numbers(
+        sizes, *((flag, None, unit.replace("%", "PERCENT"), text, cause) for flag, unit, text, *_ in _FLAGS)
+    )
     parser.add_argument("-o", "--output", metavar="FILE", help="a plot, .png or .svg")
     common.add_output_arguments(parser)
 
@@ -96,19 +103,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> None:
-    for flag, value in _given(args).items():
-        if value is not None and not 0.0 <= value <= _MOST:
-            raise InputError(f"{flag} {value}: allowed is 0 to {_MOST:g}")
-    if not 1.0 / _MOST <= args.load <= _MOST:
-        raise InputError(f"--load {args.load}: allowed is {1.0 / _MOST:g} to {_MOST:g} N")
     if args.uncalibrated and args.file:
         raise InputError("--uncalibrated: not allowed with a calibration file; remove one of them")
     if (args.phi is None) != (args.theta is None):
         raise InputError("--phi and --theta: one load needs both; omit both for loads over the whole pad")
-    for name in ("phi", "theta"):
-        value = getattr(args, name)
-        if value is not None and not -360.0 <= value <= 360.0:
-            raise InputError(f"--{name} {value}: allowed are degrees from -360 to 360")
     if args.output:
         check_output(args.output, figure_kind(args.output))
 

@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     if args.tolerance < 0:
         raise InputError(f"--tolerance {args.tolerance}: allowed is 0 or more")
-    node = f"node {common.shown_id(args.node_id)}"
+    node = common.shown_node(args.node_id)
     if args.persistent:
         common.confirm(args, f"{node}: stored parameters return to defaults, node-id and bit rate are written")
     terminate_as_interrupt()

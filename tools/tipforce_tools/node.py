@@ -69,23 +69,24 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
         "(default %(default)s)",
     )  # fmt: skip
     group.add_argument("--trigger", metavar="NAME", help="of the buffer (default: the device's own, else a timer)")
-    group.add_argument("--scan-rate", type=float, default=1000.0, metavar="HZ", help="of that timer (default 1000)")
+    rate = common.number_within(0.0, 100_000.0, "is above 0 up to 100000 Hz", over=True)
+    common.add_numbers(group, ("--scan-rate", 1000.0, "HZ", "of that timer (default 1000)", rate))
     group = parser.add_argument_group("replayed source")
-    group.add_argument("--speed", type=float, default=1.0, metavar="X", help="times the recorded speed (default 1)")
+    common.add_numbers(group, ("--speed", 1.0, "X", "times the recorded speed (default 1)", float))
     group.add_argument("--loop", action="store_true", help="repeat at the end; otherwise the node reports no data")
     group = parser.add_argument_group("simulated source")
-    group.add_argument(
-        "--noise", type=float, default=0.5, metavar="UE", help="noise of each gauge, microstrain (default %(default)s)"
-    )
-    group.add_argument(
-        "--noise-1f", type=float, default=0.0, metavar="UE", help="1/f noise: microstrain at 1 Hz (default none)"
+    noise = common.number_within(0.0, 1e6, "is 0 to 1e+06 microstrain")
+    common.add_numbers(
+        group,
+        ("--noise", 0.5, "UE", "noise of each gauge, microstrain (default %(default)s)", noise),
+        ("--noise-1f", 0.0, "UE", "1/f noise: microstrain at 1 Hz (default none)", noise),
     )
     group.add_argument("--bits", type=int, choices=(16, 24), default=16, help="of the converter (default %(default)s)")
     group.add_argument("--offset", default="", metavar="UE,UE,...", help="unloaded reading of each gauge, microstrain")
     group.add_argument(
         "--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons and degrees (default %(default)s)"
     )
-    group.add_argument("--seed", type=common.seed, default=0, help="of the noise (default %(default)s)")
+    group.add_argument("--seed", type=common.whole_number, default=0, help="of the noise (default %(default)s)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -111,7 +112,7 @@ def _serve(args: argparse.Namespace, device: Device, port: Port, place: str) -> 
     from tipforce_tools.cli import service
     from tipforce_tools.cli.listening import StopSignals
 
-    who = f"node {common.shown_id(args.node_id)}"
+    who = common.shown_node(args.node_id)
     notifier = service.Notifier()
     source = "" if args.source == "sim" else f"source {args.source}, "
     common.note(args, f"{who}: layout {args.layout}, {source}{place}; Ctrl-C ends it")
@@ -162,8 +163,6 @@ def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, .
         from tipforce.sources.iio_gauges import Capture, open_iio
         from tipforce.sources.layout_file import read_bridge
 
-        if not 0.0 < args.scan_rate <= 100_000.0:
-            raise InputError(f"--scan-rate {args.scan_rate:g}: allowed is above 0 up to 100000 Hz")
         capture = Capture(args.capture, args.trigger, args.scan_rate)
         return open_iio(rest, args.layout, len(gauges), read_bridge(args.layout), capture)
     if kind == "replay" and rest:
@@ -181,9 +180,6 @@ def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge
     if not abs(load[0]) <= MOST_LOAD_NEWTONS:
         raise InputError(f"--load {args.load}: allowed is a force up to {MOST_LOAD_NEWTONS:g} N")
     offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
-    for flag, value in (("--noise", args.noise), ("--noise-1f", args.noise_1f)):
-        if not 0.0 <= value <= LARGEST_MICROSTRAIN:
-            raise InputError(f"{flag} {value}: allowed is 0 to {LARGEST_MICROSTRAIN:g} microstrain")
     if max(map(abs, offset)) > LARGEST_MICROSTRAIN:
         raise InputError(f"--offset {args.offset}: allowed is up to {LARGEST_MICROSTRAIN:g} microstrain")
     rows = gauge_matrix(geometry, gauges).tolist()
@@ -254,10 +250,8 @@ def _looks_like_csv(path: str) -> bool:
 
 def _from_csv(path: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
     from tipforce.host.configuration.measurements import read_measurements
-    from tipforce_tools.cli.one_finger_csv import check_one_node
 
     data = read_measurements(path, loads=False)
-    check_one_node(path, data)
     if data.t_s is None:
         raise InputError(f"replay:{path}: column t_s is missing; a replay needs the time of each row in seconds")
     if data.bad:
@@ -272,30 +266,28 @@ def _from_log(path: str, node_id: int | None) -> tuple[FloatArray, FloatArray, N
     from tipforce.host.logs.candump import read_candump
 
     decoder = Decoder()
-    times: dict[int, list[FloatArray]] = {}
-    values: dict[int, list[FloatArray]] = {}
+    readings: dict[int, list[tuple[FloatArray, FloatArray]]] = {}
     names = ("SG1", "SG2", "SG3", "stale", "fault")
     with open(path, encoding="utf-8", errors="replace") as file:
         for block in read_candump(file):
             for (sender, _message), samples in decoder.decode(block.frames, names).items():
                 columns = samples.columns
-                if not all(name in columns for name in names):
-                    continue
-                strain = np.column_stack([columns[name] for name in names[:3]]).astype(np.float64)
-                strain[columns["stale"] | columns["fault"]] = np.nan
-                times.setdefault(sender, []).append(np.asarray(samples.t_ns * 1e-9, dtype=np.float64))
-                values.setdefault(sender, []).append(strain)
-    if node_id is None and len(times) > 1:
-        ids = ", ".join(map(str, sorted(times)))
-        raise InputError(f"replay:{path}: contains gauges of the nodes {ids}; choose one: {path}@{min(times)}")
-    chosen = node_id if node_id is not None else next(iter(times), None)
-    if chosen not in times:
+                if all(name in columns for name in names):
+                    strain = np.column_stack([columns[name] for name in names[:3]]).astype(np.float64)
+                    strain[columns["stale"] | columns["fault"]] = np.nan
+                    readings.setdefault(sender, []).append((np.multiply(samples.t_ns, 1e-9, dtype=np.float64), strain))
+    if node_id is None and len(readings) > 1:
+        ids = ", ".join(map(str, sorted(readings)))
+        raise InputError(f"replay:{path}: contains gauges of the nodes {ids}; choose one: {path}@{min(readings)}")
+    chosen = node_id if node_id is not None else next(iter(readings), None)
+    if chosen not in readings:
         whose = "" if node_id is None else f" of node {node_id}"
         raise InputError(
             f"replay:{path}: no gauge PDO{whose}, and no CSV header with SG1; "
             "a recording is a CSV file with t_s,SG1,SG2,SG3 or a candump log with frames 0x180 + node-id"
         )
-    return np.concatenate(times[chosen]), np.concatenate(values[chosen]), None
+    t_s, microstrain = map(np.concatenate, zip(*readings[chosen], strict=True))
+    return t_s, microstrain, None
 
 
 def _counts(row: list[float], per_microstrain: float, ends: tuple[int, int]) -> tuple[int, ...] | None:

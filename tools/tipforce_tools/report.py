@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--list", action="store_true", help="list studies and cases without running them")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write a page, report.jsonl and plots there")
     parser.add_argument(
-        "--seed", type=common.seed, default=None, metavar="N", help="of all random numbers (default: fixed)"
+        "--seed", type=common.whole_number, default=None, metavar="N", help="of all random numbers (default: fixed)"
     )
     parser.add_argument("--date", metavar="TEXT", help="date printed in the report (default: now)")
     common.add_output_arguments(parser)

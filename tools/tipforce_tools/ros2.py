@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
     from tipforce.watching.feeds import Feed
@@ -146,11 +145,11 @@ def _feed(args: argparse.Namespace, opened: ExitStack) -> tuple[Feed, int]:
         from tipforce.host.live.receive import open_receiver
         from tipforce.host.live.receiver import ReceiverGroup
 
-        receiver = opened.enter_context(open_receiver({**file.bus, **bus_options(args)}))
+        receiver = opened.enter_context(open_receiver({**file.bus, **common.bus_options(args)}))
         return FrameFeed(BusSource(ReceiverGroup([receiver])), lambda _node_id: None, gauges, fingers), gauges
     from tipforce.host.hand.hand import Hand
 
-    hand = opened.enter_context(Hand.from_file(file, **bus_options(args)))
+    hand = opened.enter_context(Hand.from_file(file, **common.bus_options(args)))
     for report in hand.bring_up():
         common.note(args, str(report))
     # For the uncertainties: a finger without a calibration in the file has its own.

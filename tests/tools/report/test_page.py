@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tipforce.errors import InputError
-from tipforce_lab.report import page, plots
+from tipforce_lab.report import page
 from tipforce_lab.report.run import LeftOut, Report
 from tipforce_lab.report.study import Effort
 from tipforce_lab.report.text import advice, verdict
@@ -87,13 +86,6 @@ def test_one_plot_per_study_and_one_row_per_case(parsed: Elements, report: Repor
     assert "skfem is not installed" in "".join(parsed.text)
 
 
-def test_every_point_stands_in_a_table(parsed: Elements, report: Report) -> None:
-    rows = sum(len(one.points) for study in report.studies for one in study.series)
-    areas = {one.key.split(".")[0] for one in report.cases}
-    others = 1 + 2 * len(report.studies) + 2  # the advice with its head, the grid with its head
-    assert len(parsed.tags("tr")) == rows + len(report.studies) + len(report.cases) + len(areas) + others
-
-
 def test_verdict_and_advice_come_first(html: str, report: Report) -> None:
     places = [
         html.index(text) for text in ("do NOT hold: other.wrong", "Which method for which need", "Contents", "<svg")
@@ -149,41 +141,6 @@ def test_the_policy_allows_the_one_style_sheet_and_nothing_else(html: str, parse
     assert "default-src 'none'" in policy
 
 
-def test_both_lights_print_and_phones_are_provided_for(html: str, parsed: Elements) -> None:
-    assert {"viewport"} <= {meta.get("name") for meta in parsed.tags("meta")}
-    for query in ("@media print", "prefers-color-scheme:dark", "@media (max-width"):
-        assert query in html
-    used = {name for _, a in parsed.found for name in a.get("class", "").split() if re.match("[fs]-", name)}
-    assert {"s-blue", "f-blue", "s-ink", "s-grid"} <= used
-    assert all(f".{name}{{" in html for name in used)
-
-
-def test_methods_differ_without_colour(report: Report) -> None:
-    from dataclasses import replace
-
-    from tipforce_lab.report.study import Series
-
-    many = replace(
-        report.studies[0],
-        series=tuple(Series(f"m{k}", report.studies[0].series[0].points) for k in range(len(plots._MARKERS))),
-    )
-    with plots.plotting():
-        (axes,) = plots.figure(many).axes
-        bars = [line for line in axes.lines if line.get_linestyle() != "None" and line.get_marker() in plots._MARKERS]
-    assert len({line.get_marker() for line in bars}) == len(plots._MARKERS)
-    assert len({(line.get_color(), line.get_linestyle()) for line in bars}) == len(plots._MARKERS)
-
-
-def test_the_reference_is_a_band_only_where_it_matters(report: Report) -> None:
-    with plots.plotting():
-        bands = [len(plots.figure(one).axes[0].patches) for one in report.studies]
-    assert bands == [1, 0, 0]
-
-
-def test_the_same_report_gives_the_same_bytes(report: Report, html: str) -> None:
-    assert page.html(report) == html
-
-
 @pytest.fixture(scope="module")
 def written(report: Report, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return page.write(report, tmp_path_factory.mktemp("report"), json_line)
@@ -194,21 +151,6 @@ def test_files_are_written_and_the_lines_parse(written: list[Path]) -> None:
     assert [path.name for path in paths] == ["index.html", "report.jsonl", "near.svg", "far.svg", "known.svg"]
     records = [json.loads(line) for line in paths[1].read_text(encoding="utf-8").splitlines()]
     assert [one["record"] for one in records] == ["report", *["study"] * 3, "grid", *["case"] * 5, "left out"]
-
-
-def test_a_place_that_is_not_there_is_said(report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page, "html", lambda _report: "")
-    with pytest.raises(InputError, match=r"index\.html"):
-        page.write(report, tmp_path / "absent", json_line)
-
-
-def test_a_plot_can_be_a_file(report: Report, tmp_path: Path) -> None:
-    plots.save(report.studies[0], tmp_path / "one.png")
-    plots.save(report.studies[0], tmp_path / "one.svg")
-    assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
-    assert "<svg" in (tmp_path / "one.svg").read_text(encoding="utf-8")
-    with pytest.raises(InputError, match=r"allowed are the suffixes"):
-        plots.save(report.studies[0], tmp_path / "one.pdf")
 
 
 def test_the_document_takes_verdict_and_advice_over(written: list[Path]) -> None:

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from tipforce_lab.report import run
 from tipforce_lab.report.study import Effort, Study
 from tipforce_tools.cli.main import main
 from tools.report import made
+from tools.rig import Printed
 
 
 def one_study(key: str) -> Callable[[Effort, Callable[[], None]], list[Study]]:
@@ -61,9 +61,8 @@ def test_json_lines_tell_everything(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.usefixtures("sound")
-def test_text_names_what_did_not_hold(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["report"]) == 1
-    out = capsys.readouterr().out
+def test_text_names_what_did_not_hold(printed: Printed) -> None:
+    out = printed(1, ["report"]).out
     assert "2 NOT AS CLAIMED (other.wrong, other.broken)" in " ".join(out.split())
     assert "ZeroDivisionError" in out
     for shown in ("Study alpha & more", "reference: what is known <exactly>; its own error is 1.0e-09", "- a remark"):
@@ -93,9 +92,8 @@ def test_only_runs_what_is_named(
 
 @pytest.mark.usefixtures("sound")
 @pytest.mark.parametrize("only", ["gamma", "area.nothing", "", ","])
-def test_a_key_that_names_nothing_is_refused(capsys: pytest.CaptureFixture[str], only: str) -> None:
-    assert main(["report", "--only", only]) == 2
-    assert "alpha, beta, stability" in capsys.readouterr().err
+def test_a_key_that_names_nothing_is_refused(printed: Printed, only: str) -> None:
+    assert "alpha, beta, stability" in printed(2, ["report", "--only", only]).err
 
 
 @pytest.mark.usefixtures("sound")
@@ -108,12 +106,11 @@ def test_list_runs_nothing(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_missing_package_leaves_a_study_out_and_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
     monkeypatch.setitem(sys.modules, "skfem", None)
     made.install(monkeypatch, {"fem": made.module(lacking), "beta": made.module(one_study("beta"))}, with_cases=False)
-    assert main(["report"]) == 0
-    out = capsys.readouterr().out
+    out = printed(0, ["report"]).out
     assert 'left out fem: skfem is not installed: pip install "tipforce[fem]"' in out
     assert "Study beta" in out
     assert "1 left out (fem)" in out
@@ -132,12 +129,11 @@ def test_a_study_that_fails_is_a_line_and_an_exit_code(
 
 
 def test_without_matplotlib_the_page_is_refused_before_anything_runs(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, printed: Printed, tmp_path: Path
 ) -> None:
     made.install(monkeypatch, {"bad": made.module(failing)})
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert main(["report", "-o", str(tmp_path / "out")]) == 2
-    captured = capsys.readouterr()
+    captured = printed(2, ["report", "-o", str(tmp_path / "out")])
     assert 'pip install "tipforce[report]"' in captured.err
     assert not captured.out
     assert not (tmp_path / "out").exists()
@@ -153,22 +149,3 @@ def test_the_page_is_written_where_it_is_asked_for(capsys: pytest.CaptureFixture
     assert "index.html" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     assert main(["report", "--only", "alpha", "-o", str(tmp_path / "file")]) == 2
-
-
-@pytest.mark.usefixtures("sound")
-def test_progress_covers_every_step() -> None:
-    job = run.Run(run.selected(None), Effort(quick=True), "")
-    advanced: list[None] = []
-    list(job.items(lambda: advanced.append(None)))
-    assert len(advanced) == job.steps == 2 + len(made.cases())
-
-
-def test_the_real_studies_are_modules_as_the_table_says() -> None:
-    import importlib
-
-    for key, (name, what) in run.STUDIES.items():
-        assert what
-        if key in ("estimators", "fits", "decoders"):
-            module = importlib.import_module(name)
-            assert module.STEPS > 0
-            assert callable(module.studies)

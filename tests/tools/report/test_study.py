@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tipforce_lab.report.study import Effort, Timing, quartiles, timed, timed_together
+from tipforce_lab.report.study import Effort, Timing, timed, timed_together
 
 
 class Clock:
@@ -35,11 +35,6 @@ def test_each_run_is_long_enough_for_the_clock(monkeypatch: pytest.MonkeyPatch) 
     timing = timed(clock.work, Effort(), at_least_s=0.02)
     assert timing.runs == 7
     assert clock.calls >= 7 * 20
-
-
-def test_quartiles_of_uneven_runs() -> None:
-    timing = quartiles([5.0, 1.0, 3.0, 2.0, 4.0])
-    assert (timing.first_quartile_s, timing.seconds, timing.third_quartile_s, timing.runs) == (2.0, 3.0, 4.0, 5)
 
 
 def test_methods_are_timed_in_turn_and_warm(monkeypatch: pytest.MonkeyPatch) -> None:

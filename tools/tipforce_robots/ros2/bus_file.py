@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tipforce.dictionary.eds import eds_text, file_name, lely_dialect
 from tipforce.errors import InputError
-from tipforce.output_file import BUS_CONFIGURATION, EDS, make_folder, write_file
+from tipforce.output_file import BUS_CONFIGURATION, EDS, Kind, write_files
 
 if TYPE_CHECKING:
     from tipforce.host.hand.file import HandFile
@@ -45,17 +45,13 @@ def write_ros2_bus(hand: HandFile, folder: Path) -> list[Path]:
         raise InputError(f"node-id {_MASTER_NODE_ID}: the master of the bus has it; give the finger another one")
     sync_hz = hand.hand.sync_hz
     text = _HEAD.format(master=_MASTER_NODE_ID, sync_us=round(1e6 / sync_hz) if sync_hz else 0)
-    files: dict[str, str] = {}
+    files: dict[str, tuple[str, Kind]] = {}
     for finger in hand.finger:
         eds = file_name(finger.gauges)
-        files[eds] = lely_dialect(eds_text(finger.gauges))
+        files[eds] = lely_dialect(eds_text(finger.gauges)), EDS
         name, beat_ms = ros_name(finger.name, finger.node_id), hand.hand.heartbeat_ms
         text += _FINGER.format(name=name, node_id=finger.node_id, eds=json.dumps(eds), heartbeat_ms=beat_ms)
-    files["bus.yml"] = text
-    make_folder(folder)
-    for name, content in files.items():
-        write_file(folder / name, content, BUS_CONFIGURATION if name == "bus.yml" else EDS)
-    return [folder / name for name in files]
+    return write_files(folder, files | {"bus.yml": (text, BUS_CONFIGURATION)})
 
 
 def ros_name(name: str, node_id: int) -> str:

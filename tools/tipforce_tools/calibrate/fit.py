@@ -1,15 +1,16 @@
-"""`tipforce calibrate fit`: readings under known loads in, a calibration file and an account of it out."""
+"""`tipforce calibrate fit`: readings under known loads to a calibration file; `apply|verify`: that file and a node."""
 
 from __future__ import annotations
 
 import argparse
 import datetime
+import math
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of fit."""
     parser.epilog = (
         "DATA.csv: SG1..SGn in microstrain, P_N, phi_deg, theta_deg; optional t_s, temperature_degC, weight (readings\n"
@@ -21,7 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="where the gauges sit (for the file and the prior)")
     add_model_arguments(parser)
     parser.add_argument("--sense", choices=("push", "pull"), help="load sense of the file (default: that of the data)")
-    parser.add_argument("--serial", type=int, default=0, metavar="N", help="serial number of the fingertip")
+    parser.add_argument(
+        "--serial", type=common.unsigned32, default=0, metavar="N", help="serial number of the fingertip"
+    )
     parser.add_argument("--date", type=_date, metavar="YYYY-MM-DD", help="default: today")
     parser.add_argument(
         "--strict", action="store_true", help="write no file and exit 1 if a row is bad, or the fit is in doubt"
@@ -32,10 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_model_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags that say how the readings are believed to have come about."""
     group = parser.add_argument_group("model")
-    group.add_argument(
-        "--angle-scatter", type=float, default=0.5, metavar="DEG",
-        help="standard deviation of phi and of theta of a groove, the same error in all its rows (default %(default)s)",
-    )  # fmt: skip
+    above_0 = common.number_within(0.0, common.MOST, "is above 0", over=True)
+    scatter = "standard deviation of phi and of theta of a groove, the same error in all its rows (default %(default)s)"
+    common.add_numbers(
+        group, ("--angle-scatter", 0.5, "DEG", scatter, common.number_within(0.0, 20.0, "is 0 to 20 degrees"))
+    )
     group.add_argument(
         "--drift", choices=("none", "tare", "linear"),
         help="of the offsets (default: what predicts rows that the fit leaves out best)",
@@ -44,43 +48,34 @@ def add_model_arguments(parser: argparse.ArgumentParser) -> None:
         "--loss", choices=("huber", "soft-l1", "none"), default="huber",
         help="rows that disagree weigh less or are left out by name; none: all count (default %(default)s)",
     )  # fmt: skip
-    group.add_argument("--noise", type=float, metavar="UE", help="gauge noise in microstrain (default: estimated)")
+    common.add_numbers(group, ("--noise", None, "UE", "gauge noise in microstrain (default: estimated)", above_0))
     group.add_argument(
         "--saturation", type=_limit, metavar="UE|none",
         help="converter limit in microstrain, kept in the file; none: no reading is at a limit",
     )  # fmt: skip
-    group.add_argument(
-        "--yield-stress", type=float, metavar="MPA", help="of the material, for the overload force (with --layout)"
+    common.add_numbers(
+        group, ("--yield-stress", None, "MPA", "of the material, for the overload force (with --layout)", above_0)
     )
     group.add_argument("--no-offset", action="store_true", help="the readings are zero unloaded: fit no offset")
     group.add_argument("--prior", choices=("beam",), help="lean on beam theory where loads are few; needs --layout")
-    group.add_argument(
-        "--prior-scatter",
-        type=float,
-        default=0.1,
-        metavar="SHARE",
-        help="how far theory may be off (default %(default)s)",
+    common.add_numbers(
+        group, ("--prior-scatter", 0.1, "SHARE", "how far theory may be off (default %(default)s)", float)
     )
 
 
-def run(args: argparse.Namespace) -> int:
+def run_fit(args: argparse.Namespace) -> int:
     """Print the fit and write the file: 0. With --strict and bad rows or a doubtful fit: no file, 1."""
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.output_file import CALIBRATION, check_output
     from tipforce_tools.calibrate.fitting import FitRequest, fitted, publish, write
-    from tipforce_tools.cli.one_finger_csv import check_one_node
-    from tipforce_tools.cli.request import request_of
 
     if args.output:
         check_output(args.output, CALIBRATION, [args.data])
     data = read_measurements(args.data, loads=True)
-    check_one_node(args.data, data)
     if not len(data.line):
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
-    request = request_of(FitRequest, args)
+    request = FitRequest(args)
     request.check_gauges(data.strain.shape[1], args.data)
-    if not 0 <= args.serial < 2**32:
-        raise InputError(f"--serial {args.serial}: allowed is 0 to {2**32 - 1}")
     result = fitted(request, data, lambda text: common.note(args, text))
     doubtful = publish(args, args.data, request, result)
     if data.bad:
@@ -94,12 +89,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _limit(text: str) -> float:
-    if text == "none":
-        return float("inf")
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are microstrain above 0, and none") from None
+    above_0 = common.number_within(0.0, math.inf, "is above 0, in microstrain, or none", over=True)
+    return math.inf if text == "none" else above_0(text)
 
 
 def _date(text: str) -> datetime.date:
@@ -107,3 +98,46 @@ def _date(text: str) -> datetime.date:
         return datetime.date.fromisoformat(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r}: write it as 2025-12-31") from None
+
+
+# --- apply and verify ------------------------------------------------------------------------------------------
+
+
+def add_transfer_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of apply and verify."""
+    parser.epilog = (
+        "apply writes the record, which the node checks by CRC-32, commits it, reads it back, compares it byte for\n"
+        "byte, and stores it. If the node refuses (exit code 12), the previous calibration stays active.\n"
+        "verify exits with 1 if the node's active calibration differs from the file, and names each difference.\n"
+        "  tipforce calibrate apply finger.toml --node 5 -i socketcan -c can0"
+    )
+    parser.add_argument("file", metavar="CAL.toml")
+    parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
+    parser.add_argument("--no-store", action="store_true", help="apply only until the next reset")
+    common.add_confirm_argument(parser)
+    common.add_sdo_arguments(parser)
+
+
+def run_transfer(args: argparse.Namespace) -> int:
+    """Apply (return 0; raises RefusedError) or verify (return 0 if equal, 1 if different)."""
+    from tipforce.host.configuration.calibration_file import read_calibration
+    from tipforce.host.network.finger import FingertipClient
+
+    calibration = read_calibration(args.file)
+    name = common.shown_node(args.node)
+    if args.action == "apply" and not args.no_store:
+        common.confirm(args, f"{name}: this replaces its stored calibration")
+    with common.open_connection(args) as connection:
+        client = FingertipClient(connection.sdo(args.node))
+        if args.action == "apply":
+            generation = client.apply_calibration(
+                calibration, not args.no_store, lambda step: common.note(args, f"{name}: {step}")
+            )
+            crc32 = f"0x{calibration.crc32():08X}"
+            record = {"node": args.node, "generation": generation, "crc32": crc32}
+            common.print_record(args, record, f"applied, generation {generation}, CRC-32 {crc32}")
+            return 0
+        differences = client.verify_calibration(calibration)
+    compared = {"node": args.node, "equal": not differences, "differences": differences}
+    common.print_record(args, compared, "\n".join(differences) or "equal byte for byte")
+    return 1 if differences else 0

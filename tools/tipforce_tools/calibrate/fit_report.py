@@ -43,7 +43,7 @@ def facts(path: str, result: Fitted) -> dict[str, object]:
 
 def notes(result: Fitted, request: FitRequest) -> list[str]:
     """What a person should look at before he trusts the fit."""
-    data, fit, model, scores, layout = result.data, result.fit, result.model, result.scores, request.layout
+    data, fit, model, scores, layout = result.data, result.fit, result.model, result.scores, request.args.layout
     lines = [f"column {name} is not used" for name in data.ignored_columns]
     if len(scores) > 1:
         others = ", ".join(f"{name} {score:.1f}" for name, score in sorted(scores.items(), key=lambda pair: -pair[1]))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce.output_file import CALIBRATION, check_output
 from tipforce_tools.calibrate import fit
 from tipforce_tools.cli import common
-from tipforce_tools.cli.request import request_of
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.capture import GaugeReader
@@ -21,17 +20,6 @@ if TYPE_CHECKING:
 DEFAULT_WEIGHTS = "4.4"
 AUTO_SCATTER_DEG, HAND_SCATTER_DEG = 0.0, 0.5  # a simulated load has its nominal direction
 MIN_SAMPLES, MAX_SAMPLES = 10, 100_000
-
-
-class CheckedNode(NamedTuple):
-    """Result of the check of the node."""
-
-    client: FingertipClient
-    reader: GaugeReader
-    identity: Identity
-    temperature_degC: float | None
-    text: str
-    """For people."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,15 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--auto", action="store_true", help="simulated node: apply the loads without prompts")
     group = parser.add_argument_group("capture")
     group.add_argument("--samples", type=int, default=200, metavar="N", help="of a capture (default %(default)s)")
-    group.add_argument("--period", type=float, default=5.0, metavar="MS", help="between samples (default %(default)s)")
-    group.add_argument(
-        "--max-std", type=float, default=5.0, metavar="UE",
-        help="limit of the scatter within a capture, microstrain (default %(default)s)",
-    )  # fmt: skip
-    group.add_argument(
-        "--max-drift", type=float, default=2.0, metavar="UE",
-        help="limit of the drift within a capture, microstrain (default %(default)s)",
-    )  # fmt: skip
+    period = common.number_within(0.0, 1000.0, "is above 0, up to 1000", over=True)
+    limit = common.number_within(0.0, 1e6, "is above 0, up to 1e+06", over=True)
+    common.add_numbers(
+        group,
+        ("--period", 5.0, "MS", "between samples (default %(default)s)", period),
+        ("--max-std", 5.0, "UE", "limit of the scatter within a capture, microstrain (default %(default)s)", limit),
+        ("--max-drift", 2.0, "UE", "limit of the drift within a capture, microstrain (default %(default)s)", limit),
+    )
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout (for the file and the prior)")
     fit.add_model_arguments(parser)
     parser.set_defaults(angle_scatter=None, sense=None, date=None)  # None: 0.5 degree with weights, 0 with --auto
@@ -77,37 +64,36 @@ def run(args: argparse.Namespace) -> int:
     steps = _plan(args)
     _check(args)
     with common.open_connection(args) as connection:
-        node = check_node(connection, args)
-        common.note(args, node.text)
+        client, reader, identity = _checked_node(connection, args)
         try:
-            return _guided(args, steps, node)
+            return _guided(args, steps, client, reader, identity)
         finally:
-            node.reader.stop()
+            reader.stop()
 
 
-def _guided(args: argparse.Namespace, steps: tuple[Step, ...], node: CheckedNode) -> int:
-    from tipforce_tools.calibrate import guide_finish
+def _guided(
+    args: argparse.Namespace, steps: tuple[Step, ...], client: FingertipClient, reader: GaugeReader, identity: Identity
+) -> int:
     from tipforce_tools.calibrate.fitting import FitRequest
     from tipforce_tools.calibrate.guide_session import Session
-    from tipforce_tools.calibrate.guide_walk import Walk
+    from tipforce_tools.calibrate.guide_walk import Walk, finish
 
-    identity, reader = node.identity, node.reader
     args.serial = identity.serial
-    request = request_of(FitRequest, args)
+    request = FitRequest(args)
     request.check_gauges(identity.gauges, "the node")
     _ = request.model  # wrong flags of the fit show before an hour of weights
     path = Path(args.session or f"session-{identity.serial}.csv")
-    session = Session(path, steps, identity.serial, identity.gauges, node.temperature_degC is not None)
+    session = Session(path, steps, identity.serial, identity.gauges, reader.temperature_degC() is not None)
     loads = sum(step.mode != "tare" for step in steps)
     common.note(
         args, f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {reader.how}; session {path}"
     )
     if session.cut:
         common.note(args, f"session {path}: its last line was truncated by an interruption and is removed")
-    walk = Walk(args, steps, session, reader, node.client.sdo)
+    walk = Walk(args, steps, session, reader, client.sdo)
     try:
         while (outcome := walk.run()) == "done":
-            if guide_finish.finish(args, request, session, node.client) != "redo":
+            if finish(args, request, session, client) != "redo":
                 return 0
             walk.redo_last()
     except (KeyboardInterrupt, Exception):
@@ -117,8 +103,8 @@ def _guided(args: argparse.Namespace, steps: tuple[Step, ...], node: CheckedNode
     return 0 if outcome == "quit" else 1
 
 
-def check_node(connection: Bus, args: argparse.Namespace) -> CheckedNode:
-    """Return the identity of the node, after checking that it measures.
+def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipClient, GaugeReader, Identity]:
+    """Return the node, after checking that it measures; a note says what it is.
 
     Raises NoResponseError without a node, InputError for another device or --auto with real gauges, RefusedError for
     a node with a front-end fault or without new samples.
@@ -129,7 +115,7 @@ def check_node(connection: Bus, args: argparse.Namespace) -> CheckedNode:
     from tipforce.host.configuration.capture import GaugeReader
     from tipforce.host.network.finger import FingertipClient
 
-    name = f"node {common.shown_id(args.node)}"
+    name = common.shown_node(args.node)
     client = FingertipClient(connection.sdo(args.node))
     identity = client.identity()
     if not identity.is_fingertip:
@@ -148,8 +134,8 @@ def check_node(connection: Bus, args: argparse.Namespace) -> CheckedNode:
     what = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges, serial {identity.serial}"
     held = f"calibrated (CRC-32 0x{crc:08X})" if crc else "not calibrated yet"
     degrees = "temperature unknown" if temperature is None else f"{temperature:.2f} degC"
-    text = f"{name}: {what}; {held}; {degrees}; measures, no fault"
-    return CheckedNode(client, reader, identity, temperature, text)
+    common.note(args, f"{name}: {what}; {held}; {degrees}; measures, no fault")
+    return client, reader, identity
 
 
 def _plan(args: argparse.Namespace) -> tuple[Step, ...]:
@@ -167,10 +153,6 @@ def _check(args: argparse.Namespace) -> None:
     """Check flags that would otherwise fail after an hour of weights."""
     if not MIN_SAMPLES <= args.samples <= MAX_SAMPLES:
         raise InputError(f"--samples {args.samples}: allowed is {MIN_SAMPLES} to {MAX_SAMPLES}")
-    for flag, value, most in (("period", args.period, 1000.0), ("max-std", args.max_std, 1e6),
-                              ("max-drift", args.max_drift, 1e6)):  # fmt: skip
-        if not 0.0 < value <= most:
-            raise InputError(f"--{flag} {value:g}: allowed is above 0, up to {most:g}")
     if args.output:
         check_output(args.output, CALIBRATION)
     if args.angle_scatter is None:

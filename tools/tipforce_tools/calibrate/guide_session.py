@@ -20,14 +20,13 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.capture import Capture
 from tipforce.host.configuration.measurements import read_measurements
+from tipforce.output_file import new_file
 from tipforce_tools.calibrate.guide_plan import EXTRA, Step
 
 
 class Row(NamedTuple):
     """The values of one line that the guide needs; the fit reads the file itself."""
 
-    start: int
-    """Offset of the line in the file, bytes."""
     step: int
     t_s: float
     taken: datetime.datetime
@@ -48,21 +47,20 @@ class Session:
     def __init__(self, path: str | Path, steps: Sequence[Step], serial: int, gauges: int, temperature: bool) -> None:
         self.path = Path(path)
         self.rows: list[Row] = []
-        self.cut = ""
-        """The last line if it was truncated and removed, else empty."""
-        self._serial, self._n, self._temperature = serial, gauges, temperature
+        self.cut = False
+        """The last line was truncated by an interruption, and has been removed."""
+        self._serial, self._n = serial, gauges
         self._steps = {step.number: step for step in steps}
-        self._size = 0
-        content = self._read()
-        whole = content[: content.rfind(b"\n") + 1]
+        self._columns = self._columns_of(temperature)
+        self._content = self._read()
+        whole = self._content[: self._content.rfind(b"\n") + 1]
         if whole:
             self._load(whole)
-        elif not self._header().encode().startswith(content):
-            raise InputError(f"session {path}: not a session file; choose another --session")
-        if whole != content:
-            self.cut = content[len(whole) :].decode("utf-8", "replace")
-            self._truncate(len(whole), len(content))
-        self._size = len(whole)
+        elif not self._header().startswith(self._content):
+            raise InputError(f"session {self.path}: not a session file; choose another --session")
+        if whole != self._content:
+            self.cut = True
+            self._save(whole)
 
     @property
     def done(self) -> set[int]:
@@ -70,38 +68,29 @@ class Session:
         return {row.step for row in self.rows if row.step != EXTRA}
 
     def append(self, step: Step, capture: Capture) -> None:
-        """Write the row of a step, synchronously to disk. Raises InputError if that fails."""
+        """Write the row of a step to disk. Raises InputError or WriteError if that fails."""
         now = datetime.datetime.now(datetime.UTC)
         t_s = 0.0
         if self.rows:
             # Rows stay in time order even if the clock is set.
             first = self.rows[0]
             t_s = max(self.rows[-1].t_s, first.t_s + (now - first.taken).total_seconds())
-        head = b"" if self._size else self._header().encode()
-        line = self._line(step, capture, t_s, now).encode()
-        self._write(head + line)
-        row = Row(
-            self._size + len(head), step.number, round(t_s, 3), now, capture.mean, capture.covariance, capture.count,
-            step.mode == "tare",
-        )  # fmt: skip
+        self._save((self._content or self._header()) + self._line(step, capture, t_s, now).encode())
+        row = Row(step.number, round(t_s, 3), now, capture.mean, capture.covariance, capture.count, step.mode == "tare")
         self.rows.append(row)
-        self._size += len(head) + len(line)
 
     def drop_last(self) -> int | None:
         """Remove the last row from the file; return the number of its step, None if there is no row."""
         if not self.rows:
             return None
-        row = self.rows[-1]
-        self._truncate(row.start, self._size)
-        self._size = row.start
-        self.rows.pop()
-        return row.step
+        self._save(self._content[: self._content.rfind(b"\n", 0, -1) + 1])
+        return self.rows.pop().step
 
     def noise_covariance_strain2(self) -> FloatArray:
         """Return the covariance of one reading from the scatter within all captures, (n, n), strain^2."""
         freedom = [row.samples - 1 for row in self.rows]
-        found = np.average([row.covariance_microstrain2 for row in self.rows], axis=0, weights=freedom)
-        return np.asarray(found * 1e-12, dtype=np.float64)
+        mean = np.average([row.covariance_microstrain2 for row in self.rows], axis=0, weights=freedom)
+        return np.asarray(mean * 1e-12, dtype=np.float64)
 
     def freedom(self) -> float:
         """Degrees of freedom of that covariance."""
@@ -109,35 +98,34 @@ class Session:
 
     # --- the file -----------------------------------------------------------------------------------------------
 
-    def _columns(self, temperature: bool) -> list[str]:
+    def _columns_of(self, temperature: bool) -> list[str]:
         gauges = [f"SG{k + 1}" for k in range(self._n)]
         degrees = ["temperature_degC"] if temperature else []
         variances = [f"var_{j + 1}_{k + 1}_ue2" for j, k in _upper(self._n)]
         load = ["P_N", "phi_deg", "theta_deg"]
         return ["t_s", *gauges, *load, *degrees, "weight", "mode", "step", "serial", "taken", *variances]
 
-    def _header(self) -> str:
-        return ",".join(self._columns(self._temperature)) + "\n"
+    def _header(self) -> bytes:
+        return ",".join(self._columns).encode() + b"\n"
 
     def _line(self, step: Step, capture: Capture, t_s: float, now: datetime.datetime) -> str:
         degrees = []
-        if self._temperature:
+        if "temperature_degC" in self._columns:
             if capture.temperature_degC is None:
                 raise InputError("the node no longer sends its temperature, which the session has: check the node")
             degrees = [f"{capture.temperature_degC:.2f}"]
-        covariance = capture.covariance
         return ",".join(
             [
                 f"{t_s:.3f}",
                 *(f"{value:.6f}" for value in capture.mean),
-                *(repr(value) for value in (step.P_newtons, step.phi_deg, step.theta_deg)),
+                *(repr(value) for value in step.load[:3]),
                 *degrees,
                 str(capture.count),
                 step.mode,
                 str(step.number) if step.number != EXTRA else "extra",
                 str(self._serial),
                 now.isoformat(timespec="milliseconds"),
-                *(f"{covariance[j, k]:.8g}" for j, k in _upper(self._n)),
+                *(f"{capture.covariance[j, k]:.8g}" for j, k in _upper(self._n)),
             ]
         ) + "\n"  # fmt: skip
 
@@ -151,35 +139,45 @@ class Session:
         except OSError as error:
             raise InputError(f"session {self.path}: {error.strerror}") from error
 
+    def _save(self, content: bytes) -> None:
+        """Replace the file, synchronously to disk."""
+        if self._read() != self._content:
+            raise InputError(f"session {self.path}: another program has changed it; start the same command again")
+        with new_file(self.path) as partial, partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        if os.name == "posix":  # so that the new name is on disk, too
+            folder = os.open(self.path.absolute().parent, os.O_RDONLY)
+            os.fsync(folder)
+            os.close(folder)
+        self._content = content
+
     def _load(self, content: bytes) -> None:
         try:
-            text = content.decode("utf-8-sig")
+            lines = content.decode("utf-8-sig").splitlines(keepends=True)
         except UnicodeDecodeError:
             raise InputError(f"session {self.path}: not UTF-8, not a session file") from None
-        lines = text.splitlines(keepends=True)
         self._check_header(next(csv.reader(lines[:1])))
         bad = read_measurements(self.path, loads=True).bad if len(lines) > 1 else ()
         faults = [row for row in bad if row.line <= len(lines)]  # without the truncated line
         if faults:
             raise InputError(f"session {self.path}: {faults[0]}; correct that line, or remove it to repeat the step")
-        start = len(content) - len(text.encode()) + len(lines[0].encode())
-        for number, line in enumerate(lines[1:], 2):
-            self.rows.append(self._row(number, line, start))
-            start += len(line.encode())
+        self.rows = [self._row(number, line) for number, line in enumerate(lines[1:], 2)]
 
     def _check_header(self, names: list[str]) -> None:
         gauges = sum(name.startswith("SG") for name in names)
-        self._temperature = "temperature_degC" in names
+        self._columns = self._columns_of("temperature_degC" in names)
         if {"step", "serial", "taken", "SG1"} <= set(names) and gauges != self._n:
             raise InputError(f"session {self.path}: it has {gauges} gauges, the node has {self._n}")
-        missing = [name for name in self._columns(self._temperature) if name not in names]
-        if missing or names != self._columns(self._temperature):
+        if names != self._columns:
+            missing = [name for name in self._columns if name not in names]
             what = f"the column {missing[0]} is missing" if missing else "the columns are not those of a session"
             raise InputError(f"session {self.path}: not a session file ({what}); choose another --session")
 
-    def _row(self, number: int, text: str, start: int) -> Row:
+    def _row(self, number: int, text: str) -> Row:
         place = f"session {self.path}: line {number}"
-        cells = dict(zip(self._columns(self._temperature), next(csv.reader([text])), strict=True))
+        cells = dict(zip(self._columns, next(csv.reader([text])), strict=True))
         try:
             step = EXTRA if cells["step"] == "extra" else int(cells["step"])
             serial, samples = int(cells["serial"]), round(float(cells["weight"]))
@@ -198,67 +196,23 @@ class Session:
         covariance = np.zeros((self._n, self._n))
         for (j, k), value in zip(_upper(self._n), upper, strict=True):
             covariance[j, k] = covariance[k, j] = value
-        return Row(start, step, float(cells["t_s"]), taken, mean, covariance, samples, cells["mode"] == "tare")
+        return Row(step, float(cells["t_s"]), taken, mean, covariance, samples, cells["mode"] == "tare")
 
-    def _check_step(self, place: str, found: Step) -> None:
+    def _check_step(self, place: str, step: Step) -> None:
         """Check a row against its step in the plan."""
-        step = found.number
-        if step == EXTRA:
-            if found.mode != "tare":
-                raise InputError(f"{place}: an extra step is {found}, allowed is unloaded")
+        planned = self._steps.get(step.number)
+        if step.number == EXTRA:
+            if step.mode != "tare":
+                raise InputError(f"{place}: an extra step is {step}, allowed is unloaded")
             return
-        if step not in self._steps:
-            raise InputError(
-                f"{place}: step {step} ({found}), this plan has {len(self._steps)} steps: another plan; pass the plan "
-                "of this session, or another --session"
-            )
-        if found.load != self._steps[step].load:
-            raise InputError(
-                f"{place}: step {step} is {found}, in this plan it is {self._steps[step]}: another plan; pass the plan "
-                "of this session, or another --session"
-            )
-
-    def _write(self, data: bytes) -> None:
-        try:
-            with self.path.open("ab", buffering=0) as file:
-                self._check_size(file.tell())
-                try:
-                    if file.write(data) != len(data):
-                        raise OSError(0, "partial write")
-                    os.fsync(file.fileno())
-                except OSError:
-                    file.truncate(self._size)
-                    raise
-            if not self._size:
-                _sync_directory(self.path.absolute().parent)
-        except OSError as error:
-            raise InputError(f"session {self.path}: {error.strerror}; this capture is not saved") from error
-
-    def _truncate(self, size: int, expected: int) -> None:
-        try:
-            with self.path.open("r+b") as file:
-                self._size = expected
-                self._check_size(file.seek(0, os.SEEK_END))
-                file.truncate(size)
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise InputError(f"session {self.path}: {error.strerror}") from error
-
-    def _check_size(self, size: int) -> None:
-        if size != self._size:
-            raise InputError(f"session {self.path}: another program has changed it; start the same command again")
+        if planned is None:
+            wrong = f"step {step.number} ({step}), this plan has {len(self._steps)} steps"
+        elif step.load != planned.load:
+            wrong = f"step {step.number} is {step}, in this plan it is {planned}"
+        else:
+            return
+        raise InputError(f"{place}: {wrong}: another plan; pass the plan of this session, or another --session")
 
 
 def _upper(n: int) -> list[tuple[int, int]]:
     return [(j, k) for j in range(n) for k in range(j, n)]
-
-
-def _sync_directory(folder: Path) -> None:
-    """Sync the directory, so that the new name is on disk."""
-    if os.name != "posix":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

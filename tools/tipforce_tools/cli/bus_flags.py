@@ -27,16 +27,11 @@ _PLUGIN_GROUP = b"[can.interface]"  # in a distribution's entry_points.txt
 class Interfaces:
     """The choices of -i: python-can is imported only for a name that it does not include."""
 
-    def __init__(self) -> None:
-        self._names: tuple[str, ...] | None = None
-
     def __contains__(self, name: object) -> bool:
         return name in BUILT_IN_INTERFACES or name in _valid_interfaces()
 
     def __iter__(self) -> Iterator[str]:
-        if self._names is None:
-            self._names = _valid_interfaces() if "can" in sys.modules or _some_plugin() else BUILT_IN_INTERFACES
-        return iter(self._names)
+        return iter(_valid_interfaces() if "can" in sys.modules or _some_plugin() else BUILT_IN_INTERFACES)
 
 
 def _valid_interfaces() -> tuple[str, ...]:

@@ -7,14 +7,14 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from itertools import repeat
 from typing import TYPE_CHECKING, Any, Literal
 
 from tipforce.errors import DuplicateNodeError, InputError, TipforceError
-from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.output import rich_console, visible_streams
-from tipforce_tools.cli.request import BusArguments, Output, SdoArguments, bus_options
 
 if TYPE_CHECKING:
     import can
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from tipforce.host.network.bus import Bus
+
+_BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,7 +37,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def set_up_logging(args: Output) -> None:
+def set_up_logging(args: argparse.Namespace) -> None:
     """Log warnings of tipforce to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
     import logging
 
@@ -49,22 +51,32 @@ def set_up_logging(args: Output) -> None:
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add python-can's bus flags, -i -c -b --fd --data-bitrate --timing --bus-kwargs, and the output flags."""
+    from tipforce_tools.cli import bus_flags
+
     bus_flags.add_bus_arguments(parser)
     add_output_arguments(parser)
 
 
 def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bus flags, the timeout and retries of SDO transfers, and the output flags."""
+    from tipforce_tools.cli import bus_flags
+
     bus_flags.add_bus_arguments(parser)
     group = parser.add_argument_group("SDO")
+    add_numbers(group, ("--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", timeout))
     group.add_argument(
-        "--timeout", type=float, default=0.5, metavar="S", help="timeout of a response (default %(default)s s)"
+        "--retries", type=whole_number, default=2, metavar="N", help="after a timeout (default %(default)s)"
     )
-    group.add_argument("--retries", type=int, default=2, metavar="N", help="after a timeout (default %(default)s)")
     add_output_arguments(parser)
 
 
-def open_bus(args: BusArguments) -> can.BusABC:
+def bus_options(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the bus flags that the command line contains, as keywords of ``can.Bus``."""
+    options = {name: getattr(args, name) for name in _BUS_FLAGS if hasattr(args, name)}
+    return options | getattr(args, "bus_kwargs", {})
+
+
+def open_bus(args: argparse.Namespace) -> can.BusABC:
     """Open the bus named by the flags, python-can's configuration files and the environment."""
     from tipforce.host.network.open_bus import open_bus as open_bus_by_options
 
@@ -72,16 +84,10 @@ def open_bus(args: BusArguments) -> can.BusABC:
 
 
 @contextmanager
-def open_connection(args: SdoArguments) -> Iterator[Bus]:
+def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
     """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one."""
-    import threading
-
     from tipforce.host.network.bus import Bus
 
-    if not 0 < args.timeout < threading.TIMEOUT_MAX or args.retries < 0:
-        raise InputError(
-            f"--timeout {args.timeout:g}, --retries {args.retries}: allowed are a time over 0 s and 0 or more retries"
-        )
     with Bus(open_bus(args), args.timeout, args.retries) as connection:
         try:
             yield connection
@@ -117,8 +123,8 @@ def count(text: str) -> int:
     return _whole(text, 1, math.inf, "whole numbers from 1", 10)
 
 
-def seed(text: str) -> int:
-    """Parse a seed of random numbers for argparse: a whole number from 0."""
+def whole_number(text: str) -> int:
+    """Parse a whole number from 0 for argparse: a seed of random numbers, a number of retries."""
     return _whole(text, 0, math.inf, "whole numbers from 0", 10)
 
 
@@ -139,8 +145,26 @@ def number_that(accepted: Callable[[float], bool], allowed: str) -> Callable[[st
     return parse
 
 
+def number_within(low: float, high: float, allowed: str, *, over: bool = False) -> Callable[[str], float]:
+    """Return a parser for argparse of a number from ``low``, or ``over`` it, to ``high``."""
+    return number_that(lambda value: low < value <= high or (value == low and not over), allowed)
+
+
 seconds = number_that(lambda value: 0 < value < math.inf, "are seconds, more than 0")
 """Parse a time in seconds for argparse: more than 0."""
+timeout = number_within(0.0, threading.TIMEOUT_MAX, "is a time over 0 s", over=True)
+"""Parse a time that a thread can wait for."""
+MOST = sys.float_info.max
+"""The largest finite number."""
+
+
+def add_numbers(
+    parser: argparse.ArgumentParser | argparse._ArgumentGroup,
+    *flags: tuple[str, float | None, str, str, Callable[[str], float]],
+) -> None:
+    """Add flags of one number each: (name, default, unit, help, parser of the text, which knows what is allowed)."""
+    for name, default, unit, text, parse in flags:
+        parser.add_argument(name, type=parse, default=default, metavar=unit, help=text)
 
 
 def node_id(text: str) -> int:
@@ -171,6 +195,11 @@ def shown_id(number: int) -> str:
     return f"{number} (0x{number:02X})"
 
 
+def shown_node(number: int) -> str:
+    """Return a node in a message: `node 10 (0x0A)`."""
+    return f"node {shown_id(number)}"
+
+
 def print_json(record: dict[str, Any]) -> None:
     """Print one JSON line; NaN and infinity become null, because JSON has neither.
 
@@ -179,7 +208,7 @@ def print_json(record: dict[str, Any]) -> None:
     sys.stdout.write(json_line(record) + "\n")
 
 
-def print_record(args: Output, record: dict[str, Any], text: str) -> None:
+def print_record(args: argparse.Namespace, record: dict[str, Any], text: str) -> None:
     """Print the record as a JSON line with --json, otherwise the text that shows it."""
     if args.json:
         print_json(record)
@@ -202,7 +231,7 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def note(args: Output, text: str) -> None:
+def note(args: argparse.Namespace, text: str) -> None:
     """Print a line on stderr; nothing with -q."""
     if not args.quiet:
         print(text, file=sys.stderr)
@@ -210,7 +239,7 @@ def note(args: Output, text: str) -> None:
 
 @contextmanager
 def progress(
-    args: Output, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
+    args: argparse.Namespace, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
 ) -> Iterator[Callable[..., None]]:
     """Show a progress bar on stderr if it is a terminal, not with -q; call the result after each of ``total`` steps,
     or with the number of steps since the last call; with ``absolute`` with the number of all steps so far.
@@ -227,7 +256,7 @@ def progress(
         yield lambda steps=1: bar.update(task, **{"completed" if absolute else "advance": steps})
 
 
-def console(args: Output, *, stderr: bool = False) -> Console:
+def console(args: argparse.Namespace, *, stderr: bool = False) -> Console:
     """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width."""
     plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
     stream = sys.stderr if stderr else sys.stdout
@@ -238,7 +267,7 @@ def console(args: Output, *, stderr: bool = False) -> Console:
     return rich_console(stream, force_terminal=always, color_system=system, no_color=plain, width=width)
 
 
-def print_table(args: Output, table: Table) -> None:
+def print_table(args: argparse.Namespace, table: Table) -> None:
     """Print a table on stdout. In a narrow terminal it has no borders and words wrap; numbers do not.
 
     A truncated number (`4.…`) is useless, and a wrapped one appears beside the label of another. A word longer than
@@ -257,12 +286,32 @@ def print_table(args: Output, table: Table) -> None:
     screen.print(table)
 
 
+def print_rows(
+    args: argparse.Namespace,
+    title: str,
+    headings: Iterable[str],
+    rows: Iterable[Iterable[str]],
+    styles: Iterable[str | None] | None = None,
+    *,
+    lines: bool = False,
+) -> None:
+    """Print a table on stdout, with ``lines`` between rows; > in front of a heading puts its column at the right."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", show_lines=lines)
+    for heading in headings:
+        table.add_column(heading.removeprefix(">"), justify="right" if heading.startswith(">") else "left")
+    for row, style in zip(rows, repeat(None) if styles is None else styles, strict=False):
+        table.add_row(*row, style=style)
+    print_table(args, table)
+
+
 def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
     """`--yes`."""
     parser.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
 
 
-def confirm(args: BusArguments, what: str) -> None:
+def confirm(args: argparse.Namespace, what: str) -> None:
     """Ask before a persistent change on a real bus; not on virtual buses, nor with --yes.
 
     Raises InputError when the answer is no, or stdin is not a terminal.

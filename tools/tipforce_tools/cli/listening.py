@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import signal
+import time
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Self
 
-from tipforce_tools.cli.request import bus_options
+from tipforce.errors import EnvironmentLackError
+from tipforce_tools.cli.common import bus_options
 
 if TYPE_CHECKING:
+    import can
+
+    from tipforce.host.frames.frame_array import FrameArray
     from tipforce.host.live.receiver import ReceiverGroup
     from tipforce_tools.dump.output import Target
 
@@ -35,6 +40,31 @@ def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | 
         ]
         opened.pop_all()
     return ReceiverGroup(receivers, tick_s=tick)
+
+
+def frames_heard(
+    bus: can.BusABC, listen_s: float, further_s: Callable[[Iterable[int]], float] = lambda _can_ids: 0.0
+) -> tuple[FrameArray, float]:
+    """Listen so long, then ``further_s`` of the identifiers heard; return the frames, FRAME (n,), and the time.
+
+    Raises EnvironmentLackError for a bus that fails.
+    """
+    import can
+
+    from tipforce.host.frames.frame_array import FrameBuffer
+
+    buffer = FrameBuffer()
+    notifier = can.Notifier(bus, [buffer], timeout=0.1)
+    try:
+        started_s = time.monotonic()
+        time.sleep(listen_s)
+        time.sleep(further_s(buffer.can_ids()))
+        elapsed_s = time.monotonic() - started_s
+    finally:
+        notifier.stop()
+    if notifier.exception is not None:
+        raise EnvironmentLackError(f"failed while listening: {notifier.exception}; is the adapter plugged in?")
+    return buffer.take_all(), elapsed_s
 
 
 def resolved_options(args: Namespace, *, named: bool) -> dict[str, Any]:

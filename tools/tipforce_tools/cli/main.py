@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from tipforce_tools.cli.actions import Actions, CommandParser
 
 CALIBRATE = {
-    "fit": ("tipforce_tools.calibrate.fit", "fit a calibration to readings under known loads"),
-    "apply": ("tipforce_tools.calibrate.transfer", "write a calibration file to a node, verify and store it"),
+    "fit": ("tipforce_tools.calibrate.fit:fit", "fit a calibration to readings under known loads"),
+    "apply": ("tipforce_tools.calibrate.fit:transfer", "write a calibration file to a node, verify and store it"),
     "guide": ("tipforce_tools.calibrate.guide", "calibrate a node weight by weight and store the result; resumable"),
-    "verify": ("tipforce_tools.calibrate.transfer", "compare a calibration file with that of a node"),
+    "verify": ("tipforce_tools.calibrate.fit:transfer", "compare a calibration file with that of a node"),
 }
-SCENE = {"explain": ("tipforce_tools.scene.explain", "list what a scene builds, what it leaves out, and why")}
+SCENE = {"explain": ("tipforce_tools.scene:explain", "list what a scene builds, what it leaves out, and why")}
 DESIGN = {
     "table": (
         "tipforce_tools.design.tables:table",
@@ -47,23 +47,23 @@ DESIGN = {
 COMMANDS: dict[str, tuple[str | Actions, str]] = {
     "demo": ("tipforce_tools.demo.command", "calibrate, store, load, decode and compare simulated nodes; no hardware"),
     "node": ("tipforce_tools.node", "run one fingertip node on a CAN bus"),
-    "run": ("tipforce_tools.scene.run", "run a scene: nodes, loads, faults and a recording, defined in a TOML file"),
-    "simulate": ("tipforce_tools.simulate.command", "simulate CANopen devices from their EDS, or a machine in TOML"),
+    "run": ("tipforce_tools.scene:run", "run a scene: nodes, loads, faults and a recording, defined in a TOML file"),
+    "simulate": ("tipforce_tools.simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
     "scene": (SCENE, "explain what a scene builds, what it leaves out, and why"),
     "scan": ("tipforce_tools.network.nodes:scan", "list the nodes on the bus"),
     "read": ("tipforce_tools.network.nodes:read", "read the contact of fingers, with its uncertainty"),
     "sdo": ("tipforce_tools.network.sdo", "read or write one object of a node, or read all objects"),
     "hand": ("tipforce_tools.network.hand", "commission and run a hand defined in a TOML file"),
     "nmt": ("tipforce_tools.network.nodes:nmt", "start, stop or reset nodes, and wait for their heartbeats"),
-    "lss": ("tipforce_tools.network.lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
+    "lss": ("tipforce_tools.network.nodes:lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
     "firmware": (
-        "tipforce_tools.network.firmware",
+        "tipforce_tools.network.nodes:firmware",
         "install a program on nodes with program slots, or show its version",
     ),
     "config": ("tipforce_tools.network.config", "show, apply, compare or save the settings of a node (TOML or DCF)"),
     "calibrate": (CALIBRATE, "fit a calibration, write it to a node, verify it"),
     "tare": ("tipforce_tools.network.nodes:tare", "set the present force as zero, show the tare, or clear it"),
-    "estimate": ("tipforce_tools.estimate.command", "compute contact from gauge readings, with standard uncertainties"),
+    "estimate": ("tipforce_tools.estimate", "compute contact from gauge readings, with standard uncertainties"),
     "budget": ("tipforce_tools.budget", "compute the error budget of P, phi and theta by cause"),
     "dump": ("tipforce_tools.dump.command", "print frames as candump does; with --decode also their contact values"),
     "decode": ("tipforce_tools.decode.command", "convert logs to contact: text, CSV, JSON lines, Parquet, MCAP"),
@@ -220,13 +220,9 @@ def _failed(message: str, code: int) -> int:
 
 def terminate_as_interrupt() -> None:
     """Let SIGTERM end a long-running command as Ctrl-C does, so that it closes what it opened."""
-
     import signal
 
-    def interrupt(_number: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    signal.signal(signal.SIGTERM, interrupt)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 if __name__ == "__main__":

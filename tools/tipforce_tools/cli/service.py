@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
     from canopen_device.running.loop import Port
@@ -73,16 +72,10 @@ class Notifier:
         if self._socket is not None:
             self._socket.setblocking(False)
         self._clock_us = clock_us
-        self._period_us = self._watchdog_us() // 2
+        own, text = str(os.getpid()), os.environ.get("WATCHDOG_USEC", "")
+        supervised = os.environ.get("WATCHDOG_PID", own) == own and text.isdecimal()
+        self._period_us = int(text) // 2 if supervised else 0
         self._next_us = 0
-
-    @staticmethod
-    def _watchdog_us() -> int:
-        """0 without a watchdog, or if it supervises another process."""
-        if os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
-            return 0
-        text = os.environ.get("WATCHDOG_USEC", "")
-        return int(text) if text.isdecimal() else 0
 
     def send(self, *lines: str) -> None:
         """Send lines such as READY=1. Does not wait: a manager that does not read loses them."""
@@ -127,7 +120,7 @@ def open_port(args: argparse.Namespace) -> tuple[Port, str]:
     """Return the port and its name: kernel sockets for SocketCAN, python-can for every other interface."""
     from canopen_device.running.ports import PythonCanPort, SocketCanPort
 
-    options = bus_options(args)
+    options = common.bus_options(args)
     if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:
         try:
             return SocketCanPort(options["channel"]), options["channel"]

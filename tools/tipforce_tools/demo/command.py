@@ -10,9 +10,10 @@ from tipforce_tools.cli.common import (
     add_output_arguments,
     note,
     print_json,
-    print_table,
+    print_record,
+    print_rows,
     progress,
-    seed,
+    whole_number,
 )
 from tipforce_tools.view.serving import add_page_arguments
 
@@ -29,7 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution. Otherwise the\n"
         "exit code is 1."
     )
-    parser.add_argument("--seed", type=seed, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)")
+    parser.add_argument(
+        "--seed", type=whole_number, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)"
+    )
     parser.add_argument(
         "--spoil", action="store_true", help="corrupt one element of each calibration matrix: the demo must fail"
     )
@@ -53,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
             results.append(result)
             if args.json:
                 print_json(_record(result))
-    if not args.json:
-        _print_tables(args, results, CASES)
+    for case in () if args.json else CASES:
+        _print_table(args, case, [result for result in results if result.case == case])
     return _summary(args, results, time.monotonic() - started_s)
 
 
@@ -70,57 +73,28 @@ def _view(args: argparse.Namespace) -> int:
 
 def _record(result: Result) -> dict[str, object]:
     record: dict[str, object] = {"case": result.case, "sense": result.sense}
-    for name, triple in (
-        ("applied", result.applied),
-        ("estimated", result.estimated),
-        ("error", result.error),
-        ("u", result.u),
-        ("bound", result.bound),
-        ("host", result.host),
-        ("host_bound", result.host_bound),
-    ):
-        for quantity, value in zip(("P_N", "phi_deg", "theta_deg"), triple, strict=True):
+    for name in ("applied", "estimated", "error", "u", "bound", "host", "host_bound"):
+        for quantity, value in zip(("P_N", "phi_deg", "theta_deg"), getattr(result, name), strict=True):
             record[f"{name}_{quantity}"] = float(value)
-    record["inside"], record["host_agrees"] = result.inside, result.host_agrees
-    return record
+    return record | {"inside": result.inside, "host_agrees": result.host_agrees}
 
 
-def _print_tables(args: argparse.Namespace, results: list[Result], cases: tuple[str, ...]) -> None:
-    from rich.table import Table
-
-    for case in cases:
-        table = Table(
-            title=f"Case {case}: applied, estimated by the node, error, standard uncertainty", title_justify="left"
-        )
-        for heading in (
-            "sense",
-            "P N",
-            "est",
-            "err",
-            "u",
-            "phi deg",
-            "est",
-            "err",
-            "u",
-            "theta deg",
-            "est",
-            "err",
-            "u",
-            "",
-        ):
-            table.add_column(heading, justify="right")
-        for result in (r for r in results if r.case == case):
-            cells = [result.sense]
-            for k, digits in enumerate((3, 2, 2)):
-                cells += [
-                    f"{result.applied[k]:g}",  # short, so that the table fits 80 columns
-                    f"{result.estimated[k]:.{digits}f}",
-                    f"{result.error[k]:+.{digits}f}",
-                    f"{result.u[k]:.{digits}f}",
-                ]
-            good = result.inside and result.host_agrees
-            table.add_row(*cells, "ok" if good else "OUT", style=None if good else "bold red")
-        print_table(args, table)
+def _print_table(args: argparse.Namespace, case: str, results: list[Result]) -> None:
+    headings = [f">{word}" for name in ("P N", "phi deg", "theta deg") for word in (name, "est", "err", "u")]
+    good = [result.inside and result.host_agrees for result in results]
+    rows = []
+    for result, ok in zip(results, good, strict=True):
+        cells = [result.sense]
+        for k, digits in enumerate((3, 2, 2)):
+            cells += [
+                f"{result.applied[k]:g}",  # short, so that the table fits 80 columns
+                f"{result.estimated[k]:.{digits}f}",
+                f"{result.error[k]:+.{digits}f}",
+                f"{result.u[k]:.{digits}f}",
+            ]
+        rows.append([*cells, "ok" if ok else "OUT"])
+    title = f"Case {case}: applied, estimated by the node, error, standard uncertainty"
+    print_rows(args, title, [">sense", *headings, ">"], rows, [None if ok else "bold red" for ok in good])
 
 
 def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) -> int:
@@ -132,19 +106,16 @@ def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) 
     disagree = sum(not result.host_agrees for result in results)
     ok = outside == 0 and disagree == 0
     rms = np.sqrt(np.mean(errors**2, axis=0))
-    if args.json:
-        print_json(
-            {
-                "summary": True, "ok": ok, "loads": len(results), "outside": outside, "host_disagrees": disagree,
-                "rms_P_N": float(rms[0]), "rms_phi_deg": float(rms[1]), "rms_theta_deg": float(rms[2]),
-                "largest_share_of_bound": float(np.max(share)), "seed": args.seed,
-            }
-        )  # fmt: skip
-        return 0 if ok else 1
-    print(
+    record = {
+        "summary": True, "ok": ok, "loads": len(results), "outside": outside, "host_disagrees": disagree,
+        "rms_P_N": float(rms[0]), "rms_phi_deg": float(rms[1]), "rms_theta_deg": float(rms[2]),
+        "largest_share_of_bound": float(np.max(share)), "seed": args.seed,
+    }  # fmt: skip
+    text = (
         f"{len(results)} loads of 4.4 N on 3 nodes: RMS error P {rms[0]:.4f} N, phi {rms[1]:.3f} deg, "
-        f"theta {rms[2]:.3f} deg; largest error {100 * np.max(share):.0f} % of its bound"
+        f"theta {rms[2]:.3f} deg; largest error {100 * np.max(share):.0f} % of its bound\n"
+        f"errors outside their bound: {outside}; host estimates that differ from the node's: {disagree}\n"
+        f"{'PASS' if ok else 'FAIL'} in {elapsed_s:.1f} s"
     )
-    print(f"errors outside their bound: {outside}; host estimates that differ from the node's: {disagree}")
-    print(f"{'PASS' if ok else 'FAIL'} in {elapsed_s:.1f} s")
+    print_record(args, record, text)
     return 0 if ok else 1

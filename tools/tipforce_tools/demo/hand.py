@@ -17,15 +17,13 @@ import can
 from canopen_device.core.node import Device
 from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
-from canopen_device.running.store import FileStore
+from canopen_device.running.store import MemoryStore
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
-from tipforce.sources.simulated import OPEN, SILENT, SimulatedSource
-from tipforce_tools.demo.job import NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, case_calibration
+from tipforce.sources.simulated import OPEN, SILENT
+from tipforce_tools.demo.job import case_calibration, simulated_source
 
 NAMES = ("thumb", "index", "middle", "ring", "little")
 CASES = ("I", "II", "III", "I", "II")
@@ -59,15 +57,12 @@ class SimulatedHand:
 
     def __init__(self, folder: Path, sync_hz: float = SYNC_HZ, moving: bool = True, faults: bool = True) -> None:
         self.channel = f"tipforce-view-{next(_CHANNELS)}"
-        self.sources = [
-            SimulatedSource(strain_matrix(FABRICATED, case).tolist(), NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, seed)
-            for seed, case in enumerate(CASES)
-        ]
+        self.sources = [simulated_source(case, seed) for seed, case in enumerate(CASES)]
         self.devices: list[Device] = []
         plans = []
         for k, (name, source) in enumerate(zip(NAMES, self.sources, strict=True)):
-            files = FileStore(folder / f"node-{k + 1}.json")
-            self.devices.append(fingertip_node(k + 1, source, serial=k + 1, save=files.save, load=files.load))
+            store = MemoryStore()
+            self.devices.append(fingertip_node(k + 1, source, serial=k + 1, save=store.save, load=store.load))
             calibration = replace(case_calibration(CASES[k], PULLS[k]), serial=k + 1)
             write_calibration(folder / f"{name}.toml", calibration)
             plans.append(

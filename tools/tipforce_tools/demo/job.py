@@ -8,20 +8,19 @@ from __future__ import annotations
 import contextlib
 import datetime
 import statistics
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import can
 import numpy as np
 
 from canopen_device.core import codes
+from canopen_device.core.node import Device
 from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
-from canopen_device.running.store import FileStore
+from canopen_device.running.store import MemoryStore
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import objects as od
 from tipforce.errors import RefusedError
@@ -124,7 +123,7 @@ def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callab
     """
     comparisons = len(CASES) * 2 * len(GROOVES_DEG) * len(QUANTITIES)
     z = coverage_factor(comparisons)
-    with tempfile.TemporaryDirectory(prefix="tipforce-demo-") as folder, _nodes(seed, Path(folder)) as connection:
+    with _nodes(seed) as connection:
         for pull in (True, False):
             calibrations = {k + 1: case_calibration(case, pull) for k, case in enumerate(CASES)}
             for node_id, calibration in calibrations.items():
@@ -141,15 +140,18 @@ def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callab
             hand.stop()
 
 
+def simulated_source(case: str, seed: int) -> SimulatedSource:
+    """Return the gauges of a case, with the demo's noise and offsets."""
+    return SimulatedSource(strain_matrix(FABRICATED, case).tolist(), NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, seed)
+
+
 @contextlib.contextmanager
-def _nodes(seed: int, folder: Path) -> Iterator[Bus]:
+def _nodes(seed: int) -> Iterator[Bus]:
     """Run nodes 1, 2, 3 with cases I, II, III in one thread on python-can's virtual bus, and yield a host on it."""
-    channel = f"tipforce-demo-{id(folder)}"
-    devices = []
+    devices: list[Device] = []
+    channel = f"tipforce-demo-{id(devices)}"
     for k, case in enumerate(CASES):
-        rows = strain_matrix(FABRICATED, case).tolist()
-        source = SimulatedSource(rows, NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, seed + k)
-        store = FileStore(folder / f"node-{k + 1}.json")
+        store, source = MemoryStore(), simulated_source(case, seed + k)
         devices.append(fingertip_node(k + 1, source, serial=k + 1, save=store.save, load=store.load))
     stopped = threading.Event()
     with (

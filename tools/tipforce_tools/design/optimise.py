@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from tipforce_lab.design.optimum import Outcome
     from tipforce_lab.design.search import Limits
 
-_GEOMETRY = (("a", "a_m"), ("d", "d_m"), ("r", "r_m"), ("h1", "h1_m"), ("h2", "h2_m"), ("width", "width_m"))
+_LENGTHS = ("a", "d", "r", "h1", "h2", "width")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="3 to 5 (default %(default)s)")
     parser.add_argument("--starts", type=int, default=8, metavar="K", help="per configuration (default %(default)s)")
-    parser.add_argument("--seed", type=common.seed, default=0, help="of the starts (default %(default)s)")
+    parser.add_argument("--seed", type=common.whole_number, default=0, help="of the starts (default %(default)s)")
     parser.add_argument("-o", "--output", metavar="LAYOUT.toml", help="write the best design as a layout file")
     _add_loads(parser)
     _add_limits(parser)
@@ -43,10 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_loads(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("noise and loads")
-    group.add_argument("--noise", type=float, default=0.5, metavar="UE", help="per gauge, microstrain (%(default)s)")
-    group.add_argument("--load", type=float, default=4.4, metavar="N", help="of every push (default %(default)s)")
+    not_negative = common.number_within(0.0, common.MOST, "is 0 or more")
+    common.add_numbers(
+        group,
+        ("--noise", 0.5, "UE", "per gauge, microstrain (%(default)s)", not_negative),
+        ("--load", 4.4, "N", "of every push (default %(default)s)", float),
+    )
     group.add_argument("--pad", default="0,180", metavar="MIN,MAX", help="contacts theta, degrees (%(default)s)")
-    group.add_argument("--friction", type=float, default=0.5, metavar="MU", help="half cone: atan MU (%(default)s)")
+    common.add_numbers(group, ("--friction", 0.5, "MU", "half cone: atan MU (%(default)s)", float))
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
@@ -54,26 +57,24 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--envelope", default="30,30.2", metavar="X,Y", help="mm: 2 r across, d + h1/2 + r high (%(default)s)"
     )
-    group.add_argument("--width", type=float, default=10.0, metavar="MM", help="of the beams (default %(default)s)")
+    common.add_numbers(group, ("--width", 10.0, "MM", "of the beams (default %(default)s)", float))
     group.add_argument("--free-width", action="store_true", help="allow a smaller width, down to a tenth")
-    group.add_argument("--radius", type=float, metavar="MM", help="of the tip (default: free, at most X / 2)")
-    group.add_argument("--wall", type=float, default=0.0, metavar="MM", help="least r - a (default %(default)s)")
-    group.add_argument(
-        "--slender", type=float, default=10.0, metavar="X", help="least length over thickness (default %(default)s)"
-    )
-    group.add_argument("--min-h", type=float, default=0.2, metavar="MM", help="least thickness (default %(default)s)")
-    group.add_argument("--gauge-length", type=float, default=1.0, metavar="MM", help="default %(default)s")
-    group.add_argument(
-        "--clearance", type=float, default=0.0, metavar="MM", help="of gauges to corners and each other (%(default)s)"
+    common.add_numbers(
+        group,
+        ("--radius", None, "MM", "of the tip (default: free, at most X / 2)", float),
+        ("--wall", 0.0, "MM", "least r - a (default %(default)s)", float),
+        ("--slender", 10.0, "X", "least length over thickness (default %(default)s)", float),
+        ("--min-h", 0.2, "MM", "least thickness (default %(default)s)", float),
+        ("--gauge-length", 1.0, "MM", "default %(default)s", float),
+        ("--clearance", 0.0, "MM", "of gauges to corners and each other (%(default)s)", float),
     )
     group.add_argument("--upper-face", action="store_true", help="also allow gauges in the slit")
-    group.add_argument("--slit", type=float, default=0.25, metavar="MM", help="must stay open (default %(default)s)")
+    common.add_numbers(group, ("--slit", 0.25, "MM", "must stay open (default %(default)s)", float))
     stress = group.add_mutually_exclusive_group()
-    stress.add_argument(
-        "--max-stress", type=float, metavar="MPA", help="at the load, worst angle (default: the paper's)"
-    )
+    common.add_numbers(stress, ("--max-stress", None, "MPA", "at the load, worst angle (default: the paper's)", float))
     stress.add_argument("--yield", dest="yield_MPa", type=float, metavar="MPA", help="stress at most this / --safety")
-    group.add_argument("--safety", type=float, default=1.5, metavar="S", help="for --yield (default %(default)s)")
+    above_0 = common.number_within(0.0, math.inf, "is above 0", over=True)
+    common.add_numbers(group, ("--safety", 1.5, "S", "for --yield (default %(default)s)", above_0))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -84,8 +85,6 @@ def run(args: argparse.Namespace) -> int:
 
     if args.output:
         check_output(args.output, LAYOUT)
-    if not 0.0 <= args.noise < math.inf:
-        raise InputError(f"--noise {args.noise}: allowed is 0 or more")
     limits, loads = _limits_and_loads(args)
     with common.progress(args, "starts", steps(args.gauges, limits, args.starts)) as done:
         outcome = optimise(
@@ -107,8 +106,6 @@ def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:
     loads = LoadSet(args.load, *_pair("--pad", args.pad), args.friction)
     max_stress = args.max_stress
     if args.yield_MPa is not None:
-        if not args.safety > 0.0:
-            raise InputError(f"--safety {args.safety}: allowed is above 0")
         max_stress = args.yield_MPa / args.safety
     limits = Limits(
         envelope_x_m=envelope[0] * 1e-3,
@@ -150,9 +147,7 @@ def _print_outcome(args: argparse.Namespace, outcome: Outcome) -> None:
             common.print_json(record(entry, args.noise))
         common.print_json(_summary(args, outcome))
         return
-    _print_structures(args, entries)
-    _print_figures(args, entries)
-    _print_frame(args, entries)
+    _print_tables(args, entries)
     print("\n".join(_sentences(args, outcome)))
 
 
@@ -167,65 +162,43 @@ def _comment(args: argparse.Namespace, best: Assessment) -> str:
     )
 
 
-def _print_structures(args: argparse.Namespace, entries: list[Assessment]) -> None:
-    from rich.table import Table
-
+def _print_tables(args: argparse.Namespace, entries: list[Assessment]) -> None:
+    """Print the structures, their uncertainties and limits, and what the frame says; yellow where it disagrees."""
     from tipforce.sensor.structure.gauges import gauge_name
 
-    table = Table(title="Structures, mm; gauges: beam, side, middle of the gauge from the joint", title_justify="left")
-    table.add_column("")
-    for symbol, _ in _GEOMETRY:
-        table.add_column(symbol, justify="right")
-    table.add_column("SG1, SG2, ...")
+    structures, figures, frames = [], [], []
     for entry in entries:
-        lengths = (f"{1e3 * getattr(entry.geometry, name):.3f}" for _, name in _GEOMETRY)
-        table.add_row(entry.name, *lengths, ", ".join(gauge_name(gauge) for gauge in entry.gauges))
-    common.print_table(args, table)
-
-
-def _print_figures(args: argparse.Namespace, entries: list[Assessment]) -> None:
-    title = f"Standard uncertainties at {args.noise:g} microstrain and {args.load:g} N, and limits of the body"
-    headings = ("u(P) mN", "u(phi) deg", "u(theta) deg", "mN per ue", "least ue/N", "cond", "MPa", "slit shuts N")
-    rows = (
-        (
-            *_figures(entry.theory), f"{1e3 * entry.theory.noise_gain_newtons:.2f}",
-            f"{entry.theory.smallest_singular_value:.1f}", f"{entry.theory.condition_number:.3f}",
-            f"{entry.worst_stress_pascals * 1e-6:.0f}", f"{entry.slit_load_newtons:.1f}",
-        )
-        for entry in entries
+        lengths = (f"{1e3 * getattr(entry.geometry, f'{symbol}_m'):.3f}" for symbol in _LENGTHS)
+        structures.append((entry.name, *lengths, ", ".join(gauge_name(gauge) for gauge in entry.gauges)))
+        merit, joint = entry.theory, entry.frame_finite_joint
+        figures.append(
+            (
+                entry.name, *_figures(merit), f"{1e3 * merit.noise_gain_newtons:.2f}",
+                f"{merit.smallest_singular_value:.1f}", f"{merit.condition_number:.3f}",
+                f"{entry.worst_stress_pascals * 1e-6:.0f}", f"{entry.slit_load_newtons:.1f}",
+            )
+        )  # fmt: skip
+        frames.append(
+            (
+                entry.name, *_figures(entry.frame), f"{entry.frame.condition_number:.3f}",
+                f"{100 * entry.disagreement:.2f}", f"{joint.u_theta_deg:.4f}", f"{joint.condition_number:.3f}",
+            )
+        )  # fmt: skip
+    doubts = [None if entry.agrees else "yellow" for entry in entries]
+    common.print_rows(
+        args, "Structures, mm; gauges: beam, side, middle of the gauge from the joint",
+        ("", *(f">{symbol}" for symbol in _LENGTHS), "SG1, SG2, ..."), structures,
     )  # fmt: skip
-    _print_table(args, title, headings, entries, rows)
-
-
-def _print_frame(args: argparse.Namespace, entries: list[Assessment]) -> None:
-    title = "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well"
-    headings = ("u(P) mN", "u(phi) deg", "u(theta) deg", "cond", "differs %", "block: u(theta)", "cond")
-    rows = (
-        (
-            *_figures(entry.frame), f"{entry.frame.condition_number:.3f}", f"{100 * entry.disagreement:.2f}",
-            f"{entry.frame_finite_joint.u_theta_deg:.4f}", f"{entry.frame_finite_joint.condition_number:.3f}",
-        )
-        for entry in entries
+    common.print_rows(
+        args, f"Standard uncertainties at {args.noise:g} microstrain and {args.load:g} N, and limits of the body",
+        ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg", ">mN per ue", ">least ue/N", ">cond", ">MPa", ">slit shuts N"),
+        figures, doubts,
     )  # fmt: skip
-    _print_table(args, title, headings, entries, rows)
-
-
-def _print_table(
-    args: argparse.Namespace,
-    title: str,
-    headings: Iterable[str],
-    entries: list[Assessment],
-    rows: Iterable[Iterable[str]],
-) -> None:
-    from rich.table import Table
-
-    table = Table(title=title, title_justify="left")
-    table.add_column("")
-    for heading in headings:
-        table.add_column(heading, justify="right")
-    for entry, row in zip(entries, rows, strict=True):
-        table.add_row(entry.name, *row, style=None if entry.agrees else "yellow")
-    common.print_table(args, table)
+    common.print_rows(
+        args, "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well",
+        ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg", ">cond", ">differs %", ">block: u(theta)", ">cond"),
+        frames, doubts,
+    )  # fmt: skip
 
 
 def _figures(merit: Merit) -> tuple[str, str, str]:

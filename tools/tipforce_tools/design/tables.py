@@ -47,7 +47,7 @@ def add_table_arguments(parser: argparse.ArgumentParser) -> None:
         "--noise", type=float, default=5.0, metavar="UE", help="gauge noise in microstrain (default %(default)s)"
     )
     group.add_argument("--repeats", type=int, default=400, metavar="N", help="calibrations (default %(default)s)")
-    group.add_argument("--seed", type=common.seed, default=9, help="of the noise (default %(default)s)")
+    group.add_argument("--seed", type=common.whole_number, default=9, help="of the noise (default %(default)s)")
     common.add_output_arguments(parser)
 
 

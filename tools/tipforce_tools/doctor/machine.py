@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import importlib.metadata
 import json
 import os
 import platform
@@ -12,14 +11,29 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from tipforce.errors import TipforceError
-from tipforce_tools.doctor import Check
 
 if TYPE_CHECKING:
     from tipforce.sources.iio_sysfs import Device
+
+State = Literal["ok", "note", "fail"]
+"""ok; note: works, with a remark; fail: the requested function will not work."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """``next_step`` is a command or a sentence, "" if none is needed."""
+
+    topic: str
+    state: State
+    finding: str
+    next_step: str = ""
+
 
 ARPHRD_CAN = 280  # linux/if_arp.h
 SHORT_QUEUE = 100  # frames; a hand responds to SYNC with more than the default of ten at once
@@ -56,10 +70,8 @@ def kernel_checks(net: Path = _NET) -> Iterator[Check]:
     yield _can_raw()
     interfaces = can_interfaces(net)
     if not interfaces:
-        yield Check(
-            "interface", "note", "no CAN interface",
-            "plug in the adapter, or add vcan0: sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 up",
-        )  # fmt: skip
+        step = "plug in the adapter, or add vcan0: sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 up"
+        yield Check("interface", "note", "no CAN interface", step)
     details = _ip_details()
     for name in interfaces:
         yield from interface_checks(name, details.get(name))
@@ -67,9 +79,8 @@ def kernel_checks(net: Path = _NET) -> Iterator[Check]:
 
 def can_interfaces(net: Path = _NET) -> list[str]:
     """Return the names of CAN network interfaces."""
-    if not net.is_dir():
-        return []
-    return sorted(path.name for path in net.iterdir() if _number(path / "type") == ARPHRD_CAN)
+    kinds = {file.parent.name: file.read_text() for file in net.glob("*/type")}
+    return sorted(name for name, kind in kinds.items() if kind.strip() == str(ARPHRD_CAN))
 
 
 def interface_checks(name: str, link: dict[str, Any] | None) -> Iterator[Check]:
@@ -102,12 +113,10 @@ def _bus_state(topic: str, name: str, data: dict[str, Any]) -> Iterator[Check]:
         return
     counters = data.get("berr_counter", {})
     counts = f" (errors sent {counters['tx']}, received {counters['rx']})" if counters else ""
+    step = "no acknowledgement, or different bit rates: check power, the two 120 ohm terminators, CAN-H and CAN-L"
     if state == "BUS-OFF":
         step = f"sudo ip link set {name} type can restart; restart-ms 100 restarts automatically"
-        yield Check(topic, "fail", f"bus-off{counts}", step)
-    else:
-        step = "no acknowledgement, or different bit rates: check power, the two 120 ohm terminators, CAN-H and CAN-L"
-        yield Check(topic, "fail", f"{state.lower()}{counts}", step)
+    yield Check(topic, "fail", f"{state.lower()}{counts}", step)
 
 
 def _can_raw() -> Check:
@@ -131,19 +140,12 @@ def _ip_details() -> dict[str, dict[str, Any]]:
         return {}
 
 
-def _number(path: Path) -> int:
-    try:
-        return int(path.read_text())
-    except (OSError, ValueError):
-        return -1
-
-
 # --- buses without hardware ---------------------------------------------------------------------------------------
 
 
 def trial() -> int:
     """Run `true` with the buses; return its exit code. Raises EnvironmentLackError."""
-    from tipforce_tools.vcan.run import run_with_vcan
+    from tipforce_tools.vcan.command import run_with_vcan
 
     return run_with_vcan(["true"], interfaces=INTERFACES, timeout_s=120.0)
 
@@ -153,8 +155,8 @@ def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Check]:
     if sys.platform != "linux":
         yield Check("vcan", "note", f"vcan exists on Linux only, and this is {sys.platform}", _UDP)
         return
+    from tipforce_tools.vcan.command import choose
     from tipforce_tools.vcan.host import ELSEWHERE
-    from tipforce_tools.vcan.run import choose
 
     place = choose(INTERFACES)
     try:
@@ -164,8 +166,8 @@ def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Check]:
         return
     if code:
         yield Check("vcan", "note", f"`tipforce vcan -- true` ended with {code}", ELSEWHERE)
-        return
-    yield Check("vcan", "ok", f"`tipforce vcan` works: vcan0 and vcan1, {_PLACES[place]}")
+    else:
+        yield Check("vcan", "ok", f"`tipforce vcan` works: vcan0 and vcan1, {_PLACES[place]}")
 
 
 def multicast_checks() -> Iterator[Check]:
@@ -174,10 +176,9 @@ def multicast_checks() -> Iterator[Check]:
 
     try:
         open_bus(interface="udp_multicast", channel="239.74.163.2").shutdown()
+        yield Check("UDP bus", "ok", f"{_UDP} between programs, where vcan is not available")
     except TipforceError as error:
         yield Check("UDP bus", "note", str(error))
-        return
-    yield Check("UDP bus", "ok", f"{_UDP} between programs, where vcan is not available")
 
 
 # --- converters ---------------------------------------------------------------------------------------------------
@@ -197,11 +198,13 @@ def iio_checks(root: Path = _IIO, device_files: Path = Path("/dev"), configfs: P
     with_voltage = [device for device in devices if _channels(device.path)]
     if not with_voltage:
         others = f"; found: {', '.join(map(str, devices))}" if devices else ""
+        step = "`echo NAME 0xADDRESS > /sys/bus/i2c/devices/i2c-N/new_device`"
         yield Check(
-            "ADC", "note", f"no converter{others}",
-            "load its driver, and name the chip in the device tree or by "
-            "`echo NAME 0xADDRESS > /sys/bus/i2c/devices/i2c-N/new_device`",
-        )  # fmt: skip
+            "ADC",
+            "note",
+            f"no converter{others}",
+            f"load its driver, and name the chip in the device tree or by {step}",
+        )
         return
     for device in with_voltage:
         yield from _device_checks(device, device_files)
@@ -211,47 +214,36 @@ def iio_checks(root: Path = _IIO, device_files: Path = Path("/dev"), configfs: P
 def _channels(path: Path) -> list[str]:
     from tipforce.sources import iio_sysfs
 
-    try:
+    with suppress(OSError):
         return iio_sysfs.voltage_channels(path)
-    except OSError:
-        return []
+    return []
 
 
 def _device_checks(device: Device, device_files: Path) -> Iterator[Check]:
     from tipforce.sources import iio_sysfs
 
-    topic, channels = f"ADC {device.number}", _channels(device.path)
-    types = [iio_sysfs.scan_type(device.path, channel) for channel in channels]
-    shown = f"{device}: {', '.join(channels)}"
-    bits = {kind.bits for kind in types if kind is not None}
-    shown += f", {'/'.join(map(str, sorted(bits)))} bits" if bits else ""
+    topic, path, channels = f"ADC {device.number}", device.path, _channels(device.path)
+    types = [iio_sysfs.scan_type(path, channel) for channel in channels]
+    bits = "/".join(map(str, sorted({kind.bits for kind in types if kind is not None})))
+    shown = f"{device}: {', '.join(channels)}" + (f", {bits} bits" if bits else "")
     yield Check(topic, "ok", shown, f"--source iio:{device.place or device.number}")
     try:
-        iio_sysfs.raw_value(device.path, channels[0])
+        iio_sysfs.raw_value(path, channels[0])
     except OSError as error:
         yield Check(topic, "note", f"no response: {error.strerror}", "check its wiring and supply, and `dmesg`")
     if None in types:
-        yield Check(
-            topic, "note", "the driver does not state the range of counts",
-            "write [bridge] count_range = [lowest, highest] into the layout file",
-        )  # fmt: skip
-    yield from _scale_checks(topic, device.path, channels[0])
+        step = "write [bridge] count_range = [lowest, highest] into the layout file"
+        yield Check(topic, "note", "the driver does not state the range of counts", step)
+    try:
+        no_scale = "the driver states none" if iio_sysfs.attribute(path, channels[0], "scale") is None else ""
+    except OSError as error:
+        no_scale = f"{error.strerror}: the driver knows no reference voltage"
+    if no_scale:
+        step = "write [bridge] volts_per_count = reference voltage / number of counts into the layout file"
+        yield Check(topic, "note", f"no scale ({no_scale})", step)
     file = device_files / device.number
     if file.exists() and not os.access(file, os.R_OK):
         yield Check(topic, "note", f"{file} is not readable: polling works, buffered capture does not", "run as root")
-
-
-def _scale_checks(topic: str, path: Path, channel: str) -> Iterator[Check]:
-    from tipforce.sources import iio_sysfs
-
-    step = "write [bridge] volts_per_count = reference voltage / number of counts into the layout file"
-    try:
-        scale = iio_sysfs.attribute(path, channel, "scale")
-    except OSError as error:
-        yield Check(topic, "note", f"no scale ({error.strerror}: the driver knows no reference voltage)", step)
-        return
-    if scale is None:
-        yield Check(topic, "note", "no scale: the driver states none", step)
 
 
 def _buffering(devices: list[Device], root: Path, configfs: Path | None) -> Check:
@@ -266,10 +258,8 @@ def _buffering(devices: list[Device], root: Path, configfs: Path | None) -> Chec
     others = ", ".join(iio_buffer.triggers(root))
     if others:
         return Check(topic, "ok", f"triggers: {others}", "--trigger NAME")
-    return Check(
-        topic, "note", "no trigger: converters are polled",
-        "for buffered capture: `modprobe iio-trig-hrtimer` and `mount -t configfs none /sys/kernel/config`",
-    )  # fmt: skip
+    step = "for buffered capture: `modprobe iio-trig-hrtimer` and `mount -t configfs none /sys/kernel/config`"
+    return Check(topic, "note", "no trigger: converters are polled", step)
 
 
 # --- software -----------------------------------------------------------------------------------------------------
@@ -280,19 +270,18 @@ def software_checks() -> Iterator[Check]:
     base = ", ".join(f"{name} {_version(name)}" for name in BASE)
     yield Check("software", "ok", f"tipforce {_version('tipforce')}, Python {platform.python_version()}, {base}")
     missing = [extra for extra, names in EXTRAS.items() if any(_version(name) == "missing" for name in names)]
-    if missing:
-        step = f'pip install "tipforce[{",".join(missing)}]"'
-        yield Check("extras", "note", f"not installed: {', '.join(missing)}", step)
-    else:
-        yield Check("extras", "ok", "all installed")
+    yield _lacks("extras", "not installed", missing, f'pip install "tipforce[{",".join(missing)}]"', "all installed")
     absent = [name for name in PEERS if shutil.which(name) is None]
-    if absent:
-        yield Check("peers", "note", f"not found: {', '.join(absent)}", "sudo apt-get install can-utils tshark")
-    else:
-        yield Check("peers", "ok", ", ".join(PEERS))
+    yield _lacks("peers", "not found", absent, "sudo apt-get install can-utils tshark", ", ".join(PEERS))
+
+
+def _lacks(topic: str, how: str, names: list[str], step: str, complete: str) -> Check:
+    return Check(topic, "note", f"{how}: {', '.join(names)}", step) if names else Check(topic, "ok", complete)
 
 
 def _version(name: str) -> str:
+    import importlib.metadata
+
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:

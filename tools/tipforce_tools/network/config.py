@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError, SdoAbortError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
-from tipforce_tools.cli.request import request_of
-from tipforce_tools.network.device import DeviceRequest, connection_or, description, is_fingertip
+from tipforce_tools.network.sdo import connection_or, description, gauges_read
 
 if TYPE_CHECKING:
     from canopen_device.types import Value
     from tipforce.dictionary.entries import Entry
+    from tipforce.host.configuration.configuration_file import Configuration
     from tipforce.host.configuration.device_objects import DeviceObjects
     from tipforce.host.network.sdo import SdoChannel
 
@@ -25,17 +27,6 @@ ACTIONS = {
     "save": "save the settings of the node to a file: TOML, or DCF by its suffix",
     "verify": "compare the settings in the file with the node (exit code 1 on a difference)",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class SettingsRequest(DeviceRequest):
-    """``file``: "" for the action that takes none."""
-
-    action: str
-    file: str
-    store: bool
-    all: bool
-    gauges: int
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -67,122 +58,129 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return 0, or for apply, verify and diff 1 after a line per difference."""
-    request = request_of(SettingsRequest, args)
-    if bool(request.file) is (request.action == "show"):
-        needs = "takes no FILE; did you mean" if request.file else "which FILE? For example"
-        raise InputError(f"config {request.action}: {needs}: tipforce config save {request.node} finger.toml")
-    if request.action == "show":
-        return _show(request)
-    return _save(request) if request.action == "save" else _with_file(request)
+    if bool(args.file) is (args.action == "show"):
+        needs = "takes no FILE; did you mean" if args.file else "which FILE? For example"
+        raise InputError(f"config {args.action}: {needs}: tipforce config save {args.node} finger.toml")
+    actions = {"show": _show, "save": _save, "diff": _diff}
+    return actions.get(args.action, _apply_or_verify)(args)
 
 
-def _with_file(request: SettingsRequest) -> int:
-    from tipforce.host.configuration.configuration_file import (
-        apply_configuration,
-        read_configuration,
-        verify_configuration,
-    )
+@contextmanager
+def _opened(args: argparse.Namespace) -> Iterator[tuple[SdoChannel, DeviceObjects, Configuration]]:
+    """Open the node of the action; yield its channel, its dictionary, and the content of the file.
+
+    Where the node does not respond, the error of a file that is none of a fingertip is raised.
+    """
+    from tipforce.host.configuration.configuration_file import read_configuration
     from tipforce.host.configuration.device_objects import FingertipObjects
-    from tipforce.host.network.finger import FingertipClient
 
-    error = None  # why it is no file of a fingertip: then it may be that of another device
+    wanted, error = {}, None
     try:
-        wanted = read_configuration(request.file, request.node, request.gauges)
+        wanted = read_configuration(args.file, args.node, args.gauges)
     except InputError as reason:
-        error = reason
-    if request.action == "apply" and request.store:
-        common.confirm(request, f"{request.shown}: this replaces its stored parameters")
-    with connection_or(request, error) as connection:
-        sdo = connection.sdo(request.node)
-        objects = _objects(request, sdo, error)
+        error = reason  # it may be a file of another device
+    if args.action == "apply" and args.store:
+        common.confirm(args, f"{common.shown_node(args.node)}: this replaces its stored parameters")
+    with connection_or(args, error) as connection:
+        sdo = connection.sdo(args.node)
+        objects = _objects(args, sdo, error)
         if not isinstance(objects, FingertipObjects):
-            wanted = read_configuration(request.file, request.node, request.gauges, objects)
+            wanted = read_configuration(args.file, args.node, args.gauges, objects)
         elif error is not None:
             raise error
-        if request.action == "diff":
-            from tipforce.host.configuration.configuration_file import compare
+        yield sdo, objects, wanted
 
-            lines = compare(_read(request, sdo, objects), wanted, objects)
-            for line in lines:
-                there = "is not in the file" if line.other is None else f"{request.file} has {line.other}"
-                common.print_record(
-                    request, asdict(line), f"{line.name} ({line.entry}): the node has {line.node}, {there}"
-                )
-            common.note(request, f"{request.shown}: {len(lines)} different")
-            return 1 if lines else 0
-        if request.action == "apply":
+
+def _diff(args: argparse.Namespace) -> int:
+    from tipforce.host.configuration.configuration_file import compare
+
+    with _opened(args) as (sdo, objects, wanted):
+        lines = compare(_read(args, sdo, objects), wanted, objects)
+    for line in lines:
+        there = "is not in the file" if line.other is None else f"{args.file} has {line.other}"
+        common.print_record(args, asdict(line), f"{line.name} ({line.entry}): the node has {line.node}, {there}")
+    common.note(args, f"{common.shown_node(args.node)}: {len(lines)} different")
+    return 1 if lines else 0
+
+
+def _apply_or_verify(args: argparse.Namespace) -> int:
+    from tipforce.host.configuration.configuration_file import apply_configuration, verify_configuration
+    from tipforce.host.network.finger import FingertipClient
+
+    with _opened(args) as (sdo, _, wanted):
+        if args.action == "apply":
             apply_configuration(sdo, wanted)
         differences = verify_configuration(sdo, wanted)
-        if request.action == "apply" and request.store and not differences:
+        if args.action == "apply" and args.store and not differences:
             FingertipClient(sdo).store()
     for difference in differences:
         text = f"{difference['object']}: expected {difference['expected']}, the node has {difference['found']}"
-        common.print_record(request, difference, text)
+        common.print_record(args, difference, text)
     unread = sum(entry.access == "wo" for entry, _ in wanted.values())
     shown = f"{len(differences)} different" + (f", {unread} write-only, not compared" if unread else "")
-    common.note(request, f"{request.shown}: {len(wanted)} objects, {shown}")
+    common.note(args, f"{common.shown_node(args.node)}: {len(wanted)} objects, {shown}")
     return 1 if differences else 0
 
 
-def _objects(request: SettingsRequest, sdo: SdoChannel, error: InputError | None = None) -> DeviceObjects:
-    """Return the dictionary of the node. Raises InputError for a device that is no fingertip and has no EDS.
-
-    ``error``: of the file, if it is none of a fingertip; raised where the node does not respond.
-    """
+def _objects(args: argparse.Namespace, sdo: SdoChannel, error: InputError | None = None) -> DeviceObjects:
+    """Return the dictionary of the node. Raises InputError for a device that is no fingertip and has no EDS."""
     from tipforce.host.configuration.device_objects import EdsObjects, FingertipObjects
 
-    if not request.eds and is_fingertip(sdo, error):
-        return FingertipObjects(request.node, request.gauges)
-    described = description(request, sdo)
+    if not args.eds and gauges_read(sdo, error):
+        return FingertipObjects(args.node, args.gauges)
+    described = description(args, sdo)
     if described is None:
-        raise InputError(f"{request.shown} is not a fingertip and stores no EDS; add --eds FILE")
+        raise InputError(f"{common.shown_node(args.node)} is not a fingertip and stores no EDS; add --eds FILE")
     return EdsObjects(described)
 
 
-def _show(request: SettingsRequest) -> int:
+def _show(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.configuration_file import changed_settings
 
-    with common.open_connection(request) as connection:
-        sdo = connection.sdo(request.node)
+    with common.open_connection(args) as connection:
+        sdo = connection.sdo(args.node)
         try:
-            objects = _objects(request, sdo)
+            objects = _objects(args, sdo)
         except InputError:
-            if request.eds:
+            if args.eds:
                 raise
-            return _show_foreign(request, sdo)
-        settings = _read(request, sdo, objects)
-    shown = settings if request.all else changed_settings(settings, objects)
-    for (index, sub), value in sorted(shown.items()):
-        entry = objects.settings[index, sub]
+            return _show_foreign(args, sdo)
+        settings = _read(args, sdo, objects)
+    shown = settings if args.all else changed_settings(settings, objects)
+    for place, value in sorted(shown.items()):
+        entry = objects.settings[place]
         texts = [_shown(entry, number) for number in (value, entry.default)]
         values = texts if isinstance(value, bytes) else (value, entry.default)
-        record = {"index": f"0x{index:04X}", "sub": sub, "name": entry.name, "value": values[0]}
         default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
-        line = f"{entry}  {entry.name:32} {f'{texts[0]} {entry.unit}'.rstrip()}{default}"
-        common.print_record(request, record | {"default": values[1], "unit": entry.unit}, line)
-    common.note(request, f"{request.shown}: {len(settings)} settings, {len(shown)} shown")
+        line = f"{_line(entry, texts[0])}{default}"
+        common.print_record(args, _record(entry, values[0]) | {"default": values[1], "unit": entry.unit}, line)
+    common.note(args, f"{common.shown_node(args.node)}: {len(settings)} settings, {len(shown)} shown")
     return 0
 
 
-def _show_foreign(request: SettingsRequest, sdo: SdoChannel) -> int:
+def _show_foreign(args: argparse.Namespace, sdo: SdoChannel) -> int:
     """Print the objects of CiA 301 that a device of another type has; only its manufacturer knows their defaults."""
     from canopen_device.core import communication
     from tipforce.host.configuration.device_objects import FingertipObjects
 
     shown = 0
-    for (index, sub), entry in FingertipObjects(request.node).settings.items():
-        if index > communication.LAST:
-            continue
-        try:
-            value = entry.decode(sdo.upload(index, sub))
-        except (SdoAbortError, InputError):  # it lacks the object, or has one of another length
-            continue
-        shown += 1
-        record = {"index": f"0x{index:04X}", "sub": sub, "name": entry.name, "value": value}
-        common.print_record(request, record, f"{entry}  {entry.name:32} {_shown(entry, value)} {entry.unit}".rstrip())
+    for (index, sub), entry in FingertipObjects(args.node).settings.items():
+        if index <= communication.LAST:
+            with suppress(SdoAbortError, InputError):  # it lacks the object, or has one of another length
+                value = entry.decode(sdo.upload(index, sub))
+                shown += 1
+                common.print_record(args, _record(entry, value), _line(entry, _shown(entry, value)))
     communication_settings = f"{shown} communication settings (CiA 301), compared with nothing"
-    common.note(request, f"{request.shown} is not a fingertip: {communication_settings}")
+    common.note(args, f"{common.shown_node(args.node)} is not a fingertip: {communication_settings}")
     return 0
+
+
+def _record(entry: Entry[Value], value: object) -> dict[str, object]:
+    return {"index": f"0x{entry.index:04X}", "sub": entry.sub, "name": entry.name, "value": value}
+
+
+def _line(entry: Entry[Value], text: str) -> str:
+    return f"{entry}  {entry.name:32} {f'{text} {entry.unit}'.rstrip()}"
 
 
 def _shown(entry: Entry[Value], value: Value) -> str:
@@ -213,30 +211,30 @@ def _cob_id_text(index: int, value: int) -> str:
     return f"0x{value:08X} ({', '.join([f'0x{value & codes.STANDARD_MASK:03X}', *names])})"
 
 
-def _save(request: SettingsRequest) -> int:
+def _save(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.configuration_file import changed_settings, settings_toml
     from tipforce.output_file import EDS, SETTINGS, check_output, write_file
 
-    as_dcf = request.file.lower().endswith((".dcf", ".eds"))
+    as_dcf = args.file.lower().endswith((".dcf", ".eds"))
     kind = EDS if as_dcf else SETTINGS
-    if request.file != "-":
-        check_output(request.file, kind)
-    with common.open_connection(request) as connection:
-        sdo = connection.sdo(request.node)
-        objects = _objects(request, sdo)
-        settings = _read(request, sdo, objects)
-        chosen = settings if request.all else changed_settings(settings, objects)
-        text = _dcf(request, sdo, objects, chosen) if as_dcf else settings_toml(chosen, objects, request.node)
-    if request.file == "-":
+    if args.file != "-":
+        check_output(args.file, kind)
+    with common.open_connection(args) as connection:
+        sdo = connection.sdo(args.node)
+        objects = _objects(args, sdo)
+        settings = _read(args, sdo, objects)
+        chosen = settings if args.all else changed_settings(settings, objects)
+        text = _dcf(args, sdo, objects, chosen) if as_dcf else settings_toml(chosen, objects, args.node)
+    if args.file == "-":
         print(text, end="")
         return 0
-    write_file(request.file, text, kind)
-    common.note(request, f"{request.file}: {len(chosen)} of {len(settings)} settings of {request.shown}")
+    write_file(args.file, text, kind)
+    common.note(args, f"{args.file}: {len(chosen)} of {len(settings)} settings of {common.shown_node(args.node)}")
     return 0
 
 
 def _dcf(
-    request: SettingsRequest, sdo: SdoChannel, objects: DeviceObjects, chosen: dict[tuple[int, int], Value]
+    args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects, chosen: dict[tuple[int, int], Value]
 ) -> str:
     from canopen_device.eds import dcf
     from tipforce.dictionary import eds as fingertip_eds
@@ -245,12 +243,12 @@ def _dcf(
 
     if isinstance(objects, EdsObjects):
         return dcf.dcf_text(objects.described, chosen)
-    return fingertip_eds.dcf_text(request.gauges, request.node, chosen, FingertipClient(sdo).identity().simulated)
+    return fingertip_eds.dcf_text(args.gauges, args.node, chosen, FingertipClient(sdo).identity().simulated)
 
 
-def _read(request: SettingsRequest, sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
+def _read(args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
     """Read all settings, one transfer each, with a progress bar on a terminal."""
     from tipforce.host.configuration.configuration_file import read_settings
 
-    with common.progress(request, "read", len(objects.settings)) as advance:
+    with common.progress(args, "read", len(objects.settings)) as advance:
         return read_settings(sdo, objects, advance)

@@ -8,10 +8,8 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
-from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
     from tipforce.host.hand.bring_up import FingerReport
@@ -61,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("file", metavar="FILE", help="hand.toml")
-    parser.add_argument("--seconds", type=float, metavar="S", help="run: end after this time")
+    parser.add_argument("--seconds", type=common.seconds, metavar="S", help="run: end after this time")
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)
 
@@ -70,8 +68,6 @@ def run(args: argparse.Namespace) -> int:
     """Run the action; return 0, or for up and run 1 if a finger failed."""
     from tipforce.host.hand.file import read_hand
 
-    if args.seconds is not None and not args.seconds > 0:
-        raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
     file = read_hand(args.file)
     if args.action == "check":
         return _check(args, file)
@@ -107,7 +103,7 @@ def _warn_of_load(args: argparse.Namespace, file: HandFile) -> None:
     if not file.hand.sync_hz:
         return
     count, gauges = len(file.finger), file.finger[0].gauges
-    bit_rate = int(bus_options(args).get("bitrate") or file.bus.get("bitrate") or DEFAULT_BIT_RATE)
+    bit_rate = int(common.bus_options(args).get("bitrate") or file.bus.get("bitrate") or DEFAULT_BIT_RATE)
     pdos = list(file.messages)
     budget = hand_budget(count, file.hand.sync_hz, pdos, gauges, bit_rate, 1e-3 * file.hand.heartbeat_ms)
     share = f"{100 * budget.least_load:.0f} to {100 * budget.most_load:.0f} % of {bit_rate} bit/s"
@@ -124,7 +120,7 @@ def _up(args: argparse.Namespace) -> int:
     from tipforce_tools.cli.main import terminate_as_interrupt
 
     terminate_as_interrupt()
-    with Hand.from_file(args.file, **bus_options(args)) as hand:
+    with Hand.from_file(args.file, **common.bus_options(args)) as hand:
         hand.on_event(lambda event: _print_event(args, hand, event))
         started_s = time.monotonic()
         reports = hand.bring_up()
@@ -177,15 +173,12 @@ def _rows(args: argparse.Namespace, hand: Hand) -> None:
     shown_s = 0.0
     names = [finger.name for finger in hand.file.finger]
     for rows in hand.blocks(args.seconds):
-        now = time.monotonic() - shown_s >= 1.0
-        if not args.json and not now:
-            continue
-        shown_s = time.monotonic() if now else shown_s
-        hand_rows = rows_one_by_one(rows, hand.node_ids, names)
-        for row, contacts in enumerate(hand_rows) if args.json else ():
-            common.print_json(_record(rows, row, contacts))
-        if not args.json:
-            print(_line(hand, hand_rows[-1]), flush=True)
+        if args.json:
+            for row, contacts in enumerate(rows_one_by_one(rows, hand.node_ids, names)):
+                common.print_json(_record(rows, row, contacts))
+        elif time.monotonic() - shown_s >= 1.0:
+            shown_s = time.monotonic()
+            print(_line(hand, rows_one_by_one(rows, hand.node_ids, names)[-1]), flush=True)
         if deadline_s is not None and time.monotonic() >= deadline_s:
             break
 

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import time
-from typing import TYPE_CHECKING
 
 from canopen_device.core.codes import EXTENDED_FLAG, EXTENDED_MASK, STANDARD_MASK
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-
-if TYPE_CHECKING:
-    from tipforce.host.frames.frame_array import FrameArray
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,9 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     planned.add_argument("--gauges", type=int, default=3, metavar="N", help="of each finger, 3 (default) to 8")
     planned.add_argument("--heartbeat", type=float, default=1.0, metavar="S", help="period, 0 for none (default 1)")
-    planned.add_argument("--limit", type=float, default=80.0, metavar="PERCENT", help="default %(default)g")
+    percentage = common.number_within(0.0, 100.0, "is a percentage over 0, up to 100", over=True)
+    common.add_numbers(planned, ("--limit", 80.0, "PERCENT", "default %(default)g", percentage))
     live = parser.add_argument_group("live bus")
-    live.add_argument("--seconds", type=float, default=2.0, metavar="S", help="listening time (default %(default)g)")
+    a_day = common.number_within(0.0, 86400.0, "is a time over 0 s, up to a day", over=True)
+    common.add_numbers(live, ("--seconds", 2.0, "S", "listening time (default %(default)g)", a_day))
     common.add_bus_arguments(parser)
 
 
@@ -49,8 +46,6 @@ def _planned(args: argparse.Namespace) -> int:
     from tipforce.dictionary.signals import tpdo_messages
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, budget_lines, hand_budget, what_fits
 
-    if not 0 < args.limit <= 100:
-        raise InputError(f"--limit {args.limit:g}: allowed is a percentage over 0, up to 100")
     bit_rate = getattr(args, "bitrate", None) or DEFAULT_BIT_RATE
     names = {message.name.lower(): message.name for message in tpdo_messages(args.gauges)}
     # Unknown words stay, for the error that lists the known.
@@ -79,42 +74,26 @@ def _count(text: str) -> int:
 
 
 def _live(args: argparse.Namespace) -> int:
-    import can
+    import numpy as np
 
-    from tipforce.host.frames.frame_array import FrameBuffer
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, exact_bits
+    from tipforce_tools.cli.listening import frames_heard
 
-    if not 0 < args.seconds <= 86400:
-        raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0 s, up to a day")
     bit_rate = getattr(args, "bitrate", None)
     if bit_rate is None:
         bit_rate = DEFAULT_BIT_RATE
         common.note(args, f"assumed bit rate: {bit_rate} bit/s; set another with -b")
-    buffer = FrameBuffer()
     with common.open_bus(args) as bus:
-        notifier = can.Notifier(bus, [buffer], timeout=0.1)
-        started_s = time.monotonic()
-        time.sleep(args.seconds)
-        elapsed_s = time.monotonic() - started_s
-        notifier.stop()
-    frames = buffer.take_all()
-    bits = exact_bits(frames)
-    _print_live(args, frames, float(bits.sum()) / elapsed_s / bit_rate, elapsed_s)
-    return 0 if len(frames) else 5
-
-
-def _print_live(args: argparse.Namespace, frames: FrameArray, load: float, elapsed_s: float) -> None:
-    import numpy as np
-
-    from tipforce.host.network.bus_load import exact_bits
-
+        frames, elapsed_s = frames_heard(bus, args.seconds)
+    bits_of_frames = exact_bits(frames).astype(np.float64)
+    load = float(bits_of_frames.sum()) / elapsed_s / bit_rate
     ids, place, counts = np.unique(frames["can_id"], return_inverse=True, return_counts=True)
-    bits = np.bincount(place, weights=exact_bits(frames).astype(np.float64), minlength=len(ids))
+    bits = np.bincount(place, weights=bits_of_frames, minlength=len(ids))
     if args.json:
         for can_id, count, own in zip(ids.tolist(), counts.tolist(), bits.tolist(), strict=True):
             common.print_json({"can_id": can_id, "per_second": count / elapsed_s, "bits_per_second": own / elapsed_s})
         common.print_json({"load": load, "frames_per_second": len(frames) / elapsed_s, "seconds": elapsed_s})
-        return
+        return 0 if len(frames) else 5
     print(f"load {100 * load:.1f} %, {len(frames) / elapsed_s:.0f} frames/s over {elapsed_s:.1f} s")
     for k in np.argsort(-bits)[:10].tolist():
         name = f"{int(ids[k]) & EXTENDED_MASK:08X}" if ids[k] & EXTENDED_FLAG else f"{int(ids[k]) & STANDARD_MASK:03X}"
@@ -122,3 +101,4 @@ def _print_live(args: argparse.Namespace, frames: FrameArray, load: float, elaps
         print(f"  {name:>8} {counts[k] / elapsed_s:10.1f} /s {share:6.1f} % of it")
     if len(ids) > 10:
         print(f"  and {len(ids) - 10} more identifiers")
+    return 0 if len(frames) else 5

@@ -1,16 +1,20 @@
-"""`tipforce scan`, `read`, `tare`, `nmt`: commands for the nodes of a bus, with a line or a JSON record for each."""
+"""`tipforce scan`, `read`, `tare`, `nmt`, `lss`, `firmware`: nodes of a bus, with a line or a JSON record for each."""
 
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import threading
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
-from tipforce.errors import DuplicateNodeError, InputError
+from tipforce.dictionary import table
+from tipforce.errors import DuplicateNodeError, InputError, NoResponseError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
+
+if TYPE_CHECKING:
+    from tipforce.host.network.lss import LssAddress, LssMaster
 
 _CONTACT = ("P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg")
 NMT_COMMANDS = {
@@ -21,6 +25,16 @@ NMT_COMMANDS = {
     "reset-comm": "reset only the communication objects",
 }
 
+LSS_ACTIONS = {
+    "scan": "find an unconfigured node by fastscan and print its address",
+    "assign": "assign node-ids",
+    "store": "store the node-id and bit rate of a node in its non-volatile memory",
+}
+NO_UNCONFIGURED_NODE = (
+    "no unconfigured node responded. Configured nodes take no part in a fastscan: "
+    "`tipforce scan` lists them, and `tipforce lss assign ID --serial N --product P` changes a node-id"
+)
+
 
 def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce scan`."""
@@ -30,9 +44,8 @@ def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--nodes", type=common.node_ids, default=list(range(1, 128)), metavar="IDS", help="1,2,5-9 (default: all)"
     )
-    parser.add_argument(
-        "--wait", type=float, default=1.2, metavar="S", help="wait for responses and heartbeats (default %(default)s s)"
-    )
+    wait = common.number_within(0.0, threading.TIMEOUT_MAX, "is 0 s or more")
+    common.add_numbers(parser, ("--wait", 1.2, "S", "wait for responses and heartbeats (default %(default)s s)", wait))
     common.add_sdo_arguments(parser)
 
 
@@ -40,8 +53,6 @@ def run_scan(args: argparse.Namespace) -> int:
     """Print a line for each node; return 5 if there is none. Raises DuplicateNodeError for two with one node-id."""
     from tipforce.host.network.find import find_nodes
 
-    if not 0 <= args.wait < threading.TIMEOUT_MAX:
-        raise InputError(f"--wait {args.wait:g}: allowed is 0 s or more")
     with common.open_connection(args) as connection:
         nodes = find_nodes(connection, args.nodes, args.wait)
         for node in nodes:
@@ -68,14 +79,12 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_ids(parser)
     parser.add_argument("-n", "--count", type=common.count, default=1, metavar="N", help="samples of each (default 1)")
-    parser.add_argument("--wait", type=float, default=5.0, metavar="S", help="for each sample (default %(default)g s)")
+    common.add_numbers(parser, ("--wait", 5.0, "S", "for each sample (default %(default)g s)", common.timeout))
     common.add_sdo_arguments(parser)
 
 
 def run_read(args: argparse.Namespace) -> int:
     """Print ``count`` new samples of each finger: 0. Raises NoResponseError for a finger that gives none in time."""
-    if not 0.0 < args.wait < math.inf:
-        raise InputError(f"--wait {args.wait:g}: allowed is a time over 0 s")
     with common.open_connection(args) as connection:
         for _ in range(args.count):
             for node_id in args.ids:
@@ -141,13 +150,9 @@ def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
     add_choice(parser, "command", NMT_COMMANDS)
     parser.add_argument("ids", type=_ids_or_all, metavar="IDS", help="10, 0x0A, 1,2,5-9 or all")
     parser.add_argument(
-        "--wait",
-        nargs="?",
-        type=float,
-        const=10.0,
-        metavar="S",
+        "--wait", nargs="?", type=common.timeout, const=10.0, metavar="S",
         help="repeat the command until each heartbeat confirms it, for this long (%(const)s s unless given)",
-    )
+    )  # fmt: skip
     common.add_bus_arguments(parser)
 
 
@@ -166,8 +171,6 @@ def run_nmt(args: argparse.Namespace) -> int:
 
     if args.wait is not None and not args.ids:
         raise InputError("nmt all --wait: needs node-ids, for example 1-5")
-    if args.wait is not None and not 0 < args.wait < threading.TIMEOUT_MAX:
-        raise InputError(f"--wait {args.wait:g}: allowed is a time over 0 s")
     with Bus(common.open_bus(args)) as connection:
         if args.wait is None:
             for node_id in args.ids or [0]:
@@ -186,3 +189,155 @@ def run_nmt(args: argparse.Namespace) -> int:
 def _print_states(args: argparse.Namespace, states: dict[int, str]) -> None:
     for node_id, state in sorted(states.items()):
         common.print_record(args, {"node_id": node_id, "state": state}, f"{common.shown_id(node_id):>11}  {state}")
+
+
+def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce lss`."""
+    parser.epilog = (
+        "assign gives IDS to unconfigured nodes, in the order in which they are found, or with --serial to the node\n"
+        "with that address, which may have a node-id already (it changes at its next reset).\n\n"
+        "  tipforce lss scan -i socketcan -c can0\n"
+        "  tipforce lss assign 1-5 --store -i socketcan -c can0\n"
+        "  tipforce lss assign 7 --serial 1005 --store -i socketcan -c can0\n"
+        "Node-ids assigned without --store are lost at a power cycle."
+    )
+    add_choice(parser, "action", LSS_ACTIONS)
+    parser.add_argument("ids", nargs="?", type=common.node_ids, metavar="IDS", help="assign: 7, or 1,2,5-9")
+    parser.add_argument("--store", action="store_true", help="assign: also store the node-id in the node")
+    group = parser.add_argument_group("LSS address of one node (1018h)")
+    group.add_argument("--serial", type=common.unsigned32, metavar="N")
+    product = table.product_code(table.MIN_GAUGES, simulated=False)
+    group.add_argument("--product", type=common.unsigned32, default=product, metavar="N", help="default 0x%(default)X")
+    group.add_argument("--vendor", type=common.unsigned32, default=0, metavar="N", help="default %(default)s")
+    group.add_argument("--revision", type=common.unsigned32, metavar="N", help="default: this release's")
+    timeout_help = "timeout of each response (default %(default)s s)"
+    common.add_numbers(parser, ("--lss-timeout", 0.1, "S", timeout_help, common.timeout))
+    common.add_confirm_argument(parser)
+    common.add_bus_arguments(parser)
+
+
+def run_lss(args: argparse.Namespace) -> int:
+    """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
+    from tipforce.host.network.bus import Bus
+    from tipforce.host.network.lss import LssMaster
+
+    _check_lss(args)
+    if args.action == "store" or args.store:
+        common.confirm(args, "this replaces the stored node-id")
+    with Bus(common.open_bus(args)) as connection, LssMaster(connection, args.lss_timeout) as master:
+        if args.action == "scan":
+            address = master.fastscan()
+            if address is None:
+                raise NoResponseError(NO_UNCONFIGURED_NODE)
+            _print_lss(args, address, None, stored=False)
+            common.note(
+                args, "there may be more: a fastscan finds one at a time; `tipforce lss assign IDS` configures all"
+            )
+        elif args.serial is None:
+            _assign_lss(args, master)
+        else:
+            _configure_addressed(args, master)
+    return 0
+
+
+def _check_lss(args: argparse.Namespace) -> None:
+    if args.action == "assign" and not args.ids:
+        raise InputError("lss assign: IDS missing; for example tipforce lss assign 1-5 --store")
+    if args.action == "assign" and args.serial is not None and len(args.ids) != 1:
+        raise InputError(f"lss assign --serial: allowed is one node-id, {len(args.ids)} given")
+    if args.action == "store" and args.serial is None:
+        raise InputError("lss store: add --serial N (and --product, --vendor, --revision for other products)")
+
+
+def _assign_lss(args: argparse.Namespace, master: LssMaster) -> None:
+    """Give the node-ids to the nodes that fastscan finds, one after the other."""
+    for number, node_id in enumerate(args.ids):
+        address = master.fastscan()
+        if address is None:
+            if not number:
+                raise NoResponseError(NO_UNCONFIGURED_NODE)
+            left = ", ".join(str(n) for n in args.ids[number:])
+            raise NoResponseError(f"{number} of {len(args.ids)} nodes were found and configured; not assigned: {left}")
+        _configure_lss(args, master, address, node_id)
+        master.release()
+
+
+def _configure_addressed(args: argparse.Namespace, master: LssMaster) -> None:
+    """Store the node-id of the node with --serial, or give it another one."""
+    from tipforce.host.network.lss import LssAddress
+
+    revision = table.REVISION if args.revision is None else args.revision
+    address = LssAddress(args.vendor, args.product, revision, args.serial)
+    if not master.select(address):
+        raise NoResponseError(f"no node with {address} responded; `tipforce scan --json` shows the nodes' identities")
+    if args.action == "store":
+        master.store()
+        _print_lss(args, address, master.node_id(), stored=True)
+        return
+    before = master.node_id()
+    _configure_lss(args, master, address, args.ids[0])
+    if before not in (255, args.ids[0]):
+        common.note(args, f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
+
+
+def _configure_lss(args: argparse.Namespace, master: LssMaster, address: LssAddress, node_id: int) -> None:
+    master.configure_node_id(node_id)
+    if args.store:
+        master.store()
+    _print_lss(args, address, node_id, args.store)
+
+
+def _print_lss(args: argparse.Namespace, address: LssAddress, node_id: int | None, stored: bool) -> None:
+    given = "" if node_id is None else f": node-id {common.shown_id(node_id)}{', stored' if stored else ''}"
+    common.print_record(args, {**asdict(address), "node_id": node_id, "stored": stored}, f"{address}{given}")
+
+
+def add_firmware_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce firmware`."""
+    parser.epilog = (
+        "Without FILE the command shows the version of each node, and why its last update failed.\n"
+        "With FILE it installs the image on one node after the other. The node enters pre-operational and receives\n"
+        "the image in blocks with CRC into the slot that does not run. It checks product, CRC-32 and signature, and\n"
+        "restarts with the image. After five seconds of communication it confirms the program. Otherwise, and after a\n"
+        "power cut at any time before, it runs the previous program. `tipforce nmt start` starts measurement again.\n\n"
+        "An image for another product, with a wrong signature, or older than the installed program (without\n"
+        "--allow-downgrade) is refused with exit code 12, as is every image by a node without program slots. The\n"
+        "nodes after it are not touched. Exit code 2: the file is no image, or damaged; 5: a node does not respond.\n\n"
+        "  tipforce firmware 1-5 -i socketcan -c can0\n"
+        "  tipforce firmware 1-5 program.bin -i socketcan -c can0\n"
+        "  tipforce firmware 5 older.bin --allow-downgrade --yes -i socketcan -c can0"
+    )
+    _add_ids(parser)
+    parser.add_argument("file", nargs="?", metavar="FILE", help="program image; none: show the versions")
+    parser.add_argument(
+        "--allow-downgrade", action="store_true", help="install an image that is older than the program"
+    )
+    common.add_confirm_argument(parser)
+    common.add_sdo_arguments(parser)
+    parser.set_defaults(timeout=3.0)  # a node checks the complete image before it responds to the last block
+
+
+def run_firmware(args: argparse.Namespace) -> int:
+    """Show or install. Raises InputError for the file, RefusedError and NoResponseError of a node."""
+    from tipforce.host.network.firmware import Firmware, install, node_program
+
+    firmware = Firmware.read(args.file) if args.file else None
+    with common.open_connection(args) as connection:
+        if firmware is not None:
+            nodes = ", ".join(map(common.shown_id, args.ids))
+            common.confirm(args, f"node {nodes}: this replaces the program by {firmware.header.version_text()}")
+        for node_id in args.ids:
+            program = before = node_program(connection.sdo(node_id))
+            if firmware is not None:
+                with common.progress(args, common.shown_node(node_id), len(firmware.content), absolute=True) as arrived:
+                    program = install(
+                        connection, node_id, firmware, allow_downgrade=args.allow_downgrade, progress=arrived
+                    )
+            record = {
+                "node_id": node_id, "version": program.version, "identification": f"0x{program.identification:08X}",
+            } | ({} if firmware is None else {"version_before": before.version})  # fmt: skip
+            change = program.version if firmware is None else f"{before.version} -> {program.version}"
+            reason = f"  last update: {program.reason}" if program.reason else ""
+            line = f"{common.shown_id(node_id):>11}  {change}  0x{program.identification:08X}{reason}"
+            common.print_record(args, record | {"reason": program.reason}, line)
+    return 0

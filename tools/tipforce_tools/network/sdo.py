@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from canopen_device.core import codes, communication
-from tipforce.errors import InputError, SdoAbortError
+from tipforce.errors import InputError, NoResponseError, SdoAbortError, TipforceError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
-from tipforce_tools.cli.request import request_of
-from tipforce_tools.network.device import DeviceRequest, connection_or, description, is_fingertip
 
 if TYPE_CHECKING:
     from canopen_device.eds.description import Description
     from canopen_device.types import Value
     from tipforce.dictionary.entries import Entry
+    from tipforce.host.network.bus import Bus
     from tipforce.host.network.sdo import SdoChannel
 
 ACTIONS = {"read": "print one object", "write": "change one object", "dump": "print all readable objects"}
@@ -29,25 +30,6 @@ EDS = communication.STORED_EDS
 _PROFILE_FREE = communication.FIRST_MANUFACTURER  # below it every CANopen device has the same objects (CiA 301)
 _LAST_DIGIT = 9
 _NOT_THERE = (codes.NO_OBJECT, codes.NO_SUB)  # SDO aborts: no such object, no such sub-index
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObjectRequest(DeviceRequest):
-    """``words``: NAME, or INDEX SUB [TYPE]; then the VALUE of a write. ``gauges``: None reads them from the node."""
-
-    action: str
-    words: list[str]
-    gauges: int | None
-
-
-class Reading(NamedTuple):
-    """An entry of the dump: what the text calls it, its value and text, or the SDO abort of the node."""
-
-    entry: Entry[Value]
-    label: str
-    value: Value | None
-    text: str
-    abort: SdoAbortError | None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,64 +57,118 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Transfer one object or read all, and print what was read. Raises NoResponseError and SdoAbortError."""
-    request = request_of(ObjectRequest, args)
-    words = list(request.words)
-    if request.action == "dump":
+    words = list(args.words)
+    if args.action == "dump":
         if words:
-            raise InputError(
-                f"sdo dump: reads all objects; for one: tipforce sdo read {request.node} {' '.join(words)}"
-            )
-        return _dump(request)
+            raise InputError(f"sdo dump: reads all objects; for one: tipforce sdo read {args.node} {' '.join(words)}")
+        return _dump(args)
     if not words:
-        raise InputError(f"sdo {request.action}: object missing; write NAME, or INDEX SUB [TYPE]; `sdo dump` reads all")
-    value_text = words.pop() if request.action == "write" and len(words) > 1 else None
-    if request.action == "write" and value_text is None:
+        raise InputError(f"sdo {args.action}: object missing; write NAME, or INDEX SUB [TYPE]; `sdo dump` reads all")
+    value_text = words.pop() if args.action == "write" and len(words) > 1 else None
+    if args.action == "write" and value_text is None:
         raise InputError("sdo write: expected NAME VALUE, or INDEX SUB TYPE VALUE")
-    return _transfer(request, words, value_text)
+    return _transfer(args, words, value_text)
+
+
+# --- the device, by its identity or an EDS: for `tipforce config`, too ------------------------------------------------
+
+
+@contextmanager
+def connection_or(args: argparse.Namespace, error: InputError | None) -> Iterator[Bus]:
+    """Open the connection. Where that fails, raise ``error`` if there is one: it does not depend on the bus."""
+    with ExitStack() as opened:
+        try:
+            connection = opened.enter_context(common.open_connection(args))
+        except TipforceError:
+            if error is not None:
+                raise error from None
+            raise
+        yield connection
+
+
+def gauges_read(sdo: SdoChannel, error: InputError | None = None) -> int:
+    """Return the gauges of a fingertip by its product code 1018h:2, 0 for another device.
+
+    Raises ``error``, or without one NoResponseError, if the node does not respond.
+    """
+    from tipforce.dictionary import objects as od
+    from tipforce.dictionary.entries import gauges_of
+
+    try:
+        return gauges_of(sdo.read(od.IDENTITY_PRODUCT))
+    except SdoAbortError:  # CiA 301 requires the vendor alone
+        return 0
+    except NoResponseError:
+        if error is not None:
+            raise error from None
+        raise
+
+
+def description(args: argparse.Namespace, sdo: SdoChannel) -> Description | None:
+    """Return what ``--eds FILE``, or without it the EDS that the node stores, says; None without either.
+
+    Its warnings are notes. Raises InputError for a file that is no EDS, NoResponseError.
+    """
+    from canopen_device.eds.reader import read_eds
+
+    described = read_eds(args.eds, args.node) if args.eds else _stored(sdo)
+    for warning in described.warnings if described is not None else ():
+        common.note(args, f"warning: {warning}")
+    return described
+
+
+def _stored(sdo: SdoChannel) -> Description | None:
+    """Return the EDS of 1021h; None where the node has none, or a compressed one (CiA 301, 7.5.2.21 and 7.5.2.22)."""
+    from canopen_device.eds.reader import describe
+    from canopen_device.eds.sections import decoded, parse
+
+    with suppress(SdoAbortError):  # without 1022h the format is 0
+        if any(sdo.upload(communication.EDS_FORMAT, 0)):
+            return None
+    with suppress(SdoAbortError, InputError):
+        content = sdo.upload(EDS, 0, True)
+        text, findings = decoded(content)
+        file = parse(text)
+        file.findings[:0] = findings
+        # The node does not choose files of this machine: its UploadFile is below no folder.
+        return describe(file, Path(os.devnull, "1021h"), content, sdo.node_id)
+    return None
 
 
 # --- one object -----------------------------------------------------------------------------------------------------
 
 
-def _transfer(request: ObjectRequest, words: list[str], value_text: str | None) -> int:
+def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None) -> int:
     from canopen_device import types
 
-    entry, error = _known(words, request)
-    data = None if entry is None else _data(request, entry, value_text)
-    with connection_or(request, error) as connection:
-        sdo = connection.sdo(request.node)
-        if entry is None:  # only an EDS that another device stores can know the object
-            described = None if is_fingertip(sdo, error) else description(request, sdo)
+    entry = error = None
+    try:
+        entry = _known(args, words)
+    except InputError as reason:
+        if args.eds or len(words) > 2:
+            raise
+        error = reason  # only an EDS that another device stores can know the object
+    data = None if entry is None else _data(args, entry, value_text)
+    with connection_or(args, error) as connection:
+        sdo = connection.sdo(args.node)
+        if entry is None:
+            described = None if gauges_read(sdo, error) else description(args, sdo)
             if described is None:
                 assert error is not None
                 raise error
             entry = _eds_entry(words, described)
-            data = _data(request, entry, value_text)
+            data = _data(args, entry, value_text)
         if data is not None:
             sdo.download(entry.index, entry.sub, data)
-            common.note(request, f"{request.shown} {entry} = {value_text}")
+            common.note(args, f"{common.shown_node(args.node)} {entry} = {value_text}")
             return 0
         value = types.decode(entry.type, sdo.upload(entry.index, entry.sub, entry.type == "D"))
     text = types.format_value(entry.type, value)
-    common.print_record(request, _record(request.node, entry, text if isinstance(value, bytes) else value), text)
+    common.print_record(args, _record(args.node, entry, text if isinstance(value, bytes) else value), text)
     return 0
 
 
-def _known(words: list[str], request: ObjectRequest) -> tuple[Entry[Value] | None, InputError | None]:
-    """Return the object by --eds or the dictionary; or why not, for a node that stores its EDS."""
-    if request.eds:
-        from canopen_device.eds.reader import read_eds
-
-        return _eds_entry(words, read_eds(request.eds, request.node)), None
-    try:
-        return _entry(words, 3 if request.gauges is None else request.gauges), None
-    except InputError as error:
-        if len(words) > 2:
-            raise
-        return None, error
-
-
-def _data(request: ObjectRequest, entry: Entry[Value], value_text: str | None) -> bytes | None:
+def _data(args: argparse.Namespace, entry: Entry[Value], value_text: str | None) -> bytes | None:
     """Return the bytes to write, None for a read; ask first where the write persists."""
     from canopen_device import types
 
@@ -140,25 +176,19 @@ def _data(request: ObjectRequest, entry: Entry[Value], value_text: str | None) -
         return None
     data = types.encode(entry.type, types.parse_value(entry.type, value_text))
     if entry.index in PERSISTENT:
-        common.confirm(request, f"{request.shown}: this {PERSISTENT[entry.index]}")
+        common.confirm(args, f"{common.shown_node(args.node)}: this {PERSISTENT[entry.index]}")
     return data
 
 
-def _eds_entry(words: list[str], described: Description) -> Entry[Value]:
-    """Return an object of an EDS: by its name, or INDEX [SUB]."""
-    from tipforce.dictionary.entries import Entry
-
-    if len(words) > 2:
-        raise InputError(f"sdo: {' '.join(words)!r}: with --eds write NAME, or INDEX SUB; the type is in the file")
-    entry = described.find(words[0] if len(words) == 1 else _index_sub(words, "0x6064"))
-    return Entry(entry.index, entry.sub, entry.letter, entry.name, entry.access, entry.unit)
-
-
-def _entry(words: list[str], gauges: int) -> Entry[Value]:
-    """Return an object of a fingertip: NAME, or INDEX SUB [TYPE]."""
+def _known(args: argparse.Namespace, words: list[str]) -> Entry[Value]:
+    """Return the object of --eds, or that of a fingertip: NAME, or INDEX SUB [TYPE]."""
     from canopen_device import types
+    from canopen_device.eds.reader import read_eds
     from tipforce.dictionary.entries import Entry, describe, resolve
 
+    if args.eds:
+        return _eds_entry(words, read_eds(args.eds, args.node))
+    gauges = 3 if args.gauges is None else args.gauges
     if len(words) == 1:
         return resolve(words[0], gauges)
     if len(words) > 3:
@@ -174,6 +204,16 @@ def _entry(words: list[str], gauges: int) -> Entry[Value]:
     return known
 
 
+def _eds_entry(words: list[str], described: Description) -> Entry[Value]:
+    """Return an object of an EDS: by its name, or INDEX [SUB]."""
+    from tipforce.dictionary.entries import Entry
+
+    if len(words) > 2:
+        raise InputError(f"sdo: {' '.join(words)!r}: with --eds write NAME, or INDEX SUB; the type is in the file")
+    entry = described.find(words[0] if len(words) == 1 else _index_sub(words, "0x6064"))
+    return Entry(entry.index, entry.sub, entry.letter, entry.name, entry.access, entry.unit)
+
+
 def _index_sub(words: list[str], example: str) -> tuple[int, int]:
     try:
         return int(words[0], 0), int(words[1], 0)
@@ -184,33 +224,36 @@ def _index_sub(words: list[str], example: str) -> tuple[int, int]:
 # --- all objects ----------------------------------------------------------------------------------------------------
 
 
-def _dump(request: ObjectRequest) -> int:
+def _dump(args: argparse.Namespace) -> int:
     """Print the objects of the node; return 0. An entry that it refuses to read shows the abort, not a value."""
-    with common.open_connection(request) as connection:
-        sdo = connection.sdo(request.node)
-        entries = _readable(request, sdo)
+    with common.open_connection(args) as connection:
+        sdo = connection.sdo(args.node)
+        entries = _readable(args, sdo)
         readings = []
-        with common.progress(request, "read", len(entries)) as advance:
+        with common.progress(args, "read", len(entries)) as advance:
             for entry, label in entries:
-                reading = _read(sdo, entry, label)
+                value, text = _read(sdo, entry)
                 advance()
-                if reading is not None:
-                    readings.append(reading)
-    width = max((len(reading.label) for reading in readings), default=0)
-    for entry, label, value, text, abort in readings:
-        record = _record(request.node, entry, text if isinstance(value, bytes) else value)
-        record |= {"unit": entry.unit, "access": entry.access}
-        record |= {} if abort is None else {"abort": f"0x{abort.code:08X}"}
-        shown = f"{text} {entry.unit}" if abort is None else f"({str(abort).rpartition(': ')[2]})"
+                if not (isinstance(value, SdoAbortError) and value.code in _NOT_THERE):
+                    readings.append((entry, label, value, text))
+    width = max((len(label) for _, label, _, _ in readings), default=0)
+    for entry, label, value, text in readings:
+        if isinstance(value, SdoAbortError):
+            record = _record(args.node, entry, None)
+            extra, shown = {"abort": f"0x{value.code:08X}"}, f"({str(value).rpartition(': ')[2]})"
+        else:
+            record = _record(args.node, entry, text if isinstance(value, bytes) else value)
+            extra, shown = {}, f"{text} {entry.unit}"
         if entry.type == "I" and not entry.unit and isinstance(value, int) and value > _LAST_DIGIT:
             shown += f"(0x{value:X})"  # COB-IDs, mappings, signatures
-        common.print_record(request, record, f"{entry}  {label:{width}}  {shown}".rstrip())
+        record |= {"unit": entry.unit, "access": entry.access, **extra}
+        common.print_record(args, record, f"{entry}  {label:{width}}  {shown}".rstrip())
     missing = len(entries) - len(readings)
     absent = f", {missing} of the dictionary it does not have" if missing else ""
     common.note(
-        request,
-        f"{request.shown}: {len(readings)} entries{absent}; left out: write-only entries, and the "
-        f"EDS (0x{EDS:04X}: `tipforce sdo read {request.node} 0x{EDS:04X} 0`)",
+        args,
+        f"{common.shown_node(args.node)}: {len(readings)} entries{absent}; left out: write-only entries, and the "
+        f"EDS (0x{EDS:04X}: `tipforce sdo read {args.node} 0x{EDS:04X} 0`)",
     )
     return 0
 
@@ -219,31 +262,40 @@ def _record(node: int, entry: Entry[Value], value: object) -> dict[str, object]:
     return {"node": node, "index": f"0x{entry.index:04X}", "sub": entry.sub, "name": entry.name, "value": value}
 
 
-def _readable(request: ObjectRequest, sdo: SdoChannel) -> list[tuple[Entry[Value], str]]:
+def _read(sdo: SdoChannel, entry: Entry[Value]) -> tuple[Value | SdoAbortError, str]:
+    """Return the value of an entry and its text, or the abort of the node."""
+    from canopen_device import types
+
+    try:
+        data = sdo.upload(entry.index, entry.sub, entry.type == "D")
+    except SdoAbortError as error:
+        return error, ""
+    try:
+        value = types.decode(entry.type, data)
+        return value, types.format_value(entry.type, value)
+    except InputError:  # another device's type for this object: show its bytes
+        return data, data.hex(" ").upper()
+
+
+def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[tuple[Entry[Value], str]]:
     """Return the entries to read, each with its label: with --gauges those of such a fingertip, otherwise by identity.
 
     A label is the name that `sdo read` takes, or a description of a sub-index 0 that holds a count.
     """
     from tipforce.dictionary.entries import entries
-    from tipforce.host.network.finger import FingertipClient
 
-    gauges, below, described = request.gauges, 0x10000, None
-    if request.eds:
-        described = description(request, sdo)
-    elif gauges is None:
-        try:
-            identity = FingertipClient(sdo).identity()
-            gauges = identity.gauges if identity.is_fingertip else None
-        except SdoAbortError:  # 1018h:2 to 4 are optional
-            gauges = None
-        described = description(request, sdo) if gauges is None else None
+    gauges, below, described = args.gauges, 0x10000, None
+    if gauges is None and not args.eds:
+        gauges = gauges_read(sdo) or None
+    if args.eds or gauges is None:
+        described = description(args, sdo)
     if described is not None:
         return _described_entries(described)
     if gauges is None:
         gauges, below = 3, _PROFILE_FREE
         common.note(
-            request,
-            f"{request.shown} is not a fingertip: only the objects of CiA 301 are read "
+            args,
+            f"{common.shown_node(args.node)} is not a fingertip: only the objects of CiA 301 are read "
             "(--gauges N: all objects of a fingertip)",
         )
     programs = False
@@ -264,23 +316,8 @@ def _described_entries(described: Description) -> list[tuple[Entry[Value], str]]
 
     entries: list[tuple[Entry[Value], str]] = []
     for entry in described.entries():
-        obj = described.objects[entry.index]
-        name = obj.name if set(obj.entries) == {0} else f"{obj.name}/{entry.name}"
+        parent = described.objects[entry.index]
+        name = parent.name if set(parent.entries) == {0} else f"{parent.name}/{entry.name}"
         if entry.access != "wo" and entry.index != EDS:
             entries.append((Entry(entry.index, entry.sub, entry.letter, name, entry.access, entry.unit), name))
     return entries
-
-
-def _read(sdo: SdoChannel, entry: Entry[Value], label: str) -> Reading | None:
-    """Read an entry; None for one that the node does not have."""
-    from canopen_device import types
-
-    try:
-        data = sdo.upload(entry.index, entry.sub, entry.type == "D")
-    except SdoAbortError as error:
-        return None if error.code in _NOT_THERE else Reading(entry, label, None, "", error)
-    try:
-        value = types.decode(entry.type, data)
-        return Reading(entry, label, value, types.format_value(entry.type, value), None)
-    except InputError:  # another device's type for this object: show its bytes
-        return Reading(entry, label, data, data.hex(" ").upper(), None)

@@ -9,10 +9,11 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from tipforce.errors import EnvironmentLackError
+from tipforce_tools.cli.main import terminate_as_interrupt
 
 INTERRUPTED = 130
 ELSEWHERE = (
@@ -111,22 +112,22 @@ def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
     """
     # On a terminal the command must stay in the foreground process group, which receives Ctrl-C.
     own_group = sys.stdin is None or not sys.stdin.isatty()
-    with terminating_signals_interrupt():
-        try:
-            process = subprocess.Popen(list(command), process_group=0 if own_group else None)
-        except OSError as error:
-            print(f"tipforce vcan: {command[0]}: {error.strerror}", file=sys.stderr)
-            return 127 if isinstance(error, FileNotFoundError) else 126
-        try:
-            code = process.wait(timeout_s)
-            return code if code >= 0 else 128 - code
-        except subprocess.TimeoutExpired:
-            print(f"tipforce vcan: the command was ended after {timeout_s:g} s (--timeout)", file=sys.stderr)
-            return 1
-        except KeyboardInterrupt:
-            return INTERRUPTED
-        finally:
-            _end(process, own_group)
+    terminate_as_interrupt()
+    try:
+        process = subprocess.Popen(list(command), process_group=0 if own_group else None)
+    except OSError as error:
+        print(f"tipforce vcan: {command[0]}: {error.strerror}", file=sys.stderr)
+        return 127 if isinstance(error, FileNotFoundError) else 126
+    try:
+        code = process.wait(timeout_s)
+        return code if code >= 0 else 128 - code
+    except subprocess.TimeoutExpired:
+        print(f"tipforce vcan: the command was ended after {timeout_s:g} s (--timeout)", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    finally:
+        _end(process, own_group)
 
 
 def _end(process: "subprocess.Popen[bytes]", own_group: bool) -> None:
@@ -142,17 +143,3 @@ def _end(process: "subprocess.Popen[bytes]", own_group: bool) -> None:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(5.0)
             return
-
-
-@contextlib.contextmanager
-def terminating_signals_interrupt() -> Iterator[None]:
-    """Raise KeyboardInterrupt on SIGTERM as on SIGINT, so that both end the machine in the same way."""
-    try:
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    except ValueError:  # not the main thread, which alone receives signals
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

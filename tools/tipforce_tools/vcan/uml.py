@@ -22,13 +22,13 @@ from pathlib import Path
 from typing import IO
 
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.cli.main import terminate_as_interrupt
 from tipforce_tools.vcan.host import (
     ELSEWHERE,
     INTERRUPTED,
     SYSTEM_PATH,
     find_program,
     require_parts,
-    terminating_signals_interrupt,
 )
 
 PIPE_CLOSED = 141  # 128 + SIGPIPE: the shell's exit code for a writer whose reader closed the pipe
@@ -67,9 +67,9 @@ def run_in_uml(
     """
     require_parts()
     terminal = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
+    terminate_as_interrupt()
     with (
         tempfile.TemporaryDirectory(prefix="tipforce-vcan-", dir=_short_temporary_folder()) as name,
-        terminating_signals_interrupt(),
         _terminal_kept(terminal),
     ):
         folder = Path(name)

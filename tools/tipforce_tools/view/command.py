@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.request import bus_options
 from tipforce_tools.view.serving import add_page_arguments, check_page_arguments, hand_source, serve
 
 if TYPE_CHECKING:
@@ -81,7 +80,7 @@ def _source(args: argparse.Namespace) -> Iterator[Source]:
     elif is_table:
         from tipforce.host.hand.hand import Hand
 
-        source = hand_source(args, Hand.from_file(path, **bus_options(args)), path.name, fallback)
+        source = hand_source(args, Hand.from_file(path, **common.bus_options(args)), path.name, fallback)
     elif str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
     else:

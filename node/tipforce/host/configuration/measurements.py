@@ -23,6 +23,7 @@ MODES = ("push", "pull", "tare")
 LEAST_LOAD_NEWTONS, MOST_LOAD_NEWTONS = 1e-9, 1e9
 LARGEST_ANGLE_DEG = 720.0
 LARGEST_MICROSTRAIN = 1e6
+_SHOWN = 5  # nodes in a message
 _ANGLE = (-LARGEST_ANGLE_DEG, LARGEST_ANGLE_DEG, "degrees")
 _GAUGE = (-LARGEST_MICROSTRAIN, LARGEST_MICROSTRAIN, "microstrain")
 _LIMITS = {
@@ -175,12 +176,13 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
     Gauge columns SG1..SGn, SG1_ue.. (of a decoded log) or e1_ue.. in microstrain, n = 3 to 8; optional t_s,
     temperature_degC, weight, mode (push, pull, tare). A row that cannot be used is in ``bad`` with its line and
     reason. Raises InputError if the whole file cannot be used: not readable, empty, not UTF-8, a header with a
-    missing or duplicate column, a decoded log with estimates beside the gauges.
+    missing or duplicate column, a decoded log with estimates beside the gauges, or one of several nodes.
     """
     lines = _lines(path)
     columns = _header(path, lines[0], loads)
     if not any(line.strip() for line in lines[1:]):
         raise InputError(f"{path}: line 1 is a header without rows")
+    _require_one_node(path, lines)
     line, rows, modes, bad = list[int](), list[list[float]](), list[int](), list[BadRow]()
     for number, text in enumerate(lines[1:], 2):
         try:
@@ -258,6 +260,24 @@ def _lines(path: str | Path) -> list[str]:
     if not lines:
         raise InputError(f"{path}: the file is empty; it needs a header such as SG1,SG2,SG3,P_N,phi_deg,theta_deg")
     return lines
+
+
+def _require_one_node(path: str | Path, lines: list[str]) -> None:
+    """Raise InputError if the columns of a decoded log name more than one node (or node and channel)."""
+    rows = csv.reader(lines)
+    header = [name.strip() for name in next(rows)]
+    places = [header.index(name) for name in ("channel", "node") if name in header]
+    if not places:
+        return
+    senders = {" ".join(row[k].strip() for k in places) for row in rows if len(row) == len(header)}
+    nodes = sorted(senders, key=lambda text: (len(text), text))
+    if len(nodes) > 1:
+        shown = ", ".join(nodes[:_SHOWN]) + (", ..." if len(nodes) > _SHOWN else "")
+        raise InputError(
+            f"{path}: readings of {len(nodes)} nodes ({shown}), but a calibration is of one; write one file per node: "
+            f"`tipforce decode LOG --nodes {nodes[0].split(' ')[-1]} --signals SG1,SG2,SG3 -o FILE.csv`, or "
+            "estimate with `tipforce decode LOG --calibration NODE=CAL.toml` (repeat the option for each node)"
+        )
 
 
 def _header(path: str | Path, text: str, loads: bool) -> Columns:

@@ -12,8 +12,6 @@ import can
 from canopen_device.can_frame import raw_can_id
 from canopen_device.core import codes
 from canopen_device.core.codes import HEARTBEAT_BASE, NODE_ID_MASK
-from tipforce.dictionary.dbc import NMT_STATES
-from tipforce.dictionary.service_texts import state_text
 from tipforce.errors import NoResponseError
 from tipforce.host.decoding.duplicates import DuplicateNodes
 
@@ -101,6 +99,8 @@ def command_and_wait(
     boot meanwhile. Raises InputError for an unknown command, and NotReachedError naming the nodes whose heartbeat did
     not report it in time: they are off, or their heartbeat (1017h) is slower or 0.
     """
+    from tipforce.dictionary.service_texts import state_text
+
     since_s = time.monotonic()
     wanted, reached = NMT_COMMANDS[command][1], dict[int, str]()
     again_s = timeout_s if command.startswith("reset") else _AGAIN_S
@@ -114,7 +114,7 @@ def command_and_wait(
         until_s = min(now_s + again_s, since_s + timeout_s)
         for node_id in waiting:
             if connection.heartbeats.wait(node_id, wanted, since_s, max(0.0, until_s - time.monotonic())):
-                reached[node_id] = NMT_STATES[wanted]
+                reached[node_id] = state_text(wanted)
         waiting = [node_id for node_id in waiting if node_id not in reached]
     if waiting:
         last = ((node_id, connection.heartbeats.state(node_id)) for node_id in waiting)

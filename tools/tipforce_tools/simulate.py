@@ -12,6 +12,7 @@ from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from canopen_device.machine.device import SimulatedDevice
+    from canopen_device.running.loop import Port
 
 EPILOG = """\
 examples:
@@ -53,18 +54,18 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _serve(args: argparse.Namespace, devices: list[SimulatedDevice], port: object, place: str) -> None:
+def _serve(args: argparse.Namespace, devices: list[SimulatedDevice], port: Port, place: str) -> None:
     from canopen_device.running import loop
     from tipforce_tools.cli.listening import StopSignals
 
-    shown = ", ".join(f"{common.shown_id(one.node_id)} {one.description.product_name}" for one in devices)
+    shown = ", ".join(f"{common.shown_id(device.node_id)} {device.description.product_name}" for device in devices)
     common.note(args, f"node {shown}: on {place}; Ctrl-C ends it")
     with StopSignals((signal.SIGINT,)) as stop:
         try:
             with contextlib.suppress(KeyboardInterrupt):
-                loop.run(devices, port, stop)  # type: ignore[arg-type]
+                loop.run(devices, port, stop)
         finally:
-            loop.say_stopped([device.core for device in devices], port)  # type: ignore[arg-type]
+            loop.say_stopped([device.core for device in devices], port)
     common.note(args, "stopped")
 
 
@@ -92,7 +93,7 @@ def _pairs(files: list[str], node_ids: list[int] | None) -> list[tuple[str, int 
     if node_ids is None:
         return [(file, None) for file in files]
     if len(files) == 1:
-        return [(files[0], node_id) for node_id in node_ids]
+        files = files * len(node_ids)
     if len(files) != len(node_ids):
         raise InputError(f"--node-id: {len(node_ids)} for {len(files)} files; give one for each")
     return list(zip(files, node_ids, strict=True))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from heapq import merge
-from math import isnan, nan
 from operator import itemgetter
 from typing import TextIO
 
@@ -33,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("calibration", metavar="CAL.toml")
     parser.add_argument("gauges", metavar="GAUGES.csv")
     parser.add_argument("-o", "--output", metavar="OUT", help="CSV file (default: stdout)")
-    parser.add_argument("--saturation", type=float, metavar="UE", help="converter limit in microstrain")
+    above_0 = common.number_within(0.0, math.inf, "is above 0, in microstrain", over=True)
+    parser.add_argument("--saturation", type=above_0, metavar="UE", help="converter limit in microstrain")
     parser.add_argument("--strict", action="store_true", help="exit with 1 if a row is bad")
     common.add_output_arguments(parser)
 
@@ -44,13 +45,9 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.host.decoding.estimates import estimates
     from tipforce.output_file import check_output
-    from tipforce_tools.cli.one_finger_csv import check_one_node
 
-    if args.saturation is not None and not args.saturation > 0.0:
-        raise InputError(f"--saturation {args.saturation:g}: allowed is above 0, in microstrain")
     calibration = read_calibration(args.calibration, with_fit=True)
     data = read_measurements(args.gauges, loads=False)
-    check_one_node(args.gauges, data)
     if data.strain.shape[1] != calibration.gauges:
         raise InputError(
             f"{args.gauges} has {data.strain.shape[1]} gauges, the calibration {args.calibration} {calibration.gauges}"
@@ -65,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         common.note(args, f"{args.gauges}: no t_s: the tare's age is unknown, and its drift not in the uncertainties")
     rows = estimates(calibration, data, args.saturation)
     with _output(args) as stream:
-        bad = ((row.line, [nan] * 6, f"bad: {row.reason}") for row in data.bad)
+        bad = ((row.line, [math.nan] * 6, f"bad: {row.reason}") for row in data.bad)
         _write(stream, merge(rows, bad, key=itemgetter(0)), args.json)
     if data.bad:
         shown = "; ".join(str(row) for row in data.bad[:3]) + ("; ..." if len(data.bad) > 3 else "")
@@ -92,11 +89,11 @@ def _write(stream: TextIO, rows: Iterator[tuple[int, list[float], str]], as_json
     """Write CSV or JSON lines; NaN is an empty cell or null."""
     if as_json:
         for line, values, status in rows:
-            cells = [None if isnan(x) else x for x in values]
+            cells = [None if math.isnan(x) else x for x in values]
             stream.write(json.dumps(dict(zip(COLUMNS, (line, *cells, status), strict=True))) + "\n")
         return
     stream.write(",".join(COLUMNS) + "\n")
     for line, values, status in rows:
-        cells_text = ",".join(["" if isnan(x) else f"{x:.9g}" for x in values])
+        cells_text = ",".join(["" if math.isnan(x) else f"{x:.9g}" for x in values])
         quoted = f'"{status.replace(chr(34), chr(34) * 2)}"' if "," in status or '"' in status else status
         stream.write(f"{line},{cells_text},{quoted}\n")

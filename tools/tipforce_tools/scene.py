@@ -1,0 +1,258 @@
+"""`tipforce run SCENE`: run a scene file and print results; `tipforce scene explain SCENE`: what it builds, and why."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import TYPE_CHECKING, Any
+
+from tipforce_tools.cli import common
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tipforce.scene.registry import Identifier
+    from tipforce.scene.results import Check, FingerResult
+    from tipforce.scene.run import Options, Outcome
+    from tipforce.scene.schema import Scene
+
+_KEYS = ("P_N", "phi_deg", "theta_deg")
+_DIGITS = (3, 2, 2)
+
+
+def add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce run`. Three bus flags are defined here: only runs on a bus import python-can."""
+    parser.epilog = (
+        "Time is simulated, without a bus and without waiting, unless the scene has a [bus] or a bus flag is given.\n"
+        "Exit code 1: an expectation of the scene ([[expect]]) did not hold.\n"
+        "  tipforce run grasp\n"
+        "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
+    )
+    parser.add_argument(
+        "scene", metavar="SCENE", help="a TOML file (docs/scenes.md), or the name of a shipped scene: grasp"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
+    parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")
+    parser.add_argument("-o", "--log", metavar="LOG", help="write every frame to this file, as candump -L does")
+    group = parser.add_argument_group("bus (in real time)")
+    group.add_argument("-i", "--interface", help="python-can interface: socketcan, virtual, ...")
+    group.add_argument("-c", "--channel", help="for example vcan0")
+    group.add_argument("-b", "--bitrate", type=int, metavar="BIT/S", help="if the interface sets it")
+    group.add_argument("--realtime", action="store_true", help="without -i and -c: on a bus inside this process")
+    common.add_output_arguments(parser)
+
+
+def run_run(args: argparse.Namespace) -> int:
+    """Run the scene; return 0, or 1 if an expectation did not hold."""
+    from tipforce.scene.reader import read_scene
+    from tipforce.scene.registry import bus_load
+    from tipforce.scene.run import run_scene
+    from tipforce.shipped_files import file_or_shipped
+
+    path = file_or_shipped(args.scene, "scenes")
+    scene = read_scene(path)
+    options = _options(args)
+    if bus_load(scene)[0] > 1.0:
+        common.note(
+            args, f"{path}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load"
+        )
+    started_s = time.monotonic()
+    with common.progress(args, "simulated seconds", options.duration_s or scene.duration_s, absolute=True) as advance:
+        outcome = run_scene(scene, path.parent, options, advance)
+    if args.json:
+        _print_outcome(outcome)
+    else:
+        _print_fingers(args, scene.title or args.scene, outcome)
+        _print_checks(args, outcome)
+    frames = sum(outcome.frames_by_id.values())
+    common.note(
+        args,
+        f"{outcome.duration_s:g} s with {outcome.syncs} SYNCs and {frames} frames, in "
+        f"{time.monotonic() - started_s:.1f} s" + "".join(f"; wrote {path}" for path in outcome.files),
+    )
+    return 0 if outcome.ok else 1
+
+
+def _options(args: argparse.Namespace) -> Options:
+    from tipforce.scene.run import Options
+    from tipforce.scene.schema import Bus
+
+    named = any(value is not None for value in (args.interface, args.channel, args.bitrate))
+    bus = Bus(interface=args.interface, channel=args.channel, bitrate=args.bitrate) if named else None
+    return Options(args.duration, args.seed, args.log, bus, args.realtime)
+
+
+def _print_fingers(args: argparse.Namespace, title: str, outcome: Outcome) -> None:
+    rows = []
+    for finger in outcome.fingers:
+        columns = (finger.applied_end, finger.estimated_end, finger.rms_error, finger.max_error)
+        values = [
+            "\n".join(_number(value, digits) for value, digits in zip(triple, _DIGITS, strict=True))
+            for triple in columns
+        ]
+        samples = f"{finger.samples}\nof {finger.syncs}"
+        node = common.shown_id(finger.node_id)
+        rows.append([node, samples, "P N\nphi deg\ntheta deg", *values, _remarks(finger), _counts(finger.emcy)])
+    title = f"{title}: at the end, and errors over all samples with a known value"
+    headings = (">node", ">samples", "", ">applied", ">estimated", ">RMS error", ">max error", "missing", "EMCY")
+    common.print_rows(args, title, headings, rows, lines=True)
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if value != value else f"{value:.{digits}f}"  # noqa: PLR0124 (NaN)
+
+
+def _remarks(finger: FingerResult) -> str:
+    """Return the missing values with their reasons, and the limits of the simulation that were exceeded."""
+    closed = {"slit closed: not linear": finger.slit_closed} if finger.slit_closed else {}
+    return _counts({**finger.missing, **closed})
+
+
+def _counts(counts: dict[str, int]) -> str:
+    return "\n".join(f"{count} {name}" for name, count in counts.items()) or "-"
+
+
+def _print_checks(args: argparse.Namespace, outcome: Outcome) -> None:
+    """Print a row for each expectation and verdict, with its nodes; then the verdict of all."""
+    if not outcome.checks:
+        return
+    rows: dict[tuple[str, str], list[Check]] = {}
+    for check in outcome.checks:
+        rows.setdefault((_verdict(check), check.expected), []).append(check)
+    cells = [
+        (*key, ",".join(str(check.node_id) for check in alike), ", ".join(dict.fromkeys(each.found for each in alike)))
+        for key, alike in rows.items()
+    ]
+    styles = ["bold red" if verdict == "FAILED" else None for verdict, _ in rows]
+    common.print_rows(args, "expectations of the scene", ("", "expected", "nodes", "found"), cells, styles)
+    held, failed, unjudged = (sum(check.ok is verdict for check in outcome.checks) for verdict in (True, False, None))
+    word = "FAIL" if failed else "PASS" if held else "NOT JUDGED"
+    rest = f", {unjudged} not judged (the run was too short)" if unjudged else ""
+    print(f"{word}: {held} of {len(outcome.checks)} expectations hold, {failed} do not{rest}")
+
+
+def _verdict(check: Check) -> str:
+    return "not judged" if check.ok is None else "ok" if check.ok else "FAILED"
+
+
+def _print_outcome(outcome: Outcome) -> None:
+    for finger in outcome.fingers:
+        common.print_json(_finger_record(finger))
+    for check in outcome.checks:
+        common.print_json(
+            {"node": check.node_id, "expected": check.expected, "found": check.found, "verdict": _verdict(check)}
+        )
+    common.print_json(
+        {
+            "summary": True, "ok": outcome.ok, "duration_s": outcome.duration_s, "syncs": outcome.syncs,
+            "built": list(outcome.built), "files": list(outcome.files),
+            "frames": {f"0x{can_id:03X}": count for can_id, count in sorted(outcome.frames_by_id.items())},
+        }
+    )  # fmt: skip
+
+
+def _finger_record(finger: FingerResult) -> dict[str, object]:
+    record: dict[str, object] = {"node": finger.node_id, "syncs": finger.syncs, "samples": finger.samples}
+    for name in ("applied_end", "estimated_end", "rms_error", "max_error", "known"):
+        for key, value in zip(_KEYS, getattr(finger, name), strict=True):
+            record[f"{name.removesuffix('_end')}_{key}"] = value
+    return {**record, "slit_closed": finger.slit_closed, "missing": finger.missing, "emcy": finger.emcy}
+
+
+# --- scene explain --------------------------------------------------------------------------------------------------
+
+_SHOWN_MODULES = 8
+_COSTS = ("us_per_sample", "ms_per_run", "import_ms")
+
+
+def add_explain_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce scene explain`."""
+    parser.add_argument("scene", metavar="SCENE", help="a TOML file, or the name of a shipped scene: grasp")
+    parser.add_argument("--cost", action="store_true", help="measure the run time and import time of each part")
+    common.add_output_arguments(parser)
+
+
+def run_explain(args: argparse.Namespace) -> int:
+    """Explain; 0."""
+    from tipforce.scene.reader import read_scene
+    from tipforce.scene.registry import bus_load, identifiers, parts
+    from tipforce.shipped_files import file_or_shipped
+
+    path = file_or_shipped(args.scene, "scenes")
+    scene = read_scene(path)
+    costs = _costs(path, scene) if args.cost else {}
+    rows: list[dict[str, Any]] = [
+        {
+            "part": part.name, "built": part.built, "why": part.why, "modules": list(part.modules),
+            "on_demand": list(part.on_demand), **costs.get(part.name, {}),
+        }
+        for part in parts(scene)
+    ]  # fmt: skip
+    if args.cost:
+        rows.append({"part": "all", "built": True, "why": "", "modules": [], "on_demand": [], **costs["all"]})
+    sent = [_sent(scene, each) for each in identifiers(scene)]
+    low, high = bus_load(scene)
+    load = {"bit_rate": scene.bit_rate, "bus_load": low, "bus_load_at_most": high}
+    if args.json:
+        for record in [*rows, *sent, load]:
+            common.print_json(record)
+        return 0
+    _print_parts(args, rows)
+    _print_identifiers(args, sent)
+    fits = "" if high <= 1.0 else " (with the most stuff bits it does not fit)" if low <= 1.0 else " (it does not fit)"
+    print(
+        f"bus load at {scene.bit_rate} bit/s: {100 * low:.1f} % without stuff bits, {100 * high:.1f} % with the most "
+        f"stuff bits{fits}"
+    )
+    return 0
+
+
+def _sent(scene: Scene, sent: Identifier) -> dict[str, Any]:
+    low, high = (sent.rate_hz * bits / scene.bit_rate for bits in sent.bits)
+    return {
+        "cob_id": f"0x{sent.can_id:03X}", "what": sent.what, "rate_hz": sent.rate_hz, "data_bytes": sent.data_bytes,
+        "load": low, "load_at_most": high,
+    }  # fmt: skip
+
+
+def _costs(path: Path, scene: Scene) -> dict[str, dict[str, float | None]]:
+    from tipforce_lab.scene_cost import part_costs, total
+
+    costs = part_costs(scene, path)
+    return {cost.part: {name: getattr(cost, name) for name in _COSTS} for cost in [*costs, total(costs)]}
+
+
+def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
+    costs = ("us per sample", "ms per run", "import ms") if args.cost else ()
+    cells = []
+    for row in rows:
+        spent = ("" if row.get(key) is None else f"{row[key]:.1f}" for key in (_COSTS if args.cost else ()))
+        loads = _short(row["modules"]) if row["built"] else ""
+        cells.append([row["part"], "built" if row["built"] else "left out", row["why"], *spent, loads])
+    headings = ("part", "", "why", *(f">{name}" for name in costs), "loads")
+    common.print_rows(args, f"{args.scene}: parts", headings, cells, [None if row["built"] else "dim" for row in rows])
+
+
+def _short(modules: list[str]) -> str:
+    """Format modules by package: `sensor: geometry strain; numpy`. A long list is counted: --json has the names."""
+    packages: dict[str, list[str]] = {}
+    for name in dict.fromkeys(modules):
+        package, _, last = name.removeprefix("tipforce.").rpartition(".")
+        if not name.startswith(("tipforce", "canopen_device")):
+            packages.setdefault(name, [])
+        elif package:
+            packages.setdefault(package, []).append(last)
+    lines = []
+    for package, names in packages.items():
+        shown = f"{len(names)} modules" if len(names) > _SHOWN_MODULES else " ".join(names)
+        lines.append(f"{package}: {shown}" if names else package)
+    return "; ".join(lines)
+
+
+def _print_identifiers(args: argparse.Namespace, sent: list[dict[str, Any]]) -> None:
+    rows = []
+    for each in sent:
+        rate, load = (f"{each['rate_hz']:g} Hz", f"{100 * each['load']:.2f} %") if each["rate_hz"] else ("once", "")
+        rows.append([each["cob_id"], each["what"], rate, f"{each['data_bytes']} bytes", load])
+    headings = ("COB-ID", "", ">rate", ">data", ">load")
+    common.print_rows(args, "COB-IDs sent (EMCY only on an error)", headings, rows)

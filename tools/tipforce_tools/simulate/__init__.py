@@ -1,1 +1,0 @@
-"""`tipforce simulate`: CANopen devices of any manufacturer."""
