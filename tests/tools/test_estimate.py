@@ -19,7 +19,7 @@ from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.cli.main import main
-from tipforce_tools.estimate.command import COLUMNS
+from tipforce_tools.estimate import COLUMNS
 
 FloatArray = npt.NDArray[np.float64]
 A = strain_matrix(FABRICATED, "I")

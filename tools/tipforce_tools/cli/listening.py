@@ -12,7 +12,7 @@ from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
     from tipforce.host.live.receive_group import ReceiverGroup
-    from tipforce_tools.dump.output import Target
+    from tipforce_tools.dump.targets import Target
 
 
 def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | None = None) -> ReceiverGroup:

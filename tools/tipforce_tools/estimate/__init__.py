@@ -1,1 +1,0 @@
-"""`tipforce estimate`: gauge readings to contact."""
