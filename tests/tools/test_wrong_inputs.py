@@ -460,7 +460,7 @@ def test_one_line_the_next_step_and_the_exit_code(
     monkeypatch.chdir(folder)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr("can.util.CONFIG_FILES", [])
-    monkeypatch.setattr("tipforce_tools.decode.processes.CONNECT_S", 1)
+    monkeypatch.setattr("tipforce_tools.decode.workers.CONNECT_S", 1)
     for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
         monkeypatch.delenv(name, raising=False)
     before = files(folder)

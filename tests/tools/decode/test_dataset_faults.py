@@ -13,7 +13,7 @@ from tipforce.host.dataset import manifest as manifests
 from tipforce.host.dataset.reader import opened
 from tipforce.host.dataset.store import FOLDER, Store, is_dataset
 from tipforce_tools.cli.main import main
-from tipforce_tools.decode import dataset_run, part_session
+from tipforce_tools.decode import dataset_run, session
 from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
 from tools.decode.logs import decode, log_lines, write_log
 
@@ -21,7 +21,7 @@ from tools.decode.logs import decode, log_lines, write_log
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts of 30 kB."""
-    monkeypatch.setattr(part_session, "_DATASET_PIECE_BYTES", 30_000)
+    monkeypatch.setattr(session, "_DATASET_PIECE_BYTES", 30_000)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +108,7 @@ def test_compaction_beside_another_writer(tmp_path: Path, lines: list[str], monk
     check(data, log)
     assert decode(log, "-j", 1, "-o", f"{data}/") == 0
     write_log(log, [*lines, *(line.replace("(170000", "(170001") for line in lines)])
-    monkeypatch.setattr(part_session, "_DATASET_PIECE_BYTES", 30_000)
+    monkeypatch.setattr(session, "_DATASET_PIECE_BYTES", 30_000)
     assert decode(log, "-j", 1, "-o", f"{data}/") == 0
     meanwhile("dataset", data, "--compact", "-q")
     assert main(["dataset", str(data), "--compact", "-q"]) == 1  # the same parts: one of them

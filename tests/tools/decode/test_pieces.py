@@ -19,7 +19,7 @@ from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import BLOCK_BYTES, line_borders
 from tipforce.host.logs.reader import LogReader, open_log
 from tipforce_tools.cli.main import main
-from tipforce_tools.decode import part_session
+from tipforce_tools.decode import session
 from tools.decode.logs import decode, log_lines, records_of, rows_of, write_log
 
 PIECE_BYTES = 20_000
@@ -28,8 +28,8 @@ PIECE_BYTES = 20_000
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Logs are cut from 20 kB on, and a piece's start is decided after few frames."""
-    monkeypatch.setattr(part_session, "_LEAST_PIECE_BYTES", PIECE_BYTES)
-    monkeypatch.setattr(part_session, "_PIECE_BYTES", 3 * PIECE_BYTES)
+    monkeypatch.setattr(session, "_LEAST_PIECE_BYTES", PIECE_BYTES)
+    monkeypatch.setattr(session, "_PIECE_BYTES", 3 * PIECE_BYTES)
     monkeypatch.setattr(decoded_part, "_HEAD_FRAMES", 100)
 
 
@@ -90,12 +90,12 @@ def test_the_log_is_really_cut(log: Path) -> None:
     from argparse import Namespace
 
     args = Namespace(jobs=2, output="a.csv", summary=False, json=False, deltas=False, strict=True)
-    pieces = part_session.pieces_of(args, [str(log)], 3)
+    pieces = session.pieces_of(args, [str(log)], 3)
     assert len(pieces) > 3
     assert [piece.start for piece in pieces[1:]] == [piece.end for piece in pieces[:-1]]
     for other in ({"deltas": True}, {"output": None}):
-        assert part_session.pieces_of(Namespace(**{**vars(args), **other}), [str(log)], 3) == [Piece(str(log))]
-    assert part_session.pieces_of(args, ["-"], 3) == [Piece("-")]
+        assert session.pieces_of(Namespace(**{**vars(args), **other}), [str(log)], 3) == [Piece(str(log))]
+    assert session.pieces_of(args, ["-"], 3) == [Piece("-")]
 
 
 def test_the_same_summary_and_notes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -40,7 +40,7 @@ from tipforce.host.logs.lines import open_file
 from tipforce.host.logs.reader import log_kind
 from tipforce.host.logs.unpacking import decompressed
 from tipforce_tools.decode.dataset_sink import BASE, DatasetSink, put_file
-from tipforce_tools.decode.parts import InOrder, Sink, Workers, Written
+from tipforce_tools.decode.workers import InOrder, Sink, Workers, Written
 from tipforce_tools.decode.writers import Shape
 
 HASHED_BYTES = 1 << 16
