@@ -27,7 +27,6 @@ EVENTS = pa.schema([
     (TIME, _TIME_TYPE), (CHANNEL, pa.string()), (NODE, pa.uint8()),
     ("event", pa.string()), ("code", pa.string()), ("text", pa.string()),
 ])  # fmt: skip
-OPTIONS: dict[str, Any] = {"compression": "snappy", "data_page_size": 1 << 20}
 
 
 def schema_of(shape: Shape) -> pa.Schema:
@@ -58,7 +57,8 @@ def _array(column: Column, values: Any, kind: Any) -> Any:
     missing = is_missing(column, values)
     mask = missing if missing.any() else None
     if column.kind == "flag":
-        return _packed(values == 1, kind, mask)
+        present = None if mask is None else _bits(~mask)
+        return pa.Array.from_buffers(kind, len(values), [present, _bits(values == 1)])
     if column.kind == "word":
         return pa.array(values, type=pa.binary(), mask=mask).cast(kind)
     return _as_array(values, kind, mask)
@@ -71,10 +71,6 @@ def _as_array(values: Any, kind: Any, mask: Any = None) -> Any:
     code = "f" if pa.types.is_floating(kind) else "u" if pa.types.is_unsigned_integer(kind) else "i"
     values = np.ascontiguousarray(values, dtype=f"{code}{kind.bit_width // 8}")
     return pa.Array.from_buffers(kind, len(values), [present, pa.py_buffer(values)])
-
-
-def _packed(values: Any, kind: Any, mask: Any) -> Any:
-    return pa.Array.from_buffers(kind, len(values), [None if mask is None else _bits(~mask), _bits(values)])
 
 
 def _bits(values: Any) -> Any:
@@ -115,18 +111,13 @@ def write_part(path: Path, tables: Iterable[Table], shape: Shape) -> None:
         raise
 
 
-def join_widened(paths: Sequence[Path], output: Path, shape: Shape) -> None:
-    """Join files to one with the columns of ``shape``, and remove them. Raises OSError."""
-    schema = schema_of(shape)
+def join_widened(paths: Sequence[Path], output: Path, schema: Any, channel: str) -> None:
+    """Join files to one with this schema, and remove them; ``channel`` for rows without one. Raises OSError."""
     with _open(output, schema) as writer:
         for path in paths:
-            _copy_widened(path, writer, schema, shape.channel)
-
-
-def _copy_widened(path: Path, writer: Any, schema: Any, channel: str) -> None:
-    for batch in pq.ParquetFile(path).iter_batches(ROW_GROUP_ROWS):
-        writer.write_table(widened(pa.Table.from_batches([batch]), schema, channel))
-    path.unlink()
+            for batch in pq.ParquetFile(path).iter_batches(ROW_GROUP_ROWS):
+                writer.write_table(widened(pa.Table.from_batches([batch]), schema, channel))
+            path.unlink()
 
 
 class Parts:
@@ -177,9 +168,7 @@ class Parts:
             return
         self._end_part()
         whole = self._path.with_name(f"{self._path.name}.whole")
-        with _open(whole, schema) as writer:
-            for part in self._paths:
-                _copy_widened(part, writer, schema, channel)
+        join_widened(self._paths, whole, schema, channel)
         whole.replace(self._path)
 
     def abort(self) -> None:
@@ -191,21 +180,17 @@ class Parts:
 
 
 def _open(path: Path, schema: Any) -> Any:
-    options = dict(OPTIONS)
-    options["use_dictionary"] = [name for name in (CHANNEL, NODE) if name in schema.names]
-    # Increasing values are smaller as differences, and faster to write.
-    options["column_encoding"] = {name: "DELTA_BINARY_PACKED" for name in (TIME, COUNTER) if name in schema.names}
-    return pq.ParquetWriter(path, schema, **options)
+    names = set(schema.names)
+    return pq.ParquetWriter(
+        path, schema, compression="snappy", data_page_size=1 << 20,
+        use_dictionary=[name for name in (CHANNEL, NODE) if name in names],
+        # Increasing values are smaller as differences, and faster to write.
+        column_encoding={name: "DELTA_BINARY_PACKED" for name in (TIME, COUNTER) if name in names},
+    )  # fmt: skip
 
 
 def widened(rows: Any, schema: Any, channel: str) -> Any:
     """Return rows with the columns of ``schema``, null where they have none; ``channel`` for rows without one."""
-    arrays = []
-    for field in schema:
-        if field.name in rows.schema.names:
-            arrays.append(rows[field.name])
-        elif field.name == CHANNEL:
-            arrays.append(pa.array([channel] * len(rows), type=pa.string()))
-        else:
-            arrays.append(pa.nulls(len(rows), field.type))
-    return pa.Table.from_arrays(arrays, schema=schema)
+    if CHANNEL in schema.names and CHANNEL not in rows.schema.names:
+        rows = rows.append_column(CHANNEL, pa.repeat(pa.scalar(channel, pa.string()), len(rows)))
+    return pa.concat_tables([schema.empty_table(), rows], promote_options="default")

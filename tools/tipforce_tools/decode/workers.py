@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import connection
+from operator import itemgetter
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -84,27 +85,33 @@ class Workers(Protocol):
 
 
 class Work:
-    """What a worker does with one part, in whatever process."""
+    """What a worker does with one part, in whatever process. An error that a user can cause is returned."""
 
     def __init__(self, number: int, piece: Piece, reading: Reading) -> None:
         self._number, self._piece, self._reading = number, piece, reading
         self._part: DecodedPart | None = None
 
-    def decode(self) -> Ends:
-        """Decode the part and keep its rows. Raises TipforceError, OSError."""
-        self._part = DecodedPart(self._piece, self._reading)
-        return self._part.ends
+    def decode(self) -> Ends | Exception:
+        """Decode the part and keep its rows."""
+        try:
+            self._part = DecodedPart(self._piece, self._reading)
+            return self._part.ends
+        except (TipforceError, OSError) as error:
+            return error
 
-    def write(self, before: Start | State, shape: Shape, last: bool, sink: Sink) -> Written:
-        """Complete and write the rows; after a ``State`` the part is decoded again. Raises TipforceError, OSError."""
-        if isinstance(before, Start):
-            assert self._part is not None
-            return self._written(self._part.rows(before), shape, sink)
-        recording = Recording(self._reading, before)
-        found = self._written(self._tables(recording, last), shape, sink)
+    def write(self, before: Start | State, shape: Shape, last: bool, sink: Sink) -> Written | Exception:
+        """Complete and write the rows; after a ``State`` the part is decoded again."""
+        try:
+            if isinstance(before, Start):
+                assert self._part is not None
+                return self._written(self._part.rows(before), shape, sink)
+            recording = Recording(self._reading, before)
+            found = self._written(self._tables(recording, last), shape, sink)
+        except (TipforceError, OSError) as error:
+            return error
         found.state, found.notes = recording.state(), recording.told.notes
         found.events = recording.told.bus.found
-        found.frames, found.bad = recording.told.notes[0].frames, dict(recording.told.notes[0].bad)
+        found.frames, found.bad = found.notes[0].frames, dict(found.notes[0].bad)
         return found
 
     def _tables(self, recording: Recording, last: bool) -> Iterator[Table]:
@@ -139,10 +146,7 @@ class Here:
     def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
         """Decode and write a part."""
         work = Work(number, self._pieces.pop(number), self._reading)
-        try:
-            self._events.append(Event(number, work.write(before, shape, last, self._sink)))
-        except (TipforceError, OSError) as error:
-            self._events.append(Event(number, error))
+        self._events.append(Event(number, work.write(before, shape, last, self._sink)))
 
     def next(self) -> Event:
         """Return the next event."""
@@ -347,18 +351,14 @@ def _serve(pipe: Any, inherited: list[Any], reading: Reading, sink: Sink) -> Non
     work: Work | None = None
     with suppress(KeyboardInterrupt, EOFError, BrokenPipeError):
         while True:
-            order: tuple[Any, ...] = pipe.recv()
-            try:
-                if order[0] == "decode":
-                    work = Work(order[1], order[2], reading)
+            match pipe.recv():
+                case "decode", number, piece:
+                    work = Work(number, piece, reading)
                     pipe.send(work.decode())
-                elif work is not None:
-                    _, before, shape, last = order
+                case "write", before, shape, last if work is not None:
                     done = work.write(before, shape, last, sink)
-                    work = None
+                    work = None  # its rows are not kept while the process waits
                     pipe.send(done)
-            except (TipforceError, OSError) as error:
-                pipe.send(error)
 
 
 CONNECT_S = 10
@@ -394,12 +394,12 @@ class Cluster:
     def decode(self, number: int, piece: Piece) -> None:
         """Begin to decode a part."""
         work = self._works[number] = self._client.submit(_decoded, number, piece, self._reading, pure=False)
-        self._wait(number, self._client.submit(_ends, work, pure=False, priority=1))
+        self._wait(number, self._client.submit(itemgetter(1), work, pure=False, priority=1))
 
     def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
         """See ``Workers``."""
         order = self._works[number], before, shape, last, self._sink
-        self._wait(number, self._client.submit(_write, *order, pure=False, priority=2))
+        self._wait(number, self._client.submit(_written, *order, pure=False, priority=2))
 
     def _wait(self, number: int, future: Any) -> None:
         self._numbers[future.key] = number
@@ -428,20 +428,8 @@ class Cluster:
 
 def _decoded(number: int, piece: Piece, reading: Reading) -> tuple[Work, Ends | Exception]:
     work = Work(number, piece, reading)
-    try:
-        return work, work.decode()
-    except (TipforceError, OSError) as error:
-        return work, error
+    return work, work.decode()
 
 
-def _ends(decoded: tuple[Work, Ends | Exception]) -> Ends | Exception:
-    return decoded[1]
-
-
-def _write(
-    decoded: tuple[Work, Ends], before: Start | State, shape: Shape, last: bool, sink: Sink
-) -> Written | Exception:
-    try:
-        return decoded[0].write(before, shape, last, sink)
-    except (TipforceError, OSError) as error:
-        return error
+def _written(decoded: tuple[Work, Ends], *order: Any) -> Written | Exception:
+    return decoded[0].write(*order)

@@ -258,7 +258,7 @@ class JoinedFile:
         if any(self._is_narrow(pieces) for _, pieces in self._parts):
             from tipforce_tools.decode import parquet  # its import costs time
 
-            parquet.join_widened(paths, self._file.partial, self._shape)
+            parquet.join_widened(paths, self._file.partial, parquet.schema_of(self._shape), self._shape.channel)
             return
         with self._file.partial.open("wb") as out:
             parquet_join.join(paths, out, append_bytes)
