@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
 
     store, manifest = opened(args.directory)
     if args.compact:
-        from tipforce_tools.dataset.compact import compact
+        from tipforce_tools.decode.dataset_files import compact
 
         files = len(manifest.files())
         manifest = compact(store)

@@ -196,10 +196,13 @@ class _Run:
             self.summary.append(written.summary)
             advance(_size(written.piece))
 
-        run = DatasetRun(args.output, reading, self.told, args.hand)
+        run = DatasetRun(
+            args.output, reading, self.told, args.hand, partial(_pieces_from, args), workers, each,
+            partial(_check_readable, args),
+        )  # fmt: skip
         try:
             while True:
-                run.add(names, partial(_pieces_from, args), workers, each, partial(_check_readable, args))
+                run.add(names)
                 if not args.follow:
                     break
                 time.sleep(_FOLLOW_S)
