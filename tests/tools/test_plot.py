@@ -19,8 +19,7 @@ from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.dataset.reader import tables_of_logs
 from tipforce_tools.cli.main import main
 from tipforce_tools.plot.figure import broken, wrapped
-from tipforce_tools.plot.finger import Finger
-from tipforce_tools.plot.traces import BINS, COVERAGE, Bins, Flags, Line, Lost, Trace
+from tipforce_tools.plot.fingers import BINS, COVERAGE, Bins, Finger, Flags, Line, Lost, Trace
 from tools.hand_log import START_S, Fault, calibration, contact_pdo, hand_log
 
 T0 = 1_700_000_000_000_000_000

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,7 +23,8 @@ def append_bytes(path: Path, start: int, end: int, out: BinaryIO) -> None:
         with suppress(AttributeError, OSError):
             while start < end and (count := os.copy_file_range(file.fileno(), out.fileno(), end - start, start)):
                 start += count
-        out.seek(0, os.SEEK_END)
+        if out.seekable():  # not a pipe
+            out.seek(0, os.SEEK_END)
         file.seek(start)
         while start < end:
             block = file.read(min(_BLOCK_BYTES, end - start))
@@ -47,10 +48,10 @@ _PAGE_OFFSETS = (9, 10, 11)
 _BLOOM_FILTER = (14, 15)
 
 
-def join(paths: Sequence[Path], out: BinaryIO, copy: Callable[[Path, int, int, BinaryIO], None]) -> None:
+def join(paths: Sequence[Path], out: BinaryIO) -> None:
     """Write one file with the row groups of all; their schemas must be equal.
 
-    ``copy(path, start, end, out)`` appends bytes of a file. Raises ValueError for a file that is not Parquet.
+    Raises ValueError for a file that is not Parquet.
     """
     out.write(_MAGIC)
     whole: Struct | None = None
@@ -60,7 +61,7 @@ def join(paths: Sequence[Path], out: BinaryIO, copy: Callable[[Path, int, int, B
     for path in paths:
         footer, end = _footer(path)
         out.flush()
-        copy(path, len(_MAGIC), end, out)
+        append_bytes(path, len(_MAGIC), end, out)
         for group in footer[_ROW_GROUPS][1][1]:
             _move(group, place - len(_MAGIC), len(groups))
             groups.append(group)

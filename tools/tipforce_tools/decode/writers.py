@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from importlib.util import find_spec
@@ -20,7 +20,6 @@ from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.decoding.services import BusEvent
 from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, PARQUET, NewFile
 from tipforce_tools.decode import parquet_join, text_rows
-from tipforce_tools.decode.parquet_join import append_bytes
 from tipforce_tools.decode.text_rows import CHANNEL
 
 _SUFFIXES = {
@@ -165,25 +164,6 @@ class StreamWriter:
             self._file.drop()
 
 
-def copy_widened(part: Path, pieces: Sequence[tuple[int, int]], shape: Shape, out: BinaryIO) -> None:
-    """Append rows of a CSV file; ``pieces``: from which offset on they have how many columns."""
-    names = [column.name for column in shape.columns]
-    ends = [where for where, _ in pieces[1:]] + [None]
-    with part.open("rb") as old:
-        for (where, count), end in zip(pieces, ends, strict=True):
-            fill = "".join(f",{shape.channel if name == CHANNEL else ''}" for name in names[count:]).encode()
-            old.seek(where)
-            for block in _blocks(old, None if end is None else end - where):
-                out.write(block.replace(b"\n", fill + b"\n") if fill else block)
-
-
-def _blocks(stream: BinaryIO, count: int | None) -> Iterator[bytes]:
-    left = count
-    while block := stream.read(_COPY_BYTES if left is None else min(_COPY_BYTES, left)):
-        left = None if left is None else left - len(block)
-        yield block
-
-
 Pieces = list[tuple[int, int]]
 """From which byte of a part on rows have how many columns."""
 
@@ -208,7 +188,7 @@ class PartFile:
         pieces: Pieces = []
         with self.path(number).open("wb") as file:
             for table in tables:
-                if not shape.fits(table) or not pieces:
+                if (not shape.fits(table) and self._kind == "csv") or not pieces:
                     pieces.append((file.tell(), len(shape.columns)))
                 if self._kind == "csv":
                     file.write(text_rows.csv_rows(shape.of(table), shape.base, shape.columns))
@@ -236,45 +216,47 @@ class JoinedFile:
         """Take the next part; ``shape``: its columns, and those of the parts in front."""
         self._shape = shape
         self._parts.append((self.sink.path(number), pieces))
-        if self._kind == "jsonl":
-            with self._file.partial.open("ab") as out:
-                self._append(*self._parts.pop(), out)
 
     def close(self, events: Sequence[BusEvent]) -> None:
         """Complete the output; it has no events. Raises OSError."""
         del events
         if self._kind == "parquet":
             self._join_parquet()
-        elif self._kind == "csv":
+        else:
             with self._file.partial.open("wb") as out:
-                out.write(text_rows.csv_header(self._shape.base, self._shape.columns))
-                out.flush()
-                for part in self._parts:
-                    self._append(*part, out)
+                if self._kind == "csv":
+                    out.write(text_rows.csv_header(self._shape.base, self._shape.columns))
+                for path, pieces in self._parts:
+                    self._append(path, pieces, out)
+                    path.unlink()
         self._file.keep()
 
     def _join_parquet(self) -> None:
         paths = [path for path, _ in self._parts]
-        if any(self._is_narrow(pieces) for _, pieces in self._parts):
+        if any(count < len(self._shape.columns) for _, pieces in self._parts for _, count in pieces):
             from tipforce_tools.decode import parquet  # its import costs time
 
             parquet.join_widened(paths, self._file.partial, parquet.schema_of(self._shape), self._shape.channel)
             return
         with self._file.partial.open("wb") as out:
-            parquet_join.join(paths, out, append_bytes)
+            parquet_join.join(paths, out)
         for path in paths:
             path.unlink()
 
-    def _is_narrow(self, pieces: Pieces) -> bool:
-        return any(count < len(self._shape.columns) for _, count in pieces)
-
     def _append(self, path: Path, pieces: Pieces, out: BinaryIO) -> None:
-        if self._kind == "csv" and self._is_narrow(pieces):
-            copy_widened(path, pieces, self._shape, out)
-        else:
+        """Append the rows of a part; those of CSV with empty cells for columns that came later."""
+        ends = [start for start, _ in pieces[1:]] + [path.stat().st_size]
+        for (start, count), end in zip(pieces, ends, strict=False):  # a part without rows has no pieces
+            later = self._shape.columns[count:] if self._kind == "csv" else ()
+            fill = "".join(f",{self._shape.channel if one.name == CHANNEL else ''}" for one in later).encode()
             out.flush()
-            append_bytes(path, 0, path.stat().st_size, out)
-        path.unlink()
+            if not fill:
+                parquet_join.append_bytes(path, start, end, out)
+                continue
+            with path.open("rb") as rows:
+                rows.seek(start)
+                for at in range(start, end, _COPY_BYTES):
+                    out.write(rows.read(min(_COPY_BYTES, end - at)).replace(b"\n", fill + b"\n"))
 
     def abort(self) -> None:
         """Remove the output and the files of its parts."""

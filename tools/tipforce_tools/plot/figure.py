@@ -13,8 +13,7 @@ import numpy as np
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import EnvironmentLackError
 from tipforce.samples.reasons import BY_NAME
-from tipforce_tools.plot.finger import Finger, Fingers
-from tipforce_tools.plot.traces import Line
+from tipforce_tools.plot.fingers import Finger, Fingers, Line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
