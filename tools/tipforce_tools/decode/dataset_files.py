@@ -64,7 +64,7 @@ class DatasetSink:
         store = Store(self._directory)
         with store.scratch(f"{FOLDER}/{self._token}") as scratch:
             files = self._files(store, scratch, self.names[number], tables, shape)
-        return FilesOfPart(files, shape.columns)
+        return FilesOfPart(files, tuple(column for column in shape.columns if isinstance(column, Column)))
 
     def _files(self, store: Store, scratch: Path, name: str, tables: Iterable[Table], shape: Shape) -> list[DataFile]:
         writing: dict[str, _Open] = {}

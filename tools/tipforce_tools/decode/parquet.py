@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tipforce.host.decoding.services import BusEvent
 
 ROW_GROUP_ROWS = 1 << 18
-_TYPES = {"real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64(), "word": pa.string()}
+_TYPES = {"real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64()}
 _TIME_TYPE = pa.timestamp("us", tz="UTC")  # a bit on the bus takes a microsecond; Spark has no finer time
 _BASE = {TIME: _TIME_TYPE, NODE: pa.uint8(), CHANNEL: pa.string(), COUNTER: pa.int64()}
 EVENTS = pa.schema([
@@ -31,10 +31,13 @@ EVENTS = pa.schema([
 
 def schema_of(shape: Shape) -> pa.Schema:
     """Return the schema of an output, with units as metadata of the fields."""
-    fields = [pa.field(name, _BASE[name]) for name in shape.base]
-    for column in shape.columns:
-        unit = {"unit": column.unit} if column.unit else None
-        fields.append(pa.field(column.name, _TYPES[column.kind], metadata=unit))
+    fields = []
+    for column in (*shape.base, *shape.columns):
+        if isinstance(column, str):
+            fields.append(pa.field(column, _BASE[column]))
+        else:
+            unit = {"unit": column.unit} if column.unit else None
+            fields.append(pa.field(column.name, _TYPES[column.kind], metadata=unit))
     return pa.schema(fields)
 
 
@@ -59,8 +62,6 @@ def _array(column: Column, values: Any, kind: Any) -> Any:
     if column.kind == "flag":
         present = None if mask is None else _bits(~mask)
         return pa.Array.from_buffers(kind, len(values), [present, _bits(values == 1)])
-    if column.kind == "word":
-        return pa.array(values, type=pa.binary(), mask=mask).cast(kind)
     return _as_array(values, kind, mask)
 
 
@@ -104,7 +105,7 @@ def write_part(path: Path, tables: Iterable[Table], shape: Shape) -> None:
     try:
         for table in tables:
             shape.fits(table)
-            parts.add(arrow_table(shape.of(table), schema_of(shape)))
+            parts.add(arrow_table(table, schema_of(shape)))
         parts.finish(schema_of(shape), shape.channel)
     except BaseException:
         parts.abort()

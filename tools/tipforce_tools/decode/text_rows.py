@@ -94,8 +94,6 @@ def column_cells(column: Column, values: Values) -> Cells:
     """Format the values of a column; flags as 0 and 1, no characters for missing values."""
     if column.kind == "real":
         return real_cells(values, column.digits)
-    if column.kind == "word":
-        return word_cells(values)
     if column.kind == "flag":
         return np.where(values == NO_FLAG, 0, values + ord("0")).astype(np.uint8)[:, np.newaxis]
     cells = whole_cells(np.where(is_missing(column, values), 0, values).astype(np.int64))
@@ -188,24 +186,29 @@ def base_cells(table: Table, name: str) -> tuple[Cells, np.ndarray[tuple[int], n
     return found, missing
 
 
-def csv_header(base: Sequence[str], columns: Sequence[Column]) -> bytes:
+def name_of(column: Column | str) -> str:
+    """Return the name of a column; one that every table has is its name."""
+    return column if isinstance(column, str) else column.name
+
+
+def csv_header(columns: Sequence[Column | str]) -> bytes:
     """Return the header line."""
-    return ",".join([*base, *(_csv_name(column.name) for column in columns)]).encode() + b"\n"
+    return ",".join(_csv_name(name_of(column)) for column in columns).encode() + b"\n"
 
 
 def _csv_name(name: str) -> str:
     return f'"{name.replace(chr(34), chr(34) * 2)}"' if any(mark in name for mark in ',"\n') else name
 
 
-def csv_rows(table: Table, base: Sequence[str], columns: Sequence[Column]) -> bytes:
+def csv_rows(table: Table, columns: Sequence[Column | str]) -> bytes:
     """Format lines with these columns; those that the table lacks are empty."""
     text = b""
     for piece in chunks(table):
         parts: list[bytes | Cells] = []
-        for name in base:
-            parts += [base_cells(piece, name)[0], b","]
         for column in columns:
-            if column.name in piece.values:
+            if isinstance(column, str):
+                parts.append(base_cells(piece, column)[0])
+            elif column.name in piece.values:
                 parts.append(column_cells(column, piece.values[column.name]))
             parts.append(b",")
         parts[-1] = b"\n"

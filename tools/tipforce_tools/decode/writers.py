@@ -6,12 +6,9 @@ import os
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import BinaryIO, Protocol
-
-import numpy as np
 
 from canopen_device.visible_text import visible_lines
 from tipforce.errors import EnvironmentLackError, InputError
@@ -67,8 +64,10 @@ class Shape:
 
     def __init__(self, base: tuple[str, ...]) -> None:
         self.base = base
-        self.columns: tuple[Column, ...] = ()
+        self.columns: tuple[Column | str, ...] = ()
+        """After ``base``; CHANNEL among them where a second interface came late."""
         self.channel = ""
+        """Of the rows before it."""
         self._begun = False
 
     def copy(self) -> Shape:
@@ -83,7 +82,7 @@ class Shape:
 
     def take(self, columns: Iterable[Column], channels: Sequence[str]) -> bool:
         """Add columns of a table with these channels; return as ``fits`` does."""
-        known = {column.name for column in self.columns}
+        known = set(map(text_rows.name_of, self.columns))
         new = tuple(column for column in columns if column.name not in known)
         several = len(channels) > 1 and CHANNEL not in self.base and CHANNEL not in known
         begun, self._begun = self._begun, True
@@ -92,16 +91,8 @@ class Shape:
             self.base = (self.base[0], CHANNEL, *self.base[1:])
         elif several:
             self.channel = channels[0]
-            self.columns += (Column(CHANNEL, CHANNEL, "word", None, "", 0),)
+            self.columns += (CHANNEL,)
         return not begun or not (new or several)
-
-    def of(self, table: Table) -> Table:
-        """Return the table with `channel` among its values, if that column was added later."""
-        if not any(column.name == CHANNEL for column in self.columns):
-            return table
-        names = np.array([name.encode() for name in table.channels])[table.channel]
-        column = next(column for column in self.columns if column.name == CHANNEL)
-        return replace(table, columns=(*table.columns, column), values={**table.values, CHANNEL: names})
 
 
 def lines_of(table: Table, kind: str, base: tuple[str, ...]) -> bytes:
@@ -132,7 +123,7 @@ class StreamWriter:
         self._stream: BinaryIO = sys.stdout.buffer if self._file is None else self._file.partial.open("wb")
         self._kind = kind
         self._shape = Shape(base)
-        self._shown: tuple[Column, ...] | None = None
+        self._shown: tuple[Column | str, ...] = ()
         self.frames: Tap | None = None
         self.left_out: set[str] = set()
 
@@ -144,10 +135,11 @@ class StreamWriter:
 
     def _csv(self, table: Table) -> bytes:
         start = b""
-        if self._shown is None:
-            self._shown, start = self._shape.columns, text_rows.csv_header(self._shape.base, self._shape.columns)
-        self.left_out |= {column.name for column in self._shape.columns if column not in self._shown}
-        return start + text_rows.csv_rows(table, self._shape.base, self._shown)
+        if not self._shown:
+            self._shown = (*self._shape.base, *self._shape.columns)
+            start = text_rows.csv_header(self._shown)
+        self.left_out |= {text_rows.name_of(column) for column in self._shape.columns if column not in self._shown}
+        return start + text_rows.csv_rows(table, self._shown)
 
     def close(self, events: Sequence[BusEvent]) -> None:
         """Complete a file; text has no events. Raises OSError."""
@@ -191,7 +183,7 @@ class PartFile:
                 if (not shape.fits(table) and self._kind == "csv") or not pieces:
                     pieces.append((file.tell(), len(shape.columns)))
                 if self._kind == "csv":
-                    file.write(text_rows.csv_rows(shape.of(table), shape.base, shape.columns))
+                    file.write(text_rows.csv_rows(table, (*shape.base, *shape.columns)))
                 else:
                     file.write(lines_of(table, self._kind, shape.base))
         return pieces
@@ -225,7 +217,7 @@ class JoinedFile:
         else:
             with self._file.partial.open("wb") as out:
                 if self._kind == "csv":
-                    out.write(text_rows.csv_header(self._shape.base, self._shape.columns))
+                    out.write(text_rows.csv_header((*self._shape.base, *self._shape.columns)))
                 for path, pieces in self._parts:
                     self._append(path, pieces, out)
                     path.unlink()
@@ -248,7 +240,7 @@ class JoinedFile:
         ends = [start for start, _ in pieces[1:]] + [path.stat().st_size]
         for (start, count), end in zip(pieces, ends, strict=False):  # a part without rows has no pieces
             later = self._shape.columns[count:] if self._kind == "csv" else ()
-            fill = "".join(f",{self._shape.channel if one.name == CHANNEL else ''}" for one in later).encode()
+            fill = "".join(f",{self._shape.channel if one == CHANNEL else ''}" for one in later).encode()
             out.flush()
             if not fill:
                 parquet_join.append_bytes(path, start, end, out)
