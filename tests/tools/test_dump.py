@@ -199,11 +199,6 @@ def test_ascii(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ]  # fmt: skip
 
 
-def test_count(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "-n", "2", str(log)]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 2
-
-
 def test_what_was_left_out_is_told_at_the_end() -> None:
     text = GOOD + "rubbish\nmore\n(1700000000.000000) vcan0 123##50001\n(1700000000.0) vcan0 123#00\n"
     done = piped(text + "(1700000002.000000) vcan0 285#00\n", "--decode", "-")

@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 from tipforce.errors import EnvironmentLackError, InputError, WriteError
+from tipforce.output_file import check_output
 from tipforce_tools.cli import common
+from tipforce_tools.cli.listening import StopSignals, counted, open_targets
+from tipforce_tools.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
     from tipforce.host.frames.frame_block import CandumpBlock
     from tipforce.host.live.receive_group import ReceiverGroup
-    from tipforce_tools.cli.listening import StopSignals
 
 DESCRIPTION = """\
 Record frames until Ctrl-C, SIGTERM, -n, -T or --seconds. The file then holds all received frames in every case;
@@ -63,8 +65,6 @@ def run(args: argparse.Namespace) -> int:
     Raises InputError for an unusable target or file, EnvironmentLackError for a bus that cannot be opened or fails,
     WriteError for a full disk; the file holds the frames received until then.
     """
-    from tipforce_tools.cli.listening import StopSignals, open_targets
-    from tipforce_tools.cli.main import INTERRUPTED
     from tipforce_tools.dump.targets import split_targets
 
     source, targets = split_targets(args.targets)
@@ -128,8 +128,6 @@ def _record(args: argparse.Namespace, receiver: ReceiverGroup, recorder: Recorde
 
 
 def _report(args: argparse.Namespace, recorder: Recorder, dropped: int, seconds: float) -> None:
-    from tipforce_tools.cli.listening import counted
-
     paths = [str(path) for path in recorder.paths]
     files = paths[0] if len(paths) == 1 else f"{len(paths)} files"
     frames = counted(recorder.frames, "frame")
@@ -188,8 +186,6 @@ class Recorder:
         return self._limit_bytes is not None and self._place.stat().st_size >= self._limit_bytes
 
     def _open(self) -> LogWriter:
-        from tipforce.output_file import check_output
-
         path = self._path
         if self._limit_bytes is not None or self._limit_s is not None:
             stem, dot, suffixes = path.name.partition(".")

@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce.errors import InputError, TipforceError
 from tipforce_tools.cli import common
+from tipforce_tools.cli.listening import StopSignals, counted, resolved_options
+from tipforce_tools.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
     from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
     from tipforce.host.live.send import Sender
     from tipforce.host.logs.candump import CandumpParser
-    from tipforce_tools.cli.listening import StopSignals
 
 DESCRIPTION = """\
 Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
@@ -78,8 +79,7 @@ def run(args: argparse.Namespace) -> int:
     bus that cannot be opened or fails.
     """
     from tipforce.host.logs.candump import BadLineError, CandumpParser
-    from tipforce_tools.cli.listening import StopSignals
-    from tipforce_tools.cli.main import INTERRUPTED
+    from tipforce_tools.cli.empty_log import MESSAGES, PACKED, TEXT, no_frame
 
     if args.log == STDIN and args.loop != 1:
         raise InputError("--loop: stdin can be read only once; pass a file")
@@ -97,8 +97,6 @@ def run(args: argparse.Namespace) -> int:
                 late_s = max(late_s, time.monotonic() - start_s - frame.due_s)
                 buses.send(frame)
             if not stop.stopped and parser.bad and not buses.sent and not buses.left_out:
-                from tipforce_tools.cli.empty_log import MESSAGES, PACKED, TEXT, no_frame
-
                 raise no_frame(args.log, (TEXT, PACKED, MESSAGES), parser.bad_lines[0])
         except BadLineError as error:
             print(f"tipforce replay: {error}", file=sys.stderr)
@@ -145,8 +143,6 @@ def _wait_until(due_s: float, stop: StopSignals) -> bool:
 
 
 def _report(args: argparse.Namespace, buses: Buses, parser: CandumpParser, seconds: float, late_s: float) -> None:
-    from tipforce_tools.cli.listening import counted
-
     late = f", at most {late_s * 1000:.1f} ms late" if args.verbose else ""
     common.note(args, f"tipforce replay: {counted(buses.sent, 'frame')} sent in {seconds:.1f} s{late}")
     for reason, number in buses.left_out.items():
@@ -182,9 +178,7 @@ def log_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
 
         return text_blocks(partial(os.read, sys.stdin.fileno()), parser)
     path = Path(name)
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    if suffixes[-1:] and suffixes[-1] in {".gz", ".zst"}:
-        suffixes.pop()
+    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
     is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
     return _text_blocks(path, parser) if is_text else _message_blocks(path)
 
@@ -270,8 +264,6 @@ class Buses:
     """The output buses, opened with the first frame for each, and the counts of frames left out."""
 
     def __init__(self, args: argparse.Namespace, opened: ExitStack) -> None:
-        from tipforce_tools.cli.listening import resolved_options
-
         self._args = args
         self._opened = opened
         self._senders: dict[str, Sender] = {}
@@ -290,15 +282,13 @@ class Buses:
 
     def send(self, frame: Frame) -> None:
         """Send one frame to its bus, or count the reason. Raises EnvironmentLackError if the bus fails."""
-        if self._only:
-            self._send(frame, self._only)
-        elif not self._targets_of:
-            self._send(frame, frame.name)
-        elif frame.name not in self._targets_of:
+        targets = [self._only] if self._only else self._targets_of.get(frame.name, [])
+        if not self._only and not self._targets_of:
+            targets = [frame.name]
+        for target in targets:
+            self._send(frame, target)
+        if not targets:
             self.left_out[f"of {frame.name}, which no assignment names"] += 1
-        else:
-            for target in self._targets_of[frame.name]:
-                self._send(frame, target)
 
     def _send(self, frame: Frame, target: str) -> None:
         from tipforce.host.live.send import NotCarriedError
