@@ -89,7 +89,7 @@ def table_rows(path: Path) -> list[dict[str, object]]:
 def test_the_log_is_really_cut(log: Path) -> None:
     from argparse import Namespace
 
-    args = Namespace(jobs=2, output="a.csv", summary=False, json=False, deltas=False, strict=True)
+    args = Namespace(jobs=2, output="a.csv", summary=False, json=False, deltas=False, eds=None, strict=True)
     pieces = session.pieces_of(args, [str(log)], 3)
     assert len(pieces) > 3
     assert [piece.start for piece in pieces[1:]] == [piece.end for piece in pieces[:-1]]

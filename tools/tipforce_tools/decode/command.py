@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "-j",
         "--jobs",
-        type=int,
+        type=common.count,
         metavar="N",
         help="processes that decode and write parts of the logs (default: one; above 1 GB one per core)",
     )

@@ -310,38 +310,32 @@ def _workers(args: Namespace, reading: Reading, sink: Sink, parts: int) -> Worke
 
 
 def _pieces_from(args: Namespace, name: str, start: int) -> list[Piece]:
-    """Return a log from a byte on in pieces that are parts of a dataset; whole if it cannot be cut."""
-    size = os.path.getsize(name)
-    path = Path(name)
-    if args.deltas or args.eds or log_kind(path) != "text" or not is_plain(path):
-        return [Piece(name)]
-    count = max(-(-(size - start) // (_FOLLOWED_BYTES if args.follow else _DATASET_PIECE_BYTES)), 1)
-    jobs = _jobs(args)
-    count = max(count, min(jobs, (size - start) // _LEAST_PIECE_BYTES))
-    borders = line_borders(path, count, start)
-    return [Piece(name, begin, end) for begin, end in pairwise(borders)]
+    """Return a log from a byte on in pieces that are parts of a dataset."""
+    size = os.path.getsize(name) - start
+    count = -(-size // (_FOLLOWED_BYTES if args.follow else _DATASET_PIECE_BYTES))
+    return _cut(args, name, start, max(count, min(_jobs(args), size // _LEAST_PIECE_BYTES), 1))
 
 
 def pieces_of(args: Namespace, names: Sequence[str], jobs: int) -> list[Piece]:
-    """Return the logs, large plain-text ones in pieces: equally many per job, of bounded size.
+    """Return the logs, large ones in pieces: equally many per job, of bounded size.
 
-    Only if each line has an absolute time. With --strict, output to stdout ends at the bad line: one piece.
+    With --strict, output to stdout ends at the bad line: one piece.
     """
-    shown = args.output in {None, "-"} or args.summary or args.json
+    whole = jobs < 2 or (args.strict and (not _to_file(args) or args.summary or args.json))
     found: list[Piece] = []
     for name in names:
-        whole = name == "-" or jobs < 2 or args.deltas or (args.strict and shown)
-        size = 0 if whole else os.path.getsize(name)
-        count = max(size // _LEAST_PIECE_BYTES, 1)
-        if count > 1:
-            count = min(count, jobs * -(-size // (jobs * _PIECE_BYTES)))
-        if count == 1 or log_kind(Path(name)) != "text" or not is_plain(Path(name)):
-            found.append(Piece(name))
-            continue
-        borders = line_borders(Path(name), count)
-        ends: list[int | None] = [*borders[1:-1], None]
-        found += [Piece(name, start, end) for start, end in zip(borders[:-1], ends, strict=True)]
+        size = 0 if whole or name == "-" else os.path.getsize(name)
+        count = min(size // _LEAST_PIECE_BYTES, jobs * -(-size // (jobs * _PIECE_BYTES)))
+        found += _cut(args, name, 0, count) if count > 1 else [Piece(name)]
     return found
+
+
+def _cut(args: Namespace, name: str, start: int, count: int) -> list[Piece]:
+    """Return plain text from a byte on in pieces; whole what cannot be cut: its lines need those in front."""
+    path = Path(name)
+    if args.deltas or args.eds or log_kind(path) != "text" or not is_plain(path):
+        return [Piece(name)]
+    return [Piece(name, begin, end) for begin, end in pairwise(line_borders(path, count, start))]
 
 
 def _size(piece: Piece) -> int:
@@ -371,48 +365,44 @@ def _check_readable(args: Namespace, told: Told) -> None:
 
 def _check(args: Namespace) -> None:
     """Check for incompatible flags. Raises InputError."""
-    if format_of(args.output, args.format) == "mcap":
-        given = {"--dbc": args.dbc, "--eds": args.eds, "--signals": args.signals, "--scheduler": args.scheduler}
-        for flag, value in given.items():
-            if value:
-                raise InputError(f"{flag}: MCAP has whole contacts and all frames; for {flag} write .csv or .parquet")
-    if args.jobs is not None and args.jobs < 1:
-        raise InputError(f"--jobs {args.jobs}: allowed is 1 or more")
-    if args.follow and len(args.logs) > 1:
-        raise InputError("--follow: allowed is one log")
-    if args.follow and args.scheduler:
-        raise InputError("--follow: a growing log is decoded locally; leave out --scheduler")
-    if (args.follow or args.scheduler) and any(map(is_url, args.logs)):
-        raise InputError("a log behind a URL is copied first: leave out --follow and --scheduler, or name a file")
-    _check_dataset(args)
-    _check_scheduler(args)
-
-
-def _check_dataset(args: Namespace) -> None:
-    directory = _to_dataset(args)
-    if directory and args.format not in {None, "parquet"}:
-        raise InputError(f"--format {args.format}: a dataset has Parquet files; name a file with --output")
-    if directory and (args.calibration or args.resample is not None or "-" in args.logs or not args.logs):
-        raise InputError(
+    kind, to_dataset = format_of(args.output, args.format), _to_dataset(args)
+    rows_pass_here = not _to_file(args) or args.calibration or args.resample is not None
+    not_of_mcap = {"--dbc": args.dbc, "--eds": args.eds, "--signals": args.signals, "--scheduler": args.scheduler}
+    given = next((flag for flag, value in not_of_mcap.items() if value), "")
+    source = next(filter(is_dataset, args.logs), "") if to_dataset else ""
+    refused = (
+        (
+            kind == "mcap" and given,
+            f"{given}: MCAP has whole contacts and all frames; for {given} write .csv or .parquet",
+        ),
+        (args.follow and len(args.logs) > 1, "--follow: allowed is one log"),
+        (args.follow and args.scheduler, "--follow: a growing log is decoded locally; leave out --scheduler"),
+        (
+            (args.follow or args.scheduler) and any(map(is_url, args.logs)),
+            "a log behind a URL is copied first: leave out --follow and --scheduler, or name a file",
+        ),
+        (
+            to_dataset and args.format not in {None, "parquet"},
+            f"--format {args.format}: a dataset has Parquet files; name a file with --output",
+        ),
+        (
+            to_dataset and (args.calibration or args.resample is not None or "-" in args.logs or not args.logs),
             f"--output {args.output}: a dataset has what the nodes sent, of log files: leave out --calibration, "
-            "--resample and stdin; apply a calibration when reading it"
-        )
-    if directory and (found := [name for name in args.logs if is_dataset(name)]):
-        raise InputError(f"{found[0]}: is a dataset, and {args.output} is filled from logs; name the logs")
-    if args.hand is not None and not directory:
-        raise InputError("--hand: is a partition of a dataset; name one with --output DIR/")
-
-
-def _check_scheduler(args: Namespace) -> None:
-    if not args.scheduler:
-        return
-    rows_pass_here = args.output in {None, "-"} or args.calibration or args.resample is not None
-    if rows_pass_here or format_of(args.output, args.format) not in _JOINED:
-        raise InputError(
+            "--resample and stdin; apply a calibration when reading it",
+        ),
+        (source, f"{source}: is a dataset, and {args.output} is filled from logs; name the logs"),
+        (args.hand is not None and not to_dataset, "--hand: is a partition of a dataset; name one with --output DIR/"),
+        (
+            args.scheduler and (rows_pass_here or kind not in _JOINED),
             "--scheduler: its workers write .csv, .jsonl, .parquet or DIR/: name one with --output, and leave out "
-            "--calibration and --resample"
-        )
-    if args.eds:
-        raise InputError("--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out")
-    if not [name for name in args.logs if name != "-"]:
-        raise InputError("--scheduler: name log files that its workers can read")
+            "--calibration and --resample",
+        ),
+        (
+            args.scheduler and args.eds,
+            "--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out",
+        ),
+        (args.scheduler and not {*args.logs} - {"-"}, "--scheduler: name log files that its workers can read"),
+    )
+    for is_refused, why in refused:
+        if is_refused:
+            raise InputError(why)
