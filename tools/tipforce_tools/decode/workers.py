@@ -125,7 +125,7 @@ class Work:
         return Written(self._number, self._piece, record, shape, summary)
 
 
-class Here:
+class Here(Workers):
     """This process as the only worker: each part is decoded after the ones in front."""
 
     def __init__(self, reading: Reading, sink: Sink) -> None:
@@ -135,40 +135,30 @@ class Here:
 
     @property
     def free(self) -> int:
-        """1 while no part is in work."""
         return int(not self._pieces)
 
     def decode(self, number: int, piece: Piece) -> None:
-        """Do nothing yet."""
         self._pieces[number] = piece
         self._events.append(Event(number, Ends((), Tally(), Notes(piece.name))))
 
     def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
-        """Decode and write a part."""
         work = Work(number, self._pieces.pop(number), self._reading)
         self._events.append(Event(number, work.write(before, shape, last, self._sink)))
 
     def next(self) -> Event:
-        """Return the next event."""
         return self._events.pop(0)
 
     def close(self) -> None:
-        """Do nothing."""
+        pass
 
 
 class InOrder:
     """The pass over the parts of a recording in order, while workers decode and write them."""
 
     def __init__(
-        self,
-        pieces: Sequence[Piece],
-        recording: Recording,
-        shape: Shape,
-        workers: Workers,
-        *,
-        asked: Sequence[str] | None = None,
-        ends: bool = True,
-    ) -> None:
+        self, pieces: Sequence[Piece], recording: Recording, shape: Shape, workers: Workers, *,
+        asked: Sequence[str] | None = None, ends: bool = True,
+    ) -> None:  # fmt: skip
         """``asked``: the signals that are shown; ``ends``: the recording ends with the last part."""
         self._pieces, self._recording, self._shape = pieces, recording, shape
         self._workers, self._asked, self._ends = workers, asked, ends
@@ -201,9 +191,9 @@ class InOrder:
         if not isinstance(told, Written):
             if number >= self._followed:
                 self._known[number] = told
-            if self._alone and isinstance(told, Exception):
-                self._raise(told)
-            elif isinstance(told, Exception) and number < self._followed:
+            if isinstance(told, Exception) and self._alone:
+                raise self._numbered(told)
+            if isinstance(told, Exception) and number < self._followed:
                 raise told
             return
         self._written[number] = told
@@ -218,8 +208,7 @@ class InOrder:
         while not self._alone and self._followed in self._known:
             number, ends = self._followed, self._known.pop(self._followed)
             if isinstance(ends, Exception):
-                self._raise(ends)
-                return
+                raise self._numbered(ends)
             last = self._ends and number == len(self._pieces) - 1
             counts = ends.notes.frames, dict(ends.notes.bad)
             start = self._recording.follow(ends, last=last)
@@ -232,8 +221,8 @@ class InOrder:
             self._followed += 1
             self._workers.write(number, start, self._shape.copy(), last)
 
-    def _raise(self, error: Exception) -> None:
-        raise self._recording.numbered(error) if isinstance(error, StrictError) else error
+    def _numbered(self, error: Exception) -> Exception:
+        return self._recording.numbered(error) if isinstance(error, StrictError) else error
 
 
 def columns_of(ends: Ends, start: Start, asked: Sequence[str] | None) -> tuple[Column, ...]:
@@ -257,7 +246,7 @@ _TRIES = 3
 """Of a part whose worker dies."""
 
 
-class Processes:
+class Processes(Workers):
     """Processes, each with one part at a time. The work of a process that dies is repeated in another."""
 
     def __init__(self, jobs: int, reading: Reading, sink: Sink) -> None:
@@ -284,16 +273,13 @@ class Processes:
 
     @property
     def free(self) -> int:
-        """How many parts can be begun now."""
         return len(self._idle)
 
     def decode(self, number: int, piece: Piece) -> None:
-        """Begin to decode a part."""
         self._busy[number] = self._idle.pop()
         self._order(number, ("decode", number, piece))
 
     def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
-        """See ``Workers``."""
         self._order(number, ("write", before, shape, last))
 
     def _order(self, number: int, order: tuple[Any, ...]) -> None:
@@ -302,7 +288,6 @@ class Processes:
             self._busy[number][1].send(order)
 
     def next(self) -> Event:
-        """Wait for the next event. Raises EnvironmentLackError for a part whose workers die again and again."""
         while True:
             pipes = {pipe: number for number, (_, pipe) in self._busy.items()}
             pipe: Any = connection.wait(list(pipes))[0]
@@ -336,7 +321,6 @@ class Processes:
             self._busy[number][1].send(order)
 
     def close(self) -> None:
-        """End the processes."""
         for process, pipe in [*self._idle, *self._busy.values()]:
             process.kill()
             process.join()
@@ -367,7 +351,7 @@ _PER_THREAD = 2
 """Parts in work for each thread of the cluster: one is decoded while another one waits for the parts in front."""
 
 
-class Cluster:
+class Cluster(Workers):
     """The workers of a scheduler. They must see the logs and the output by the same names."""
 
     def __init__(self, scheduler: str, reading: Reading, sink: Sink) -> None:
@@ -387,17 +371,14 @@ class Cluster:
 
     @property
     def free(self) -> int:
-        """How many parts can be begun now."""
         threads: int = sum(self._client.nthreads().values())
         return max(_PER_THREAD * max(threads, 1) - len(self._works), 0)
 
     def decode(self, number: int, piece: Piece) -> None:
-        """Begin to decode a part."""
         work = self._works[number] = self._client.submit(_decoded, number, piece, self._reading, pure=False)
         self._wait(number, self._client.submit(itemgetter(1), work, pure=False, priority=1))
 
     def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
-        """See ``Workers``."""
         order = self._works[number], before, shape, last, self._sink
         self._wait(number, self._client.submit(_written, *order, pure=False, priority=2))
 
@@ -406,7 +387,6 @@ class Cluster:
         self._waiting.add(future)
 
     def next(self) -> Event:
-        """Wait for the next event. Raises EnvironmentLackError for a part whose workers end again and again."""
         import distributed
 
         future = next(self._waiting)
@@ -421,7 +401,6 @@ class Cluster:
         return Event(number, told)
 
     def close(self) -> None:
-        """End all work."""
         self._works.clear()
         self._client.close()
 
