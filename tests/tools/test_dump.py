@@ -198,9 +198,7 @@ def test_what_was_left_out_is_told_at_the_end() -> None:
     assert lines[0].startswith(
         "tipforce dump: 3 bad lines left out (2 not a candump line, 1 timestamp), first line 8: 'rubbish': "
     )
-    assert lines[1:] == [
-        "tipforce dump: node 5 (0x05) Contact: 1 frame shorter than the mapping, not decoded",
-    ]
+    assert lines[1:] == ["tipforce dump: node 5 (0x05) Contact: 1 frame shorter than the mapping, not decoded"]
     assert piped(text, "-q", "-").stderr == ""
 
 

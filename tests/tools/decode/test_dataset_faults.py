@@ -237,11 +237,7 @@ def test_interrupted_between_two_logs(tmp_path: Path, days: list[Path], monkeypa
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [
-        ('{"format": 2, "parts": 5}', "newer one"),
-        ('{"format": 1, "gener', "put back a copy"),
-        ("", "put back a copy"),
-    ],
+    [('{"format": 2, "parts": 5}', "newer one"), ('{"format": 1, "gener', "put back a copy"), ("", "put back a copy")],
 )
 def test_manifests(tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixture[str], text: str, says: str) -> None:
     data = tmp_path / "data"

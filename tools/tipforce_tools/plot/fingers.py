@@ -281,12 +281,7 @@ class Finger:
         return there
 
     def _uncertainty(
-        self,
-        table: Table,
-        columns: dict[str, Column],
-        signal: str,
-        rows: npt.NDArray[np.intp],
-        t_ns: IntArray,
+        self, table: Table, columns: dict[str, Column], signal: str, rows: npt.NDArray[np.intp], t_ns: IntArray
     ) -> FloatArray | None:
         """Return the standard uncertainty at each row: its own, or the last one sent while it is valid."""
         column = columns.get(_UNCERTAINTY_OF.get(signal, ""))
