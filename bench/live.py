@@ -38,8 +38,7 @@ from bench.measure import arguments, cpu_us, in_turns, machine, table, write_pag
 
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver
-from tipforce_tools.log.session import TICK_S
-from tipforce_tools.log.writers import open_writer
+from tipforce_tools.log import TICK_S, open_writer
 
 SECONDS = 20.0
 RATES_HZ = (5000, 30_000)

@@ -39,9 +39,8 @@ def records(text: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines()]
 
 
-def test_text_of_candump(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", str(log)]) == 0
-    assert capsys.readouterr().out == (
+SHOWN = {
+    "": (
         "  vcan0  285   [8]  2E 11 29 23 9A 11 03 03\n"
         "  vcan0  285   [8]  00 80 00 80 00 80 02 04\n"
         "  vcan1  185   [8]  0A 00 14 00 1E 00 02 06\n"
@@ -49,12 +48,31 @@ def test_text_of_candump(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "  vcan0  181   [8]  remote request\n"
         "  vcan0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME\n"
         "  vcan0  12345678   [1]  AB\n"
-    )
+    ),
+    "-L": GOOD,
+    "-e any,0~0,#FFFFFFFF": (
+        "  vcan0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME\n\tcontroller-problem{rx-error-warning}\n"
+    ),
+    "--decode -n 4": (
+        "  vcan0  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
+        "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3\n"
+        "  vcan0  285   [8]  00 80 00 80 00 80 02 04  node 5 (0x05) Contact  "
+        "P=unknown phi=unknown theta=unknown calibrated #4\n"
+        "  vcan1  185   [8]  0A 00 14 00 1E 00 02 06  node 5 (0x05) Gauges  "
+        "SG1=1.0 microstrain SG2=2.0 microstrain SG3=3.0 microstrain calibrated #6\n"
+        "  vcan0  080   [0]                           SYNC\n"
+    ),
+    "-a -n 2": (
+        "  vcan0  285   [8]  2E 11 29 23 9A 11 03 03   '..)#....'\n"
+        "  vcan0  285   [8]  00 80 00 80 00 80 02 04   '........'\n"
+    ),
+}
 
 
-def test_log_format_is_the_same_again(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "-L", str(log)]) == 0
-    assert capsys.readouterr() == (GOOD, "")
+@pytest.mark.parametrize("words", SHOWN)
+def test_text(words: str, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", *words.split(), str(log)]) == 0
+    assert capsys.readouterr() == (SHOWN[words], "")
 
 
 @pytest.mark.parametrize(
@@ -69,27 +87,6 @@ def test_timestamps(flag: str, starts: list[str], log: Path, capsys: pytest.Capt
     assert main(["dump", flag, str(log)]) == 0
     for line, start in zip(capsys.readouterr().out.splitlines(), starts, strict=False):
         assert line.startswith(start + "  ")
-
-
-def test_errors_in_words(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "-e", str(log), "any,0~0,#FFFFFFFF"]) == 0
-    assert capsys.readouterr().out == (
-        "  vcan0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME\n\tcontroller-problem{rx-error-warning}\n"
-    )
-
-
-def test_decoded(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "--decode", str(log)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[:4] == [
-        "  vcan0  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
-        "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3",
-        "  vcan0  285   [8]  00 80 00 80 00 80 02 04  node 5 (0x05) Contact  "
-        "P=unknown phi=unknown theta=unknown calibrated #4",
-        "  vcan1  185   [8]  0A 00 14 00 1E 00 02 06  node 5 (0x05) Gauges  "
-        "SG1=1.0 microstrain SG2=2.0 microstrain SG3=3.0 microstrain calibrated #6",
-        "  vcan0  080   [0]                           SYNC",
-    ]
 
 
 def test_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -192,18 +189,6 @@ def test_can_fd_frames_are_shown_counted_and_filtered_but_not_decoded(
     assert "values" in found[1]
 
 
-def test_ascii(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "-a", "-n", "4", str(log)]) == 0
-    assert [line.partition("   '")[2] for line in capsys.readouterr().out.splitlines()] == [
-        "..)#....'", "........'", "........'", "'",
-    ]  # fmt: skip
-
-
-def test_count(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "-n", "2", str(log)]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 2
-
-
 def test_what_was_left_out_is_told_at_the_end() -> None:
     text = GOOD + "rubbish\nmore\n(1700000000.000000) vcan0 123##50001\n(1700000000.0) vcan0 123#00\n"
     done = piped(text + "(1700000002.000000) vcan0 285#00\n", "--decode", "-")
@@ -213,9 +198,7 @@ def test_what_was_left_out_is_told_at_the_end() -> None:
     assert lines[0].startswith(
         "tipforce dump: 3 bad lines left out (2 not a candump line, 1 timestamp), first line 8: 'rubbish': "
     )
-    assert lines[1:] == [
-        "tipforce dump: node 5 (0x05) Contact: 1 frame shorter than the mapping, not decoded",
-    ]
+    assert lines[1:] == ["tipforce dump: node 5 (0x05) Contact: 1 frame shorter than the mapping, not decoded"]
     assert piped(text, "-q", "-").stderr == ""
 
 

@@ -17,8 +17,7 @@ import can
 import pytest
 
 from tipforce_tools.cli.main import main
-from tipforce_tools.log.session import Recorder, default_name
-from tipforce_tools.log.writers import open_writer
+from tipforce_tools.log import Recorder, default_name, open_writer
 from tools.blocks import MIXED, MIXED_LOG, block_of_text
 from tools.rig import message, sending
 

@@ -19,8 +19,7 @@ from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.dataset.reader import tables_of_logs
 from tipforce_tools.cli.main import main
 from tipforce_tools.plot.figure import broken, wrapped
-from tipforce_tools.plot.finger import Finger
-from tipforce_tools.plot.traces import BINS, COVERAGE, Bins, Flags, Line, Lost, Trace
+from tipforce_tools.plot.fingers import BINS, COVERAGE, Bins, Finger, Flags, Line, Lost, Trace
 from tools.hand_log import START_S, Fault, calibration, contact_pdo, hand_log
 
 T0 = 1_700_000_000_000_000_000
@@ -72,19 +71,6 @@ def test_bins_keep_extremes_sums_and_ends(count: int, longest_ns: int, parts: in
     if not disorder:
         number = (t_ns - T0) // bins.width_ns
         assert found["low"].tolist() == [x[number == one].min() for one in np.unique(number)]
-
-
-def test_a_single_peak_of_a_million_samples_is_kept() -> None:
-    x = np.zeros(1_000_000)
-    x[654_321] = 7.0
-    trace = Trace(T0)
-    for rows in np.array_split(np.arange(len(x)), 25):
-        trace.add(times(len(x))[rows], x[rows])
-    line = line_of(trace)
-    assert len(line.mean) <= BINS
-    assert line.high.max() == 7.0
-    where = line.t_ns[line.high.argmax()]
-    assert abs(where - (T0 + 654_321 * MS)) < 1e12 / BINS * 2
 
 
 # --- gaps -------------------------------------------------------------------------------------------------------------
@@ -192,15 +178,6 @@ def test_a_bar_ends_where_the_samples_end() -> None:
     assert [((a - T0) // MS, (b - T0) // MS) for a, b in flags.bars()["stale"]] == [(0, 49), (1000, 1049)]
 
 
-def test_a_flag_of_one_sample_in_a_million_has_its_bar() -> None:
-    flags = Flags(T0)
-    fault = np.zeros(1_000_000, dtype=np.bool_)
-    fault[777_777] = True
-    flags.add(times(len(fault)), {"fault": fault})
-    ((begin, end),) = flags.bars()["fault"]
-    assert begin <= T0 + 777_777 * MS <= end
-
-
 def test_lost_samples_are_marked_and_counted() -> None:
     lost = Lost(T0)
     counter = np.array([250, 251, 254, 255, 256, 256, 260])
@@ -292,12 +269,6 @@ def test_a_legend_lies_on_no_trace_and_no_title(signals: str, tmp_path: Path, mo
     assert legend.y0 >= axes.get_window_extent().y1 - 1.0
     assert not any(legend.overlaps(other.title.get_window_extent()) for other in figure.axes if other.get_title())
     assert not any(legend.overlaps(other.get_window_extent()) for other in figure.axes if other is not axes)
-
-
-def test_the_same_log_gives_the_same_picture(one: Path, tmp_path: Path) -> None:
-    for name in ("a.png", "b.png"):
-        assert main(["plot", str(one), "-o", str(tmp_path / name)]) == 0
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_choice_of_signals_times_title_and_size(one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,8 +19,8 @@ import pytest
 
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce_tools.cli.main import main
-from tipforce_tools.log.writers import open_writer
-from tipforce_tools.replay.session import Clock
+from tipforce_tools.log import open_writer
+from tipforce_tools.replay import Clock
 from tools.blocks import MIXED, MIXED_LOG, block_of_text
 
 

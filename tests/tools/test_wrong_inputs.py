@@ -91,7 +91,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("decode --from yesterday run.log", 2, "allowed are seconds from the start"),
     ("decode --gauges 9 run.log", 2, "--gauges"),
     ("decode --signals Q run.log", 2, "no message has the signal Q: allowed are"),
-    ("decode --jobs 0 run.log", 2, "--jobs 0: allowed is 1 or more"),
+    ("decode --jobs 0 run.log", 2, "--jobs: '0': allowed are whole numbers from 1"),
     ("decode --resample -5 run.log", 2, "--resample"),
     ("decode --resample 1e9 run.log", 2, "choose a lower rate"),
     ("decode --dcf empty.dcf run.log", 2, "no [section] in it"),
@@ -461,7 +461,7 @@ def test_one_line_the_next_step_and_the_exit_code(
     monkeypatch.chdir(folder)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setattr("can.util.CONFIG_FILES", [])
-    monkeypatch.setattr("tipforce_tools.decode.processes.CONNECT_S", 1)
+    monkeypatch.setattr("tipforce_tools.decode.workers.CONNECT_S", 1)
     for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
         monkeypatch.delenv(name, raising=False)
     before = files(folder)

@@ -42,8 +42,8 @@ _context.set_forkserver_preload(
         "tipforce_tools.node",
         *(f"tipforce_tools.network.{name}" for name in ("load", "nodes", "config", "hand", "sdo")),
         "tipforce_tools.calibrate.fit",
-        *(f"tipforce_tools.{name}.{part}" for name in ("dump", "log", "replay") for part in ("command", "session")),
-        "tipforce.host.live.receiver", "tipforce.host.live.send", "tipforce_tools.log.writers",
+        "tipforce_tools.dump.command", "tipforce_tools.dump.session", "tipforce_tools.log", "tipforce_tools.replay",
+        "tipforce.host.live.receiver", "tipforce.host.live.send",
         *(f"tipforce_tools.view.{name}" for name in ("command", "server", "sources")),
     ]
 )  # fmt: skip

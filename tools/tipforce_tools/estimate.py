@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import json
+import csv
 import math
 import sys
 from collections.abc import Iterator
@@ -13,6 +13,7 @@ from operator import itemgetter
 from typing import TextIO
 
 from tipforce.errors import InputError
+from tipforce.output_file import CSV, JSON_LINES, check_output, new_file
 from tipforce_tools.cli import common
 
 COLUMNS = ("line", "P_N", "phi_deg", "theta_deg", "u_P_N", "u_phi_deg", "u_theta_deg", "status")
@@ -44,7 +45,6 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.calibration_file import read_calibration
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.host.decoding.estimates import estimates
-    from tipforce.output_file import check_output
 
     calibration = read_calibration(args.calibration, with_fit=True)
     data = read_measurements(args.gauges, loads=False)
@@ -75,8 +75,6 @@ def _output(args: argparse.Namespace) -> Iterator[TextIO]:
     if args.output in {None, "-"}:
         yield sys.stdout
         return
-    from tipforce.output_file import CSV, JSON_LINES, new_file
-
     kind = JSON_LINES if args.json else CSV
     with (
         new_file(args.output, kind, (args.calibration, args.gauges)) as partial,
@@ -89,11 +87,9 @@ def _write(stream: TextIO, rows: Iterator[tuple[int, list[float], str]], as_json
     """Write CSV or JSON lines; NaN is an empty cell or null."""
     if as_json:
         for line, values, status in rows:
-            cells = [None if math.isnan(x) else x for x in values]
-            stream.write(json.dumps(dict(zip(COLUMNS, (line, *cells, status), strict=True))) + "\n")
+            stream.write(common.json_line(dict(zip(COLUMNS, (line, *values, status), strict=True))) + "\n")
         return
-    stream.write(",".join(COLUMNS) + "\n")
+    cells = csv.writer(stream, lineterminator="\n")
+    cells.writerow(COLUMNS)
     for line, values, status in rows:
-        cells_text = ",".join(["" if math.isnan(x) else f"{x:.9g}" for x in values])
-        quoted = f'"{status.replace(chr(34), chr(34) * 2)}"' if "," in status or '"' in status else status
-        stream.write(f"{line},{cells_text},{quoted}\n")
+        cells.writerow((line, *("" if math.isnan(x) else f"{x:.9g}" for x in values), status))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from datetime import datetime
 from pathlib import Path
 
@@ -194,13 +193,6 @@ def test_layout_of_a_dcf(tmp_path: Path) -> None:
     assert decode(write_log(tmp_path / "a.log", lines), "--dcf", dcf, "-o", tmp_path / "a.csv") == 0
     rows = rows_of(tmp_path / "a.csv")
     assert [(row["node"], row["counter"], row["P_N"]) for row in rows] == [("5", "10", "1.000")]
-
-
-def test_summary_counts(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert decode(log, "--summary", "--json", "--nodes", "5") == 0
-    summary = json.loads(capsys.readouterr().out)
-    assert [node["node"] for node in summary["nodes"]] == [5]
-    assert summary["nodes"][0]["messages"]["Contact"] == {"frames": 200, "lost": 0}
 
 
 def test_layout_of_a_node_that_is_asked(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from tipforce.host.dataset import manifest as manifests
 from tipforce.host.dataset.reader import opened, tally
 from tipforce.host.dataset.store import FOLDER, Store, is_dataset
 from tipforce_tools.cli.main import main
-from tipforce_tools.decode import part_session
+from tipforce_tools.decode import session
 from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
 from tools.decode.logs import decode, log_lines, rows_of, write_log
 
@@ -33,7 +33,7 @@ COMMAND = [sys.executable, "-m", "tipforce_tools.cli.main"]
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts of 100 kB."""
-    monkeypatch.setattr(part_session, "_DATASET_PIECE_BYTES", 100_000)
+    monkeypatch.setattr(session, "_DATASET_PIECE_BYTES", 100_000)
 
 
 @pytest.fixture
@@ -212,9 +212,9 @@ def killed_runs(tmp_path: Path, lines: list[str], instants: int, seed: int) -> N
     log = write_log(tmp_path / "run.log", lines)
     expected = rows_of_logs(log)
     code = (
-        "import sys\nfrom tipforce_tools.decode import dataset_run, part_session\n"
+        "import sys\nfrom tipforce_tools.decode import dataset_run, session\n"
         "from tipforce_tools.cli.main import main\n"
-        "part_session._DATASET_PIECE_BYTES = 60_000\ndataset_run._COMMIT_S = 0.0\ndataset_run._COMMIT_SHARE = 0\n"
+        "session._DATASET_PIECE_BYTES = 60_000\ndataset_run._COMMIT_S = 0.0\ndataset_run._COMMIT_SHARE = 0\n"
         "print('ready', flush=True)\nsys.stdin.readline()\nmain(sys.argv[1:])\nprint('done', flush=True)\n"
     )
     for number in range(instants):

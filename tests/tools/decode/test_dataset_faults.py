@@ -13,7 +13,7 @@ from tipforce.host.dataset import manifest as manifests
 from tipforce.host.dataset.reader import opened
 from tipforce.host.dataset.store import FOLDER, Store, is_dataset
 from tipforce_tools.cli.main import main
-from tipforce_tools.decode import dataset_run, part_session
+from tipforce_tools.decode import dataset_run, session
 from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
 from tools.decode.logs import decode, log_lines, write_log
 
@@ -21,7 +21,7 @@ from tools.decode.logs import decode, log_lines, write_log
 @pytest.fixture(autouse=True)
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts of 30 kB."""
-    monkeypatch.setattr(part_session, "_DATASET_PIECE_BYTES", 30_000)
+    monkeypatch.setattr(session, "_DATASET_PIECE_BYTES", 30_000)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_killed_before_replaced_files_are_removed(tmp_path: Path, lines: list[st
 
 
 def test_compaction_beside_another_writer(tmp_path: Path, lines: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from tipforce_tools.dataset import compact
+    from tipforce_tools.decode import dataset_files
 
     log, data = write_log(tmp_path / "run.log", lines[:1500]), tmp_path / "data"
     assert decode(log, "-j", 1, "-o", f"{data}/") == 0
@@ -101,14 +101,14 @@ def test_compaction_beside_another_writer(tmp_path: Path, lines: list[str], monk
             assert main([*map(str, words)]) == 0
             return committed(store, change)
 
-        monkeypatch.setattr(compact, "commit", commit)
+        monkeypatch.setattr(dataset_files, "commit", commit)
 
     meanwhile("decode", "-q", log, "-j", 1, "-o", f"{data}/")
     assert main(["dataset", str(data), "--compact", "-q"]) == 0  # both are done
     check(data, log)
     assert decode(log, "-j", 1, "-o", f"{data}/") == 0
     write_log(log, [*lines, *(line.replace("(170000", "(170001") for line in lines)])
-    monkeypatch.setattr(part_session, "_DATASET_PIECE_BYTES", 30_000)
+    monkeypatch.setattr(session, "_DATASET_PIECE_BYTES", 30_000)
     assert decode(log, "-j", 1, "-o", f"{data}/") == 0
     meanwhile("dataset", data, "--compact", "-q")
     assert main(["dataset", str(data), "--compact", "-q"]) == 1  # the same parts: one of them
@@ -237,11 +237,7 @@ def test_interrupted_between_two_logs(tmp_path: Path, days: list[Path], monkeypa
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [
-        ('{"format": 2, "parts": 5}', "newer one"),
-        ('{"format": 1, "gener', "put back a copy"),
-        ("", "put back a copy"),
-    ],
+    [('{"format": 2, "parts": 5}', "newer one"), ('{"format": 1, "gener', "put back a copy"), ("", "put back a copy")],
 )
 def test_manifests(tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixture[str], text: str, says: str) -> None:
     data = tmp_path / "data"

@@ -71,13 +71,6 @@ def test_strict_ends_at_the_first_bad_line(log: Path, tmp_path: Path, capsys: py
     assert out.read_bytes() == (tmp_path / "good.csv").read_bytes()
 
 
-def test_a_csv_of_python_can_is_read_strictly_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bad = tmp_path / "bad.asc"
-    bad.write_text("date Tue May 27 04:09:35.000 pm 2014\nbase hex  timestamps absolute\n 1.0 1 zz Rx d 8 00\n")
-    assert main(["decode", str(bad), "--strict"]) in {0, 1}
-    assert "Traceback" not in capsys.readouterr().err
-
-
 def test_packed_logs_and_stdin(log: Path, tmp_path: Path) -> None:
     assert decode(log, "-o", tmp_path / "a.csv") == 0
     packed = tmp_path / "run.log.gz"

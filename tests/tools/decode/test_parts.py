@@ -20,7 +20,7 @@ from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording, State
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, is_missing
-from tipforce_tools.decode.parts import Event, InOrder, Work
+from tipforce_tools.decode.workers import Event, InOrder, Work
 from tipforce_tools.decode.writers import Shape
 from tools.decode.logs import decode, log_lines, write_log
 
@@ -171,23 +171,23 @@ def test_parts_are_decoded_apart(tmp_path: Path) -> None:
 def test_a_worker_that_is_killed_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from tipforce_tools.decode import part_files, part_session
+    from tipforce_tools.decode import session, writers
 
-    monkeypatch.setattr(part_session, "_LEAST_PIECE_BYTES", 100_000)
-    monkeypatch.setattr(part_session, "_PIECE_BYTES", 100_000)
-    monkeypatch.setattr(part_session, "_SMALL_BYTES", 0)
+    monkeypatch.setattr(session, "_LEAST_PIECE_BYTES", 100_000)
+    monkeypatch.setattr(session, "_PIECE_BYTES", 100_000)
+    monkeypatch.setattr(session, "_SMALL_BYTES", 0)
     log = write_log(tmp_path / "run.log", log_lines(3000, (1, 5)))
     assert decode(log, "-j", 1, "-o", tmp_path / "one.csv") == 0
-    write = part_files.PartFile.write
+    write = writers.PartFile.write
 
-    def dies(self: part_files.PartFile, number: int, *rest: Any) -> Any:
+    def dies(self: writers.PartFile, number: int, *rest: Any) -> Any:
         marker = tmp_path / "died"
         if number == 2 and (always or not marker.exists()):
             marker.touch()
             os._exit(9)
         return write(self, number, *rest)
 
-    monkeypatch.setattr(part_files.PartFile, "write", dies)
+    monkeypatch.setattr(writers.PartFile, "write", dies)
     always = False
     assert decode(log, "-j", 2, "-o", tmp_path / "two.csv") == 0
     assert (tmp_path / "died").exists()

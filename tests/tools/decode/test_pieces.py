@@ -6,7 +6,6 @@ import json
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
@@ -16,10 +15,9 @@ from tipforce.host.decoding import decoded_part
 from tipforce.host.decoding.log_part import Notes, Piece, Reading, Source
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.logs.lines import BLOCK_BYTES, line_borders
-from tipforce.host.logs.reader import LogReader, open_log
+from tipforce.host.logs.lines import line_borders
 from tipforce_tools.cli.main import main
-from tipforce_tools.decode import part_session
+from tipforce_tools.decode import session
 from tools.decode.logs import decode, log_lines, records_of, rows_of, write_log
 
 PIECE_BYTES = 20_000
@@ -28,8 +26,8 @@ PIECE_BYTES = 20_000
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Logs are cut from 20 kB on, and a piece's start is decided after few frames."""
-    monkeypatch.setattr(part_session, "_LEAST_PIECE_BYTES", PIECE_BYTES)
-    monkeypatch.setattr(part_session, "_PIECE_BYTES", 3 * PIECE_BYTES)
+    monkeypatch.setattr(session, "_LEAST_PIECE_BYTES", PIECE_BYTES)
+    monkeypatch.setattr(session, "_PIECE_BYTES", 3 * PIECE_BYTES)
     monkeypatch.setattr(decoded_part, "_HEAD_FRAMES", 100)
 
 
@@ -89,13 +87,13 @@ def table_rows(path: Path) -> list[dict[str, object]]:
 def test_the_log_is_really_cut(log: Path) -> None:
     from argparse import Namespace
 
-    args = Namespace(jobs=2, output="a.csv", summary=False, json=False, deltas=False, strict=True)
-    pieces = part_session.pieces_of(args, [str(log)], 3)
+    args = Namespace(jobs=2, output="a.csv", summary=False, json=False, deltas=False, eds=None, strict=True)
+    pieces = session.pieces_of(args, [str(log)], 3)
     assert len(pieces) > 3
     assert [piece.start for piece in pieces[1:]] == [piece.end for piece in pieces[:-1]]
     for other in ({"deltas": True}, {"output": None}):
-        assert part_session.pieces_of(Namespace(**{**vars(args), **other}), [str(log)], 3) == [Piece(str(log))]
-    assert part_session.pieces_of(args, ["-"], 3) == [Piece("-")]
+        assert session.pieces_of(Namespace(**{**vars(args), **other}), [str(log)], 3) == [Piece(str(log))]
+    assert session.pieces_of(args, ["-"], 3) == [Piece("-")]
 
 
 def test_the_same_summary_and_notes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -175,19 +173,3 @@ def _read(log: Path, ranges: list[tuple[int, int | None]]) -> tuple[list[tuple[o
 
 def _rows(block: FrameArray, channels: list[str]) -> list[tuple[object, ...]]:
     return [(channels[row["channel"]], *row.tolist()[:3], row["data"].tobytes()) for row in block]
-
-
-def test_lines_that_are_too_long_are_counted(tmp_path: Path) -> None:
-    log = tmp_path / "long.log"
-    long = b"y" * (BLOCK_BYTES + 7)
-    good = b"(1700000000.000001) can0 181#01"
-    log.write_bytes(b"\n".join([good, long, good, long, b"(1) can0 1#", good, b""]))
-    with open_log(log) as reader:
-        assert isinstance(reader, LogReader)
-        assert np.concatenate(list(reader))["can_id"].tolist() == [0x181] * 3
-    assert reader.bad == {"not a candump line": 2, "timestamp": 1}
-    assert reader.lines == 6
-    text = log.read_bytes()
-    borders = line_borders(log, 12)  # most places would be within the long lines
-    assert len(borders) < 8
-    assert all(text[place - 1 : place] == b"\n" for place in borders[1:-1])

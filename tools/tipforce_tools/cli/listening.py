@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from tipforce.host.frames.frame_array import FrameArray
     from tipforce.host.live.receiver import ReceiverGroup
-    from tipforce_tools.dump.output import Target
+    from tipforce_tools.dump.targets import Target
 
 
 def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | None = None) -> ReceiverGroup:

@@ -6,10 +6,11 @@ import glob
 import re
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce.host.dataset.reader import start_of
@@ -18,6 +19,10 @@ from tipforce.host.decoding.log_part import Reading, When
 from tipforce.host.decoding.pdo_layout import Layouts, dcf_layout, node_layout, signals_named, with_layouts
 from tipforce.shipped_files import file_or_shipped
 from tipforce_tools.cli.eds_flag import eds_files
+
+if TYPE_CHECKING:
+    from tipforce.host.configuration.calibration import Calibration
+    from tipforce.host.decoding.sample_table import Table
 
 STDIN = "-"
 _EPOCH_FROM_S = 100_000_000  # 1973: smaller numbers are seconds since the first frame
@@ -32,16 +37,13 @@ def logs(words: Sequence[str]) -> list[str]:
         raise InputError("no log: name one (`tipforce decode run.log`), or pipe candump text to stdin")
     found: list[str] = []
     for word in words or [STDIN]:
-        if word == STDIN or is_url(word) or Path(word).exists() or not glob.has_magic(word):
-            found.append(word)
-            continue
-        matches = sorted(glob.glob(word, recursive=True), key=_natural)
-        if not matches:
-            raise InputError(f"{word}: no file matches")
+        matches = [word]
+        if word != STDIN and not is_url(word) and not Path(word).exists():
+            matches = sorted(glob.glob(word, recursive=True), key=_natural) if glob.has_magic(word) else []
+            if not matches:
+                raise InputError(f"{word}: no {'file matches' if glob.has_magic(word) else 'such file'}")
         found += matches
     for name in found:
-        if name != STDIN and not is_url(name) and not Path(name).exists():
-            raise InputError(f"{name}: no such file")
         if name != STDIN and Path(name).is_dir() and not is_dataset(name):
             raise InputError(f"{name}: is a directory; name its logs: {name.rstrip('/')}/*.log")
     if found.count(STDIN) and len(found) > 1:
@@ -76,20 +78,20 @@ def when(flag: str, text: str | None) -> When | None:
             "2026-05-17T09:30:00 (local; with Z or +02:00 of that zone)"
         ) from None
     moment = moment.astimezone()
-    fraction = moment.microsecond * 1000
-    return When(int(moment.replace(microsecond=0).timestamp()) * 1_000_000_000 + fraction, False)
+    return When(int(moment.replace(microsecond=0).timestamp()) * 1_000_000_000 + moment.microsecond * 1000, False)
 
 
 def layouts(args: Namespace) -> Layouts:
     """Return the layouts that --gauges, --nodes, --dcf, --dbc and --ask select. Raises InputError."""
     if args.dbc and (args.dcf or args.ask):
         raise InputError("--dbc: defines all layouts; leave out --dcf and --ask")
+    nodes = None if args.nodes is None else tuple(args.nodes)
     if args.eds:
         if args.dbc or args.dcf or args.ask or args.gauges:
             raise InputError("--eds: defines all layouts; leave out --dbc, --dcf, --ask and --gauges")
-        return Layouts(nodes=None if args.nodes is None else tuple(args.nodes), eds=eds_files(args.eds))
+        return Layouts(nodes=nodes, eds=eds_files(args.eds))
     dbc = str(file_or_shipped(args.dbc, "dbc")) if args.dbc else None
-    found = Layouts(args.gauges or 3, None if args.nodes is None else tuple(args.nodes), dbc)
+    found = Layouts(args.gauges or 3, nodes, dbc)
     if args.dcf:
         found = with_layouts(found, [dcf_layout(path) for path in args.dcf])
     if args.ask:
@@ -130,3 +132,47 @@ def checked_signals(chosen: Layouts, names: tuple[str, ...] | None) -> tuple[str
     """Return the signals of the names. Raises InputError, also for incompatible layouts."""
     decoder = chosen.decoder()
     return None if names is None else signals_named(decoder, names)
+
+
+def calibrated(args: Namespace, chosen: Layouts) -> tuple[Layouts, Mapping[int | None, Calibration]]:
+    """Return the calibrations of --calibration, and the layouts of nodes with their gauges. Raises InputError."""
+    if not args.calibration:
+        return chosen, {}
+    from tipforce.host.decoding.contact_columns import gauges_of, read_calibrations
+
+    calibrations = read_calibrations(args.calibration)
+    told = args.gauges or args.dcf or args.ask
+    return chosen if told else replace(chosen, gauges=gauges_of(calibrations)), calibrations
+
+
+class Steps:
+    """The steps on tables between the logs and the output, with the ``layouts`` and ``signals`` to read for them."""
+
+    def __init__(self, args: Namespace) -> None:
+        """Raises InputError."""
+        names = names_of(args.signals)
+        self.layouts, calibrations = calibrated(args, layouts(args))
+        self._contact = self._resampler = None
+        if calibrations:
+            from tipforce.host.decoding import contact_columns
+
+            computed = {name: contact_columns.is_computed(name) for name in names or ()}
+            rest = checked_signals(self.layouts, tuple(name for name, signal in computed.items() if not signal))
+            left = iter(rest or ())
+            asked = None if names is None else tuple(computed[name] or next(left, "") for name in names)
+            self._contact = contact_columns.ContactColumns(calibrations, asked)
+            self.signals = contact_columns.signals_needed(asked, calibrations)
+        else:
+            asked = self.signals = checked_signals(self.layouts, names)
+        if args.resample is not None:
+            from tipforce_tools.decode.resample import Resampler
+
+            self._resampler = Resampler(args.resample, asked)
+
+    def contact(self, tables: Iterable[Table]) -> Iterable[Table]:
+        """Add the contact columns if a calibration is given."""
+        return tables if self._contact is None else self._contact.tables(tables)
+
+    def resampled(self, tables: Iterable[Table]) -> Iterable[Table]:
+        """Resample to a uniform grid if a rate is given."""
+        return tables if self._resampler is None else self._resampler.tables(tables)

@@ -45,13 +45,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--follow", action="store_true", help="wait for more lines at the end of the log")
     parser.add_argument("--deltas", action="store_true", help="timestamps are differences (candump -td)")
     parser.add_argument("--hand", metavar="NAME", help="partition of DIR/ (default: the name of the interface)")
-    _add_choice(parser.add_argument_group("choice"))
-    _add_layouts(parser.add_argument_group("layouts (default: the dictionary's PDOs)"))
+    group = parser.add_argument_group("choice")
+    add_choice(group, "compute only these, for example P,theta or P_N,theta_deg")
+    group.add_argument("--resample", type=float, metavar="HZ", help="means on a uniform grid")
+    group = parser.add_argument_group("layouts (default: the dictionary's PDOs)")
+    add_layouts(group)
+    group.add_argument("--ask", type=common.node_ids, metavar="IDS", help="read the layout of these nodes over SDO")
+    group.add_argument("-i", "--interface", help="for --ask: python-can's interface")
+    group.add_argument("-c", "--channel", help="of --ask")
+    group.add_argument("-b", "--bitrate", type=int, help="of --ask")
     group = parser.add_argument_group("work")
     group.add_argument(
         "-j",
         "--jobs",
-        type=int,
+        type=common.count,
         metavar="N",
         help="processes that decode and write parts of the logs (default: one; above 1 GB one per core)",
     )
@@ -59,27 +66,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_output_arguments(parser)
 
 
-def _add_choice(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--signals", metavar="NAMES", help="compute only these, for example P,theta or P_N,theta_deg")
+def add_choice(group: argparse._ArgumentGroup, signals: str) -> None:
+    """Add the flags that choose rows and columns of logs; ``signals`` is the help of --signals."""
+    group.add_argument("--signals", metavar="NAMES", help=signals)
     group.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="as 1,2,5-9")
     group.add_argument("--bus", metavar="NAMES", help="only frames of these interfaces of the log: can0,can1")
     group.add_argument("--from", dest="start", metavar="TIME", help="seconds from the start or of the epoch, ISO time")
     group.add_argument("--to", dest="end", metavar="TIME", help="end, exclusive; same formats")
-    group.add_argument("--resample", type=float, metavar="HZ", help="means on a uniform grid")
     group.add_argument(
         "--calibration", action="append", metavar="[NODE=]CAL.toml", help="compute contact from the gauges; repeatable"
     )
 
 
-def _add_layouts(group: argparse._ArgumentGroup) -> None:
+def add_layouts(group: argparse._ArgumentGroup) -> None:
+    """Add the flags of the PDOs that nodes send."""
     group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
     group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
     group.add_argument("--dbc", metavar="FILE", help="use the messages of a DBC instead; tipforce: the shipped one")
     add_eds_argument(group)
-    group.add_argument("--ask", type=common.node_ids, metavar="IDS", help="read the layout of these nodes over SDO")
-    group.add_argument("-i", "--interface", help="for --ask: python-can's interface")
-    group.add_argument("-c", "--channel", help="of --ask")
-    group.add_argument("-b", "--bitrate", type=int, help="of --ask")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -88,9 +92,7 @@ def run(args: argparse.Namespace) -> int:
     Raises InputError for unusable input, EnvironmentLackError for a missing package or a node that does not respond.
     """
     from tipforce_tools.cli.main import terminate_as_interrupt
-    from tipforce_tools.decode.session import check, decode
+    from tipforce_tools.decode.session import decode
 
     terminate_as_interrupt()
-    common.set_up_logging(args)
-    check(args)
     return decode(args)

@@ -39,8 +39,8 @@ from tipforce.host.decoding.services import BusEvent
 from tipforce.host.logs.lines import open_file
 from tipforce.host.logs.reader import log_kind
 from tipforce.host.logs.unpacking import decompressed
-from tipforce_tools.decode.dataset_sink import BASE, DatasetSink, put_file
-from tipforce_tools.decode.parts import InOrder, Sink, Workers, Written
+from tipforce_tools.decode.dataset_files import BASE, DatasetSink, joined_parts, put_file
+from tipforce_tools.decode.workers import InOrder, Sink, Workers, Written
 from tipforce_tools.decode.writers import Shape
 
 HASHED_BYTES = 1 << 16
@@ -123,8 +123,14 @@ class _Chain:
 class DatasetRun:
     """One run that adds logs to the dataset ``directory``."""
 
-    def __init__(self, directory: str, reading: Reading, told: Told, hand: str | None = None) -> None:
-        """``told`` gets what the logs tell besides rows. Raises InputError for a directory of other files."""
+    def __init__(
+        self, directory: str, reading: Reading, told: Told, hand: str | None, cut: Cut,
+        workers: Callable[[Sink, int], Workers], each: Callable[[Written], None], check: Callable[[Told], None],
+    ) -> None:  # fmt: skip
+        """``told`` gets what the logs tell besides rows, ``each`` every part; ``check`` raises for logs that must not
+        be added. Raises InputError for a directory of other files.
+        """
+        self._cut, self._workers, self._each, self._check = cut, workers, each, check
         need_pyarrow(directory)
         self._reading = reading
         self.store = Store(directory)
@@ -141,18 +147,10 @@ class DatasetRun:
         """Parts of this run."""
         self.told = told
 
-    def add(
-        self,
-        names: Sequence[str],
-        cut: Cut,
-        workers: Callable[[Sink, int], Workers],
-        each: Callable[[Written], None],
-        check: Callable[[Told], None],
-    ) -> None:
+    def add(self, names: Sequence[str]) -> None:
         """Add what the dataset does not have, and what was removed from it.
 
-        ``check`` raises for logs that must not be added. Raises InputError, WriteError, OSError; what was committed
-        stays.
+        Raises InputError, WriteError, OSError; what was committed stays.
         """
         with RunLock(self.store, self._token):
             self.manifest = read_manifest(self.store) or _new(self.store)
@@ -160,7 +158,7 @@ class DatasetRun:
             names = [name for name in names if os.path.getsize(name)] or names[:1]  # empty logs do not differ
             for chains in (self._repairs, self._chains):
                 for chain in list(chains(names)):
-                    self._add_chain(chain, cut, workers, each, check)
+                    self._add_chain(chain)
 
     # --- what is to be done -----------------------------------------------------------------------------------
 
@@ -261,10 +259,7 @@ class DatasetRun:
 
     # --- the work ---------------------------------------------------------------------------------------------
 
-    def _add_chain(
-        self, chain: _Chain, cut: Cut, workers: Callable[[Sink, int], Workers],
-        each: Callable[[Written], None], check: Callable[[Told], None],
-    ) -> None:  # fmt: skip
+    def _add_chain(self, chain: _Chain) -> None:
         sink = DatasetSink(self.store.name, self._token, self._hand)
         pieces: list[Piece] = []
         logs: list[_Log] = []
@@ -272,7 +267,7 @@ class DatasetRun:
             self._change.expected.setdefault(log.source.id, self.manifest.source(log.source.id))
             self._change.removed.update(log.replaced)
             log.size = os.path.getsize(log.source.name)  # a log that cannot be cut may grow while it is read
-            for piece in cut(log.source.name, log.start):
+            for piece in self._cut(log.source.name, log.start):
                 pieces.append(piece)
                 logs.append(log)
                 self._parts += 1  # a part that is written again has another name
@@ -283,16 +278,16 @@ class DatasetRun:
         shape = Shape(BASE)
         shape.take(self.manifest.columns, ())
         state = recording.state()
-        for written in InOrder(pieces, recording, shape, workers(sink, len(pieces)), asked=self._reading.signals,
+        for written in InOrder(pieces, recording, shape, self._workers(sink, len(pieces)), asked=self._reading.signals,
                                ends=chain.ends):  # fmt: skip
             assert written.state is not None
             last = written.number == len(pieces) - 1
             self._take(written, logs[written.number], sink.names[written.number], state, last and chain.ends)
             state = written.state
-            each(written)
+            self._each(written)
             if last:
                 self._tell(recording.told)
-                check(self.told)
+                self._check(self.told)
             due = time.monotonic() - self._committed > max(_COMMIT_S, _COMMIT_SHARE * self._cost_s)
             if last or (due and recording.told.tally.messages):  # what is not a log of fingertips is not committed
                 self._commit()
@@ -309,25 +304,17 @@ class DatasetRun:
         )  # fmt: skip
         self._change.sources[log.source.id] = log.source
         events = self._events(name, written.events)
+        calibrations = [
+            (event.channel, event.node_id, event.code, event.t_ns)
+            for event in written.events
+            if event.kind == "calibration"
+        ]
+        files, columns = written.record
         self._change.parts.append(
-            Part(
-                name,
-                log.source.id,
-                piece.start,
-                end,
-                written.frames,
-                written.bad,
-                written.record.files,
-                events,
-                [
-                    (event.channel, event.node_id, event.code, event.t_ns)
-                    for event in written.events
-                    if event.kind == "calibration"
-                ],
-            )
+            Part(name, log.source.id, piece.start, end, written.frames, written.bad, files, events, calibrations)
         )
         known = {one.name for one in self._change.columns}
-        self._change.columns += [column for column in written.record.columns if column.name not in known]
+        self._change.columns += [column for column in columns if column.name not in known]
         self.added += 1
 
     def _tell(self, told: Told) -> None:
@@ -367,8 +354,6 @@ class DatasetRun:
         stay = [part for part in self.manifest.parts if part.id not in change.removed]
         stay = [part for part in stay if any(file.path in gone for file in files_of([part]))]
         if stay:
-            from tipforce_tools.decode.dataset_join import joined_parts
-
             root = self.store.local  # a file that is damaged stays, until all its logs are added again
             damaged = {path for path, one in gone.items() if root is not None and not is_whole(root / path, one.bytes)}
             self._parts += 1

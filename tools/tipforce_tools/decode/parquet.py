@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
-from tipforce_tools.decode.events import event_rows
+from tipforce_tools.decode.summary import event_rows
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 from tipforce_tools.decode.writers import Shape
 
@@ -20,22 +20,24 @@ if TYPE_CHECKING:
     from tipforce.host.decoding.services import BusEvent
 
 ROW_GROUP_ROWS = 1 << 18
-_TYPES = {"real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64(), "word": pa.string()}
+_TYPES = {"real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64()}
 _TIME_TYPE = pa.timestamp("us", tz="UTC")  # a bit on the bus takes a microsecond; Spark has no finer time
 _BASE = {TIME: _TIME_TYPE, NODE: pa.uint8(), CHANNEL: pa.string(), COUNTER: pa.int64()}
 EVENTS = pa.schema([
     (TIME, _TIME_TYPE), (CHANNEL, pa.string()), (NODE, pa.uint8()),
     ("event", pa.string()), ("code", pa.string()), ("text", pa.string()),
 ])  # fmt: skip
-OPTIONS: dict[str, Any] = {"compression": "snappy", "data_page_size": 1 << 20}
 
 
 def schema_of(shape: Shape) -> pa.Schema:
     """Return the schema of an output, with units as metadata of the fields."""
-    fields = [pa.field(name, _BASE[name]) for name in shape.base]
-    for column in shape.columns:
-        unit = {"unit": column.unit} if column.unit else None
-        fields.append(pa.field(column.name, _TYPES[column.kind], metadata=unit))
+    fields = []
+    for column in (*shape.base, *shape.columns):
+        if isinstance(column, str):
+            fields.append(pa.field(column, _BASE[column]))
+        else:
+            unit = {"unit": column.unit} if column.unit else None
+            fields.append(pa.field(column.name, _TYPES[column.kind], metadata=unit))
     return pa.schema(fields)
 
 
@@ -58,9 +60,8 @@ def _array(column: Column, values: Any, kind: Any) -> Any:
     missing = is_missing(column, values)
     mask = missing if missing.any() else None
     if column.kind == "flag":
-        return _packed(values == 1, kind, mask)
-    if column.kind == "word":
-        return pa.array(values, type=pa.binary(), mask=mask).cast(kind)
+        present = None if mask is None else _bits(~mask)
+        return pa.Array.from_buffers(kind, len(values), [present, _bits(values == 1)])
     return _as_array(values, kind, mask)
 
 
@@ -71,10 +72,6 @@ def _as_array(values: Any, kind: Any, mask: Any = None) -> Any:
     code = "f" if pa.types.is_floating(kind) else "u" if pa.types.is_unsigned_integer(kind) else "i"
     values = np.ascontiguousarray(values, dtype=f"{code}{kind.bit_width // 8}")
     return pa.Array.from_buffers(kind, len(values), [present, pa.py_buffer(values)])
-
-
-def _packed(values: Any, kind: Any, mask: Any) -> Any:
-    return pa.Array.from_buffers(kind, len(values), [None if mask is None else _bits(~mask), _bits(values)])
 
 
 def _bits(values: Any) -> Any:
@@ -108,25 +105,20 @@ def write_part(path: Path, tables: Iterable[Table], shape: Shape) -> None:
     try:
         for table in tables:
             shape.fits(table)
-            parts.add(arrow_table(shape.of(table), schema_of(shape)))
+            parts.add(arrow_table(table, schema_of(shape)))
         parts.finish(schema_of(shape), shape.channel)
     except BaseException:
         parts.abort()
         raise
 
 
-def join_widened(paths: Sequence[Path], output: Path, shape: Shape) -> None:
-    """Join files to one with the columns of ``shape``, and remove them. Raises OSError."""
-    schema = schema_of(shape)
+def join_widened(paths: Sequence[Path], output: Path, schema: Any, channel: str) -> None:
+    """Join files to one with this schema, and remove them; ``channel`` for rows without one. Raises OSError."""
     with _open(output, schema) as writer:
         for path in paths:
-            _copy_widened(path, writer, schema, shape.channel)
-
-
-def _copy_widened(path: Path, writer: Any, schema: Any, channel: str) -> None:
-    for batch in pq.ParquetFile(path).iter_batches(ROW_GROUP_ROWS):
-        writer.write_table(widened(pa.Table.from_batches([batch]), schema, channel))
-    path.unlink()
+            for batch in pq.ParquetFile(path).iter_batches(ROW_GROUP_ROWS):
+                writer.write_table(widened(pa.Table.from_batches([batch]), schema, channel))
+            path.unlink()
 
 
 class Parts:
@@ -177,9 +169,7 @@ class Parts:
             return
         self._end_part()
         whole = self._path.with_name(f"{self._path.name}.whole")
-        with _open(whole, schema) as writer:
-            for part in self._paths:
-                _copy_widened(part, writer, schema, channel)
+        join_widened(self._paths, whole, schema, channel)
         whole.replace(self._path)
 
     def abort(self) -> None:
@@ -191,21 +181,17 @@ class Parts:
 
 
 def _open(path: Path, schema: Any) -> Any:
-    options = dict(OPTIONS)
-    options["use_dictionary"] = [name for name in (CHANNEL, NODE) if name in schema.names]
-    # Increasing values are smaller as differences, and faster to write.
-    options["column_encoding"] = {name: "DELTA_BINARY_PACKED" for name in (TIME, COUNTER) if name in schema.names}
-    return pq.ParquetWriter(path, schema, **options)
+    names = set(schema.names)
+    return pq.ParquetWriter(
+        path, schema, compression="snappy", data_page_size=1 << 20,
+        use_dictionary=[name for name in (CHANNEL, NODE) if name in names],
+        # Increasing values are smaller as differences, and faster to write.
+        column_encoding={name: "DELTA_BINARY_PACKED" for name in (TIME, COUNTER) if name in names},
+    )  # fmt: skip
 
 
 def widened(rows: Any, schema: Any, channel: str) -> Any:
     """Return rows with the columns of ``schema``, null where they have none; ``channel`` for rows without one."""
-    arrays = []
-    for field in schema:
-        if field.name in rows.schema.names:
-            arrays.append(rows[field.name])
-        elif field.name == CHANNEL:
-            arrays.append(pa.array([channel] * len(rows), type=pa.string()))
-        else:
-            arrays.append(pa.nulls(len(rows), field.type))
-    return pa.Table.from_arrays(arrays, schema=schema)
+    if CHANNEL in schema.names and CHANNEL not in rows.schema.names:
+        rows = rows.append_column(CHANNEL, pa.repeat(pa.scalar(channel, pa.string()), len(rows)))
+    return pa.concat_tables([schema.empty_table(), rows], promote_options="default")

@@ -6,9 +6,10 @@ structures; only the offsets of the column chunks are moved, and the row groups 
 
 from __future__ import annotations
 
+import io
 import os
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,7 +24,8 @@ def append_bytes(path: Path, start: int, end: int, out: BinaryIO) -> None:
         with suppress(AttributeError, OSError):
             while start < end and (count := os.copy_file_range(file.fileno(), out.fileno(), end - start, start)):
                 start += count
-        out.seek(0, os.SEEK_END)
+        if out.seekable():  # not a pipe
+            out.seek(0, os.SEEK_END)
         file.seek(start)
         while start < end:
             block = file.read(min(_BLOCK_BYTES, end - start))
@@ -32,8 +34,10 @@ def append_bytes(path: Path, start: int, end: int, out: BinaryIO) -> None:
 
 
 _MAGIC = b"PAR1"
-_TRUE, _FALSE, _BYTE, _DOUBLE, _BINARY, _LIST, _STRUCT = 1, 2, 3, 7, 8, 9, 12
+_TRUE, _FALSE, _BINARY, _LIST, _STRUCT = 1, 2, 8, 9, 12
 _INTEGERS = (4, 5, 6)
+_BYTES = {_TRUE: 1, _FALSE: 1, 3: 1, 7: 8}
+"""Sizes of values that are kept as they are: booleans in a list, bytes, doubles."""
 
 Struct = dict[int, tuple[int, Any]]
 """By field: its Thrift type and its value; a list's value is (type, values)."""
@@ -47,10 +51,10 @@ _PAGE_OFFSETS = (9, 10, 11)
 _BLOOM_FILTER = (14, 15)
 
 
-def join(paths: Sequence[Path], out: BinaryIO, copy: Callable[[Path, int, int, BinaryIO], None]) -> None:
+def join(paths: Sequence[Path], out: BinaryIO) -> None:
     """Write one file with the row groups of all; their schemas must be equal.
 
-    ``copy(path, start, end, out)`` appends bytes of a file. Raises ValueError for a file that is not Parquet.
+    Raises ValueError for a file that is not Parquet.
     """
     out.write(_MAGIC)
     whole: Struct | None = None
@@ -60,7 +64,7 @@ def join(paths: Sequence[Path], out: BinaryIO, copy: Callable[[Path, int, int, B
     for path in paths:
         footer, end = _footer(path)
         out.flush()
-        copy(path, len(_MAGIC), end, out)
+        append_bytes(path, len(_MAGIC), end, out)
         for group in footer[_ROW_GROUPS][1][1]:
             _move(group, place - len(_MAGIC), len(groups))
             groups.append(group)
@@ -83,7 +87,7 @@ def _footer(path: Path) -> tuple[Struct, int]:
         if magic != _MAGIC or length + 12 > size:
             raise ValueError(f"{path}: not a whole Parquet file")
         file.seek(size - 8 - length)
-        return _Reader(file.read(length)).struct(), size - 8 - length
+        return _read_struct(io.BytesIO(file.read(length))), size - 8 - length
 
 
 def _move(group: Struct, by: int, ordinal: int) -> None:
@@ -107,59 +111,46 @@ def _add(fields: Struct, which: Sequence[int], by: int) -> None:
             fields[field] = fields[field][0], fields[field][1] + by
 
 
-class _Reader:
-    """Read values of the compact protocol."""
+def _read_varint(data: BinaryIO) -> int:
+    found = shift = 0
+    while True:
+        byte = data.read(1)[0]
+        found |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return found
+        shift += 7
 
-    def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
 
-    def _byte(self) -> int:
-        self._at += 1
-        return self._data[self._at - 1]
+def _read_integer(data: BinaryIO) -> int:
+    number = _read_varint(data)
+    return number >> 1 ^ -(number & 1)
 
-    def _varint(self) -> int:
-        found = shift = 0
-        while True:
-            byte = self._byte()
-            found |= (byte & 0x7F) << shift
-            if byte < 0x80:
-                return found
-            shift += 7
 
-    def _zigzag(self) -> int:
-        number = self._varint()
-        return number >> 1 ^ -(number & 1)
+def _read_struct(data: BinaryIO) -> Struct:
+    """Read fields up to the stop."""
+    found: Struct = {}
+    field = 0
+    while head := data.read(1)[0]:
+        field = field + (head >> 4) if head >> 4 else _read_integer(data)
+        kind = head & 15
+        found[field] = kind, kind == _TRUE if kind in (_TRUE, _FALSE) else _read_value(data, kind)
+    return found
 
-    def _bytes(self, count: int) -> bytes:
-        self._at += count
-        return self._data[self._at - count : self._at]
 
-    def struct(self) -> Struct:
-        """Read fields up to the stop."""
-        found: Struct = {}
-        field = 0
-        while head := self._byte():
-            field = field + (head >> 4) if head >> 4 else self._zigzag()
-            kind = head & 15
-            found[field] = kind, kind == _TRUE if kind in (_TRUE, _FALSE) else self._value(kind)
-        return found
-
-    def _value(self, kind: int) -> Any:
-        if kind in _INTEGERS:
-            return self._zigzag()
-        if kind == _BINARY:
-            return self._bytes(self._varint())
-        if kind == _STRUCT:
-            return self.struct()
-        if kind == _LIST:
-            head = self._byte()
-            count = head >> 4 if head >> 4 < 15 else self._varint()
-            return head & 15, [self._value(head & 15) for _ in range(count)]
-        if kind == _DOUBLE:
-            return self._bytes(8)
-        if kind in (_TRUE, _FALSE, _BYTE):
-            return self._byte()
-        raise ValueError(f"Thrift type {kind} in a Parquet footer")
+def _read_value(data: BinaryIO, kind: int) -> Any:
+    if kind in _INTEGERS:
+        return _read_integer(data)
+    if kind == _BINARY:
+        return data.read(_read_varint(data))
+    if kind == _STRUCT:
+        return _read_struct(data)
+    if kind == _LIST:
+        head = data.read(1)[0]
+        count = head >> 4 if head >> 4 < 15 else _read_varint(data)
+        return head & 15, [_read_value(data, head & 15) for _ in range(count)]
+    if kind in _BYTES:
+        return data.read(_BYTES[kind])
+    raise ValueError(f"Thrift type {kind} in a Parquet footer")
 
 
 def _struct_bytes(fields: Struct) -> bytes:
@@ -168,7 +159,7 @@ def _struct_bytes(fields: Struct) -> bytes:
     for field, (given, value) in sorted(fields.items()):
         kind = (_TRUE if value else _FALSE) if given in (_TRUE, _FALSE) else given
         step = field - before
-        out += bytes([step << 4 | kind]) if 0 < step < 16 else bytes([kind]) + _zigzag_bytes(field)
+        out += bytes([step << 4 | kind]) if 0 < step < 16 else bytes([kind]) + _integer_bytes(field)
         before = field
         if kind not in (_TRUE, _FALSE):
             out += _value_bytes(kind, value)
@@ -177,7 +168,7 @@ def _struct_bytes(fields: Struct) -> bytes:
 
 def _value_bytes(kind: int, value: Any) -> bytes:
     if kind in _INTEGERS:
-        return _zigzag_bytes(value)
+        return _integer_bytes(value)
     if kind == _BINARY:
         return _varint_bytes(len(value)) + bytes(value)
     if kind == _STRUCT:
@@ -187,10 +178,10 @@ def _value_bytes(kind: int, value: Any) -> bytes:
         count = len(values)
         head = bytes([count << 4 | of]) if count < 15 else bytes([0xF0 | of]) + _varint_bytes(count)
         return head + b"".join(_value_bytes(of, one) for one in values)
-    return bytes(value) if kind == _DOUBLE else bytes([value])
+    return bytes(value)
 
 
-def _zigzag_bytes(number: int) -> bytes:
+def _integer_bytes(number: int) -> bytes:
     return _varint_bytes(number << 1 if number >= 0 else (-number << 1) - 1)
 
 

@@ -69,7 +69,7 @@ class Resampler:
             if not table.timed:
                 raise InputError("--resample: the log has no timestamps")
             self._channels = table.channels
-            self._columns |= {column.name: column for column in table.columns if column.kind != "word"}
+            self._columns |= {column.name: column for column in table.columns}
             groups = _summed(self._joined(self._grouped(table)))
             last = np.append(groups.key[1:] != groups.key[:-1], True)
             self._open = groups.take(last)
@@ -83,7 +83,7 @@ class Resampler:
             place = np.minimum(np.searchsorted(self._open.key, table.key), len(self._open.key) - 1)
             known = self._open.key[place] == table.key
             interval = np.where(known, np.maximum(interval, self._open.interval[place]), interval)
-        sums = {c.name: _contributions(c, table.values[c.name]) for c in table.columns if c.kind != "word"}
+        sums = {c.name: _contributions(c, table.values[c.name]) for c in table.columns}
         return _Groups(table.key, interval, np.ones(len(table), dtype=np.int64), sums)
 
     def _intervals(self, t_ns: IntArray) -> IntArray:

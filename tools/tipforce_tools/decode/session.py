@@ -1,47 +1,53 @@
-"""One run of `tipforce decode`: from logs through the requested steps to the output and the report."""
+"""One run of `tipforce decode`: from logs through the requested steps to the output and the report.
+
+The rows pass through this process, or workers decode and write the parts of the logs themselves: parts of a file that
+is joined from them, or of a dataset.
+"""
 
 from __future__ import annotations
 
+import os
 import sys
+import time
 from argparse import Namespace
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tipforce.errors import InputError
+from tipforce.errors import InputError, WriteError
 from tipforce.host.dataset.reader import tables_of_logs
 from tipforce.host.dataset.store import is_dataset, is_url
-from tipforce.host.decoding.log_part import StrictError
+from tipforce.host.decoding.log_part import Piece, Reading, StrictError
 from tipforce.host.decoding.recording import Recording, Tap, Told
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.frames.frame_array import MAX_CHANNELS
+from tipforce.host.logs.lines import is_plain, line_borders
+from tipforce.host.logs.reader import log_kind
 from tipforce.samples import reasons
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
 from tipforce_tools.decode import summary as summaries
-from tipforce_tools.decode.events import events_path, write_events
-from tipforce_tools.decode.part_session import (
-    JOINED,
-    FilePart,
-    aborted,
-    check_readable,
-    in_parts,
-    write_dataset,
-    write_file,
-    write_parts,
-)
-from tipforce_tools.decode.progress import ProgressBar
 from tipforce_tools.decode.text_rows import COUNTER, NODE, TIME
-from tipforce_tools.decode.writers import Shape, StreamWriter, check_format, format_of, is_directory
+from tipforce_tools.decode.writers import JoinedFile, Output, Shape, StreamWriter, check_format, format_of, is_directory
 
 if TYPE_CHECKING:
     from tipforce_robots.mcap_file import McapWriter
-    from tipforce_tools.decode.part_files import PartFile
-
+    from tipforce_tools.decode.workers import Sink, Workers, Written
 
 _FIRST_ROWS = 100_000  # inspected before the first is written, so that rare columns are known
+_SMALL_BYTES = 1_000_000_000  # of all logs: to it one process needs less processor time and memory, and seconds
+_LEAST_PIECE_BYTES = 8_000_000  # minimum size of a piece
+_PIECE_BYTES = 16_000_000  # of a large log: several results fit in memory
+_FOLLOW_S = 2.0  # between looks at a growing log
+_FOLLOWED_BYTES = 16_000_000  # of a part that is written again while its log grows
+_DATASET_PIECE_BYTES = 64_000_000  # a file per node of some megabytes
+_JOINED = ("csv", "jsonl", "parquet")
+"""Formats whose parts can be written apart."""
 
 
 def decode(args: Namespace) -> int:
@@ -49,134 +55,215 @@ def decode(args: Namespace) -> int:
 
     Raises InputError for unusable input, EnvironmentLackError for a missing package, OSError for a full disk.
     """
-    names = choice.logs(args.logs)
-    kind = "jsonl" if args.json and args.output in {None, "-"} and args.format is None else None
-    kind = kind or format_of(args.output, args.format)
-    steps = _Steps(args)
-    reading = choice.reading(args, names, steps.layouts, steps.signals)
-    recording = Recording(reading)
-    summary = summaries.Summary()
-    bar = ProgressBar(names, args)
-    directory = args.output is not None and is_directory(args.output)
-    pieces = [] if directory else in_parts(args, kind, names)
+    _check(args)
+    run = _Run(args)
     code, complete = 0, False
     try:
-        if directory:
-            write_dataset(args, names, reading, recording.told, summary, bar)
-        elif pieces:
-            write_parts(args, kind, pieces, reading, recording, summary, bar)
-        else:
-            _write_all(args, kind, names, steps, recording, summary, bar)
+        with _progress(args, run.names) as advance:
+            run.write(advance)
         complete = True
     except StrictError as error:
-        bar.close()
         print(f"tipforce decode: {error}", file=sys.stderr)
         code = 1
     finally:
-        bar.close()
-        _report(args, summary, recording.told, complete)
-    if args.json and (args.output not in {None, "-"} or args.summary):
-        common.print_json(summaries.record(summary, recording.told, args.output))
+        run.report(complete)
+    if args.json and (_to_file(args) or args.summary):
+        common.print_json(summaries.record(run.summary, run.told, args.output))
     elif args.summary:
-        for line in (*summaries.lines(summary, recording.told), *summaries.event_lines(recording.told)):
+        for line in (*summaries.lines(run.summary, run.told), *summaries.event_lines(run.told)):
             print(line)
-    dropped = summaries.bad_lines(recording.told).get("interface", 0)
+    dropped = summaries.bad_lines(run.told).get("interface", 0)
     if dropped:
-        print(f"tipforce decode: {_left_out(dropped)}", file=sys.stderr)
+        print(
+            f"tipforce decode: {counted(dropped, 'frame')} left out: a log may have {MAX_CHANNELS} interfaces; decode "
+            "the others apart, as with `grep ' can300 ' run.log | tipforce decode -`",
+            file=sys.stderr,
+        )
     return 1 if dropped else code
 
 
-def _left_out(frames: int) -> str:
-    return (
-        f"{counted(frames, 'frame')} left out: a log may have {MAX_CHANNELS} interfaces; decode the others apart, as "
-        "with `grep ' can300 ' run.log | tipforce decode -`"
-    )
+def _to_file(args: Namespace) -> bool:
+    return args.output not in {None, "-"}
 
 
-class _Steps:
-    """The steps on tables between the logs and the output."""
+def _to_dataset(args: Namespace) -> bool:
+    return args.output is not None and is_directory(args.output)
+
+
+class _Run:
+    """The logs ``names``, and what is known of them: ``summary`` of the rows, ``told`` of all else."""
 
     def __init__(self, args: Namespace) -> None:
-        self.layouts = choice.layouts(args)
-        names = choice.names_of(args.signals)
-        self._contact = None
-        computed: dict[str, str] = {}
-        if args.calibration:
-            from tipforce.host.decoding import contact_columns
+        """Raises InputError."""
+        self._args = args
+        self.names = choice.logs(args.logs)
+        json_on_stdout = args.json and not _to_file(args) and args.format is None
+        self._kind = "jsonl" if json_on_stdout else format_of(args.output, args.format)
+        self._steps = choice.Steps(args)
+        self._reading = choice.reading(args, self.names, self._steps.layouts, self._steps.signals)
+        self._recording = Recording(self._reading)
+        self.told = self._recording.told
+        self.summary = summaries.Summary()
 
-            calibrations = contact_columns.read_calibrations(args.calibration)
-            if not args.gauges and not args.dcf and not args.ask:
-                self.layouts = replace(self.layouts, gauges=contact_columns.gauges_of(calibrations))
-            computed = {name: signal for name in names or () if (signal := contact_columns.is_computed(name))}
-            rest = choice.checked_signals(self.layouts, tuple(n for n in names or () if n not in computed))
-            asked = None
-            if names is not None:
-                left = iter(rest or ())
-                asked = tuple(computed[name] if name in computed else next(left, "") for name in names)
-            self._contact = contact_columns.ContactColumns(calibrations, asked)
-            self.asked, self.signals = asked, contact_columns.signals_needed(asked, calibrations)
+    def write(self, advance: Callable[[float], None]) -> None:
+        """Decode and write; ``advance`` takes the bytes of the logs that are done since the last call.
+
+        Raises InputError, WriteError, OSError for stdout.
+        """
+        args = self._args
+        if _to_dataset(args):
+            self._write_dataset(advance)
+        elif pieces := _in_parts(args, self._kind, self.names):
+            self._write_parts(pieces, advance)
+        elif args.summary and args.output is None:
+            for _ in self._tables(advance):
+                pass
+            _check_readable(args, self.told)
         else:
-            self.asked = self.signals = choice.checked_signals(self.layouts, names)
-        self.rate_hz: float | None = args.resample
-        self._resampler = None
-        if args.resample is not None:
-            from tipforce_tools.decode.resample import Resampler
+            self._write_all(advance)
 
-            self._resampler = Resampler(args.resample, self.asked)
+    def _tables(self, advance: Callable[[float], None], tap: Tap | None = None) -> Iterable[Table]:
+        found = tables_of_logs(self._recording, self.names, _positions(advance), tap)
+        return self._steps.resampled(self.summary.passing(self._steps.contact(found)))
 
-    def contact(self, tables: Iterable[Table]) -> Iterable[Table]:
-        """Add the contact columns if a calibration is given."""
-        return tables if self._contact is None else self._contact.tables(tables)
+    def _write_all(self, advance: Callable[[float], None]) -> None:
+        """Write the rows, which pass through this process."""
+        args, kind = self._args, self._kind
+        check_format(args.output, kind)
+        base = (TIME, NODE, *(() if args.resample is not None else (COUNTER,)))
+        inputs = [name for name in self.names if name != "-"]
+        looked_ahead = _looked_ahead if _to_file(args) and not args.follow else iter
+        if _to_file(args) and kind in {"parquet", "csv"}:
+            shape = Shape(base)
+            joined = JoinedFile(Path(args.output), kind, shape, inputs)
+            with self._completed(joined):
+                joined.add(0, joined.sink.write(0, looked_ahead(self._tables(advance)), shape), shape)
+            return
+        writer = _mcap(args.output, inputs) if kind == "mcap" else StreamWriter(args.output, kind, base, inputs)
+        with self._completed(writer):
+            for table in looked_ahead(self._tables(advance, writer.frames)):
+                writer.write(table)
+        if writer.left_out:
+            left_out = ", ".join(sorted(writer.left_out))
+            common.note(args, f"not in the CSV, because they appeared after its header: {left_out}")
 
-    def resampled(self, tables: Iterable[Table]) -> Iterable[Table]:
-        """Resample to a uniform grid if a rate is given."""
-        return tables if self._resampler is None else self._resampler.tables(tables)
+    def _write_parts(self, pieces: list[Piece], advance: Callable[[float], None]) -> None:
+        """Write one file from parts that workers write."""
+        from tipforce_tools.decode.workers import InOrder
+
+        shape = Shape((TIME, NODE, COUNTER))
+        output = JoinedFile(Path(self._args.output), self._kind, shape, [piece.name for piece in pieces])
+        with self._completed(output):
+            workers = _workers(self._args, self._reading, output.sink, len(pieces))
+            for written in InOrder(pieces, self._recording, shape, workers, asked=self._reading.signals):
+                self.summary.append(written.summary)
+                output.add(written.number, written.record, written.shape)
+                advance(_size(written.piece))
+
+    @contextmanager
+    def _completed(self, output: Output) -> Iterator[None]:
+        """Complete the output after the block, with the events beside it; abort it where something fails."""
+        args = self._args
+        try:
+            yield
+            _check_readable(args, self.told)
+            output.close(self.told.events())
+            if _to_file(args):
+                summaries.write_events(args.output, self.told.events())
+        except OSError as error:
+            output.abort()
+            if not _to_file(args):
+                raise
+            raise WriteError(f"{args.output}: {error.strerror or error}; an old file is unchanged") from error
+        except BaseException:
+            output.abort()
+            raise
+
+    def _write_dataset(self, advance: Callable[[float], None]) -> None:
+        """Add the logs to a dataset."""
+        from tipforce_tools.decode.dataset_run import DatasetRun
+        from tipforce_tools.decode.workers import Here
+
+        args = self._args
+        reading = replace(self._reading, follow=False)  # a growing log is read again and again
+        names = self.names if args.scheduler is None else [os.path.abspath(name) for name in self.names]
+
+        def workers(sink: Sink, parts: int) -> Workers:
+            here = args.scheduler is None and (min(_jobs(args), parts) < 2 or args.follow or args.eds)
+            return Here(reading, sink) if here else _workers(args, reading, sink, parts)
+
+        def each(written: Written) -> None:
+            self.summary.append(written.summary)
+            advance(_size(written.piece))
+
+        run = DatasetRun(
+            args.output, reading, self.told, args.hand, partial(_pieces_from, args), workers, each,
+            partial(_check_readable, args),
+        )  # fmt: skip
+        try:
+            while True:
+                run.add(names)
+                if not args.follow:
+                    break
+                time.sleep(_FOLLOW_S)
+        except OSError as error:
+            raise WriteError(f"{args.output}: {error.strerror or error}; what was committed before stays") from error
+        if not run.added:
+            common.note(args, f"{args.output}: nothing new in {counted(len(names), 'log')}")
+
+    def report(self, complete: bool) -> None:
+        """Report on stderr what is noteworthy; ``complete``: the output is."""
+        args, told, summary = self._args, self.told, self.summary
+        for line in summaries.notes_lines(told):
+            common.note(args, line)
+        if told.unseen and not args.calibration:
+            common.note(args, reasons.not_seen(node for _, node in told.unseen))
+        if complete and not summary.samples and told.notes:
+            frames = sum(notes.frames for notes in told.notes)
+            flags = choice.narrowing_flags(args)
+            chosen = f"; {flags} may exclude it" if flags and frames else ""
+            common.note(args, f"no sample of a fingertip in {counted(frames, 'frame')}{chosen}")
+        if args.summary and not args.json:
+            return
+        for line in summaries.event_lines(told):
+            common.note(args, line)
+        for line in summaries.lines(summary, told) if args.verbose else summaries.lost_lines(told):
+            common.note(args, line)
+        if complete and _to_file(args) and not args.json and (told.notes or not _to_dataset(args)):
+            lost = sum(told.tally.lost().values())
+            common.note(args, f"{args.output}: {summary.samples} samples of {len(summary.nodes())} nodes, {lost} lost")
+            if (events := told.events()) and not _to_dataset(args):
+                common.note(args, f"{summaries.events_path(args.output)}: {counted(len(events), 'event')}")
 
 
-def _write_all(args: Namespace, kind: str, names: Sequence[str], steps: _Steps, recording: Recording,
-               summary: summaries.Summary, bar: ProgressBar) -> None:  # fmt: skip
-    """Write the rows, which pass through this process. Raises as ``write_file`` does."""
-
-    def tables(tap: Tap | None = None) -> Iterable[Table]:
-        found = tables_of_logs(recording, names, bar if bar.wanted else None, tap)
-        return steps.resampled(summary.passing(steps.contact(found)))
-
-    told = recording.told
-    if args.summary and args.output is None:
-        for _ in tables():
-            pass
-        check_readable(args, told)
+@contextmanager
+def _progress(args: Namespace, names: Sequence[str]) -> Iterator[Callable[[float], None]]:
+    """Show the progress in bytes of the logs; yield what takes the bytes done since its last call."""
+    total = sum(Path(name).stat().st_size for name in names if Path(name).is_file())
+    rows_on_screen = sys.stdout.isatty() and args.output is None and not args.summary
+    if not sys.stderr.isatty() or args.quiet or args.follow or not total or rows_on_screen:
+        yield lambda _bytes: None
         return
-    check_format(args.output, kind)
-    base = (TIME, NODE, *(() if steps.rate_hz is not None else (COUNTER,)))
-    inputs = [name for name in names if name != "-"]
-    to_file = args.output not in {None, "-"}
-    looked_ahead = _looked_ahead if to_file and not args.follow else iter
-    if to_file and kind in {"parquet", "csv"}:
-
-        def part(sink: PartFile, shape: Shape) -> Iterator[FilePart]:
-            yield 0, sink.write(0, looked_ahead(tables()), shape), shape
-
-        write_file(args, kind, base, inputs, told, part)
-        return
-    writer: StreamWriter | McapWriter = _mcap(args, inputs) if kind == "mcap" else StreamWriter(
-        args.output, kind, base, inputs)  # fmt: skip
-    with aborted(args, writer):
-        for table in looked_ahead(tables(writer.frames)):
-            writer.write(table)
-        check_readable(args, told)
-        writer.close(told.events())
-        if to_file:
-            write_events(args.output, told.events())
-    if writer.left_out:
-        left_out = ", ".join(sorted(writer.left_out))
-        common.note(args, f"not in the CSV, because they appeared after its header: {left_out}")
+    with common.progress(args, "bytes", total) as advance:
+        yield advance
 
 
-def _mcap(args: Namespace, inputs: Sequence[str]) -> McapWriter:
+def _positions(advance: Callable[[float], None]) -> Callable[[int], None]:
+    """Return what takes the position in the current log; a smaller one than before means the next log."""
+    before = 0
+
+    def move(position: int) -> None:
+        nonlocal before
+        advance(position - before if position >= before else position)
+        before = position
+
+    return move
+
+
+def _mcap(output: str, inputs: Sequence[str]) -> McapWriter:
     from tipforce_robots.mcap_file import McapWriter
 
-    return McapWriter(Path(args.output), inputs)
+    return McapWriter(Path(output), inputs)
 
 
 def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
@@ -198,79 +285,124 @@ def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
     yield from iterator
 
 
-def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: bool) -> None:
-    for line in summaries.notes_lines(told):
-        common.note(args, line)
-    if told.unseen and not args.calibration:
-        common.note(args, reasons.not_seen(node for _, node in told.unseen))
-    if complete and not summary.samples and told.notes:
-        common.note(args, _nothing(args, told))
-    if args.summary and not args.json:
-        return
-    for line in summaries.event_lines(told):
-        common.note(args, line)
-    for line in summaries.lines(summary, told) if args.verbose else summaries.lost_lines(told):
-        common.note(args, line)
-    directory = args.output is not None and is_directory(args.output)
-    if complete and args.output not in {None, "-"} and not args.json and not (directory and not told.notes):
-        lost = sum(told.tally.lost().values())
-        common.note(args, f"{args.output}: {summary.samples} samples of {len(summary.nodes())} nodes, {lost} lost")
-        if (events := told.events()) and not directory:
-            common.note(args, f"{events_path(args.output)}: {counted(len(events), 'event')}")
+def _in_parts(args: Namespace, kind: str, names: Sequence[str]) -> list[Piece]:
+    """Return the parts that workers decode and write themselves; none for rows that pass through this process."""
+    live = args.output in {None, "-"} or args.follow or "-" in names
+    if live or kind not in _JOINED or args.resample is not None or args.calibration:
+        return []
+    if args.eds or any(map(is_dataset, names)):  # SDO traffic is followed in sequence; a dataset's rows are only read
+        return []
+    jobs = _jobs(args)
+    if args.scheduler is None and (jobs < 2 or (args.jobs is None and sum(map(os.path.getsize, names)) < _SMALL_BYTES)):
+        return []
+    if args.scheduler is not None:
+        names = [os.path.abspath(name) for name in names]
+    pieces = pieces_of(args, names, jobs)
+    return pieces if len(pieces) > 1 or args.scheduler is not None else []
 
 
-def _nothing(args: Namespace, told: Told) -> str:
-    """Return the reason for an output without rows."""
+def _workers(args: Namespace, reading: Reading, sink: Sink, parts: int) -> Workers:
+    from tipforce_tools.decode.workers import Cluster, Processes
+
+    if args.scheduler is not None:
+        return Cluster(args.scheduler, reading, sink)
+    return Processes(min(_jobs(args), parts), reading, sink)
+
+
+def _pieces_from(args: Namespace, name: str, start: int) -> list[Piece]:
+    """Return a log from a byte on in pieces that are parts of a dataset."""
+    size = os.path.getsize(name) - start
+    count = -(-size // (_FOLLOWED_BYTES if args.follow else _DATASET_PIECE_BYTES))
+    return _cut(args, name, start, max(count, min(_jobs(args), size // _LEAST_PIECE_BYTES), 1))
+
+
+def pieces_of(args: Namespace, names: Sequence[str], jobs: int) -> list[Piece]:
+    """Return the logs, large ones in pieces: equally many per job, of bounded size.
+
+    With --strict, output to stdout ends at the bad line: one piece.
+    """
+    whole = jobs < 2 or (args.strict and (not _to_file(args) or args.summary or args.json))
+    found: list[Piece] = []
+    for name in names:
+        size = 0 if whole or name == "-" else os.path.getsize(name)
+        count = min(size // _LEAST_PIECE_BYTES, jobs * -(-size // (jobs * _PIECE_BYTES)))
+        found += _cut(args, name, 0, count) if count > 1 else [Piece(name)]
+    return found
+
+
+def _cut(args: Namespace, name: str, start: int, count: int) -> list[Piece]:
+    """Return plain text from a byte on in pieces; whole what cannot be cut: its lines need those in front."""
+    path = Path(name)
+    if args.deltas or args.eds or log_kind(path) != "text" or not is_plain(path):
+        return [Piece(name)]
+    return [Piece(name, begin, end) for begin, end in pairwise(line_borders(path, count, start))]
+
+
+def _size(piece: Piece) -> int:
+    return (Path(piece.name).stat().st_size if piece.end is None else piece.end) - piece.start
+
+
+def _jobs(args: Namespace) -> int:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return args.jobs or cores
+
+
+def _check_readable(args: Namespace, told: Told) -> None:
+    """Raises LogError for an input without a frame, and for one without a sample if no flag leaves samples out.
+
+    A log that is followed may have them later.
+    """
+    from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
+
+    names = ", ".join(notes.source for notes in told.notes)
     frames = sum(notes.frames for notes in told.notes)
-    flags = choice.narrowing_flags(args)
-    chosen = f"; {flags} may exclude it" if flags and frames else ""
-    return f"no sample of a fingertip in {counted(frames, 'frame')}{chosen}"
+    if summaries.bad_lines(told) and not frames and not args.follow:
+        raise no_frame(names, (TEXT, PACKED, MESSAGES, PCAP))
+    narrowed = args.signals or args.calibration or args.follow or choice.narrowing_flags(args)
+    if frames and not told.tally.messages and not told.tally.short and not told.events() and not narrowed:
+        raise no_sample(names, frames, sum(notes.extended for notes in told.notes))
 
 
-def check(args: Namespace) -> None:
+def _check(args: Namespace) -> None:
     """Check for incompatible flags. Raises InputError."""
-    if format_of(args.output, args.format) == "mcap":
-        given = {"--dbc": args.dbc, "--eds": args.eds, "--signals": args.signals, "--scheduler": args.scheduler}
-        for flag, value in given.items():
-            if value:
-                raise InputError(f"{flag}: MCAP has whole contacts and all frames; for {flag} write .csv or .parquet")
-    if args.jobs is not None and args.jobs < 1:
-        raise InputError(f"--jobs {args.jobs}: allowed is 1 or more")
-    if args.follow and len(args.logs) > 1:
-        raise InputError("--follow: allowed is one log")
-    if args.follow and args.scheduler:
-        raise InputError("--follow: a growing log is decoded locally; leave out --scheduler")
-    if (args.follow or args.scheduler) and any(map(is_url, args.logs)):
-        raise InputError("a log behind a URL is copied first: leave out --follow and --scheduler, or name a file")
-    _check_dataset(args)
-    _check_scheduler(args)
-
-
-def _check_dataset(args: Namespace) -> None:
-    directory = args.output is not None and is_directory(args.output)
-    if directory and args.format not in {None, "parquet"}:
-        raise InputError(f"--format {args.format}: a dataset has Parquet files; name a file with --output")
-    if directory and (args.calibration or args.resample is not None or "-" in args.logs or not args.logs):
-        raise InputError(
+    kind, to_dataset = format_of(args.output, args.format), _to_dataset(args)
+    rows_pass_here = not _to_file(args) or args.calibration or args.resample is not None
+    not_of_mcap = {"--dbc": args.dbc, "--eds": args.eds, "--signals": args.signals, "--scheduler": args.scheduler}
+    given = next((flag for flag, value in not_of_mcap.items() if value), "")
+    source = next(filter(is_dataset, args.logs), "") if to_dataset else ""
+    refused = (
+        (
+            kind == "mcap" and given,
+            f"{given}: MCAP has whole contacts and all frames; for {given} write .csv or .parquet",
+        ),
+        (args.follow and len(args.logs) > 1, "--follow: allowed is one log"),
+        (args.follow and args.scheduler, "--follow: a growing log is decoded locally; leave out --scheduler"),
+        (
+            (args.follow or args.scheduler) and any(map(is_url, args.logs)),
+            "a log behind a URL is copied first: leave out --follow and --scheduler, or name a file",
+        ),
+        (
+            to_dataset and args.format not in {None, "parquet"},
+            f"--format {args.format}: a dataset has Parquet files; name a file with --output",
+        ),
+        (
+            to_dataset and (args.calibration or args.resample is not None or "-" in args.logs or not args.logs),
             f"--output {args.output}: a dataset has what the nodes sent, of log files: leave out --calibration, "
-            "--resample and stdin; apply a calibration when reading it"
-        )
-    if directory and (found := [name for name in args.logs if is_dataset(name)]):
-        raise InputError(f"{found[0]}: is a dataset, and {args.output} is filled from logs; name the logs")
-    if args.hand is not None and not directory:
-        raise InputError("--hand: is a partition of a dataset; name one with --output DIR/")
-
-
-def _check_scheduler(args: Namespace) -> None:
-    if not args.scheduler:
-        return
-    rows_pass_here = args.output in {None, "-"} or args.calibration or args.resample is not None
-    if rows_pass_here or format_of(args.output, args.format) not in JOINED:
-        raise InputError(
+            "--resample and stdin; apply a calibration when reading it",
+        ),
+        (source, f"{source}: is a dataset, and {args.output} is filled from logs; name the logs"),
+        (args.hand is not None and not to_dataset, "--hand: is a partition of a dataset; name one with --output DIR/"),
+        (
+            args.scheduler and (rows_pass_here or kind not in _JOINED),
             "--scheduler: its workers write .csv, .jsonl, .parquet or DIR/: name one with --output, and leave out "
-            "--calibration and --resample"
-        )
-    if args.eds:
-        raise InputError("--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out")
-    if not [name for name in args.logs if name != "-"]:
-        raise InputError("--scheduler: name log files that its workers can read")
+            "--calibration and --resample",
+        ),
+        (
+            args.scheduler and args.eds,
+            "--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out",
+        ),
+        (args.scheduler and not {*args.logs} - {"-"}, "--scheduler: name log files that its workers can read"),
+    )
+    for is_refused, why in refused:
+        if is_refused:
+            raise InputError(why)

@@ -1,19 +1,26 @@
-"""Summary of a decode per node: samples, lost ones, missing values with reasons, first and last time."""
+"""What a recording holds: per node samples, lost ones, missing values with reasons, and times; events as CSV."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import csv
+import io
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from tipforce.host.decoding.recording import Told
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
+from tipforce.host.decoding.services import BusEvent
+from tipforce.output_file import Kind, write_file
 from tipforce.samples.reasons import CAUSES
-from tipforce_tools.decode.events import COLUMNS
+from tipforce_tools.cli.common import shown_id
 
+EVENT_COLUMNS = ("t_s", "channel", "node", "event", "code", "text")
+_EVENTS_KIND = Kind("a file of events of `tipforce decode`", rb"\A" + ",".join(EVENT_COLUMNS).encode() + rb"\n")
 NO_FRAME, UNKNOWN = "no_frame", "unknown"
 _EVENTS = {"emcy_reset": "EMCY no error", "boot_up": "boot-up", "state": "NMT state", "calibration": "calibration"}
 _ORDER = (*CAUSES, UNKNOWN)
@@ -32,15 +39,15 @@ class NodeSummary:
     samples: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
-    told: dict[str, dict[str, int]] = field(default_factory=dict)
-    present: dict[str, int] = field(default_factory=dict)
+    told: dict[str, Counter[str]] = field(default_factory=dict)
+    present: Counter[str] = field(default_factory=Counter)
 
     @property
     def missing(self) -> dict[str, dict[str, int]]:
         """Return by column and reason the number of samples without a value; columns never sent are left out."""
         found = {}
         for name, present in self.present.items():
-            told = self.told.get(name, {})
+            told = self.told.get(name, Counter())
             reasons = {reason: told[reason] for reason in _ORDER if reason in told}
             if present < self.samples:
                 reasons[NO_FRAME] = self.samples - present
@@ -53,9 +60,9 @@ class NodeSummary:
         self.samples += other.samples
         self.first_ns = min((t for t in (self.first_ns, other.first_ns) if t is not None), default=None)
         self.last_ns = max((t for t in (self.last_ns, other.last_ns) if t is not None), default=None)
-        _add(self.present, other.present)
+        self.present.update(other.present)
         for column, reasons in other.told.items():
-            _add(self.told.setdefault(column, {}), reasons)
+            self.told.setdefault(column, Counter()).update(reasons)
 
     def record(self, told: Told) -> dict[str, Any]:
         """Return the JSON record."""
@@ -112,7 +119,7 @@ class Summary:
                 absent = table.absent.get(column.name)
                 there = counts if absent is None else np.add.reduceat(~absent[order], starts, dtype=np.int64)
                 for number, key in enumerate(nodes):
-                    nodes[key].present[column.name] = nodes[key].present.get(column.name, 0) + int(there[number])
+                    nodes[key].present[column.name] += int(there[number])
                 self._add_missing(column, table, nodes)
 
     def append(self, other: Summary) -> None:
@@ -122,30 +129,19 @@ class Summary:
             self._nodes.setdefault(place, NodeSummary(*place)).append(node)
 
     def _add_missing(self, column: Column, table: Table, nodes: dict[int, NodeSummary]) -> None:
-        missing = np.isnan(table.values[column.name])
-        if not missing.any():
-            return
-        rows = np.flatnonzero(missing)
-        left = np.ones(len(rows), dtype=np.bool_)
+        """Count the missing values of a column, each by the first reason that its row tells."""
+        rows = np.flatnonzero(np.isnan(table.values[column.name]))
         absent = table.absent.get(column.name)
         if absent is not None:
-            left &= ~absent[rows]
-        for reason, (name, is_set, signals) in CAUSES.items():
+            rows = rows[~absent[rows]]
+        reason = np.full(len(rows), _ORDER.index(UNKNOWN))
+        for number, (name, is_set, signals) in reversed([*enumerate(CAUSES.values())]):  # the first one counts
             if name in table.values and (signals is None or column.signal in signals):
-                told = left & (table.values[name][rows] == (1 if is_set else 0))
-                self._note(column, reason, rows[told], table, nodes)
-                left &= ~told
-        self._note(column, UNKNOWN, rows[left], table, nodes)
-
-    def _note(
-        self, column: Column, reason: str, rows: npt.NDArray[np.intp], table: Table, nodes: dict[int, NodeSummary]
-    ) -> None:
-        if not len(rows):
-            return
-        counts = np.bincount(table.key[rows])
-        for key in np.flatnonzero(counts).tolist():
-            reasons = nodes[key].told.setdefault(column.name, {})
-            reasons[reason] = reasons.get(reason, 0) + int(counts[key])
+                reason[table.values[name][rows] == is_set] = number
+        counts = np.bincount(table.key[rows].astype(np.intp) * len(_ORDER) + reason)
+        for place in np.flatnonzero(counts).tolist():
+            key, number = divmod(place, len(_ORDER))
+            nodes[key].told.setdefault(column.name, Counter())[_ORDER[number]] += int(counts[place])
 
     def nodes(self) -> list[NodeSummary]:
         """Return the nodes by channel and node-id."""
@@ -154,19 +150,7 @@ class Summary:
 
 def bad_lines(told: Told) -> dict[str, int]:
     """Return the bad lines of all logs by reason."""
-    return _summed(notes.bad for notes in told.notes)
-
-
-def _summed(counts: Iterable[dict[str, int]]) -> dict[str, int]:
-    total: dict[str, int] = {}
-    for of_log in counts:
-        _add(total, of_log)
-    return total
-
-
-def _add(counts: dict[str, int], more: dict[str, int]) -> None:
-    for name, count in more.items():
-        counts[name] = counts.get(name, 0) + count
+    return sum((Counter(notes.bad) for notes in told.notes), Counter())
 
 
 def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
@@ -178,9 +162,9 @@ def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
         "samples": summary.samples,
         "lost": sum(told.tally.lost().values()),
         "bad": bad_lines(told),
-        "skipped": _summed(notes.skipped for notes in told.notes),
+        "skipped": sum((Counter(notes.skipped) for notes in told.notes), Counter()),
         "events": [
-            dict(zip(COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True)) for event in told.events()
+            dict(zip(EVENT_COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True)) for event in told.events()
         ],
         "nodes": [node.record(told) for node in summary.nodes()],
     }
@@ -195,7 +179,7 @@ def lines(summary: Summary, told: Told) -> Iterator[str]:
         span = ""
         if node.first_ns is not None and node.last_ns is not None:
             span = f" in {(node.last_ns - node.first_ns) / 1e9:.3f} s"
-        line = f"{place}node {node.node} (0x{node.node:02X}): {node.samples} samples{span}"
+        line = f"{place}node {shown_id(node.node)}: {node.samples} samples{span}"
         if (node.channel, node.node) in lost:
             line += f", {lost[node.channel, node.node]} lost"
         yield line
@@ -205,20 +189,19 @@ def lines(summary: Summary, told: Told) -> Iterator[str]:
 
 def event_lines(told: Told) -> Iterator[str]:
     """Yield the events per node: EMCYs by their text, boot-ups and other changes of the NMT state."""
-    counts: dict[tuple[str, int], dict[str, int]] = {}
+    counts: dict[tuple[str, int], Counter[str]] = {}
     for event in told.events():
-        of_node = counts.setdefault((event.channel, event.node_id), {})
         what = f"EMCY {event.text}" if event.kind == "emcy" else _EVENTS.get(event.kind, event.text)
-        of_node[what] = of_node.get(what, 0) + 1
-    for (channel, node), found in sorted(counts.items()):
-        yield f"{channel} node {node} (0x{node:02X}): " + "; ".join(f"{count} {what}" for what, count in found.items())
+        counts.setdefault((event.channel, event.node_id), Counter())[what] += 1
+    for (channel, node), of_node in sorted(counts.items()):
+        yield f"{channel} node {shown_id(node)}: " + "; ".join(f"{count} {what}" for what, count in of_node.items())
 
 
 def lost_lines(told: Told) -> Iterator[str]:
     """Yield the nodes that lost samples."""
     for (channel, node), lost in sorted(told.tally.lost().items()):
         if lost:
-            yield f"{channel} node {node} (0x{node:02X}): {lost} lost samples"
+            yield f"{channel} node {shown_id(node)}: {lost} lost samples"
 
 
 def notes_lines(told: Told) -> Iterator[str]:
@@ -231,4 +214,31 @@ def notes_lines(told: Told) -> Iterator[str]:
             counts = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in notes.skipped.items())
             yield f"{notes.source}: without samples: {counts}"
     for (channel, node, name), short in sorted(told.tally.short.items()):
-        yield f"{channel} node {node} (0x{node:02X}) {name}: {short} frames too short for their mapping"
+        yield f"{channel} node {shown_id(node)} {name}: {short} frames too short for their mapping"
+
+
+def events_path(output: str) -> Path:
+    """Return the file beside an output: run.events.csv for run.csv, DIR/events.csv for DIR/."""
+    path = Path(output)
+    return path / "events.csv" if path.is_dir() else path.with_name(f"{path.stem}.events.csv")
+
+
+def write_events(output: str, events: Sequence[BusEvent]) -> None:
+    """Write the events beside an output as CSV; without events only if an earlier file of events is there.
+
+    Raises InputError for a file of another kind, WriteError.
+    """
+    path = events_path(output)
+    if events or path.exists():
+        text = io.StringIO()
+        rows = csv.writer(text, lineterminator="\n")
+        rows.writerow(EVENT_COLUMNS)
+        rows.writerows(event_rows(events))
+        write_file(path, text.getvalue(), _EVENTS_KIND)
+
+
+def event_rows(events: Sequence[BusEvent]) -> Iterator[tuple[str, str, int, str, str, str]]:
+    """Yield the cells of each event."""
+    for event in events:
+        t_s = f"{event.t_ns // 1_000_000_000}.{event.t_ns % 1_000_000_000:09d}"
+        yield t_s, event.channel, event.node_id, event.kind, f"0x{event.code:04X}", event.text

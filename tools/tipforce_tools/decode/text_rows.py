@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from typing import Any
 
@@ -94,8 +94,6 @@ def column_cells(column: Column, values: Values) -> Cells:
     """Format the values of a column; flags as 0 and 1, no characters for missing values."""
     if column.kind == "real":
         return real_cells(values, column.digits)
-    if column.kind == "word":
-        return word_cells(values)
     if column.kind == "flag":
         return np.where(values == NO_FLAG, 0, values + ord("0")).astype(np.uint8)[:, np.newaxis]
     cells = whole_cells(np.where(is_missing(column, values), 0, values).astype(np.int64))
@@ -157,12 +155,14 @@ _UNITS = {"degree": "deg"}
 _CHUNK_ROWS = 32_768
 
 
-def chunks(table: Table) -> list[Table]:
-    """Split the table into pieces of bounded text size."""
-    if len(table) <= _CHUNK_ROWS:
-        return [table]
-    starts = range(0, len(table), _CHUNK_ROWS)
-    return [table.take(np.arange(start, min(start + _CHUNK_ROWS, len(table)))) for start in starts]
+def _text(table: Table, cells: Callable[[Table], Iterable[bytes | Cells]]) -> bytes:
+    """Return the rows of a table as text, formatted in pieces of bounded size."""
+    text = b""
+    for start in range(0, len(table), _CHUNK_ROWS):
+        whole = len(table) <= _CHUNK_ROWS
+        piece = table if whole else table.take(np.arange(start, min(start + _CHUNK_ROWS, len(table))))
+        text += rows_text([*cells(piece)], len(piece))
+    return text
 
 
 def channel_names(table: Table, quoted: bool = False) -> Cells:
@@ -188,49 +188,53 @@ def base_cells(table: Table, name: str) -> tuple[Cells, np.ndarray[tuple[int], n
     return found, missing
 
 
-def csv_header(base: Sequence[str], columns: Sequence[Column]) -> bytes:
+def name_of(column: Column | str) -> str:
+    """Return the name of a column; one that every table has is its name."""
+    return column if isinstance(column, str) else column.name
+
+
+def csv_header(columns: Sequence[Column | str]) -> bytes:
     """Return the header line."""
-    return ",".join([*base, *(_csv_name(column.name) for column in columns)]).encode() + b"\n"
+    return ",".join(_csv_name(name_of(column)) for column in columns).encode() + b"\n"
 
 
 def _csv_name(name: str) -> str:
     return f'"{name.replace(chr(34), chr(34) * 2)}"' if any(mark in name for mark in ',"\n') else name
 
 
-def csv_rows(table: Table, base: Sequence[str], columns: Sequence[Column]) -> bytes:
+def csv_rows(table: Table, columns: Sequence[Column | str]) -> bytes:
     """Format lines with these columns; those that the table lacks are empty."""
-    text = b""
-    for piece in chunks(table):
-        parts: list[bytes | Cells] = []
-        for name in base:
-            parts += [base_cells(piece, name)[0], b","]
-        for column in columns:
-            if column.name in piece.values:
-                parts.append(column_cells(column, piece.values[column.name]))
-            parts.append(b",")
-        parts[-1] = b"\n"
-        text += rows_text(parts, len(piece))
-    return text
+
+    def cells(piece: Table) -> Iterator[bytes | Cells]:
+        for number, column in enumerate(columns):
+            if number:
+                yield b","
+            if isinstance(column, str):
+                yield base_cells(piece, column)[0]
+            elif column.name in piece.values:
+                yield column_cells(column, piece.values[column.name])
+        yield b"\n"
+
+    return _text(table, cells)
 
 
 def json_rows(table: Table, base: Sequence[str]) -> bytes:
     """Format JSON lines: null for missing values; keys that no row of the table has are left out."""
-    text = b""
-    for piece in chunks(table):
-        parts: list[bytes | Cells] = []
-        start = b"{"
-        for name in base:
-            found, missing = base_cells(piece, name)
+
+    def cells(piece: Table) -> Iterator[bytes | Cells]:
+        for number, name in enumerate(base):
+            yield f'{", " if number else "{"}"{name}": '.encode()
             if name == CHANNEL:
-                parts += [start + b'"channel": "', channel_names(piece, quoted=True), b'"']
+                yield from (b'"', channel_names(piece, quoted=True), b'"')
             else:
-                parts += [start + f'"{name}": '.encode(), instead(found, missing, b"null")]
-            start = b", "
+                found, missing = base_cells(piece, name)
+                yield instead(found, missing, b"null")
         for column in piece.columns:
-            parts += [start + f"{json.dumps(column.name)}: ".encode(), _json_cells(column, piece)]
-        parts.append(b"}\n")
-        text += rows_text(parts, len(piece))
-    return text
+            yield f", {json.dumps(column.name)}: ".encode()
+            yield _json_cells(column, piece)
+        yield b"}\n"
+
+    return _text(table, cells)
 
 
 def _json_cells(column: Column, table: Table) -> Cells:
@@ -245,34 +249,33 @@ def _json_cells(column: Column, table: Table) -> Cells:
 
 def people_rows(table: Table, base: Sequence[str]) -> bytes:
     """Format one line per sample, in columns: time, node, values with units, counter, status words."""
-    text = b""
-    for piece in chunks(table):
-        parts: list[bytes | Cells] = []
+
+    def cells(piece: Table) -> Iterator[bytes | Cells]:
         if piece.timed:
-            parts += [b"(", time_cells(piece.t_ns), b")  "]
+            yield from (b"(", time_cells(piece.t_ns), b")  ")
         if CHANNEL in base:
-            width = max(len(name.encode()) for name in piece.channels)
-            parts += [right(channel_names(piece), width), b"  "]
+            yield right(channel_names(piece), max(len(name.encode()) for name in piece.channels))
+            yield b"  "
         node = piece.node.astype(np.int64)
         hexadecimal = np.array([f"(0x{number:02X})".encode() for number in range(128)])
-        parts += [b"node ", right(whole_cells(node), 3), b" ", word_cells(hexadecimal[node])]
+        yield from (b"node ", right(whole_cells(node), 3), b" ", word_cells(hexadecimal[node]))
         for column in piece.columns:
             if column.kind != "flag":
-                parts += [f"  {column.signal} ".encode(), _people_cells(column, piece), _unit(column, piece)]
+                yield from (f"  {column.signal} ".encode(), _people_cells(column, piece), _unit(column, piece))
         if COUNTER in base:
             counter, without = base_cells(piece, COUNTER)
             counter = np.pad(counter, ((0, 0), (1, 0)), constant_values=ord("#"))
-            parts += [b"  ", instead(counter, without, b"-"), b" "]
+            yield from (b"  ", instead(counter, without, b"-"), b" ")
         said = np.zeros(len(piece), dtype=np.bool_)
         for column in piece.columns:
             if column.kind == "flag":
                 is_set = piece.values[column.name] == 1
                 words = reasons.BY_NAME.get(column.signal, column.signal).encode()
-                parts += [chosen(is_set & said, b", " + words), chosen(is_set & ~said, b" " + words)]
+                yield from (chosen(is_set & said, b", " + words), chosen(is_set & ~said, b" " + words))
                 said |= is_set
-        parts.append(b"\n")
-        text += rows_text(parts, len(piece))
-    return text
+        yield b"\n"
+
+    return _text(table, cells)
 
 
 def _unit(column: Column, table: Table) -> bytes | Cells:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import BinaryIO
-
-import numpy as np
+from typing import BinaryIO, Protocol
 
 from canopen_device.visible_text import visible_lines
 from tipforce.errors import EnvironmentLackError, InputError
@@ -18,10 +16,9 @@ from tipforce.host.decoding.recording import Tap
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.decoding.services import BusEvent
 from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, PARQUET, NewFile
-from tipforce_tools.decode import text_rows
+from tipforce_tools.decode import parquet_join, text_rows
 from tipforce_tools.decode.text_rows import CHANNEL
 
-FORMATS = ("text", "csv", "jsonl", "parquet", "mcap")
 _SUFFIXES = {
     ".csv": "csv", ".jsonl": "jsonl", ".ndjson": "jsonl", ".json": "jsonl", ".parquet": "parquet", ".pq": "parquet",
     ".mcap": "mcap", ".txt": "text",
@@ -67,8 +64,10 @@ class Shape:
 
     def __init__(self, base: tuple[str, ...]) -> None:
         self.base = base
-        self.columns: tuple[Column, ...] = ()
+        self.columns: tuple[Column | str, ...] = ()
+        """After ``base``; CHANNEL among them where a second interface came late."""
         self.channel = ""
+        """Of the rows before it."""
         self._begun = False
 
     def copy(self) -> Shape:
@@ -83,7 +82,7 @@ class Shape:
 
     def take(self, columns: Iterable[Column], channels: Sequence[str]) -> bool:
         """Add columns of a table with these channels; return as ``fits`` does."""
-        known = {column.name for column in self.columns}
+        known = set(map(text_rows.name_of, self.columns))
         new = tuple(column for column in columns if column.name not in known)
         several = len(channels) > 1 and CHANNEL not in self.base and CHANNEL not in known
         begun, self._begun = self._begun, True
@@ -92,16 +91,8 @@ class Shape:
             self.base = (self.base[0], CHANNEL, *self.base[1:])
         elif several:
             self.channel = channels[0]
-            self.columns += (Column(CHANNEL, CHANNEL, "word", None, "", 0),)
+            self.columns += (CHANNEL,)
         return not begun or not (new or several)
-
-    def of(self, table: Table) -> Table:
-        """Return the table with `channel` among its values, if that column was added later."""
-        if not any(column.name == CHANNEL for column in self.columns):
-            return table
-        names = np.array([name.encode() for name in table.channels])[table.channel]
-        column = next(column for column in self.columns if column.name == CHANNEL)
-        return replace(table, columns=(*table.columns, column), values={**table.values, CHANNEL: names})
 
 
 def lines_of(table: Table, kind: str, base: tuple[str, ...]) -> bytes:
@@ -113,6 +104,16 @@ def lines_of(table: Table, kind: str, base: tuple[str, ...]) -> bytes:
     return visible_lines(text_rows.people_rows(table, base).decode()).encode()
 
 
+class Output(Protocol):
+    """An output that is complete after ``close`` and gone after ``abort``."""
+
+    def close(self, events: Sequence[BusEvent]) -> None:
+        """Complete it; a format that has events gets them. Raises OSError."""
+
+    def abort(self) -> None:
+        """Remove it."""
+
+
 class StreamWriter:
     """Text, CSV or JSON lines on stdout or in a file, each table at once; complete after ``close``."""
 
@@ -122,7 +123,7 @@ class StreamWriter:
         self._stream: BinaryIO = sys.stdout.buffer if self._file is None else self._file.partial.open("wb")
         self._kind = kind
         self._shape = Shape(base)
-        self._shown: tuple[Column, ...] | None = None
+        self._shown: tuple[Column | str, ...] = ()
         self.frames: Tap | None = None
         self.left_out: set[str] = set()
 
@@ -134,10 +135,11 @@ class StreamWriter:
 
     def _csv(self, table: Table) -> bytes:
         start = b""
-        if self._shown is None:
-            self._shown, start = self._shape.columns, text_rows.csv_header(self._shape.base, self._shape.columns)
-        self.left_out |= {column.name for column in self._shape.columns if column not in self._shown}
-        return start + text_rows.csv_rows(table, self._shape.base, self._shown)
+        if not self._shown:
+            self._shown = (*self._shape.base, *self._shape.columns)
+            start = text_rows.csv_header(self._shown)
+        self.left_out |= {text_rows.name_of(column) for column in self._shape.columns if column not in self._shown}
+        return start + text_rows.csv_rows(table, self._shown)
 
     def close(self, events: Sequence[BusEvent]) -> None:
         """Complete a file; text has no events. Raises OSError."""
@@ -154,20 +156,102 @@ class StreamWriter:
             self._file.drop()
 
 
-def copy_widened(part: Path, pieces: Sequence[tuple[int, int]], shape: Shape, out: BinaryIO) -> None:
-    """Append rows of a CSV file; ``pieces``: from which offset on they have how many columns."""
-    names = [column.name for column in shape.columns]
-    ends = [where for where, _ in pieces[1:]] + [None]
-    with part.open("rb") as old:
-        for (where, count), end in zip(pieces, ends, strict=True):
-            fill = "".join(f",{shape.channel if name == CHANNEL else ''}" for name in names[count:]).encode()
-            old.seek(where)
-            for block in _blocks(old, None if end is None else end - where):
-                out.write(block.replace(b"\n", fill + b"\n") if fill else block)
+Pieces = list[tuple[int, int]]
+"""From which byte of a part on rows have how many columns."""
 
 
-def _blocks(stream: BinaryIO, count: int | None) -> Iterator[bytes]:
-    left = count
-    while block := stream.read(_COPY_BYTES if left is None else min(_COPY_BYTES, left)):
-        left = None if left is None else left - len(block)
-        yield block
+class PartFile:
+    """Writes a part beside the output, in its format."""
+
+    def __init__(self, output: Path, kind: str) -> None:
+        self._output, self._kind = output, kind
+
+    def path(self, number: int) -> Path:
+        """Return the file of a part."""
+        return self._output.with_name(f"{self._output.name}.{number}")
+
+    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> Pieces:
+        """Write the rows."""
+        if self._kind == "parquet":
+            from tipforce_tools.decode import parquet
+
+            parquet.write_part(self.path(number), tables, shape)
+            return [(0, len(shape.columns))]
+        pieces: Pieces = []
+        with self.path(number).open("wb") as file:
+            for table in tables:
+                if (not shape.fits(table) and self._kind == "csv") or not pieces:
+                    pieces.append((file.tell(), len(shape.columns)))
+                if self._kind == "csv":
+                    file.write(text_rows.csv_rows(table, (*shape.base, *shape.columns)))
+                else:
+                    file.write(lines_of(table, self._kind, shape.base))
+        return pieces
+
+
+class JoinedFile:
+    """One output from the files of its parts, which come in order."""
+
+    def __init__(self, path: Path, kind: str, shape: Shape, inputs: Iterable[str] = ()) -> None:
+        """Raises InputError."""
+        self._file = NewFile(path, KINDS[kind], inputs)
+        self._kind, self._shape = kind, shape
+        self._beside = self._file.partial.absolute()
+        if self._file.partial == path:  # a device or a pipe
+            import tempfile
+
+            self._beside = Path(tempfile.gettempdir(), f".{path.name}.{os.getpid()}.part")
+        self.sink = PartFile(self._beside, kind)
+        self._parts: list[tuple[Path, Pieces]] = []
+
+    def add(self, number: int, pieces: Pieces, shape: Shape) -> None:
+        """Take the next part; ``shape``: its columns, and those of the parts in front."""
+        self._shape = shape
+        self._parts.append((self.sink.path(number), pieces))
+
+    def close(self, events: Sequence[BusEvent]) -> None:
+        """Complete the output; it has no events. Raises OSError."""
+        del events
+        if self._kind == "parquet":
+            self._join_parquet()
+        else:
+            with self._file.partial.open("wb") as out:
+                if self._kind == "csv":
+                    out.write(text_rows.csv_header((*self._shape.base, *self._shape.columns)))
+                for path, pieces in self._parts:
+                    self._append(path, pieces, out)
+                    path.unlink()
+        self._file.keep()
+
+    def _join_parquet(self) -> None:
+        paths = [path for path, _ in self._parts]
+        if any(count < len(self._shape.columns) for _, pieces in self._parts for _, count in pieces):
+            from tipforce_tools.decode import parquet  # its import costs time
+
+            parquet.join_widened(paths, self._file.partial, parquet.schema_of(self._shape), self._shape.channel)
+            return
+        with self._file.partial.open("wb") as out:
+            parquet_join.join(paths, out)
+        for path in paths:
+            path.unlink()
+
+    def _append(self, path: Path, pieces: Pieces, out: BinaryIO) -> None:
+        """Append the rows of a part; those of CSV with empty cells for columns that came later."""
+        ends = [start for start, _ in pieces[1:]] + [path.stat().st_size]
+        for (start, count), end in zip(pieces, ends, strict=False):  # a part without rows has no pieces
+            later = self._shape.columns[count:] if self._kind == "csv" else ()
+            fill = "".join(f",{self._shape.channel if one == CHANNEL else ''}" for one in later).encode()
+            out.flush()
+            if not fill:
+                parquet_join.append_bytes(path, start, end, out)
+                continue
+            with path.open("rb") as rows:
+                rows.seek(start)
+                for at in range(start, end, _COPY_BYTES):
+                    out.write(rows.read(min(_COPY_BYTES, end - at)).replace(b"\n", fill + b"\n"))
+
+    def abort(self) -> None:
+        """Remove the output and the files of its parts."""
+        self._file.drop()
+        for path in self._beside.parent.glob(f"{self._beside.name}.*"):
+            path.unlink()

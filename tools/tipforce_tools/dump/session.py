@@ -1,15 +1,21 @@
 """One run of `tipforce dump`: from a source through filters and decoder to stdout, and the final report."""
 
+from __future__ import annotations
+
+import json
+import math
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from select import select as readable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from tipforce.dictionary.signals import rpdo_messages, tpdo_messages
+from canopen_device.core.codes import ERROR_FLAG, REMOTE_FLAG
+from tipforce.dictionary.signals import Signal, rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.counters import Tally
 from tipforce.host.decoding.decoder import Decoder, Samples
@@ -20,17 +26,24 @@ from tipforce.host.decoding.sdo_conversation import eds_names, fingertip_names
 from tipforce.host.decoding.services import Service, Services
 from tipforce.host.decoding.sync_modulus import SyncModulus
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
-from tipforce.host.logs.candump_format import CandumpFormat
+from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
 from tipforce_tools.cli import common
 from tipforce_tools.cli.eds_flag import eds_files
 from tipforce_tools.cli.listening import counted
-from tipforce_tools.dump.output import STDIN, JsonWriter, Target, TextWriter, Writer, select, split_targets
+from tipforce_tools.dump.targets import STDIN, Target, select, split_targets
 
 if TYPE_CHECKING:
     from tipforce.host.live.receiver import ReceiverGroup
+
+
+_COUNTER = "counter"
+_UNITS = {"degree": "deg"}
+_HEX_WIDTH = 24  # of eight data bytes on candump's screen
+
+Decoded = Mapping[Key, Samples]
 
 
 def _decoder(gauges: int, eds: EdsFiles) -> Decoder:
@@ -58,13 +71,13 @@ class Session:
         self._counted = _decoder(args.gauges, eds) if args.verbose else None  # of the parts of a block
         self._left = args.count
         self._needs_time = not args.json and (args.log or bool(args.timestamps))
-        self._writer: Writer = JsonWriter()
+        self._text: Callable[[CandumpBlock, Decoded, Iterable[Service]], str] = json_text
         if not args.json:
             width = max((len(target.channel) for target in targets), default=0)
-            text = CandumpFormat(
+            form = CandumpFormat(
                 args.timestamps, log=args.log, extra=args.extra, errors=args.errors, ascii=args.ascii, width=width
             )
-            self._writer = TextWriter(text, aligned=not args.log)
+            self._text = partial(screen_text, form, not args.log)
 
     def show(self, block: CandumpBlock) -> bool:
         """Print a block; return False when the requested number of frames is printed."""
@@ -92,7 +105,7 @@ class Session:
                 watch = self._duplicates.setdefault(number, DuplicateNodes())
                 for duplicate in watch.add(block.frames[block.interface == number]):
                     common.note(self._args, f"tipforce dump: {duplicate}")
-        text = self._writer.text(block, decoded if self._args.decode else {}, services)
+        text = self._text(block, decoded if self._args.decode else {}, services)
         if text:
             sys.stdout.write(text)
             sys.stdout.flush()
@@ -170,7 +183,7 @@ def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) 
             _report(args, session, receiver.dropped, None)
 
 
-def _live_blocks(receiver: "ReceiverGroup", args: Namespace) -> Iterator[CandumpBlock]:
+def _live_blocks(receiver: ReceiverGroup, args: Namespace) -> Iterator[CandumpBlock]:
     """Yield frames as they arrive, until none arrives for --timeout. With -D, an interface may go down."""
     timeout_s = None if args.timeout_ms is None else args.timeout_ms / 1000
     while True:
@@ -206,3 +219,103 @@ def _report(args: Namespace, session: Session, dropped: int, parser: CandumpPars
             notes.append(f"node {common.shown_id(node_id)} {name}: {counted(message.frames, 'frame')}{lost}")
     for text in notes:
         common.note(args, f"tipforce dump: {text}")
+
+
+def screen_text(
+    form: CandumpFormat, aligned: bool, block: CandumpBlock, decoded: Decoded, services: Iterable[Service]
+) -> str:
+    """Return candump's lines; decoded values follow the data, if ``aligned`` in the same column for every length."""
+    lines = form.lines(block)
+    lengths = block.frames["length"].tolist()
+    positions = block.positions().tolist()
+    meanings: list[tuple[int, str]] = []
+    for samples in decoded.values():
+        meanings += zip(samples.row.tolist(), _words(samples), strict=True)
+    for service in services:
+        node = f"node {common.shown_id(service.node_id)} " if service.node_id else ""
+        meanings.append((service.row, node + service.text))
+    for row, meaning in meanings:
+        gap = max(_HEX_WIDTH - 3 * lengths[row], 0) if aligned else 0
+        lines[positions[row]] += " " * (gap + 2) + meaning
+    return "\n".join(lines) + "\n" if lines else ""
+
+
+def json_text(block: CandumpBlock, decoded: Decoded, services: Iterable[Service]) -> str:
+    """Return one JSON object per frame."""
+
+    def record(t_ns: int, interface: int, can_id: int, data: bytes) -> dict[str, Any]:
+        return {
+            "t": t_ns / 1_000_000_000 if block.timed else None,  # integers: 1e9 would round t_ns first
+            "interface": block.names[interface],
+            "id": identifier_text(can_id),
+            "data": data.hex().upper(),
+        }
+
+    frames = block.frames
+    data = frames["data"].tobytes()
+    columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length"))
+    records = []
+    for row, (t_ns, can_id, length, interface) in enumerate(zip(*columns, block.interface.tolist(), strict=True)):
+        records.append(record(t_ns, interface, can_id, data[8 * row : 8 * row + length]))
+        if can_id & ERROR_FLAG:
+            records[-1]["error"] = True
+        elif can_id & REMOTE_FLAG:
+            records[-1] |= {"data": "", "remote": True, "length": length}
+    for samples in decoded.values():
+        _add_values(records, samples)
+    for service in services:
+        node_id = {"node": service.node_id} if service.node_id else {}
+        records[service.row] |= {**node_id, "service": service.name, "text": service.text}
+    for number, frame in enumerate(block.fd):
+        flags = {
+            "fd": True,
+            "bit_rate_switch": bool(frame.flags & BIT_RATE_SWITCH),
+            "error_state": bool(frame.flags & ERROR_STATE),
+        }
+        made = record(frame.t_ns, frame.interface, frame.can_id, frame.data)
+        records.insert(frame.row + number, made | flags)
+    return "".join(json.dumps(one) + "\n" for one in records)
+
+
+def _add_values(records: list[dict[str, Any]], samples: Samples) -> None:
+    flags, numbers = _kinds(samples)
+    columns = {name: column.tolist() for name, column in samples.columns.items()}
+    for position, row in enumerate(samples.row.tolist()):
+        record = records[row]
+        record["node"] = samples.node_id
+        record["message"] = samples.message.name
+        values = {signal.name: columns[signal.name][position] for signal in numbers}
+        record["values"] = {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in values.items()
+        }
+        record["status"] = [signal.name for signal in flags if columns[signal.name][position]]
+        if _COUNTER in columns:
+            record[_COUNTER] = columns[_COUNTER][position]
+
+
+def _words(samples: Samples) -> list[str]:
+    """`node 5 (0x05) Contact  P=4.398 N phi=90.01 deg theta=unknown contact calibrated #3`, for each sample."""
+    flags, numbers = _kinds(samples)
+    parts = [[_value(signal, value) for value in samples.columns[signal.name].tolist()] for signal in numbers]
+    parts += [[signal.name if is_set else "" for is_set in samples.columns[signal.name].tolist()] for signal in flags]
+    if _COUNTER in samples.columns:
+        parts.append([f"#{count}" for count in samples.columns[_COUNTER].tolist()])
+    start = f"node {common.shown_id(samples.node_id)} {samples.message.name}  "
+    return [start + " ".join(filter(None, words)) for words in zip(*parts, strict=True)] if parts else []
+
+
+def _kinds(samples: Samples) -> tuple[list[Signal], list[Signal]]:
+    """Return the flags, and the numbers except the counter."""
+    signals = [signal for signal in samples.message.signals if signal.name in samples.columns]
+    flags = [signal for signal in signals if signal.bits == 1]
+    return flags, [signal for signal in signals if signal.bits > 1 and signal.name != _COUNTER]
+
+
+def _value(signal: Signal, value: float) -> str:
+    if isinstance(value, int):
+        return f"{signal.name}={value}"
+    if math.isnan(value):
+        return f"{signal.name}=unknown"
+    text = f"{value:g}" if signal.real else f"{value:.{max(-math.floor(math.log10(signal.scale)), 0)}f}"
+    return f"{signal.name}={text} {_UNITS.get(signal.unit, signal.unit)}".rstrip()

@@ -20,7 +20,7 @@ from tipforce_tools.cli.eds_flag import eds_files
 from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
 from tipforce_tools.cli.listening import StopSignals, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
-from tipforce_tools.dump.output import STDIN, Target, split_targets
+from tipforce_tools.dump.targets import STDIN, Target, split_targets
 from tipforce_tools.monitor import display
 from tipforce_tools.monitor.state import Monitor
 

@@ -4,7 +4,7 @@ import argparse
 import re
 
 from tipforce_tools.cli import common
-from tipforce_tools.cli.eds_flag import add_eds_argument
+from tipforce_tools.decode.command import add_choice, add_layouts
 
 DESCRIPTION = """\
 Plot the fingers of a log: P, phi and theta over time with their uncertainty, gauges, and a strip that shows contact
@@ -38,27 +38,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in (default: by the content)")
     parser.add_argument("--dpi", type=_dpi, default=130, metavar="N", help="resolution of a PNG (default %(default)s)")
     group = parser.add_argument_group("choice")
-    group.add_argument("--signals", metavar="NAMES", help="as P,theta,gauges,status")
-    group.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="as 1,2,5-9")
-    group.add_argument("--bus", metavar="NAMES", help="only frames of these interfaces of the log: can0,can1")
-    group.add_argument("--from", dest="start", metavar="TIME", help="seconds from the start or of the epoch, ISO time")
-    group.add_argument("--to", dest="end", metavar="TIME", help="end, exclusive; same formats")
-    group.add_argument(
-        "--calibration", action="append", metavar="[NODE=]CAL.toml", help="compute contact from the gauges; repeatable"
-    )
-    group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
-    group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
-    group.add_argument("--dbc", metavar="FILE", help="use the messages of a DBC instead; tipforce: the shipped one")
-    add_eds_argument(group)
+    add_choice(group, "as P,theta,gauges,status")
+    add_layouts(group)
     common.add_output_arguments(parser)
+    parser.set_defaults(ask=None, strict=False, follow=False, deltas=False)  # options of `tipforce decode` alone
 
 
 def run(args: argparse.Namespace) -> int:
     """Draw the plot. Raises InputError for unusable input and EnvironmentLackError without matplotlib."""
     from tipforce_tools.plot.session import plot
 
-    # Options of `tipforce decode` that a plot does not need.
-    args.ask, args.strict, args.follow, args.deltas = None, False, False, False
     return plot(args)
 
 

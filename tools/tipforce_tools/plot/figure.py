@@ -13,8 +13,7 @@ import numpy as np
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import EnvironmentLackError
 from tipforce.samples.reasons import BY_NAME
-from tipforce_tools.plot.finger import Finger, Fingers
-from tipforce_tools.plot.traces import Line
+from tipforce_tools.plot.fingers import Finger, Fingers, Line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,14 +81,14 @@ def draw(
         down * len(rows), across, squeeze=False, sharex=True, sharey=False,
         gridspec_kw={"height_ratios": heights * down},
     )  # fmt: skip
-    for number, (name, finger) in enumerate(named):
+    for number in range(across * down):
         block, column = divmod(number, COLUMNS)
         axes = list(grid[block * len(rows) : (block + 1) * len(rows), column])
-        _draw_finger(axes, rows, name, finger, frame)
-    for number in range(len(named), across * down):
-        block, column = divmod(number, COLUMNS)
-        for ax in grid[block * len(rows) : (block + 1) * len(rows), column]:
-            ax.set_visible(False)
+        if number < len(named):
+            _draw_finger(axes, rows, *named[number], frame)
+        else:
+            for ax in axes:
+                ax.set_visible(False)
     for row, panel in enumerate(rows * down):
         if panel != _STATUS:
             _share_limits(list(grid[row]), panel, whole=panel in frame.circles)

@@ -19,7 +19,7 @@ from tipforce_tools.cli.empty_log import no_sample
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
 from tipforce_tools.plot import figure
-from tipforce_tools.plot.finger import Fingers
+from tipforce_tools.plot.fingers import Fingers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

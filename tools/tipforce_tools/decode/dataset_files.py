@@ -1,0 +1,297 @@
+"""The Parquet files of a dataset: written by part, ``rows/hand=/date=/node=``, and joined to fewer ones."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import uuid
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
+from itertools import groupby, pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.host.dataset.manifest import (
+    EVENTS,
+    NO_DATE,
+    ROWS,
+    Change,
+    DataFile,
+    Manifest,
+    Part,
+    commit,
+    files_of,
+    joined,
+    read_manifest,
+)
+from tipforce.host.dataset.reader import damage_named
+from tipforce.host.dataset.run_lock import RunLock
+from tipforce.host.dataset.store import FOLDER, Store
+from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
+from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
+from tipforce_tools.decode.writers import Shape
+
+if TYPE_CHECKING:
+    from tipforce_tools.decode.parquet import Parts
+
+BASE = (TIME, CHANNEL, NODE, COUNTER)
+_DAY_NS = 86_400 * 10**9
+
+
+class FilesOfPart(NamedTuple):
+    """The files of one part, and the columns that these have."""
+
+    files: list[DataFile]
+    columns: tuple[Column, ...]
+
+
+class DatasetSink:
+    """Writes files whose names contain ``token``, which no other run has. It can be sent to another process."""
+
+    def __init__(self, directory: str, token: str, hand: str | None) -> None:
+        """``hand``: value of the first partition; None: the name of the interface."""
+        self._directory, self._token, self._hand = directory, token, hand
+        self.names: list[str] = []
+        """Of the parts by number."""
+
+    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> FilesOfPart:
+        """Write the rows of a part; each file appears when it is complete."""
+        store = Store(self._directory)
+        with store.scratch(f"{FOLDER}/{self._token}") as scratch:
+            files = self._files(store, scratch, self.names[number], tables, shape)
+        return FilesOfPart(files, tuple(column for column in shape.columns if isinstance(column, Column)))
+
+    def _files(self, store: Store, scratch: Path, name: str, tables: Iterable[Table], shape: Shape) -> list[DataFile]:
+        writing: dict[str, _Open] = {}
+        schema: Any = None
+        try:
+            for table in tables:
+                from tipforce_tools.decode.parquet import Parts, arrow_table  # not before there are rows
+
+                shape.fits(table)
+                if schema is None or len(schema) + 1 != len(shape.base) + len(shape.columns):
+                    schema = rows_schema(shape)
+                order, cuts = _partitions(table)
+                ordered = replace(table, t_ns=table.t_ns // 1000 * 1000).take(order)  # as the file has it
+                rows = arrow_table(ordered, schema)
+                for start, end in pairwise(cuts):
+                    place = _place(ordered, start, self._hand)
+                    if place not in writing:
+                        file = scratch / f"{name}-{len(writing)}"
+                        writing[place] = _Open(file, Parts(file), int(ordered.node[start]))
+                    writing[place].add(rows.slice(start, end - start), ordered.t_ns[start:end])
+            return [one.kept(store, place, name, shape) for place, one in writing.items()]
+        except BaseException:
+            for one in writing.values():
+                one.parts.abort()
+            raise
+
+
+def rows_schema(shape: Shape) -> Any:
+    """Return the schema of a file of rows: the node stands in its path."""
+    from tipforce_tools.decode.parquet import schema_of
+
+    schema = schema_of(shape)
+    return schema.remove(schema.get_field_index(NODE))
+
+
+def put_file(store: Store, file: Path, path: str) -> tuple[int, str]:
+    """Move a complete file into a dataset; return its size in bytes and its SHA-256. Raises OSError."""
+    with file.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    size = os.path.getsize(file)
+    store.put(file, path)
+    return size, digest
+
+
+class _Open:
+    """One file being written."""
+
+    def __init__(self, file: Path, parts: Parts, node: int) -> None:
+        self.file, self.parts, self.node = file, parts, node
+        self.rows = 0
+        self.first_ns, self.last_ns = np.iinfo(np.int64).max, np.iinfo(np.int64).min
+
+    def add(self, rows: Any, t_ns: npt.NDArray[np.int64]) -> None:
+        """Append rows with these times."""
+        self.rows += len(rows)
+        self.first_ns, self.last_ns = min(self.first_ns, int(t_ns.min())), max(self.last_ns, int(t_ns.max()))
+        self.parts.add(rows)
+
+    def kept(self, store: Store, place: str, name: str, shape: Shape) -> DataFile:
+        """Complete the file and give it its name."""
+        self.parts.finish(rows_schema(shape), shape.channel)
+        size, digest = put_file(store, self.file, path := f"{place}/{name}.parquet")
+        return DataFile(path, self.node, self.rows, size, digest, self.first_ns, self.last_ns)
+
+
+def _partitions(table: Table) -> tuple[npt.NDArray[np.intp], list[int]]:
+    """Return the order of rows by node and day, and where each of these begins and the last one ends."""
+    day = table.t_ns // _DAY_NS if table.timed else np.zeros(len(table), dtype=np.int64)
+    order = np.argsort(table.key, kind="stable") if (day == day[0]).all() else np.lexsort((day, table.key))
+    key, day = table.key[order], day[order]
+    cuts = np.flatnonzero((key[1:] != key[:-1]) | (day[1:] != day[:-1])) + 1
+    return order, [0, *cuts.tolist(), len(key)]
+
+
+def _place(table: Table, row: int, hand: str | None) -> str:
+    key = int(table.key[row])
+    date = str(np.datetime64(int(table.t_ns[row]), "ns"))[:10] if table.timed else NO_DATE
+    hand = _folder(hand or table.channels[key >> NODE_BITS])
+    return f"{ROWS}/hand={hand}/date={date}/node={key & (1 << NODE_BITS) - 1}"
+
+
+def _folder(name: str) -> str:
+    """Return a name without characters that a path or a partition cannot have."""
+    return "".join(mark if mark.isalnum() or mark in "-_." else "_" for mark in name) or "_"
+
+
+def first_ns(parts: Iterable[Part]) -> int:
+    """Return the time of the first row or event."""
+    return min(file.first_ns for file in files_of(parts))
+
+
+def joined_parts(
+    store: Store, manifest: Manifest, parts: list[Part], name: str, left: Collection[str] = ()
+) -> list[Part]:
+    """Write the rows of these parts in files ``name``, and return the parts. All files get the columns of the manifest.
+
+    Files at the paths ``left`` stay as they are. Raises LogError for a damaged file, OSError.
+    """
+    begins = {part.source: first_ns(one for one in parts if one.source == part.source) for part in parts}
+    order = sorted(parts, key=lambda part: (begins[part.source], part.source, part.start))
+    runs = _runs(manifest, order)
+    places: dict[str, list[tuple[int, DataFile]]] = {}
+    found: list[list[DataFile]] = [[] for _ in runs]
+    for number, run in enumerate(runs):
+        for file in files_of(run):
+            if file.path in left:
+                found[number].append(file)
+            else:
+                places.setdefault(file.path.rpartition("/")[0], []).append((number, file))
+    for place, files in places.items():
+        for number, file in _joined_files(store, manifest, files, f"{place}/{name}.parquet"):
+            found[number].append(file)
+    return [_part(run, files, f"{name}/{number}") for number, (run, files) in enumerate(zip(runs, found, strict=True))]
+
+
+def _runs(manifest: Manifest, parts: list[Part]) -> list[list[Part]]:
+    """Return parts of a log that follow each other together; its last one alone, which may be written again."""
+    last_starts = {source.id: source.last_part_start for source in manifest.sources}
+    runs: list[list[Part]] = []
+    for part in parts:
+        before = runs[-1][-1] if runs else None
+        follows = before is not None and (before.source, before.end) == (part.source, part.start)
+        if follows and part.start < last_starts[part.source]:
+            runs[-1].append(part)
+        else:
+            runs.append([part])
+    return runs
+
+
+def _part(run: list[Part], files: list[DataFile], name: str) -> Part:
+    bad = Counter[str]()
+    for part in run:
+        bad.update(part.bad)
+    return msgspec.structs.replace(
+        run[0], id=name, end=run[-1].end, frames=sum(part.frames for part in run), bad=dict(bad),
+        files=[file for file in files if not _of_events(file.path)],
+        events=next((file for file in files if _of_events(file.path)), None),
+        calibrations=[one for part in run for one in part.calibrations],
+    )  # fmt: skip
+
+
+def _of_events(path: str) -> bool:
+    return path.startswith(f"{EVENTS}/")
+
+
+def _joined_files(
+    store: Store, manifest: Manifest, files: list[tuple[int, DataFile]], path: str
+) -> Iterator[tuple[int, DataFile]]:
+    """Write the rows of files one after the other; yield by number the rows of each in the new one."""
+    import pyarrow.parquet as pq
+
+    from tipforce_tools.decode import parquet
+
+    shape = Shape(BASE)
+    shape.take(manifest.columns, ())
+    schema = parquet.EVENTS if _of_events(path) else rows_schema(shape)
+    with store.scratch(f"{FOLDER}/{path.rpartition('-')[2].removesuffix('.parquet')}") as folder:
+        scratch = folder / "joined"
+        parts = parquet.Parts(scratch)
+        try:
+            for place, some in groupby((file for _, file in files), key=lambda file: file.path):
+                with damage_named(store, place), store.open(place) as stream:
+                    rows = parquet.widened(pq.ParquetFile(stream).read(), schema, "")
+                for file in some:
+                    parts.add(rows.slice(file.first_row, file.rows))
+            parts.finish(schema, "")
+        except BaseException:
+            parts.abort()
+            raise
+        size, digest = put_file(store, scratch, path)
+    first_row = 0
+    for number, same in groupby(files, key=lambda one: one[0]):
+        file = joined([file for _, file in same])
+        yield number, msgspec.structs.replace(file, path=path, bytes=size, sha256=digest, first_row=first_row)
+        first_row += file.rows
+
+
+SHARED_BYTES = 256_000_000
+"""Most bytes of the files of parts that are joined; one file is a node's share of it."""
+
+
+def compact(store: Store) -> Manifest:
+    """Join files, give all the same columns, and return the new manifest.
+
+    The last part of the log that was added last stays: it is written again with what follows it.
+    """
+    token = uuid.uuid4().hex[:12]
+    manifest = read_manifest(store) or Manifest()
+    with RunLock(store, token):
+        for number, parts in enumerate(_groups(store, manifest)):
+            name = f"{parts[0].source}-{parts[0].start:014d}-{number}-{token}"
+            change = Change(parts=joined_parts(store, manifest, parts, name))
+            change.removed.update(part.id for part in parts)
+            manifest = commit(store, change)
+    return manifest
+
+
+def _groups(store: Store, manifest: Manifest) -> Iterator[list[Part]]:
+    """Yield the parts of a day that will share files."""
+    lasts = {source.options: (source.id, source.last_part_start) for source in manifest.sources}.values()
+    shared: dict[str, list[Part]] = {}  # parts by the name of their files
+    for part in manifest.parts:
+        for file in list(files_of([part]))[:1]:
+            shared.setdefault(file.path.rpartition("/")[2], []).append(part)
+    parted = [parts for parts in shared.values() if not any((part.source, part.start) in lasts for part in parts)]
+    parted.sort(key=first_ns)
+    for _, of_day in groupby(parted, key=lambda parts: first_ns(parts) // _DAY_NS):
+        group: list[list[Part]] = []
+        size = 0
+        for parts in of_day:
+            bytes_of_parts = sum({file.path: file.bytes for file in files_of(parts)}.values())
+            if group and size + bytes_of_parts > SHARED_BYTES:
+                yield from _worth_it(store, manifest, group)
+                group, size = [], 0
+            group.append(parts)
+            size += bytes_of_parts
+        yield from _worth_it(store, manifest, group)
+
+
+def _worth_it(store: Store, manifest: Manifest, group: list[list[Part]]) -> Iterator[list[Part]]:
+    """Yield the parts of a group that has several files for one, or one without columns that others have."""
+    import pyarrow.parquet as pq
+
+    parts = [part for some in group for part in some]
+    alone = len(group) == 1
+    if alone and (file := next((file for part in parts for file in part.files), None)):
+        with damage_named(store, file.path), store.open(file.path) as stream:
+            alone = {column.name for column in manifest.columns} <= set(pq.ParquetFile(stream).schema_arrow.names)
+    if not alone:
+        yield parts

@@ -1,0 +1,317 @@
+"""`tipforce replay LOG [vcan1=vcan0 ...]`: send the frames of a log to buses, with the recorded timing."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from functools import partial
+from itertools import count, islice
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from canopen_device.core.codes import ERROR_FLAG
+from tipforce.errors import InputError, TipforceError
+from tipforce_tools.cli import common
+from tipforce_tools.cli.listening import StopSignals, counted, resolved_options
+from tipforce_tools.cli.main import INTERRUPTED
+
+if TYPE_CHECKING:
+    from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
+    from tipforce.host.live.send import Sender
+    from tipforce.host.logs.candump import CandumpParser
+
+DESCRIPTION = """\
+Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
+format that python-can reads. Remote, CAN FD and error frames are sent if the bus supports them; frames left out are
+counted on stderr.
+"""
+EPILOG = """\
+WRITE=LOG sends to WRITE the frames recorded from LOG, as canplayer does; frames of other interfaces are left out.
+Without assignments frames go to the interface named in the log, or with -c all to that one. The command asks before
+it sends on a bus that is not virtual.
+exit codes: 0 all sent, 1 a bad line with --strict, 2 usage, or no frames in the log, 130 Ctrl-C or SIGTERM
+
+  tipforce replay run.log                           to the interfaces of the log
+  tipforce replay run.log.gz vcan1=vcan0 --speed 10
+  tipforce replay --loop inf --max-gap 0.5 run.log vcan0=can0 vcan1=can1
+  tipforce replay -i pcan -c PCAN_USBBUS1 -b 1000000 --yes run.blf
+"""
+
+_speed = common.number_that(lambda speed: speed > 0, "are numbers over 0, and inf")
+_gap = common.number_that(lambda gap_s: 0 <= gap_s < math.inf, "are 0 or more seconds")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce replay` and python-can's bus flags to `parser`."""
+    parser.description = DESCRIPTION
+    parser.epilog = EPILOG
+    parser.add_argument("log", metavar="LOG", help="a log file, or - for candump text on stdin")
+    parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")
+    parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times recorded speed (inf: no waiting)")
+    parser.add_argument("--loop", type=_loop, default=1, metavar="N", help="number of passes, or inf (default: 1)")
+    parser.add_argument("--max-gap", type=_gap, metavar="S", help="shorten gaps of the log that are longer than S")
+    parser.add_argument("--strict", action="store_true", help="end at the first bad line of candump text")
+    common.add_confirm_argument(parser)
+    common.add_bus_arguments(parser)
+
+
+def _assignment(text: str) -> str:
+    write, equals, log = text.partition("=")
+    if not (write and equals and log):
+        raise argparse.ArgumentTypeError(f"{text!r}: expected WRITE=LOG, for instance vcan1=vcan0")
+    return text
+
+
+def _loop(text: str) -> int | None:
+    return None if text in {"inf", "i"} else common.count(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Send the frames; return 0, 1 for a bad line with --strict, or 130 after a signal.
+
+    Raises InputError for a log that cannot be read, a wrong assignment or the answer "no", EnvironmentLackError for a
+    bus that cannot be opened or fails.
+    """
+    from tipforce.host.logs.candump import BadLineError, CandumpParser
+    from tipforce_tools.cli.empty_log import MESSAGES, PACKED, TEXT, no_frame
+
+    if args.log == STDIN and args.loop != 1:
+        raise InputError("--loop: stdin can be read only once; pass a file")
+    if args.assignments and getattr(args, "channel", None):
+        raise InputError("-c and WRITE=LOG: allowed is one of them: -c sends all frames to one bus")
+    parser = CandumpParser(strict=args.strict)
+    late_s = 0.0
+    with StopSignals() as stop, ExitStack() as opened:
+        buses = Buses(args, opened)
+        start_s, started = time.monotonic(), True
+        try:
+            for frame in _frames(args, parser):
+                if not _wait_until(start_s + frame.due_s, stop):
+                    break
+                late_s = max(late_s, time.monotonic() - start_s - frame.due_s)
+                buses.send(frame)
+            if not stop.stopped and parser.bad and not buses.sent and not buses.left_out:
+                raise no_frame(args.log, (TEXT, PACKED, MESSAGES), parser.bad_lines[0])
+        except BadLineError as error:
+            print(f"tipforce replay: {error}", file=sys.stderr)
+            return 1
+        except InputError:
+            started = buses.sent > 0  # otherwise the error is the whole report
+            raise
+        finally:
+            if started:
+                _report(args, buses, parser, time.monotonic() - start_s, late_s)
+    return INTERRUPTED if stop.stopped else 0
+
+
+def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[Frame]:
+    """Yield all frames in order, --loop times. Raises InputError for a log without timestamps or frames."""
+    from tipforce.host.frames.frame_block import FdFrame
+
+    clock = Clock(args.speed, args.max_gap)
+    for _ in islice(count(), args.loop):
+        clock.begin_again()
+        empty = True
+        for block in log_blocks(args.log, parser):
+            if not block.timed:
+                raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
+            empty = empty and not len(block)
+            for frame in block.in_order():
+                if isinstance(frame, FdFrame):
+                    yield Frame(clock.due_s(frame.t_ns), block.names[frame.interface], frame.can_id, 0, b"", frame)
+                else:
+                    t_ns, can_id, length, data, interface, _ = frame
+                    yield Frame(clock.due_s(t_ns), block.names[interface], can_id, length, data, None)
+        if empty:
+            return
+
+
+def _wait_until(due_s: float, stop: StopSignals) -> bool:
+    """Sleep until ``due_s`` of the monotonic clock; return False after a signal."""
+    while not stop.stopped:
+        rest_s = due_s - time.monotonic()
+        if rest_s <= 0:
+            return True
+        time.sleep(min(rest_s, _SLICE_S))
+    return False
+
+
+def _report(args: argparse.Namespace, buses: Buses, parser: CandumpParser, seconds: float, late_s: float) -> None:
+    late = f", at most {late_s * 1000:.1f} ms late" if args.verbose else ""
+    common.note(args, f"tipforce replay: {counted(buses.sent, 'frame')} sent in {seconds:.1f} s{late}")
+    for reason, number in buses.left_out.items():
+        common.note(args, f"tipforce replay: {counted(number, 'frame')} left out: {reason}")
+    if parser.bad:
+        reasons = ", ".join(f"{number} {reason}" for reason, number in parser.bad.items())
+        common.note(args, f"tipforce replay: bad lines left out ({reasons}), first {parser.bad_lines[0]}")
+    if args.json:
+        common.print_json(
+            {
+                "sent": buses.sent,
+                "seconds": round(seconds, 3),
+                "latest_s": round(late_s, 6),
+                "left_out": dict(buses.left_out),
+                "bad_lines": parser.bad,
+            }
+        )
+
+
+STDIN = "-"
+_BLOCK_FRAMES = 4096
+_TEXT_SUFFIXES = {".log", ".txt"}  # python-can's reader of .log supports neither error frames nor CAN FD flags
+
+
+def log_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
+    """Yield the frames of a log in bounded memory: candump text (also .gz and .zst), or a format of python-can.
+
+    ``parser`` counts the bad lines of text; if it is strict, BadLineError is raised at the first, after the frames
+    before it. Raises InputError for a file that cannot be read.
+    """
+    if name == STDIN:
+        from tipforce.host.logs.candump import text_blocks
+
+        return text_blocks(partial(os.read, sys.stdin.fileno()), parser)
+    path = Path(name)
+    suffixes = [suffix.lower() for suffix in path.suffixes if suffix.lower() not in {".gz", ".zst"}]
+    is_text = not suffixes or suffixes[-1] in _TEXT_SUFFIXES
+    return _text_blocks(path, parser) if is_text else _message_blocks(path)
+
+
+def _text_blocks(path: Path, parser: CandumpParser) -> Iterator[CandumpBlock]:
+    from tipforce.host.logs.candump import text_blocks
+    from tipforce.host.logs.lines import open_file
+    from tipforce.host.logs.unpacking import decompressed
+
+    with open_file(path) as file:
+        text = decompressed(file, str(path))
+
+        def read(count: int) -> bytes:
+            buffer = bytearray(count)
+            return bytes(buffer[: text.readinto(buffer) or 0])
+
+        try:
+            yield from text_blocks(read, parser)
+        except (OSError, EOFError) as error:
+            raise InputError(f"{path}: {error}") from error
+
+
+def _message_blocks(path: Path) -> Iterator[CandumpBlock]:
+    from tipforce.host.live.python_can import message_block
+    from tipforce.host.logs.library_formats import message_reader
+
+    names: dict[str, int] = {}
+    try:
+        with message_reader(path) as reader:
+            messages = iter(reader)
+            while chunk := list(islice(messages, _BLOCK_FRAMES)):
+                for message in chunk:
+                    if isinstance(message.channel, int):
+                        message.channel = f"can{message.channel}"
+                yield message_block(chunk, names)
+    except TipforceError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except Exception as error:  # python-can's readers raise any exception on a damaged file
+        raise InputError(f"{path}: {error}") from error
+
+
+_SLICE_S = 0.2  # maximum delay of a signal
+_VIRTUAL = ("virtual", "udp_multicast")
+
+
+class Frame(NamedTuple):
+    """One frame to send: ``due_s`` after the start; ``fd`` instead of length and data."""
+
+    due_s: float
+    name: str
+    can_id: int
+    length: int
+    data: bytes
+    fd: FdFrame | None
+
+
+class Clock:
+    """Due times of frames: the steps of the log, none backwards and none longer than a given gap, scaled by a speed."""
+
+    def __init__(self, speed: float, max_gap_s: float | None) -> None:
+        self._per_ns = 0.0 if speed == math.inf else 1e-9 / speed
+        self._longest_ns = None if max_gap_s is None else round(max_gap_s * 1e9)
+        self._last_ns: int | None = None
+        self._due_s = 0.0
+
+    def due_s(self, t_ns: int) -> float:
+        """Return the due time of the next frame of the log, in seconds after the start."""
+        step_ns = 0 if self._last_ns is None else max(t_ns - self._last_ns, 0)
+        if self._longest_ns is not None:
+            step_ns = min(step_ns, self._longest_ns)
+        self._last_ns = t_ns
+        self._due_s += step_ns * self._per_ns
+        return self._due_s
+
+    def begin_again(self) -> None:
+        """Restart the log: its first frame is due with its last."""
+        self._last_ns = None
+
+
+class Buses:
+    """The output buses, opened with the first frame for each, and the counts of frames left out."""
+
+    def __init__(self, args: argparse.Namespace, opened: ExitStack) -> None:
+        self._args = args
+        self._opened = opened
+        self._senders: dict[str, Sender] = {}
+        self._targets_of: dict[str, list[str]] = {}
+        for pair in args.assignments:
+            write, _, log = pair.partition("=")
+            self._targets_of.setdefault(log, []).append(write)
+        self._options = resolved_options(args, named=bool(args.assignments) or not getattr(args, "channel", None))
+        self._only = self._options.get("channel") if not args.assignments else None
+        self.sent = 0
+        self.left_out: Counter[str] = Counter()
+        # Buses known before reading the log are confirmed and opened now, not during the replay.
+        known = [str(self._only)] if self._only else [one for some in self._targets_of.values() for one in some]
+        for target in dict.fromkeys(known):
+            self._open(target)
+
+    def send(self, frame: Frame) -> None:
+        """Send one frame to its bus, or count the reason. Raises EnvironmentLackError if the bus fails."""
+        targets = [self._only] if self._only else self._targets_of.get(frame.name, [])
+        if not self._only and not self._targets_of:
+            targets = [frame.name]
+        for target in targets:
+            self._send(frame, target)
+        if not targets:
+            self.left_out[f"of {frame.name}, which no assignment names"] += 1
+
+    def _send(self, frame: Frame, target: str) -> None:
+        from tipforce.host.live.send import NotCarriedError
+
+        sender = self._senders.get(target) or self._open(target)
+        virtual = self._options.get("interface") in _VIRTUAL or "vcan" in target
+        if frame.can_id & ERROR_FLAG and not virtual:
+            self.left_out["error frames, which only a virtual bus can send"] += 1
+            return
+        try:
+            if frame.fd is None:
+                sender.send(frame.can_id, frame.length, frame.data)
+            else:
+                sender.send_fd(frame.fd)
+            self.sent += 1
+        except NotCarriedError as error:
+            self.left_out[f"because {error}"] += 1
+
+    def _open(self, target: str) -> Sender:
+        from tipforce.host.live.send import open_sender
+
+        options = {**self._options, "channel": target}
+        asked = argparse.Namespace(**{**vars(self._args), "channel": target, "interface": options.get("interface")})
+        common.confirm(asked, f"this sends the frames of {self._args.log} on {target}")
+        sender = self._senders[target] = self._opened.enter_context(open_sender(options))
+        return sender
