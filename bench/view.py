@@ -30,8 +30,8 @@ from tipforce.host.live.receive import SocketReceiver
 from tipforce.host.live.receive_group import ReceiverGroup
 from tipforce.scene import beam_calibration
 from tipforce.watching.feeds import FrameFeed
-from tipforce.watching.fingers import Finger, with_layout
 from tipforce.watching.frame_sources import BusSource
+from tipforce.watching.watcher import Finger, with_layout
 from tipforce_tools.view.guard import Guard
 from tipforce_tools.view.server import ViewServer
 from tipforce_tools.view.sources import LiveSource

@@ -124,8 +124,8 @@ def _say_end(args: argparse.Namespace, bridge: Bridge) -> None:
 def _feed(args: argparse.Namespace, opened: ExitStack) -> tuple[Feed, int]:
     """Return what to publish from, and the number of gauges."""
     from tipforce.watching.feeds import FrameFeed, HandFeed
-    from tipforce.watching.fingers import finger_maker, hand_fingers
     from tipforce.watching.frame_sources import BusSource, LogSource
+    from tipforce.watching.watcher import finger_maker, hand_fingers
 
     if args.source is None:
         from tipforce_tools.cli.listening import open_targets

@@ -15,8 +15,8 @@ from tipforce.errors import InputError
 from tipforce.host.logs.reader import open_log
 from tipforce.shipped_files import shipped_folder
 from tipforce.watching.feeds import FrameFeed
-from tipforce.watching.fingers import Finger
 from tipforce.watching.frame_sources import LogSource
+from tipforce.watching.watcher import Finger
 from tipforce_robots.ros2 import cdr
 from tipforce_robots.ros2.bridge import PERIOD_NS, Bridge
 from tipforce_tools.cli.main import main

@@ -13,8 +13,8 @@ from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.samples.reasons import NO_ANSWER
 from tipforce.watching.feeds import FrameFeed
-from tipforce.watching.fingers import Finger
-from tipforce.watching.watcher import Watcher
+from tipforce.watching.frame_sources import FrameSource
+from tipforce.watching.watcher import Finger, Watcher
 from tipforce_tools.view.sources import LiveSource, LogSource
 from tools.view.support import MS, START_NS
 
@@ -134,17 +134,17 @@ def test_a_log_without_fingers_is_refused(tmp_path: Path) -> None:
         LogSource(path, Finger)
 
 
-class Bus:
+class Bus(FrameSource):
     """A bus of a test: frames that are taken once, and a clock that stands at the newest plus ``silent_ns``."""
 
-    ended, dropped = False, 0
-
     def __init__(self) -> None:
+        super().__init__(lambda: None)
         self.frames: list[tuple[int, int, bytes]] = []
         self.newest_ns = self.silent_ns = 0
         self.error: Exception | None = None
 
-    def take(self, _timeout_s: float) -> tuple[FrameArray, tuple[str, ...]]:
+    def take(self, timeout_s: float) -> tuple[FrameArray, tuple[str, ...]]:
+        assert timeout_s == 0.0
         if self.error is not None:
             raise self.error
         frames, self.frames = frame_array(self.frames), []
@@ -153,9 +153,6 @@ class Bus:
 
     def now_ns(self) -> int:
         return self.newest_ns + self.silent_ns
-
-    def close(self) -> None:
-        pass
 
 
 def test_a_page_that_listens_says_what_happens_on_its_bus() -> None:

@@ -18,7 +18,7 @@ from tipforce_robots.ros2.messages import TipMessages
 if TYPE_CHECKING:
     from tipforce.host.hand.events import Event
     from tipforce.watching.feeds import Feed
-    from tipforce.watching.fingers import Finger
+    from tipforce.watching.watcher import Finger
     from tipforce_robots.ros2.dds import RosDomain
 
 PERIOD_NS = 1_000_000_000

@@ -14,7 +14,7 @@ from tipforce_tools.cli.request import bus_options
 from tipforce_tools.view.serving import add_page_arguments, check_page_arguments, hand_source, serve
 
 if TYPE_CHECKING:
-    from tipforce.watching.fingers import Fallback, Finger, FingerMaker
+    from tipforce.watching.watcher import Fallback, Finger, FingerMaker
     from tipforce_tools.view.sources import Source
 
 _MOST_SECONDS = 1e9
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
 def _source(args: argparse.Namespace) -> Iterator[Source]:
     from tipforce.shipped_files import file_or_shipped
     from tipforce.sources.layout_file import read_layout
-    from tipforce.watching.fingers import finger_maker
+    from tipforce.watching.watcher import finger_maker
     from tipforce_tools.view.sources import LogSource, is_scene, scene_source
 
     path = file_or_shipped(args.source, "scenes") if args.source else None
@@ -95,8 +95,8 @@ def _listen(args: argparse.Namespace, path: Path | None, maker: FingerMaker, fal
     from tipforce.host.live.receive import open_receiver
     from tipforce.host.live.receive_group import ReceiverGroup
     from tipforce.watching.feeds import FrameFeed
-    from tipforce.watching.fingers import hand_fingers
     from tipforce.watching.frame_sources import BusSource
+    from tipforce.watching.watcher import hand_fingers
     from tipforce_tools.cli.listening import resolved_options
     from tipforce_tools.view.sources import LISTENING, LiveSource
 

@@ -16,7 +16,7 @@ from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.structure.gauges import Gauge, GaugePosition, gauge_name, place, strain_row
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
-from tipforce.watching.fingers import Finger
+from tipforce.watching.watcher import Finger
 from tipforce_tools.view.history import Charted, Envelope
 from tipforce_tools.view.model import FingerState, Model, PageEvent, Picture
 

@@ -18,7 +18,7 @@ from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.sensor.contact import scalar
 from tipforce.watching.feeds import Counters
-from tipforce.watching.fingers import Finger
+from tipforce.watching.watcher import Finger
 from tipforce_tools.view.history import Charted, Envelope, History
 
 STALE_PERIODS = 2.5

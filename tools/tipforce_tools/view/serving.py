@@ -12,7 +12,7 @@ from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce.host.hand.hand import Hand
-    from tipforce.watching.fingers import Fallback
+    from tipforce.watching.watcher import Fallback
     from tipforce_tools.view.sources import Source
 
 DEFAULT_PORT = 8404
@@ -75,7 +75,7 @@ def serve(args: argparse.Namespace, source: Source) -> int:
 def hand_source(args: argparse.Namespace, hand: Hand, title: str, fallback: Fallback | None = None) -> Source:
     """Commission and start a hand: reports go to stderr and to the page's event list."""
     from tipforce.watching.feeds import HandFeed
-    from tipforce.watching.fingers import hand_fingers
+    from tipforce.watching.watcher import hand_fingers
     from tipforce_tools.view.sources import LiveSource
 
     try:
