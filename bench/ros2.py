@@ -73,7 +73,7 @@ def publish(folder: Path) -> tuple[FrameArray, dict[str, Any]]:
     try:
         with brought_up(folder, names, plan, link=link) as hand:
             feed = HandFeed(hand, [Finger(n, name, calibration()) for n, name in names.items()])
-            bridge = Bridge(feed, RosDomain(0), "/tipforce", 3, False)
+            bridge = Bridge(feed, RosDomain(0), "/tipforce", False)
             bridge.step()  # makes the topics
             assert reader.stdout is not None
             reader.stdout.readline()  # it has subscribed

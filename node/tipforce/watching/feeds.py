@@ -49,9 +49,10 @@ class Counters:
 class Feed:
     """Rows of all fingers, and events. ``close`` releases the hand or the source."""
 
-    def __init__(self, close: Callable[[], object], fingers: Sequence[Finger]) -> None:
-        self.close, self.fingers = close, tuple(fingers)
-        """``fingers``: in the order of the columns; more may be found."""
+    def __init__(self, close: Callable[[], object], fingers: Sequence[Finger], gauges: int) -> None:
+        self.close, self.gauges = close, gauges
+        self.fingers = tuple(fingers)
+        """In the order of the columns; more may be found."""
         self.ended = False
         """No more will come."""
         self.overrun = 0
@@ -84,8 +85,8 @@ class HandFeed(Feed):
     """A hand that the program commissions."""
 
     def __init__(self, hand: Hand, fingers: Sequence[Finger]) -> None:
-        super().__init__(hand.close, fingers)
-        self._hand, self._gauges = hand, hand.file.finger[0].gauges
+        super().__init__(hand.close, fingers, hand.file.finger[0].gauges)
+        self._hand = hand
         self._waiting: deque[Rows | Event] = deque()
         self._changed = threading.Condition()
         hand.on_rows(self._put)
@@ -112,7 +113,7 @@ class HandFeed(Feed):
         with self._changed:
             items, self._waiting = self._waiting, deque()
         rows = [item for item in items if isinstance(item, Rows)]
-        blocks = [joined(rows).block([finger.calibration for finger in self.fingers], self._gauges)] if rows else []
+        blocks = [joined(rows).block([finger.calibration for finger in self.fingers], self.gauges)] if rows else []
         return blocks, [item for item in items if isinstance(item, Event)]
 
     def state(self, node_id: int) -> str:
@@ -145,7 +146,7 @@ class FrameFeed(Feed):
         fingers: Sequence[Finger] = (),
         bit_rate: int = DEFAULT_BIT_RATE,
     ) -> None:
-        super().__init__(source.close, fingers)
+        super().__init__(source.close, fingers, gauges)
         self.rows = self.frames = 0
         self._source, self._down = source, False
         self._watcher, self._load = Watcher(make_finger, gauges, fingers), LoadMeter(bit_rate)

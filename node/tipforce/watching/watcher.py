@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from tipforce.samples.record import Rows
 from tipforce.sensor.structure.gauges import Gauge
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASE_OF_CODE, LAYOUTS
+
+if TYPE_CHECKING:
+    from tipforce.host.hand.hand import Hand
 
 Fallback = tuple[str, Geometry, tuple[Gauge, ...]]
 """Name, geometry and gauges of a layout."""
@@ -58,11 +62,14 @@ def with_layout(finger: Finger, layout: str, fallback: Fallback | None) -> Finge
     return finger
 
 
-def hand_fingers(file: HandFile, fallback: Fallback | None = None) -> tuple[Finger, ...]:
-    """Return the fingers of a hand file, with calibrations and gauge positions. Raises InputError."""
+def hand_fingers(hand: HandFile | Hand, fallback: Fallback | None = None) -> tuple[Finger, ...]:
+    """Return the fingers of a hand, with calibrations and gauge positions. Raises InputError.
+
+    A commissioned hand has also the nodes' own calibrations, where its file has none.
+    """
+    plans = hand.finger if isinstance(hand, HandFile) else hand.file.finger
     return tuple(
-        with_layout(Finger(plan.node_id, plan.name, file.calibration(plan)), plan.layout, fallback)
-        for plan in file.finger
+        with_layout(Finger(plan.node_id, plan.name, hand.calibration(plan)), plan.layout, fallback) for plan in plans
     )
 
 

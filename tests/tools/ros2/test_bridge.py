@@ -58,7 +58,7 @@ def published(log: Path, *fingers: Finger) -> tuple[Topics, list[dict[str, Any]]
     events: list[dict[str, Any]] = []
     with open_log(log) as reader:
         feed = FrameFeed(LogSource(reader, math.inf, PERIOD_NS), Finger, 3, fingers)
-        bridge = Bridge(feed, topics, "/tipforce", 3, False)
+        bridge = Bridge(feed, topics, "/tipforce", False)
         while not feed.ended:
             events += bridge.step()
         bridge.report(feed.now_ns())

@@ -13,8 +13,9 @@ import time
 import numpy as np
 from websockets.sync.client import connect
 
+from tipforce_tools.cli.listening import commissioned
 from tipforce_tools.demo.hand import PULLS, load_at, simulated_hand
-from tipforce_tools.view import serving
+from tipforce_tools.view.sources import LiveSource
 
 WAIT_S = 60.0
 
@@ -23,7 +24,7 @@ def test_the_simulated_hand_is_shown_as_it_is_loaded() -> None:
     with simulated_hand(moving=False) as (hand, nodes):
         for k, gauges in enumerate(nodes.sources):
             gauges.load = load_at(k, 3.0)
-        source = serving.hand_source(argparse.Namespace(quiet=True), hand, "simulated hand")
+        source = LiveSource(commissioned(argparse.Namespace(quiet=True), hand), "simulated hand")
         deadline_s = time.monotonic() + WAIT_S
         while True:
             source.pump()

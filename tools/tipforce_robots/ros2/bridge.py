@@ -63,9 +63,8 @@ class Tip:
 class Bridge:
     """Publishes what a feed delivers."""
 
-    def __init__(self, feed: Feed, domain: RosDomain, prefix: str, gauges: int, allow_tare: bool) -> None:
-        self._feed, self._domain, self._prefix = feed, domain, prefix
-        self._gauges, self._allow_tare = gauges, allow_tare
+    def __init__(self, feed: Feed, domain: RosDomain, prefix: str, allow_tare: bool) -> None:
+        self._feed, self._domain, self._prefix, self._allow_tare = feed, domain, prefix, allow_tare
         self._diagnostics = domain.publisher("/diagnostics", DIAGNOSTICS, "events")
         self._due_ns = 0
         self._period_rows = self._overrun = 0
@@ -95,7 +94,7 @@ class Bridge:
         return status
 
     def _add(self, finger: Finger, now_ns: int) -> None:
-        tip = Tip(self._domain, self._prefix, finger, self._gauges, self._allow_tare)
+        tip = Tip(self._domain, self._prefix, finger, self._feed.gauges, self._allow_tare)
         for other in self.tips.values():
             if other.name == tip.name:
                 raise InputError(f"fingers {other.node_id} and {tip.node_id}: both are {tip.name} in ROS 2; rename one")

@@ -60,12 +60,14 @@ def run(args: argparse.Namespace) -> int:
 
 def _view(args: argparse.Namespace) -> int:
     """Serve the page with a simulated hand until Ctrl-C."""
+    from tipforce_tools.cli.listening import commissioned
     from tipforce_tools.demo.hand import simulated_hand
-    from tipforce_tools.view.serving import check_page_arguments, hand_source, serve
+    from tipforce_tools.view.serving import check_page_arguments, serve
+    from tipforce_tools.view.sources import LiveSource
 
     check_page_arguments(args)
     with simulated_hand() as (hand, _):
-        return serve(args, hand_source(args, hand, "simulated hand"))
+        return serve(args, LiveSource(commissioned(args, hand), "simulated hand"))
 
 
 def _record(result: Result) -> dict[str, object]:

@@ -5,16 +5,15 @@ from __future__ import annotations
 import argparse
 import contextlib
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
+from tipforce_tools.cli.listening import commissioned, listening
 from tipforce_tools.cli.request import bus_options
-from tipforce_tools.view.serving import add_page_arguments, check_page_arguments, hand_source, serve
+from tipforce_tools.view.serving import add_page_arguments, check_page_arguments, serve
 
 if TYPE_CHECKING:
-    from tipforce.watching.watcher import Fallback, Finger, FingerMaker
     from tipforce_tools.view.sources import Source
 
 _MOST_SECONDS = 1e9
@@ -65,7 +64,7 @@ def _source(args: argparse.Namespace) -> Iterator[Source]:
     from tipforce.shipped_files import file_or_shipped
     from tipforce.sources.layout_file import read_layout
     from tipforce.watching.watcher import finger_maker
-    from tipforce_tools.view.sources import LogSource, is_scene, scene_source
+    from tipforce_tools.view.sources import LiveSource, LogSource, is_scene, scene_source
 
     path = file_or_shipped(args.source, "scenes") if args.source else None
     is_table = path is not None and path.suffix == ".toml"
@@ -74,42 +73,19 @@ def _source(args: argparse.Namespace) -> Iterator[Source]:
     fallback = (args.layout, *read_layout(args.layout)) if args.layout else None
     maker = finger_maker(args.nodes, fallback)
     if path is None or args.no_bring_up:
-        source: Source = _listen(args, path, maker, fallback)
+        feed, channel = listening(args, path, fallback)
+        title = f"{path.name} on {channel}" if path else channel
+        source: Source = LiveSource(feed, f"{title}, listening", "this page only listens to the bus")
     elif is_table and is_scene(path):
         common.note(args, f"{path}: running the scene")
         source = scene_source(path, maker, args.gauges, args.start_s, args.end_s)
     elif is_table:
         from tipforce.host.hand.hand import Hand
 
-        source = hand_source(args, Hand.from_file(path, **bus_options(args)), path.name, fallback)
+        source = LiveSource(commissioned(args, Hand.from_file(path, **bus_options(args)), fallback), path.name)
     elif str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
     else:
         source = LogSource(path, maker, args.gauges, (), args.start_s, args.end_s)
     with contextlib.closing(source):
         yield source
-
-
-def _listen(args: argparse.Namespace, path: Path | None, maker: FingerMaker, fallback: Fallback | None) -> Source:
-    from tipforce.host.hand.file import read_hand
-    from tipforce.host.live.receive import open_receiver
-    from tipforce.host.live.receive_group import ReceiverGroup
-    from tipforce.watching.feeds import FrameFeed
-    from tipforce.watching.frame_sources import BusSource
-    from tipforce.watching.watcher import hand_fingers
-    from tipforce_tools.cli.listening import resolved_options
-    from tipforce_tools.view.sources import LISTENING, LiveSource
-
-    options = resolved_options(args, named=False)
-    fingers: tuple[Finger, ...] = ()
-    gauges = args.gauges
-    if path is not None:
-        file = read_hand(path)
-        fingers, gauges = hand_fingers(file, fallback), file.finger[0].gauges
-        options = {**file.bus, **{name: value for name, value in options.items() if value is not None}}
-        maker = lambda _node_id: None  # noqa: E731
-    channel = str(options.get("channel") or options.get("interface") or "bus")
-    title = f"{path.name} on {channel}" if path else channel
-    source = BusSource(ReceiverGroup([open_receiver(options)]))
-    feed = FrameFeed(source, maker, gauges, fingers, int(options.get("bitrate") or 1_000_000))
-    return LiveSource(feed, f"{title}, listening", gauges, LISTENING)

@@ -11,8 +11,6 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce.host.hand.hand import Hand
-    from tipforce.watching.watcher import Fallback
     from tipforce_tools.view.sources import Source
 
 DEFAULT_PORT = 8404
@@ -70,20 +68,3 @@ def serve(args: argparse.Namespace, source: Source) -> int:
         return 0
     finally:
         server.close()
-
-
-def hand_source(args: argparse.Namespace, hand: Hand, title: str, fallback: Fallback | None = None) -> Source:
-    """Commission and start a hand: reports go to stderr and to the page's event list."""
-    from tipforce.watching.feeds import HandFeed
-    from tipforce.watching.watcher import hand_fingers
-    from tipforce_tools.view.sources import LiveSource
-
-    try:
-        source = LiveSource(HandFeed(hand, hand_fingers(hand.file, fallback)), title, hand.file.finger[0].gauges)
-        for report in hand.bring_up():
-            common.note(args, str(report))
-        hand.start()
-    except BaseException:
-        hand.close()
-        raise
-    return source

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 LOG_BYTES = 8 * MAX_BYTES
 """Memory limit of a log's rows; of a longer log the user must choose a part."""
-LISTENING = "this page only listens to the bus"
 _NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)
 
 
@@ -56,8 +55,8 @@ class Source:
 class LiveSource(Source):
     """Rows of a feed, which it closes."""
 
-    def __init__(self, feed: Feed, title: str, gauges: int = 3, no_tare: str = "") -> None:
-        super().__init__(title, no_tare, Model(feed.fingers, gauges))
+    def __init__(self, feed: Feed, title: str, no_tare: str = "") -> None:
+        super().__init__(title, no_tare, Model(feed.fingers, feed.gauges))
         self.feed = feed
 
     def pump(self) -> None:
