@@ -65,6 +65,7 @@ def publish(folder: Path) -> tuple[FrameArray, dict[str, Any]]:
     from tipforce.watching.feeds import HandFeed
     from tipforce.watching.watcher import Finger
     from tipforce_robots.ros2.bridge import Bridge
+    from tipforce_robots.ros2.cdr import WRENCH
     from tipforce_robots.ros2.dds import RosDomain
 
     names = {n: f"f{n}" for n in range(1, FINGERS + 1)}
@@ -77,7 +78,7 @@ def publish(folder: Path) -> tuple[FrameArray, dict[str, Any]]:
             bridge.step()  # makes the topics
             assert reader.stdout is not None
             reader.stdout.readline()  # it has subscribed
-            while not all(tip._wrench.readers for tip in bridge.tips.values()):
+            while not all(tip.publishers[WRENCH].readers for tip in bridge.tips.values()):
                 time.sleep(0.01)
             link.frames.clear()
             hand.start()

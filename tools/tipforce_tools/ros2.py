@@ -111,7 +111,7 @@ def _publish(args: argparse.Namespace, feed: Feed, bridge: Bridge) -> None:
 
 
 def _say_end(args: argparse.Namespace, bridge: Bridge) -> None:
-    found = {tip.name: tip.wrenches for tip in bridge.tips.values()}
+    found = {tip.ros_name: tip.wrenches for tip in bridge.tips.values()}
     if args.json:
         common.print_json({"rows": bridge.rows, "wrenches": found})
     common.note(args, f"{bridge.rows} rows, {bridge.wrenches} wrenches of {counted(len(found), 'finger')} published")

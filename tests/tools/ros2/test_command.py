@@ -48,4 +48,3 @@ def test_the_configuration_keeps_that_of_the_user() -> None:
 
 def test_names_are_absolute() -> None:
     assert [dds.namespace(one) for one in ("/", "", "left", "/robot/left/")] == ["", "", "/left", "/robot/left"]
-    assert dds.dds_name("/left/thumb/wrench") == "rt/left/thumb/wrench"

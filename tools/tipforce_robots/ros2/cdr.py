@@ -69,13 +69,6 @@ def fields_of(kind: str) -> tuple[Field, ...]:
     return tuple(fields)
 
 
-def constants_of(kind: str) -> dict[str, int]:
-    """Return the constants of a message."""
-    lines = (line.partition("#")[0].split() for line in text_of(kind).splitlines())
-    pairs = (words[1].split("=") for words in lines if len(words) == 2 and "=" in words[1])
-    return {name: int(value) for name, value in pairs}
-
-
 def with_dependencies(kind: str) -> str:
     """Return a definition followed by those that it uses: the "ros2msg" schema of MCAP."""
     parts, waiting, seen = [text_of(kind)], [kind], {kind}
