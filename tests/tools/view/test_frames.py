@@ -41,9 +41,10 @@ def test_a_slow_browser_gets_every_extreme(pause: int) -> None:
         model.add_event(START_NS, 1, "emcy", str(step))
         if step % pause == 0 or step == 119:
             message, _ = cursor.message()
-            bins |= {i: row[13] for i, row in zip(message["bins"]["i"], message["bins"]["v"], strict=True)}
-            sent += [event["text"] for event in message.get("events", [])]
-            assert len(message["bins"]["i"]) <= MAX_BINS
+            assert message.bins is not None
+            bins |= {i: row[13] for i, row in zip(message.bins["i"], message.bins["v"], strict=True)}
+            sent += [event.text for event in message.events or ()]
+            assert len(message.bins["i"]) <= MAX_BINS
     assert max(bins.values()) == pytest.approx(highest, abs=1e-4)
     assert sorted(bins) == list(range(min(bins), max(bins) + 1))
     assert sent == [str(step) for step in range(120)]
@@ -55,8 +56,9 @@ def test_a_browser_that_was_away_for_long_gets_a_bounded_message() -> None:
     cursor = Cursor(model, Playhead(model, clock=clock), MS)
     model.add(block(1000 + np.arange(20_000), np.ones((20_000, 2))))
     message, _ = cursor.message()
-    assert len(message["bins"]["i"]) <= MAX_BINS
-    assert message["bins"]["i"][-1] == (START_NS + 20_999 * MS) // MS
+    assert message.bins is not None
+    assert len(message.bins["i"]) <= MAX_BINS
+    assert message.bins["i"][-1] == (START_NS + 20_999 * MS) // MS
 
 
 def test_unknown_becomes_null() -> None:

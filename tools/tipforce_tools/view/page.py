@@ -75,7 +75,7 @@ class Page:
                 self._streaming = asyncio.create_task(self._pictures(cursor, request.id))
                 return
             case requests.Csv():
-                answer: dict[str, Any] = await self._csv()
+                answer: Any = await self._csv()
             case requests.Pause():
                 self._end_stream()
                 answer = {}

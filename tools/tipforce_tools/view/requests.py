@@ -12,14 +12,13 @@ from tipforce.errors import InputError, RefusedError
 from tipforce_tools.view.history import Charted
 from tipforce_tools.view.messages import (
     MAX_BINS,
+    MAX_EVENTS,
     Cursor,
     Playhead,
     drawing,
     encode,
     envelope_message,
-    events_message,
     largest_strain_per_newton,
-    picture_message,
 )
 from tipforce_tools.view.model import Model
 from tipforce_tools.view.sources import Source
@@ -36,7 +35,7 @@ class Request(msgspec.Struct, forbid_unknown_fields=True, tag_field="do", tag=st
 
     id: int = 0
 
-    def answer(self, source: Source, read_only: str) -> dict[str, Any]:
+    def answer(self, source: Source, read_only: str) -> Any:
         """Return the response. ``read_only``: why this page must not write; empty if it may. Raises TipforceError."""
         raise NotImplementedError
 
@@ -44,14 +43,14 @@ class Request(msgspec.Struct, forbid_unknown_fields=True, tag_field="do", tag=st
 class Setup(Request):
     """Get the fingers, the permissions, and the present picture."""
 
-    def answer(self, source: Source, read_only: str) -> dict[str, Any]:
+    def answer(self, source: Source, read_only: str) -> Any:
         """See Request."""
         model = source.model
         return {
             "title": source.title, "live": model.live, "generation": model.generation,
             "fingers": [drawing(finger, model.gauges) for finger in model.fingers],
-            "gauges": model.gauges, "no_tare": source.no_tare or read_only, "events": events_message(model),
-            "picture": picture_message(model, model.picture()), "scale": _scale(model),
+            "gauges": model.gauges, "no_tare": source.no_tare or read_only, "events": model.events()[-MAX_EVENTS:],
+            "picture": model.picture(), "scale": _scale(model),
         }  # fmt: skip
 
 
@@ -60,12 +59,12 @@ class At(Request):
 
     t: Milliseconds
 
-    def answer(self, source: Source, read_only: str) -> dict[str, Any]:  # noqa: ARG002
+    def answer(self, source: Source, read_only: str) -> Any:  # noqa: ARG002
         """See Request."""
-        moment = picture_message(source.model, source.model.picture(_ns(self.t)))
+        picture = source.model.picture(_ns(self.t))
         if not source.model.live:
-            moment["events"] = events_message(source.model, _ns(self.t))
-        return moment
+            picture.events = source.model.events(0, _ns(self.t))[-MAX_EVENTS:]
+        return picture
 
 
 class History(Request):
@@ -76,7 +75,7 @@ class History(Request):
     bin: BinWidth
     what: Charted = "contact"
 
-    def answer(self, source: Source, read_only: str) -> dict[str, Any]:  # noqa: ARG002
+    def answer(self, source: Source, read_only: str) -> Any:  # noqa: ARG002
         """See Request. Raises InputError for too many bins."""
         width_ns = _ns(self.bin)
         first, last = _ns(self.start) // width_ns, _ns(self.end) // width_ns
@@ -115,7 +114,7 @@ class Tare(Request):
 
     node_id: int
 
-    def answer(self, source: Source, read_only: str) -> dict[str, Any]:
+    def answer(self, source: Source, read_only: str) -> Any:
         """See Request. Raises also the errors of the source."""
         if source.no_tare or read_only:
             raise RefusedError(source.no_tare or read_only)
