@@ -15,7 +15,7 @@ ORIGIN = HOST | {"Origin": "http://127.0.0.1:8404"}
 
 def status(guard: Guard, headers: dict[str, str], token: str = "") -> int:
     refusal = guard.check(headers, token)
-    return HTTPStatus.OK if refusal is None else refusal.status
+    return HTTPStatus.OK if refusal is None else refusal[0]
 
 
 @pytest.mark.parametrize(

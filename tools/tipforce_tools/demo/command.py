@@ -14,7 +14,7 @@ from tipforce_tools.cli.common import (
     progress,
     seed,
 )
-from tipforce_tools.view.serving import add_page_arguments
+from tipforce_tools.view.command import add_page_arguments
 
 if TYPE_CHECKING:
     from tipforce_tools.demo.job import Result
@@ -62,7 +62,7 @@ def _view(args: argparse.Namespace) -> int:
     """Serve the page with a simulated hand until Ctrl-C."""
     from tipforce_tools.cli.listening import commissioned
     from tipforce_tools.demo.hand import simulated_hand
-    from tipforce_tools.view.serving import check_page_arguments, serve
+    from tipforce_tools.view.command import check_page_arguments, serve
     from tipforce_tools.view.sources import LiveSource
 
     check_page_arguments(args)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import sys
+import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -11,11 +13,11 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import commissioned, listening
 from tipforce_tools.cli.request import bus_options
-from tipforce_tools.view.serving import add_page_arguments, check_page_arguments, serve
 
 if TYPE_CHECKING:
     from tipforce_tools.view.sources import Source
 
+DEFAULT_PORT = 8404
 _MOST_SECONDS = 1e9
 
 
@@ -89,3 +91,57 @@ def _source(args: argparse.Namespace) -> Iterator[Source]:
         source = LogSource(path, maker, args.gauges, (), args.start_s, args.end_s)
     with contextlib.closing(source):
         yield source
+
+
+def add_page_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of the page's server."""
+    group = parser.add_argument_group("page")
+    group.add_argument(
+        "--port", type=int, default=DEFAULT_PORT, metavar="N", help="default %(default)s; 0: any free port"
+    )
+    group.add_argument(
+        "--host", default="", metavar="ADDRESS", help="address to serve on, default loopback; others need --token"
+    )
+    group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
+    group.add_argument("--allow-writes", action="store_true", help="allow the page to tare")
+    group.add_argument("--open", action="store_true", help="open the page in the browser")
+
+
+def check_page_arguments(args: argparse.Namespace) -> None:
+    """Check the arguments before opening anything. Raises InputError."""
+    from tipforce_tools.view.guard import access_token, host_names
+
+    if not 0 <= args.port <= 65535:
+        raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
+    access_token(args.host or "127.0.0.1", args.token)
+    host_names(args.host or "127.0.0.1")
+
+
+def serve(args: argparse.Namespace, source: Source) -> int:
+    """Serve the page of a source until Ctrl-C or SIGTERM."""
+    from tipforce_tools.cli.main import terminate_as_interrupt
+    from tipforce_tools.view.guard import Guard, access_token, host_names
+    from tipforce_tools.view.server import ViewServer
+
+    host = args.host or "127.0.0.1"
+    guard = Guard(host_names(host), access_token(host, args.token), args.allow_writes)
+    server = ViewServer(source, guard, (host,) if args.host else ("127.0.0.1", "::1"), args.port)
+    terminate_as_interrupt()
+    server.start()
+    try:
+        if args.json:
+            common.print_json({"url": server.url})
+        else:
+            print(server.url)
+        sys.stdout.flush()
+        common.note(args, f"{source.title}: {'read and tare' if args.allow_writes else 'read-only'}; Ctrl-C ends it")
+        if args.open:
+            import webbrowser
+
+            webbrowser.open(server.url)
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        server.close()

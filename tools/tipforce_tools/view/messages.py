@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, Literal
 
-import msgspec
 import numpy as np
 
 from tipforce.errors import InputError
@@ -65,8 +64,8 @@ class Cursor:
         self._bin = playhead.now_ns()[0] // bin_ns
         self._event = after_event
 
-    def message(self) -> tuple[Picture, bool]:
-        """Return the next message, and whether it is the last one."""
+    def message(self) -> Picture:
+        """Return the next message; the last one has ended."""
         model = self._model
         now_ns, ended = self._playhead.now_ns()
         picture = model.picture(now_ns)
@@ -80,12 +79,7 @@ class Cursor:
         if picture.events:
             self._event = picture.events[-1].number
         picture.ended = ended
-        return picture, ended
-
-
-def encode(message: Any) -> bytes:
-    """Encode as JSON; NaN becomes null."""
-    return msgspec.json.encode(message)
+        return picture
 
 
 def envelope_message(envelope: Envelope) -> dict[str, Any]:
