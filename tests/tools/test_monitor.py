@@ -20,8 +20,7 @@ from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 from tipforce.host.logs.reader import open_log
 from tipforce.watching.frame_sources import LogSource, PipeSource
 from tipforce_tools.cli.main import main
-from tipforce_tools.monitor import display
-from tipforce_tools.monitor.session import Loop
+from tipforce_tools.monitor import session
 from tipforce_tools.monitor.state import WINDOW_NS, BusView, Monitor, NodeView, Window
 from tools.hand_log import START_S, Fault, contact_pdo, hand_log
 from tools.rig import message, sending
@@ -79,7 +78,7 @@ def test_one_late_sample_shows_in_the_longest_period() -> None:
 def test_an_old_value_is_never_shown_as_live(age_ms: int, stale: bool) -> None:
     found = node(fed(contacts(101)), 1000 + age_ms)
     assert found.stale == stale
-    cells = display.cells(found)
+    cells = session.cells(found)
     assert ("1.500 N" in cells) != stale
     assert any("STALE" in cell for cell in cells) == stale
     for reading in found.readings.values():
@@ -114,7 +113,7 @@ def test_the_rate_of_a_node_that_stops_falls() -> None:
 def test_the_unknown_says_why(status: int, reasons: tuple[str, ...]) -> None:
     found = node(fed([(0, *contact_pdo(5, NAN, NAN, NAN, status))]))
     assert tuple(found.readings[name].reason for name in ("P", "phi", "theta")) == reasons
-    assert display.shown(found.readings["theta"]) == f"unknown: {reasons[2]}"
+    assert session.shown(found.readings["theta"]) == f"unknown: {reasons[2]}"
 
 
 def test_what_the_calibration_says_of_a_sample_comes_from_tpdo4_and_emcy() -> None:
@@ -137,7 +136,7 @@ def test_what_the_calibration_says_of_a_sample_comes_from_tpdo4_and_emcy() -> No
 
 def test_a_known_value_needs_no_reason() -> None:
     found = node(fed([(0, *contact_pdo(5, 0.01, NAN, NAN, CALIBRATED | 0x10))]))
-    assert [display.shown(found.readings[name]) for name in ("P", "phi", "theta")] == [
+    assert [session.shown(found.readings[name]) for name in ("P", "phi", "theta")] == [
         "0.010 N",
         "unknown: no contact",
         "unknown: no contact",
@@ -147,7 +146,7 @@ def test_a_known_value_needs_no_reason() -> None:
 def test_a_node_that_sends_gauges_alone() -> None:
     gauges = struct.pack("<hhhBB", 10, 20, 30, 3, 0)
     found = node(fed([(0, 0x185, gauges), (10, 0x185, gauges)]), 10)
-    assert display.shown(found.readings["P"]) == "unknown: not sent"
+    assert session.shown(found.readings["P"]) == "unknown: not sent"
     assert found.rate_hz == pytest.approx(100.0)
 
 
@@ -170,8 +169,8 @@ def test_heartbeat_and_its_loss() -> None:
     assert [node(fed(beats), t).nmt_lost for t in (3000, 4400, 4600)] == [False, False, True]
     assert node(fed(beats), 3000).nmt == "operational"
     assert node(fed([(0, 0x705, b"\x00"), (1, 0x705, b"\x7f")]), 1).nmt == "pre-operational"
-    assert "operational, heartbeat lost" in display.cells(node(fed(beats), 4600))
-    assert "no heartbeat" in display.cells(node(fed(contacts(2)), 10))
+    assert "operational, heartbeat lost" in session.cells(node(fed(beats), 4600))
+    assert "no heartbeat" in session.cells(node(fed(contacts(2)), 10))
 
 
 def test_a_boot_up_message_is_no_state_that_lasts() -> None:
@@ -192,7 +191,7 @@ def test_emergency() -> None:
     )
     assert found.emergency is not None
     assert (found.emergency.code, found.emergency.register, found.emergency.text) == (0x5030, 0x81, "front end")
-    assert "5030h front end, 2.0 s ago" in display.cells(found)
+    assert "5030h front end, 2.0 s ago" in session.cells(found)
     assert fed([(0, 0x85, b"\x10")]).views(T0)[0].nodes[0].emergency is None
 
 
@@ -428,16 +427,16 @@ def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
         for frames in reader:
             watched.feed(frames, reader.channels)
     views, stream = watched.views(), io.StringIO()
-    tables = display.tables(views, 1_000_000, "the foot", *([80] if width == 80 else []))
+    tables = session.tables(views, 1_000_000, "the foot", *([80] if width == 80 else []))
     Console(file=stream, width=width, no_color=True).print(tables)
     lines = stream.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     (node,) = views[0].nodes
-    row = display.cells(node)
+    row = session.cells(node)
     if width == 250:
-        for cell in (*row, display.headline(views[0], 1_000_000), "the foot"):
+        for cell in (*row, session.headline(views[0], 1_000_000), "the foot"):
             assert cell in stream.getvalue()
-        assert " ".join("\n".join(display.plain(views, 1_000_000)).split()).startswith("vcan0: ")
+        assert " ".join("\n".join(session.plain(views, 1_000_000)).split()).startswith("vcan0: ")
         return
     assert "\u2026" not in stream.getvalue()
     assert next(line for line in lines if line.startswith("node")).split()[-1] == "lost"
@@ -446,19 +445,16 @@ def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
     assert f"{node.readings['P'].value:.3f} N" in line
 
 
-def test_the_loop_shows_at_each_interval(log: Path) -> None:
+def test_it_is_shown_at_each_interval(log: Path) -> None:
     seen: list[int | None] = []
     with open_log(log) as reader:
         source = LogSource(reader, math.inf, 250 * MS)
-        loop = Loop(None, 0.25, lambda _watched, now_ns: seen.append(now_ns))
-        loop.run(Monitor(), source, lambda: False)
-    assert len(seen) == loop.shown == 7
+        assert session.run(Monitor(), source, lambda: False, 0.25, lambda _watched, now_ns: seen.append(now_ns))
     assert [(t or 0) - (seen[0] or 0) for t in seen] == [250 * MS * k for k in range(7)]
 
 
-def test_the_loop_ends_when_told(log: Path) -> None:
+def test_it_ends_when_told(log: Path) -> None:
     with open_log(log) as reader:
-        source = LogSource(reader, math.inf, 10 * MS)
-        watched = Monitor()
-        Loop(None, 0.25, None).run(watched, source, lambda: watched.frames > 20)
+        source, watched = LogSource(reader, math.inf, 10 * MS), Monitor()
+        assert not session.run(watched, source, lambda: watched.frames > 20, 0.25, None)
         assert 20 < watched.frames < 100
