@@ -51,18 +51,15 @@ def monitor(args: Namespace) -> int:
         source, log = _source(args, log_name, targets, interval_s, opened)
         pressed = opened.enter_context(_keys(screen, log_name == STDIN))
         show = opened.enter_context(_screen(args, interval_s)) if screen else _lines(args)
-        lines = args.json and args.once is None
-        once_s = math.inf if args.once is None else args.once
-        shown = run(
-            watched, source, lambda: stop.stopped or pressed(), interval_s, show if screen or lines else None, once_s
-        )
+        each = show if screen or (args.json and args.once is None) else None
+        shown = run(watched, source, lambda: stop.stopped or pressed(), interval_s, each, args.once or math.inf)
         if log is not None and source.ended and log.bad and not watched.frames:
             raise no_frame(str(log_name), (TEXT, PACKED, MESSAGES, PCAP), log.first_bad)
         has_nodes = any(bus.nodes for bus in watched.views())
         if log is not None and source.ended and watched.frames and not args.nodes and not has_nodes:
             raise no_sample(str(log_name), watched.frames, log.extended)
-        if not screen and not (lines and shown):
-            _lines(args)(watched, source.now_ns())
+        if not screen and not shown:
+            show(watched, source.now_ns())
     if log is not None and log.bad:
         reasons = ", ".join(f"{count} {reason}" for reason, count in log.bad.items())
         common.note(args, f"tipforce monitor: {counted(sum(log.bad.values()), 'bad line')} left out ({reasons})")
