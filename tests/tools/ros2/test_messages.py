@@ -1,20 +1,27 @@
-"""Messages: rosless and Cyclone DDS read their bytes; the shipped IDL and .msg files declare the same."""
+"""ROS 2 without a bus: messages, shipped IDL, .msg files and packages, domain and namespace, what is refused."""
 
 from __future__ import annotations
 
+import importlib.util
 import re
+import shlex
+from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import rosless
 
+from tipforce.errors import InputError
+from tipforce.host.hand.file import read_hand
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
 from tipforce.shipped_files import shipped_folder
 from tipforce_robots.ros2 import cdr, dds
 from tipforce_robots.ros2 import messages as diagnosing
 from tipforce_robots.ros2.messages import Tip
+from tipforce_tools.cli.main import command_parser, main
 
 PACKAGE = shipped_folder("ros2") / "tipforce_msgs"
 T_NS = 1_700_000_000_123_456_789
@@ -123,3 +130,73 @@ def test_diagnostics_say_what_the_samples_of_a_period_said() -> None:
     read: Any = rosless.decode(cdr.DIAGNOSTICS, diagnosing.array(T_NS, [found]))
     assert (read.status[0].level, read.status[0].hardware_id, len(read.status[0].values)) == (2, "node 5", 6)
     assert cdr.encode(cdr.EMPTY, {}) == b"\x00\x01\x00\x00\x00"
+
+
+def test_a_missing_package_is_one_line_with_the_command(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = importlib.util.find_spec
+    absent: Any = lambda name, *rest: None if name == "cyclonedds" else found(name, *rest)  # noqa: E731
+    monkeypatch.setattr("tipforce_tools.ros2.find_spec", absent)
+    assert main(["ros2"]) == 2
+    assert capsys.readouterr().err == "tipforce: ros2 needs cyclonedds: `pip install 'tipforce[ros2]'`\n"
+
+
+def test_the_domain_and_the_range_are_those_of_ros() -> None:
+    assert [dds.domain_id(None, {}), dds.domain_id(None, {"ROS_DOMAIN_ID": "42"}), dds.domain_id(3, {})] == [0, 42, 3]
+    assert dds.domain_id(3, {"ROS_DOMAIN_ID": "42"}) == 3
+    for bad in ("-1", "233", "robot"):
+        with pytest.raises(InputError, match=f"ROS_DOMAIN_ID {bad}: allowed are 0 to 232"):
+            dds.domain_id(None, {"ROS_DOMAIN_ID": bad})
+    assert [dds.loopback_only(one) for one in (
+        {}, {"ROS_LOCALHOST_ONLY": "0"}, {"ROS_LOCALHOST_ONLY": "1"}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "localhost"},
+        {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOCALHOST_ONLY": "1"},
+    )] == [False, False, True, True, False]  # fmt: skip
+
+
+def test_the_configuration_keeps_that_of_the_user() -> None:
+    wanted = "<IgnoreTypeInformation>1.15</IgnoreTypeInformation>"  # that of Fast DDS
+    uri, local = {"CYCLONEDDS_URI": "file:///a.xml"}, {"ROS_LOCALHOST_ONLY": "1"}
+    assert wanted in dds.configuration({})
+    assert "127.0.0.1" not in dds.configuration({})
+    first, *rest = dds.configuration(uri | local).split(",")
+    assert wanted in first
+    assert rest[0] == "file:///a.xml"  # of two values the later one counts
+    assert "127.0.0.1" in rest[1]
+    assert [dds.configuration(one, cyclone_version=0) for one in ({}, uri)] == ["", "file:///a.xml"]
+
+
+def test_names_are_absolute() -> None:
+    assert [dds.namespace(one) for one in ("/", "", "left", "/robot/left/")] == ["", "", "/left", "/robot/left"]
+
+
+PACKAGES = sorted(path.parent for path in PACKAGE.parent.glob("*/package.xml"))
+
+
+def test_the_messages_of_the_package_are_built() -> None:
+    text = (PACKAGE.parent / "tipforce_msgs" / "CMakeLists.txt").read_text()
+    built = set(re.findall(r'"(msg/\w+\.msg)"', text))
+    assert built == {f"msg/{path.name}" for path in (PACKAGE.parent / "tipforce_msgs" / "msg").iterdir()}
+
+
+@pytest.mark.parametrize("folder", PACKAGES, ids=lambda path: path.name)
+def test_a_package_has_one_name_and_installs_what_it_has(folder: Path) -> None:
+    assert ElementTree.parse(folder / "package.xml").findtext("name") == folder.name
+    text = (folder / "CMakeLists.txt").read_text()
+    assert f"project({folder.name})" in text
+    for installed in re.findall(r"install\(DIRECTORY (.*?) DESTINATION", text):
+        assert all((folder / name).is_dir() for name in installed.split())
+
+
+def test_the_launch_file_runs_the_command_with_its_flags() -> None:
+    launch = ElementTree.parse(PACKAGE.parent / "tipforce_bringup" / "launch" / "hand.launch.xml").getroot()
+    defaults = {one.get("name", ""): one.get("default", "") for one in launch.iter("arg")}
+    [command] = [one.get("cmd", "") for one in launch.iter("executable")]
+    for name, value in defaults.items():
+        command = command.replace(f"$(var {name})", value)
+    folder = PACKAGE.parent / "tipforce_bringup"
+    words = shlex.split(command.replace("$(find-pkg-share tipforce_bringup)", str(folder)))
+    assert words[:2] == ["tipforce", "ros2"]
+    args = command_parser("ros2").parse_intermixed_args(words[2:])
+    assert (args.namespace, args.allow_tare) == ("/tipforce", False)
+    assert [finger.name for finger in read_hand(args.source).finger] == ["thumb", "index"]
