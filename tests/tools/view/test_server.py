@@ -1,4 +1,4 @@
-"""The server over real sockets: who may ask for what, answers, streams; a browser that does not read holds up nobody."""
+"""The server over real sockets: who may ask for what, answers, streams; who reads nothing holds up nobody."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ Rows = npt.NDArray[np.void]
 def encode(kind: str, values: Mapping[str, Any]) -> bytes:
     """Serialise one message; ``values`` by field, nested messages as mappings. Raises KeyError for a missing field."""
     out = bytearray(HEADER)
-    _message(out, kind, values)
+    _put(out, kind, 1, values)
     return bytes(out)
 
 
@@ -133,7 +133,7 @@ class Layout:
         for field in fields_of(kind) or (_NEEDED,):
             path = prefix + field.name
             if path in self._constants or field.kind == "string":
-                _field(self._template, field, self._constants[path])
+                _put(self._template, field.kind, field.size, self._constants[path])
             elif "/" in field.kind:
                 self._walk(field.kind, path + ".")
             else:
@@ -161,26 +161,17 @@ def set_stamps(rows: Rows, t_ns: npt.NDArray[np.int64]) -> None:
     rows["header.stamp.sec"], rows["header.stamp.nanosec"] = np.divmod(t_ns, 1_000_000_000)
 
 
-def _message(out: bytearray, kind: str, values: Mapping[str, Any]) -> None:
-    for field in fields_of(kind):
-        _field(out, field, values[field.name])
-    if not fields_of(kind):
-        out.append(0)
-
-
-def _field(out: bytearray, field: Field, value: Any) -> None:
-    if field.size == 1:
-        _one(out, field.kind, value)
-        return
-    if field.size is None:
-        _primitive(out, "uint32", len(value))
-    for one in value:
-        _one(out, field.kind, one)
-
-
-def _one(out: bytearray, kind: str, value: Any) -> None:
-    if "/" in kind:
-        _message(out, kind, value)
+def _put(out: bytearray, kind: str, size: int | None, value: Any) -> None:
+    if size != 1:
+        if size is None:
+            _primitive(out, "uint32", len(value))
+        for item in value:
+            _put(out, kind, 1, item)
+    elif "/" in kind:
+        for field in fields_of(kind):
+            _put(out, field.kind, field.size, value[field.name])
+        if not fields_of(kind):
+            out.append(0)
     elif kind == "string":
         data = value.encode() + b"\0"
         _primitive(out, "uint32", len(data))

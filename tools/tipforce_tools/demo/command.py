@@ -62,12 +62,12 @@ def _view(args: argparse.Namespace) -> int:
     """Serve the page with a simulated hand until Ctrl-C."""
     from tipforce_tools.cli.listening import commissioned
     from tipforce_tools.demo.hand import simulated_hand
-    from tipforce_tools.view.command import check_page_arguments, serve
+    from tipforce_tools.view.command import page_guard, serve
     from tipforce_tools.view.sources import LiveSource
 
-    check_page_arguments(args)
+    guard = page_guard(args)
     with simulated_hand() as (hand, _):
-        return serve(args, LiveSource(commissioned(args, hand), "simulated hand"))
+        return serve(args, LiveSource(commissioned(args, hand), "simulated hand"), guard)
 
 
 def _record(result: Result) -> dict[str, object]:

@@ -15,6 +15,7 @@ from tipforce_tools.cli.listening import commissioned, listening
 from tipforce_tools.cli.request import bus_options
 
 if TYPE_CHECKING:
+    from tipforce_tools.view.guard import Guard
     from tipforce_tools.view.sources import Source
 
 DEFAULT_PORT = 8404
@@ -53,12 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until Ctrl-C or SIGTERM; return 0. Raises InputError and EnvironmentLackError."""
-    check_page_arguments(args)
+    guard = page_guard(args)
     for flag, value in (("--from", args.start_s), ("--to", args.end_s)):
         if value is not None and not 0.0 <= value <= _MOST_SECONDS:
             raise InputError(f"{flag} {value:g}: allowed is 0 to {_MOST_SECONDS:g} s from the beginning")
     with _source(args) as source:
-        return serve(args, source)
+        return serve(args, source, guard)
 
 
 @contextlib.contextmanager
@@ -107,25 +108,22 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--open", action="store_true", help="open the page in the browser")
 
 
-def check_page_arguments(args: argparse.Namespace) -> None:
-    """Check the arguments before opening anything. Raises InputError."""
-    from tipforce_tools.view.guard import access_token, host_names
+def page_guard(args: argparse.Namespace) -> Guard:
+    """Return the access rules of the page, before anything is opened. Raises InputError."""
+    from tipforce_tools.view.guard import Guard, access_token, host_names
 
     if not 0 <= args.port <= 65535:
         raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
-    access_token(args.host or "127.0.0.1", args.token)
-    host_names(args.host or "127.0.0.1")
+    host = args.host or "127.0.0.1"
+    return Guard(access_token=access_token(host, args.token), hosts=host_names(host), allow_writes=args.allow_writes)
 
 
-def serve(args: argparse.Namespace, source: Source) -> int:
+def serve(args: argparse.Namespace, source: Source, guard: Guard) -> int:
     """Serve the page of a source until Ctrl-C or SIGTERM."""
     from tipforce_tools.cli.main import terminate_as_interrupt
-    from tipforce_tools.view.guard import Guard, access_token, host_names
     from tipforce_tools.view.server import ViewServer
 
-    host = args.host or "127.0.0.1"
-    guard = Guard(host_names(host), access_token(host, args.token), args.allow_writes)
-    server = ViewServer(source, guard, (host,) if args.host else ("127.0.0.1", "::1"), args.port)
+    server = ViewServer(source, guard, (args.host,) if args.host else ("127.0.0.1", "::1"), args.port)
     terminate_as_interrupt()
     server.start()
     try:
