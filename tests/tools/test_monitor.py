@@ -143,17 +143,11 @@ def test_a_known_value_needs_no_reason() -> None:
     ]
 
 
-def test_a_node_that_sends_gauges_alone() -> None:
-    gauges = struct.pack("<hhhBB", 10, 20, 30, 3, 0)
-    found = node(fed([(0, 0x185, gauges), (10, 0x185, gauges)]), 10)
-    assert session.shown(found.readings["P"]) == "unknown: not sent"
-    assert found.rate_hz == pytest.approx(100.0)
-
-
-def test_samples_are_counted_once_with_two_pdos() -> None:
+def test_samples_are_counted_once_whatever_pdos_carry_them() -> None:
     gauges = [(t, 0x185, struct.pack("<hhhBB", 10, 20, 30, 3, k)) for k, (t, _, _) in enumerate(contacts(101))]
     both = [frame for pair in zip(gauges, contacts(101), strict=True) for frame in pair]
-    assert node(fed(both), 1000).rate_hz == pytest.approx(100.0)
+    assert [node(fed(frames), 1000).rate_hz for frames in (gauges, both)] == pytest.approx([100.0] * 2)
+    assert session.shown(node(fed(gauges), 1000).readings["P"]) == "unknown: not sent"
 
 
 def test_lost_samples() -> None:
@@ -215,18 +209,16 @@ def test_error_and_remote_frames_are_no_values() -> None:
     assert (found.nodes, found.errors) == ((), 1)
 
 
-@pytest.mark.parametrize(("length", "least", "worst"), [(8, 111, 135), (0, 47, 55)])
-def test_the_load_of_standard_frames(length: int, least: int, worst: int) -> None:
-    """The figures for 8 bytes are those of the text books: 111 bits at least, 135 at most."""
-    found = bus(fed([(k, 0x123, bytes(length)) for k in range(2001)]), 2000)
+@pytest.mark.parametrize(
+    ("can_id", "length", "least", "worst"),
+    [(0x123, 8, 111, 135), (0x123, 0, 47, 55), (0x123 | EXTENDED_FLAG, 8, 131, 160)],
+)
+def test_the_load_of_frames(can_id: int, length: int, least: int, worst: int) -> None:
+    """The figures for standard frames of 8 bytes are those of the text books: 111 bits at least, 135 at most."""
+    found = bus(fed([(k, can_id, bytes(length)) for k in range(2001)]), 2000)
     assert found.frames_hz == pytest.approx(1000.0, rel=1e-2)
     assert found.least_bits_hz == pytest.approx(least * 1000.0, rel=1e-2)
     assert found.worst_bits_hz == pytest.approx(worst * 1000.0, rel=1e-2)
-
-
-def test_extended_frames_are_longer_by_20_bits() -> None:
-    found = bus(fed([(k, 0x123 | EXTENDED_FLAG, bytes(8)) for k in range(2001)]), 2000)
-    assert found.least_bits_hz == pytest.approx(131_000.0, rel=1e-2)
 
 
 def test_the_same_node_on_two_buses() -> None:
@@ -398,10 +390,10 @@ def test_bad_lines_are_told(log: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "tipforce monitor: 1 bad line left out" in capsys.readouterr().err
 
 
-def test_a_log_without_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "empty.log"
-    path.write_text("")
-    assert monitor(str(path)) == 0
+@pytest.mark.parametrize("words", ["FILE", "-i virtual -c monitor2 --once 0.1"])
+def test_a_log_without_frames_and_a_silent_bus(words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty.log").touch()
+    assert monitor(*words.replace("FILE", str(tmp_path / "empty.log")).split()) == 0
     assert capsys.readouterr().out == "no frames received\n"
 
 
@@ -411,11 +403,6 @@ def test_on_a_bus(capsys: pytest.CaptureFixture[str]) -> None:
     (record,) = records(capsys.readouterr().out)
     (of_node,) = record["buses"][0]["nodes"]
     assert (of_node["node_id"], of_node["readings"]["P"]["value"], of_node["lost"]) == (5, 1.5, 0)
-
-
-def test_a_silent_bus_ends_once(capsys: pytest.CaptureFixture[str]) -> None:
-    assert monitor("-i", "virtual", "-c", "monitor2", "--once", "0.1") == 0
-    assert capsys.readouterr().out == "no frames received\n"
 
 
 @pytest.mark.parametrize("width", [250, 80])

@@ -37,11 +37,7 @@ class PolledHand:
     """
 
     def __init__(
-        self,
-        connection: Bus,
-        node_ids: Sequence[int],
-        gauges: int = 3,
-        messages: Sequence[str] = ("Contact",),
+        self, connection: Bus, node_ids: Sequence[int], gauges: int = 3, messages: Sequence[str] = ("Contact",)
     ) -> None:
         bases = {message.name: message.cob_id_base for message in tpdo_messages(gauges)}
         unknown = [name for name in messages if not bases.get(name)]
