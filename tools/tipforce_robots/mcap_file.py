@@ -135,7 +135,10 @@ class McapWriter:
         return self._frames[name]
 
     def _pictures(self, chunk: Table, samples: Mapping[int, Block]) -> None:
-        """Draw the state at every 30th of a second of a chunk."""
+        """Draw the state at every 30th of a second of a chunk.
+
+        All fingertips are side by side in one frame, because a recording of CAN does not say where they are mounted.
+        """
         first_ns, last_ns = int(chunk.t_ns.min()), int(chunk.t_ns.max())
         begin_ns = self._picture_ns if abs(first_ns - self._picture_ns) < _GAP_NS else first_ns
         times = np.arange(begin_ns, last_ns + 1, _PICTURE_NS)
@@ -147,7 +150,8 @@ class McapWriter:
                 if place[key][number] >= 0:
                     self._newest[key] = of, int(place[key][number])
             shown = {self._tips[key][0]: _shown(t_ns, *newest) for key, newest in self._newest.items()}
-            self._add(self._scene, t_ns, _scene_update(t_ns, shown))
+            entities = [_entity(t_ns, number, name, *tip) for number, (name, tip) in enumerate(shown.items())]
+            self._add(self._scene, t_ns, msgspec.json.encode({"entities": entities}))
             self._picture_ns = t_ns + _PICTURE_NS
         self._newest.update({key: (of, -1) for key, of in samples.items()})
 
@@ -253,15 +257,6 @@ _ENTITY = _object(
 )  # fmt: skip
 _SCHEMA = json.dumps({"title": _SCENE, **_object(entities=_array(_ENTITY))}).encode()
 """The fields of foxglove.SceneUpdate that are used."""
-
-
-def _scene_update(t_ns: int, tips: Mapping[str, tuple[tuple[float, float, float], int]]) -> bytes:
-    """Return one drawing: of each fingertip by name P in newtons, phi and theta in degrees, and the status.
-
-    All fingertips are side by side in one frame, because a recording of CAN does not say where they are mounted.
-    """
-    entities = [_entity(t_ns, number, name, *tip) for number, (name, tip) in enumerate(tips.items())]
-    return msgspec.json.encode({"entities": entities})
 
 
 def _entity(t_ns: int, number: int, name: str, contact: tuple[float, float, float], status: int) -> dict[str, Any]:

@@ -65,7 +65,9 @@ def fields_of(kind: str) -> tuple[Field, ...]:
         if len(words) == 2 and "=" not in words[1]:
             base, bracket, rest = words[0].partition("[")
             count = (int(rest[:-1]) if rest != "]" else None) if bracket else 1
-            fields.append(Field(words[1], _full_name(base), count))
+            package, slash, name = base.partition("/")
+            full_name = f"{package}/msg/{name}" if slash and "/" not in name else base
+            fields.append(Field(words[1], full_name, count))
     return tuple(fields)
 
 
@@ -79,11 +81,6 @@ def with_dependencies(kind: str) -> str:
                 waiting.append(field.kind)
                 parts.append(f"{'=' * 80}\nMSG: {field.kind.replace('/msg/', '/')}\n{text_of(field.kind)}")
     return "\n".join(parts)
-
-
-def _full_name(base: str) -> str:
-    package, slash, name = base.partition("/")
-    return f"{package}/msg/{name}" if slash and "/" not in name else base
 
 
 HEADER = b"\x00\x01\x00\x00"

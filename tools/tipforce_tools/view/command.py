@@ -89,7 +89,7 @@ def _source(args: argparse.Namespace) -> Iterator[Source]:
     elif str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
     else:
-        source = LogSource(path, maker, args.gauges, (), args.start_s, args.end_s)
+        source = LogSource(path, maker, args.gauges, args.start_s, args.end_s)
     with contextlib.closing(source):
         yield source
 

@@ -52,7 +52,7 @@ class Guard:
     def check(self, headers: Mapping[str, str], query_token: str = "") -> Refusal | None:
         """Return None if a request, or a WebSocket handshake, is allowed. ``headers`` ignore case."""
         host = headers.get("Host", "").lower()
-        if host not in self._allowed_hosts():
+        if host not in {f"{name}:{self.port}" for name in self.hosts} | set(self.hosts if self.port == 80 else ()):
             return HTTPStatus.MISDIRECTED_REQUEST, "this server does not have that name"
         origin = headers.get("Origin")
         foreign = origin is not None and origin.lower() != f"http://{host}"
@@ -73,10 +73,6 @@ class Guard:
             return True
         cookies = dict(part.strip().partition("=")[::2] for part in headers.get("Cookie", "").split(";"))
         return _same(cookies.get(COOKIE, ""), self.access_token)
-
-    def _allowed_hosts(self) -> set[str]:
-        with_port = {f"{host}:{self.port}" for host in self.hosts}
-        return with_port | set(self.hosts) if self.port == 80 else with_port
 
 
 def is_loopback(host: str) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 import time
 import tomllib
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -92,11 +91,10 @@ class LogSource(Source):
     """A log; all its rows stay in memory."""
 
     def __init__(
-        self, path: Path, make_finger: FingerMaker, gauges: int = 3,
-        fingers: Sequence[Finger] = (), start_s: float = 0.0, end_s: float | None = None,
-    ) -> None:  # fmt: skip
+        self, path: Path, make_finger: FingerMaker, gauges: int = 3, start_s: float = 0.0, end_s: float | None = None
+    ) -> None:
         """``start_s``, ``end_s``: the part to read, seconds from the log's first frame. Raises InputError."""
-        self._path, self._watcher = path, Watcher(make_finger, gauges, fingers)
+        self._path, self._watcher = path, Watcher(make_finger, gauges)
         rows = self._discover(start_s, end_s)
         found = self._watcher.fingers
         if not found:
@@ -120,20 +118,19 @@ class LogSource(Source):
 
         They are its SYNCs, or the frames of the finger that sent most.
         """
-        first, start, end = None, None, None
+        first, start, end = None, 0, np.iinfo(np.int64).max
         count = np.zeros(STANDARD_MASK + 1, dtype=np.int64)
         with open_log(self._path) as log:
             for frames in log:
                 t_ns, ids = frames["t_ns"], frames["can_id"]
                 if first is None:
                     first = int(t_ns[0])
-                    start = first + round(start_s * 1e9) if start_s else None
-                    end = first + round(end_s * 1e9) if end_s is not None else None
+                    start = first + round(start_s * 1e9) if start_s else start
+                    end = first + round(end_s * 1e9) if end_s is not None else end
                 self._watcher.discover(frames)
                 self._seconds = (int(t_ns[-1]) - first) * 1e-9
-                counted = ids < len(count)
-                counted &= (t_ns >= start if start is not None else True) & (t_ns < end if end is not None else True)
-                count += np.bincount(ids[counted], minlength=len(count))
+                counted = ids[(ids < len(count)) & (t_ns >= start) & (t_ns < end)]
+                count += np.bincount(counted, minlength=len(count))
             if first is not None and not log.timed:
                 raise InputError(f"{self._path}: the log has no timestamps, which a replay needs")
         self._limits = start, end
@@ -185,7 +182,7 @@ def scene_source(path: Path, make_finger: FingerMaker, gauges: int, start_s: flo
         log = Path(folder) / "scene.log"
         run_scene(scene, path.parent, Options(log=str(log)))
         try:
-            source = LogSource(log, make, gauges, (), start_s, end_s)
+            source = LogSource(log, make, gauges, start_s, end_s)
         except InputError as error:
             raise InputError(str(error).replace(str(log), str(path))) from None
     source.title, source.no_tare = path.name, "a scene can't be tared"
