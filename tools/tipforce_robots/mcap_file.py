@@ -280,7 +280,7 @@ def _entity(t_ns: int, number: int, name: str, contact: tuple[float, float, floa
 
 def _said(contact: tuple[float, float, float], status: int) -> str:
     if math.isnan(contact[0]):
-        return ", ".join(reasons.why_no_force(status)) or reasons.UNKNOWN_TO_THE_NODE
+        return reasons.why(status, force_known=False, angles_known=False)
     text = f"{contact[0]:.2f} N"
     return text if all(map(math.isfinite, contact)) else f"{text}, {reasons.why_no_angle(status) or 'no angle'}"
 

@@ -110,7 +110,7 @@ class Tip:
         if self._last is None:
             return STALE, "no sample"
         if counts["without force"]:
-            why = ", ".join(reasons.why_no_force(self._unknown)) or reasons.UNKNOWN_TO_THE_NODE
+            why = reasons.why(self._unknown, force_known=False, angles_known=False)
             rows = max(counts["samples"], counts["without force"])
             return ERROR, f"{why} ({counts['without force']} of {rows} samples)"
         doubts = reasons.doubts(self._doubtful)
