@@ -63,8 +63,9 @@ class RecordingLink(LoopbackLink):
 def publish(folder: Path) -> tuple[FrameArray, dict[str, Any]]:
     """Run hand, bridge and reader; return the frames, and what was published."""
     from tipforce.watching.feeds import HandFeed
-    from tipforce.watching.fingers import Finger
+    from tipforce.watching.watcher import Finger
     from tipforce_robots.ros2.bridge import Bridge
+    from tipforce_robots.ros2.cdr import WRENCH
     from tipforce_robots.ros2.dds import RosDomain
 
     names = {n: f"f{n}" for n in range(1, FINGERS + 1)}
@@ -73,11 +74,11 @@ def publish(folder: Path) -> tuple[FrameArray, dict[str, Any]]:
     try:
         with brought_up(folder, names, plan, link=link) as hand:
             feed = HandFeed(hand, [Finger(n, name, calibration()) for n, name in names.items()])
-            bridge = Bridge(feed, RosDomain(0), "/tipforce", 3, False)
+            bridge = Bridge(feed, RosDomain(0), "/tipforce", False)
             bridge.step()  # makes the topics
             assert reader.stdout is not None
             reader.stdout.readline()  # it has subscribed
-            while not all(tip._wrench.readers for tip in bridge.tips.values()):
+            while not all(tip.publishers[WRENCH].readers for tip in bridge.tips.values()):
                 time.sleep(0.01)
             link.frames.clear()
             hand.start()

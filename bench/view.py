@@ -30,8 +30,8 @@ from tipforce.host.live.receive import SocketReceiver
 from tipforce.host.live.receiver import ReceiverGroup
 from tipforce.scene import beam_calibration
 from tipforce.watching.feeds import FrameFeed
-from tipforce.watching.fingers import Finger, with_layout
 from tipforce.watching.frame_sources import BusSource
+from tipforce.watching.watcher import Finger, with_layout
 from tipforce_tools.view.guard import Guard
 from tipforce_tools.view.server import ViewServer
 from tipforce_tools.view.sources import LiveSource
@@ -150,12 +150,12 @@ def row(k: int) -> list[bytes]:
 def screenshots(browser: Browser, folder: Path) -> None:
     """The simulated hand, light on a desktop and dark on a phone, while a finger has a fault; and a recording."""
     from tipforce.shipped_files import shipped_folder
+    from tipforce_tools.cli.listening import commissioned
     from tipforce_tools.demo.hand import simulated_hand
-    from tipforce_tools.view.serving import hand_source
     from tipforce_tools.view.sources import scene_source
 
     with simulated_hand() as (hand, _):
-        source: Any = hand_source(argparse.Namespace(quiet=True), hand, "simulated hand")
+        source: Any = LiveSource(commissioned(argparse.Namespace(quiet=True), hand), "simulated hand")
         # The fault of the middle finger begins 8 s after the nodes were switched on, and lasts for 3 s.
         with shown(browser, source, Guard(allow_writes=True), 1280, 900, "light") as (url, desktop):
             desktop.wait_for_selector('.finger[data-word="unknown"]', timeout=60_000)

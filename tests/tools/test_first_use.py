@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tipforce.errors import InputError
-from tipforce.watching.fingers import Finger
+from tipforce.watching.watcher import Finger
 from tipforce_tools.cli import common
 from tipforce_tools.cli.main import main
 from tipforce_tools.view.sources import is_scene, scene_source

@@ -20,8 +20,7 @@ from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 from tipforce.host.logs.reader import open_log
 from tipforce.watching.frame_sources import LogSource, PipeSource
 from tipforce_tools.cli.main import main
-from tipforce_tools.monitor import display
-from tipforce_tools.monitor.session import Loop
+from tipforce_tools.monitor import session
 from tipforce_tools.monitor.state import WINDOW_NS, BusView, Monitor, NodeView, Window
 from tools.hand_log import START_S, Fault, contact_pdo, hand_log
 from tools.rig import message, sending
@@ -79,7 +78,7 @@ def test_one_late_sample_shows_in_the_longest_period() -> None:
 def test_an_old_value_is_never_shown_as_live(age_ms: int, stale: bool) -> None:
     found = node(fed(contacts(101)), 1000 + age_ms)
     assert found.stale == stale
-    cells = display.cells(found)
+    cells = session.cells(found)
     assert ("1.500 N" in cells) != stale
     assert any("STALE" in cell for cell in cells) == stale
     for reading in found.readings.values():
@@ -114,7 +113,7 @@ def test_the_rate_of_a_node_that_stops_falls() -> None:
 def test_the_unknown_says_why(status: int, reasons: tuple[str, ...]) -> None:
     found = node(fed([(0, *contact_pdo(5, NAN, NAN, NAN, status))]))
     assert tuple(found.readings[name].reason for name in ("P", "phi", "theta")) == reasons
-    assert display.shown(found.readings["theta"]) == f"unknown: {reasons[2]}"
+    assert session.shown(found.readings["theta"]) == f"unknown: {reasons[2]}"
 
 
 def test_what_the_calibration_says_of_a_sample_comes_from_tpdo4_and_emcy() -> None:
@@ -137,24 +136,18 @@ def test_what_the_calibration_says_of_a_sample_comes_from_tpdo4_and_emcy() -> No
 
 def test_a_known_value_needs_no_reason() -> None:
     found = node(fed([(0, *contact_pdo(5, 0.01, NAN, NAN, CALIBRATED | 0x10))]))
-    assert [display.shown(found.readings[name]) for name in ("P", "phi", "theta")] == [
+    assert [session.shown(found.readings[name]) for name in ("P", "phi", "theta")] == [
         "0.010 N",
         "unknown: no contact",
         "unknown: no contact",
     ]
 
 
-def test_a_node_that_sends_gauges_alone() -> None:
-    gauges = struct.pack("<hhhBB", 10, 20, 30, 3, 0)
-    found = node(fed([(0, 0x185, gauges), (10, 0x185, gauges)]), 10)
-    assert display.shown(found.readings["P"]) == "unknown: not sent"
-    assert found.rate_hz == pytest.approx(100.0)
-
-
-def test_samples_are_counted_once_with_two_pdos() -> None:
+def test_samples_are_counted_once_whatever_pdos_carry_them() -> None:
     gauges = [(t, 0x185, struct.pack("<hhhBB", 10, 20, 30, 3, k)) for k, (t, _, _) in enumerate(contacts(101))]
     both = [frame for pair in zip(gauges, contacts(101), strict=True) for frame in pair]
-    assert node(fed(both), 1000).rate_hz == pytest.approx(100.0)
+    assert [node(fed(frames), 1000).rate_hz for frames in (gauges, both)] == pytest.approx([100.0] * 2)
+    assert session.shown(node(fed(gauges), 1000).readings["P"]) == "unknown: not sent"
 
 
 def test_lost_samples() -> None:
@@ -170,8 +163,8 @@ def test_heartbeat_and_its_loss() -> None:
     assert [node(fed(beats), t).nmt_lost for t in (3000, 4400, 4600)] == [False, False, True]
     assert node(fed(beats), 3000).nmt == "operational"
     assert node(fed([(0, 0x705, b"\x00"), (1, 0x705, b"\x7f")]), 1).nmt == "pre-operational"
-    assert "operational, heartbeat lost" in display.cells(node(fed(beats), 4600))
-    assert "no heartbeat" in display.cells(node(fed(contacts(2)), 10))
+    assert "operational, heartbeat lost" in session.cells(node(fed(beats), 4600))
+    assert "no heartbeat" in session.cells(node(fed(contacts(2)), 10))
 
 
 def test_a_boot_up_message_is_no_state_that_lasts() -> None:
@@ -192,7 +185,7 @@ def test_emergency() -> None:
     )
     assert found.emergency is not None
     assert (found.emergency.code, found.emergency.register, found.emergency.text) == (0x5030, 0x81, "front end")
-    assert "5030h front end, 2.0 s ago" in display.cells(found)
+    assert "5030h front end, 2.0 s ago" in session.cells(found)
     assert fed([(0, 0x85, b"\x10")]).views(T0)[0].nodes[0].emergency is None
 
 
@@ -216,18 +209,16 @@ def test_error_and_remote_frames_are_no_values() -> None:
     assert (found.nodes, found.errors) == ((), 1)
 
 
-@pytest.mark.parametrize(("length", "least", "worst"), [(8, 111, 135), (0, 47, 55)])
-def test_the_load_of_standard_frames(length: int, least: int, worst: int) -> None:
-    """The figures for 8 bytes are those of the text books: 111 bits at least, 135 at most."""
-    found = bus(fed([(k, 0x123, bytes(length)) for k in range(2001)]), 2000)
+@pytest.mark.parametrize(
+    ("can_id", "length", "least", "worst"),
+    [(0x123, 8, 111, 135), (0x123, 0, 47, 55), (0x123 | EXTENDED_FLAG, 8, 131, 160)],
+)
+def test_the_load_of_frames(can_id: int, length: int, least: int, worst: int) -> None:
+    """The figures for standard frames of 8 bytes are those of the text books: 111 bits at least, 135 at most."""
+    found = bus(fed([(k, can_id, bytes(length)) for k in range(2001)]), 2000)
     assert found.frames_hz == pytest.approx(1000.0, rel=1e-2)
     assert found.least_bits_hz == pytest.approx(least * 1000.0, rel=1e-2)
     assert found.worst_bits_hz == pytest.approx(worst * 1000.0, rel=1e-2)
-
-
-def test_extended_frames_are_longer_by_20_bits() -> None:
-    found = bus(fed([(k, 0x123 | EXTENDED_FLAG, bytes(8)) for k in range(2001)]), 2000)
-    assert found.least_bits_hz == pytest.approx(131_000.0, rel=1e-2)
 
 
 def test_the_same_node_on_two_buses() -> None:
@@ -399,10 +390,10 @@ def test_bad_lines_are_told(log: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "tipforce monitor: 1 bad line left out" in capsys.readouterr().err
 
 
-def test_a_log_without_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "empty.log"
-    path.write_text("")
-    assert monitor(str(path)) == 0
+@pytest.mark.parametrize("words", ["FILE", "-i virtual -c monitor2 --once 0.1"])
+def test_a_log_without_frames_and_a_silent_bus(words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty.log").touch()
+    assert monitor(*words.replace("FILE", str(tmp_path / "empty.log")).split()) == 0
     assert capsys.readouterr().out == "no frames received\n"
 
 
@@ -414,11 +405,6 @@ def test_on_a_bus(capsys: pytest.CaptureFixture[str]) -> None:
     assert (of_node["node_id"], of_node["readings"]["P"]["value"], of_node["lost"]) == (5, 1.5, 0)
 
 
-def test_a_silent_bus_ends_once(capsys: pytest.CaptureFixture[str]) -> None:
-    assert monitor("-i", "virtual", "-c", "monitor2", "--once", "0.1") == 0
-    assert capsys.readouterr().out == "no frames received\n"
-
-
 @pytest.mark.parametrize("width", [250, 80])
 def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
     from rich.console import Console
@@ -428,16 +414,16 @@ def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
         for frames in reader:
             watched.feed(frames, reader.channels)
     views, stream = watched.views(), io.StringIO()
-    tables = display.tables(views, 1_000_000, "the foot", *([80] if width == 80 else []))
+    tables = session.tables(views, 1_000_000, "the foot", *([80] if width == 80 else []))
     Console(file=stream, width=width, no_color=True).print(tables)
     lines = stream.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     (node,) = views[0].nodes
-    row = display.cells(node)
+    row = session.cells(node)
     if width == 250:
-        for cell in (*row, display.headline(views[0], 1_000_000), "the foot"):
+        for cell in (*row, session.headline(views[0], 1_000_000), "the foot"):
             assert cell in stream.getvalue()
-        assert " ".join("\n".join(display.plain(views, 1_000_000)).split()).startswith("vcan0: ")
+        assert " ".join("\n".join(session.plain(views, 1_000_000)).split()).startswith("vcan0: ")
         return
     assert "\u2026" not in stream.getvalue()
     assert next(line for line in lines if line.startswith("node")).split()[-1] == "lost"
@@ -446,19 +432,16 @@ def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
     assert f"{node.readings['P'].value:.3f} N" in line
 
 
-def test_the_loop_shows_at_each_interval(log: Path) -> None:
+def test_it_is_shown_at_each_interval(log: Path) -> None:
     seen: list[int | None] = []
     with open_log(log) as reader:
         source = LogSource(reader, math.inf, 250 * MS)
-        loop = Loop(None, 0.25, lambda _watched, now_ns: seen.append(now_ns))
-        loop.run(Monitor(), source, lambda: False)
-    assert len(seen) == loop.shown == 7
+        assert session.run(Monitor(), source, lambda: False, 0.25, lambda _watched, now_ns: seen.append(now_ns))
     assert [(t or 0) - (seen[0] or 0) for t in seen] == [250 * MS * k for k in range(7)]
 
 
-def test_the_loop_ends_when_told(log: Path) -> None:
+def test_it_ends_when_told(log: Path) -> None:
     with open_log(log) as reader:
-        source = LogSource(reader, math.inf, 10 * MS)
-        watched = Monitor()
-        Loop(None, 0.25, None).run(watched, source, lambda: watched.frames > 20)
+        source, watched = LogSource(reader, math.inf, 10 * MS), Monitor()
+        assert not session.run(watched, source, lambda: watched.frames > 20, 0.25, None)
         assert 20 < watched.frames < 100

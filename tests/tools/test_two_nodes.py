@@ -31,8 +31,7 @@ from tipforce.host.network.faulty_bus import Faults, FaultyBus
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
-from tipforce.watching.fingers import Finger
-from tipforce.watching.watcher import Watcher
+from tipforce.watching.watcher import Finger, Watcher
 from tipforce_tools.cli.main import main
 from tipforce_tools.doctor.command import bus_checks, heard
 from tipforce_tools.monitor.state import BusMonitor

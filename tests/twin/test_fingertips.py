@@ -14,7 +14,7 @@ from tipforce.errors import InputError
 from tipforce.scene import beam_calibration
 from tipforce.sensor import FABRICATED, strain_matrix
 from tipforce_robots.mujoco import Fingertips
-from twin.models import R, external_wrench, pressed, push
+from twin.models import R, external_wrench, pressed, push, samples
 
 SITES = {"thumb": "thumb_tip"}
 
@@ -22,16 +22,12 @@ SITES = {"thumb": "thumb_tip"}
 @pytest.mark.parametrize("theta_deg", [25.0, 90.0, 140.0])
 @pytest.mark.parametrize("option", ["", 'cone="elliptic"'])
 def test_the_strain_is_that_of_the_contact_force(theta_deg: float, option: str) -> None:
-    model = pressed({"ball": (theta_deg, 0.0, 0.02)}, option=option)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = pressed({"ball": (theta_deg, 0.0, 0.02)}, option=option)
     theta = np.radians(theta_deg)
     push(model, data, "ball", np.array([-3.0 * np.cos(theta) + 0.4, -3.0 * np.sin(theta), 0.7]))
     tips = Fingertips(model, SITES, noise_microstrain=0.0)
     compared = 0
-    for _ in range(60):
-        mujoco.mj_step(model, data)
-        sample = tips.read(data)["thumb"]
+    for sample in samples(model, data, tips, 60):
         if not data.ncon:
             continue
         assert data.ncon == sample.load.contacts == 1
@@ -54,9 +50,7 @@ def test_the_strain_is_that_of_the_contact_force(theta_deg: float, option: str) 
 
 
 def test_several_contacts_add_up_to_the_wrench_of_mujoco() -> None:
-    model = pressed({"a": (40.0, 0.003, 0.02), "b": (90.0, -0.002, 0.02), "c": (150.0, 0.0, 0.02)}, rigid=False)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = pressed({"a": (40.0, 0.003, 0.02), "b": (90.0, -0.002, 0.02), "c": (150.0, 0.0, 0.02)}, rigid=False)
     push(model, data, "a", np.array([-2.0, -1.5, 0.2]))
     push(model, data, "b", np.array([0.3, -1.0, -0.4]))
     push(model, data, "c", np.array([2.2, -1.0, 0.1]))
@@ -76,14 +70,10 @@ def test_several_contacts_add_up_to_the_wrench_of_mujoco() -> None:
 
 def test_the_values_are_those_of_the_host_for_the_same_strain() -> None:
     """The node's code on the one side, the host's estimator in double precision on the other."""
-    model = pressed({"ball": (70.0, 0.0, 0.02)})
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = pressed({"ball": (70.0, 0.0, 0.02)})
     push(model, data, "ball", np.array([-1.0, -2.0, 0.0]))
     tips = Fingertips(model, SITES, seed=3)
-    for _ in range(100):
-        mujoco.mj_step(model, data)
-        sample = tips.read(data)["thumb"]
+    *_, sample = samples(model, data, tips, 100)
     found = estimate(beam_calibration("I"), sample.microstrain)
     contact = sample.contact
     for name in ("P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg"):
@@ -102,17 +92,12 @@ def test_the_values_are_those_of_the_host_for_the_same_strain() -> None:
 
 
 def test_noise_and_quantisation_are_those_of_the_source() -> None:
-    model = pressed({"ball": (90.0, 0.0, 0.02)})
-    data = mujoco.MjData(model)
+    model, data = pressed({"ball": (90.0, 0.0, 0.02)})
     runs = []
     for seed in (1, 1, 2):
         mujoco.mj_resetData(model, data)
         tips = Fingertips(model, SITES, noise_microstrain=2.0, seed=seed)
-        counts = []
-        for _ in range(400):
-            mujoco.mj_step(model, data)
-            counts.append(tips.read(data)["thumb"].counts)
-        runs.append(np.array(counts))
+        runs.append(np.array([sample.counts for sample in samples(model, data, tips, 400)]))
     assert (runs[0] == runs[1]).all()
     assert (runs[0] != runs[2]).any()
     assert runs[0].std(axis=0) == pytest.approx([20.0] * 3, rel=0.15)  # counts, 10 for a microstrain
@@ -122,12 +107,9 @@ def test_noise_and_quantisation_are_those_of_the_source() -> None:
 
 
 def test_what_the_node_does_not_know_is_not_a_number() -> None:
-    model = pressed({"ball": (90.0, 0.0, 0.02)})
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model, data = pressed({"ball": (90.0, 0.0, 0.02)})
     tips = Fingertips(model, SITES)
-    mujoco.mj_step(model, data)
-    sample = tips.read(data)["thumb"]
+    [sample] = samples(model, data, tips, 1)
     assert sample.load.contacts == 0
     assert np.isnan([sample.phi_deg, sample.theta_deg]).all()
     assert sample.P_newtons < 0.05
@@ -136,17 +118,13 @@ def test_what_the_node_does_not_know_is_not_a_number() -> None:
     assert Status.STALE in again.status
     assert np.isnan([again.P_newtons, again.u_P_newtons, *again.F_newtons]).all()
     push(model, data, "ball", np.array([0.0, -200.0, 0.0]))
-    beyond = []
-    for _ in range(50):
-        mujoco.mj_step(model, data)
-        one = tips.read(data)["thumb"]
-        beyond += [one] if one.load.P_newtons > 100.0 else []
+    beyond = [one for one in samples(model, data, tips, 50) if one.load.P_newtons > 100.0]
     assert len(beyond) > 5
     assert all(Status.SATURATED in one.status and np.isnan(one.P_newtons) for one in beyond)
 
 
 def test_bad_input_is_one_line() -> None:
-    model = pressed({"ball": (90.0, 0.0, 0.02)})
+    model, _ = pressed({"ball": (90.0, 0.0, 0.02)})
     for sites, message in (
         ({"thumb": "tip"}, r"finger thumb: site 'tip': allowed are thumb_tip"),
         ({"thumb": "thumb_tip", "index": "thumb_tip"}, r"fingers thumb and index: allowed is one finger for each body"),
@@ -165,8 +143,8 @@ def test_bad_input_is_one_line() -> None:
 
 
 def test_data_that_no_simulation_of_the_model_has_is_refused() -> None:
-    model = pressed({"ball": (90.0, 0.0, 0.02)})
-    tips, data = Fingertips(model, SITES), mujoco.MjData(model)
+    model, data = pressed({"ball": (90.0, 0.0, 0.02)})
+    tips = Fingertips(model, SITES)
     other = mujoco.MjModel.from_xml_string("<mujoco><worldbody><site name='a'/></worldbody></mujoco>")
     with pytest.raises(InputError, match=r"data of 0 geoms and 1 sites: the model of the fingertips has"):
         tips.read(mujoco.MjData(other))

@@ -42,14 +42,12 @@ def received(bus: can.BusABC) -> list[Frame]:
 
 def test_the_frames_say_what_the_sample_says(buses: tuple[can.BusABC, can.BusABC]) -> None:
     """Two twins of one seed: one is read, the other is asked by SYNC."""
-    model = pressed({"ball": (100.0, 0.0, 0.02)})
-    data = mujoco.MjData(model)
+    model, data = pressed({"ball": (100.0, 0.0, 0.02)})
     read, served = Fingertips(model, SITES, seed=4), Fingertips(model, SITES, seed=4)
     compared = 0
     with TwinNodes(served, data, buses[0]) as nodes:
         assert received(buses[1]) == [(0x701, b"\x00")]
         sent(buses[1], 0, b"\x01\x00")
-        mujoco.mj_forward(model, data)
         push(model, data, "ball", np.array([0.1, -1.5, 0.0]))
         for _ in range(50):
             mujoco.mj_step(model, data)
@@ -70,8 +68,7 @@ def test_the_frames_say_what_the_sample_says(buses: tuple[can.BusABC, can.BusABC
 
 
 def test_time_is_that_of_the_simulation(buses: tuple[can.BusABC, can.BusABC]) -> None:
-    model = pressed({"ball": (100.0, 0.0, 0.02)})
-    data = mujoco.MjData(model)
+    model, data = pressed({"ball": (100.0, 0.0, 0.02)})
     tips = Fingertips(model, SITES)
     nodes = TwinNodes(tips, data, buses[0])
     sent(buses[1], 0x601, bytes.fromhex("2b17100064000000"))  # 1017h: a heartbeat each 100 ms
@@ -100,8 +97,7 @@ def test_time_is_that_of_the_simulation(buses: tuple[can.BusABC, can.BusABC]) ->
 def test_it_follows_the_clock_and_says_what_it_lost(
     buses: tuple[can.BusABC, can.BusABC], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = pressed({"ball": (100.0, 0.0, 0.02)})
-    data = mujoco.MjData(model)
+    model, data = pressed({"ball": (100.0, 0.0, 0.02)})
     nodes = TwinNodes(Fingertips(model, SITES), data, buses[0])
     clock, steps = itertools.count(0.0, 0.1), itertools.count()
     monkeypatch.setattr("tipforce_robots.mujoco.serving.time", SimpleNamespace(monotonic=lambda: next(clock)))

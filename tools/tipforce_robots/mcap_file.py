@@ -5,12 +5,15 @@ The frames, as can_msgs/Frame, keep everything: each command of tipforce reads t
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import mcap.writer
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -20,14 +23,15 @@ from tipforce.host.decoding.sample_table import NODE_BITS, Table, Values
 from tipforce.host.decoding.services import BusEvent
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.output_file import MCAP, NewFile
+from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
 from tipforce.samples.record import Samples
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce_robots.ros2 import cdr, scene_update
+from tipforce_robots.ros2 import cdr
 from tipforce_robots.ros2 import messages as diagnosing
 from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, FRAME, WRENCH, with_dependencies
-from tipforce_robots.ros2.messages import TipMessages
+from tipforce_robots.ros2.messages import Tip
 
 _SECOND_NS = 1_000_000_000
 _PICTURE_NS = _SECOND_NS // 30
@@ -35,18 +39,6 @@ _STALE_NS = _SECOND_NS // 2
 _GAP_NS = _SECOND_NS
 _PREFIX = "/tipforce"
 _ID_MASK = np.uint32(~(ERROR_FLAG | EXTENDED_FLAG | REMOTE_FLAG) & 0xFFFFFFFF)
-
-
-class _Tip:
-    """One fingertip in the file."""
-
-    def __init__(self, writer: McapWriter, name: str, node: int) -> None:
-        plain = name.replace("/", "_")
-        self.name = name
-        self.messages = TipMessages(f"{plain}_tip", node, FABRICATED.r_m)
-        self.diagnostics = diagnosing.TipDiagnostics(f"tipforce: {name}", node)
-        self.wrench = writer.channel(f"{_PREFIX}/{name}/wrench", WRENCH)
-        self.contact = writer.channel(f"{_PREFIX}/{name}/contact", CONTACT)
 
 
 class McapWriter:
@@ -61,13 +53,13 @@ class McapWriter:
         self._stream = self._file.partial.open("wb")
         self._writer = mcap.writer.Writer(self._stream)
         self._writer.start(profile="ros2", library="tipforce")
-        self._tips: dict[int, _Tip] = {}
+        self._tips: dict[int, tuple[str, Tip, dict[str, int]]] = {}  # by key: name, messages, channel of each kind
         self._frames: dict[str, tuple[int, cdr.Layout]] = {}
         self._sequence: dict[int, int] = {}
         self._newest: dict[int, tuple[Block, int]] = {}  # by key: samples, and the row of the newest
         self._picture_ns = self._last_ns = 0
         self._diagnostics = self.channel("/diagnostics", DIAGNOSTICS)
-        schema = self._writer.register_schema(scene_update.SCHEMA_NAME, "jsonschema", scene_update.SCHEMA)
+        schema = self._writer.register_schema(_SCENE, "jsonschema", _SCHEMA)
         self._scene = self._writer.register_channel(f"{_PREFIX}/scene", "json", schema)
 
     def channel(self, topic: str, kind: str) -> int:
@@ -98,26 +90,18 @@ class McapWriter:
                 tip_samples, counter = samples_of(chunk.take(np.flatnonzero(chunk.key == key)))
                 if len(tip_samples):
                     samples[key] = tip_samples
-                    self._write_samples(self._tip(key, table.channels), tip_samples, counter)
+                    _name, tip, channel = self._tip(key, table.channels)
+                    for kind, t_ns, message in tip.messages(tip_samples, counter):
+                        self._add(channel[kind], t_ns, message)
             if samples:
                 self._pictures(chunk, samples)
                 self._last_ns = int(chunk.t_ns.max())
 
-    def _write_samples(self, tip: _Tip, samples: Block, counter: npt.NDArray[np.int64]) -> None:
-        tip.diagnostics.add(samples)
-        for t_ns, message in zip(samples.t_ns.tolist(), tip.messages.contacts(samples, counter), strict=True):
-            self._add(tip.contact, t_ns, message)
-        known_ns, wrenches = tip.messages.wrenches(samples)
-        for t_ns, message in zip(known_ns.tolist(), wrenches, strict=True):
-            self._add(tip.wrench, t_ns, message)
-
     def close(self, events: Sequence[BusEvent]) -> None:
         """Append EMCYs and changes of NMT states, and complete the file."""
         for event in events:
-            status = diagnosing.diagnostic(
-                f"tipforce: finger_{event.node_id}", f"node {event.node_id}", diagnosing.level_of(event.kind),
-                f"{event.kind.replace('_', ' ')}: {event.text}", {"event": event.kind, "channel": event.channel},
-            )  # fmt: skip
+            name, node = f"tipforce: finger_{event.node_id}", f"node {event.node_id}"
+            status = diagnosing.of_event(name, node, event.kind, event.text, channel=event.channel)
             self._add(self._diagnostics, event.t_ns, diagnosing.array(event.t_ns, [status]))
         self._report()
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -134,11 +118,14 @@ class McapWriter:
         number = self._sequence[channel] = self._sequence.get(channel, -1) + 1
         self._writer.add_message(channel, t_ns, message, t_ns, number)
 
-    def _tip(self, key: int, channels: Sequence[str]) -> _Tip:
+    def _tip(self, key: int, channels: Sequence[str]) -> tuple[str, Tip, dict[str, int]]:
         if key not in self._tips:
             node, bus = key & ((1 << NODE_BITS) - 1), key >> NODE_BITS
             name = f"{channels[bus]}/finger_{node}" if bus else f"finger_{node}"
-            self._tips[key] = _Tip(self, name, node)
+            tip = Tip(f"tipforce: {name}", node, f"{name.replace('/', '_')}_tip", FABRICATED.r_m)
+            wrench = self.channel(f"{_PREFIX}/{name}/wrench", WRENCH)
+            contact = self.channel(f"{_PREFIX}/{name}/contact", CONTACT)
+            self._tips[key] = name, tip, {WRENCH: wrench, CONTACT: contact}
         return self._tips[key]
 
     def _frame_channel(self, name: str) -> tuple[int, cdr.Layout]:
@@ -148,7 +135,10 @@ class McapWriter:
         return self._frames[name]
 
     def _pictures(self, chunk: Table, samples: Mapping[int, Block]) -> None:
-        """Draw the state at every 30th of a second of a chunk."""
+        """Draw the state at every 30th of a second of a chunk.
+
+        All fingertips are side by side in one frame, because a recording of CAN does not say where they are mounted.
+        """
         first_ns, last_ns = int(chunk.t_ns.min()), int(chunk.t_ns.max())
         begin_ns = self._picture_ns if abs(first_ns - self._picture_ns) < _GAP_NS else first_ns
         times = np.arange(begin_ns, last_ns + 1, _PICTURE_NS)
@@ -159,8 +149,9 @@ class McapWriter:
             for key, of in samples.items():
                 if place[key][number] >= 0:
                     self._newest[key] = of, int(place[key][number])
-            shown = {self._tips[key].name: _shown(t_ns, *newest) for key, newest in self._newest.items()}
-            self._add(self._scene, t_ns, scene_update.scene_update(t_ns, shown))
+            shown = {self._tips[key][0]: _shown(t_ns, *newest) for key, newest in self._newest.items()}
+            entities = [_entity(t_ns, number, name, *tip) for number, (name, tip) in enumerate(shown.items())]
+            self._add(self._scene, t_ns, msgspec.json.encode({"entities": entities}))
             self._picture_ns = t_ns + _PICTURE_NS
         self._newest.update({key: (of, -1) for key, of in samples.items()})
 
@@ -168,7 +159,7 @@ class McapWriter:
         """Write the diagnostics of the second that ends."""
         if self._tips:
             t_ns = self._last_ns
-            status = [tip.diagnostics.status("") for tip in self._tips.values()]
+            status = [tip.status("") for _, tip, _ in self._tips.values()]
             self._add(self._diagnostics, t_ns, diagnosing.array(t_ns, status))
 
 
@@ -217,3 +208,98 @@ def _frame_rows(frames: FrameArray, layout: cdr.Layout) -> cdr.Rows:
     for name, flag in (("is_rtr", REMOTE_FLAG), ("is_extended", EXTENDED_FLAG), ("is_error", ERROR_FLAG)):
         rows[name] = can_id & np.uint32(flag) != 0
     return rows
+
+
+_SCENE = "foxglove.SceneUpdate"
+_METRES_PER_NEWTON = 0.005
+_SPACING_M = 0.06
+_ARC = np.linspace(0.0, math.pi, 33)
+_OUTLINE = [
+    {"x": x, "y": y, "z": 0.0}
+    for x, y in (
+        *zip((FABRICATED.r_m * np.cos(_ARC)).tolist(), (FABRICATED.r_m * np.sin(_ARC)).tolist(), strict=True),
+        (FABRICATED.r_m, 0.0), (0.0, 0.0), (0.0, -FABRICATED.d_m),
+    )
+]  # fmt: skip
+"""The half circle of the tip, the horizontal beam below it, and the vertical beam, in one line."""
+_GREY, _FORCE = {"r": 0.4, "g": 0.45, "b": 0.5, "a": 1.0}, {"r": 0.85, "g": 0.2, "b": 0.1, "a": 1.0}
+_HERE = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+
+_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
+
+
+def _object(**properties: Any) -> dict[str, Any]:
+    return {"type": "object", "properties": properties}
+
+
+def _array(items: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+_POINT = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
+_COLOR = _object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
+_POSE = _object(position=_POINT, orientation=_object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER))
+_LINE = _object(
+    type={"type": "integer"}, pose=_POSE, thickness=_NUMBER, scale_invariant={"type": "boolean"},
+    points=_array(_POINT), color=_COLOR,
+)  # fmt: skip
+_ARROW = _object(
+    pose=_POSE, shaft_length=_NUMBER, shaft_diameter=_NUMBER, head_length=_NUMBER, head_diameter=_NUMBER, color=_COLOR
+)
+_LABEL = _object(
+    pose=_POSE, billboard={"type": "boolean"}, font_size=_NUMBER, scale_invariant={"type": "boolean"}, color=_COLOR,
+    text=_TEXT,
+)  # fmt: skip
+_TIME = _object(sec={"type": "integer"}, nsec={"type": "integer"})
+_ENTITY = _object(
+    timestamp=_TIME, frame_id=_TEXT, id=_TEXT, lifetime=_TIME, frame_locked={"type": "boolean"},
+    lines=_array(_LINE), arrows=_array(_ARROW), texts=_array(_LABEL),
+)  # fmt: skip
+_SCHEMA = json.dumps({"title": _SCENE, **_object(entities=_array(_ENTITY))}).encode()
+"""The fields of foxglove.SceneUpdate that are used."""
+
+
+def _entity(t_ns: int, number: int, name: str, contact: tuple[float, float, float], status: int) -> dict[str, Any]:
+    x_m = number * _SPACING_M
+    time = cdr.stamp(t_ns)
+    known = all(map(math.isfinite, contact))
+    return {
+        "timestamp": {"sec": time["sec"], "nsec": time["nanosec"]}, "frame_id": "tipforce", "id": name,
+        "lifetime": {"sec": 0, "nsec": 0}, "frame_locked": False,
+        "lines": [{
+            "type": 0, "pose": _pose(x_m, 0.0), "thickness": 0.0006, "scale_invariant": False,
+            "points": _OUTLINE, "color": _GREY,
+        }],
+        "arrows": [_arrow(x_m, contact)] if known and contact[0] > 0.0 else [],
+        "texts": [{
+            "pose": _pose(x_m, -FABRICATED.d_m - 0.008), "billboard": True, "font_size": 0.005,
+            "scale_invariant": False, "color": _GREY, "text": f"{name}: {_said(contact, status)}",
+        }],
+    }  # fmt: skip
+
+
+def _said(contact: tuple[float, float, float], status: int) -> str:
+    if math.isnan(contact[0]):
+        return reasons.why(status, force_known=False, angles_known=False)
+    text = f"{contact[0]:.2f} N"
+    return text if all(map(math.isfinite, contact)) else f"{text}, {reasons.why_no_angle(status) or 'no angle'}"
+
+
+def _arrow(x_m: float, contact: tuple[float, float, float]) -> dict[str, Any]:
+    """Return the force at its place: a push ends there, a pull begins there."""
+    P, phi, theta = contact[0], *map(math.radians, contact[1:])
+    length_m = _METRES_PER_NEWTON * P
+    back_m = length_m if math.cos(phi - theta) < 0.0 else 0.0
+    x = FABRICATED.r_m * math.cos(theta) - back_m * math.cos(phi)
+    y = FABRICATED.r_m * math.sin(theta) - back_m * math.sin(phi)
+    head_m = min(0.004, 0.5 * length_m)
+    return {
+        "pose": _pose(x_m + x, y, phi), "shaft_length": length_m - head_m, "shaft_diameter": 0.0012,
+        "head_length": head_m, "head_diameter": 0.003, "color": _FORCE,
+    }  # fmt: skip
+
+
+def _pose(x_m: float, y_m: float, turn_rad: float = 0.0) -> dict[str, Any]:
+    half = 0.5 * turn_rad
+    orientation = {**_HERE, "z": math.sin(half), "w": math.cos(half)}
+    return {"position": {"x": x_m, "y": y_m, "z": 0.0}, "orientation": orientation}

@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from contextlib import ExitStack
-from dataclasses import replace
+from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce_tools.cli import common
+from tipforce_tools.cli.common import bus_options
+from tipforce_tools.cli.listening import commissioned, counted, listening
 
 if TYPE_CHECKING:
     from tipforce.watching.feeds import Feed
@@ -66,9 +67,8 @@ def run(args: argparse.Namespace) -> int:
     from tipforce_robots.ros2.dds import RosDomain, domain_id, namespace
 
     prefix, domain = namespace(args.namespace), domain_id(args.domain)
-    with ExitStack() as opened:
-        feed, gauges = _feed(args, opened)
-        bridge = Bridge(feed, RosDomain(domain), prefix, gauges, args.allow_tare)
+    with closing(_feed(args)) as feed:
+        bridge = Bridge(feed, RosDomain(domain), prefix, args.allow_tare)
         common.note(args, f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
         try:
             _publish(args, feed, bridge)
@@ -89,10 +89,9 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
     if not args.speed > 0:
         raise InputError(f"--speed {args.speed:g}: allowed is more than 0, or inf")
-    hand = args.source is not None and Path(args.source).suffix == ".toml"
-    if args.no_bring_up and not hand:
+    if args.no_bring_up and not _is_hand(args):
         raise InputError("--no-bring-up: needs a hand file")
-    if args.allow_tare and (not hand or args.no_bring_up):
+    if args.allow_tare and (not _is_hand(args) or args.no_bring_up):
         raise InputError("--allow-tare: needs a hand file that is commissioned; a log or a bus is only listened to")
     if not 3 <= args.gauges <= 8:
         raise InputError(f"--gauges {args.gauges}: allowed are 3 to 8")
@@ -112,48 +111,31 @@ def _publish(args: argparse.Namespace, feed: Feed, bridge: Bridge) -> None:
 
 
 def _say_end(args: argparse.Namespace, bridge: Bridge) -> None:
-    from tipforce_tools.cli.listening import counted
-
-    found = {tip.name: tip.wrenches for tip in bridge.tips.values()}
+    found = {tip.ros_name: tip.wrenches for tip in bridge.tips.values()}
     if args.json:
         common.print_json({"rows": bridge.rows, "wrenches": found})
     common.note(args, f"{bridge.rows} rows, {bridge.wrenches} wrenches of {counted(len(found), 'finger')} published")
 
 
-def _feed(args: argparse.Namespace, opened: ExitStack) -> tuple[Feed, int]:
-    """Return what to publish from, and the number of gauges."""
-    from tipforce.watching.feeds import FrameFeed, HandFeed
-    from tipforce.watching.fingers import finger_maker, hand_fingers
-    from tipforce.watching.frame_sources import BusSource, LogSource
+def _feed(args: argparse.Namespace) -> Feed:
+    """Return what to publish from."""
+    hand_file = Path(args.source) if _is_hand(args) else None
+    if args.source is None or args.no_bring_up:
+        return listening(args, hand_file)[0]
+    if hand_file is not None:
+        from tipforce.host.hand.hand import Hand
 
-    if args.source is None:
-        from tipforce_tools.cli.listening import open_targets
+        feed = commissioned(args, Hand.from_file(hand_file, **bus_options(args)))
+        feed.take(0.0)  # reported already
+        return feed
+    from tipforce.host.logs.reader import open_log
+    from tipforce.watching.feeds import FrameFeed
+    from tipforce.watching.frame_sources import LogSource
+    from tipforce.watching.watcher import finger_maker
+    from tipforce_robots.ros2.bridge import PERIOD_NS
 
-        source = BusSource(opened.enter_context(open_targets((), args)))
-        return FrameFeed(source, finger_maker(args.nodes), args.gauges), args.gauges
-    if Path(args.source).suffix != ".toml":
-        from tipforce.host.logs.reader import open_log
-        from tipforce_robots.ros2.bridge import PERIOD_NS
+    return FrameFeed(LogSource(open_log(args.source), args.speed, PERIOD_NS), finger_maker(args.nodes), args.gauges)
 
-        log = LogSource(opened.enter_context(open_log(args.source)), args.speed, PERIOD_NS)
-        return FrameFeed(log, finger_maker(args.nodes), args.gauges), args.gauges
-    from tipforce.host.hand.file import read_hand
 
-    file = read_hand(args.source)
-    fingers, gauges = hand_fingers(file), file.finger[0].gauges
-    if args.no_bring_up:
-        from tipforce.host.live.receive import open_receiver
-        from tipforce.host.live.receiver import ReceiverGroup
-
-        receiver = opened.enter_context(open_receiver({**file.bus, **common.bus_options(args)}))
-        return FrameFeed(BusSource(ReceiverGroup([receiver])), lambda _node_id: None, gauges, fingers), gauges
-    from tipforce.host.hand.hand import Hand
-
-    hand = opened.enter_context(Hand.from_file(file, **common.bus_options(args)))
-    for report in hand.bring_up():
-        common.note(args, str(report))
-    # For the uncertainties: a finger without a calibration in the file has its own.
-    calibrations = [hand.calibration(plan) for plan in file.finger]
-    feed = HandFeed(hand, [replace(tip, calibration=own) for tip, own in zip(fingers, calibrations, strict=True)])
-    hand.start()
-    return feed, gauges
+def _is_hand(args: argparse.Namespace) -> bool:
+    return args.source is not None and Path(args.source).suffix == ".toml"

@@ -5,9 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -19,16 +18,14 @@ from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
 from tipforce.samples.columns import Block
 from tipforce.samples.record import Rows, joined
-from tipforce.watching.fingers import Finger, FingerMaker
 from tipforce.watching.frame_sources import FrameSource
-from tipforce.watching.watcher import Watcher
+from tipforce.watching.watcher import Finger, FingerMaker, Watcher
 
 MOST_WAITING = 10_000
 """Batches of rows and events; beyond it the oldest are dropped."""
 _GATHER_S = 0.001  # one row at a time would cost several times as much
 _MOST_READS = 64  # of a bus that does not fall silent
 _NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)
-TALLIED = ("missing", "late", "mixed", "doubtful")
 
 
 @dataclass(slots=True)
@@ -48,55 +45,50 @@ class Counters:
     """Bus load as a fraction of the bit rate, without stuff bits and with the most."""
     jitter_p99_us: float | None = None
 
-    def take_tally(self, tally: Mapping[str, list[int]]) -> None:
-        """Take the sums of each finger by name."""
-        self.missing, self.late, self.mixed, self.doubtful = (tally[name] for name in TALLIED)
 
+class Feed:
+    """Rows of all fingers, and events. ``close`` releases the hand or the source."""
 
-class Feed(Protocol):
-    """Rows of all fingers, and events."""
-
-    overrun: int
-    """Batches lost because they were not taken in time."""
-    arrived_s: float
-    """Monotonic time at which the newest rows arrived."""
-
-    @property
-    def ended(self) -> bool:
-        """No more will come."""
-
-    @property
-    def fingers(self) -> Sequence[Finger]:
+    def __init__(self, close: Callable[[], object], fingers: Sequence[Finger], gauges: int) -> None:
+        self.close, self.gauges = close, gauges
+        self.fingers = tuple(fingers)
         """In the order of the columns; more may be found."""
+        self.ended = False
+        """No more will come."""
+        self.overrun = 0
+        """Batches lost because they were not taken in time."""
+        self.arrived_s = 0.0
+        """Monotonic time at which the newest rows arrived."""
 
     def take(self, timeout_s: float) -> tuple[list[Block], list[Event]]:
         """Return what has arrived, after waiting for it up to a timeout. Raises the error that ended the reception."""
+        raise NotImplementedError
 
     def now_ns(self) -> int:
         """Return the present on the clock of the rows, nanoseconds of the epoch."""
+        return time.time_ns()
 
     def state(self, node_id: int) -> str:
         """Return the NMT state; empty if it is not known."""
+        raise NotImplementedError
 
     def counters(self) -> Counters:
         """Return the sums so far."""
+        raise NotImplementedError
 
     def tare(self, node_id: int) -> str:
         """Take the present force as zero; return the tare as text. Raises TipforceError."""
-
-    def close(self) -> None:
-        """Release the hand or the source."""
+        raise RefusedError(f"node {node_id}: this command only listens to the bus")
 
 
-class HandFeed:
+class HandFeed(Feed):
     """A hand that the program commissions."""
 
     def __init__(self, hand: Hand, fingers: Sequence[Finger]) -> None:
-        self.ended, self.overrun, self.fingers, self.arrived_s = False, 0, tuple(fingers), 0.0
-        self._hand, self._gauges = hand, hand.file.finger[0].gauges
+        super().__init__(hand.close, fingers, hand.file.finger[0].gauges)
+        self._hand = hand
         self._waiting: deque[Rows | Event] = deque()
         self._changed = threading.Condition()
-        self.state, self.tare, self.close = hand.state, hand.tare, hand.close
         hand.on_rows(self._put)
         hand.on_event(self._put)
 
@@ -121,26 +113,29 @@ class HandFeed:
         with self._changed:
             items, self._waiting = self._waiting, deque()
         rows = [item for item in items if isinstance(item, Rows)]
-        blocks = [joined(rows).block([finger.calibration for finger in self.fingers], self._gauges)] if rows else []
+        blocks = [joined(rows).block([finger.calibration for finger in self.fingers], self.gauges)] if rows else []
         return blocks, [item for item in items if isinstance(item, Event)]
 
-    def now_ns(self) -> int:
+    def state(self, node_id: int) -> str:
         """See Feed."""
-        return time.time_ns()
+        return self._hand.state(node_id)
+
+    def tare(self, node_id: int) -> str:
+        """See Feed."""
+        return self._hand.tare(node_id)
 
     def counters(self) -> Counters:
         """See Feed."""
         statistics = self._hand.statistics()
         jitter_us = statistics.sync.p99_us if statistics.sync.periods else None
-        counters = Counters(
-            statistics.tally.rows, dropped=statistics.dropped, overrun=self.overrun, load=statistics.load,
-            jitter_p99_us=jitter_us,
+        tally = statistics.tally
+        return Counters(
+            tally.rows, tally.missing.tolist(), tally.late.tolist(), tally.mixed.tolist(), tally.doubtful.tolist(),
+            statistics.dropped, self.overrun, statistics.load, jitter_us,
         )  # fmt: skip
-        counters.take_tally({name: getattr(statistics.tally, name).tolist() for name in TALLIED})
-        return counters
 
 
-class FrameFeed:
+class FrameFeed(Feed):
     """Frames of a bus or a log; sends nothing to the bus."""
 
     def __init__(
@@ -151,20 +146,10 @@ class FrameFeed:
         fingers: Sequence[Finger] = (),
         bit_rate: int = DEFAULT_BIT_RATE,
     ) -> None:
-        self.overrun, self.rows, self.frames, self.arrived_s = 0, 0, 0, 0.0
-        self.close = source.close
+        super().__init__(source.close, fingers, gauges)
+        self.rows = self.frames = 0
         self._source, self._down = source, False
         self._watcher, self._load = Watcher(make_finger, gauges, fingers), LoadMeter(bit_rate)
-
-    @property
-    def ended(self) -> bool:
-        """See Feed."""
-        return self._source.ended
-
-    @property
-    def fingers(self) -> Sequence[Finger]:
-        """See Feed."""
-        return self._watcher.fingers
 
     def take(self, timeout_s: float) -> tuple[list[Block], list[Event]]:
         """See Feed."""
@@ -182,6 +167,7 @@ class FrameFeed:
                 self._down = False
                 events.append(Event(self.arrived_s, 0, "bus_up", "frames are received again"))
         blocks, watched = self._watcher.add(frames, self.now_ns() * 1e-9)
+        self.fingers, self.ended = self._watcher.fingers, self._source.ended
         if self.ended:
             blocks += self._watcher.add(_NO_FRAMES, self.now_ns() * 1e-9 + 1.0)[0]
         self.rows += sum(map(len, blocks))
@@ -203,14 +189,9 @@ class FrameFeed:
 
     def state(self, node_id: int) -> str:
         """See Feed."""
-        return self._watcher.nmt().get(node_id, "")
+        return self._watcher.state(node_id)
 
     def counters(self) -> Counters:
         """See Feed."""
-        counters = Counters(self.rows, dropped=self._source.dropped, load=self._load.load(time.monotonic()))
-        counters.take_tally(self._watcher.tally())
-        return counters
-
-    def tare(self, node_id: int) -> str:
-        """See Feed."""
-        raise RefusedError(f"node {node_id}: this command only listens to the bus")
+        load = self._load.load(time.monotonic())
+        return Counters(self.rows, *self._watcher.tally(), dropped=self._source.dropped, load=load)

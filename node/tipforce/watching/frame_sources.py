@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,78 +21,66 @@ Clock = Callable[[], float]
 _WAITING_BLOCKS = 64
 
 
-class FrameSource(Protocol):
-    """``take`` waits for frames up to a timeout; ``ended``: no more frames will arrive."""
+class FrameSource:
+    """``ended``: no more frames will arrive. Its clock is that of the frames: adapters and recordings have their own.
 
-    ended: bool
+    It goes on with ``clock`` while no frames arrive. ``close`` releases the buses or the log.
+    """
+
+    def __init__(self, close: Callable[[], object], clock: Clock = time.monotonic) -> None:
+        self.ended = False
+        self.close, self._clock = close, clock
+        self._newest: tuple[int, float] | None = None
 
     @property
     def dropped(self) -> int:
         """Frames that the kernel dropped so far."""
+        return 0
 
     def take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
-        """Return a FRAME array (k,), k may be 0, and the names of the interfaces."""
+        """Wait for frames up to a timeout; return a FRAME array (k,), k may be 0, and the names of the interfaces.
+
+        Raises the errors of the bus or of the log's reader.
+        """
+        frames, names = self._take(timeout_s)
+        if len(frames):
+            self._newest = int(frames["t_ns"][-1]), self._clock()
+        return frames, names
+
+    def _take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
+        raise NotImplementedError
 
     def now_ns(self) -> int | None:
         """Return the present time on the clock of the frames; None before the first."""
-
-    def close(self) -> None:
-        """Release the buses or the log."""
-
-
-class _Elapsed:
-    """The clock of the frames, extrapolated while none arrive: adapters and recordings have their own clocks."""
-
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._newest: tuple[int, float] | None = None
-
-    def note(self, frames: FrameArray) -> None:
-        if len(frames):
-            self._newest = int(frames["t_ns"][-1]), self._clock()
-
-    def now_ns(self) -> int | None:
         if self._newest is None:
             return None
         t_ns, at_s = self._newest
         return t_ns + round((self._clock() - at_s) * 1e9)
 
 
-class BusSource:
+class BusSource(FrameSource):
     """Buses, live."""
 
-    def __init__(self, receiver: ReceiverGroup, clock: Clock = time.monotonic) -> None:
-        self.ended = False
+    def __init__(self, receiver: ReceiverGroup) -> None:
+        super().__init__(receiver.close)
         self._receiver = receiver
-        self._elapsed = _Elapsed(clock)
-        self.close = receiver.close
 
     @property
     def dropped(self) -> int:
         """See FrameSource."""
         return self._receiver.dropped
 
-    def take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
-        """See FrameSource."""
+    def _take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
         block = self._receiver.receive_block(timeout_s)
-        self._elapsed.note(block.frames)
         return block.frames, block.names
 
-    def now_ns(self) -> int | None:
-        """See FrameSource."""
-        return self._elapsed.now_ns()
 
-
-class PipeSource:
+class PipeSource(FrameSource):
     """A growing log, or stdin: read by a thread, because it blocks. Frames without times get that of arrival."""
 
-    dropped = 0
-
     def __init__(self, log: LogReader, clock: Clock = time.monotonic) -> None:
-        self.ended = False
+        super().__init__(log.close, clock)
         self._log = log
-        self._elapsed = _Elapsed(clock)
-        self.close = log.close
         self._arrived: queue.Queue[FrameArray | TipforceError | None] = queue.Queue(_WAITING_BLOCKS)
         threading.Thread(target=self._read, daemon=True).start()
 
@@ -108,32 +96,23 @@ class PipeSource:
             pass
         self._arrived.put(None)
 
-    def take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
-        """See FrameSource. Raises the errors of the reader."""
+    def _take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
+        frames: FrameArray = np.zeros(0, dtype=FRAME)
         try:
             item = self._arrived.get(timeout=timeout_s)
         except queue.Empty:
-            return np.zeros(0, dtype=FRAME), self._log.channels
+            return frames, self._log.channels
         if isinstance(item, TipforceError):
             raise item
-        if item is None:
-            self.ended = True
-            return np.zeros(0, dtype=FRAME), self._log.channels
-        self._elapsed.note(item)
-        return item, self._log.channels
-
-    def now_ns(self) -> int | None:
-        """See FrameSource."""
-        return self._elapsed.now_ns()
+        self.ended = item is None
+        return frames if item is None else item, self._log.channels
 
 
-class LogSource:
+class LogSource(FrameSource):
     """A log with its recorded timing, ``speed`` times as fast; infinite: without waiting.
 
     A step returns the frames of at most ``step_ns``, so that a table of any time of the log can be shown.
     """
-
-    dropped = 0
 
     def __init__(
         self,
@@ -143,16 +122,15 @@ class LogSource:
         clock: Clock = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.ended = False
-        self._log, self.close = log, log.close
+        super().__init__(log.close, clock)
+        self._log = log
         self._blocks: Iterator[FrameArray] = iter(log)
-        self._speed, self._step_ns, self._clock, self._sleep = speed, step_ns, clock, sleep
+        self._speed, self._step_ns, self._sleep = speed, step_ns, sleep
         self._waiting: FrameArray = np.zeros(0, dtype=FRAME)
-        self._start: tuple[int, float] | None = None
+        self._start: tuple[int, float] = 0, 0.0
         self._now_ns: int | None = None
 
-    def take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
-        """See FrameSource. Raises the errors of the log's reader."""
+    def _take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
         if not len(self._waiting):
             self._waiting = next(self._blocks, self._waiting)
         if not len(self._waiting):
@@ -163,13 +141,14 @@ class LogSource:
             self._now_ns, self._start = first_ns, (first_ns, self._clock())
         at_once = self._speed == float("inf")
         end_ns = self._now_ns + self._step_ns if at_once else self._reached(first_ns, timeout_s)
-        frames = self._cut(end_ns)
+        late = self._waiting["t_ns"] > end_ns
+        count = int(late.argmax()) if late.any() else len(self._waiting)
+        frames, self._waiting = self._waiting[:count], self._waiting[count:]
         self._now_ns = end_ns if len(self._waiting) or not at_once else int(frames["t_ns"].max())
         return frames, self._log.channels
 
     def _reached(self, first_ns: int, timeout_s: float) -> int:
         """Return the present time of the log, after waiting for its next frame up to the timeout."""
-        assert self._start is not None
         start_ns, start_s = self._start
         due_s = start_s + (first_ns - start_ns) * 1e-9 / self._speed
         wait_s = min(due_s - self._clock(), timeout_s)
@@ -177,12 +156,6 @@ class LogSource:
             self._sleep(wait_s)
         return start_ns + round((self._clock() - start_s) * 1e9 * self._speed)
 
-    def _cut(self, end_ns: int) -> FrameArray:
-        late = self._waiting["t_ns"] > end_ns
-        count = int(late.argmax()) if late.any() else len(self._waiting)
-        frames, self._waiting = self._waiting[:count], self._waiting[count:]
-        return frames
-
     def now_ns(self) -> int | None:
-        """See FrameSource."""
+        """See FrameSource: the time that is reached in the log."""
         return self._now_ns

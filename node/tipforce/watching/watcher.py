@@ -1,31 +1,93 @@
-"""Convert frames of a bus or log to blocks of contacts and events, for all fingers found. Uses no clock."""
+"""Frames of a bus or log as blocks of contacts and events of the fingers in them. Uses no clock."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from canopen_device.core.codes import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, NODE_ID_MASK, SYNC_COB_ID, TPDO_BASES
+from tipforce.arrays import FloatArray
 from tipforce.dictionary.signals import tpdo_messages
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import Health
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event, Supervisor
+from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.rows import Collector
 from tipforce.samples.columns import Block
 from tipforce.samples.record import Rows
-from tipforce.watching.fingers import Finger, FingerMaker
+from tipforce.sensor.structure.gauges import Gauge
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import CASE_OF_CODE, LAYOUTS
 
-FloatArray = npt.NDArray[np.float64]
+if TYPE_CHECKING:
+    from tipforce.host.hand.hand import Hand
+
+Fallback = tuple[str, Geometry, tuple[Gauge, ...]]
+"""Name, geometry and gauges of a layout."""
+FingerMaker = Callable[[int], "Finger | None"]
+"""The finger of a node-id found on a bus; None hides it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finger:
+    """One fingertip. ``gauges`` is empty if their positions are unknown."""
+
+    node_id: int
+    name: str = ""
+    calibration: Calibration | None = None
+    geometry: Geometry = FABRICATED
+    gauges: tuple[Gauge, ...] = ()
+    layout: str = ""
+
+    @property
+    def label(self) -> str:
+        """Display name: ``thumb`` or ``finger 5``."""
+        return self.name or f"finger {self.node_id}"
+
+
+def with_layout(finger: Finger, layout: str, fallback: Fallback | None) -> Finger:
+    """Return the finger with its gauges: from ``layout``, else from its calibration, else from ``fallback``."""
+    if not layout and finger.calibration is not None:
+        layout = CASE_OF_CODE.get(finger.calibration.layout_code, "")
+    if layout:
+        return replace(finger, layout=layout, gauges=LAYOUTS[layout])
+    if fallback is not None:
+        return replace(finger, layout=fallback[0], geometry=fallback[1], gauges=fallback[2])
+    return finger
+
+
+def hand_fingers(hand: HandFile | Hand, fallback: Fallback | None = None) -> tuple[Finger, ...]:
+    """Return the fingers of a hand, with calibrations and gauge positions. Raises InputError.
+
+    A commissioned hand has also the nodes' own calibrations, where its file has none.
+    """
+    plans = hand.finger if isinstance(hand, HandFile) else hand.file.finger
+    return tuple(
+        with_layout(Finger(plan.node_id, plan.name, hand.calibration(plan)), plan.layout, fallback) for plan in plans
+    )
+
+
+def finger_maker(node_ids: Collection[int] | None = None, fallback: Fallback | None = None) -> FingerMaker:
+    """Return what makes the fingers; those that are not in ``node_ids`` are hidden."""
+
+    def make(node_id: int) -> Finger | None:
+        return with_layout(Finger(node_id), "", fallback) if node_ids is None or node_id in node_ids else None
+
+    return make
+
 
 HEARTBEAT_TIMEOUT_S = 2.5
 ROW_TIMEOUT_S = 0.05
 HEALTH_YOUNG_NS = 3_000_000_000
 _SERVICE, _NODE = ~np.uint32(NODE_ID_MASK), np.uint32(NODE_ID_MASK)
 _SERVICES = (NMT_COB_ID, EMCY_BASE, HEARTBEAT_BASE)
+_TALLIED = ("missing", "late", "mixed", "doubtful")
 _UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
 
 
@@ -36,9 +98,7 @@ class Watcher:
     start.
     """
 
-    def __init__(
-        self, make_finger: FingerMaker, gauges: int = 3, fingers: Sequence[Finger] = ()
-    ) -> None:  # fmt: skip
+    def __init__(self, make_finger: FingerMaker, gauges: int = 3, fingers: Sequence[Finger] = ()) -> None:
         self._make_finger, self._gauges = make_finger, gauges
         self.fingers: tuple[Finger, ...] = tuple(fingers)
         self._bases = {
@@ -47,9 +107,8 @@ class Watcher:
             if m.cob_id_base and m.name != "Health"
         }
         self._heard: dict[int, set[str]] = {finger.node_id: set() for finger in fingers}
-        self._messages: tuple[str, ...] = ()
         self._collector: Collector | None = None
-        self._past: Counter[tuple[str, int]] = Counter()
+        self._past: dict[tuple[str, int], int] = {}
         self._supervisor = Supervisor([f.node_id for f in fingers], HEARTBEAT_TIMEOUT_S)
         self._health = Decoder(gauges)
         self._health_u: dict[int, tuple[int, float]] = {}
@@ -61,8 +120,7 @@ class Watcher:
     def add(self, frames: FrameArray, now_s: float) -> tuple[list[Block], list[Event]]:
         """Process frames, FRAME (n,), at the monotonic time ``now_s``; call it also without frames."""
         events: list[Event] = []
-        if len(frames):
-            self._discover(frames)
+        self.discover(frames)
         events += self._watch(frames, now_s)
         if self._collector is None:
             return [], events
@@ -75,28 +133,23 @@ class Watcher:
         calibrations = [finger.calibration for finger in self.fingers]
         return [rows.block(calibrations, self._gauges, self._health_of(rows), faults)], events
 
+    def state(self, node_id: int) -> str:
+        """Return the NMT state of a finger by its heartbeat; empty without one."""
+        return self._supervisor.state_name(node_id) if self._supervisor.states.get(node_id, -1) >= 0 else ""
+
+    def tally(self) -> tuple[list[int], list[int], list[int], list[int]]:
+        """Return missing, late, mixed and doubtful responses of each finger, over all collectors so far."""
+        missing, late, mixed, doubtful = (self._sums(what) for what in _TALLIED)
+        return missing, late, mixed, doubtful
+
+    def _sums(self, what: str) -> list[int]:
+        now: dict[int, int] = {}
+        if self._collector is not None:
+            now = dict(zip(self._collector.node_ids, getattr(self._collector.tally, what).tolist(), strict=True))
+        return [now.get(finger.node_id, 0) + self._past.get((what, finger.node_id), 0) for finger in self.fingers]
+
     def discover(self, frames: FrameArray) -> None:
         """Only find the fingers: the first pass over a log."""
-        if len(frames):
-            self._discover(frames)
-
-    def nmt(self) -> dict[int, str]:
-        """Return the NMT state of each finger by its heartbeat; none without one."""
-        supervisor = self._supervisor
-        return {f.node_id: supervisor.state_name(f.node_id) for f in self.fingers if supervisor.states[f.node_id] >= 0}
-
-    def tally(self) -> dict[str, list[int]]:
-        """Return missing, late, mixed and doubtful responses of each finger, over all collectors so far."""
-        sums = {}
-        for what in ("missing", "late", "mixed", "doubtful"):
-            now = dict.fromkeys((f.node_id for f in self.fingers), 0)
-            if self._collector is not None:
-                values = getattr(self._collector.tally, what).tolist()
-                now |= dict(zip(self._collector.node_ids, values, strict=True))
-            sums[what] = [now[f.node_id] + self._past[what, f.node_id] for f in self.fingers]
-        return sums
-
-    def _discover(self, frames: FrameArray) -> None:
         ids = frames["can_id"]
         if not self._synced:
             self._find_pace(frames)
@@ -112,7 +165,7 @@ class Watcher:
                 finger = self._make_finger(node_id)
                 if finger is None:
                     continue
-                self.fingers = tuple(sorted((*self.fingers, finger), key=lambda one: one.node_id))
+                self.fingers = tuple(sorted((*self.fingers, finger), key=lambda known: known.node_id))
                 self._heard[node_id] = set()
                 self._supervisor.states.setdefault(node_id, -1)
             self._heard[node_id].add(name)
@@ -125,13 +178,12 @@ class Watcher:
         sets = [names for names in self._heard.values() if names]
         count = Counter(name for names in sets for name in names)
         messages = [name for name, number in count.items() if number == len(sets)] or [count.most_common(1)[0][0]]
-        for what, values in self.tally().items():
-            for finger, value in zip(self.fingers, values, strict=True):
-                self._past[what, finger.node_id] = value
+        for what, values in zip(_TALLIED, self.tally(), strict=True):
+            self._past |= {(what, finger.node_id): value for finger, value in zip(self.fingers, values, strict=True)}
         # TPDO2 first: it names the columns of the contact.
-        self._messages = tuple(sorted(messages, key=("Contact", "Force", "Gauges").index))
+        messages.sort(key=("Contact", "Force", "Gauges").index)
         node_ids = [finger.node_id for finger in self.fingers]
-        self._collector = Collector(node_ids, self._messages, self._gauges, ROW_TIMEOUT_S)
+        self._collector = Collector(node_ids, messages, self._gauges, ROW_TIMEOUT_S)
 
     def _watch(self, frames: FrameArray, now_s: float) -> list[Event]:
         """Process services one by one: they are few, and in a log each has its own time."""

@@ -20,7 +20,7 @@ from host.bus_with_nodes import beam_calibration
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.logs.reader import open_log
 from tipforce.samples import reasons
-from tipforce.watching.fingers import Finger
+from tipforce.watching.watcher import Finger
 from tipforce_robots.ros2 import cdr
 from tipforce_tools.cli.main import main
 from tipforce_tools.view.sources import LogSource

@@ -15,8 +15,8 @@ from tipforce.errors import InputError
 from tipforce.host.logs.reader import open_log
 from tipforce.shipped_files import shipped_folder
 from tipforce.watching.feeds import FrameFeed
-from tipforce.watching.fingers import Finger
 from tipforce.watching.frame_sources import LogSource
+from tipforce.watching.watcher import Finger
 from tipforce_robots.ros2 import cdr
 from tipforce_robots.ros2.bridge import PERIOD_NS, Bridge
 from tipforce_tools.cli.main import main
@@ -58,7 +58,7 @@ def published(log: Path, *fingers: Finger) -> tuple[Topics, list[dict[str, Any]]
     events: list[dict[str, Any]] = []
     with open_log(log) as reader:
         feed = FrameFeed(LogSource(reader, math.inf, PERIOD_NS), Finger, 3, fingers)
-        bridge = Bridge(feed, topics, "/tipforce", 3, False)
+        bridge = Bridge(feed, topics, "/tipforce", False)
         while not feed.ended:
             events += bridge.step()
         bridge.report(feed.now_ns())

@@ -18,10 +18,11 @@ from tipforce.errors import RefusedError
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
-from tipforce.watching.fingers import Finger, with_layout
+from tipforce.watching.watcher import Finger, with_layout
 from tipforce_tools.view.guard import Guard
 from tipforce_tools.view.model import Model
 from tipforce_tools.view.server import ViewServer
+from tipforce_tools.view.sources import Source
 
 WAIT_S = 60.0
 START_NS = 1_700_000_000_000_000_000
@@ -56,14 +57,11 @@ def with_status(rows: Block, row: int, finger: int, status: int) -> Block:
     return rows
 
 
-class MovingSource:
+class MovingSource(Source):
     """A source that makes a row every 10 ms of real time: P is 1 N + the finger's number, rising slowly."""
 
-    title = "test hand"
-
     def __init__(self, count: int = 3, no_tare: str = "") -> None:
-        self.no_tare = no_tare
-        self.model = Model(fingers(count), 3)
+        super().__init__("test hand", no_tare, Model(fingers(count), 3))
         self.status = [CONTACT_PRESENT | CALIBRATED] * count
         self.stopped = False
         self.tared: list[int] = []
@@ -95,9 +93,6 @@ class MovingSource:
             raise RefusedError("node 3: the force is unknown")
         self.tared.append(node_id)
         return "tared"
-
-    def close(self) -> None:
-        """Nothing."""
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
-from tipforce.watching.fingers import Finger
+from tipforce.watching.watcher import Finger
 from tipforce_tools.view.server import ViewServer
 from tipforce_tools.view.sources import LogSource
 from tools.view.support import MovingSource, serving

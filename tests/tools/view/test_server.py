@@ -1,4 +1,4 @@
-"""The server over real sockets: security, answers, streams; a browser that does not read holds up nobody."""
+"""The server over real sockets: who may ask for what, answers, streams; who reads nothing holds up nobody."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from http import HTTPStatus
 from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import CloseCode
 
+from tipforce.errors import InputError
 from tipforce.sensor.contact.scalar import CONTACT_PRESENT
 from tipforce_tools.view import page as view_page
 from tipforce_tools.view import server as view_server
-from tipforce_tools.view.guard import CONTENT_SECURITY_POLICY
+from tipforce_tools.view.guard import CONTENT_SECURITY_POLICY, Guard, access_token, host_names
 from tipforce_tools.view.server import MAX_OTHERS, MAX_PAGES, ViewServer, static_files
 from tools.view.support import WAIT_S, MovingSource, Page, get, serving
 
@@ -138,13 +140,18 @@ def test_wrong_requests_are_refused(message: str | bytes) -> None:
     assert source.tared == []
 
 
+def closed_with(closed: pytest.ExceptionInfo[ConnectionClosed]) -> int:
+    """The code with which the server closed a connection."""
+    assert closed.value.rcvd is not None
+    return closed.value.rcvd.code
+
+
 def test_a_long_request_ends_the_connection() -> None:
     with serving(MovingSource()) as server, Page(server) as page:
         page.socket.send(" " * 5000)
         with pytest.raises(ConnectionClosed) as closed:
             page.receive()
-        assert closed.value.rcvd is not None
-        assert closed.value.rcvd.code == CloseCode.MESSAGE_TOO_BIG
+        assert closed_with(closed) == CloseCode.MESSAGE_TOO_BIG
 
 
 def test_the_stream_is_live_and_the_past_can_be_asked_for() -> None:
@@ -244,8 +251,7 @@ def test_there_is_a_limit_of_pages_that_are_at_work(monkeypatch: pytest.MonkeyPa
             stack.enter_context(Page(server)).ask("setup")
         with pytest.raises(ConnectionClosed) as closed, Page(server) as page:
             page.receive()
-        assert closed.value.rcvd is not None
-        assert closed.value.rcvd.code == CloseCode.TRY_AGAIN_LATER
+        assert closed_with(closed) == CloseCode.TRY_AGAIN_LATER
 
 
 def test_a_pump_that_fails_is_told() -> None:
@@ -262,16 +268,11 @@ def test_a_pump_that_fails_is_told() -> None:
         assert page.ask("setup")["picture"]["error"] == "OSError: bus is gone"
 
 
-def ping(page: Page) -> None:
-    """Send a ping."""
-    page.socket.ping()
-
-
-FLOODS: dict[str, Callable[[Page], None]] = {
+FLOODS: dict[str, Callable[[Page], Any]] = {
     "streams": lambda page: page.socket.send(json.dumps({"do": "stream", "bin": 1})),
     "setups": lambda page: page.socket.send(json.dumps({"do": "setup"})),
     "errors": lambda page: page.socket.send("{"),
-    "pings": ping,
+    "pings": lambda page: page.socket.ping(),
     "pongs": lambda page: page.socket.pong(),
     "parts": lambda page: page.socket.send(itertools.repeat("", 10)),
 }
@@ -284,41 +285,30 @@ def test_a_page_that_floods_is_closed_and_holds_up_nobody(kind: str, monkeypatch
     monkeypatch.setattr(view_server, "MESSAGES_A_SECOND", 0.0)  # the clock of the machine does not count
     with serving(MovingSource()) as server, contextlib.ExitStack() as stack:
         flooding = [stack.enter_context(Page(server)) for _ in range(FLOODING)]
-        closed = [threading.Thread(target=flood, args=(FLOODS[kind], page)) for page in flooding]
-        for one in closed:
-            one.start()
+        codes: list[int] = []
+        closing = [threading.Thread(target=flood, args=(FLOODS[kind], page, codes)) for page in flooding]
+        for thread in closing:
+            thread.start()
         page = stack.enter_context(Page(server))  # a new page gets its data meanwhile, and all of it
         assert page.ask("setup")["title"] == "test hand"
         assert len(page.stream(5)) == 5
-        for one in closed:
-            one.join()
+        for thread in closing:
+            thread.join()
         assert server.refused == FLOODING
+        assert codes == [CloseCode.POLICY_VIOLATION] * FLOODING
         # What the server took from all of them is their budget, and the message that was too much.
         assert server.messages <= FLOODING * (AT_ONCE + 1) + 4
         assert page.ask("pause") == {}
 
 
-def flood(send: Callable[[Page], None], page: Page) -> None:
-    """Send until the server closes the connection, and read nothing before."""
+def flood(send: Callable[[Page], Any], page: Page, codes: list[int]) -> None:
+    """Send until the server closes the connection, and read nothing before; keep the code that it closes with."""
     with contextlib.suppress(ConnectionClosed):
         for _ in range(100 * AT_ONCE):
             send(page)
-    with contextlib.suppress(ConnectionClosed):
-        while True:
-            page.socket.recv(WAIT_S)
-
-
-def test_a_page_that_is_closed_learns_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(view_server, "MESSAGES_AT_ONCE", 4.0)  # the handshake is one
-    monkeypatch.setattr(view_server, "MESSAGES_A_SECOND", 0.0)
-    with serving(MovingSource()) as server, Page(server) as page:
-        for _ in range(3):
-            page.ask("setup")
-        with pytest.raises(ConnectionClosed) as closed:
-            page.ask("setup")
-        assert closed.value.rcvd is not None
-        assert closed.value.rcvd.code == CloseCode.POLICY_VIOLATION
-        assert server.refused == 1
+    with pytest.raises(ConnectionClosed) as closed:
+        list(iter(lambda: page.socket.recv(WAIT_S), None))
+    codes.append(closed_with(closed))
 
 
 def test_a_page_within_its_budget_goes_on() -> None:
@@ -328,3 +318,60 @@ def test_a_page_within_its_budget_goes_on() -> None:
         for _ in range(50):
             assert page.ask("setup")["title"] == "test hand"
         assert server.refused == 0
+
+
+HOST = {"Host": "127.0.0.1:8404"}
+ORIGIN = HOST | {"Origin": "http://127.0.0.1:8404"}
+
+
+def status(guard: Guard, headers: dict[str, str], token: str = "") -> int:
+    refusal = guard.check(headers, token)
+    return HTTPStatus.OK if refusal is None else refusal[0]
+
+
+@pytest.mark.parametrize(
+    ("headers", "expected"),
+    [
+        (HOST, 200), ({"Host": "localhost:8404"}, 200), ({"Host": "[::1]:8404"}, 200), (ORIGIN, 200),
+        ({}, 421), ({"Host": "127.0.0.1"}, 421), ({"Host": "127.0.0.1:80"}, 421), ({"Host": "evil.example:8404"}, 421),
+        ({"Host": "127.0.0.1.evil.example:8404"}, 421), (HOST | {"Origin": "http://evil.example"}, 403),
+        (HOST | {"Origin": "null"}, 403), (HOST | {"Origin": "https://127.0.0.1:8404"}, 403),
+        (HOST | {"Origin": "http://localhost:8404"}, 403), (HOST | {"Sec-Fetch-Site": "cross-site"}, 403),
+        (HOST | {"Sec-Fetch-Site": "same-site"}, 403), (HOST | {"Sec-Fetch-Site": "same-origin"}, 200),
+    ],
+)  # fmt: skip
+def test_reading(headers: dict[str, str], expected: int) -> None:
+    assert status(Guard(port=8404), headers) == expected
+
+
+def test_writing_needs_permission_and_an_origin() -> None:
+    guard = Guard(port=8404, allow_writes=True)
+    assert guard.read_only(ORIGIN) == ""
+    assert guard.read_only(HOST) == "a page that writes needs an Origin"
+    assert Guard(port=8404).read_only(ORIGIN) == "read-only: start it with --allow-writes"
+
+
+def test_beyond_loopback_everybody_needs_the_token() -> None:
+    token = access_token("192.0.2.1", "auto")
+    guard = Guard(host_names("192.0.2.1"), token, port=8404)
+    host = {"Host": "192.0.2.1:8404"}
+    assert status(guard, host) == 401
+    assert status(guard, host, token) == 200
+    assert status(guard, host, token[:-1]) == 401
+    assert status(guard, host | {"Cookie": f"a=b; tipforce_access={token}"}) == 200
+    assert status(guard, host | {"Cookie": "tipforce_access="}) == 401
+    assert status(guard, {"Host": "127.0.0.1:8404"}, token) == 421
+
+
+def test_tokens() -> None:
+    assert access_token("127.0.0.1", None) == access_token("::1", None) == access_token("localhost", None) == ""
+    for host, token in (
+        ("192.0.2.1", None),
+        ("192.0.2.1", "short"),
+        ("192.0.2.1", "a" * 15 + "\n"),
+        ("hand.local", None),
+    ):
+        with pytest.raises(InputError):
+            access_token(host, token)
+    with pytest.raises(InputError):
+        host_names("0.0.0.0")

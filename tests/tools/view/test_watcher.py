@@ -1,22 +1,41 @@
-"""Frames of a bus or of a log: whoever is heard becomes a finger; what a log says is shown as it was."""
+"""Sources of a page: whoever is heard becomes a finger, a log is shown as it was, a hand as it is loaded; and rows as
+
+blocks, with the uncertainty of the sensor and what the node does not send computed as it would.
+"""
 
 from __future__ import annotations
 
+import argparse
+import json
+import os
+import signal
 import struct
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.sync.client import connect
 
+from host.bus_with_nodes import beam_calibration
 from tipforce.errors import EnvironmentLackError, InputError, RefusedError
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.samples.reasons import NO_ANSWER
+from tipforce.samples.record import Rows
+from tipforce.sensor.contact import estimate as contact_model
+from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT
 from tipforce.watching.feeds import FrameFeed
-from tipforce.watching.fingers import Finger
-from tipforce.watching.watcher import Watcher
+from tipforce.watching.frame_sources import FrameSource
+from tipforce.watching.watcher import Finger, Watcher
+from tipforce_tools.cli.listening import commissioned
+from tipforce_tools.demo.hand import PULLS, load_at, simulated_hand
+from tipforce_tools.view.messages import drawing
 from tipforce_tools.view.sources import LiveSource, LogSource
-from tools.view.support import MS, START_NS
+from tools.view.support import MS, START_NS, WAIT_S, fingers
 
 STATUS = 3  # contact, calibrated
 
@@ -111,7 +130,7 @@ def test_a_log_is_shown_as_it_was(log: Path) -> None:
     assert model.counters.missing == [0, 100 + model.counters.doubtful[1]]
     (event,) = model.events()
     assert (event.node_id, event.kind) == (2, "emcy")
-    assert abs(event.t_ns - START_NS - 505 * MS) < 1000
+    assert abs(event.t_ms - START_NS / 1e6 - 505) < 0.001
     assert model.now_ns() == START_NS + 1990 * MS
     words = {t: [s.word for s in model.picture(START_NS + t * MS).states] for t in (300, 510, 530, 600, 1480, 1600)}
     assert words == {
@@ -134,17 +153,17 @@ def test_a_log_without_fingers_is_refused(tmp_path: Path) -> None:
         LogSource(path, Finger)
 
 
-class Bus:
+class Bus(FrameSource):
     """A bus of a test: frames that are taken once, and a clock that stands at the newest plus ``silent_ns``."""
 
-    ended, dropped = False, 0
-
     def __init__(self) -> None:
+        super().__init__(lambda: None)
         self.frames: list[tuple[int, int, bytes]] = []
         self.newest_ns = self.silent_ns = 0
         self.error: Exception | None = None
 
-    def take(self, _timeout_s: float) -> tuple[FrameArray, tuple[str, ...]]:
+    def take(self, timeout_s: float) -> tuple[FrameArray, tuple[str, ...]]:
+        assert timeout_s == 0.0
         if self.error is not None:
             raise self.error
         frames, self.frames = frame_array(self.frames), []
@@ -153,9 +172,6 @@ class Bus:
 
     def now_ns(self) -> int:
         return self.newest_ns + self.silent_ns
-
-    def close(self) -> None:
-        pass
 
 
 def test_a_page_that_listens_says_what_happens_on_its_bus() -> None:
@@ -182,3 +198,140 @@ def test_a_page_that_listens_says_what_happens_on_its_bus() -> None:
     assert [event.kind for event in source.model.events()][4:] == ["bus_down"]
     with pytest.raises(RefusedError, match="only listens"):
         source.tare(1)
+
+
+def test_the_simulated_hand_is_shown_as_it_is_loaded() -> None:
+    with simulated_hand(moving=False) as (hand, nodes):
+        for k, gauges in enumerate(nodes.sources):
+            gauges.load = load_at(k, 3.0)
+        source = LiveSource(commissioned(argparse.Namespace(quiet=True), hand), "simulated hand")
+        deadline_s = time.monotonic() + WAIT_S
+        while True:
+            source.pump()
+            states = source.model.picture().states
+            if all(state.word == "live" for state in states) and source.model.counters.rows > 5:
+                break
+            assert time.monotonic() < deadline_s
+            time.sleep(0.02)
+        for k, state in enumerate(states):
+            P, phi, theta = load_at(k, 3.0)
+            u = np.array(state.u)
+            error = np.abs(np.array(state.contact) - (P, phi, theta))
+            assert (error < 6 * u + (0.002, 0.2, 0.2)).all()
+            assert np.isfinite(state.gauges).all()
+        assert source.model.nmt == ["operational"] * 5
+        assert source.tare(1).startswith("tare: F1 ")
+        assert source.model.counters.load[0] is not None
+
+
+def test_the_loads_lie_where_a_contact_can_be() -> None:
+    """A push goes inwards, a pull outwards."""
+    for k in range(5):
+        for t_s in np.linspace(0, 60, 200):
+            P, phi, theta = load_at(k, float(t_s))
+            assert P >= 0
+            assert 40 <= theta <= 140
+            assert (np.cos(np.radians(phi - theta)) > 0.9) == PULLS[k]
+
+
+def test_the_command_serves_and_ends_quietly() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tipforce_tools.cli.main", "view", "-i", "virtual", "--port", "0", "--json"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ,
+    )  # fmt: skip
+    assert process.stdout is not None
+    url = json.loads(process.stdout.readline())["url"]
+    with connect(url.replace("http", "ws") + "live") as page:
+        page.send('{"do": "setup"}')
+        setup = json.loads(page.recv(WAIT_S))["answer"]
+    assert setup["fingers"] == []
+    assert setup["no_tare"] == "this page only listens to the bus"
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=WAIT_S)
+    assert (process.returncode, out) == (0, "")
+    assert "Traceback" not in err
+
+
+def rows(columns: dict[str, np.ndarray], missing: np.ndarray | None = None) -> Rows:
+    shape = next(iter(columns.values())).shape
+    flags = {name: np.ones(shape, dtype=bool) for name in ("contact", "calibrated")}
+    reason = np.zeros(shape, dtype=np.uint8) if missing is None else missing.astype(np.uint8)
+    t_ns = np.arange(shape[0], dtype=np.int64)
+    made = Rows(0, [], range(1, 1 + shape[1]), ())
+    vars(made).update(sync_ns=t_ns, counter=np.where(reason, -1, 0), reason=reason, columns=flags | columns)
+    return made
+
+
+@pytest.mark.parametrize("pull", [False, True])
+def test_uncertainties_are_those_of_the_sensor(pull: bool) -> None:
+    generator = np.random.default_rng(7)
+    P, theta = generator.uniform(0.5, 5, (6, 2)), generator.uniform(40, 140, (6, 2))
+    phi = theta + generator.uniform(-30, 30, (6, 2)) + (0 if pull else 180)
+    who = fingers(2, pull)
+    found = rows({"P": P, "phi": phi, "theta": theta}).block([finger.calibration for finger in who], 3)
+    F = force_vector(P[:, 1], np.radians(phi[:, 1]), np.radians(theta[:, 1]))
+    calibration = who[1].calibration
+    assert calibration is not None
+    expected = contact_model.standard_uncertainties(F, calibration.covariance_F, pull=pull)
+    expected[:, 1:] *= 180 / np.pi
+    assert found.u[:, 1] == pytest.approx(expected, rel=1e-5)
+    assert (found.status == CONTACT_PRESENT | CALIBRATED).all()
+
+
+def test_what_is_unknown_has_no_uncertainty_and_what_is_known_keeps_its_own() -> None:
+    nan = np.nan
+    P = np.array([[1.0, nan], [1.0, 0.01]])
+    phi, theta = np.array([[-90.0, nan], [-90.0, nan]]), np.array([[90.0, nan], [nan, nan]])
+    found = rows({"P": P, "phi": phi, "theta": theta}, np.isnan(P)).block(
+        [finger.calibration for finger in fingers(2)], 3
+    )
+    assert found.status[0, 1] & NO_ANSWER
+    assert np.isnan(found.u[0, 1]).all()
+    # Without the contact angle, force and direction are as uncertain as with it.
+    assert found.u[1, 0, :2] == pytest.approx(found.u[0, 0, :2], rel=1e-6)
+    assert np.isnan(found.u[1, 0, 2])
+    assert found.u[1, 1, 0] > 0
+    assert np.isnan(found.u[1, 1, 1:]).all()
+
+
+def test_without_a_calibration_only_health_tells() -> None:
+    columns = {"P": np.ones((1, 2)), "phi": np.full((1, 2), -90.0), "theta": np.full((1, 2), 90.0)}
+    assert np.isnan(rows(columns).block([None, None], 3).u).all()
+    found = rows(columns).block([None, None], 3, np.array([[0.02, np.nan]]))
+    assert found.u[0, 0, 0] == pytest.approx(0.02)
+    assert np.isnan(found.u[0, 0, 1:]).all()
+    assert np.isnan(found.u[0, 1]).all()
+
+
+def test_gauges_alone_give_the_contact_by_the_calibration() -> None:
+    calibration = beam_calibration(pull=False)
+    F = force_vector(2.0, np.radians(-80.0), np.radians(95.0))
+    strain = np.linalg.solve(calibration.C, F) * 1e6
+    columns = {f"SG{k + 1}": np.array([[strain[k]]]) for k in range(3)}
+    found = rows(columns).block([calibration], 3)
+    assert found.contact[0, 0] == pytest.approx([2.0, -80.0, 95.0], rel=1e-5)
+    assert found.gauges[0, 0] == pytest.approx(strain, rel=1e-5)
+    assert np.isnan(rows(columns).block([None], 3).contact).all()
+
+
+def test_forces_alone_give_the_contact() -> None:
+    F = force_vector(2.0, np.radians(-80.0), np.radians(95.0))
+    columns = {f"F{k + 1}": np.array([[F[k]]]) for k in range(3)}
+    found = rows(columns).block([None], 3)
+    assert found.contact[0, 0] == pytest.approx([2.0, -80.0, 95.0], rel=1e-5)
+
+
+def test_the_drawing_has_the_strain_of_the_beams() -> None:
+    """At the gauges of case I the ends of the faces strain as Table 1 says."""
+    (finger,) = fingers(1)
+    calibration = finger.calibration
+    assert calibration is not None
+    drawn = drawing(finger, 3)
+    faces = {(f["beam"], f["side"], f["face"]): f["microstrain_per_newton"] for f in drawn["faces"]}
+    table = np.linalg.inv(calibration.C) * 1e6
+    assert faces["H", "left", "lower"][0] == pytest.approx(table[0])  # K_H
+    assert faces["H", "right", "lower"][0] == pytest.approx(table[1])  # S_H
+    assert faces["V", "right", "lower"][1] == pytest.approx(table[2])  # U
+    assert [gauge["name"] for gauge in drawn["gauges"]] == ["K_H", "S_H", "U"]
+    for gauge in drawn["gauges"]:
+        assert np.hypot(*np.subtract(gauge["to"], gauge["from"])) == pytest.approx(1.0)

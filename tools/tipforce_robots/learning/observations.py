@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import pi
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,20 +23,14 @@ from tipforce.samples.record import Contact
 
 if TYPE_CHECKING:
     from gymnasium import spaces
+
+    from tipforce_robots.mujoco.twin import TwinSample
 FloatArray = npt.NDArray[np.float64]
 Observation = dict[str, npt.NDArray[np.float32] | npt.NDArray[np.int8]]
 """``values``, ``uncertainties`` and ``valid``."""
 LARGEST = np.array([32.767, pi, pi], dtype=np.float32)
 """Of P, as INTEGER16 in mN on the bus, and of the angles; of their uncertainties as well."""
 _LEAST = np.array([0.0, -pi, -pi], dtype=np.float32)
-
-
-class HasContact(Protocol):
-    """A sample of a simulation: ``tipforce_robots.mujoco.TwinSample``."""
-
-    @property
-    def contact(self) -> Contact:
-        """The sample as the host has it."""
 
 
 def observation_space(fingers: int) -> spaces.Dict:
@@ -59,11 +53,11 @@ def observation_space(fingers: int) -> spaces.Dict:
     )
 
 
-def observation(row: Mapping[str, Contact] | Mapping[str, HasContact]) -> Observation:
+def observation(row: Mapping[str, Contact] | Mapping[str, TwinSample]) -> Observation:
     """Return one row of fingers, in its order: a ``HandRow``, or what ``Fingertips.read`` returned."""
-    contacts = [one if isinstance(one, Contact) else one.contact for one in row.values()]
-    values = [(one.P_newtons, one.phi_deg, one.theta_deg) for one in contacts]
-    uncertainties = [(one.u_P_newtons, one.u_phi_deg, one.u_theta_deg) for one in contacts]
+    contacts = [tip if isinstance(tip, Contact) else tip.contact for tip in row.values()]
+    values = [(tip.P_newtons, tip.phi_deg, tip.theta_deg) for tip in contacts]
+    uncertainties = [(tip.u_P_newtons, tip.u_phi_deg, tip.u_theta_deg) for tip in contacts]
     return masked(np.array(values), np.array(uncertainties))
 
 

@@ -5,18 +5,17 @@ from canopen_device.lazy import lazy
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tipforce_robots.mujoco.grasp_env import GraspEnv as GraspEnv
-    from tipforce_robots.mujoco.load import Load as Load
     from tipforce_robots.mujoco.mjcf import fingertip_mjcf as fingertip_mjcf
     from tipforce_robots.mujoco.models import grasp_model as grasp_model
     from tipforce_robots.mujoco.models import hand_model as hand_model
     from tipforce_robots.mujoco.serving import TwinNodes as TwinNodes
     from tipforce_robots.mujoco.twin import Fingertips as Fingertips
+    from tipforce_robots.mujoco.twin import Load as Load
     from tipforce_robots.mujoco.twin import TwinSample as TwinSample
 
 _NAMES = {
-    "twin": ("Fingertips", "TwinSample"),
+    "twin": ("Fingertips", "Load", "TwinSample"),
     "grasp_env": ("GraspEnv",),
-    "load": ("Load",),
     "serving": ("TwinNodes",),
     "mjcf": ("fingertip_mjcf",),
     "models": ("grasp_model", "hand_model"),

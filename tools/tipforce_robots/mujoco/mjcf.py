@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import re
-from xml.etree import ElementTree
 
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import HIGHEST_DAMPING_RATIO, compliances, half_cylinder, modes
@@ -40,22 +39,48 @@ def fingertip_mjcf(
         raise InputError(f"prefix {prefix!r}: allowed are letters, digits, _, - and .")
     if not 0.0 <= damping_ratio <= HIGHEST_DAMPING_RATIO:
         raise InputError(f"damping_ratio = {damping_ratio!r}: allowed is 0 to {HIGHEST_DAMPING_RATIO:g}")
-    root = ElementTree.Element("mujoco", model=f"{prefix}fingertip")
-    _element(root, "compiler", angle="radian", autolimits="true")
-    frequencies = modes(geometry).frequency_hz
+    g, n, foot_m = geometry, prefix, FIXTURE_DEPTH_M
+    comment = joints = ""
     if not rigid:
-        text = (
-            " modes at {:.0f}, {:.0f} and {:.0f} Hz against a fixed fixture; explicit springs need a time step below "
+        low, middle, high = modes(g).frequency_hz.tolist()
+        comment = (
+            f"\n  <!-- modes at {low:.0f}, {middle:.0f} and {high:.0f} Hz against a fixed fixture; "
+            f"explicit springs need a time step below {1.0 / (math.pi * high):.2g} s -->"
         )
-        root.append(
-            ElementTree.Comment((text + "{:.2g} s ").format(*frequencies, 1.0 / (math.pi * float(frequencies[-1]))))
+        springs, hinge_m = beam_joints(g, damping_ratio)
+        kinds = {
+            "x": 'type="slide" axis="1 0 0"',
+            "y": 'type="slide" axis="0 1 0"',
+            "turn": f'type="hinge" axis="0 0 1" pos="{_numbers(0.0, hinge_m, 0.0)}"',
+        }
+        joints = "".join(
+            f"""
+        <joint name="{n}{name}" {kind} stiffness="{_numbers(springs[name][0])}" damping="{_numbers(springs[name][1])}" \
+limited="false" />"""
+            for name, kind in kinds.items()
         )
-    asset = _element(root, "asset")
-    _element(asset, "mesh", name=f"{prefix}tip", vertex=_numbers(*_half_cylinder_vertices(geometry)))
-    world = _element(root, "worldbody")
-    _body(world, prefix, None if rigid else damping_ratio, geometry)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+    half_width_m, unseen = 0.5 * g.width_m, 'mass="0" contype="0" conaffinity="0"'  # by the collisions
+    return f"""\
+<mujoco model="{n}fingertip">
+  <compiler angle="radian" autolimits="true" />{comment}
+  <asset>
+    <mesh name="{n}tip" vertex="{_numbers(*_half_cylinder_vertices(g))}" />
+  </asset>
+  <worldbody>
+    <body name="{n}fixture">
+      <geom name="{n}fixture" type="box" pos="{_numbers(0.0, 0.5 * foot_m, 0.0)}" \
+size="{_numbers(FIXTURE_HALF_WIDTH_M, 0.5 * foot_m, half_width_m)}" density="{_numbers(FIXTURE_DENSITY)}" />
+      <geom type="box" pos="{_numbers(0.0, foot_m + 0.5 * g.d_m, 0.0)}" \
+size="{_numbers(0.5 * g.h2_m, 0.5 * g.d_m, half_width_m)}" {unseen} />
+      <body name="{n}tip" pos="{_numbers(0.0, foot_m + g.d_m + 0.5 * g.h1_m, 0.0)}">{joints}
+        <geom type="box" size="{_numbers(g.a_m, 0.5 * g.h1_m, half_width_m)}" {unseen} />
+        <geom name="{n}tip" type="mesh" mesh="{n}tip" mass="{_numbers(half_cylinder(g).mass_kg)}" />
+        <site name="{n}tip" size="{_numbers(0.5 * g.h2_m)}" />
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
 
 
 def beam_joints(geometry: Geometry, damping_ratio: float) -> tuple[dict[str, tuple[float, float]], float]:
@@ -70,41 +95,6 @@ def beam_joints(geometry: Geometry, damping_ratio: float) -> tuple[dict[str, tup
     stiffness = {"x": 1.0 / (c_u - c_both * c_both / c_turn), "y": 1.0 / c_v, "turn": r * r / c_turn}
     per_stiffness = 2.0 * damping_ratio / float(modes(geometry).omega_rad_s[0])
     return {name: (k, per_stiffness * k) for name, k in stiffness.items()}, r * c_both / c_turn
-
-
-def _body(world: ElementTree.Element, prefix: str, damping_ratio: float | None, g: Geometry) -> None:
-    foot_m, half_width_m = FIXTURE_DEPTH_M, 0.5 * g.width_m
-    tip_m = foot_m + g.d_m + 0.5 * g.h1_m
-    unseen = {"mass": "0", "contype": "0", "conaffinity": "0"}  # by the collisions
-    fixture = _element(world, "body", name=f"{prefix}fixture")
-    _element(
-        fixture, "geom", name=f"{prefix}fixture", type="box", pos=_numbers(0.0, 0.5 * foot_m, 0.0),
-        size=_numbers(FIXTURE_HALF_WIDTH_M, 0.5 * foot_m, half_width_m), density=_numbers(FIXTURE_DENSITY),
-    )  # fmt: skip
-    _element(
-        fixture, "geom", type="box", pos=_numbers(0.0, foot_m + 0.5 * g.d_m, 0.0),
-        size=_numbers(0.5 * g.h2_m, 0.5 * g.d_m, half_width_m), **unseen,
-    )  # fmt: skip
-    tip = _element(fixture, "body", name=f"{prefix}tip", pos=_numbers(0.0, tip_m, 0.0))
-    if damping_ratio is not None:
-        joints, hinge_m = beam_joints(g, damping_ratio)
-        kinds = {
-            "x": {"type": "slide", "axis": "1 0 0"},
-            "y": {"type": "slide", "axis": "0 1 0"},
-            "turn": {"type": "hinge", "axis": "0 0 1", "pos": _numbers(0.0, hinge_m, 0.0)},
-        }
-        for name, kind in kinds.items():
-            stiffness, damping = map(_numbers, joints[name])
-            more = {"stiffness": stiffness, "damping": damping, "limited": "false"}
-            _element(tip, "joint", name=f"{prefix}{name}", **kind, **more)
-    _element(tip, "geom", type="box", size=_numbers(g.a_m, 0.5 * g.h1_m, half_width_m), **unseen)
-    mass = _numbers(half_cylinder(g).mass_kg)
-    _element(tip, "geom", name=f"{prefix}tip", type="mesh", mesh=f"{prefix}tip", mass=mass)
-    _element(tip, "site", name=f"{prefix}tip", size=_numbers(0.5 * g.h2_m))
-
-
-def _element(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
-    return ElementTree.SubElement(parent, tag, attributes)
 
 
 def _half_cylinder_vertices(g: Geometry) -> list[float]:

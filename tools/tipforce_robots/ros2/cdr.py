@@ -65,15 +65,10 @@ def fields_of(kind: str) -> tuple[Field, ...]:
         if len(words) == 2 and "=" not in words[1]:
             base, bracket, rest = words[0].partition("[")
             count = (int(rest[:-1]) if rest != "]" else None) if bracket else 1
-            fields.append(Field(words[1], _full_name(base), count))
+            package, slash, name = base.partition("/")
+            full_name = f"{package}/msg/{name}" if slash and "/" not in name else base
+            fields.append(Field(words[1], full_name, count))
     return tuple(fields)
-
-
-def constants_of(kind: str) -> dict[str, int]:
-    """Return the constants of a message."""
-    lines = (line.partition("#")[0].split() for line in text_of(kind).splitlines())
-    pairs = (words[1].split("=") for words in lines if len(words) == 2 and "=" in words[1])
-    return {name: int(value) for name, value in pairs}
 
 
 def with_dependencies(kind: str) -> str:
@@ -86,11 +81,6 @@ def with_dependencies(kind: str) -> str:
                 waiting.append(field.kind)
                 parts.append(f"{'=' * 80}\nMSG: {field.kind.replace('/msg/', '/')}\n{text_of(field.kind)}")
     return "\n".join(parts)
-
-
-def _full_name(base: str) -> str:
-    package, slash, name = base.partition("/")
-    return f"{package}/msg/{name}" if slash and "/" not in name else base
 
 
 HEADER = b"\x00\x01\x00\x00"
@@ -106,7 +96,7 @@ Rows = npt.NDArray[np.void]
 def encode(kind: str, values: Mapping[str, Any]) -> bytes:
     """Serialise one message; ``values`` by field, nested messages as mappings. Raises KeyError for a missing field."""
     out = bytearray(HEADER)
-    _message(out, kind, values)
+    _put(out, kind, 1, values)
     return bytes(out)
 
 
@@ -140,7 +130,7 @@ class Layout:
         for field in fields_of(kind) or (_NEEDED,):
             path = prefix + field.name
             if path in self._constants or field.kind == "string":
-                _field(self._template, field, self._constants[path])
+                _put(self._template, field.kind, field.size, self._constants[path])
             elif "/" in field.kind:
                 self._walk(field.kind, path + ".")
             else:
@@ -168,26 +158,17 @@ def set_stamps(rows: Rows, t_ns: npt.NDArray[np.int64]) -> None:
     rows["header.stamp.sec"], rows["header.stamp.nanosec"] = np.divmod(t_ns, 1_000_000_000)
 
 
-def _message(out: bytearray, kind: str, values: Mapping[str, Any]) -> None:
-    for field in fields_of(kind):
-        _field(out, field, values[field.name])
-    if not fields_of(kind):
-        out.append(0)
-
-
-def _field(out: bytearray, field: Field, value: Any) -> None:
-    if field.size == 1:
-        _one(out, field.kind, value)
-        return
-    if field.size is None:
-        _primitive(out, "uint32", len(value))
-    for one in value:
-        _one(out, field.kind, one)
-
-
-def _one(out: bytearray, kind: str, value: Any) -> None:
-    if "/" in kind:
-        _message(out, kind, value)
+def _put(out: bytearray, kind: str, size: int | None, value: Any) -> None:
+    if size != 1:
+        if size is None:
+            _primitive(out, "uint32", len(value))
+        for item in value:
+            _put(out, kind, 1, item)
+    elif "/" in kind:
+        for field in fields_of(kind):
+            _put(out, field.kind, field.size, value[field.name])
+        if not fields_of(kind):
+            out.append(0)
     elif kind == "string":
         data = value.encode() + b"\0"
         _primitive(out, "uint32", len(data))

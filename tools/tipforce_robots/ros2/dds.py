@@ -76,7 +76,7 @@ class RosPublisher:
 
     def __init__(self, participant: Any, topic: str, kind: str, profile: Profile) -> None:
         struct = idl_type(kind)
-        self._writer: Any = DataWriter(participant, Topic(participant, dds_name(topic), struct), quality(profile))
+        self._writer: Any = DataWriter(participant, Topic(participant, f"rt{topic}", struct), quality(profile))
         self._sample: Any = _serialised(struct)()
 
     def publish(self, message: bytes, t_ns: int) -> None:
@@ -98,7 +98,7 @@ class RosSubscription:
     """Counts messages whose content does not matter."""
 
     def __init__(self, participant: Any, topic: str, kind: str) -> None:
-        dds_topic: Any = Topic(participant, dds_name(topic), idl_type(kind))
+        dds_topic: Any = Topic(participant, f"rt{topic}", idl_type(kind))
         self._reader: Any = DataReader(participant, dds_topic, quality("events"))
 
     def take(self) -> int:
@@ -133,11 +133,6 @@ def configuration(environment: Mapping[str, str], cyclone_version: int = _VERSIO
         _LOOPBACK if loopback_only(environment) else "",
     ]
     return ",".join(filter(None, parts))
-
-
-def dds_name(topic: str) -> str:
-    """Return the DDS name of an absolute ROS topic."""
-    return f"rt{topic}"
 
 
 def namespace(text: str) -> str:

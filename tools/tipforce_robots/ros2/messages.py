@@ -7,7 +7,8 @@ torque about the origin r P sin(phi - theta) = r F2, around z.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,47 +20,6 @@ from tipforce.samples.reasons import Status
 from tipforce_robots.ros2 import cdr
 from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, WRENCH
 
-
-def wrench_known(samples: Block) -> npt.NDArray[np.bool_]:
-    """Return (k,) where P, phi and theta are all known."""
-    return np.asarray(np.isfinite(samples.contact).all(axis=1))
-
-
-class TipMessages:
-    """Serialise the samples of one fingertip."""
-
-    def __init__(self, frame_id: str, node_id: int, tip_radius_m: float) -> None:
-        self._frame_id, self._node_id, self._radius_m = frame_id, node_id, tip_radius_m
-        torque = {"wrench.force.z": 0.0, "wrench.torque.x": 0.0, "wrench.torque.y": 0.0}
-        self._wrench = cdr.Layout(WRENCH, {"header.frame_id": frame_id, **torque})
-        self._contact: dict[int, cdr.Layout] = {}
-
-    def wrenches(self, samples: Block) -> tuple[npt.NDArray[np.int64], list[bytes]]:
-        """Return the stamps (j,) and the messages of the samples whose force is known."""
-        known = wrench_known(samples)
-        t_ns = samples.t_ns[known]
-        rows = self._wrench.rows(len(t_ns))
-        P, (phi, theta) = samples.contact[known, 0], np.radians(samples.contact[known, 1:]).T
-        cdr.set_stamps(rows, t_ns)
-        rows["wrench.force.x"], rows["wrench.force.y"] = P * np.cos(phi), P * np.sin(phi)
-        rows["wrench.torque.z"] = self._radius_m * P * np.sin(phi - theta)
-        return t_ns, cdr.split(rows)
-
-    def contacts(self, samples: Block, numbers: npt.NDArray[np.int64]) -> list[bytes]:
-        """Return a message for each sample; ``numbers`` (k,) of the samples, -1 for none."""
-        n = samples.gauges.shape[1]
-        if n not in self._contact:
-            constants = {"header.frame_id": self._frame_id, "node_id": self._node_id}
-            self._contact[n] = cdr.Layout(CONTACT, constants, {"microstrain": n})
-        rows = self._contact[n].rows(len(samples))
-        cdr.set_stamps(rows, samples.t_ns)
-        rows["number"], rows["status"], rows["microstrain"] = numbers, samples.status, samples.gauges
-        for values, suffix in ((samples.contact, ""), (samples.u, "_uncertainty")):
-            rows["force" + suffix] = values[:, 0]
-            rows["direction" + suffix], rows["angle" + suffix] = np.radians(values[:, 1]), np.radians(values[:, 2])
-        return cdr.split(rows)
-
-
 OK, WARN, ERROR, STALE = range(4)
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 
@@ -69,24 +29,65 @@ _LEVELS = {
 }  # fmt: skip
 
 
-class TipDiagnostics:
-    """One fingertip: what its samples of a period say."""
+class Tip:
+    """One fingertip: its samples as messages, and what those of a period say as diagnostics of ``name``."""
 
-    def __init__(self, name: str, node_id: int) -> None:
-        self.name, self.hardware_id = name, f"node {node_id}"
+    def __init__(self, name: str, node_id: int, frame_id: str, tip_radius_m: float) -> None:
+        self.name, self.node_id, self.hardware_id = name, node_id, f"node {node_id}"
+        self.wrenches = 0
+        """Messages so far."""
+        self._radius_m = tip_radius_m
+        torque = {"wrench.force.z": 0.0, "wrench.torque.x": 0.0, "wrench.torque.y": 0.0}
+        self._wrench = cdr.Layout(WRENCH, {"header.frame_id": frame_id, **torque})
+        constants = {"header.frame_id": frame_id, "node_id": node_id}
+        self._contact = cache(lambda gauges: cdr.Layout(CONTACT, constants, {"microstrain": gauges}))
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin a period."""
         self._counts = {"samples": 0, "without force": 0, "wrenches": 0}
         self._unknown = self._doubtful = 0
         self._last: Block | None = None
 
-    def add(self, samples: Block) -> None:
-        """Add samples of this period."""
+    def messages(self, samples: Block, numbers: npt.NDArray[np.int64]) -> Iterator[tuple[str, int, bytes]]:
+        """Yield kind, stamp and content of the messages of this period's samples: contacts first, then wrenches.
+
+        ``numbers`` (k,) of the samples, -1 for none. There is a wrench where P, phi and theta are all known.
+        """
         if not len(samples):
             return
+        known = np.flatnonzero(np.isfinite(samples.contact).all(axis=1))
+        self._judge(samples, len(known))
+        for t_ns, message in zip(samples.t_ns.tolist(), self._contacts(samples, numbers), strict=True):
+            yield CONTACT, t_ns, message
+        for t_ns, message in zip(samples.t_ns[known].tolist(), self._wrenches(samples, known), strict=True):
+            yield WRENCH, t_ns, message
+
+    def _wrenches(self, samples: Block, known: npt.NDArray[np.intp]) -> list[bytes]:
+        t_ns = samples.t_ns[known]
+        rows = self._wrench.rows(len(t_ns))
+        P, (phi, theta) = samples.contact[known, 0], np.radians(samples.contact[known, 1:]).T
+        cdr.set_stamps(rows, t_ns)
+        rows["wrench.force.x"], rows["wrench.force.y"] = P * np.cos(phi), P * np.sin(phi)
+        rows["wrench.torque.z"] = self._radius_m * P * np.sin(phi - theta)
+        return cdr.split(rows)
+
+    def _contacts(self, samples: Block, numbers: npt.NDArray[np.int64]) -> list[bytes]:
+        rows = self._contact(samples.gauges.shape[1]).rows(len(samples))
+        cdr.set_stamps(rows, samples.t_ns)
+        rows["number"], rows["status"], rows["microstrain"] = numbers, samples.status, samples.gauges
+        for values, suffix in ((samples.contact, ""), (samples.u, "_uncertainty")):
+            rows["force" + suffix] = values[:, 0]
+            rows["direction" + suffix], rows["angle" + suffix] = np.radians(values[:, 1]), np.radians(values[:, 2])
+        return cdr.split(rows)
+
+    def _judge(self, samples: Block, wrenches: int) -> None:
         known = np.isfinite(samples.contact[:, 0])
         counts = self._counts
         counts["samples"] += int(np.count_nonzero(samples.status & np.uint16(Status.NO_ANSWER) == 0))
         counts["without force"] += int(np.count_nonzero(~known))
-        counts["wrenches"] += int(np.count_nonzero(wrench_known(samples)))
+        counts["wrenches"] += wrenches
+        self.wrenches += wrenches
         self._unknown |= int(np.bitwise_or.reduce(samples.status[~known], initial=0))
         if not known.all():  # a bit that should be set and is not
             calibrated = samples.status[~known] & np.uint16(Status.CALIBRATED)
@@ -96,18 +97,12 @@ class TipDiagnostics:
 
     def status(self, state: str) -> dict[str, Any]:
         """Return the DiagnosticStatus of the period and begin the next one; ``state`` is the NMT state, if known."""
-        counts, last = self._counts, self._last
         level, message = self._judged()
-        values = {"NMT state": state, **counts}
-        if last is not None:
-            values["force, N"] = f"{last.contact[-1, 0]:.3f}"
-            values["status"] = f"{int(last.status[-1]):04X}h"
-        self._counts, self._last = dict.fromkeys(counts, 0), None
-        self._unknown = self._doubtful = 0
-        return self.of(level, message, values)
-
-    def of(self, level: int, message: str, values: Mapping[str, object]) -> dict[str, Any]:
-        """Return a DiagnosticStatus of this fingertip."""
+        values = {"NMT state": state, **self._counts}
+        if self._last is not None:
+            values["force, N"] = f"{self._last.contact[-1, 0]:.3f}"
+            values["status"] = f"{int(self._last.status[-1]):04X}h"
+        self._begin()
         return diagnostic(self.name, self.hardware_id, level, message, values)
 
     def _judged(self) -> tuple[int, str]:
@@ -115,7 +110,7 @@ class TipDiagnostics:
         if self._last is None:
             return STALE, "no sample"
         if counts["without force"]:
-            why = ", ".join(reasons.why_no_force(self._unknown)) or reasons.UNKNOWN_TO_THE_NODE
+            why = reasons.why(self._unknown, force_known=False, angles_known=False)
             rows = max(counts["samples"], counts["without force"])
             return ERROR, f"{why} ({counts['without force']} of {rows} samples)"
         doubts = reasons.doubts(self._doubtful)
@@ -130,9 +125,10 @@ def diagnostic(name: str, hardware_id: str, level: int, message: str, values: Ma
     return {"level": level, "name": name, "message": message, "hardware_id": hardware_id, "values": pairs}
 
 
-def level_of(kind: str) -> int:
-    """Return the level of an event of a hand or a log."""
-    return _LEVELS.get(kind, OK)
+def of_event(name: str, hardware_id: str, kind: str, text: str, **values: str) -> dict[str, Any]:
+    """Return the DiagnosticStatus of an event of a hand or a log."""
+    message = f"{kind.replace('_', ' ')}: {text}"
+    return diagnostic(name, hardware_id, _LEVELS.get(kind, OK), message, {"event": kind, **values})
 
 
 def array(t_ns: int, status: list[dict[str, Any]]) -> bytes:

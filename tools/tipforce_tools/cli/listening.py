@@ -10,13 +10,19 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Self
 
 from tipforce.errors import EnvironmentLackError
+from tipforce_tools.cli import common
 from tipforce_tools.cli.common import bus_options
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import can
 
     from tipforce.host.frames.frame_array import FrameArray
+    from tipforce.host.hand.hand import Hand
     from tipforce.host.live.receiver import ReceiverGroup
+    from tipforce.watching.feeds import FrameFeed, HandFeed
+    from tipforce.watching.watcher import Fallback
     from tipforce_tools.dump.targets import Target
 
 
@@ -65,6 +71,50 @@ def frames_heard(
     if notifier.exception is not None:
         raise EnvironmentLackError(f"failed while listening: {notifier.exception}; is the adapter plugged in?")
     return buffer.take_all(), elapsed_s
+
+
+def listening(
+    args: Namespace, hand_file: Path | None = None, fallback: Fallback | None = None
+) -> tuple[FrameFeed, str]:
+    """Listen to the bus that the flags name, or to that of a hand file; return the feed and the channel's name.
+
+    Without a hand file --nodes and --gauges apply. Raises as ``open_targets`` does.
+    """
+    from tipforce.host.hand.file import read_hand
+    from tipforce.host.live.receive import open_receiver
+    from tipforce.host.live.receiver import ReceiverGroup
+    from tipforce.host.network.bus_load import DEFAULT_BIT_RATE
+    from tipforce.watching.feeds import FrameFeed
+    from tipforce.watching.frame_sources import BusSource
+    from tipforce.watching.watcher import Finger, finger_maker, hand_fingers
+
+    fingers: tuple[Finger, ...] = ()
+    if hand_file is None:
+        options, gauges, maker = resolved_options(args, named=False), args.gauges, finger_maker(args.nodes, fallback)
+    else:
+        file = read_hand(hand_file)
+        options, gauges, maker = {**file.bus, **bus_options(args)}, file.finger[0].gauges, finger_maker(())
+        fingers = hand_fingers(file, fallback)
+    source = BusSource(ReceiverGroup([open_receiver(options)]))
+    feed = FrameFeed(source, maker, gauges, fingers, int(options.get("bitrate") or DEFAULT_BIT_RATE))
+    return feed, str(options.get("channel") or options.get("interface") or "bus")
+
+
+def commissioned(args: Namespace, hand: Hand, fallback: Fallback | None = None) -> HandFeed:
+    """Commission and start a hand: reports go to stderr and to the feed's events. Closes the hand if that fails."""
+    from tipforce.watching.feeds import HandFeed
+    from tipforce.watching.watcher import hand_fingers
+
+    try:
+        feed = HandFeed(hand, ())
+        for report in hand.bring_up():
+            common.note(args, str(report))
+        feed.fingers = hand_fingers(hand, fallback)
+        hand.start()
+    except BaseException:
+        hand.close()
+        raise
+    return feed
 
 
 def resolved_options(args: Namespace, *, named: bool) -> dict[str, Any]:

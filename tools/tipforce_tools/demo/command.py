@@ -15,7 +15,7 @@ from tipforce_tools.cli.common import (
     progress,
     whole_number,
 )
-from tipforce_tools.view.serving import add_page_arguments
+from tipforce_tools.view.command import add_page_arguments
 
 if TYPE_CHECKING:
     from tipforce_tools.demo.job import Result
@@ -63,12 +63,14 @@ def run(args: argparse.Namespace) -> int:
 
 def _view(args: argparse.Namespace) -> int:
     """Serve the page with a simulated hand until Ctrl-C."""
+    from tipforce_tools.cli.listening import commissioned
     from tipforce_tools.demo.hand import simulated_hand
-    from tipforce_tools.view.serving import check_page_arguments, hand_source, serve
+    from tipforce_tools.view.command import page_guard, serve
+    from tipforce_tools.view.sources import LiveSource
 
-    check_page_arguments(args)
+    guard = page_guard(args)
     with simulated_hand() as (hand, _):
-        return serve(args, hand_source(args, hand, "simulated hand"))
+        return serve(args, LiveSource(commissioned(args, hand), "simulated hand"), guard)
 
 
 def _record(result: Result) -> dict[str, object]:

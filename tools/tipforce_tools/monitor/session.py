@@ -8,25 +8,27 @@ import select
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from typing import TYPE_CHECKING
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
 from tipforce_tools.cli import common
+from tipforce_tools.cli.common import shown_id
 from tipforce_tools.cli.eds_flag import eds_files
 from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
 from tipforce_tools.cli.listening import StopSignals, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
 from tipforce_tools.dump.targets import STDIN, Target, split_targets
-from tipforce_tools.monitor import display
-from tipforce_tools.monitor.state import Monitor
+from tipforce_tools.monitor.state import QUANTITIES, BusView, Monitor, NodeView, Reading
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from rich.console import Group
     from rich.live import Live
 
     from tipforce.host.logs.reader import LogReader
@@ -49,56 +51,56 @@ def monitor(args: Namespace) -> int:
         source, log = _source(args, log_name, targets, interval_s, opened)
         pressed = opened.enter_context(_keys(screen, log_name == STDIN))
         show = opened.enter_context(_screen(args, interval_s)) if screen else _lines(args)
-        loop = Loop(args.once, interval_s, show if screen or (args.json and args.once is None) else None)
-        loop.run(watched, source, lambda: stop.stopped or pressed())
+        each = show if screen or (args.json and args.once is None) else None
+        shown = run(watched, source, lambda: stop.stopped or pressed(), interval_s, each, args.once or math.inf)
         if log is not None and source.ended and log.bad and not watched.frames:
             raise no_frame(str(log_name), (TEXT, PACKED, MESSAGES, PCAP), log.first_bad)
         has_nodes = any(bus.nodes for bus in watched.views())
         if log is not None and source.ended and watched.frames and not args.nodes and not has_nodes:
             raise no_sample(str(log_name), watched.frames, log.extended)
-        if not screen and not (args.json and args.once is None and loop.shown):
-            _lines(args)(watched, source.now_ns())
+        if not screen and not shown:
+            show(watched, source.now_ns())
     if log is not None and log.bad:
         reasons = ", ".join(f"{count} {reason}" for reason, count in log.bad.items())
         common.note(args, f"tipforce monitor: {counted(sum(log.bad.values()), 'bad line')} left out ({reasons})")
     return INTERRUPTED if stop.stopped else 0
 
 
-class Loop:
-    """Update the monitor, and show it at each interval of the frames' clock, so that a log gives the same lines."""
+def run(
+    watched: Monitor,
+    source: FrameSource,
+    stopped: Callable[[], bool],
+    interval_s: float,
+    show: Show | None,
+    once_s: float = math.inf,
+) -> bool:
+    """Update the monitor until the source ends, ``stopped`` is true, or --once is over; return whether it was shown.
 
-    def __init__(
-        self, once_s: float | None, interval_s: float, show: Show | None, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._once_ns = None if once_s is None else round(once_s * 1e9)
-        self._interval_ns = round(interval_s * 1e9)
-        self._show = show
-        self._clock = clock
-        self.shown = 0
-
-    def run(self, watched: Monitor, source: FrameSource, stopped: Callable[[], bool]) -> None:
-        """Run until the source ends, ``stopped`` is true, or --once is over."""
-        begun_s, first_ns, due_ns = self._clock(), None, 0
-        while not source.ended and not stopped():
-            try:
-                frames, names = source.take(_SLICE_S)
-            except InterfaceDownError:  # it may recover; until then all values become stale
-                continue
-            watched.feed(frames, names)
-            now_ns = source.now_ns()
-            if now_ns is None:
-                if self._once_ns is not None and (self._clock() - begun_s) * 1e9 >= self._once_ns:
-                    return
-                continue
-            if first_ns is None or now_ns < first_ns:  # or a recording with a clock set back
-                first_ns = int(frames["t_ns"][0]) if len(frames) else now_ns
-                due_ns = first_ns + self._interval_ns
-            if self._once_ns is not None and now_ns - first_ns >= self._once_ns:
-                return
-            if now_ns >= due_ns and self._show is not None:
-                self._show(watched, now_ns)
-                self.shown += 1
-                due_ns = max(due_ns, now_ns - self._interval_ns) + self._interval_ns
+    It is shown at each interval of the frames' clock, so that a log gives the same lines.
+    """
+    begun_s, first_ns, due_ns, shown = time.monotonic(), None, 0, False
+    interval_ns = round(interval_s * 1e9)
+    while not source.ended and not stopped():
+        try:
+            frames, names = source.take(_SLICE_S)
+        except InterfaceDownError:  # it may recover; until then all values become stale
+            continue
+        watched.feed(frames, names)
+        now_ns = source.now_ns()
+        if now_ns is None:
+            if time.monotonic() - begun_s >= once_s:
+                break
+            continue
+        if first_ns is None or now_ns < first_ns:  # or a recording with a clock set back
+            first_ns = int(frames["t_ns"][0]) if len(frames) else now_ns
+            due_ns = first_ns + interval_ns
+        if now_ns - first_ns >= once_s * 1e9:
+            break
+        if now_ns >= due_ns and show is not None:
+            show(watched, now_ns)
+            shown = True
+            due_ns = max(due_ns, now_ns - interval_ns) + interval_ns
+    return shown
 
 
 def _source(
@@ -127,9 +129,9 @@ def _lines(args: Namespace) -> Show:
         bitrate = getattr(args, "bitrate", BITRATE)
         buses = watched.views(now_ns)
         if args.json:
-            common.print_json(display.record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
+            common.print_json(record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
         else:
-            print("\n".join(display.plain(buses, bitrate)) or "no frames received")
+            print("\n".join(plain(buses, bitrate)) or "no frames received")
         sys.stdout.flush()
 
     return show
@@ -146,7 +148,7 @@ def _screen(args: Namespace, interval_s: float) -> Iterator[Show]:
         def show(watched: Monitor, now_ns: int | None) -> None:
             foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; q ends"
             buses = watched.views(now_ns)
-            picture = display.tables(buses, getattr(args, "bitrate", BITRATE), foot, live.console.width)
+            picture = tables(buses, getattr(args, "bitrate", BITRATE), foot, live.console.width)
             live.update(picture, refresh=True)
 
         yield show
@@ -174,3 +176,113 @@ def _keys(screen: bool, stdin_taken: bool) -> Iterator[Callable[[], bool]]:
     finally:
         termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
         os.close(descriptor)
+
+
+_DIGITS = {"N": 3, "degree": 2}
+_UNITS = {"degree": "deg"}
+TWO_NODES = "TWO NODES with this id"
+"""In place of the status: its values are those of either."""
+WIDE = 120
+"""Width of the whole table in characters."""
+_WIDE_ONLY = frozenset({"Hz", "period ms p50/p99/max"})
+_NARROW = {"node": 8, "age": 6, "P": 8, "phi": 10, "theta": 10, "NMT": 11, "last EMCY": 5, "lost": 4}
+COLUMNS = ("node", "Hz", "period ms p50/p99/max", "age", *QUANTITIES, "status", "NMT", "last EMCY", "lost")
+
+
+def record(buses: Sequence[BusView], t_s: float | None, bitrate: int) -> dict[str, Any]:
+    """Return one JSON record: all buses at a time in seconds."""
+    return {"t": t_s, "buses": [_bus_record(bus, bitrate) for bus in buses]}
+
+
+def _bus_record(bus: BusView, bitrate: int) -> dict[str, Any]:
+    fields = asdict(bus)
+    least, worst = fields.pop("least_bits_hz"), fields.pop("worst_bits_hz")
+    fields["load_percent"] = [round(100 * bits / bitrate, 2) for bits in (least, worst)]
+    return fields
+
+
+def headline(bus: BusView, bitrate: int) -> str:
+    """Return the line above a bus's table."""
+    low, high = (100 * bits / bitrate for bits in (bus.least_bits_hz, bus.worst_bits_hz))
+    errors = f", {bus.errors} error frames" if bus.errors else ""
+    load = f"load {low:.0f} to {high:.0f} % of {bitrate / 1000:g} kbit/s"
+    return f"{bus.name or 'bus'}: {bus.frames_hz:.0f} frames/s, {load}, SYNC {bus.sync_hz:.1f} Hz{errors}"
+
+
+def cells(node: NodeView) -> tuple[str, ...]:
+    """Return one row, in the order of COLUMNS."""
+    periods = node.periods
+    regular = f"{periods.p50_ms:.2f}/{periods.p99_ms:.2f}/{periods.max_ms:.2f}" if periods else "-"
+    age = "-" if node.age_s is None else f"{'STALE ' if node.stale else ''}{_seconds(node.age_s)}"
+    emergency = node.emergency
+    emcy = f"{emergency.code:04X}h {emergency.text}, {_seconds(emergency.age_s)} ago" if emergency else "-"
+    nmt = f"{node.nmt}, heartbeat lost" if node.nmt_lost else node.nmt or "no heartbeat"
+    readings = (shown(node.readings[name]) if name in node.readings else "-" for name in QUANTITIES)
+    values = (f"{name}={_value(reading)}" for name, reading in node.readings.items() if name not in QUANTITIES)
+    # A silent node has no present status, either.
+    status = "STALE" if node.stale else " ".join((*node.status, *values)) or "-"
+    if node.duplicate:
+        status = TWO_NODES
+    return shown_id(node.node_id), f"{node.rate_hz:.1f}", regular, age, *readings, status, nmt, emcy, str(node.lost)
+
+
+def shown(reading: Reading) -> str:
+    """Return `4.398 N`, `unknown: no contact`, `STALE, last 2.0 s ago`."""
+    if reading.value is not None:
+        return f"{reading.value:.{_DIGITS.get(reading.unit, 3)}f} {_UNITS.get(reading.unit, reading.unit)}"
+    return f"STALE, {reading.reason}" if reading.stale else f"unknown: {reading.reason}"
+
+
+def _value(reading: Reading) -> str:
+    """Return a value of a node with an EDS: `-2 rpm`."""
+    if reading.value is None:
+        return "STALE" if reading.stale else "unknown"
+    return f"{reading.value:.9g} {reading.unit}".rstrip()
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds * 1000:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"
+
+
+def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
+    """Yield lines of text with columns of minimum width."""
+    for bus in buses:
+        yield headline(bus, bitrate)
+        rows = [COLUMNS, *(cells(node) for node in bus.nodes)]
+        widths = [max(len(row[k]) for row in rows) for k in range(len(COLUMNS))]
+        for row in rows:
+            yield "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        yield from (node.duplicate for node in bus.nodes if node.duplicate)
+        if not bus.nodes:
+            yield "no node found yet"
+
+
+def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE) -> Group:
+    """Return the table for a terminal of ``width`` characters: a narrow one has no borders, no rate, and no periods."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    parts: list[Any] = []
+    for bus in buses:
+        narrow = width < WIDE
+        table = Table(title=headline(bus, bitrate), title_justify="left", expand=False)
+        if narrow:
+            table.box, table.padding, table.pad_edge = None, (0, 1, 0, 0), False
+        kept = [k for k, name in enumerate(COLUMNS) if not narrow or name not in _WIDE_ONLY]
+        status_width = max(width - sum(_NARROW.values()) - len(kept), 10)
+        for k in kept:
+            fixed = _NARROW.get(COLUMNS[k], status_width) if narrow else None
+            table.add_column(COLUMNS[k], width=fixed, overflow="fold")
+        for node in bus.nodes:
+            texts = cells(node)
+            row = (Text(texts[k], style=_style(texts[k])) for k in kept)
+            table.add_row(*row, style="dim" if node.stale else "")
+        parts += [table, *(Text(node.duplicate, style="bold red") for node in bus.nodes if node.duplicate)]
+    return Group(*parts, Text(foot, style="dim"))
+
+
+def _style(text: str) -> str:
+    if "STALE" in text or text == TWO_NODES or text.endswith("heartbeat lost"):
+        return "bold red"
+    return "yellow" if text.startswith("unknown") else ""

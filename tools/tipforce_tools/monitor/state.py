@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import struct
+from collections import defaultdict
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from canopen_device.core.codes import (
     EMCY_BASE,
@@ -20,7 +20,7 @@ from canopen_device.core.codes import (
     REMOTE_FLAG,
     SYNC_COB_ID,
 )
-from tipforce.arrays import IntArray
+from tipforce.arrays import IntArray, occurring
 from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
 from tipforce.dictionary.service_texts import state_text
 from tipforce.dictionary.table import FAULT_BITS, STATUS_BITS
@@ -58,55 +58,43 @@ class Window:
     """Times of events, and with each ``columns`` numbers, within WINDOW_NS before the newest of them."""
 
     def __init__(self, columns: int = 0) -> None:
-        self._t_ns: IntArray = np.zeros(0, dtype=np.int64)
-        self._numbers: IntArray = np.zeros((columns, 0), dtype=np.int64)
+        self._rows: IntArray = np.zeros((1 + columns, 0), dtype=np.int64)  # times, then the numbers
 
     def add(self, t_ns: IntArray, *numbers: IntArray) -> None:
         """Add events (k,) and their numbers (k,). A clock set back by more than the window restarts it."""
         if not len(t_ns):
             return
-        if len(self._t_ns) and t_ns[-1] < self._t_ns[-1] - WINDOW_NS:
-            self.clear()
-        times = np.concatenate((self._t_ns, t_ns))[-MOST:]
-        kept = times > times[-1] - WINDOW_NS
-        self._t_ns = times[kept]
-        if numbers:
-            self._numbers = np.concatenate((self._numbers, np.stack(numbers)), axis=1)[:, -MOST:][:, kept]
-
-    def clear(self) -> None:
-        """Forget all."""
-        self._t_ns = self._t_ns[:0]
-        self._numbers = self._numbers[:, :0]
+        before = self._rows if (self.last_ns or 0) <= t_ns[-1] + WINDOW_NS else self._rows[:, :0]
+        rows = np.concatenate((before, np.stack((t_ns, *numbers))), axis=1)[:, -MOST:]
+        self._rows = rows[:, rows[0] > t_ns[-1] - WINDOW_NS]
 
     @property
     def last_ns(self) -> int | None:
         """Time of the newest event."""
-        return int(self._t_ns[-1]) if len(self._t_ns) else None
+        return int(self._rows[0, -1]) if self._rows.size else None
 
     def rate_hz(self, now_ns: int) -> float:
         """Return events per second: from their periods while they continue, decreasing to 0 after they end."""
-        recent = self._t_ns[self._t_ns > now_ns - WINDOW_NS]
+        recent = self._rows[0, self._rows[0] > now_ns - WINDOW_NS]
         if len(recent) < 2 or recent[-1] <= recent[0]:
             return 0.0
-        period_ns = float(recent[-1] - recent[0]) / (len(recent) - 1)
-        silence_ns = now_ns - float(recent[-1])
-        span_ns = float(recent[-1] - recent[0]) + (silence_ns if silence_ns > 3.0 * period_ns else 0.0)
+        span_ns, silence_ns = float(recent[-1] - recent[0]), now_ns - float(recent[-1])
+        if silence_ns > 3.0 * span_ns / (len(recent) - 1):
+            span_ns += silence_ns
         return (len(recent) - 1) * 1e9 / span_ns
 
     def periods(self) -> Periods | None:
         """Return the periods of the events; None for fewer than two. Times that step back slightly count as 0."""
-        if len(self._t_ns) < 2:
+        if self._rows.shape[1] < 2:
             return None
-        periods = np.maximum(np.diff(self._t_ns), 0) * 1e-6
+        periods = np.maximum(np.diff(self._rows[0]), 0) * 1e-6
         return Periods(*(float(value) for value in (*np.percentile(periods, (50, 99)), periods.max())))
 
     def sums(self, now_ns: int) -> list[float]:
         """Return the numbers per second, over the observed part of the window before ``now_ns``."""
-        recent = self._t_ns > now_ns - WINDOW_NS
-        if not recent.any():
-            return [0.0] * len(self._numbers)
-        seen_ns = max(now_ns - int(self._t_ns[recent][0]), _LEAST_NS)
-        return [float(row[recent].sum()) * 1e9 / seen_ns for row in self._numbers]
+        recent = self._rows[:, self._rows[0] > now_ns - WINDOW_NS]
+        seen_ns = max(now_ns - int(recent[0, 0]), _LEAST_NS) if recent.size else _LEAST_NS
+        return [float(row.sum()) * 1e9 / seen_ns for row in recent[1:]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,17 +152,6 @@ class BusView:
     nodes: tuple[NodeView, ...]
 
 
-@dataclass(slots=True)
-class _Node:
-    samples: Window = field(default_factory=Window)
-    values: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # by signal: value, unit, time
-    flags: dict[str, bool] = field(default_factory=dict)
-    source: str = ""  # the message that the samples are counted by
-    nmt: int | None = None
-    heartbeats: Window = field(default_factory=Window)
-    emergency: tuple[int, int, int] | None = None  # code, register, time
-
-
 class BusMonitor:
     """One bus. ``node_ids`` None monitors all nodes; only those that have sent frames get a row."""
 
@@ -191,55 +168,45 @@ class BusMonitor:
         self._health = Health()
         self._modulus = SyncModulus()
         self._duplicates = DuplicateNodes()
-        self._nodes: dict[int, _Node] = {}
+        self._nodes: defaultdict[int, _Node] = defaultdict(_Node)
         self._traffic = Window(columns=3)
         self._sync = Window()
         self._errors = 0
 
     def feed(self, frames: FrameArray) -> None:
         """Process a FRAME array (k,) in the order of arrival."""
-        can_id, t_ns = frames["can_id"], frames["t_ns"]
-        self._count_traffic(frames)
-        twice = {duplicate.node_id for duplicate in self._duplicates.add(frames)}  # also of one without heartbeats
-        self._nodes |= {node_id: _Node() for node_id in twice & self._watched - self._nodes.keys()}
+        can_id = frames["can_id"]
+        error = (can_id & np.uint32(ERROR_FLAG)) != 0
+        self._errors += int(error.sum())
+        kind = kinds(frames)
+        self._traffic.add(frames["t_ns"][~error], np.ones_like(kind), LEAST_BITS[kind], MOST_BITS[kind])
+        for duplicate in self._duplicates.add(frames):
+            if duplicate.node_id in self._watched:  # also one without heartbeats
+                self._nodes.setdefault(duplicate.node_id, _Node())
         data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
-        self._sync.add(t_ns[data & (can_id == SYNC_COB_ID)])
+        self._sync.add(frames["t_ns"][data & (can_id == SYNC_COB_ID)])
         self._take_services(frames[data & ((can_id & NODE_ID_MASK) != 0)])
         for part in self._modulus.parts(frames):
             decoded = self._decoder.decode(part)
-            for samples in decoded.values():
+            for (node_id, name), samples in decoded.items():
                 self._tally.add("", samples, self._modulus.modulus)
                 self._duplicates.samples(samples, part, self._modulus.modulus)
-            for (node_id, name), samples in decoded.items():
-                self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
+                self._nodes[node_id].take(name, samples)
             self._health.take(part, decoded.values())
         if self._of_eds is not None:
             for start, end in self._of_eds.parts(frames):
                 for (node_id, name), samples in self._of_eds.decode(frames[start:end]).items():
                     if name.startswith("TPDO"):  # not what a master sends to the node
-                        self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
-        for node_id in self._health.nodes:
-            if node_id in self._nodes:
-                faults, _ = self._health.now(node_id)
-                flags = {f"fault_{name}": bool(faults >> bit & 1) for bit, name, _ in FAULT_BITS}
-                self._nodes[node_id].flags |= flags
-
-    def _count_traffic(self, frames: FrameArray) -> None:
-        error = (frames["can_id"] & np.uint32(ERROR_FLAG)) != 0
-        self._errors += int(error.sum())
-        frames = frames[~error]
-        kind = kinds(frames)
-        self._traffic.add(frames["t_ns"], np.ones_like(kind), LEAST_BITS[kind], MOST_BITS[kind])
+                        self._nodes[node_id].take(name, samples)
 
     def _take_services(self, frames: FrameArray) -> None:
         """Process heartbeats and EMCY, of which there are few."""
         function = frames["can_id"] & FUNCTION_MASK
-        chosen = frames[((function == HEARTBEAT_BASE) | (function == EMCY_BASE)) & (frames["length"] > 0)]
-        for frame in chosen:
+        for frame in frames[((function == HEARTBEAT_BASE) | (function == EMCY_BASE)) & (frames["length"] > 0)]:
             node_id = int(frame["can_id"]) & NODE_ID_MASK
             if node_id not in self._watched:
                 continue
-            node, t_ns = self._nodes.setdefault(node_id, _Node()), int(frame["t_ns"])
+            node, t_ns = self._nodes[node_id], int(frame["t_ns"])
             if int(frame["can_id"]) & FUNCTION_MASK == HEARTBEAT_BASE:
                 node.nmt = int(frame["data"][0]) & 0x7F
                 node.heartbeats.add(np.array([t_ns]))
@@ -247,93 +214,101 @@ class BusMonitor:
                 code, register = struct.unpack_from("<HB", frame["data"].tobytes())
                 node.emergency = code, register, t_ns
 
-    def _take_samples(self, node: _Node, name: str, samples: Samples) -> None:
+    def view(self, now_ns: int) -> BusView:
+        """Return the state at a time on the clock of the frames."""
+        frames_hz, least, worst = self._traffic.sums(now_ns)
+        lost = self._tally.lost()
+        nodes = tuple(
+            self._view(node_id, node, lost.get(("", node_id), 0), now_ns)
+            for node_id, node in sorted(self._nodes.items())
+        )
+        return BusView(self.name, frames_hz, least, worst, self._sync.rate_hz(now_ns), self._errors, nodes)
+
+    def _view(self, node_id: int, node: _Node, lost: int, now_ns: int) -> NodeView:
+        periods, last_ns = node.samples.periods(), node.samples.last_ns
+        age_s = None if last_ns is None else max(now_ns - last_ns, 0) * 1e-9
+        limit_s = max(STALE_NS * 1e-9, 3e-3 * periods.p50_ms if periods else 0.0)
+        flags = dict(node.flags)
+        if node_id in self._health.nodes:
+            faults, _ = self._health.now(node_id)
+            flags |= {f"fault_{name}": bool(faults >> bit & 1) for bit, name, _ in FAULT_BITS}
+        given = {"calibrated": True, "contact": True} | flags
+        bits = sum(bit for name, bit in reasons.BITS.items() if given.get(name) == 1)
+        names = tuple(node.values) if node_id in self._described else QUANTITIES
+        emergency = None
+        if node.emergency is not None:
+            code, register, t_ns = node.emergency
+            text = EMCY_CODES.get(code, EMCY_CODES.get(code & 0xFF00, "unknown code"))
+            emergency = Emergency(code, register, text, max(now_ns - t_ns, 0) * 1e-9)
+        return NodeView(
+            node_id, node.samples.rate_hz(now_ns), periods, age_s, age_s is not None and age_s > limit_s,
+            {name: node.reading(name, bits, now_ns, limit_s) for name in names},
+            tuple(name.removeprefix("fault_") for name in FLAGS if flags.get(name)),
+            *node.nmt_state(now_ns), emergency, lost, str(self._duplicates.found.get(node_id, "")),
+        )  # fmt: skip
+
+
+@dataclass(slots=True)
+class _Node:
+    samples: Window = field(default_factory=Window)
+    values: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # by signal: value, unit, time
+    flags: dict[str, bool] = field(default_factory=dict)
+    source: str = ""  # the message that the samples are counted by
+    nmt: int | None = None
+    heartbeats: Window = field(default_factory=Window)
+    emergency: tuple[int, int, int] | None = None  # code, register, time
+
+    def take(self, name: str, samples: Samples) -> None:
+        """Keep the last values of a message."""
         t_ns = int(samples.t_ns[-1])
         for signal in samples.message.signals:
             last = samples.columns[signal.name][-1]
             if signal.name in FLAGS:
-                node.flags[signal.name] = bool(last)
+                self.flags[signal.name] = bool(last)
             else:
-                node.values[signal.name] = float(last), signal.unit, t_ns
+                self.values[signal.name] = float(last), signal.unit, t_ns
         # Samples are counted by one message: that of the contact, as soon as it is received.
         better = "P" in samples.columns and samples.message.transmission_type <= 240
-        if not node.source or (better and node.source != name and "P" not in node.source):
-            node.source = name
-            node.samples.clear()
-        if name == node.source:
-            node.samples.add(samples.t_ns)
+        if not self.source or (better and self.source != name and "P" not in self.source):
+            self.source, self.samples = name, Window()
+        if name == self.source:
+            self.samples.add(samples.t_ns)
 
-    def view(self, now_ns: int) -> BusView:
-        """Return the state at a time on the clock of the frames."""
-        frames_hz, least, worst = self._traffic.sums(now_ns)
-        lost = {node_id: count for (_, node_id), count in self._tally.lost().items()}
-        nodes = tuple(
-            replace(
-                _view(key, self._nodes[key], lost.get(key, 0), now_ns, described=key in self._described),
-                duplicate=str(self._duplicates.found.get(key, "")),
-            )
-            for key in sorted(self._nodes)
-        )
-        return BusView(self.name, frames_hz, least, worst, self._sync.rate_hz(now_ns), self._errors, nodes)
+    def reading(self, name: str, status: int, now_ns: int, limit_s: float) -> Reading:
+        """Return a value, or why there is none."""
+        if name not in self.values:
+            return Reading(None, "", "not sent")
+        value, unit, t_ns = self.values[name]
+        if (now_ns - t_ns) * 1e-9 > limit_s:
+            return Reading(None, unit, f"last {max(now_ns - t_ns, 0) * 1e-9:.1f} s ago", stale=True)
+        if not np.isnan(value):
+            return Reading(value, unit)
+        why = reasons.why_no_force(status)
+        if not why and name in QUANTITIES[1:]:
+            why = [reasons.why_no_angle(status, theta=name == "theta")]
+        return Reading(None, unit, next(filter(None, why), reasons.UNKNOWN_TO_THE_NODE))
 
+    def nmt_state(self, now_ns: int) -> tuple[str, bool]:
+        """Return the NMT state, and whether the heartbeat has been missing for three of its periods.
 
-def _view(node_id: int, node: _Node, lost: int, now_ns: int, *, described: bool) -> NodeView:
-    periods, last_ns = node.samples.periods(), node.samples.last_ns
-    age_s = None if last_ns is None else max(now_ns - last_ns, 0) * 1e-9
-    limit_s = max(STALE_NS * 1e-9, 3e-3 * periods.p50_ms if periods else 0.0)
-    stale = age_s is not None and age_s > limit_s
-    flags = {"calibrated": True, "contact": True} | node.flags
-    bits = sum(bit for name, bit in reasons.BITS.items() if flags.get(name) == 1)
-    names = tuple(node.values) if described else QUANTITIES
-    readings = {name: _reading(node, name, bits, now_ns, limit_s) for name in names}
-    status = tuple(name.removeprefix("fault_") for name in FLAGS if node.flags.get(name))
-    emergency = None
-    if node.emergency is not None:
-        code, register, t_ns = node.emergency
-        text = EMCY_CODES.get(code, EMCY_CODES.get(code & 0xFF00, "unknown code"))
-        emergency = Emergency(code, register, text, max(now_ns - t_ns, 0) * 1e-9)
-    return NodeView(
-        node_id, node.samples.rate_hz(now_ns), periods, age_s, stale, readings, status,
-        *_nmt(node, now_ns), emergency, lost,
-    )  # fmt: skip
-
-
-def _reading(node: _Node, name: str, status: int, now_ns: int, limit_s: float) -> Reading:
-    if name not in node.values:
-        return Reading(None, "", "not sent")
-    value, unit, t_ns = node.values[name]
-    if (now_ns - t_ns) * 1e-9 > limit_s:
-        return Reading(None, unit, f"last {max(now_ns - t_ns, 0) * 1e-9:.1f} s ago", stale=True)
-    if not np.isnan(value):
-        return Reading(value, unit)
-    why = reasons.why_no_force(status)
-    if not why and name in QUANTITIES[1:]:
-        why = [reasons.why_no_angle(status, theta=name == "theta")]
-    return Reading(None, unit, next(filter(None, why), reasons.UNKNOWN_TO_THE_NODE))
-
-
-def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:
-    """Return the NMT state, and whether the heartbeat has been missing for three of its periods.
-
-    A boot-up message does not show a lasting state: the node leaves it at once, and only a heartbeat shows the next.
-    """
-    last_ns = node.heartbeats.last_ns
-    if node.nmt is None or last_ns is None:
-        return "", False
-    if node.nmt == INITIALISING:
-        later = (node.samples.last_ns or last_ns) > last_ns or now_ns - last_ns > STALE_NS
-        return f"{NMT_STATES[INITIALISING]}, no heartbeat" if later else NMT_STATES[INITIALISING], False
-    periods = node.heartbeats.periods()
-    limit_ns = 3e6 * periods.p50_ms if periods else 3e9
-    return state_text(node.nmt), now_ns - last_ns > max(limit_ns, STALE_NS)
+        A boot-up message shows no lasting state: the node leaves it at once, and only a heartbeat shows the next.
+        """
+        last_ns = self.heartbeats.last_ns
+        if self.nmt is None or last_ns is None:
+            return "", False
+        if self.nmt == INITIALISING:
+            later = (self.samples.last_ns or last_ns) > last_ns or now_ns - last_ns > STALE_NS
+            return f"{NMT_STATES[INITIALISING]}{', no heartbeat' if later else ''}", False
+        periods = self.heartbeats.periods()
+        limit_ns = 3e6 * periods.p50_ms if periods else 3e9
+        return state_text(self.nmt), now_ns - last_ns > max(limit_ns, STALE_NS)
 
 
 class Monitor:
     """All buses of a source by interface name."""
 
     def __init__(self, gauges: int = 3, node_ids: Iterable[int] | None = None, eds: EdsFiles = ()) -> None:
-        self._gauges, self._eds = gauges, eds
-        self._node_ids = None if node_ids is None else tuple(node_ids)
+        self._options = gauges, None if node_ids is None else tuple(node_ids), eds
         self._buses: dict[str, BusMonitor] = {}
         self.newest_ns: int | None = None
         self.frames = 0
@@ -344,12 +319,11 @@ class Monitor:
             return
         self.frames += len(frames)
         self.newest_ns = int(frames["t_ns"][-1])
-        known = list(names)
-        channel: npt.NDArray[np.uint8] = frames["channel"]
-        for number in np.unique(channel).tolist():
+        known, channel = list(names), frames["channel"]
+        for number in occurring(channel):
             name = known[number] if number < len(known) else ""
             if name not in self._buses:
-                self._buses[name] = BusMonitor(name, self._gauges, self._node_ids, self._eds)
+                self._buses[name] = BusMonitor(name, *self._options)
             self._buses[name].feed(frames[channel == number])
 
     def views(self, now_ns: int | None = None) -> tuple[BusView, ...]:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import sys
+import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-from tipforce_tools.view.serving import add_page_arguments, check_page_arguments, hand_source, serve
+from tipforce_tools.cli.common import bus_options
+from tipforce_tools.cli.listening import commissioned, listening
 
 if TYPE_CHECKING:
-    from tipforce.watching.fingers import Fallback, Finger, FingerMaker
+    from tipforce_tools.view.guard import Guard
     from tipforce_tools.view.sources import Source
 
+DEFAULT_PORT = 8404
 _MOST_SECONDS = 1e9
 
 
@@ -51,20 +54,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until Ctrl-C or SIGTERM; return 0. Raises InputError and EnvironmentLackError."""
-    check_page_arguments(args)
+    guard = page_guard(args)
     for flag, value in (("--from", args.start_s), ("--to", args.end_s)):
         if value is not None and not 0.0 <= value <= _MOST_SECONDS:
             raise InputError(f"{flag} {value:g}: allowed is 0 to {_MOST_SECONDS:g} s from the beginning")
     with _source(args) as source:
-        return serve(args, source)
+        return serve(args, source, guard)
 
 
 @contextlib.contextmanager
 def _source(args: argparse.Namespace) -> Iterator[Source]:
     from tipforce.shipped_files import file_or_shipped
     from tipforce.sources.layout_file import read_layout
-    from tipforce.watching.fingers import finger_maker
-    from tipforce_tools.view.sources import LogSource, is_scene, scene_source
+    from tipforce.watching.watcher import finger_maker
+    from tipforce_tools.view.sources import LiveSource, LogSource, is_scene, scene_source
 
     path = file_or_shipped(args.source, "scenes") if args.source else None
     is_table = path is not None and path.suffix == ".toml"
@@ -73,42 +76,70 @@ def _source(args: argparse.Namespace) -> Iterator[Source]:
     fallback = (args.layout, *read_layout(args.layout)) if args.layout else None
     maker = finger_maker(args.nodes, fallback)
     if path is None or args.no_bring_up:
-        source: Source = _listen(args, path, maker, fallback)
+        feed, channel = listening(args, path, fallback)
+        title = f"{path.name} on {channel}" if path else channel
+        source: Source = LiveSource(feed, f"{title}, listening", "this page only listens to the bus")
     elif is_table and is_scene(path):
         common.note(args, f"{path}: running the scene")
         source = scene_source(path, maker, args.gauges, args.start_s, args.end_s)
     elif is_table:
         from tipforce.host.hand.hand import Hand
 
-        source = hand_source(args, Hand.from_file(path, **common.bus_options(args)), path.name, fallback)
+        source = LiveSource(commissioned(args, Hand.from_file(path, **bus_options(args)), fallback), path.name)
     elif str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
     else:
-        source = LogSource(path, maker, args.gauges, (), args.start_s, args.end_s)
+        source = LogSource(path, maker, args.gauges, args.start_s, args.end_s)
     with contextlib.closing(source):
         yield source
 
 
-def _listen(args: argparse.Namespace, path: Path | None, maker: FingerMaker, fallback: Fallback | None) -> Source:
-    from tipforce.host.hand.file import read_hand
-    from tipforce.host.live.receive import open_receiver
-    from tipforce.host.live.receiver import ReceiverGroup
-    from tipforce.watching.feeds import FrameFeed
-    from tipforce.watching.fingers import hand_fingers
-    from tipforce.watching.frame_sources import BusSource
-    from tipforce_tools.cli.listening import resolved_options
-    from tipforce_tools.view.sources import LISTENING, LiveSource
+def add_page_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of the page's server."""
+    group = parser.add_argument_group("page")
+    group.add_argument(
+        "--port", type=int, default=DEFAULT_PORT, metavar="N", help="default %(default)s; 0: any free port"
+    )
+    group.add_argument(
+        "--host", default="", metavar="ADDRESS", help="address to serve on, default loopback; others need --token"
+    )
+    group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
+    group.add_argument("--allow-writes", action="store_true", help="allow the page to tare")
+    group.add_argument("--open", action="store_true", help="open the page in the browser")
 
-    options = resolved_options(args, named=False)
-    fingers: tuple[Finger, ...] = ()
-    gauges = args.gauges
-    if path is not None:
-        file = read_hand(path)
-        fingers, gauges = hand_fingers(file, fallback), file.finger[0].gauges
-        options = {**file.bus, **{name: value for name, value in options.items() if value is not None}}
-        maker = lambda _node_id: None  # noqa: E731
-    channel = str(options.get("channel") or options.get("interface") or "bus")
-    title = f"{path.name} on {channel}" if path else channel
-    source = BusSource(ReceiverGroup([open_receiver(options)]))
-    feed = FrameFeed(source, maker, gauges, fingers, int(options.get("bitrate") or 1_000_000))
-    return LiveSource(feed, f"{title}, listening", gauges, LISTENING)
+
+def page_guard(args: argparse.Namespace) -> Guard:
+    """Return the access rules of the page, before anything is opened. Raises InputError."""
+    from tipforce_tools.view.guard import Guard, access_token, host_names
+
+    if not 0 <= args.port <= 65535:
+        raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
+    host = args.host or "127.0.0.1"
+    return Guard(access_token=access_token(host, args.token), hosts=host_names(host), allow_writes=args.allow_writes)
+
+
+def serve(args: argparse.Namespace, source: Source, guard: Guard) -> int:
+    """Serve the page of a source until Ctrl-C or SIGTERM."""
+    from tipforce_tools.cli.main import terminate_as_interrupt
+    from tipforce_tools.view.server import ViewServer
+
+    server = ViewServer(source, guard, (args.host,) if args.host else ("127.0.0.1", "::1"), args.port)
+    terminate_as_interrupt()
+    server.start()
+    try:
+        if args.json:
+            common.print_json({"url": server.url})
+        else:
+            print(server.url)
+        sys.stdout.flush()
+        common.note(args, f"{source.title}: {'read and tare' if args.allow_writes else 'read-only'}; Ctrl-C ends it")
+        if args.open:
+            import webbrowser
+
+            webbrowser.open(server.url)
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        server.close()

@@ -17,6 +17,8 @@ from http import HTTPStatus
 
 from tipforce.errors import InputError
 
+Refusal = tuple[HTTPStatus, str]
+"""The response to a refused request: status and text."""
 LOOPBACK_NAMES = ("127.0.0.1", "[::1]", "localhost")
 COOKIE = "tipforce_access"
 LEAST_TOKEN = 16
@@ -38,14 +40,6 @@ SECURITY_HEADERS = {
 """Headers of every response."""
 
 
-@dataclass(frozen=True, slots=True)
-class Refusal:
-    """The response to a refused request."""
-
-    status: HTTPStatus
-    text: str
-
-
 @dataclass(slots=True)
 class Guard:
     """The rules of one server. ``hosts`` are names without port; ``access_token`` is empty on loopback."""
@@ -58,14 +52,14 @@ class Guard:
     def check(self, headers: Mapping[str, str], query_token: str = "") -> Refusal | None:
         """Return None if a request, or a WebSocket handshake, is allowed. ``headers`` ignore case."""
         host = headers.get("Host", "").lower()
-        if host not in self._allowed_hosts():
-            return Refusal(HTTPStatus.MISDIRECTED_REQUEST, "this server does not have that name")
+        if host not in {f"{name}:{self.port}" for name in self.hosts} | set(self.hosts if self.port == 80 else ()):
+            return HTTPStatus.MISDIRECTED_REQUEST, "this server does not have that name"
         origin = headers.get("Origin")
         foreign = origin is not None and origin.lower() != f"http://{host}"
         if foreign or headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
-            return Refusal(HTTPStatus.FORBIDDEN, "requests from other pages are refused")
+            return HTTPStatus.FORBIDDEN, "requests from other pages are refused"
         if self.access_token and not self._has_access(headers, query_token):
-            return Refusal(HTTPStatus.UNAUTHORIZED, "open the address with the token that the command printed")
+            return HTTPStatus.UNAUTHORIZED, "open the address with the token that the command printed"
         return None
 
     def read_only(self, headers: Mapping[str, str]) -> str:
@@ -79,10 +73,6 @@ class Guard:
             return True
         cookies = dict(part.strip().partition("=")[::2] for part in headers.get("Cookie", "").split(";"))
         return _same(cookies.get(COOKIE, ""), self.access_token)
-
-    def _allowed_hosts(self) -> set[str]:
-        with_port = {f"{host}:{self.port}" for host in self.hosts}
-        return with_port | set(self.hosts) if self.port == 80 else with_port
 
 
 def is_loopback(host: str) -> bool:

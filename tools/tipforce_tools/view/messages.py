@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, Literal
 
-import msgspec
 import numpy as np
 
 from tipforce.errors import InputError
@@ -16,16 +15,15 @@ from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.structure.gauges import Gauge, GaugePosition, gauge_name, place, strain_row
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
-from tipforce.watching.fingers import Finger
+from tipforce.watching.watcher import Finger
 from tipforce_tools.view.history import Charted, Envelope
-from tipforce_tools.view.model import FingerState, Model, PageEvent, Picture
+from tipforce_tools.view.model import Model, Picture
 
 MAX_BINS = 1500
 """Limit per message: a browser that reconnects late gets the newest ones."""
 MAX_EVENTS = 200
 SPEEDS = 0.05, 50.0
 _BIN_DIGITS = 4
-_DIGITS = (4, 3, 3)  # P in N, phi and theta in degrees: one more than the node's resolution
 
 
 class Playhead:
@@ -66,42 +64,22 @@ class Cursor:
         self._bin = playhead.now_ns()[0] // bin_ns
         self._event = after_event
 
-    def message(self) -> tuple[dict[str, Any], bool]:
-        """Return the next message, and whether it is the last one."""
+    def message(self) -> Picture:
+        """Return the next message; the last one has ended."""
+        model = self._model
         now_ns, ended = self._playhead.now_ns()
-        picture = self._model.picture(now_ns)
+        picture = model.picture(now_ns)
         last = now_ns // self._bin_ns
         first = max(self._bin, last - MAX_BINS + 1)
         # The last bin is not complete: it is sent again.
         self._bin = last
-        message = picture_message(self._model, picture)
-        message["bins"] = envelope_message(self._model.envelope(first, last, self._bin_ns, self._what))
-        events = self._model.events(self._event, now_ns if not self._is_live(now_ns) else None)[-MAX_EVENTS:]
-        if events:
-            self._event = events[-1].number
-            message["events"] = [_event(event) for event in events]
-        if ended:
-            message["ended"] = True
-        return message, ended
-
-    def _is_live(self, now_ns: int) -> bool:
-        return self._model.live and now_ns >= self._model.span_ns()[1]
-
-
-def encode(message: Any) -> bytes:
-    """Encode as JSON; NaN becomes null."""
-    return msgspec.json.encode(message)
-
-
-def picture_message(model: Model, picture: Picture) -> dict[str, Any]:
-    """Encode a moment; times in milliseconds since 1970."""
-    return {
-        "t": picture.now_ns / 1e6, "start": picture.start_ns / 1e6, "end": picture.end_ns / 1e6,
-        "rate": round(picture.rate_hz, 2), "period": picture.period_ns / 1e6, "generation": picture.generation,
-        "error": model.error, "nmt": model.nmt,
-        "fingers": [_state(state) for state in picture.states],
-        "counters": model.counters,
-    }  # fmt: skip
+        picture.bins = envelope_message(model.envelope(first, last, self._bin_ns, self._what))
+        live = model.live and now_ns >= model.span_ns()[1]
+        picture.events = model.events(self._event, None if live else now_ns)[-MAX_EVENTS:] or None
+        if picture.events:
+            self._event = picture.events[-1].number
+        picture.ended = ended
+        return picture
 
 
 def envelope_message(envelope: Envelope) -> dict[str, Any]:
@@ -110,32 +88,6 @@ def envelope_message(envelope: Envelope) -> dict[str, Any]:
     unknown = envelope.unknown[..., np.newaxis].astype(np.float64)
     table = np.concatenate([*parts, unknown], axis=-1)
     return {"i": envelope.index.tolist(), "v": table.reshape(len(table), table.shape[1] * table.shape[2]).tolist()}
-
-
-def events_message(model: Model, until_ns: int | None = None) -> list[dict[str, Any]]:
-    """Encode the last events up to a time."""
-    return [_event(event) for event in model.events(0, until_ns)[-MAX_EVENTS:]]
-
-
-def _state(state: FingerState) -> dict[str, Any]:
-    message: dict[str, Any] = {"w": state.word, "since": state.since_ns / 1e6, "s": state.status}
-    if state.reason:
-        message["why"] = state.reason
-    if state.angle_reason:
-        message["angle"] = state.angle_reason
-    if state.flags:
-        message["f"] = state.flags
-    if state.word != "silent":
-        message["c"] = [round(value, digits) for value, digits in zip(state.contact, _DIGITS, strict=True)]
-        message["u"] = [round(value, digits) for value, digits in zip(state.u, _DIGITS, strict=True)]
-        message["g"] = [round(value, 1) for value in state.gauges]
-    return message
-
-
-def _event(event: PageEvent) -> dict[str, Any]:
-    return {
-        "n": event.number, "t": event.t_ns / 1e6, "node": event.node_id, "kind": event.kind, "text": event.text
-    }  # fmt: skip
 
 
 _ROWS = 200

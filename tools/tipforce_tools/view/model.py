@@ -8,9 +8,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -18,7 +18,7 @@ from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.sensor.contact import scalar
 from tipforce.watching.feeds import Counters
-from tipforce.watching.fingers import Finger
+from tipforce.watching.watcher import Finger
 from tipforce_tools.view.history import Charted, Envelope, History
 
 STALE_PERIODS = 2.5
@@ -29,27 +29,35 @@ STREAM_STALE_S = 0.1
 NO_ANSWER_S = 2.0
 _PERIOD_ROWS = 33
 _LOOK_BACK_ROWS = 4096
+_DIGITS = (4, 3, 3)  # P in N, phi and theta in degrees: one more than the node's resolution
 
 Word = Literal["live", "stale", "unknown", "silent"]
 
 
-@dataclass(frozen=True, slots=True)
-class FingerState:
-    """State of one finger. A "silent" one has no numbers; those of a "stale" one are from ``since_ns``."""
+class FingerState(
+    msgspec.Struct,
+    frozen=True,
+    omit_defaults=True,
+    rename={
+        "word": "w", "since_ms": "since", "status": "s", "reason": "why", "angle_reason": "angle", "flags": "f",
+        "contact": "c", "gauges": "g",
+    },
+):  # fmt: skip
+    """State of one finger, as a page gets it. A "silent" one has no numbers; those of a "stale" one are old."""
 
     word: Word
-    reason: str
-    """Why P, phi and theta are unknown; empty otherwise."""
-    angle_reason: str
-    """Why only phi or theta is unknown."""
-    since_ns: int
+    since_ms: float
     """Time of the sample; 0 for none."""
-    status: int
-    contact: tuple[float, float, float]
-    u: tuple[float, float, float]
-    gauges: tuple[float, ...]
+    status: int = 0
+    reason: str = ""
+    """Why P, phi and theta are unknown; empty otherwise."""
+    angle_reason: str = ""
+    """Why only phi or theta is unknown."""
     flags: tuple[str, ...] = ()
     """What the status says besides contact and calibration, in words."""
+    contact: tuple[float, ...] = ()
+    u: tuple[float, ...] = ()
+    gauges: tuple[float, ...] = ()
 
 
 def period_ns(t_ns: npt.NDArray[np.int64]) -> int:
@@ -118,45 +126,51 @@ def _state(block: Block, row: int, k: int, word: Word) -> FingerState:
     if reason and word == "live":
         word = "unknown"
     flags = tuple(reasons.flags(status) if reason else reasons.doubts(status))
-    P, phi, theta = contact.tolist()
-    u_P, u_phi, u_theta = block.u[row, k].tolist()
-    strains = tuple(block.gauges[row, k].tolist())
-    since_ns = int(block.t_ns[row])
-    contact_values, u = (P, phi, theta), (u_P, u_phi, u_theta)
-    return FingerState(word, reason, angle_reason, since_ns, status, contact_values, u, strains, flags)
+    values, u = (
+        tuple(round(value, digits) for value, digits in zip(of[row, k].tolist(), _DIGITS, strict=True))
+        for of in (block.contact, block.u)
+    )
+    strains = tuple(round(strain, 1) for strain in block.gauges[row, k].tolist())
+    return FingerState(word, int(block.t_ns[row]) / 1e6, status, reason, angle_reason, flags, values, u, strains)
 
 
 def _silent(since_ns: int) -> FingerState:
-    nan = float("nan")
-    return FingerState("silent", "no response", "", since_ns, 0, (nan, nan, nan), (nan, nan, nan), ())
+    return FingerState("silent", since_ns / 1e6, reason="no response")
 
 
 MAX_EVENTS = 2000
 _RATE_ROWS = 4096
 
 
-@dataclass(frozen=True, slots=True)
-class PageEvent:
+class PageEvent(msgspec.Struct, frozen=True, rename={"number": "n", "t_ms": "t", "node_id": "node"}):
     """An entry of the event list. ``node_id`` 0 is the bus; ``number`` counts from 1."""
 
     number: int
-    t_ns: int
+    t_ms: float
     node_id: int
     kind: str
     text: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """The state of the page at one moment."""
+class Picture(msgspec.Struct, omit_defaults=True, rename={"states": "fingers"}):
+    """The state of the page at one moment, as a page gets it; times in milliseconds since 1970."""
 
-    now_ns: int
-    start_ns: int
-    end_ns: int
-    rate_hz: float
-    period_ns: int
-    states: list[FingerState]
+    t: float
+    start: float
+    end: float
+    rate: float
+    """Rows a second."""
+    period: float
     generation: int
+    error: str
+    nmt: list[str]
+    counters: Counters
+    states: list[FingerState]
+    bins: dict[str, Any] | None = None
+    """Those since the last picture, of a stream."""
+    events: list[PageEvent] | None = None
+    """New ones, of a stream; all up to the moment, of a log."""
+    ended: bool = False
 
 
 class Model:
@@ -207,12 +221,12 @@ class Model:
         """Add to the list; beyond MAX_EVENTS the oldest are dropped."""
         with self._lock:
             self._event_count += 1
-            self._events.append(PageEvent(self._event_count, t_ns, node_id, kind, text))
+            self._events.append(PageEvent(self._event_count, t_ns / 1e6, node_id, kind, text))
 
     def events(self, after: int = 0, until_ns: int | None = None) -> list[PageEvent]:
         """Return events with a number above ``after``, up to a time."""
         with self._lock:
-            return [e for e in self._events if e.number > after and (until_ns is None or e.t_ns <= until_ns)]
+            return [e for e in self._events if e.number > after and (until_ns is None or e.t_ms <= until_ns / 1e6)]
 
     def now_ns(self) -> int:
         """Return the present on the time scale of the rows: setting the clock does not make old rows look new.
@@ -242,7 +256,11 @@ class Model:
             recent = recent[recent > moment - 1_000_000_000]
             rate_hz = (len(recent) - 1) / max((moment - int(recent[0])) * 1e-9, 1e-9) if len(recent) > 1 else 0.0
             states = finger_states(self._history, moment, len(self._fingers))
-            return Picture(moment, start, end, rate_hz, period_ns(t_ns[:last]), states, self.generation)
+            times_ms = moment / 1e6, start / 1e6, end / 1e6
+            return Picture(
+                *times_ms, round(rate_hz, 2), period_ns(t_ns[:last]) / 1e6, self.generation, self.error, self.nmt,
+                self.counters, states,
+            )  # fmt: skip
 
     def envelope(self, first_bin: int, last_bin: int, width_ns: int, what: Charted = "contact") -> Envelope:
         """See History."""

@@ -1,22 +1,143 @@
-"""One page on its WebSocket: requests and responses, and its stream of pictures."""
+"""One page on its WebSocket: its JSON requests and their responses, and its stream of pictures."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
+import threading
 import time
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
+import msgspec
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from tipforce.errors import TipforceError
-from tipforce_tools.view import requests
-from tipforce_tools.view.messages import csv_chunks
+from tipforce.errors import InputError, RefusedError, TipforceError
+from tipforce_tools.view.history import Charted
+from tipforce_tools.view.messages import (
+    MAX_BINS,
+    MAX_EVENTS,
+    Cursor,
+    Playhead,
+    csv_chunks,
+    drawing,
+    envelope_message,
+    largest_strain_per_newton,
+)
+from tipforce_tools.view.model import Model
+from tipforce_tools.view.sources import Source
 
-if TYPE_CHECKING:
-    from tipforce_tools.view.messages import Cursor
-    from tipforce_tools.view.sources import Source
+Milliseconds = Annotated[float, msgspec.Meta(ge=0.0, le=9e12)]
+"""Since 1970."""
+BinWidth = Annotated[float, msgspec.Meta(ge=0.5, le=3.6e6)]
+"""Milliseconds."""
+_taring = threading.Lock()
+
+
+class Request(msgspec.Struct, forbid_unknown_fields=True, tag_field="do", tag=str.lower, kw_only=True):
+    """Every response carries the ``id`` of its request."""
+
+    id: int = 0
+
+
+class Setup(Request):
+    """Get the fingers, the permissions, and the present picture."""
+
+
+class At(Request):
+    """Get the picture of a moment, and the events of a log up to then."""
+
+    t: Milliseconds
+
+
+class History(Request):
+    """Get bins of the past."""
+
+    start: Milliseconds
+    end: Milliseconds
+    bin: BinWidth
+    what: Charted = "contact"
+
+
+class Stream(Request):
+    """Stream pictures from now, or from ``start`` at ``speed``, each as a response. Ends the previous stream."""
+
+    bin: BinWidth = 20.0
+    start: Milliseconds | None = None
+    speed: float = 1.0
+    after: int = 0
+    """Number of the last event known to the page."""
+    what: Charted = "contact"
+    """Quantities of the bins."""
+
+
+class Pause(Request):
+    """End the stream."""
+
+
+class Csv(Request):
+    """Get all rows of the buffer, in binary messages before the response."""
+
+
+class Tare(Request):
+    """Tare a finger."""
+
+    node_id: int
+
+
+AnyRequest = Setup | At | History | Stream | Pause | Csv | Tare
+
+
+def answer(request: AnyRequest, source: Source, read_only: str) -> Any:
+    """Return the response. ``read_only``: why this page must not write; empty if it may. Raises TipforceError."""
+    model = source.model
+    match request:
+        case Setup():
+            return {
+                "title": source.title, "live": model.live, "generation": model.generation,
+                "fingers": [drawing(finger, model.gauges) for finger in model.fingers],
+                "gauges": model.gauges, "no_tare": source.no_tare or read_only, "events": model.events()[-MAX_EVENTS:],
+                "picture": model.picture(), "scale": _scale(model),
+            }  # fmt: skip
+        case At():
+            picture = model.picture(_ns(request.t))
+            if not model.live:
+                picture.events = model.events(0, _ns(request.t))[-MAX_EVENTS:]
+            return picture
+        case History():
+            width_ns = _ns(request.bin)
+            first, last = _ns(request.start) // width_ns, _ns(request.end) // width_ns
+            if not 0 <= last - first <= MAX_BINS:
+                raise InputError(f"start, end, bin: {last - first} bins, allowed are 0 to {MAX_BINS}")
+            return envelope_message(model.envelope(first, last, width_ns, request.what))
+        case Tare():
+            if source.no_tare or read_only:
+                raise RefusedError(source.no_tare or read_only)
+            if request.node_id not in {finger.node_id for finger in model.fingers}:
+                raise InputError(f"node-id {request.node_id}: no finger of this page")
+            with _taring:  # one at a time
+                return {"text": source.tare(request.node_id)}
+    return {}
+
+
+def _scale(model: Model) -> dict[str, float]:
+    """Return the full scales of force and strain: those of a log's rows; of a live page at least the usual ones."""
+    least = (5.0, 500.0) if model.live else (0.5, 50.0)
+    P, strain = model.largest()
+    expected = P * max((largest_strain_per_newton(finger.geometry) for finger in model.fingers), default=0.0)
+    return {"newtons": _nice(max(P, least[0])), "microstrain": _nice(max(strain, expected, least[1]))}
+
+
+def _nice(value: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, at least ``value``."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(float(k * power) for k in (1, 2, 5, 10) if k * power >= value * (1 - 1e-6))
+
+
+def _ns(milliseconds: float) -> int:
+    return round(milliseconds * 1e6)
+
 
 IDLE_S = 0.1
 """Period of time messages to a page when no row arrives."""
@@ -60,28 +181,28 @@ class Page:
             async for text in self.socket:
                 request_id = 0
                 try:
-                    request = requests.decoded(text)
+                    request = msgspec.json.decode(text, type=AnyRequest)
                     request_id = request.id
-                    await self._answer(request)
-                except TipforceError as error:
-                    await self._send(requests.refusal(request_id, str(error)))
+                    await self._serve(request)
+                except (TipforceError, msgspec.DecodeError, UnicodeDecodeError) as error:
+                    await self._send({"id": request_id, "error": str(error)})
         self._end_stream()
 
-    async def _answer(self, request: requests.Request) -> None:
-        match request:
-            case requests.Stream():
-                cursor = request.cursor(self._source.model)
-                self._end_stream()
-                self._streaming = asyncio.create_task(self._pictures(cursor, request.id))
-                return
-            case requests.Csv():
-                answer: dict[str, Any] = await self._csv()
-            case requests.Pause():
-                self._end_stream()
-                answer = {}
-            case _:
-                answer = await asyncio.to_thread(request.answer, self._source, self._read_only)
-        await self._send(requests.reply(request.id, answer))
+    async def _serve(self, request: AnyRequest) -> None:
+        if isinstance(request, Stream):
+            start_ns = None if request.start is None else _ns(request.start)
+            playhead = Playhead(self._source.model, start_ns, request.speed)
+            cursor = Cursor(self._source.model, playhead, _ns(request.bin), request.after, request.what)
+            self._end_stream()
+            self._streaming = asyncio.create_task(self._pictures(cursor, request.id))
+            return
+        if isinstance(request, Pause):
+            self._end_stream()
+        if isinstance(request, Csv):
+            content: Any = await self._csv()
+        else:
+            content = await asyncio.to_thread(answer, request, self._source, self._read_only)
+        await self._send({"id": request.id, "answer": content})
 
     def _end_stream(self) -> None:
         if self._streaming is not None:
@@ -96,22 +217,23 @@ class Page:
                 await self._pulse.wait(IDLE_S)
                 now_ns = model.span_ns()[1]
                 if now_ns != newest or not model.live or time.monotonic() - sent_s >= IDLE_S:
-                    message, ended = cursor.message()
-                    newest, sent_s = now_ns, time.monotonic()
-                    await self._send(requests.reply(request_id, message))
+                    picture = cursor.message()
+                    ended, newest, sent_s = picture.ended, now_ns, time.monotonic()
+                    await self._send({"id": request_id, "answer": picture})
 
     async def _csv(self) -> dict[str, int]:
         chunks, count = csv_chunks(self._source.model), 0
         while (chunk := await asyncio.to_thread(next, chunks, None)) is not None:
-            await self._send(chunk, text=False)
+            await self._send(chunk)
             count += len(chunk)
         return {"bytes": count}
 
-    async def _send(self, message: bytes, text: bool = True) -> None:
-        """Send, and wait until the socket accepts the message. Drops a page that does not read."""
+    async def _send(self, message: dict[str, Any] | bytes) -> None:
+        """Send JSON or bytes, and wait until the socket accepts them. Drops a page that does not read."""
+        is_json = isinstance(message, dict)
         try:
             async with asyncio.timeout(SEND_TIMEOUT_S):
-                await self.socket.send(message, text=text)
+                await self.socket.send(msgspec.json.encode(message) if is_json else message, text=is_json)
         except TimeoutError:
             self.socket.transport.abort()
         self.taken_s = time.monotonic()

@@ -25,7 +25,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 
 from tipforce.errors import EnvironmentLackError
-from tipforce_tools.view.guard import COOKIE, SECURITY_HEADERS, Guard, Refusal
+from tipforce_tools.view.guard import COOKIE, SECURITY_HEADERS, Guard
 from tipforce_tools.view.page import Page, Pulse
 from tipforce_tools.view.sources import Source
 
@@ -197,9 +197,9 @@ class ViewServer:
         try:
             refusal = self.guard.check(request.headers, token)
         except MultipleValuesError as error:
-            refusal = Refusal(HTTPStatus.BAD_REQUEST, f"duplicate header {error}")
+            refusal = HTTPStatus.BAD_REQUEST, f"duplicate header {error}"
         if refusal is not None:
-            return connection.respond(refusal.status, refusal.text)
+            return connection.respond(*refusal)
         if request.method not in ("GET", "HEAD"):
             return connection.respond(HTTPStatus.METHOD_NOT_ALLOWED, "allowed are GET and HEAD")
         if path == SOCKET_PATH:

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +24,7 @@ class HandSample:
     phi_deg: FloatArray
     theta_deg: FloatArray
     """NaN where the node marks a value unknown, or where the finger is missing."""
-    missing: npt.NDArray[np.bool_]
+    missing: BoolArray
     """No contact PDO of this finger arrived in time."""
     messages: dict[tuple[int, str], Samples]
     """All decoded values, by (node-id, message name): status flags, counters, gauges."""
@@ -39,11 +37,7 @@ class PolledHand:
     """
 
     def __init__(
-        self,
-        connection: Bus,
-        node_ids: Sequence[int],
-        gauges: int = 3,
-        messages: Sequence[str] = ("Contact",),
+        self, connection: Bus, node_ids: Sequence[int], gauges: int = 3, messages: Sequence[str] = ("Contact",)
     ) -> None:
         bases = {message.name: message.cob_id_base for message in tpdo_messages(gauges)}
         unknown = [name for name in messages if not bases.get(name)]
@@ -78,14 +72,13 @@ class PolledHand:
             return not awaited
 
         frames = self.connection.buffer.take(complete, time.monotonic() + timeout_s)
-        return self._row(self._decoder.decode(frames))
-
-    def _row(self, messages: dict[tuple[int, str], Samples]) -> HandSample:
-        columns = np.full((3, len(self.node_ids)), np.nan)
+        messages = self._decoder.decode(frames)
+        values = np.full((3, len(self.node_ids)), np.nan)
         missing = np.ones(len(self.node_ids), dtype=np.bool_)
         for k, node_id in enumerate(self.node_ids):
-            found = messages.get((node_id, "Contact"))
-            if found is not None and len(found.t_ns):
+            if (node_id, "Contact") in messages:
                 missing[k] = False
-                columns[:, k] = [found.columns[name][-1] for name in ("P", "phi", "theta")]
-        return HandSample(columns[0], columns[1], columns[2], missing, messages)
+                columns = messages[node_id, "Contact"].columns
+                values[:, k] = [columns[name][-1] for name in ("P", "phi", "theta")]
+        P, phi, theta = values
+        return HandSample(P, phi, theta, missing, messages)

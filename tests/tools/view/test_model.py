@@ -1,0 +1,294 @@
+"""The model of a page: the newest rows in order, envelopes without a lost extreme, states that are never falsely live,
+
+and what a browser gets, however slowly it takes it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tipforce.samples.reasons import NO_ANSWER, Status
+from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT, MISSES_TIP, SATURATED, STALE
+from tipforce_tools.view.history import MAX_BYTES, History, row_bytes
+from tipforce_tools.view.messages import MAX_BINS, Cursor, Playhead
+from tipforce_tools.view.model import FingerState, Model, finger_states
+from tools.view.support import MS, START_NS, block, fingers, with_status
+
+NAN = float("nan")
+GOOD = CALIBRATED | CONTACT_PRESENT
+
+
+@given(st.lists(st.integers(0, 25), max_size=30), st.integers(1, 20))
+def test_the_newest_rows_stay(sizes: list[int], capacity: int) -> None:
+    history, total = History(1, 3, capacity), 0
+    for size in sizes:
+        number = np.arange(total, total + size)
+        history.append(block(number, number[:, np.newaxis])) if size else None
+        total += size
+    kept = np.arange(max(0, total - capacity), total)
+    assert history.rows.contact[:, 0, 0].tolist() == kept.tolist()
+    assert history.t_ns.tolist() == (START_NS + kept * MS).tolist()
+    assert history.dropped == total - len(kept)
+
+
+@given(st.lists(st.floats(-5, 5, width=32) | st.none(), min_size=1, max_size=80), st.integers(1, 30))
+def test_an_envelope_keeps_extremes_and_gaps(values: list[float | None], width_ms: int) -> None:
+    P = np.array([[np.nan if value is None else value] for value in values])
+    history = History(1, 3, 100)
+    history.append(block(np.arange(len(P)), P))
+    width_ns = width_ms * MS
+    first, last = START_NS // width_ns, (START_NS + len(P) * MS) // width_ns
+    found = history.envelope(first, last, width_ns)
+    numbers = (START_NS + np.arange(len(P)) * MS) // width_ns
+    assert found.index.tolist() == np.unique(numbers).tolist()
+    for k, number in enumerate(found.index):
+        inside = P[numbers == number, 0]
+        known = inside[~np.isnan(inside)]
+        assert found.unknown[k, 0] == np.isnan(inside).sum()
+        if len(known):
+            assert (found.low[k, 0, 0], found.high[k, 0, 0]) == (
+                pytest.approx(known.min()), pytest.approx(known.max()),
+            )  # fmt: skip
+        else:
+            assert np.isnan(found.low[k, 0, 0])
+            assert np.isnan(found.high[k, 0, 0])
+
+
+def test_a_missing_finger_is_a_gap_of_the_envelope() -> None:
+    history = History(2, 3, 100)
+    history.append(with_status(block([0, 1, 2], np.ones((3, 2))), 1, 1, NO_ANSWER))
+    found = history.envelope(START_NS // (10 * MS), START_NS // (10 * MS), 10 * MS)
+    assert found.unknown.tolist() == [[0, 1]]
+
+
+def test_nothing_gives_an_empty_envelope() -> None:
+    history = History(2, 3, 10)
+    assert len(history.envelope(0, 10, MS).index) == 0
+    history.append(block([0], [[1.0, 2.0]]))
+    assert len(history.envelope(0, 10, MS).index) == 0
+
+
+def test_a_clock_that_is_set_back_does_not_disorder_rows() -> None:
+    history = History(1, 3, 100)
+    history.append(block([0, 10, 20], np.ones((3, 1))))
+    history.append(block([-5000, -4990], np.ones((2, 1))))
+    history.append(block([-4980], np.ones((1, 1))))
+    assert ((history.t_ns - START_NS) // MS).tolist() == [0, 10, 20, 20, 30, 40]
+
+
+def test_more_fingers_find_their_places() -> None:
+    history = History(2, 3, 10)
+    history.append(block([0, 1], [[1.0, 3.0], [1.5, 3.5]]))
+    wider = history.widened(np.array([0, 2]), 3)
+    assert wider.rows.contact[:, [0, 2], 0].tolist() == [[1.0, 3.0], [1.5, 3.5]]
+    assert (wider.rows.status[:, 1] == NO_ANSWER).all()
+    assert np.isnan(wider.rows.contact[:, 1]).all()
+
+
+@pytest.mark.parametrize("count", [1, 5, 15, 32])
+def test_memory_is_bounded(count: int) -> None:
+    assert 2 * History(count, 3).capacity * row_bytes(count, 3) <= MAX_BYTES
+
+
+def test_envelopes_of_gauges_and_forces() -> None:
+    history = History(2, 4, 10)
+    rows = block([0, 1], [[1.0, 2.0], [3.0, np.nan]], gauges=4)
+    rows.gauges[1, 0] = [-250.0, 1.0, 2.0, np.nan]
+    history.append(rows)
+    first = START_NS // (10 * MS)
+    gauges = history.envelope(first, first, 10 * MS, "gauges")
+    assert gauges.low[0, 0].tolist() == [-250.0, 1.0, 2.0, 100.0]
+    assert gauges.high[0, 0].tolist() == [100.0, 100.0, 100.0, 100.0]
+    assert np.isnan(gauges.u).all()
+    forces = history.envelope(first, first, 10 * MS, "forces")  # phi -90, theta 90 degrees: F1 = -P, F2 = 0, F3 = 0
+    assert forces.low[0, :, 0].tolist() == pytest.approx([-3.0, -2.0])
+    assert forces.high[0, :, 0].tolist() == pytest.approx([-1.0, -2.0])
+    assert forces.high[0, 0, 1:].tolist() == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert forces.unknown.tolist() == [[0, 1]]
+    assert history.largest() == (3.0, 250.0)
+    assert History(1, 3, 10).largest() == (0.0, 0.0)
+
+
+def filled(count: int = 50, period_ms: int = 10, fingers: int = 2) -> History:
+    history = History(fingers, 3, 1000)
+    P = np.arange(count)[:, np.newaxis] + np.zeros(fingers)
+    history.append(block(period_ms * np.arange(count), P))
+    return history
+
+
+def at(history: History, t_ms: float, fingers: int = 2) -> list[FingerState]:
+    return finger_states(history, START_NS + round(t_ms * MS), fingers)
+
+
+def test_the_newest_sample_is_live() -> None:
+    state = at(filled(), 490)[0]
+    assert (state.word, state.contact[0]) == ("live", 49.0)
+    assert at(filled(), 255)[0].contact[0] == 25.0  # any moment of the past
+
+
+@pytest.mark.parametrize(("t_ms", "word"), [(589, "live"), (591, "stale"), (2480, "stale"), (2500, "silent")])
+def test_a_stream_that_stops_is_stale_then_silent(t_ms: float, word: str) -> None:
+    state = at(filled(), t_ms)[1]
+    assert state.word == word
+    if word == "stale":
+        assert state.since_ms == (START_NS + 490 * MS) / 1e6
+    assert bool(state.contact) == (word != "silent")
+
+
+def test_a_slow_sync_has_a_longer_limit() -> None:
+    history = filled(10, 400)
+    assert at(history, 3600 + 999)[0].word == "live"
+    assert at(history, 3600 + 1001)[0].word == "stale"
+
+
+@given(st.lists(st.booleans(), min_size=40, max_size=120))
+def test_a_finger_that_misses_rows_is_live_for_two_and_a_half_periods(answers: list[bool]) -> None:
+    history = filled(40, 10)
+    rows = block(400 + 10 * np.arange(len(answers)), np.ones((len(answers), 2)))
+    for row, answered in enumerate(answers):
+        if not answered:
+            with_status(rows, row, 0, NO_ANSWER)
+    history.append(rows)
+    for row in range(len(answers)):
+        back = next((k for k in range(row + 1) if answers[row - k]), row + 1)
+        first, second = at(history, 400 + 10 * row)
+        assert (first.word == "live") == (back <= 2)
+        assert second.word == "live"
+
+
+def test_never_heard_is_no_answer() -> None:
+    history = History(2, 3, 100)
+    assert [state.word for state in at(history, 0)] == ["silent", "silent"]
+    rows = block(10 * np.arange(30), np.ones((30, 2)))
+    rows.status[:, 1] = NO_ANSWER
+    history.append(rows)
+    first, second = at(history, 290)
+    assert (first.word, second.word, second.since_ms) == ("live", "silent", 0)
+
+
+@pytest.mark.parametrize(
+    ("status", "contact", "word", "reason", "angle_reason", "flags"),
+    [
+        *((CALIBRATED | bits, (NAN, NAN, NAN), "unknown", reason, "", None) for bits, reason in (
+            (FRONT_END_FAULT, "front-end fault"), (STALE, "no new sample"),
+            (FRONT_END_FAULT | Status.CONTRADICTION, "gauges contradict each other"),
+            (SATURATED, "gauge saturated"), (SATURATED | Status.OVERLOAD, "overload"),
+        )),
+        (0, (NAN, NAN, NAN), "unknown", "not calibrated", "", None),
+        (CALIBRATED, (1.0, NAN, NAN), "live", "", "no contact", ()),
+        (GOOD | MISSES_TIP, (1.0, 90.0, NAN), "live", "", "line of action misses the tip", None),
+        (GOOD | SATURATED | Status.BEYOND_CALIBRATED | Status.TEMPERATURE, (1.0, 90.0, 90.0), "live", "", "", (
+            "a gauge is left out", "beyond the calibrated force", "temperature outside the calibration or unknown",
+        )),
+    ],
+)  # fmt: skip
+def test_what_is_unknown_or_doubtful_says_why(
+    status: int, contact: tuple[float, ...], word: str, reason: str, angle_reason: str, flags: tuple[str, ...] | None
+) -> None:
+    history = History(1, 3, 100)
+    rows = block(10 * np.arange(30), np.ones((30, 1)), status)
+    rows.contact[:] = contact
+    history.append(rows)
+    (state,) = at(history, 290, 1)
+    assert (state.word, state.reason, state.angle_reason) == (word, reason, angle_reason)
+    assert flags is None or state.flags == flags
+
+
+def test_a_repeated_sample_does_not_hide_the_one_before_while_it_is_young() -> None:
+    history = filled(30, 10, 1)
+    rows = block([300, 310, 320, 330], np.full((4, 1), NAN), CALIBRATED | STALE)
+    history.append(rows)
+    assert at(history, 300, 1)[0].contact[0] == 29.0
+    assert at(history, 310, 1)[0].contact[0] == 29.0
+    assert at(history, 330, 1)[0].word == "unknown"
+
+
+class Clock:
+    """Seconds, set by the test."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def live_model(clock: Clock, rows: int = 100, live: bool = True) -> Model:
+    model = Model(fingers(2), 3, live=live, clock=clock)
+    model.add(block(10 * np.arange(rows), np.ones((rows, 2))))
+    return model
+
+
+@pytest.mark.parametrize("pause", [1, 7, 60])
+def test_a_slow_browser_gets_every_extreme(pause: int) -> None:
+    clock = Clock()
+    model = live_model(clock)
+    cursor = Cursor(model, Playhead(model, clock=clock), 20 * MS)
+    generator = np.random.default_rng(3)
+    highest, bins, sent = 0.0, dict[int, float](), []
+    for step in range(120):
+        P = generator.uniform(1, 9, (1, 2))
+        highest = max(highest, float(P[0, 1]))
+        model.add(block([1000 + 10 * step], P))
+        model.add_event(START_NS, 1, "emcy", str(step))
+        if step % pause == 0 or step == 119:
+            message = cursor.message()
+            assert message.bins is not None
+            bins |= {i: row[13] for i, row in zip(message.bins["i"], message.bins["v"], strict=True)}
+            sent += [event.text for event in message.events or ()]
+            assert len(message.bins["i"]) <= MAX_BINS
+    assert max(bins.values()) == pytest.approx(highest, abs=1e-4)
+    assert sorted(bins) == list(range(min(bins), max(bins) + 1))
+    assert sent == [str(step) for step in range(120)]
+
+
+def test_a_browser_that_was_away_for_long_gets_a_bounded_message() -> None:
+    clock = Clock()
+    model = live_model(clock)
+    cursor = Cursor(model, Playhead(model, clock=clock), MS)
+    model.add(block(1000 + np.arange(20_000), np.ones((20_000, 2))))
+    message = cursor.message()
+    assert message.bins is not None
+    assert len(message.bins["i"]) <= MAX_BINS
+    assert message.bins["i"][-1] == (START_NS + 20_999 * MS) // MS
+
+
+def test_the_present_moves_with_the_clock_when_no_row_comes() -> None:
+    clock = Clock()
+    model = live_model(clock)
+    playhead = Playhead(model, clock=clock)
+    assert playhead.now_ns() == (START_NS + 990 * MS, False)
+    clock.now_s += 3.0
+    assert playhead.now_ns() == (START_NS + 3990 * MS, False)
+    assert [state.word for state in model.picture(playhead.now_ns()[0]).states] == ["silent", "silent"]
+
+
+def test_rows_that_were_put_in_late_are_as_old_as_they_are() -> None:
+    clock = Clock()
+    model = live_model(clock)
+    clock.now_s += 5.0
+    model.add(block([1000], np.ones((1, 2))), clock.now_s - 1.0)
+    assert [state.word for state in model.picture().states] == ["stale", "stale"]
+
+
+def test_a_log_plays_at_its_speed_to_its_end() -> None:
+    clock = Clock()
+    model = live_model(clock, live=False)
+    playhead = Playhead(model, START_NS, 0.5, clock)
+    clock.now_s += 1.0
+    assert playhead.now_ns() == (START_NS + 500 * MS, False)
+    clock.now_s += 9.0
+    assert playhead.now_ns() == (START_NS + 990 * MS, True)
+
+
+def test_a_replay_of_the_past_catches_up_with_the_present() -> None:
+    clock = Clock()
+    model = live_model(clock)
+    playhead = Playhead(model, START_NS - 10_000 * MS, 4.0, clock)
+    assert playhead.now_ns()[0] == START_NS  # not before the first row
+    clock.now_s += 60.0
+    present = model.now_ns()
+    assert playhead.now_ns() == (present, False)
