@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -213,7 +213,8 @@ def free(modes: Modes, start: State, times_s: npt.ArrayLike) -> tuple[FloatArray
     return both[:, 0], both[:, 1]
 
 
-class Wave(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Wave:
     """A load with a closed solution: a force times mean + cosine cos(2 pi f t) + sine sin(2 pi f t), then none."""
 
     force: FloatArray
