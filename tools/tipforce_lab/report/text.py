@@ -172,7 +172,7 @@ _TIME = {**_NUMBER, "no_wrap": True}
 
 
 def study_table(study: Study) -> tuple[dict[str, dict[str, Any]], list[list[str]]]:
-    """Return rich's options by heading, and the rows; the method stands in its first row. Empty columns are left out."""
+    """Return rich's options by heading, and the rows; the method is in its first row. Empty columns are left out."""
     columns: dict[str, dict[str, Any]] = {
         "method": {"ratio": 4},
         "setting": {"ratio": 3},

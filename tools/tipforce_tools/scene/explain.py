@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from tipforce.scene.registry import Identifier
     from tipforce.scene.schema import Scene
 
@@ -32,7 +30,11 @@ def run(args: argparse.Namespace) -> int:
 
     path = file_or_shipped(args.scene, "scenes")
     scene = read_scene(path)
-    costs = _costs(path, scene) if args.cost else {}
+    costs: dict[str, Any] = {}
+    if args.cost:
+        from tipforce_lab.scene_cost import part_costs
+
+        costs = part_costs(scene, path)
     rows = [
         {
             "part": part.name, "built": part.built, "why": part.why, "modules": list(part.modules),
@@ -66,20 +68,6 @@ def _sent(scene: Scene, one: Identifier) -> dict[str, Any]:
         "cob_id": f"0x{one.can_id:03X}", "what": one.what, "rate_hz": one.rate_hz, "data_bytes": one.data_bytes,
         "load": low, "load_at_most": high,
     }  # fmt: skip
-
-
-def _costs(path: Path, scene: Scene) -> dict[str, dict[str, float | None]]:
-    from tipforce_lab.scene_cost import part_costs, total
-
-    by_part = {}
-    costs = part_costs(scene, path)
-    for cost in [*costs, total(costs)]:
-        by_part[cost.part] = {
-            "us_per_sample": cost.us_per_sample,
-            "ms_per_run": cost.ms_per_run,
-            "import_ms": cost.import_ms,
-        }
-    return by_part
 
 
 def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
