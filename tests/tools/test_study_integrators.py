@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import pytest
 
@@ -73,12 +72,11 @@ def test_the_independent_check_finds_a_wrong_reference(monkeypatch: pytest.Monke
         return found._replace(p12=found.p12 * (1.0 + 1e-8))
 
     monkeypatch.setattr(closed_forms, "hold", wrong)
-    task = integrators._tap()
-    assert integrators._relative(task.check(), task.wanted) > 1e-10
+    task = integrators.TASKS["tap"]()
+    assert integrators.relative(integrators.checked(task), task.wanted) > 1e-10
 
 
 def test_the_independent_impact_finds_another_contact() -> None:
-    task = integrators._impact()
-    softer = replace(Striker(0.01, 0.3, 1e7), stiffness=1e7 * (1.0 + 1e-6))
-    other = integrators._checked("struck", False, softer, task.times_s)
-    assert integrators._relative(other, task.wanted) > 1e-9
+    task = integrators.struck()
+    softer = Striker(0.01, 0.3, 1e7 * (1.0 + 1e-6))
+    assert integrators.relative(integrators.checked(task, softer), task.wanted) > 1e-9

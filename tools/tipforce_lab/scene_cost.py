@@ -29,33 +29,29 @@ from tipforce_lab.report.study import Effort, Point, Series, Study, quartiles
 _LENGTHEN = 4  # ratio of the long run to the short run of a pair: their difference excludes the set-up
 
 
-@dataclass(frozen=True, slots=True)
-class PartCost:
-    """One part of one scene. A sample is one node at one SYNC."""
-
-    part: str
-    built: bool
-    us_per_sample: float | None
-    """Difference with and without the part; for "nodes" the rest without all other parts. Never negative: see
-    ``nondecreasing``. None if it is left out, or cannot be removed alone."""
-    ms_per_run: float | None
-    """The same for work that does not grow with the samples: set-up, opening, drawing."""
-    import_ms: float | None
-    """Import time of the modules that no earlier part imports. None if it is left out."""
+Cost = dict[str, float | None]
+"""us_per_sample: difference with and without the part; for "nodes" the rest without all other parts. Never negative:
+see nondecreasing(). ms_per_run: the same for work that does not grow with the samples: set-up, opening, drawing.
+import_ms: of the modules that no earlier part imports. None if the part is left out, or cannot be removed alone. A
+sample is one node at one SYNC."""
 
 
-def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 3) -> list[PartCost]:
-    """Measure every part. ``samples``: of a short run; ``runs``: repetitions, of which the minimum counts."""
+def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 3) -> dict[str, Cost]:
+    """Measure every part, and "all": their sum, because each part was timed against the rest.
+
+    ``samples``: of a short run; ``runs``: repetitions, of which the minimum counts.
+    """
     imports = import_times(scene, path)
     ladder = rungs(scene)
     times = measure([step for _, step in ladder], path, samples, runs)
     work = dict(zip((name for name, _ in ladder), _differences(times), strict=True))
-    costs = []
+    costs: dict[str, Cost] = {}
     for part in parts(scene):
         us_per_sample, ms_per_run = work.get(part.name, (None, None)) if part.built else (None, None)
         import_ms = imports.get(part.name, 0.0) if part.built else None
-        costs.append(PartCost(part.name, part.built, us_per_sample, ms_per_run, import_ms))
-    return costs
+        costs[part.name] = {"us_per_sample": us_per_sample, "ms_per_run": ms_per_run, "import_ms": import_ms}
+    names = ("us_per_sample", "ms_per_run", "import_ms")
+    return costs | {"all": {name: sum(cost[name] or 0.0 for cost in costs.values()) for name in names}}
 
 
 def _differences(times: Sequence[Measured]) -> list[tuple[float, float]]:
@@ -81,15 +77,6 @@ def nondecreasing(values: Sequence[float]) -> list[float]:
             both = count + count_before
             blocks.append(((mean * count + before * count_before) / both, both))
     return [mean for mean, count in blocks for _ in range(count)]
-
-
-def total(costs: Sequence[PartCost]) -> PartCost:
-    """Sum of all parts: the cost of the whole scene, because each part was timed against the rest."""
-    sums = [
-        sum(value for value in column if value is not None)
-        for column in zip(*((cost.us_per_sample, cost.ms_per_run, cost.import_ms) for cost in costs), strict=True)
-    ]
-    return PartCost("all", True, *sums)
 
 
 def rungs(scene: schema.Scene) -> list[tuple[str, schema.Scene]]:
@@ -176,7 +163,7 @@ def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int)
     long: list[list[float]] = [[] for _ in scenes]
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
-        moved = [_in_folder(replace(scene, bus=None), Path(folder)) for scene in scenes]
+        moved = [_in_folder(scene, Path(folder)) for scene in scenes]
         counts = [max(1, samples // len(scene.node_ids)) for scene in moved]
         for scene in moved:
             _timed(scene, path, 1)  # exclude imports and set-up done once per process
@@ -188,13 +175,11 @@ def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int)
                 long[k].append(elapsed_s)
                 outcomes.append(outcome)
     results = []
-    for k, scene in enumerate(moved):
-        nodes = len(scene.node_ids)
-        more = (_LENGTHEN - 1) * counts[k] * nodes
-        sample_s = (min(long[k]) - min(short[k])) / more
-        once_s = min(short[k]) - sample_s * counts[k] * nodes
-        each = tuple(elapsed_s / (_LENGTHEN * counts[k] * nodes) for elapsed_s in long[k])
-        results.append(Measured(1e6 * sample_s, 1e3 * once_s, each, _P_rms(outcomes[k])))
+    for scene, count, once, more, outcome in zip(moved, counts, short, long, outcomes, strict=True):
+        size = count * len(scene.node_ids)
+        sample_s = (min(more) - min(once)) / ((_LENGTHEN - 1) * size)
+        each = tuple(elapsed_s / (_LENGTHEN * size) for elapsed_s in more)
+        results.append(Measured(1e6 * sample_s, 1e3 * (min(once) - sample_s * size), each, _P_rms(outcome)))
     return results
 
 
@@ -212,14 +197,10 @@ def _P_rms(outcome: Outcome) -> float:
 
 
 def _in_folder(scene: schema.Scene, folder: Path) -> schema.Scene:
-    """Return the scene with its output files in another folder."""
-    given = scene.outputs
-    moved = {
-        name: str(folder / Path(value).name)
-        for name, value in (("log", given.log), ("table", given.table), ("plot", given.plot))
-        if value is not None
-    }
-    return replace(scene, outputs=replace(given, **moved))
+    """Return the scene without its bus, with its output files in another folder."""
+    given = {name: getattr(scene.outputs, name) for name in ("log", "table", "plot")}
+    moved = {name: str(folder / Path(path).name) for name, path in given.items() if path is not None}
+    return replace(scene, bus=None, outputs=replace(scene.outputs, **moved))
 
 
 _IMPORT_RUN = """
@@ -239,7 +220,7 @@ def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
     A module counts for the first part that lists it; a package of others counts with all its own imports.
     """
     with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
-        text = msgspec.json.encode(_in_folder(replace(scene, bus=None), Path(folder))).decode()
+        text = msgspec.json.encode(_in_folder(scene, Path(folder))).decode()
         words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, text, str(path.parent)]
         done = subprocess.run(words, capture_output=True, text=True, check=True)
     return _attribute(done.stderr, [part for part in parts(scene) if part.built])
@@ -277,13 +258,13 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
         ladder = rungs(replace(scene, outputs=replace(scene.outputs, plot=None)))
         results = measure([scene for _, scene in ladder], path, effort.pick(100, 300), effort.pick(3, 7))
         settings = ["all parts", *(f"less {part}" for part, _ in ladder[:-1])]
-        points = [
-            Point(setting, one.P_rms_newtons, quartiles(one.seconds))
-            for setting, one in zip(settings, results, strict=True)
-        ]
+        points = (
+            Point(setting, result.P_rms_newtons, quartiles(result.seconds))
+            for setting, result in zip(settings, results, strict=True)
+        )
         series.append(Series(name, tuple(points)))
         advance()
-    whole, least = (one.points[0].timing.seconds for one in (series[1], series[0]))
+    whole, least = (scene_series.points[0].timing.seconds for scene_series in reversed(series))
     return [
         Study(
             "scenes", "What a scene builds: run time and error of P, part by part", "RMS error of P, N",

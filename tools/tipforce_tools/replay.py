@@ -313,5 +313,6 @@ class Buses:
         options = {**self._options, "channel": target}
         asked = argparse.Namespace(**{**vars(self._args), "channel": target, "interface": options.get("interface")})
         common.confirm(asked, f"this sends the frames of {self._args.log} on {target}")
-        sender = self._senders[target] = self._opened.enter_context(open_sender(options))
+        sender = self._senders[target] = open_sender(options)
+        self._opened.enter_context(sender)
         return sender

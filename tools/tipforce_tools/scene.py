@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from tipforce.scene.registry import Identifier
     from tipforce.scene.results import Check, FingerResult
     from tipforce.scene.run import Options, Outcome
@@ -180,7 +178,11 @@ def run_explain(args: argparse.Namespace) -> int:
 
     path = file_or_shipped(args.scene, "scenes")
     scene = read_scene(path)
-    costs = _costs(path, scene) if args.cost else {}
+    costs: dict[str, Any] = {}
+    if args.cost:
+        from tipforce_lab.scene_cost import part_costs
+
+        costs = part_costs(scene, path)
     rows: list[dict[str, Any]] = [
         {
             "part": part.name, "built": part.built, "why": part.why, "modules": list(part.modules),
@@ -213,13 +215,6 @@ def _sent(scene: Scene, sent: Identifier) -> dict[str, Any]:
         "cob_id": f"0x{sent.can_id:03X}", "what": sent.what, "rate_hz": sent.rate_hz, "data_bytes": sent.data_bytes,
         "load": low, "load_at_most": high,
     }  # fmt: skip
-
-
-def _costs(path: Path, scene: Scene) -> dict[str, dict[str, float | None]]:
-    from tipforce_lab.scene_cost import part_costs, total
-
-    costs = part_costs(scene, path)
-    return {cost.part: {name: getattr(cost, name) for name in _COSTS} for cost in [*costs, total(costs)]}
 
 
 def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:

@@ -12,12 +12,12 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.first_order_hold import energy, respond_at, settled
+from tipforce.sensor.dynamics.first_order_hold import energy, respond_at
 from tipforce.sensor.dynamics.model import half_cylinder, modes
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.limits import closing_load, slit_closure
 from tipforce.sensor.structure.plane_frame import Frame
-from tipforce_lab.dynamics.impact import Assembly, Striker, impact, overload
+from tipforce_lab.dynamics.impact import Striker, impact, overload
 from tipforce_lab.dynamics.slit import slit_stop
 from tipforce_lab.dynamics.switched import exponential
 
@@ -169,14 +169,6 @@ def test_the_matrix_exponential_is_scipys(seed: int, exponent: float) -> None:
     A = np.random.default_rng(seed).normal(size=(6, 6))
     A = (A - A.T) * 10.0**exponent
     np.testing.assert_allclose(exponential(A), expm(A), rtol=0.0, atol=1e-13 * max(1.0, 10.0**exponent))
-
-
-def test_states_go_in_and_come_out() -> None:
-    start = settled(BODY, [1.0, 2.0, 3.0])
-    assembly = Assembly(BODY, Striker(0.1, 0.2, 1e6), slit_stop(FABRICATED, BODY))
-    X = assembly.start(start)
-    np.testing.assert_allclose(assembly.structure(X).position, start.position, rtol=1e-15)
-    assert assembly.body_speed(X) == pytest.approx(0.2, rel=1e-15)
 
 
 def test_runs_out_of_range_are_refused() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import pytest
 
 from tipforce.dictionary.signals import tpdo_messages
@@ -28,16 +30,17 @@ def test_all_decoders_agree_to_rounding_and_one_shows_unknown_values(monkeypatch
 
 def test_a_wrong_value_is_an_error_of_its_steps() -> None:
     message = next(m for m in tpdo_messages(3) if m.name == "Contact")
-    judged = decoders._judge([(1.002, None, -0.01)], [(1000, decoders.UNKNOWN, -1)], message)
-    assert judged.error == pytest.approx(2.0)
-    assert judged.unknown_shown == 0
-    assert decoders._judge([(1.0, -327.68, 0.0)], [(1000, decoders.UNKNOWN, 0)], message).unknown_shown == 1
+    data = [struct.pack("<hhhBB", 1000, decoders.UNKNOWN, -1, 0, 0)]
+    error, unknown_shown = decoders.judge([(1.002, None, -0.01)], data, message)
+    assert error == pytest.approx(2.0)
+    assert unknown_shown == 0
+    assert decoders.judge([(1.0, -327.68, -0.01)], data, message)[1] == 1
 
 
 def test_each_method_gives_every_signal() -> None:
     message = next(m for m in tpdo_messages(3) if m.name == "Contact")
     data = bytes.fromhex("e803102770fe8107")  # P 1.000 N, phi 100.00, theta -4.00 degrees, bits 0 and 7, counter 7
-    for method, decode in decoders._others(message).items():
+    for method, decode in decoders.others(message).items():
         found = decode(data)
         assert set(found) == {signal.name for signal in message.signals}, method
         assert [found[name] for name in decoders.MEASURED] == pytest.approx([1.0, 100.0, -4.0]), method

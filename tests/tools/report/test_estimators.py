@@ -10,7 +10,6 @@ import pytest
 
 from tipforce.errors import EnvironmentLackError
 from tipforce.sensor.contact import scalar
-from tipforce_lab.report.studies import estimator_inputs as inputs
 from tipforce_lab.report.studies import estimator_methods as methods
 from tipforce_lab.report.studies import estimators
 from tipforce_lab.report.study import Study
@@ -31,30 +30,28 @@ def worst(study: Study) -> dict[tuple[str, str], float]:
     return {(one.method, point.setting): point.error for one in study.series for point in one.points}
 
 
-def test_pi_and_arctan2_of_the_reference() -> None:
-    assert str(inputs.pi()).startswith("3.14159265358979323846264338327950288419716939937510")
+def test_arctan2_of_the_reference() -> None:
     rng = np.random.default_rng(3)
     with localcontext() as context:
-        context.prec = inputs.DIGITS
+        context.prec = estimators.DIGITS
         for y, x in [*rng.normal(size=(200, 2)).tolist(), [0.0, 1.0], [1.0, 0.0], [-1.0, 0.0], [1.0, -1.0]]:
-            assert float(inputs.arctan2(Decimal(y), Decimal(x))) == pytest.approx(math.atan2(y, x), rel=4e-16)
+            assert float(estimators.arctan2(Decimal(y), Decimal(x))) == pytest.approx(math.atan2(y, x), rel=4e-16)
 
 
 def test_the_reference_agrees_with_more_digits_to_its_stated_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    def answers() -> inputs.Contacts:
-        return inputs.contacts(np.random.default_rng(5), 20, inputs.tangent)
+    def answers() -> methods.Contacts:
+        return estimators.contacts(np.random.default_rng(5), 20, estimators.tangent)
 
     usual = answers()
-    monkeypatch.setattr(inputs, "DIGITS", 90)
-    monkeypatch.setattr(inputs, "_PI", [])
+    monkeypatch.setattr(estimators, "DIGITS", 90)
     finer = answers()
     for a, b in zip(usual.P_newtons + usual.theta_deg, finer.P_newtons + finer.theta_deg, strict=True):
-        assert abs(a - b) < inputs.REFERENCE_ERROR
+        assert abs(a - b) < estimators.REFERENCE_ERROR
 
 
 def test_the_reference_agrees_with_the_node_where_doubles_do() -> None:
-    given = inputs.contacts(np.random.default_rng(6), 50)
-    F = given.counts * (inputs.LSB_MICROSTRAIN * 1e-6) @ given.C.T
+    given = estimators.contacts(np.random.default_rng(6), 50)
+    F = given.counts * (methods.LSB_MICROSTRAIN * 1e-6) @ given.C.T
     for (F1, F2, F3), P, theta_deg in zip(F.tolist(), given.P_newtons, given.theta_deg, strict=True):
         got_P, _phi, theta_rad, _miss = scalar.contact(F1, F2, F3, False)
         assert got_P == pytest.approx(float(P), rel=1e-13)
@@ -62,8 +59,8 @@ def test_the_reference_agrees_with_the_node_where_doubles_do() -> None:
 
 
 def test_the_corners_of_the_converter_are_contacts() -> None:
-    given = inputs.contacts(np.random.default_rng(7), 4, corners=True)
-    full = np.abs(given.counts).min(axis=1) > 0.97 * 2 ** (inputs.COUNT_BITS - 1)
+    given = estimators.contacts(np.random.default_rng(7), 4, corners=True)
+    full = np.abs(given.counts).min(axis=1) > 0.97 * 2 ** (methods.COUNT_BITS - 1)
     assert full[4:].all()
     assert not full[:4].any()
 
@@ -103,7 +100,7 @@ def test_single_precision_is_ample(found: dict[str, Study]) -> None:
 
 
 def test_the_integer_object_rounds_to_its_resolution(found: dict[str, Study]) -> None:
-    full_scale = inputs.contacts(np.random.default_rng(0), 2).full_scale_newtons
+    full_scale = estimators.contacts(np.random.default_rng(0), 2).full_scale_newtons
     rounded = worst(found["estimator-force"])[estimators.NODE, "INTEGER16 object"] * full_scale
     assert 0.3e-3 < rounded < 0.501e-3
     assert 0.003 < worst(found["estimator-angle"])[estimators.NODE, "INTEGER16 object"] < 0.0051

@@ -102,8 +102,8 @@ def test_verdict_and_advice_come_first(html: str, report: Report) -> None:
 
 def test_a_wrong_row_without_a_reason_is_in_the_verdict() -> None:
     report = Report("", Effort(), {})
-    report.add([study("near"), grid(held=False)])
-    assert [len(report.studies), len(report.grids)] == [1, 1]
+    report.studies.append(study("near"))
+    report.grids.append(grid(held=False))
     assert not report.sound()
     assert "Too many, without a known reason: drift, <3>." in verdict(report)[0]
     assert report.grids[0].rows[0].held is False

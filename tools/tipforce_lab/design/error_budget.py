@@ -110,8 +110,6 @@ class Row:
     """Contribution of one cause to m loads."""
 
     cause: str
-    covariance_F: FloatArray
-    """(m, 3, 3), N^2."""
     uncertainties: FloatArray
     """(m, 3): standard uncertainties of P (N), phi, theta (rad)."""
 
@@ -128,31 +126,27 @@ class Budget:
     """Cause -> reason why it has no row."""
 
 
-def groove_loads(P_newtons: float = CALIBRATION_WEIGHT_NEWTONS) -> Loads:
-    """Return the pulls of the paper's 19 grooves."""
+def groove_loads() -> Loads:
+    """Return the calibration: the pulls of the paper's 19 grooves."""
     grooves = paper_grooves()
-    return Loads(np.full(grooves.theta_rad.shape, P_newtons), grooves.phi_rad, grooves.theta_rad)
+    return Loads(np.full(grooves.theta_rad.shape, CALIBRATION_WEIGHT_NEWTONS), grooves.phi_rad, grooves.theta_rad)
 
 
-def pad_loads(
-    P_newtons: float, theta_min_deg: float, theta_max_deg: float, *, pull: bool, largest_delta_deg: float = 45.0
-) -> Loads:
+def pad_loads(P_newtons: float, theta_min_deg: float, theta_max_deg: float, *, pull: bool) -> Loads:
     """Return loads over a whole pad, every 5 degrees of theta and 15 of delta = phi - theta (friction up to 1)."""
     theta_deg, delta_deg = np.meshgrid(
-        np.arange(theta_min_deg, theta_max_deg + 1e-9, 5.0),
-        np.arange(-largest_delta_deg, largest_delta_deg + 1e-9, 15.0),
+        np.arange(theta_min_deg, theta_max_deg + 1e-9, 5.0), np.arange(-45.0, 46.0, 15.0)
     )
     theta = np.radians(theta_deg.ravel())
     phi = theta + np.radians(delta_deg.ravel()) + (0.0 if pull else np.pi)
     return Loads(np.full(theta.shape, P_newtons), phi, theta)
 
 
-def budget(sensor: Sensor, loads: Loads, causes: Causes, calibration_loads: Loads | None = None) -> Budget:
+def budget(sensor: Sensor, loads: Loads, causes: Causes) -> Budget:
     """Return the budget of some loads.
 
-    calibration_loads: those that C was fitted to, one reading each and as many unloaded (default: the paper's
-    grooves). Repetitions lower the calibration's noise, not its angles, as a groove keeps its angle. Raises
-    InputError where the shapes do not fit.
+    C was fitted to the paper's grooves, one reading each and as many unloaded. Repetitions lower the calibration's
+    noise, not its angles, as a groove keeps its angle. Raises InputError where the shapes do not fit.
     """
     n = sensor.C.shape[1] if sensor.C.ndim == 2 else 0
     if sensor.C.shape != (3, n) or sensor.A.shape != (n, 3) or sensor.covariance_strain2.shape != (n, n):
@@ -160,18 +154,17 @@ def budget(sensor: Sensor, loads: Loads, causes: Causes, calibration_loads: Load
             f"C {sensor.C.shape}, A {sensor.A.shape}, covariance {sensor.covariance_strain2.shape}: "
             "allowed are (3, n), (n, 3), (n, n)"
         )
-    errors, left_out = elementary_errors(sensor, loads, causes, calibration_loads)
-    rows = [
-        _row(cause, E.transpose(1, 2, 0) @ E.transpose(1, 0, 2), loads.F, sensor.pull) for cause, E in errors.items()
-    ]
-    covariance = np.asarray(np.sum([row.covariance_F for row in rows], axis=0), dtype=np.float64)
-    total = _row("total", covariance, loads.F, sensor.pull)
-    return Budget(rows, total, first_order_holds(loads.F, total.covariance_F), left_out)
+    F = loads.F
+    errors, left_out = elementary_errors(sensor, loads, causes)
+    covariances = {cause: E.transpose(1, 2, 0) @ E.transpose(1, 0, 2) for cause, E in errors.items()}
+    covariances["total"] = np.asarray(sum(covariances.values()), dtype=np.float64)
+    *rows, total = (
+        Row(cause, standard_uncertainties(F, covariance, pull=sensor.pull)) for cause, covariance in covariances.items()
+    )
+    return Budget(rows, total, first_order_holds(F, covariances["total"]), left_out)
 
 
-def elementary_errors(
-    sensor: Sensor, loads: Loads, causes: Causes, calibration_loads: Loads | None = None
-) -> tuple[dict[str, FloatArray], dict[str, str]]:
+def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dict[str, FloatArray], dict[str, str]]:
     """Return (cause -> errors of F, (q, m, 3) newtons, one for each of q independent standard deviations; left out).
 
     A cause without effect has zeros: a calibration removes gauge positions, and C from theory has no
@@ -197,16 +190,9 @@ def elementary_errors(
     }
     none, left_out = np.zeros((1, *F.shape)), {}
     if sensor.calibrated:
-        hung = groove_loads() if calibration_loads is None else calibration_loads
-        turns = turn_errors(hung, F)
-        errors_by_cause["calibration noise"] = (
-            np.sqrt(_leverage(hung, F))[:, np.newaxis] * errors_by_cause["gauge noise"]
-        )
-        errors_by_cause["load angle"] = causes.load_angle_rad * turns
-        errors_by_cause["gravity"] = causes.gravity_rad * turns[_along_y(hung)].sum(axis=0)[np.newaxis]
-        errors_by_cause["gauge position"] = none
+        errors_by_cause |= _calibration_errors(F, causes, errors_by_cause["gauge noise"]) | {"gauge position": none}
     else:
-        errors_by_cause["calibration noise"] = errors_by_cause["load angle"] = errors_by_cause["gravity"] = none
+        errors_by_cause |= dict.fromkeys(("calibration noise", "load angle", "gravity"), none)
     if sensor.geometry is None or len(sensor.positions) != n:
         missing = ["off-axis load"] if sensor.calibrated else ["gauge position", "off-axis load"]
         left_out = dict.fromkeys(missing, "the positions of the gauges are unknown")
@@ -214,30 +200,37 @@ def elementary_errors(
         if not sensor.calibrated:
             slopes = _position_slopes(sensor.geometry, sensor.positions)
             errors_by_cause["gauge position"] = causes.gauge_shift_m * (F @ slopes.T).T[:, :, np.newaxis] * per_gauge
-        errors_by_cause["off-axis load"] = _off_axis(
-            sensor.geometry, sensor.positions, loads.theta_rad, causes, per_gauge
+        off_axis = _off_axis_strains(sensor.geometry, sensor.positions, loads.theta_rad, causes)
+        errors_by_cause["off-axis load"] = np.concatenate(
+            [strain.T[:, :, np.newaxis] * per_gauge for strain in off_axis]
         )
     return {cause: np.asarray(E, dtype=np.float64) for cause, E in errors_by_cause.items()}, left_out
 
 
-def turn_errors(calibration_loads: Loads, F: FloatArray) -> FloatArray:
-    """Return the errors of F, (r, m, 3), newtons per radian, from turning each of r calibration loads.
+def _calibration_errors(F: FloatArray, causes: Causes, noise: FloatArray) -> dict[str, FloatArray]:
+    """Return the errors of F from noise and angles of the calibration.
 
     The fit uses F_i for the load F_i + angle F'_i: its strain is wrong by A F'_i, the fit by
     A F'_i G_i^T N^-1 and a reading by -F'_i (G_i^T N^-1 G), for any A. The rows of N: the loads, and as many
-    unloaded readings.
+    unloaded readings. G^T N^-1 G is the part of the variance of one calibration reading that propagates to F.
     """
-    G = _with_one(calibration_loads.F)
-    weights = G @ np.linalg.solve(_normal_matrix(G), _with_one(F).T)
-    return np.asarray(-weights[:, :, np.newaxis] * calibration_loads.turned[:, np.newaxis, :], dtype=np.float64)
+    hung = groove_loads()
+    G, each = _with_one(hung.F), _with_one(F)
+    solved = np.linalg.solve(G.T @ G + np.diag([0.0, 0.0, 0.0, float(len(G))]), each.T)
+    turns = -(G @ solved)[:, :, np.newaxis] * hung.turned[:, np.newaxis, :]
+    return {
+        "calibration noise": np.sqrt(np.einsum("mi,mi->m", each, solved.T))[:, np.newaxis] * noise,
+        "load angle": causes.load_angle_rad * turns,
+        "gravity": causes.gravity_rad * turns[_along_y(hung)].sum(axis=0)[np.newaxis],
+    }
 
 
-def gravity_residual(angle_rad: float, calibration_loads: Loads | None = None) -> float:
+def gravity_residual(angle_rad: float) -> float:
     """Return the RMS over the load of such an angle between x-loads and y-loads in the residuals of the fit.
 
     Compare it with the resulting error of P, angle / 2 at phi = 45 degrees: the residuals hardly show it.
     """
-    hung = groove_loads() if calibration_loads is None else calibration_loads
+    hung = groove_loads()
     turned = hung.turned * (angle_rad * _along_y(hung))[:, np.newaxis]
     rows = np.vstack([turned, np.zeros_like(turned)])
     G = np.vstack([_with_one(hung.F), _with_one(np.zeros_like(hung.F))])
@@ -245,30 +238,14 @@ def gravity_residual(angle_rad: float, calibration_loads: Loads | None = None) -
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)) / np.mean(hung.P_newtons**2)))
 
 
-def _leverage(calibration_loads: Loads, F: FloatArray) -> FloatArray:
-    """Return G^T N^-1 G, (m,): the part of the variance of one calibration reading that propagates to F."""
-    G = _with_one(F)
-    N = _normal_matrix(_with_one(calibration_loads.F))
-    return np.asarray(np.einsum("mi,mi->m", G, np.linalg.solve(N, G.T).T), dtype=np.float64)
-
-
 def _with_one(F: FloatArray) -> FloatArray:
     return np.column_stack([F, np.ones(len(F))])
-
-
-def _normal_matrix(G: FloatArray) -> FloatArray:
-    """Return N: the loads, and as many unloaded readings."""
-    return np.asarray(G.T @ G + np.diag([0.0, 0.0, 0.0, float(len(G))]), dtype=np.float64)
 
 
 def _along_y(loads: Loads) -> BoolArray:
     """Return which loads hang along y rather than along x."""
     along_y: BoolArray = np.abs(np.sin(loads.phi_rad)) > np.abs(np.cos(loads.phi_rad))
     return along_y
-
-
-def _row(cause: str, covariance_F: FloatArray, F: FloatArray, pull: bool) -> Row:
-    return Row(cause, covariance_F, standard_uncertainties(F, covariance_F, pull=pull))
 
 
 def _factor(covariance: FloatArray) -> FloatArray:
@@ -288,25 +265,20 @@ def _position_slopes(geometry: Geometry, positions: tuple[GaugePosition, ...]) -
     return np.array(slopes)
 
 
-def _off_axis(
-    geometry: Geometry,
-    positions: tuple[GaugePosition, ...],
-    theta_rad: FloatArray,
-    causes: Causes,
-    per_gauge: FloatArray,
-) -> FloatArray:
-    """Return errors of F from an off-axis load by each gauge's lateral offset, then by each gauge's misalignment."""
+def _off_axis_strains(
+    geometry: Geometry, positions: tuple[GaugePosition, ...], theta_rad: FloatArray, causes: Causes
+) -> list[FloatArray]:
+    """Return strains (m, n) from an off-axis load by each gauge's lateral offset, then by each gauge's misalignment."""
     wrenches = causes.off_axis_newtons * off_axis_wrenches(geometry, theta_rad)
     centred = wrench_strain_matrix(geometry, [PlacedGauge(place) for place in positions])
-    errors = []
-    for offset_m, angle_rad, size in (
-        (_PLACEMENT_STEP, 0.0, causes.lateral_offset_m),
-        (0.0, _PLACEMENT_STEP, causes.misalignment_rad),
+    strains = []
+    for step, size in (
+        ((_PLACEMENT_STEP, 0.0), causes.lateral_offset_m),
+        ((0.0, _PLACEMENT_STEP), causes.misalignment_rad),
     ):
-        moved = wrench_strain_matrix(geometry, [PlacedGauge(place, offset_m, angle_rad) for place in positions])
-        strain = wrenches @ ((moved - centred) / _PLACEMENT_STEP * size).T
-        errors.append(strain.T[:, :, np.newaxis] * per_gauge)
-    return np.concatenate(errors)
+        moved = wrench_strain_matrix(geometry, [PlacedGauge(place, *step) for place in positions])
+        strains.append(wrenches @ ((moved - centred) / _PLACEMENT_STEP * size).T)
+    return strains
 
 
 _QUANTITIES = (("P", "N", 1.0), ("phi", "deg", 180.0 / np.pi), ("theta", "deg", 180.0 / np.pi))

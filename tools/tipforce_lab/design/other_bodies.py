@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from tipforce.arrays import FloatArray
-from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import half_cylinder, modes
 from tipforce.sensor.structure.gauges import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
@@ -21,7 +20,7 @@ from tipforce.sensor.structure.layouts import CASES, Layout
 from tipforce.sensor.structure.limits import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import calibration_matrix, condition_number, noise_gain, strain_matrix
-from tipforce_lab.design.tables import Record, Section
+from tipforce_lab.design.tables import Record, Section, condition_at_length, condition_numbers_by_unit, moment_units
 
 
 class Comparator(NamedTuple):
@@ -34,15 +33,6 @@ class Comparator(NamedTuple):
 
 
 COMPARATORS = (Comparator("[5]", 6, 4.2), Comparator("[11]", 3, 20.05))
-MOMENT_UNITS = {"N mm": 1e-3, "N m": 1.0}
-"""Units in which moments are stated, as lengths in metres."""
-
-
-def condition_at_length(geometry: Geometry, gauges: Layout, length_m: float) -> float:
-    """Return the condition number with F2 as the force M / length. Raises InputError for a length that is not > 0."""
-    if not 0.0 < length_m < math.inf:
-        raise InputError(f"length_m = {length_m!r}: allowed is a positive finite number")
-    return condition_number(strain_matrix(geometry, gauges) * np.array([1.0, length_m / geometry.r_m, 1.0]))
 
 
 def condition_range(condition: float, from_length_m: float, to_length_m: float) -> tuple[float, float]:
@@ -157,14 +147,14 @@ SCALES = (1.0, 0.75, 0.5, 1.0 / 3.0, 0.25)
 
 def comparators_section(geometry: Geometry) -> Section:
     """Return the condition numbers of the cases and of [5] and [11], with moments as M / r, in N mm and in N m."""
-    units = {"M/r": geometry.r_m, **MOMENT_UNITS}
+    units = moment_units(geometry)
     records: list[Record] = []
     for case in CASES:
         best = best_length(geometry, case)
         records.append(
             {
                 "sensor": f"case {case}", "axes": 3, "printed": None,
-                **{f"in {unit}": condition_at_length(geometry, case, length) for unit, length in units.items()},
+                **{f"in {unit}": value for unit, value in condition_numbers_by_unit(geometry, case).items()},
                 "smallest": condition_at_length(geometry, case, best), "smallest_at_mm": best * MM,
                 "equal_at_mm": [
                     [length * MM for length in lengths_of_condition(geometry, case, comparator.condition)]

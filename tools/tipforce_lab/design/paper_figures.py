@@ -7,7 +7,6 @@ import itertools
 from dataclasses import dataclass
 from functools import partial
 from math import degrees, radians
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,16 +21,7 @@ from tipforce.sensor.structure.layouts import CASES, LAYOUTS, Layout, layout
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
 from tipforce.sensor.structure.published import CALIBRATION_THETA_DEG, CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
-from tipforce_lab.design.tables import Section
-
-
-class Influence(NamedTuple):
-    """Effect of a shift of one gauge on the condition number of a layout."""
-
-    slope_per_mm: float
-    """Change per millimetre inward, at the nominal position."""
-    change: float
-    """Change for the whole requested shift."""
+from tipforce_lab.design.tables import Record, Section
 
 
 def condition_against_shift(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) -> FloatArray:
@@ -41,24 +31,21 @@ def condition_against_shift(geometry: Geometry, gauges: Layout, shifts_m: npt.Ar
     """
     n, shifts = len(layout(gauges)), np.asarray(shifts_m, dtype=np.float64)
     moving = np.vstack((np.eye(n), np.ones((1, n))))
-    singular = np.linalg.svd(
-        shifted_matrix(geometry, gauges, moving[:, np.newaxis] * shifts[:, np.newaxis]), compute_uv=False
-    )
-    result: FloatArray = singular[..., 0] / singular[..., -1]
+    result: FloatArray = np.linalg.cond(shifted_matrix(geometry, gauges, moving[:, np.newaxis] * shifts[:, np.newaxis]))
     return result
 
 
-def influences(geometry: Geometry, gauges: Layout, shift_m: float) -> list[Influence]:
-    """Return per gauge the effect of its shift alone on the condition number. Raises as condition_against_shift()."""
+def slopes_per_mm(geometry: Geometry, gauges: Layout) -> list[float]:
+    """Return per gauge the change of the condition number per millimetre inward, at the nominal position."""
     step = 1e-9
-    conditions = condition_against_shift(geometry, gauges, [0.0, step, shift_m])[:-1]
-    return [Influence((row[1] - row[0]) / step * 1e-3, row[2] - row[0]) for row in conditions.tolist()]
+    conditions = condition_against_shift(geometry, gauges, [0.0, step])[:-1]
+    return [(moved - nominal) / step * 1e-3 for nominal, moved in conditions.tolist()]
 
 
 def most_influential(geometry: Geometry, gauges: Layout, shift_m: float) -> int:
     """Return the number (1 for SG1) of the gauge whose shift changes the condition number most, up or down."""
-    changes = [abs(influence.change) for influence in influences(geometry, gauges, shift_m)]
-    return 1 + int(np.argmax(changes))
+    conditions = condition_against_shift(geometry, gauges, [0.0, shift_m])[:-1]
+    return 1 + int(np.argmax(np.abs(conditions[:, 1] - conditions[:, 0])))
 
 
 def shift_to_reach(
@@ -82,8 +69,7 @@ def shift_to_reach(
     shifts = np.linspace(0.0, largest_shift_m, 501)
     for _ in range(4):
         rows = np.where(moves, shifts[:, np.newaxis], others_m)
-        singular = np.linalg.svd(shifted_matrix(geometry, points, rows), compute_uv=False)
-        above = singular[:, 0] / singular[:, -1] > condition
+        above = np.linalg.cond(shifted_matrix(geometry, points, rows)) > condition
         crossings = np.flatnonzero(above[1:] != above[:-1])
         if crossings.size == 0:
             return float("nan")
@@ -167,7 +153,7 @@ def figure_6_section(geometry: Geometry) -> Section:
     records = []
     for case in CASES:
         conditions = condition_against_shift(geometry, case, np.array(SHIFTS_MM) * 1e-3)
-        slopes = [influence.slope_per_mm for influence in influences(geometry, case, 1e-3)]
+        slopes = slopes_per_mm(geometry, case)
         for index, moved in enumerate(("SG1", "SG2", "SG3", "all")):
             records.append(
                 {
@@ -210,22 +196,20 @@ def figure_9_section(geometry: Geometry, noise_ue: float, repeats: int, seed: in
     if not 0.0 < noise_ue < 1e4 or not 1 <= repeats <= 100_000:
         raise InputError(f"--noise {noise_ue!r} --repeats {repeats!r}: allowed are above 0 to 1e4, and 1 to 100000")
     simulated = simulate_groove_errors(geometry, FIGURE_9_CASE, noise_ue * 1e-6, repeats=repeats, seed=seed)
-    to_degrees = np.array([1.0, degrees(1.0), degrees(1.0)])
-    spread = simulated.errors.std(axis=0) * to_degrees
-    first, largest = simulated.standard_uncertainties * to_degrees, np.abs(simulated.errors).max(axis=0) * to_degrees
-    records = [
-        {
-            "groove": "x" if along_x else "y",
-            "theta_deg": round(degrees(theta), 9),
-            "phi_deg": round(degrees(phi), 9),
-            **{f"u_{name}": float(value) for name, value in zip(_NAMES, first[index], strict=True)},
-            **{f"std_{name}": float(value) for name, value in zip(_NAMES, spread[index], strict=True)},
-            **{f"max_{name}": float(value) for name, value in zip(_NAMES, largest[index], strict=True)},
-        }
-        for index, (theta, phi, along_x) in enumerate(
-            zip(simulated.grooves.theta_rad, simulated.grooves.phi_rad, simulated.grooves.along_x, strict=True)
-        )
-    ]
+    figures = {
+        "u": simulated.standard_uncertainties,
+        "std": simulated.errors.std(axis=0),
+        "max": np.abs(simulated.errors).max(axis=0),
+    }
+    records = []
+    for index, along_x in enumerate(simulated.grooves.along_x):
+        record: Record = {"groove": "x" if along_x else "y"}
+        for name, angles in (("theta_deg", simulated.grooves.theta_rad), ("phi_deg", simulated.grooves.phi_rad)):
+            record[name] = round(degrees(angles[index]), 9)
+        for what, values in figures.items():
+            in_units = zip(_NAMES, values[index] * _UNITS, strict=True)
+            record |= {f"{what}_{name}": float(value) for name, value in in_units}
+        records.append(record)
     return Section(
         "fig9",
         f"Figure 9. Case {FIGURE_9_CASE}, {CALIBRATION_WEIGHT_NEWTONS:g} N, gauge noise {noise_ue:g} microstrain, "
@@ -236,7 +220,7 @@ def figure_9_section(geometry: Geometry, noise_ue: float, repeats: int, seed: in
     )
 
 
-_NAMES = ("P_N", "phi_deg", "theta_deg")
+_NAMES, _UNITS = ("P_N", "phi_deg", "theta_deg"), np.array([1.0, degrees(1.0), degrees(1.0)])
 _FIGURE_9_COLUMNS = {
     "groove": "groove",
     "theta_deg": "theta",

@@ -6,6 +6,7 @@ two legs down to the outer ends of the horizontal beam; the vertical beam is bet
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,7 +38,10 @@ STYLE = {
     "legend.framealpha": 1.0,
     "savefig.dpi": 150,
 }
-STYLES = ((BLUE, "-", "o"), (VERMILLION, "--", "s"), (GREEN, "-.", "^"), (GREY, ":", "D"))
+STYLES: tuple[dict[str, Any], ...] = tuple(
+    {"color": colour, "linestyle": line, "marker": marker}
+    for colour, line, marker in ((BLUE, "-", "o"), (VERMILLION, "--", "s"), (GREEN, "-.", "^"), (GREY, ":", "D"))
+)
 
 
 def draw(what: str, directory: Path, kind: str, noise: float, repeats: int, seed: int) -> Iterator[Path]:
@@ -71,18 +75,9 @@ def figure_6() -> Figure:
     shifts_mm = np.linspace(0.0, 5.0, 51)
     for case, axes in zip(CASES, panels, strict=True):
         conditions = condition_against_shift(FABRICATED, case, shifts_mm * 1e-3)
-        for index, (colour, line, marker) in enumerate(STYLES):
-            label = f"SG{index + 1} (at {LAYOUTS[case][index].removesuffix('_H')})" if index < 3 else "all three"
-            axes.plot(
-                shifts_mm,
-                conditions[index],
-                color=colour,
-                linestyle=line,
-                marker=marker,
-                markevery=10,
-                markersize=4,
-                label=label,
-            )
+        labels = [f"SG{k} (at {point.removesuffix('_H')})" for k, point in enumerate(LAYOUTS[case], 1)]
+        for condition, style, label in zip(conditions, STYLES, [*labels, "all three"], strict=True):
+            axes.plot(shifts_mm, condition, **style, markevery=10, markersize=4, label=label)
         axes.axvline(0.5, color=GREY, linewidth=0.8)
         axes.annotate("middle of a 1 mm gauge\nthat begins at the corner", (0.55, 2.05), fontsize=7, color=GREY)
         axes.set(title=f"case {case}", xlabel="shift inward along the beam (mm)", xlim=(0, 5), ylim=(2, 5))
@@ -108,31 +103,19 @@ def figure_9(noise_ue: float, repeats: int, seed: int) -> Figure:
         for chosen, name, colour, marker in kinds:
             order = np.flatnonzero(chosen)
             band = 1.96 * scale[index] * simulated.standard_uncertainties[order, index]
-            axes.fill_between(
-                theta[order], -band, band, color=colour, alpha=0.2, linewidth=0, label=name and f"95 %, {name}"
-            )
-            for run in range(min(3, repeats)):
-                axes.plot(
-                    theta[order],
-                    scale[index] * simulated.errors[run, order, index],
-                    marker,
-                    color=colour,
-                    markersize=3.5,
-                    markerfacecolor=colour if run == 0 else "none",
-                    label=f"{name}, 3 runs" if name and run == 0 else "",
-                )
+            label = name and f"95 %, {name}"
+            axes.fill_between(theta[order], -band, band, color=colour, alpha=0.2, linewidth=0, label=label)
+            for run, errors in enumerate(scale[index] * simulated.errors[:3, order, index]):
+                label = f"{name}, 3 runs" if name and run == 0 else ""
+                style = {"color": colour, "markersize": 3.5, "markerfacecolor": "none" if run else colour}
+                axes.plot(theta[order], errors, marker, **style, label=label)
         axes.axvline(90.0, color=GREY, linewidth=0.8)
         axes.set(xlabel="contact angle theta (degrees)", ylabel=labels[index], xticks=range(0, 181, 45))
         low, high = axes.get_ylim()
         axes.set_ylim(1.25 * min(low, -high), 1.25 * max(high, -low))
         axes.text(88, axes.get_ylim()[0] * 0.97, "calibrated", ha="right", fontsize=7, color=GREY)
-    figure.legend(
-        *axes.get_legend_handles_labels(),
-        loc="outside upper center",
-        ncols=4,
-        fontsize=8,
-        title=f"case I, {CALIBRATION_WEIGHT_NEWTONS:g} N, gauge noise {noise_ue:g} microstrain",
-    )
+    title = f"case I, {CALIBRATION_WEIGHT_NEWTONS:g} N, gauge noise {noise_ue:g} microstrain"
+    _legend_above(figure, axes, 4, title=title)
     return figure
 
 
@@ -141,40 +124,18 @@ def condition_and_noise() -> Figure:
     figure = new_figure(5.6, 3.8)
     axes = figure.subplots()
     rows = [row for row in ranked_layouts(FABRICATED) if row["condition"] < 20.0]
-    axes.loglog(
-        [row["noise_gain_N_per_ue"] for row in rows],
-        [row["condition"] for row in rows],
-        "o",
-        color=GREY,
-        markersize=4,
-        label="other layouts (mirrors coincide)",
-    )
-    for row in rows:
+    noise, condition = ([row[key] for row in rows] for key in ("noise_gain_N_per_ue", "condition"))
+    axes.loglog(noise, condition, "o", color=GREY, markersize=4, label="other layouts (mirrors coincide)")
+    for x, y, row in zip(noise, condition, rows, strict=True):
         if row["case"]:
-            colour, _, marker = STYLES[CASES.index(row["case"])]
-            axes.plot(
-                row["noise_gain_N_per_ue"],
-                row["condition"],
-                marker,
-                color=colour,
-                markersize=8,
-                label=f"case {row['case']}",
-            )
-    axes.annotate(
-        "L, T, S_H (2.622)",
-        (rows[2]["noise_gain_N_per_ue"], rows[2]["condition"]),
-        (10, -14),
-        textcoords="offset points",
-        arrowprops={"arrowstyle": "-", "color": GREY},
-        fontsize=8,
-    )
-    axes.annotate(
-        "L or R, with T or U and K_V or S_V",
-        (rows[4]["noise_gain_N_per_ue"], rows[4]["condition"]),
-        (12, -6),
-        textcoords="offset points",
-        fontsize=8,
-    )
+            style = STYLES[CASES.index(row["case"])] | {"linestyle": "None"}
+            axes.plot(x, y, **style, markersize=8, label=f"case {row['case']}")
+    line: dict[str, Any] = {"arrowprops": {"arrowstyle": "-", "color": GREY}}
+    for at, text, offset, more in (
+        (2, "L, T, S_H (2.622)", (10, -14), line),
+        (4, "L or R, with T or U and K_V or S_V", (12, -6), {}),
+    ):
+        axes.annotate(text, (noise[at], condition[at]), offset, textcoords="offset points", fontsize=8, **more)
     axes.set(
         xlabel="noise gain sqrt(trace(C C^T))  (N per microstrain)",
         ylabel="condition number",
@@ -197,26 +158,25 @@ def off_axis() -> Figure:
         (left, "lateral_offset_m", 1e-3, np.linspace(0.0, 1.0, 6)),
         (right, "misalignment_rad", np.pi / 180.0, np.linspace(0.0, 5.0, 6)),
     ):
-        for case, (colour, _, marker) in zip(CASES, STYLES, strict=False):
-            for held in (True, False):
-                apparent = [
-                    apparent_force(FABRICATED, case, loads, warping_held=held, **{key: unit * value}).norm_newtons
-                    for value in values.tolist()
-                ]
-                axes.plot(
-                    values,
-                    apparent,
-                    color=colour,
-                    linestyle="-" if held else ":",
-                    marker=marker,
-                    markersize=4,
-                    label=f"case {case}, warping {'held' if held else 'free'}",
-                )
+        for case, held in itertools.product(CASES, (True, False)):
+            apparent = [
+                apparent_force(FABRICATED, case, loads, warping_held=held, **{key: unit * value}).norm_newtons
+                for value in values.tolist()
+            ]
+            style = STYLES[CASES.index(case)] | {"linestyle": "-" if held else ":"}
+            label = f"case {case}, warping {'held' if held else 'free'}"
+            axes.plot(values, apparent, **style, markersize=4, label=label)
         axes.set(ylim=(0, None), ylabel="apparent |F| (N per N along z)")
     left.set_xlabel("lateral offset of every gauge (mm)")
     right.set_xlabel("misalignment of every gauge (degrees)")
-    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
+    _legend_above(figure, left, 3)
     return figure
+
+
+def _legend_above(figure: Figure, axes: Axes, columns: int, **options: Any) -> None:
+    """Draw one legend for panels with the same lines, those of ``axes``."""
+    handles = axes.get_legend_handles_labels()
+    figure.legend(*handles, loc="outside upper center", ncols=columns, fontsize=8, **options)
 
 
 def draw_sweep(path: Path, section: Section) -> None:
@@ -227,8 +187,8 @@ def draw_sweep(path: Path, section: Section) -> None:
         values = [record[name] for record in section.records]
         keys = ("condition", "noise_gain_N_per_ue")
         panels: list[Axes] = list(figure.subplots(2, 1, sharex=True))
-        for axes, key, (colour, line, _) in zip(panels, keys, STYLES, strict=False):
-            axes.plot(values, [record[key] for record in section.records], color=colour, linestyle=line)
+        for axes, key, style in zip(panels, keys, STYLES, strict=False):
+            axes.plot(values, [record[key] for record in section.records], **style | {"marker": ""})
             axes.set_ylabel(section.columns[key])
         panels[0].set_title(section.title)
         panels[1].set_xlabel(section.columns[name])
@@ -245,9 +205,7 @@ def cross_section() -> Figure:
     """Draw the body to scale with the gauge points, and the sign conventions of load and angles."""
     figure = new_figure(8.4, 4.6)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
-    for axes in (left, right):
-        axes.set_aspect("equal")
-        axes.axis("off")
+    _without_scales(left, right)
     _body(left, FABRICATED)
     _gauge_points(left, FABRICATED)
     _dimensions(left, FABRICATED)
@@ -259,8 +217,7 @@ def groove_directions() -> Figure:
     """Draw the 19 grooves: the contact of the rope and its direction."""
     figure = new_figure(6.2, 3.4)
     axes = figure.subplots()
-    axes.set_aspect("equal")
-    axes.axis("off")
+    _without_scales(axes)
     _tip(axes, FABRICATED)
     grooves, r = paper_grooves(), FABRICATED.r_m * MM
     for theta, phi, along_x in zip(grooves.theta_rad, grooves.phi_rad, grooves.along_x, strict=True):
@@ -277,6 +234,13 @@ def groove_directions() -> Figure:
     axes.text(0, 1.0, "numbers: theta in degrees", fontsize=7.5, color=GREY, ha="center")
     axes.set(xlim=(-r - 15, r + 15), ylim=(-1, r + 7))
     return figure
+
+
+def _without_scales(*panels: Axes) -> None:
+    """Prepare axes for a drawing to scale."""
+    for axes in panels:
+        axes.set_aspect("equal")
+        axes.axis("off")
 
 
 def _tip(axes: Axes, geometry: Geometry) -> None:
@@ -325,16 +289,9 @@ def _gauge_points(axes: Axes, geometry: Geometry) -> None:
             xs, ys = [sign * (half_h2 + 0.25)] * 2, [-half_h1 - s for s in along]
             label = (sign * 5.5, -6.2) if at_joint else (sign * 4.5, ys[1] + 1.5)
         axes.plot(xs, ys, color=colour, linewidth=2.6, solid_capstyle="butt")
-        axes.annotate(
-            point,
-            (sum(xs) / 2.0, sum(ys) / 2.0),
-            label,
-            ha="center",
-            va="center",
-            color=colour,
-            fontsize=9,
-            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkB": 2},
-        )
+        line = {"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkB": 2}
+        style: dict[str, Any] = {"ha": "center", "va": "center", "color": colour, "fontsize": 9, "arrowprops": line}
+        axes.annotate(point, (sum(xs) / 2.0, sum(ys) / 2.0), label, **style)
 
 
 def _dimensions(axes: Axes, geometry: Geometry) -> None:
@@ -363,33 +320,21 @@ def _load_signs(axes: Axes, geometry: Geometry) -> None:
     _line(axes, push, pull, ":")
     _arrow(axes, pull, pull + 8.0 * direction, VERMILLION, 1.8)
     _arrow(axes, push - 8.0 * direction, push, BLUE, 1.8)
-    _label(
-        axes,
-        pull + 8.0 * direction + np.array([-1.0, 1.2]),
-        "P: a rope\npulls here",
-        VERMILLION,
-        ha="center",
-        va="bottom",
-    )
-    _label(
-        axes,
-        push - 8.0 * direction + np.array([1.0, 2.6]),
-        "the same F:\na contact\npushes here",
-        BLUE,
-        ha="center",
-        va="bottom",
-    )
+    up = 8.0 * direction
+    _label(axes, pull + up + np.array([-1.0, 1.2]), "P: a rope\npulls here", VERMILLION, va="bottom")
+    _label(axes, push - up + np.array([1.0, 2.6]), "the same F:\na contact\npushes here", BLUE, va="bottom")
     for end, name in ((np.array([r + 4.0, 0.0]), "x"), (np.array([0.0, r + 4.0]), "y")):
         _arrow(axes, np.zeros(2), end, "black", 0.8)
-        _label(axes, end * (1.0 + 1.0 / (r + 4.0)), name, "black", ha="center", va="center")
+        _label(axes, end * (1.0 + 1.0 / (r + 4.0)), name, "black")
     _line(axes, np.zeros(2), pull, "-")
     _line(axes, pull, pull + np.array([7.0, 0.0]), ":")
     for centre, radius, angle in ((np.zeros(2), 5.0, theta), (pull, 6.0, phi)):
         arc = np.linspace(0.0, angle, 31)
         axes.plot(centre[0] + radius * np.cos(arc), centre[1] + radius * np.sin(arc), color=GREEN, linewidth=1.2)
-    _label(axes, np.array([5.4, 2.0]), "theta", GREEN, ha="left", va="center")
-    _label(axes, pull + np.array([6.4, -1.0]), "phi", GREEN, ha="left", va="center")
-    _label(axes, np.array([0.0, -3.0]), "angles from the x-axis; tension is positive on every gauge", GREY, ha="center")
+    _label(axes, np.array([5.4, 2.0]), "theta", GREEN, ha="left")
+    _label(axes, pull + np.array([6.4, -1.0]), "phi", GREEN, ha="left")
+    sign = "angles from the x-axis; tension is positive on every gauge"
+    _label(axes, np.array([0.0, -3.0]), sign, GREY, va="baseline")
     axes.set(xlim=(-r - 11.0, r + 8.0), ylim=(-6.0, r + 7.0))
 
 
@@ -402,5 +347,6 @@ def _line(axes: Axes, start: FloatArray, end: FloatArray, line: str) -> None:
     axes.plot([start[0], end[0]], [start[1], end[1]], color="black", linewidth=0.8, linestyle=line)
 
 
-def _label(axes: Axes, at: FloatArray, text: str, colour: str, **where: Any) -> None:
-    axes.text(float(at[0]), float(at[1]), text, color=colour, fontsize=8.5, **where)
+def _label(axes: Axes, at: FloatArray, text: str, colour: str, **where: str) -> None:
+    alignment: Any = {"ha": "center", "va": "center"} | where
+    axes.text(float(at[0]), float(at[1]), text, color=colour, fontsize=8.5, **alignment)

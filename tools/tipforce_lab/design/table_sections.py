@@ -66,10 +66,9 @@ def table_1_section(geometry: Geometry) -> Section:
 def table_2_section(geometry: Geometry) -> Section:
     """Return table 2: the largest stresses, maximised over all contacts, beside the printed ones."""
     records = []
-    for row in table_2(geometry):
+    for row, (g1, g2, g3) in zip(table_2(geometry), (thin_limit_matrix(POINTS) * THIN_UNIT).tolist(), strict=True):
         printed = TABLE_2[row.point]
-        thin = thin_limit_matrix(POINTS)[POINTS.index(row.point)] * THIN_UNIT
-        there = reading((float(thin[0]), float(thin[1]), float(thin[2])), printed.theta_deg, printed.phi_deg)
+        there = reading((g1, g2, g3), printed.theta_deg, printed.phi_deg)
         records.append(
             {
                 "point": row.point,
@@ -82,7 +81,7 @@ def table_2_section(geometry: Geometry) -> Section:
                 "actual": row.fabricated.value,
                 "actual_at_deg": [row.fabricated.theta_deg, row.fabricated.phi_deg],
                 "strain_ue": row.strain_per_newton * CALIBRATION_WEIGHT_NEWTONS * MICRO,
-                "explanation": _table_2_difference(row.point),
+                "explanation": _TABLE_2_DIFFERENCES.get(row.point, ""),
             }
         )
     return Section("2", _TABLE_2_TITLE, _TABLE_2_COLUMNS, records, _TABLE_2_NOTES)
@@ -115,14 +114,13 @@ _TABLE_2_NOTES = [
 ]
 
 
-def _table_2_difference(point: str) -> str:
-    if point == "R":
-        return "the printed place reads 0; the maximum is at (0, +-90)"
-    if point in ("T", "U"):
-        return "the printed place reads half; the maximum is at theta = 90, phi = 0 or 180"
-    if point in ("K_V", "S_V"):
-        return "reached at every theta with phi - theta = +-90; the printed place is one of them"
-    return ""
+_VERTICAL = "reached at every theta with phi - theta = +-90; the printed place is one of them"
+_BOTH_LEVERS = "the printed place reads half; the maximum is at theta = 90, phi = 0 or 180"
+_TABLE_2_DIFFERENCES = {
+    "R": "the printed place reads 0; the maximum is at (0, +-90)",
+    **dict.fromkeys(("T", "U"), _BOTH_LEVERS),
+    **dict.fromkeys(("K_V", "S_V"), _VERTICAL),
+}
 
 
 def table_3_section(geometry: Geometry) -> Section:

@@ -174,12 +174,31 @@ def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, f
     A number in the unit M / u is F2 r / u, so its column of the strain matrix shrinks by r / u. Raises InputError
     for an unusable layout.
     """
-    matrix = strain_matrix(geometry, gauges)
-    metres = {"M/r": geometry.r_m, "N mm": 1e-3, "N m": 1.0}
-    return {unit: condition_number(matrix * np.array([1.0, u / geometry.r_m, 1.0])) for unit, u in metres.items()}
+    return {unit: condition_at_length(geometry, gauges, u) for unit, u in moment_units(geometry).items()}
+
+
+def moment_units(geometry: Geometry) -> dict[str, float]:
+    """Return the units in which moments are stated, as lengths in metres."""
+    return {"M/r": geometry.r_m, "N mm": 1e-3, "N m": 1.0}
+
+
+def condition_at_length(geometry: Geometry, gauges: Layout, length_m: float) -> float:
+    """Return the condition number with F2 as the force M / length."""
+    return condition_number(strain_matrix(geometry, gauges) * np.array([1.0, length_m / geometry.r_m, 1.0]))
 
 
 FIGURES = ("condition", "thin", "row_equilibrated", "noise_gain_N_per_ue")
+
+
+def figures(matrix: FloatArray) -> Record:
+    """Return FIGURES of a strain matrix (n, 3) but "thin"; infinite if it cannot separate the three forces."""
+    if int(np.linalg.matrix_rank(matrix)) < 3:
+        return dict.fromkeys(("condition", "row_equilibrated", "noise_gain_N_per_ue"), float("inf"))
+    return {
+        "condition": condition_number(matrix),
+        "row_equilibrated": row_equilibrated_condition_number(matrix),
+        "noise_gain_N_per_ue": noise_gain(np.linalg.pinv(matrix)) / 1e6,
+    }
 
 
 def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
@@ -216,17 +235,13 @@ def _ranked(geometry: Geometry, points: tuple[str, ...]) -> Record:
     names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
     case = names.get(frozenset(points), "")
     points = LAYOUTS[case] if case else points
-    matrix = strain_matrix(geometry, points)
-    regular = int(np.linalg.matrix_rank(matrix)) == 3
     thin = condition_number(thin_limit_matrix(points))
     return {
         "case": case,
         "gauges": points,
         "mirror": mirror(points),
-        "condition": condition_number(matrix) if regular else float("inf"),
+        **figures(strain_matrix(geometry, points)),
         "thin": thin if thin < 1e12 else float("inf"),  # singular: rounding makes it barely regular
-        "row_equilibrated": row_equilibrated_condition_number(matrix) if regular else float("inf"),
-        "noise_gain_N_per_ue": noise_gain(np.linalg.pinv(matrix)) / 1e6 if regular else float("inf"),
     }
 
 
@@ -244,7 +259,6 @@ class CommonShifts(NamedTuple):
 
     shifts_m: dict[str, float]
     """Per gauge point, inward along its beam, the same in every case that uses the point."""
-    conditions: dict[str, float]
     worst_miss: float
     """Largest difference from the wanted condition numbers."""
 
@@ -257,18 +271,8 @@ def rounding_range(matrix: npt.ArrayLike, half_digit: float = HALF_DIGIT) -> Rou
     """
     centre = np.asarray(matrix, dtype=np.float64)
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=centre.size))).reshape(-1, *centre.shape)
-    singular = np.linalg.svd(centre + half_digit * signs, compute_uv=False)
-    conditions = singular[:, 0] / singular[:, -1]
+    conditions = np.linalg.cond(centre + half_digit * signs)
     return RoundingRange(condition_number(centre), float(conditions.min()), float(conditions.max()))
-
-
-def measured_rows() -> dict[str, dict[str, FloatArray]]:
-    """Return per case and gauge point the row of the inverted matrix: the gauge's reading per F, shape (3,)."""
-    rows: dict[str, dict[str, FloatArray]] = {}
-    for case in CASES:
-        inverse = np.linalg.inv(np.array(MEASURED_MATRICES[case], dtype=np.float64))
-        rows[case] = dict(zip(LAYOUTS[case], inverse, strict=True))
-    return rows
 
 
 def shared_gauge_disagreement() -> dict[str, float]:
@@ -276,7 +280,9 @@ def shared_gauge_disagreement() -> dict[str, float]:
 
     The same gauge on the same body must have one row; the largest entry of the difference counts.
     """
-    rows = measured_rows()
+    rows = {
+        case: dict(zip(LAYOUTS[case], np.linalg.inv(np.array(MEASURED_MATRICES[case])), strict=True)) for case in CASES
+    }
     result = {}
     for point in ("S_H", "L", "U"):
         gauge_rows = np.array([rows[case][point] for case in CASES if point in rows[case]])
@@ -294,20 +300,10 @@ def nearest_common_shifts(
     """
     grid = np.linspace(0.0, largest_shift_m, steps)
     shifts = np.stack(np.meshgrid(grid, grid, grid, indexing="ij"), axis=-1)
-    missed = {}
-    for case in CASES:
-        singular = np.linalg.svd(shifted_matrix(geometry, case, shifts), compute_uv=False)
-        missed[case] = np.abs(singular[..., 0] / singular[..., -1] - conditions[case])
+    missed = {case: np.abs(np.linalg.cond(shifted_matrix(geometry, case, shifts)) - conditions[case]) for case in CASES}
     first, third = missed["I"].min(axis=0), missed["III"].min(axis=1)  # [S, U] over K, [L, U] over R
     worst = np.maximum(missed["II"], np.maximum(first[np.newaxis], third[:, np.newaxis]))  # [L, S, U]
     L, S, U = (int(index) for index in np.unravel_index(int(worst.argmin()), worst.shape))
     K, R = int(missed["I"][:, S, U].argmin()), int(missed["III"][L, :, U].argmin())
     chosen = {"K_H": grid[K], "S_H": grid[S], "L": grid[L], "R": grid[R], "U": grid[U]}
-    return CommonShifts(
-        {point: float(value) for point, value in chosen.items()},
-        {
-            case: condition_number(shifted_matrix(geometry, case, [chosen[point] for point in LAYOUTS[case]]))
-            for case in CASES
-        },
-        float(worst.min()),
-    )
+    return CommonShifts({point: float(value) for point, value in chosen.items()}, float(worst.min()))

@@ -86,12 +86,9 @@ class Assembly:
         closure = np.array([row[1] for row in rows]).reshape(-1, self.size)
         self.system = Switched(A, push, closure, self._compliance())
 
-    def start(self, structure: State | None = None) -> FloatArray:
-        """Return the state at the moment of contact: structure at rest if None, no load."""
+    def start(self) -> FloatArray:
+        """Return the state at the moment of contact: structure at rest, no load."""
         X = np.zeros(self.size)
-        if self.modes is not None and structure is not None:
-            X[: self.n] = structure.position / self.modes.omega_rad_s
-            X[self.n : 2 * self.n] = structure.velocity / self.modes.omega_rad_s
         if self.striker is not None:
             X[self.speed] = self.striker.speed_m_s * self._speed_scale
         if self.slit is not None:
@@ -156,17 +153,10 @@ class Assembly:
         return rows
 
     def _compliance(self) -> FloatArray:
-        blocks = []
-        if self.striker is not None:
-            blocks.append(np.array([[1.0 / self.striker.stiffness]]))
-        if self.slit is not None:
-            blocks.append(self.slit.compliance)
-        size = sum(len(block) for block in blocks)
-        C, at = np.zeros((size, size)), 0
-        for block in blocks:
-            C[at : at + len(block), at : at + len(block)] = block
-            at += len(block)
-        return C
+        body = np.zeros((0, 0)) if self.striker is None else np.array([[1.0 / self.striker.stiffness]])
+        stop = np.zeros((0, 0)) if self.slit is None else self.slit.compliance
+        between = np.zeros((len(body), len(stop)))
+        return np.block([[body, between], [between.T, stop]])
 
 
 class Impact(NamedTuple):
@@ -192,9 +182,8 @@ def impact(
     until_s: float,
     times_s: npt.ArrayLike = (),
     slit: SlitStop | None = None,
-    start: State | None = None,
 ) -> Impact:
-    """Return the course of an impact that starts at 0, structure at rest unless ``start`` says otherwise.
+    """Return the course of an impact that starts at 0, structure at rest.
 
     modes: None is rigid ground. times_s: (m,) rising, from 0 to until_s. Raises InputError for times out of range,
     a run that needs too many steps, a Hertzian contact with a slit; EnvironmentLackError for a Hertzian contact
@@ -204,20 +193,18 @@ def impact(
     if striker.exponent != 1.0:
         if slit is not None:
             raise InputError("a Hertzian contact and a slit in one run: allowed is a linear contact with a slit")
-        return hertz_impact(modes, striker, until_s, t, start)
+        return _HertzRun(modes, striker, t, until_s).impact()
     assembly = Assembly(modes, striker, slit)
-    march = touching(assembly, assembly.start(start))
-    rows = _Rows(assembly, march)
+    march, samples = March(assembly.system, assembly.start()), list[_Sample]()
+    march.close(0)
     for time_s in t:
         march.advance(float(time_s))
-        rows.note()
+        samples.append(_sample(assembly, march))
     march.advance(until_s)
-    return rows.result()
+    return _impact(assembly, march.state, march.finish(), samples)
 
 
-def overload(
-    modes: Modes, slit: SlitStop, times_s: npt.ArrayLike, loads_newtons: npt.ArrayLike, start: State | None = None
-) -> Impact:
+def overload(modes: Modes, slit: SlitStop, times_s: npt.ArrayLike, loads_newtons: npt.ArrayLike) -> Impact:
     """Return the response of a structure with a stop to a load that is linear between its samples, (m,) and (m, 3).
 
     The sample times are those of the load and must rise strictly. Raises InputError for times or shapes that do
@@ -229,48 +216,33 @@ def overload(
     if not np.isfinite(F).all():
         raise InputError("loads: allowed are finite numbers")
     assembly = Assembly(modes, None, slit)
-    march = March(assembly.system, assembly.start(start), float(t[0]))
-    rows = _Rows(assembly, march)
+    march, samples = March(assembly.system, assembly.start(), float(t[0])), list[_Sample]()
     for k in range(len(t)):
         march.state[assembly.load : assembly.rate] = F[k]
-        rows.note()
+        samples.append(_sample(assembly, march))
         if k + 1 < len(t):
             march.state[assembly.rate : assembly.one] = (F[k + 1] - F[k]) / (t[k + 1] - t[k])
             march.disturbed()
             march.advance(float(t[k + 1]))
-    return rows.result()
+    return _impact(assembly, march.state, march.finish(), samples)
 
 
-def touching(assembly: Assembly, state: FloatArray) -> March:
-    """Return a run that starts with the body's contact just closed."""
-    march = March(assembly.system, state)
-    march.close(0)
-    return march
+_Sample = tuple[FloatArray, FloatArray, FloatArray]
+"""Elastic force (3,) in the arms and in the vertical beam, and the contact forces (n,)."""
 
 
-class _Rows:
-    """Samples of a run."""
+def _sample(assembly: Assembly, march: March) -> _Sample:
+    forces = march.forces_newtons
+    return *assembly.elastic(march.state, forces), forces
 
-    def __init__(self, assembly: Assembly, march: March) -> None:
-        self.assembly, self.march = assembly, march
-        self.arms: list[FloatArray] = []
-        self.vertical: list[FloatArray] = []
-        self.contact: list[FloatArray] = []
 
-    def note(self) -> None:
-        forces = self.march.forces_newtons
-        arms, vertical = self.assembly.elastic(self.march.state, forces)
-        self.arms.append(arms)
-        self.vertical.append(vertical)
-        self.contact.append(forces)
-
-    def result(self) -> Impact:
-        n, march, assembly = len(self.march.system.closure), self.march, self.assembly
-        return Impact(
-            march.finish(), np.array(self.arms).reshape(-1, 3), np.array(self.vertical).reshape(-1, 3),
-            np.array(self.contact).reshape(-1, n),
-            assembly.body_speed(march.state) if assembly.striker else 0.0, assembly.structure(march.state),
-        )  # fmt: skip
+def _impact(assembly: Assembly, state: FloatArray, touches: tuple[Touch, ...], samples: list[_Sample]) -> Impact:
+    widths = (3, 3, len(assembly.system.closure))
+    arms, vertical, contact = (
+        np.array([sample[k] for sample in samples]).reshape(-1, width) for k, width in enumerate(widths)
+    )
+    body_speed = assembly.body_speed(state) if assembly.striker else 0.0
+    return Impact(touches, arms, vertical, contact, body_speed, assembly.structure(state))
 
 
 def _checked_times(times_s: npt.ArrayLike, until_s: float) -> FloatArray:
@@ -287,25 +259,10 @@ _ABSOLUTE = 1e-16
 """Relative to the square root of twice the impact's energy, the scale of the states."""
 
 
-def hertz_impact(
-    modes: Modes | None, striker: Striker, until_s: float, times_s: FloatArray, start: State | None
-) -> Impact:
-    """Return the course of an impact with Hertzian contact. Raises EnvironmentLackError without scipy."""
-    run = _Run(modes, striker, start, times_s, until_s)
-    while run.time_s < until_s:
-        run.contact()
-        run.free()
-    rows = np.array(run.rows).reshape(-1, 7)
-    body_speed, structure = run.assembly.body_speed(run.state), run.assembly.structure(run.state)
-    return Impact(tuple(run.touches), rows[:, :3], rows[:, 3:6], rows[:, 6:], body_speed, structure)
+class _HertzRun:
+    """A Hertzian contact. States as in Assembly, whose linear contact computes the free flight."""
 
-
-class _Run:
-    """States as in Assembly, whose linear contact computes the free flight."""
-
-    def __init__(
-        self, modes: Modes | None, striker: Striker, start: State | None, times_s: FloatArray, until_s: float
-    ) -> None:
+    def __init__(self, modes: Modes | None, striker: Striker, times_s: FloatArray, until_s: float) -> None:
         along = np.zeros(0) if modes is None else modes.load_shape @ striker.direction
         mass = 1.0 / (1.0 / striker.mass_kg + float(along @ along))
         self._stiffness, self._until_s, self._samples = striker.stiffness, until_s, times_s
@@ -315,9 +272,16 @@ class _Run:
         self._A, self._push = self.assembly.system.A, self.assembly.system.push[:, 0]
         self._overlap = self.assembly.system.closure[0]
         self._scale = math.sqrt(mass) * striker.speed_m_s
-        self.state, self.time_s = self.assembly.start(start), 0.0
+        self.state, self.time_s = self.assembly.start(), 0.0
         self.touches: list[Touch] = []
-        self.rows: list[FloatArray] = []
+        self.rows: list[_Sample] = []
+
+    def impact(self) -> Impact:
+        """Run to the end. Raises EnvironmentLackError without scipy."""
+        while self.time_s < self._until_s:
+            self.contact()
+            self.free()
+        return _impact(self.assembly, self.state, tuple(self.touches), self.rows)
 
     def contact(self) -> None:
         """Integrate from contact to separation, or to the end of the run."""
@@ -374,5 +338,5 @@ class _Run:
         due = int(np.searchsorted(self._samples, end_s, side="right"))
         for time_s in self._samples[:due]:
             X = state_at(float(time_s))
-            self.rows.append(np.concatenate((*self.assembly.elastic(X, np.zeros(1)), [self._force(X)])))
+            self.rows.append((*self.assembly.elastic(X, np.zeros(1)), np.array([self._force(X)])))
         self._samples = self._samples[due:]

@@ -1,15 +1,15 @@
 """Integrators of other kinds, for comparison only: all other modules use first_order_hold.py.
 
-All have the same problem, load and times, and return the elastic force at the times and their cost. None uses the
+All have the same problem, load and times, and return the elastic force (m, 3) at the times (m,). None uses the
 linearity between events; a contact is a force that is 0 while open. Values that grow without bound are returned as
-infinite or NaN: an unstable run is a valid result.
+infinite or NaN: an unstable run is a valid result. closed_form() is their reference.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -24,15 +24,6 @@ Load = Callable[[float], FloatArray]
 """Time in s -> F (3,) in newtons."""
 
 SCIPY_METHODS = ("Radau", "BDF", "LSODA", "DOP853")
-
-
-class Run(NamedTuple):
-    """Result of an integrator."""
-
-    elastic_newtons: FloatArray
-    """(m, 3)."""
-    evaluations: int
-    """Evaluations of the right-hand side, or of the residual if it is solved for the acceleration."""
 
 
 class Problem:
@@ -71,7 +62,7 @@ def no_load(time_s: float) -> FloatArray:
     return np.zeros(3)
 
 
-def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> Run:
+def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> FloatArray:
     """Integrate by the classic method, order 4, one step from each time to the next. Stable without damping up to
     omega h = 2 sqrt(2); see rk4_stability_limit().
     """
@@ -86,15 +77,15 @@ def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> Run:
             k4 = problem.rate(load(t[k + 1]), X + h * k3)
             X = X + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
             elastic.append(problem.output @ X)
-    return Run(np.array(elastic), 4 * (len(t) - 1))
+    return np.array(elastic)
 
 
-def newmark(problem: Problem, load: Load, times_s: npt.ArrayLike) -> Run:
+def newmark(problem: Problem, load: Load, times_s: npt.ArrayLike) -> FloatArray:
     """Integrate by average acceleration (beta 1/4, gamma 1/2): order 2, stable at any step, no numerical damping."""
     return _alpha(problem, load, times_s, 0.0, 0.0)
 
 
-def generalised_alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, rho_inf: float = 0.8) -> Run:
+def generalised_alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, rho_inf: float = 0.8) -> FloatArray:
     """Integrate as Chung and Hulbert (1993): order 2, stable at any step; rho_inf, 0 to 1, is the factor per step of a
     mode that is far too fast for it. Raises InputError for another rho_inf.
     """
@@ -103,7 +94,7 @@ def generalised_alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, rho_
     return _alpha(problem, load, times_s, (2.0 * rho_inf - 1.0) / (rho_inf + 1.0), rho_inf / (rho_inf + 1.0))
 
 
-def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: str, rtol: float) -> Run:
+def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: str, rtol: float) -> FloatArray:
     """Integrate by scipy's solve_ivp with relative tolerance ``rtol``; absolute: rtol times the state of 1 N.
 
     Raises InputError for another method than SCIPY_METHODS. A run that scipy abandons is NaN from there on.
@@ -120,7 +111,7 @@ def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: s
     )  # fmt: skip
     elastic = np.full((len(t), 3), np.nan)
     elastic[: solution.y.shape[1]] = solution.y.T @ problem.output.T
-    return Run(elastic, int(solution.nfev))
+    return elastic
 
 
 def rk4_stability_limit(damping_ratio: float) -> float:
@@ -151,7 +142,7 @@ def _jacobian(problem: Problem, X: FloatArray) -> FloatArray:
     return J
 
 
-def _alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, alpha_m: float, alpha_f: float) -> Run:
+def _alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, alpha_m: float, alpha_f: float) -> FloatArray:
     """Newmark's family in accelerations. The contact is open or closed at the end of each step: both are tried."""
     t = _times(times_s)
     K, C, shape, d, v, output, along = _second_order(problem)
@@ -166,20 +157,18 @@ def _alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, alpha_m: float,
         for extra in (0.0, pressed)
     )
     a = shape @ load(t[0]) - C * v - K * d
-    elastic, evaluations = [output @ d], 0
+    elastic = [output @ d]
     for k in range(len(t) - 1):
         F = shape @ load(f * t[k + 1] + alpha_f * t[k])
         d_free, v_free = d + h * v + h * h * (0.5 - beta) * a, v + h * (1.0 - gamma) * a
         d_known, v_known = f * d_free + alpha_f * d, f * v_free + alpha_f * v
         force = F - C * v_known - K * d_known - alpha_m * a
         new = open_ @ force
-        evaluations += 1
         if problem.push is not None and along @ (d_known + f * h * h * beta * new) > 0.0:
             new = closed @ (force - pressed @ d_known)
-            evaluations += 1
         d, v, a = d_free + h * h * beta * new, v_free + h * gamma * new, new
         elastic.append(output @ d)
-    return Run(np.array(elastic), evaluations)
+    return np.array(elastic)
 
 
 def _second_order(
@@ -224,52 +213,45 @@ def free(modes: Modes, start: State, times_s: npt.ArrayLike) -> tuple[FloatArray
     return both[:, 0], both[:, 1]
 
 
-def harmonic(
-    modes: Modes, mean: npt.ArrayLike, cosine: npt.ArrayLike, sine: npt.ArrayLike, frequency_hz: float,
-    times_s: npt.ArrayLike,
-) -> tuple[FloatArray, State]:  # fmt: skip
-    """Return (elastic force (m, 3), state at the last time) from rest under mean + cosine cos(2 pi f t) + sine sin.
+@dataclass(frozen=True, slots=True, eq=False)
+class Wave:
+    """A load with a closed solution: a force times mean + cosine cos(2 pi f t) + sine sin(2 pi f t), then none."""
 
-    The three are forces (3,). Steady state in closed form, plus the free motion that matches the start. No mode
-    may be undamped at exactly that frequency.
-    """
+    force: FloatArray
+    """(3,)."""
+    mean: float
+    cosine: float
+    sine: float
+    frequency_hz: float
+    """No mode may be undamped at exactly that frequency."""
+    until_s: float = math.inf
+
+    def __call__(self, time_s: float) -> FloatArray:
+        """Return F (3,) at a time."""
+        angle = 2.0 * math.pi * self.frequency_hz * time_s
+        factor = self.mean + self.cosine * math.cos(angle) + self.sine * math.sin(angle)
+        return self.force * (factor if time_s < self.until_s else 0.0)
+
+
+def closed_form(modes: Modes, wave: Wave, times_s: npt.ArrayLike) -> FloatArray:
+    """Return the elastic force (m, 3) from rest under a wave, at rising times (m,)."""
     t = np.asarray(times_s, dtype=np.float64)
-    angle = 2.0 * math.pi * frequency_hz * t[:, np.newaxis]
-    amplitude = modes.load_shape @ (np.asarray(cosine, dtype=np.float64) - 1j * np.asarray(sine, dtype=np.float64))
-    ratio = frequency_hz / modes.frequency_hz
-    amplitude = amplitude / ((1.0 - ratio) * (1.0 + ratio) + 2j * modes.damping_ratio * ratio)
-    static = modes.load_shape @ np.asarray(mean, dtype=np.float64)
-    turning = amplitude * np.exp(1j * angle)
-    steady, steady_rate = static + turning.real, (1j * ratio * turning).real
-    missing_rate: FloatArray = (ratio * amplitude).imag
-    missing = State(-static - amplitude.real, missing_rate)
-    z, w = free(modes, missing, t)
-    z, w = steady + z, steady_rate + w
-    return z @ modes.force_shape.T, State(z[-1], w[-1])
-
-
-def raised_cosine(modes: Modes, force: npt.ArrayLike, period_s: float, times_s: npt.ArrayLike) -> FloatArray:
-    """Return the elastic force (m, 3) from rest under force (1 - cos(2 pi t / period)) / 2, without end."""
-    F = np.asarray(force, dtype=np.float64)
-    return harmonic(modes, 0.5 * F, -0.5 * F, 0.0 * F, 1.0 / period_s, times_s)[0]
-
-
-def step(modes: Modes, force: npt.ArrayLike, times_s: npt.ArrayLike) -> FloatArray:
-    """Return the elastic force (m, 3) after a step of the force at time 0."""
-    g = modes.load_shape @ np.asarray(force, dtype=np.float64)
-    z, _ = free(modes, State(-g, np.zeros_like(g)), times_s)
-    elastic: FloatArray = (g + z) @ modes.force_shape.T
+    during = t <= wave.until_s
+    z, _ = _forced(modes, wave, t[during])
+    if not during.all():
+        at_end, speed_at_end = _forced(modes, wave, np.array([wave.until_s]))
+        z = np.vstack((z, free(modes, State(at_end[0], speed_at_end[0]), t[~during] - wave.until_s)[0]))
+    elastic: FloatArray = z @ modes.force_shape.T
     return elastic
 
 
-def half_sine(modes: Modes, force: npt.ArrayLike, duration_s: float, times_s: npt.ArrayLike) -> FloatArray:
-    """Return the elastic force (m, 3) from rest under force sin(pi t / duration) up to ``duration``, then none."""
-    t, F = np.asarray(times_s, dtype=np.float64), np.asarray(force, dtype=np.float64)
-    during = t <= duration_s
-    zero = np.zeros(3)
-    elastic, _ = (
-        harmonic(modes, zero, zero, F, 0.5 / duration_s, t[during]) if during.any() else (np.empty((0, 3)), None)
-    )
-    _, end = harmonic(modes, zero, zero, F, 0.5 / duration_s, [duration_s])
-    after, _ = free(modes, end, t[~during] - duration_s)
-    return np.vstack((elastic, after @ modes.force_shape.T))
+def _forced(modes: Modes, wave: Wave, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return modal positions and velocities (m, n): the steady state, and the free motion that matches the start."""
+    ratio = wave.frequency_hz / modes.frequency_hz
+    per_newton = modes.load_shape @ wave.force
+    amplitude = per_newton * (wave.cosine - 1j * wave.sine)
+    amplitude = amplitude / ((1.0 - ratio) * (1.0 + ratio) + 2j * modes.damping_ratio * ratio)
+    static = per_newton * wave.mean
+    turning = amplitude * np.exp(2j * math.pi * wave.frequency_hz * times_s[:, np.newaxis])
+    z, w = free(modes, State(-static - amplitude.real, np.asarray((ratio * amplitude).imag)), times_s)
+    return static + turning.real + z, (1j * ratio * turning).real + w

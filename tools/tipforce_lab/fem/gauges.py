@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
@@ -216,6 +215,8 @@ def corner_exponent(material_angle_rad: float, mode: str) -> float:
     and w the angle of material. 270 degrees: 0.5445 and 0.9085. Raises InputError for an unknown mode, an angle
     that is not above 180 and below 360 degrees, or one at which this mode is not singular.
     """
+    from scipy.optimize import brentq
+
     if mode not in MODES:
         raise InputError(f"mode {mode!r}: allowed are {', '.join(MODES)}")
     w, sign = float(material_angle_rad), MODES[mode]

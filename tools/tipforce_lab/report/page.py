@@ -143,12 +143,13 @@ def _study(study: Study) -> str:
 
 
 def _table(study: Study) -> str:
-    heads, rows = [head for head, _ in text.columns(study)], []
-    for row in text.rows(study):
+    heads, cells_of_rows = text.study_table(study)
+    rows = []
+    for row in cells_of_rows:
         method, setting, *numbers = map(escape, row)
         cells = "".join(f'<td class="number">{value}</td>' for value in numbers)
         rows.append(f'<tr><th scope="row">{method}</th><td>{setting}</td>{cells}</tr>')
-    return _html_table("", ["", "", *[' class="number"'] * (len(heads) - 2)], heads, rows)
+    return _html_table("", ["", "", *[' class="number"'] * (len(heads) - 2)], list(heads), rows)
 
 
 def _html_table(name: str, kinds: Sequence[str], heads: Sequence[str], rows: Sequence[str]) -> str:
@@ -188,13 +189,12 @@ def _cases(cases: list[Case]) -> list[str]:
     for case in cases:
         areas.setdefault(case.key.split(".")[0], []).append(case)
     parts = []
-    for area, cases_of_area in areas.items():
-        broken, count = sum(not case.held for case in cases_of_area), len(cases_of_area)
-        result = f"{broken} of {count} do NOT hold" if broken else f"all {count} hold"
-        opened = " open" if broken else ""
-        parts.append(
-            f"<details{opened}><summary>{escape(area)}: {result}</summary>{_case_table(cases_of_area)}</details>"
-        )
+    for area, of_area in areas.items():
+        broken = sum(not case.held for case in of_area)
+        opened, result = "", f"all {len(of_area)} hold"
+        if broken:
+            opened, result = " open", f"{broken} of {len(of_area)} do NOT hold"
+        parts.append(f"<details{opened}><summary>{escape(area)}: {result}</summary>{_case_table(of_area)}</details>")
     return parts
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import platform
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
+from functools import partial
 from typing import Any
 
 from tipforce.errors import EnvironmentLackError, InputError, TipforceError
@@ -62,21 +63,9 @@ class Report:
             and not any(lack.failed for lack in self.left_out)
         )
 
-    def add(self, results: Iterable[Study | Grid]) -> None:
-        """Add the results of a module."""
-        for result in results:
-            if isinstance(result, Grid):
-                self.grids.append(result)
-            else:
-                self.studies.append(result)
 
-
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """Selection: keys of STUDIES, and patterns of case keys (none: no cases)."""
-
-    studies: tuple[str, ...]
-    cases: tuple[str, ...]
+Selection = tuple[list[str], list[Case]]
+"""Keys of STUDIES, and cases."""
 
 
 def selected(only: str | None) -> Selection:
@@ -84,58 +73,50 @@ def selected(only: str | None) -> Selection:
 
     Raises InputError for an unknown word.
     """
+    known = all_cases()
     if only is None:
-        return Selection(tuple(STUDIES), ("*",))
-    studies: list[str] = []
-    patterns: list[str] = []
-    allowed = f"allowed are {', '.join([*STUDIES, STABILITY])} and the cases of --list"
-    for word in filter(None, (part.strip() for part in only.split(","))):
-        if word in STUDIES:
-            studies.append(word)
-        elif word == STABILITY:
-            patterns.append("*")
-        else:
-            patterns += [word, f"{word}.*"]
-            if not matching(all_cases(), patterns[-2:]):
-                raise InputError(f"--only {word!r}: {allowed}")
-    if not studies and not patterns:
-        raise InputError(f"--only {only!r}: {allowed}")
-    return Selection(tuple(key for key in STUDIES if key in studies), tuple(patterns))
+        return list(STUDIES), known
+    words = [word for word in (part.strip() for part in only.split(",")) if word] or [only]
+    keys, patterns = [key for key in STUDIES if key in words], list[str]()
+    for word in words:
+        of_word = ["*"] if word == STABILITY else [word, f"{word}.*"]
+        if word in keys:
+            continue
+        if word != STABILITY and not _matching(known, of_word):
+            allowed = f"allowed are {', '.join([*STUDIES, STABILITY])} and the cases of --list"
+            raise InputError(f"--only {word!r}: {allowed}")
+        patterns += of_word
+    return keys, _matching(known, patterns)
 
 
-def matching(cases: Iterable[Case], patterns: Iterable[str]) -> list[Case]:
-    """Return the cases that match one of the patterns."""
-    wanted = tuple(patterns)
-    return [case for case in cases if any(fnmatchcase(case.key, pattern) for pattern in wanted)]
+def _matching(cases: list[Case], patterns: list[str]) -> list[Case]:
+    return [case for case in cases if any(fnmatchcase(case.key, pattern) for pattern in patterns)]
 
 
 class Run:
     """One run: first the list of steps (the length of the progress bar), then ``report``."""
 
     def __init__(self, selection: Selection, effort: Effort, date: str) -> None:
+        keys, self._cases = selection
         self.report = Report(date, effort, machine())
-        self._modules: list[tuple[str, Any]] = []
-        self._cases: list[Case] = []
-        for key in selection.studies:
-            module = self._guarded(key, lambda key=key: importlib.import_module(STUDIES[key][0]))  # type: ignore[misc]
-            if module is not None:
-                self._modules.append((key, module))
-        if selection.cases:
-            self._cases = matching(all_cases(), selection.cases)
-        self.steps = sum(int(module.STEPS) for _, module in self._modules) + len(self._cases)
+        found = {key: self._guarded(key, partial(importlib.import_module, STUDIES[key][0])) for key in keys}
+        self._modules = {key: module for key, module in found.items() if module is not None}
+        self.steps = sum(int(module.STEPS) for module in self._modules.values()) + len(self._cases)
 
     def items(self, advance: Advance) -> Iterator[Item]:
         """Run all; yield each study and case when done. The studies run first and alone, because they are timed."""
-        yield from self.report.left_out
-        for key, module in self._modules:
-            results = self._guarded(key, lambda module=module: module.studies(self.report.effort, advance))  # type: ignore[misc]
+        report = self.report
+        yield from report.left_out
+        for key, module in self._modules.items():
+            results = self._guarded(key, partial(module.studies, report.effort, advance))
             if results is None:
-                yield self.report.left_out[-1]
+                yield report.left_out[-1]
                 continue
-            self.report.add(results)
+            report.studies += [result for result in results if isinstance(result, Study)]
+            report.grids += [result for result in results if isinstance(result, Grid)]
             yield from results
         for case in self._cases:
-            self.report.cases.append(case)
+            report.cases.append(case)
             yield case
             advance()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -93,11 +92,6 @@ def shown_advised_error(error: float, unit: str) -> str:
     return f"{100.0 * error:.2g} %" if error >= 1e-5 else shown_error(error)
 
 
-def _has_cpu(study: Study) -> bool:
-    """Return whether the processor time of any point is known beside its wall time."""
-    return any(point.timing.cpu_seconds is not None for series in study.series for point in series.points)
-
-
 def shown_reference(study: Study) -> str:
     """Return the reference with its own error, and how it was checked."""
     own = f"its own error is {shown_error(study.reference_error)}" if study.reference_error else "it is exact"
@@ -112,11 +106,6 @@ def shown_counts(cell: Counted) -> str:
     return f"{100.0 * cell.ok / max(cell.rows, 1):.0f} % ok, {cell.wrong} wrong"
 
 
-def _has_rms(study: Study) -> bool:
-    """Return whether any point has a root mean square besides its error."""
-    return any(point.rms_error is not None for series in study.series for point in series.points)
-
-
 def headline(report: Report) -> str:
     """Return date and effort."""
     return f"{report.date}, {'quick' if report.effort.quick else 'full'} run, seed {report.effort.seed}"
@@ -126,20 +115,14 @@ def summary(report: Report) -> str:
     """Return the number of studies, of cases by outcome, and the claims that did not hold."""
     counts = Counter(case.outcome for case in report.cases if case.held)
     failed = [case.key for case in report.cases if not case.held]
-    parts = [
-        _counted(len(report.studies), "study", "studies"),
-        _counted(len(report.cases), "extreme case", "extreme cases"),
-    ]
+    studies, cases = len(report.studies), len(report.cases)
+    parts = [f"{studies} {'study' if studies == 1 else 'studies'}", f"{cases} extreme case{'' if cases == 1 else 's'}"]
     parts += [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
     if failed:
         parts.append(f"{len(failed)} NOT AS CLAIMED ({', '.join(failed)})")
     if report.left_out:
         parts.append(f"{len(report.left_out)} left out ({', '.join(lack.key for lack in report.left_out)})")
     return ", ".join(parts)
-
-
-def _counted(count: int, singular: str, plural: str) -> str:
-    return f"{count} {singular if count == 1 else plural}"
 
 
 def print_report(console: Console, report: Report) -> None:
@@ -170,9 +153,10 @@ def _table(title: str, **options: Any) -> Table:
 
 def _print_study(console: Console, study: Study) -> None:
     table = _table(f"{study.title} ({study.key})")
-    for head, options in columns(study):
+    columns, rows = study_table(study)
+    for head, options in columns.items():
         table.add_column(head, **options)
-    for row in rows(study):
+    for row in rows:
         table.add_row(*row)
     console.print()
     console.print(table)
@@ -183,35 +167,37 @@ def _print_study(console: Console, study: Study) -> None:
         console.print(f"- left out: {method}: {reason}")
 
 
-def columns(study: Study) -> list[tuple[str, dict[str, Any]]]:
-    """Return heading and rich's options of each column of a study's table."""
-    number: dict[str, Any] = {"justify": "right"}
-    time: dict[str, Any] = {**number, "no_wrap": True}
-    return [
-        ("method", {"ratio": 4}),
-        ("setting", {"ratio": 3}),
-        (study.error_unit, {"ratio": 2, **number}),
-        *([("root mean square", number)] if _has_rms(study) else []),
-        (study.work_unit.replace("s per", "time per"), time),
-        ("quartiles", {"no_wrap": True}),
-        *([("processor", time)] if _has_cpu(study) else []),
-        ("runs", number),
-    ]
+_NUMBER = {"justify": "right"}
+_TIME = {**_NUMBER, "no_wrap": True}
 
 
-def rows(study: Study) -> Iterator[list[str]]:
-    """Yield the cells of each row of a study's table; the method stands in its first row."""
+def study_table(study: Study) -> tuple[dict[str, dict[str, Any]], list[list[str]]]:
+    """Return rich's options by heading, and the rows; the method is in its first row. Empty columns are left out."""
+    columns: dict[str, dict[str, Any]] = {
+        "method": {"ratio": 4},
+        "setting": {"ratio": 3},
+        study.error_unit: {"ratio": 2, **_NUMBER},
+        "root mean square": _NUMBER,
+        study.work_unit.replace("s per", "time per"): _TIME,
+        "quartiles": {"no_wrap": True},
+        "processor": _TIME,
+        "runs": _NUMBER,
+    }
+    rows = []
     for series in study.series:
         for number, point in enumerate(series.points):
-            row = [series.method if not number else "", point.setting, shown_error(point.error)]
-            if _has_rms(study):
-                row.append("" if point.rms_error is None else shown_error(point.rms_error))
             timing = point.timing
-            row += [shown_time(timing.seconds)]
-            row += [f"{shown_time(timing.first_quartile_s)} - {shown_time(timing.third_quartile_s)}"]
-            if _has_cpu(study):
-                row.append("" if timing.cpu_seconds is None else shown_time(timing.cpu_seconds))
-            yield [*row, str(timing.runs)]
+            rows.append([
+                "" if number else series.method, point.setting, shown_error(point.error),
+                "" if point.rms_error is None else shown_error(point.rms_error), shown_time(timing.seconds),
+                f"{shown_time(timing.first_quartile_s)} - {shown_time(timing.third_quartile_s)}",
+                "" if timing.cpu_seconds is None else shown_time(timing.cpu_seconds), str(timing.runs),
+            ])  # fmt: skip
+    optional = [k for k, head in enumerate(columns) if head in ("root mean square", "processor")]
+    empty = [k for k in optional if not any(row[k] for row in rows)]
+    kept = [k for k in range(len(columns)) if k not in empty]
+    heads = list(columns)
+    return {heads[k]: columns[heads[k]] for k in kept}, [[row[k] for k in kept] for row in rows]
 
 
 def _print_advice(console: Console, choices: list[tuple[str, ...]]) -> None:
@@ -235,8 +221,8 @@ def _print_grid(console: Console, grid: Grid) -> None:
     for row in grid.rows:
         cells: list[str | Text] = []
         for cell, reason, over in zip(row.cells, row.reasons, row.over, strict=True):
-            told = shown_counts(cell)
-            cells.append(Text(told, "bold red") if over and not reason else told)
+            counts = shown_counts(cell)
+            cells.append(Text(counts, "bold red") if over and not reason else counts)
         table.add_row(row.name, *cells)
     console.print()
     console.print(table)

@@ -174,21 +174,12 @@ def _changed(
 
 
 def _figures(geometry: Geometry, places: list[GaugePosition]) -> Record:
-    import numpy as np
-
     from tipforce.sensor.structure.gauges import position_matrix
-    from tipforce.sensor.structure.strain import condition_number, noise_gain, row_equilibrated_condition_number
-    from tipforce_lab.design.tables import maximum_over_contacts
+    from tipforce_lab.design.tables import figures, maximum_over_contacts
 
     matrix = position_matrix(geometry, places)
-    regular = int(np.linalg.matrix_rank(matrix)) == 3
-    return {
-        "condition": condition_number(matrix) if regular else float("inf"),
-        "row_equilibrated": row_equilibrated_condition_number(matrix) if regular else float("inf"),
-        "noise_gain_N_per_ue": noise_gain(np.linalg.pinv(matrix)) * 1e-6 if regular else float("inf"),
-        "largest_strain_ue_per_N": 1e6
-        * max(maximum_over_contacts((g1, g2, g3)).value for g1, g2, g3 in matrix.tolist()),
-    }
+    largest = max(maximum_over_contacts((g1, g2, g3)).value for g1, g2, g3 in matrix.tolist())
+    return {**figures(matrix), "largest_strain_ue_per_N": 1e6 * largest}
 
 
 def _print(args: argparse.Namespace, section: Section) -> None:

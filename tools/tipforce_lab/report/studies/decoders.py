@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,48 +23,39 @@ OURS, BY_HAND, CANTOOLS, CANOPEN = "tipforce, frames at once", "struct, by hand"
 _AT_A_TIME = 1000  # frames per timed call of the others
 STEPS = len(BATCHES) + 3
 
-Value = float | None
-"""None: the decoder reports the value as unknown."""
-Rows = list[tuple[Value, ...]]
-"""P, phi, theta of each frame."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Result:
-    error: float
-    """Largest |value - raw x resolution| over the values that are known, in steps of the resolution."""
-    unknown_shown: int
-    """Number of unknown values decoded as numbers."""
+Decode = Callable[[bytes], dict[str, Any]]
+"""One frame -> all signals by name."""
+Rows = list[tuple[float | None, ...]]
+"""P, phi, theta of each frame; None: the decoder reports the value as unknown."""
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     """Return one study: all decoders on every frame."""
     message = next(m for m in tpdo_messages(GAUGES) if m.name == "Contact")
     data = _frames(np.random.default_rng([effort.seed, 2]), BATCHES[-1])
-    exact = [struct.unpack_from("<hhh", one) for one in data]
-    results, series = {}, []
-    frames = frame_array((k, message.cob_id_base + NODE_ID, one) for k, one in enumerate(data))
-    results[OURS] = _judge(_ours(frames), exact, message)
-    points = []
+    frames = frame_array((k, message.cob_id_base + NODE_ID, frame) for k, frame in enumerate(data))
+    error, shown = judge(_ours(frames), data, message)
+    unknown_shown, points = {OURS: shown}, []
     for size in BATCHES:
         batch, decoder = frames[:size], Decoder(GAUGES, [NODE_ID])
-        timing = timed(lambda batch=batch, decoder=decoder: decoder.decode(batch), effort, units=size)  # type: ignore[misc]
-        points.append(Point(f"{size} frames a call", results[OURS].error, timing))
+        timing = timed(partial(decoder.decode, batch), effort, units=size)
+        points.append(Point(f"{size} frames a call", error, timing))
         advance()
-    series.append(Series(OURS, tuple(points)))
-    for method, decode in _others(message).items():
-        rows = [decode(one) for one in data]
-        results[method] = _judge([tuple(_known(row[name]) for name in MEASURED) for row in rows], exact, message)
-        some = data[:_AT_A_TIME]
-
-        def work(decode: Callable[[bytes], dict[str, Any]] = decode, some: list[bytes] = some) -> None:
-            for one in some:
-                decode(one)
-
-        timing = timed(work, effort, units=len(some))
-        series.append(Series(method, (Point("a frame a call", results[method].error, timing),)))
+    series = [Series(OURS, tuple(points))]
+    for method, decode in others(message).items():
+        rows = [decode(frame) for frame in data]
+        error, unknown_shown[method] = judge(
+            [tuple(_known(row[name]) for name in MEASURED) for row in rows], data, message
+        )
+        timing = timed(partial(_each, decode, data[:_AT_A_TIME]), effort, units=len(data[:_AT_A_TIME]))
+        series.append(Series(method, (Point("a frame a call", error, timing),)))
         advance()
-    return [_study(series, results, len(data))]
+    return [_study(series, unknown_shown, len(data))]
+
+
+def _each(decode: Decode, data: list[bytes]) -> None:
+    for frame in data:
+        decode(frame)
 
 
 def _frames(rng: np.random.Generator, count: int) -> list[bytes]:
@@ -77,18 +68,21 @@ def _frames(rng: np.random.Generator, count: int) -> list[bytes]:
         zip(raw.tolist(), status.tolist(), strict=True))]  # fmt: skip
 
 
-def _judge(rows: Rows, exact: list[tuple[int, ...]], message: Message) -> _Result:
-    """Compare with raw / divisor as a fraction, the definition of the resolution of 0.001 N and 0.01 degree."""
+def judge(rows: Rows, data: list[bytes], message: Message) -> tuple[float, int]:
+    """Return the largest error in steps of the resolution, and the number of unknown values decoded as numbers.
+
+    The right value is raw / divisor as a fraction, the definition of the resolution of 0.001 N and 0.01 degree.
+    """
     divisors = [round(1 / signal.scale) for signal in message.signals[: len(MEASURED)]]
     worst, shown = Fraction(0), 0
-    for row, raws in zip(rows, exact, strict=True):
-        for value, raw, divisor in zip(row, raws, divisors, strict=True):
+    for row, frame in zip(rows, data, strict=True):
+        for value, raw, divisor in zip(row, struct.unpack_from("<hhh", frame), divisors, strict=True):
             if raw == UNKNOWN:
                 shown += value is not None
             else:
                 assert value is not None
                 worst = max(worst, abs(Fraction(value) * divisor - raw))
-    return _Result(float(worst), shown)
+    return float(worst), shown
 
 
 def _ours(frames: FrameArray) -> Rows:
@@ -97,53 +91,51 @@ def _ours(frames: FrameArray) -> Rows:
     return [tuple(_known(value) for value in row) for row in zip(*columns, strict=True)]
 
 
-def _known(value: object) -> Value:
+def _known(value: object) -> float | None:
     """Normalise unknown values: cantools returns the name "unknown", others NaN, if they support it."""
     return value if isinstance(value, float) and not math.isnan(value) else None
 
 
-def _others(message: Message) -> dict[str, Callable[[bytes], dict[str, Any]]]:
-    """Return a function per decoder that returns all signals of one frame by name."""
+def others(message: Message) -> dict[str, Decode]:
+    """Return the decoders of one frame."""
     return {BY_HAND: _by_hand(message), CANTOOLS: _cantools(message), CANOPEN: _canopen(message)}
 
 
-def _by_hand(message: Message) -> Callable[[bytes], dict[str, Any]]:
+def _bits(message: Message) -> list[tuple[str, int]]:
+    """Return name and mask of each flag of the status byte."""
+    return [(signal.name, 1 << signal.start_bit - 48) for signal in message.signals if signal.bits == 1]
+
+
+def _by_hand(message: Message) -> Decode:
     """Return a decoder written with struct for the known layout."""
-    flags = [(signal.name, 1 << signal.start_bit - 48) for signal in message.signals if signal.bits == 1]
-    layout = struct.Struct("<hhhBB")
+    flags, layout = _bits(message), struct.Struct("<hhhBB")
 
     def decode(data: bytes) -> dict[str, Any]:
         P, phi, theta, status, counter = layout.unpack(data)
-        found = {
+        decoded = {
             "P": math.nan if P == UNKNOWN else P / 1000,
             "phi": math.nan if phi == UNKNOWN else phi / 100,
             "theta": math.nan if theta == UNKNOWN else theta / 100,
             "counter": counter,
         }
         for name, bit in flags:
-            found[name] = status & bit != 0
-        return found
+            decoded[name] = status & bit != 0
+        return decoded
 
     return decode
 
 
-def _cantools(message: Message) -> Callable[[bytes], dict[str, Any]]:
+def _cantools(message: Message) -> Decode:
     """Return a decoder of cantools with the .dbc of `tipforce export dbc`."""
     import cantools
 
     from tipforce.dictionary.dbc import dbc_text
 
     database: Any = cantools.database.load_string(dbc_text([NODE_ID], GAUGES), "dbc")
-    can_id = message.cob_id_base + NODE_ID
-
-    def decode(data: bytes) -> dict[str, Any]:
-        found: dict[str, Any] = database.decode_message(can_id, data)
-        return found
-
-    return decode
+    return partial(database.decode_message, message.cob_id_base + NODE_ID)
 
 
-def _canopen(message: Message) -> Callable[[bytes], dict[str, Any]]:
+def _canopen(message: Message) -> Decode:
     """Return a decoder with canopen's PDO variables; an EDS has no factors, set here, and no unknown value."""
     import io
 
@@ -158,37 +150,28 @@ def _canopen(message: Message) -> Callable[[bytes], dict[str, Any]]:
     pdo.cob_id = message.cob_id_base + NODE_ID
     pdo.clear()
     scales = {(signal.index, signal.sub): signal.scale for signal in message.signals}
-    for index, sub, _bits in message.mapping:
+    for index, sub, _size in message.mapping:
         pdo.add_variable(index, sub).od.factor = scales[index, sub]
     P, phi, theta, status, counter = pdo.map
-    flags = [(signal.name, 1 << signal.start_bit - 48) for signal in message.signals if signal.bits == 1]
+    flags = _bits(message)
 
     def decode(data: bytes) -> dict[str, Any]:
         pdo.on_message(pdo.cob_id, bytearray(data), 0.0)
         bits = status.raw
-        found = {"P": P.phys, "phi": phi.phys, "theta": theta.phys, "counter": counter.raw}
+        decoded = {"P": P.phys, "phi": phi.phys, "theta": theta.phys, "counter": counter.raw}
         for name, bit in flags:
-            found[name] = bits & bit != 0
-        return found
+            decoded[name] = bits & bit != 0
+        return decoded
 
     return decode
 
 
-def _study(series: list[Series], results: dict[str, _Result], count: int) -> Study:
-    seconds = {one.method: one.points[-1].timing.seconds for one in series}
+def _study(series: list[Series], unknown_shown: dict[str, int], count: int) -> Study:
+    seconds = {method.method: method.points[-1].timing.seconds for method in series}
     alone = series[0].points[0].timing.seconds
     faster = {method: f"{seconds[method] / seconds[OURS]:.0f} times" for method in (BY_HAND, CANTOOLS, CANOPEN)}
-    remarks = [
-        f"With {BATCHES[-1]} frames a call tipforce is {faster[BY_HAND]} as fast as the loop with struct, "
-        f"{faster[CANTOOLS]} as fast as cantools and {faster[CANOPEN]} as fast as canopen.",
-        f"With one frame a call it takes {alone / seconds[BY_HAND]:.0f} times as long as the loop with struct: collect "
-        "frames first.",
-    ]
-    for method, result in results.items():
-        if result.unknown_shown:
-            remarks.append(f"{method}: {result.unknown_shown} unknown values (raw {UNKNOWN}) were decoded as numbers.")
-    silent = [method for method, result in results.items() if not result.unknown_shown]
-    remarks.append(f"Every unknown value was reported as unknown by: {', '.join(silent)}.")
+    loud = tuple(method for method, shown in unknown_shown.items() if shown)
+    silent = ", ".join(method for method in unknown_shown if method not in loud)
     return Study(
         key="decoders",
         title="Decoders of the contact PDO",
@@ -197,6 +180,16 @@ def _study(series: list[Series], results: dict[str, _Result], count: int) -> Stu
         reference=f"the raw integers as exact fractions of {count} random frames; all decoders give all signals",
         reference_error=0.0,
         series=tuple(series),
-        remarks=tuple(remarks),
-        needs=(Need("decode a log exactly", 1e-6, "steps", tuple(name for name in results if name not in silent)),),
+        remarks=(
+            f"With {BATCHES[-1]} frames a call tipforce is {faster[BY_HAND]} as fast as the loop with struct, "
+            f"{faster[CANTOOLS]} as fast as cantools and {faster[CANOPEN]} as fast as canopen.",
+            f"With one frame a call it takes {alone / seconds[BY_HAND]:.0f} times as long as the loop with struct: "
+            "collect frames first.",
+            *(
+                f"{method}: {unknown_shown[method]} unknown values (raw {UNKNOWN}) were decoded as numbers."
+                for method in loud
+            ),
+            f"Every unknown value was reported as unknown by: {silent}.",
+        ),
+        needs=(Need("decode a log exactly", 1e-6, "steps", loud),),
     )

@@ -15,6 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from math import pi
 from pathlib import Path
 
@@ -25,8 +26,26 @@ from tipforce.errors import EnvironmentLackError
 from tipforce.fingertip.calibration import Active
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import estimate as estimate_in_bulk
-from tipforce_lab.report.studies.estimator_inputs import COUNT_BITS, LSB_MICROSTRAIN, Contacts
 from tipforce_lab.report.study import Effort, Timing, quartiles
+
+COUNT_BITS = 24
+RANGE_MICROSTRAIN = 1024.0
+LSB_MICROSTRAIN = RANGE_MICROSTRAIN / 2 ** (COUNT_BITS - 1)  # 2^-13: a count is an exact binary fraction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contacts:
+    """Counts of the converter and their exact result, rounded once to a float64 and a remainder."""
+
+    C: FloatArray
+    """(3, 3), newtons per unit strain: these floats are taken as exact."""
+    counts: IntArray
+    """(k, 3)."""
+    P_newtons: list[Decimal]
+    theta_deg: list[Decimal]
+    full_scale_newtons: float
+    """The smallest load that uses the converter's full range."""
+
 
 MODULE = Path(sys.prefix) / "micropython/node_modules/@micropython/micropython-webassembly-pyscript/micropython.mjs"
 HEAP_BYTES = 64 << 20  # this build collects garbage only between runs

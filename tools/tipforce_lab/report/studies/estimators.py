@@ -1,36 +1,36 @@
-"""Arithmetic of the estimator: counts to F = C V, then P and theta, in floating point, in integers, on MicroPython."""
+"""Arithmetic of the estimator: counts to F = C V, then P and theta, in floating point, in integers, on MicroPython.
+
+The reference: random contacts as counts of a 24-bit converter, and the exact P and theta of these counts.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from decimal import Decimal, localcontext
 from typing import NamedTuple
 
 import numpy as np
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import EnvironmentLackError
+from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_lab.report.studies import estimator_methods as methods
-from tipforce_lab.report.studies.estimator_inputs import (
-    COUNT_BITS,
-    DIGITS,
-    RANGE_MICROSTRAIN,
-    REFERENCE_ERROR,
-    Contacts,
-    contacts,
-    errors,
-    near,
-    tangent,
-)
+from tipforce_lab.report.studies.estimator_methods import COUNT_BITS, LSB_MICROSTRAIN, RANGE_MICROSTRAIN, Contacts
 from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, timed
+
+CASE = "III"
+_FILLED = 0.98  # of the converter's range, at most
+DIGITS = 50
+REFERENCE_ERROR = 1e-42
+"""Error of the reference, in newtons and in degrees: the root near tangency and the degrees lose some of 50 digits."""
 
 FLOAT64, FLOAT32, NAIVE32 = "numpy float64 (the host's)", "numpy float32", "numpy float32, c2 = P2 - F2^2"
 NODE, MICROPYTHON = "node, one sample at a time", "node on MicroPython"
 WRAPS, INT16, INT32 = "int16 C, 32-bit accumulator", "int16 C, 64-bit accumulator", "int32 C, CORDIC"
 INT32_TABLE = "int32 C, arctangent table"
 _INSIDE = "REAL32 C"
-
-_REFERENCE = f"the formula in decimal arithmetic with {DIGITS} digits, on the same counts and the same float64 C"
-_INTEGERS = "The times of the integer methods are those of numpy on this machine, not of a microcontroller."
 
 Prepare = Callable[[Contacts], methods.Method]
 
@@ -66,21 +66,46 @@ class _Result(NamedTuple):
     timing: Timing
 
 
-_Results = dict[str, dict[str, _Result]]
-"""By method and setting."""
+_Setting = tuple[str, str]
+"""Method and setting."""
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     """Return the studies of P and theta away from tangency, and of theta near it."""
     rng = np.random.default_rng([effort.seed, 1])
     k = effort.pick(400, 4000)
-    usual = contacts(rng, k, near, corners=True)
+    usual = contacts(rng, k, away, corners=True)
     sliding = contacts(rng, k, tangent)
     left_out: dict[str, str] = {}
     results = _run(usual, effort, left_out, advance)
     results_sliding = _run(sliding, effort, left_out, advance, results)
-    angle = _angle_study(usual, results, left_out)
-    return [_force_study(usual, results, left_out), angle, _tangent_study(sliding, results_sliding, left_out, angle)]
+    # P does not depend on the arctangent: one setting of the integers is enough.
+    for_force = {
+        (method, setting): result
+        for (method, setting), result in results.items()
+        if method not in (INT32, INT32_TABLE) or setting == "28 iterations"
+    }
+    force = _series(for_force, lambda found: errors(found[0], usual.P_newtons) / usual.full_scale_newtons)
+    angle = _series(results, lambda found: errors(found[1], usual.theta_deg, 360.0))
+    near = _series(results_sliding, lambda found: errors(found[1], sliding.theta_deg, 360.0))
+    off = "largest error of theta (degrees)"
+    return [
+        _study(
+            "force", "the force P", "largest error of P / full scale", usual, "and the corners of the converter range",
+            force, _force_remarks(_worst(force), usual.full_scale_newtons), left_out,
+            Need("force P from strain, to 1e-6 of full scale", 1e-6, unfit=(NAIVE32,)),
+        ),
+        _study(
+            "angle", "the contact angle theta", off, usual, "at least 0.1 in |cos(delta)| from tangency",
+            angle, _angle_remarks(_worst(angle), results), left_out,
+            Need("contact angle from strain, to 0.01 degree", 0.01, "degree", (NAIVE32,)),
+        ),
+        _study(
+            "tangent", "theta of contacts that nearly slide", off, sliding, "with |cos(delta)| from 0.001 to 0.1",
+            near, _tangent_remarks(_worst(near), _worst(angle)), left_out,
+            Need("contact angle near tangency, to 0.1 degree", 0.1, "degree", (NAIVE32,)),
+        ),
+    ]  # fmt: skip
 
 
 def _run(
@@ -88,146 +113,195 @@ def _run(
     effort: Effort,
     left_out: dict[str, str],
     advance: Callable[[], None],
-    known: _Results | None = None,
-) -> _Results:
+    known: dict[_Setting, _Result] | None = None,
+) -> dict[_Setting, _Result]:
     """Run all methods on these contacts: timed, or with the times of ``known``, whose work is the same.
 
     A method that does not run is entered in left_out with the reason, and not tried again.
     """
-    results: _Results = {}
+    results: dict[_Setting, _Result] = {}
     for method, settings in _METHODS.items():
         for setting, prepare in settings.items():
             work = prepare(given)
-            timing = known[method][setting].timing if known else timed(work, effort, units=len(given.counts))
-            results.setdefault(method, {})[setting] = _Result(work(), timing)
+            timing = known[method, setting].timing if known else timed(work, effort, units=len(given.counts))
+            results[method, setting] = _Result(work(), timing)
             advance()
     if MICROPYTHON not in left_out:
         try:
             estimate, timing = methods.on_micropython(given, effort)
-            timing = known[MICROPYTHON][_INSIDE].timing if known else timing
-            results[MICROPYTHON] = {_INSIDE: _Result(estimate, timing)}
+            timing = known[MICROPYTHON, _INSIDE].timing if known else timing
+            results[MICROPYTHON, _INSIDE] = _Result(estimate, timing)
         except EnvironmentLackError as lack:
             left_out[MICROPYTHON] = str(lack)
     advance()
     return results
 
 
-def _series(results: _Results, error: Callable[[methods.Estimate], FloatArray]) -> tuple[Series, ...]:
-    series = []
-    for method, settings in results.items():
-        points = []
-        for setting, result in settings.items():
-            off = error(result.estimate)
-            rms = float(np.sqrt(np.mean(off**2)))
-            points.append(Point(setting, float(np.abs(off).max()), result.timing, rms))
-        series.append(Series(method, tuple(points)))
-    return tuple(series)
+def _series(results: dict[_Setting, _Result], error: Callable[[methods.Estimate], FloatArray]) -> tuple[Series, ...]:
+    points: dict[str, list[Point]] = {}
+    for (method, setting), result in results.items():
+        off = error(result.estimate)
+        point = Point(setting, float(np.abs(off).max()), result.timing, float(np.sqrt(np.mean(off**2))))
+        points.setdefault(method, []).append(point)
+    return tuple(Series(method, tuple(of_method)) for method, of_method in points.items())
 
 
-def _worst(series: tuple[Series, ...]) -> dict[tuple[str, str], float]:
+def _worst(series: tuple[Series, ...]) -> dict[_Setting, float]:
     return {(method.method, point.setting): point.error for method in series for point in method.points}
 
 
-def _inputs(given: Contacts, what: str) -> str:
-    return (
-        f"{len(given.counts)} random pushes {what}, as counts of a {COUNT_BITS}-bit converter with a range of "
+def _study(
+    key: str, title: str, error_unit: str, given: Contacts, inputs: str, series: tuple[Series, ...],
+    remarks: list[str], left_out: dict[str, str], need: Need,
+) -> Study:  # fmt: skip
+    reference = (
+        f"the formula in decimal arithmetic with {DIGITS} digits, on the same counts and the same float64 C; "
+        f"{len(given.counts)} random pushes {inputs}, as counts of a {COUNT_BITS}-bit converter with a range of "
         f"{RANGE_MICROSTRAIN:g} microstrain; case III of the paper, full scale {given.full_scale_newtons:.2f} N"
     )
-
-
-def _study(
-    about: tuple[str, str, str],
-    need: Need,
-    inputs: str,
-    series: tuple[Series, ...],
-    left_out: dict[str, str],
-    remarks: tuple[str, ...],
-) -> Study:
-    """``about``: the end of the key, of the title, and the unit of the error."""
-    key, title, error_unit = about
+    remarks.append("The times of the integer methods are those of numpy on this machine, not of a microcontroller.")
     return Study(
-        key=f"estimator-{key}",
-        title=f"Estimator arithmetic: {title}",
-        error_unit=error_unit,
-        work_unit="s per sample",
-        reference=f"{_REFERENCE}; {inputs}",
-        reference_error=REFERENCE_ERROR,
-        series=series,
-        left_out=left_out,
-        remarks=remarks,
-        needs=(need,),
+        f"estimator-{key}", f"Estimator arithmetic: {title}", error_unit, "s per sample", reference, REFERENCE_ERROR,
+        series, left_out, tuple(remarks), (need,),
     )  # fmt: skip
 
 
-def _force_study(given: Contacts, results: _Results, left_out: dict[str, str]) -> Study:
-    def error(estimate: methods.Estimate) -> FloatArray:
-        return errors(estimate[0], given.P_newtons) / given.full_scale_newtons
-
-    # P does not depend on the arctangent: one setting of the integers is enough.
-    kept = {method: settings for method, settings in results.items() if method != INT32_TABLE}
-    finest = "28 iterations"
-    series = _series({**kept, INT32: {finest: kept[INT32][finest]}}, error)
-    worst = _worst(series)
-    half_lsb = 2.0**-COUNT_BITS
-    single = worst[FLOAT32, "float32 C"]
-    remarks = [
+def _force_remarks(worst: dict[_Setting, float], full_scale_newtons: float) -> list[str]:
+    single, half_lsb = worst[FLOAT32, "float32 C"], 2.0**-COUNT_BITS
+    return [
         f"Single precision is off by {single:.1e} of full scale at most, {single / half_lsb:.1f} times half a step of "
         f"a {COUNT_BITS}-bit converter ({half_lsb:.1e}).",
         f"16-bit coefficients: with a 32-bit accumulator the worst sample is off by "
-        f"{worst[WRAPS, '16-bit C'] * given.full_scale_newtons:.3g} N, with a 64-bit one by "
-        f"{worst[INT16, '16-bit C'] * given.full_scale_newtons:.2g} N.",
+        f"{worst[WRAPS, '16-bit C'] * full_scale_newtons:.3g} N, with a 64-bit one by "
+        f"{worst[INT16, '16-bit C'] * full_scale_newtons:.2g} N.",
         f"The node's INTEGER16 object rounds P to 1 mN: {worst[NODE, 'INTEGER16 object']:.1e} of full scale.",
-        _INTEGERS,
     ]
-    about = ("force", "the force P", "largest error of P / full scale")
-    need = Need("force P from strain, to 1e-6 of full scale", 1e-6, unfit=(NAIVE32,))
-    return _study(
-        about, need, _inputs(given, "and the corners of the converter range"), series, left_out, tuple(remarks)
-    )
 
 
-def _angle_error(given: Contacts) -> Callable[[methods.Estimate], FloatArray]:
-    return lambda estimate: errors(estimate[1], given.theta_deg, 360.0)
-
-
-def _angle_study(given: Contacts, results: _Results, left_out: dict[str, str]) -> Study:
-    series = _series(results, _angle_error(given))
-    worst = _worst(series)
-    remarks = (
+def _angle_remarks(worst: dict[_Setting, float], results: dict[_Setting, _Result]) -> list[str]:
+    remarks = [
         f"From 8 to 20 CORDIC iterations the error falls from {worst[INT32, '8 iterations']:.1e} to "
         f"{worst[INT32, '20 iterations']:.1e} degrees; 28 iterations give {worst[INT32, '28 iterations']:.1e}.",
         f"An arctangent table of 256 entries with linear interpolation gives "
         f"{worst[INT32_TABLE, '256 entries']:.1e} degrees.",
         f"16-bit readings, not the arctangent, hold int16 at {worst[INT16, '16-bit C']:.2g} degrees, for the smallest "
         "loads.",
-        *_same_on_micropython(results),
-        _INTEGERS,
-    )
-    about = ("angle", "the contact angle theta", "largest error of theta (degrees)")
-    need = Need("contact angle from strain, to 0.01 degree", 0.01, "degree", (NAIVE32,))
-    return _study(about, need, _inputs(given, "at least 0.1 in |cos(delta)| from tangency"), series, left_out, remarks)
+    ]
+    there = results.get((MICROPYTHON, _INSIDE))
+    if there is not None:
+        here = results[NODE, "inside, REAL32 C"].estimate
+        apart = max(float(np.abs(b - a).max()) for a, b in zip(there.estimate, here, strict=True))
+        remarks.append(f"The node's code gives the same under MicroPython and CPython, to {apart:.1g} N and degrees.")
+    return remarks
 
 
-def _same_on_micropython(results: _Results) -> list[str]:
-    if MICROPYTHON not in results:
-        return []
-    there, here = results[MICROPYTHON][_INSIDE].estimate, results[NODE]["inside, REAL32 C"].estimate
-    apart = max(float(np.abs(b - a).max()) for a, b in zip(there, here, strict=True))
-    return [f"The node's code gives the same under MicroPython and CPython, to {apart:.1g} N and degrees."]
-
-
-def _tangent_study(given: Contacts, results: _Results, left_out: dict[str, str], away: Study) -> Study:
-    series = _series(results, _angle_error(given))
-    worst, worst_away = _worst(series), _worst(away.series)
+def _tangent_remarks(worst: dict[_Setting, float], away: dict[_Setting, float]) -> list[str]:
     single, double, naive = (FLOAT32, "float32 C"), (FLOAT64, "float64 C"), (NAIVE32, "float32 C")
-    remarks = (
-        f"The error is {worst[double] / worst_away[double]:.0f} times (float64) and "
-        f"{worst[single] / worst_away[single]:.0f} times (float32) what it is away from tangency, and still only "
-        f"{worst[double]:.0e} and {worst[single]:.0e} degrees.",
+    return [
+        f"The error is {worst[double] / away[double]:.0f} times (float64) and {worst[single] / away[single]:.0f} times "
+        f"(float32) what it is away from tangency, and still only {worst[double]:.0e} and {worst[single]:.0e} degrees.",
         f"With P^2 - F2^2 in place of its factors the largest error is {worst[naive] / worst[single]:.1f} times as "
         "large: the rounding of F = C V decides here, not that of the difference.",
-        _INTEGERS,
-    )
-    about = ("tangent", "theta of contacts that nearly slide", "largest error of theta (degrees)")
-    need = Need("contact angle near tangency, to 0.1 degree", 0.1, "degree", (NAIVE32,))
-    return _study(about, need, _inputs(given, "with |cos(delta)| from 0.001 to 0.1"), series, left_out, remarks)
+    ]
+
+
+def away(rng: np.random.Generator, k: int) -> FloatArray:
+    """Return |cos(delta)| of k contacts: anywhere on the tip, at least 0.1 from tangency."""
+    return rng.uniform(0.1, 1.0, k)
+
+
+def tangent(rng: np.random.Generator, k: int) -> FloatArray:
+    """Return |cos(delta)| of k contacts with nearly tangential force: 0.001 to 0.1, log-uniform."""
+    cosine: FloatArray = 10.0 ** rng.uniform(-3.0, -1.0, k)
+    return cosine
+
+
+def contacts(
+    rng: np.random.Generator,
+    k: int,
+    cosines: Callable[[np.random.Generator, int], FloatArray] = away,
+    corners: bool = False,
+) -> Contacts:
+    """Return k pushes in any direction: half from a hundredth of the converter's range to all of it, half above 50 %.
+
+    corners: also those with every gauge at an end of the converter's range.
+    """
+    C, A = calibration_matrix(FABRICATED, CASE), strain_matrix(FABRICATED, CASE)
+    phi = rng.uniform(-np.pi, np.pi, k)
+    delta = np.pi - np.arccos(cosines(rng, k)) * rng.choice([-1.0, 1.0], k)  # a push: cos(delta) < 0
+    microstrain = 1e6 * force_vector(1.0, phi, phi - delta) @ A.T
+    share = np.where(np.arange(k) % 2, rng.uniform(0.5, 1.0, k), 10.0 ** rng.uniform(-2.0, 0.0, k))
+    P = share * _FILLED * RANGE_MICROSTRAIN / np.abs(microstrain).max(axis=1)
+    counts = np.rint(P[:, np.newaxis] * microstrain / LSB_MICROSTRAIN).astype(np.int64)
+    if corners:
+        counts = np.concatenate((counts, _corners(C)))
+    exact = [_exact(C, row) for row in counts.tolist()]
+    return Contacts(C, counts, [contact[0] for contact in exact], [contact[1] for contact in exact], _full_scale(A))
+
+
+def _corners(C: FloatArray) -> IntArray:
+    """Return the counts (c, 3) with every gauge at a limit of its range that a contact can cause: |F2| < P."""
+    signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+    F = signs @ C.T
+    possible = np.abs(F[:, 1]) < 0.99 * np.hypot(F[:, 0], F[:, 2])
+    corners: IntArray = signs[possible] * round(_FILLED * 2 ** (COUNT_BITS - 1))
+    return corners
+
+
+def _full_scale(A: FloatArray) -> float:
+    """Search the largest strain of a gauge per newton: that for F2 = P or F2 = -P at the best phi."""
+    phi, sine = np.meshgrid(np.linspace(-np.pi, np.pi, 721), np.linspace(-1.0, 1.0, 3))
+    F = np.stack((np.sin(phi), sine, np.cos(phi)), axis=-1)
+    return float(RANGE_MICROSTRAIN * 1e-6 / np.abs(F @ A.T).max())
+
+
+def _exact(C: FloatArray, counts: list[int]) -> tuple[Decimal, Decimal]:
+    """Return P in newtons and theta in degrees: the paper's equation (16) inverted with 50 digits."""
+    with localcontext() as context:
+        context.prec = DIGITS
+        lsb = Decimal(LSB_MICROSTRAIN) * Decimal("1e-6")
+        F1, F2, F3 = (sum((Decimal(c) * n for c, n in zip(row, counts, strict=True)), Decimal(0)) * lsb
+                      for row in C.tolist())  # fmt: skip
+        squared = F1 * F1 + F3 * F3
+        hypotenuse = squared.sqrt()
+        cosine_squared = squared - F2 * F2
+        P = hypotenuse if cosine_squared >= 0 else (hypotenuse + abs(F2)) / 2
+        delta = arctan2(F2, -max(cosine_squared, Decimal(0)).sqrt())
+        theta = (arctan2(F1, F3) - delta) * 180 / PI
+        if theta > 180:
+            theta -= 360
+        elif theta <= -180:
+            theta += 360
+        return P, theta
+
+
+PI = Decimal(
+    "3.14159265358979323846264338327950288419716939937510582097494459230781640628620899862803482534211706798214808651"
+)
+
+
+def arctan2(y: Decimal, x: Decimal) -> Decimal:
+    """Return the angle of (x, y) in radians, in the precision of the context."""
+    if abs(y) > abs(x):
+        return (PI / 2).copy_sign(y) - _arctan(x / y)
+    if x > 0:
+        return _arctan(y / x)
+    return PI.copy_sign(y) + _arctan(y / x) if x else Decimal(0)
+
+
+def _arctan(t: Decimal) -> Decimal:
+    """Compute atan(t) = 2 atan(t / (1 + sqrt(1 + t^2))), five times; then the series."""
+    for _ in range(5):
+        t = t / (1 + (1 + t * t).sqrt())
+    term, total, k = t, t, 1
+    while abs(term) > abs(t) * Decimal(10) ** (-DIGITS - 2):
+        term *= -t * t
+        k += 2
+        total += term / k
+    return total * 32
+
+
+def errors(estimated: FloatArray, exact: list[Decimal], period: float = 0.0) -> FloatArray:
+    """Return found - exact, (k,), as the difference of exact numbers; angles wrapped to half a period."""
+    difference = np.array([float(Decimal(f) - e) for f, e in zip(estimated.tolist(), exact, strict=True)])
+    return difference - period * np.rint(difference / period) if period else difference

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -27,10 +28,7 @@ _MANY = 25
 class _Rig:
     """One simulated calibration."""
 
-    strain: FloatArray
-    P_newtons: FloatArray
-    phi_rad: FloatArray
-    theta_rad: FloatArray
+    readings: Readings
     A: FloatArray
     offset_strain: FloatArray
 
@@ -41,35 +39,28 @@ Fitted = tuple[FloatArray, FloatArray]
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     """Return two studies: noise and offset only; and with outliers."""
-    found = []
-    for share, key, title in (
-        (0.0, "fits", "Calibration fits: noise and offset"),
-        (OUTLIER_SHARE, "fits-outliers", "Calibration fits: noise, offset and outliers"),
-    ):
-        found.append(_study(effort, advance, share, key, title))
-    return found
+    return [_study(effort, advance, 0.0), _study(effort, advance, OUTLIER_SHARE)]
 
 
-def _study(effort: Effort, advance: Callable[[], None], share: float, key: str, title: str) -> Study:
-    points: dict[str, list[Point]] = {LINEAR: [], AFFINE: [], FULL: []}
+def _study(effort: Effort, advance: Callable[[], None], share: float) -> Study:
+    points: dict[str, list[Point]] = {method: [] for method in _METHODS}
     refused: dict[str, str] = {}
     repeats = effort.pick(8, 100)
     for loads in LOADS:
         rigs = [_rig(np.random.default_rng([effort.seed, 3, loads, seed]), loads, share) for seed in range(repeats)]
         for method, fit in _METHODS.items():
             try:
-                errors = [_error(fit(rig), rig) for rig in rigs]
+                errors = [_error(fit(rig.readings), rig) for rig in rigs]
             except InputError as error:
                 refused[f"{method}, {loads} loads"] = f"refused: {error}"
                 continue
             timing = _timing(fit, rigs, effort)
             points[method].append(Point(f"{loads} loads", float(np.sqrt(np.mean(np.square(errors)))), timing))
         advance()
-    series = tuple(Series(method, tuple(fitted_points)) for method, fitted_points in points.items() if fitted_points)
     what = f"{share:.0%} of the readings off by {OUTLIER_STRAIN * 1e6:g} microstrain" if share else "no outliers"
     return Study(
-        key=key,
-        title=title,
+        key="fits-outliers" if share else "fits",
+        title=f"Calibration fits: {'noise, offset and outliers' if share else 'noise and offset'}",
         error_unit="root mean square force error (N)",
         work_unit="s per fit",
         reference=(
@@ -78,12 +69,10 @@ def _study(effort: Effort, advance: Callable[[], None], share: float, key: str, 
             f"every three loads, noise {NOISE_STRAIN * 1e6:g} and offset {OFFSET_STRAIN * 1e6:g} microstrain, {what}"
         ),
         reference_error=1e-15,
-        series=series,
+        series=tuple(Series(method, tuple(of_method)) for method, of_method in points.items() if of_method),
         left_out=refused,
         remarks=tuple(_remarks(points)),
-        needs=(
-            Need("calibrate, " + ("some readings wrong" if share else "clean readings") + ", to 0.02 N", 0.02, "N"),
-        ),
+        needs=(Need(f"calibrate, {'some readings wrong' if share else 'clean readings'}, to 0.02 N", 0.02, "N"),),
     )
 
 
@@ -102,26 +91,29 @@ def _rig(rng: np.random.Generator, loads: int, share: float) -> _Rig:
     odd = rng.random(m) < share
     strain[odd, rng.integers(len(A), size=m)[odd]] += rng.choice([-1.0, 1.0], m)[odd] * OUTLIER_STRAIN
     order = rng.permutation(m)
-    return _Rig(strain[order], P[order], phi[order], theta[order], A, offset)
+    return _Rig(Readings(strain[order], P[order], phi[order], theta[order]), A, offset)
 
 
-def _linear(rig: _Rig) -> Fitted:
-    F = force_vector(rig.P_newtons, rig.phi_rad, rig.theta_rad)
-    return linear_fit(rig.strain, F), np.zeros(len(rig.A))
+def _linear(readings: Readings) -> Fitted:
+    return linear_fit(readings.strain, _forces(readings)), np.zeros(readings.strain.shape[1])
 
 
-def _affine(rig: _Rig) -> Fitted:
-    F = force_vector(rig.P_newtons, rig.phi_rad, rig.theta_rad)
-    coefficients, *_ = np.linalg.lstsq(np.column_stack((F, np.ones(len(F)))), rig.strain, rcond=None)
+def _affine(readings: Readings) -> Fitted:
+    F = _forces(readings)
+    coefficients, *_ = np.linalg.lstsq(np.column_stack((F, np.ones(len(F)))), readings.strain, rcond=None)
     return np.linalg.pinv(coefficients[:3].T), coefficients[3]
 
 
-def _full(rig: _Rig) -> Fitted:
-    fit = fit_calibration(Readings(rig.strain, rig.P_newtons, rig.phi_rad, rig.theta_rad), Model())
+def _forces(readings: Readings) -> FloatArray:
+    return force_vector(readings.P_newtons, readings.phi_rad, readings.theta_rad)
+
+
+def _full(readings: Readings) -> Fitted:
+    fit = fit_calibration(readings, Model())
     return fit.C, fit.offset_strain
 
 
-_METHODS: dict[str, Callable[[_Rig], Fitted]] = {LINEAR: _linear, AFFINE: _affine, FULL: _full}
+_METHODS: dict[str, Callable[[Readings], Fitted]] = {LINEAR: _linear, AFFINE: _affine, FULL: _full}
 
 
 def _error(fitted: Fitted, rig: _Rig) -> float:
@@ -132,9 +124,9 @@ def _error(fitted: Fitted, rig: _Rig) -> float:
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
-def _timing(fit: Callable[[_Rig], Fitted], rigs: list[_Rig], effort: Effort) -> Timing:
+def _timing(fit: Callable[[Readings], Fitted], rigs: list[_Rig], effort: Effort) -> Timing:
     """Time the fits of several sensors: the time of the full fit depends on the data."""
-    each = [timed(lambda rig=rig: fit(rig), effort, at_least_s=0.002).seconds for rig in rigs[: effort.pick(2, 9)]]  # type: ignore[misc]
+    each = [timed(partial(fit, rig.readings), effort, at_least_s=0.002).seconds for rig in rigs[: effort.pick(2, 9)]]
     return quartiles(each)
 
 

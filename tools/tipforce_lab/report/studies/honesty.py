@@ -97,10 +97,9 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Grid]:
         for finger in range(effort.pick(1, 2)):
             with tempfile.TemporaryDirectory(prefix="tipforce-report-") as folder:
                 seed = effort.seed + 100 * finger + gauges
-                for fault, counts in of_finger(Path(folder), gauges, seed, effort.pick(4, 8)):
-                    counts_by_fault[fault] = [
-                        one + other for one, other in zip(counts_by_fault[fault], counts, strict=True)
-                    ]
+                for fault, counts in _of_finger(Path(folder), gauges, seed, effort.pick(4, 8)):
+                    both = zip(counts_by_fault[fault], counts, strict=True)
+                    counts_by_fault[fault] = [before + now for before, now in both]
         rows += [_row(fault, gauges, tuple(counts)) for fault, counts in counts_by_fault.items()]
         advance()
     return [
@@ -128,22 +127,20 @@ def _remarks(rows: list[GridRow]) -> tuple[str, ...]:
     sums = [sum((row.cells[k] for row in rows), Counted()) for k in range(len(METHODS))]
     clean = sum((cell for row in rows if row.name.startswith("none") for cell in row.cells), Counted())
     least = min(range(len(METHODS)), key=lambda k: (sums[k].wrong, -sums[k].ok))
-    told = "; ".join(f"{name} {one.wrong} of {one.ok}" for name, one in zip(METHODS, sums, strict=True))
+    shown = "; ".join(f"{name} {cell.wrong} of {cell.ok}" for name, cell in zip(METHODS, sums, strict=True))
     return (
-        f"Wrong among the rows shown as ok, over all faults: {told}.",
+        f"Wrong among the rows shown as ok, over all faults: {shown}.",
         f"Fewest: {METHODS[least]}.",
         f"Fingers without a fault are shown as ok in {100.0 * clean.ok / max(clean.rows, 1):.1f} % of the rows.",
         "tipforce read, hand and view show the node's values; the exported C judges as the node (tests/export_c).",
     )
 
 
-def of_finger(
-    folder: Path, gauges: int, seed: int, seconds: float, faults: tuple[str, ...] = FAULTS
-) -> Iterator[tuple[str, list[Counted]]]:
+def _of_finger(folder: Path, gauges: int, seed: int, seconds: float) -> Iterator[tuple[str, list[Counted]]]:
     """Yield (fault, counts of each method) of one finger, calibrated once by the command."""
     rng = np.random.default_rng([seed, gauges])
     calibration = calibrated(folder, gauges, rng)
-    for fault in faults:
+    for fault in FAULTS:
         yield fault, _counts(folder, _scene(fault, gauges, seconds, rng), calibration)
 
 
@@ -177,12 +174,12 @@ def _scene(fault: str, gauges: int, seconds: float, rng: np.random.Generator) ->
     t, P, theta = np.linspace(0.0, seconds, knots), rng.uniform(least, largest, knots), rng.uniform(10.0, 170.0, knots)
     phi = theta + rng.uniform(-45.0, 45.0, knots) - 180.0
     if fault == "vibration":  # steps, after which the tip rings
-        t, P, phi, theta = np.repeat(t, 2)[1:], *(np.repeat(one, 2)[:-1] for one in (P, phi, theta))
+        t, P, phi, theta = np.repeat(t, 2)[1:], *(np.repeat(values, 2)[:-1] for values in (P, phi, theta))
     load = schema.History(
         t_s=tuple(t.tolist()), P_N=tuple(P.tolist()), phi_deg=tuple(phi.tolist()), theta_deg=tuple(theta.tolist())
     )
     injected: tuple[schema.Fault, ...] = ()
-    for kind in (one for one in KINDS if one == fault):
+    for kind in (kind for kind in KINDS if kind == fault):
         gauge = int(rng.integers(gauges)) + 1
         per_s = 50.0 * float(rng.choice([-1.0, 1.0])) if fault == "drift" else 0.0
         injected = (schema.Fault(kind=kind, nodes=(NODE_ID,), at_s=FAULT_FROM * seconds, gauge=gauge,

@@ -18,6 +18,7 @@ from tipforce.sensor.dynamics.model import STEEL_DENSITY, beam_mass_matrix, comp
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame
 from tipforce_lab.dynamics.impact import Striker
+from tipforce_lab.dynamics.integrators import Wave
 
 METHOD = "scipy: mass and stiffness matrices, eigh, expm of the motion together with its load"
 METHOD_OF_IMPACT = "scipy: mass and stiffness matrices, eigh, DOP853 (rtol 1e-13) from contact to contact"
@@ -54,43 +55,22 @@ def body(geometry: Geometry, damping_ratio: float, beams_with_mass: bool) -> Bod
     return Body(rate, push, np.hstack([output, np.zeros((3, n))]))
 
 
-def smooth(driven_body: Body, F: FloatArray, times_s: FloatArray) -> FloatArray:
-    """Return the elastic force (m, 3) under one raised cosine over all times."""
-    w = 2.0 * math.pi / float(times_s[-1])
-    # F (1 - c) / 2 with the states (1, c, s) of a generator that turns: c' = -w s, s' = w c.
+def driven(driven_body: Body, wave: Wave, times_s: FloatArray) -> FloatArray:
+    """Return the elastic force (m, 3) from rest under a wave, at equal steps from 0; its end is one of the times."""
+    n, w = len(driven_body.rate), 2.0 * math.pi * wave.frequency_hz
+    shape = np.outer(wave.force, [wave.mean, wave.cosine, wave.sine])
+    # The load is shape @ (1, c, s), the states of a generator that turns: c' = -w s, s' = w c.
     turning = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -w], [0.0, w, 0.0]])
-    return _driven(driven_body, np.outer(F, [0.5, -0.5, 0.0]), turning, np.array([1.0, 1.0, 0.0]), times_s)[0]
-
-
-def step(driven_body: Body, F: FloatArray, times_s: FloatArray) -> FloatArray:
-    """Return the elastic force after a step of the load."""
-    return _driven(driven_body, F[:, np.newaxis], np.zeros((1, 1)), np.ones(1), times_s)[0]
-
-
-def half_sine(driven_body: Body, F: FloatArray, tap_s: float, times_s: FloatArray) -> FloatArray:
-    """Return the elastic force under half a sine, then without load; ``tap_s`` is one of the times."""
-    w, touched = math.pi / tap_s, times_s <= tap_s * (1.0 + 1e-9)
-    turning = np.array([[0.0, -w], [w, 0.0]])
-    under, state = _driven(driven_body, np.outer(F, [0.0, 1.0]), turning, np.array([1.0, 0.0]), times_s[touched])
-    after = times_s[~touched] - tap_s
-    free, _ = _driven(driven_body, np.zeros((3, 1)), np.zeros((1, 1)), np.ones(1), np.append(0.0, after), state)
-    return np.vstack([under, free[1:]])
-
-
-def _driven(
-    driven_body: Body, shape: FloatArray, turning: FloatArray, phase: FloatArray, times_s: FloatArray,
-    state: FloatArray | None = None,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Return (elastic force (m, 3), last state) for a load shape @ (state of a generator), at equal steps from 0."""
-    n, m = len(driven_body.rate), len(turning)
-    together = np.block([[driven_body.rate, driven_body.push @ shape], [np.zeros((m, n)), turning]])
-    across = scipy.linalg.expm(together * float(times_s[1] - times_s[0]))
-    X = np.append(np.zeros(n) if state is None else state, phase)
+    step_s, across = float(times_s[1] - times_s[0]), []
+    for acting in (shape, 0.0 * shape):
+        together = np.block([[driven_body.rate, driven_body.push @ acting], [np.zeros((3, n)), turning]])
+        across.append(scipy.linalg.expm(together * step_s))
+    X = np.append(np.zeros(n), [1.0, 1.0, 0.0])
     elastic = [driven_body.output @ X[:n]]
-    for _ in times_s[1:]:
-        X = across @ X
+    for time_s in times_s[1:]:
+        X = across[int(time_s > wave.until_s * (1.0 + 1e-9))] @ X
         elastic.append(driven_body.output @ X[:n])
-    return np.array(elastic), X[:n]
+    return np.array(elastic)
 
 
 def struck(struck_body: Body, striker: Striker, times_s: FloatArray) -> FloatArray:

@@ -4,190 +4,150 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
 
+import numpy as np
+
+from tipforce.arrays import FloatArray
+from tipforce.sensor.dynamics.first_order_hold import respond
+from tipforce.sensor.dynamics.model import STEEL_DENSITY, modes
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce_lab.dynamics import integrators
+from tipforce_lab.dynamics.impact import Striker, impact
+from tipforce_lab.dynamics.integrators import Load, Problem, Wave, no_load
 from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, timed_together
 
-if TYPE_CHECKING:
-    from tipforce.arrays import FloatArray
-    from tipforce.sensor.dynamics.model import Modes
-    from tipforce_lab.dynamics.integrators import Load, Problem
-
-
-STEPS = 4
-"""One for each study."""
-
 _SAMPLES = 40
-_FORCE = (1.0, 0.5, -0.3)
-_FIXED = ("RK4", "Newmark", "generalised-alpha 0.8")
-_ADAPTIVE = ("Radau", "BDF", "LSODA", "DOP853")
+_FORCE = np.array([1.0, 0.5, -0.3])
+_DAMPING = 0.01
+_STRIKER = Striker(0.01, 0.3, 1e7)
+_ENOUGH = 1e-3
+"""Of the largest force: below what calibrated gauges resolve."""
+_FIXED: dict[str, Callable[[Problem, Load, FloatArray], FloatArray]] = {
+    "RK4": integrators.runge_kutta_4,
+    "Newmark": integrators.newmark,
+    "generalised-alpha 0.8": integrators.generalised_alpha,
+}
+Run = Callable[[], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
-class _Task:
-    """One load on one structure."""
+class Task:
+    """One load, or one impact, on one structure."""
 
     key: str
     title: str
+    need: str
+    duration_s: float
     problem: Problem
     load: Load
-    duration_s: float
-    times_s: FloatArray
     wanted: FloatArray
     reference: str
     reference_error: float
-    held: Callable[[int], FloatArray] | None
-    """Substeps between samples -> elastic forces at the samples by the held step; None if it does not apply."""
-    exact: Callable[[], FloatArray] | None
-    """A method without a setting."""
-    need: str
-    check: Callable[[], FloatArray]
-    """The reference, computed independently."""
+
+    @property
+    def times_s(self) -> FloatArray:
+        """The samples, (_SAMPLES + 1,)."""
+        return self.times(1)
+
+    def times(self, substeps: int) -> FloatArray:
+        """Return the ends of the steps of a fixed step."""
+        return np.linspace(0.0, self.duration_s, _SAMPLES * substeps + 1)
+
+
+def _waved(
+    key: str, title: str, need: str, duration_s: float, wave: Wave, reference: str, beam_density: float = 0.0
+) -> Task:
+    body = modes(FABRICATED, _DAMPING, beam_density_kg_m3=beam_density)
+    wanted = integrators.closed_form(body, wave, np.linspace(0.0, duration_s, _SAMPLES + 1))
+    return Task(f"integrators-{key}", title, need, duration_s, Problem(body), wave, wanted, reference, 1e-14)
+
+
+def struck() -> Task:
+    """Return the task of the impact; its reference's error is that of the same run with other steps."""
+    body, duration_s = modes(FABRICATED, _DAMPING), 4e-3
+    t = np.linspace(0.0, duration_s, _SAMPLES + 1)
+    wanted = impact(body, _STRIKER, duration_s, t).elastic_newtons
+    # Only the start and end times are shared.
+    other = impact(body, _STRIKER, duration_s, np.sort(np.append(t, t[1:] - 0.3 * t[1]))).elastic_newtons
+    error = max(relative(other[[0, *range(2, 81, 2)]], wanted), 1e-15)
+    return Task(
+        "integrators-impact", "A stiff impact: 10 g at 0.3 m/s, contact 1e7 N/m, damping 1 %", "simulate an impact",
+        duration_s, Problem(body, _STRIKER), no_load, wanted,
+        "matrix exponentials between events, the events found to rounding; its error: other steps", error,
+    )  # fmt: skip
+
+
+TASKS: dict[str, Callable[[], Task]] = {
+    "smooth": lambda: _waved(
+        "smooth", "Smooth load: one raised cosine of 40 ms, damping 1 %", "simulate a slowly changing load", 0.04,
+        Wave(_FORCE, 0.5, -0.5, 0.0, 25.0), "steady state and free motion in closed form",
+    ),
+    "step": lambda: _waved(  # the mass of the beams makes it stiff
+        "step", "A step of the load, beams with mass (modes from 92 Hz to 77 kHz), damping 1 %",
+        "simulate a sudden load on a stiff structure", 0.02,
+        Wave(_FORCE, 1.0, 0.0, 0.0, 0.0), "free motion in closed form, from 0 to each time", STEEL_DENSITY,
+    ),
+    "tap": lambda: _waved(
+        "tap", "A tap: half a sine of 1 ms, then 19 ms of ringing, damping 1 %", "simulate a tap", 0.02,
+        Wave(_FORCE, 0.0, 0.0, 1.0, 500.0, 1e-3), "harmonic and free motion in closed form",
+    ),
+    "impact": struck,
+}  # fmt: skip
+STEPS = len(TASKS)
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     """Return all four studies; errors are the largest error of the elastic force over its largest value."""
-    found = []
-    for task in (_smooth, _step, _tap, _impact):
-        found.append(_study(task(), effort))
+    results = []
+    for make in TASKS.values():
+        results.append(_study(make(), effort))
         advance()
-    return found
+    return results
 
 
-_ENOUGH = 1e-3
-"""Of the largest force: below what calibrated gauges resolve."""
-_DAMPING = 0.01
+def checked(task: Task, striker: Striker | None = None) -> FloatArray:
+    """Return the reference of a task, computed independently. Raises ImportError without scipy."""
+    from tipforce_lab.report.studies import integrator_check as check
+
+    body = check.body(FABRICATED, _DAMPING, beams_with_mass=len(task.problem.modes.omega_rad_s) > 3)
+    if isinstance(task.load, Wave):
+        return check.driven(body, task.load, task.times_s)
+    return check.struck(body, striker or _STRIKER, task.times_s)
 
 
-def _checked(name: str, beams_with_mass: bool, *words: object) -> FloatArray:
-    """Return a reference of integrator_check for the fabricated body. Raises ImportError without scipy."""
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_lab.report.studies import integrator_check
-
-    body = integrator_check.body(FABRICATED, _DAMPING, beams_with_mass)
-    computed: FloatArray = getattr(integrator_check, name)(body, *words)
-    return computed
-
-
-def _smooth() -> _Task:
-    duration = 0.04
-    return _loaded(
-        "integrators-smooth", "Smooth load: one raised cosine of 40 ms, damping 1 %", duration,
-        lambda time_s: 0.5 - 0.5 * math.cos(2.0 * math.pi * time_s / duration),
-        "raised_cosine", (duration,), "steady state and free motion in closed form",
-        "simulate a slowly changing load", "smooth", (),
-    )  # fmt: skip
-
-
-def _step() -> _Task:
-    return _loaded(
-        "integrators-step", "A step of the load, beams with mass (modes from 92 Hz to 77 kHz), damping 1 %", 0.02,
-        lambda _time_s: 1.0, "step", (), "free motion in closed form, from 0 to each time",
-        "simulate a sudden load on a stiff structure", "step", (), beams_with_mass=True,
-    )  # fmt: skip
-
-
-def _tap() -> _Task:
-    tap = 1e-3
-    return _loaded(
-        "integrators-tap", "A tap: half a sine of 1 ms, then 19 ms of ringing, damping 1 %", 0.02,
-        lambda time_s: math.sin(math.pi * time_s / tap) if time_s < tap else 0.0,
-        "half_sine", (tap,), "harmonic and free motion in closed form", "simulate a tap", "half_sine", (tap,),
-    )  # fmt: skip
-
-
-def _loaded(
-    key: str, title: str, duration_s: float, factor: Callable[[float], float], closed_form: str,
-    sizes: tuple[float, ...], reference: str, need: str, check: str, check_sizes: tuple[float, ...],
-    beams_with_mass: bool = False,
-) -> _Task:  # fmt: skip
-    """Return the task of a load that is a factor times one force; its reference is a closed form of integrators.py."""
-    import numpy as np
-
-    from tipforce.sensor.dynamics.model import STEEL_DENSITY, modes
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_lab.dynamics import integrators
-
-    # The mass of the beams adds modes to 77 kHz: stiff.
-    body = modes(FABRICATED, _DAMPING, beam_density_kg_m3=STEEL_DENSITY if beams_with_mass else 0.0)
-    F, t = np.array(_FORCE), np.linspace(0.0, duration_s, _SAMPLES + 1)
-
-    def load(time_s: float) -> FloatArray:
-        force: FloatArray = F * factor(time_s)
-        return force
-
-    return _Task(
-        key, title, integrators.Problem(body), load, duration_s, t,
-        getattr(integrators, closed_form)(body, F, *sizes, t), reference, 1e-14, _held(body, load, duration_s), None,
-        need, lambda: _checked(check, beams_with_mass, F, *check_sizes, t),
-    )  # fmt: skip
-
-
-def _impact() -> _Task:
-    import numpy as np
-
-    from tipforce.sensor.dynamics.model import modes
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_lab.dynamics.impact import Striker, impact
-    from tipforce_lab.dynamics.integrators import Problem, no_load
-
-    body, striker, duration = modes(FABRICATED, _DAMPING), Striker(0.01, 0.3, 1e7), 4e-3
-    t = np.linspace(0.0, duration, _SAMPLES + 1)
-    wanted = impact(body, striker, duration, t).elastic_newtons
-    # The same run with other time steps: only the start and end times are shared.
-    other = impact(body, striker, duration, np.sort(np.append(t, t[1:] - 0.3 * t[1]))).elastic_newtons[
-        [0, *range(2, 81, 2)]
-    ]
-    error = max(float(np.abs(other - wanted).max() / np.abs(wanted).max()), 1e-15)
-    return _Task(
-        "integrators-impact", "A stiff impact: 10 g at 0.3 m/s, contact 1e7 N/m, damping 1 %",
-        Problem(body, striker), no_load, duration, t, wanted,
-        "matrix exponentials between events, the events found to rounding; its error: other steps",
-        error, None,
-        lambda: impact(body, striker, duration, t).elastic_newtons, "simulate an impact",
-        lambda: _checked("struck", False, striker, t),
-    )  # fmt: skip
-
-
-def _held(body: Modes, load: Load, duration_s: float) -> Callable[[int], FloatArray]:
-    """Run the held step with the sampling of the load, which its user needs, too: that is part of the time."""
-    import numpy as np
-
-    from tipforce.sensor.dynamics.first_order_hold import respond
-
-    def run(substeps: int) -> FloatArray:
-        steps = _SAMPLES * substeps
-        loads = np.array([load(duration_s * k / steps) for k in range(steps + 1)])
-        return respond(body, loads, duration_s / steps).elastic_newtons[::substeps]
-
-    return run
+def relative(computed: FloatArray, wanted: FloatArray) -> float:
+    """Return the largest error over the largest value; of a run that grew a thousandfold it is infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = float(np.abs(computed - wanted).max() / np.abs(wanted).max())
+    return error if error < 1e3 else math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """One setting of one method."""
+    """One setting of one method. It has run once: for the error, and so that the timed runs are warm."""
 
     method: str
     setting: str
-    run: Callable[[], FloatArray]
+    run: Run
     error: float
 
 
-def _study(task: _Task, effort: Effort) -> Study:
-    jobs = [_job(task, *run) for run in _exact_runs(task, effort)]
+def _study(task: Task, effort: Effort) -> Study:
+    jobs = _exact(task, effort)
     for name in _FIXED:
-        jobs += [_job(task, name, _setting(task, n), _fixed(task, name, n)) for n in _substeps(effort)]
+        jobs += [_job(task, name, _setting(task, n), partial(_fixed, task, name, n)) for n in _substeps(effort)]
     left_out, check, difference = {}, "", None
     try:
         from tipforce_lab.report.studies import integrator_check
     except ImportError:
-        left_out = dict.fromkeys(_ADAPTIVE, "scipy is not installed: pip install 'tipforce[science]'")
+        left_out = dict.fromkeys(integrators.SCIPY_METHODS, "scipy is not installed: pip install 'tipforce[science]'")
     else:
-        check = integrator_check.METHOD_OF_IMPACT if task.problem.push is not None else integrator_check.METHOD
-        difference = _relative(task.check(), task.wanted)
-        for name in _ADAPTIVE:
+        check = integrator_check.METHOD if isinstance(task.load, Wave) else integrator_check.METHOD_OF_IMPACT
+        difference = relative(checked(task), task.wanted)
+        for name in integrators.SCIPY_METHODS:
             jobs += _adaptive(task, effort, name)
     series = _timed(task, effort, jobs)
     return Study(
@@ -197,29 +157,52 @@ def _study(task: _Task, effort: Effort) -> Study:
     )  # fmt: skip
 
 
-def _exact_runs(task: _Task, effort: Effort) -> list[tuple[str, str, Callable[[], FloatArray]]]:
-    if task.held is not None:
-        held = task.held
-        return [("held step (exact)", _setting(task, n), lambda n=n: held(n)) for n in _substeps(effort)]  # type: ignore[misc]
-    assert task.exact is not None
-    return [("events (exact)", "the reference", task.exact)]
+def _exact(task: Task, effort: Effort) -> list[_Job]:
+    """Return the jobs of the product's own method. The events are the reference: their error is that of it."""
+    if isinstance(task.load, Wave):
+        return [_job(task, "held step (exact)", _setting(task, n), partial(_held, task, n)) for n in _substeps(effort)]
+    job = _job(task, "events (exact)", "the reference", partial(_events, task))
+    return [replace(job, error=max(job.error, task.reference_error))]
 
 
-def _job(task: _Task, method: str, setting: str, run: Callable[[], FloatArray]) -> _Job:
-    """Run once: for the error, and so that the timed runs are warm."""
-    return _Job(method, setting, run, _relative(run(), task.wanted))
+def _job(task: Task, method: str, setting: str, run: Run) -> _Job:
+    return _Job(method, setting, run, relative(run(), task.wanted))
 
 
-def _timed(task: _Task, effort: Effort, jobs: Sequence[_Job]) -> list[Series]:
+def _events(task: Task) -> FloatArray:
+    return impact(task.problem.modes, _STRIKER, task.duration_s, task.times_s).elastic_newtons
+
+
+def _held(task: Task, substeps: int) -> FloatArray:
+    """Run the held step with the sampling of the load, which its user needs, too: that is part of the time."""
+    loads = np.array([task.load(time_s) for time_s in task.times(substeps).tolist()])
+    return respond(task.problem.modes, loads, task.duration_s / (_SAMPLES * substeps)).elastic_newtons[::substeps]
+
+
+def _fixed(task: Task, name: str, substeps: int) -> FloatArray:
+    return _FIXED[name](task.problem, task.load, task.times(substeps))[::substeps]
+
+
+def _adaptive(task: Task, effort: Effort, name: str) -> list[_Job]:
+    """Return the jobs of a method by tolerance, up to the first one that takes long."""
+    jobs = []
+    for rtol in _tolerances(effort):
+        started = time.process_time_ns()
+        run = partial(integrators.scipy_method, task.problem, task.load, task.times_s, name, rtol)
+        jobs.append(_job(task, name, f"rtol {rtol:g}", run))
+        if (time.process_time_ns() - started) * 1e-9 > (0.05 if effort.quick else 0.5):
+            break  # the next tolerance takes several times as long
+    return jobs
+
+
+def _timed(task: Task, effort: Effort, jobs: list[_Job]) -> list[Series]:
     """Time all settings of all methods together, and return a series per method."""
     timings = timed_together([job.run for job in jobs], effort, at_least_s=0.004 if effort.quick else 0.02, warm=True)
-    found: dict[str, list[Point]] = {}
+    points: dict[str, list[Point]] = {}
     for job, timing in zip(jobs, timings, strict=True):
-        # The events are the reference: their error is that of the reference.
-        error = max(job.error, task.reference_error) if job.run is task.exact else job.error
-        point = Point(job.setting, error, _per_second(timing, task.duration_s))
-        found.setdefault(job.method, []).append(point)
-    return [Series(method, tuple(points)) for method, points in found.items()]
+        point = Point(job.setting, job.error, _per_second(timing, task.duration_s))
+        points.setdefault(job.method, []).append(point)
+    return [Series(method, tuple(of_method)) for method, of_method in points.items()]
 
 
 def _per_second(timing: Timing, duration_s: float) -> Timing:
@@ -230,15 +213,6 @@ def _per_second(timing: Timing, duration_s: float) -> Timing:
     )  # fmt: skip
 
 
-def _relative(computed: FloatArray, wanted: FloatArray) -> float:
-    """Return the largest error over the largest value; of a run that grew a thousandfold it is infinite."""
-    import numpy as np
-
-    with np.errstate(over="ignore", invalid="ignore"):
-        error = float(np.abs(computed - wanted).max() / np.abs(wanted).max())
-    return error if error < 1e3 else math.inf
-
-
 def _substeps(effort: Effort) -> tuple[int, ...]:
     return (1, 4, 16) if effort.quick else (1, 2, 4, 8, 16, 32, 64, 128)
 
@@ -247,46 +221,16 @@ def _tolerances(effort: Effort) -> tuple[float, ...]:
     return (1e-4, 1e-7) if effort.quick else (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
 
 
-def _fixed(task: _Task, name: str, substeps: int) -> Callable[[], FloatArray]:
-    import numpy as np
-
-    from tipforce_lab.dynamics.integrators import generalised_alpha, newmark, runge_kutta_4
-
-    method = {"RK4": runge_kutta_4, "Newmark": newmark}.get(name, generalised_alpha)
-    t = np.linspace(0.0, task.duration_s, _SAMPLES * substeps + 1)
-    return lambda: method(task.problem, task.load, t).elastic_newtons[::substeps]
-
-
-def _adaptive(task: _Task, effort: Effort, name: str) -> list[_Job]:
-    """Return the jobs of a method by tolerance, up to the first one that takes long."""
-    from tipforce_lab.dynamics.integrators import scipy_method
-
-    jobs = []
-    for rtol in _tolerances(effort):
-        started = time.process_time_ns()
-        jobs.append(
-            _job(task, name, f"rtol {rtol:g}",
-                 lambda rtol=rtol: scipy_method(task.problem, task.load, task.times_s, name, rtol).elastic_newtons)  # type: ignore[misc]
-        )  # fmt: skip
-        if (time.process_time_ns() - started) * 1e-9 > (0.05 if effort.quick else 0.5):
-            break  # the next tolerance takes several times as long
-    return jobs
-
-
-def _setting(task: _Task, substeps: int) -> str:
+def _setting(task: Task, substeps: int) -> str:
     return f"step {1e6 * task.duration_s / _SAMPLES / substeps:.4g} us"
 
 
-def _remarks(task: _Task, series: list[Series]) -> list[str]:
-    import numpy as np
-
-    from tipforce_lab.dynamics.integrators import rk4_stability_limit
-
+def _remarks(task: Task, series: list[Series]) -> list[str]:
     problem = task.problem
     contact = 0.0 if problem.push is None else problem.stiffness * np.outer(problem.push, problem.closure)
     poles = np.linalg.eigvals(problem.A + contact)
     fastest = complex(poles[np.abs(poles).argmax()])
-    limit_us = 1e6 * rk4_stability_limit(max(-fastest.real, 0.0) / abs(fastest)) / abs(fastest)
+    limit_us = 1e6 * integrators.rk4_stability_limit(max(-fastest.real, 0.0) / abs(fastest)) / abs(fastest)
     when = "" if problem.push is None else " while in contact"
     remarks = [f"RK4's stability limit by theory, for the fastest mode{when}, is a step of {limit_us:.4g} us."]
     for method in series:
@@ -295,6 +239,6 @@ def _remarks(task: _Task, series: list[Series]) -> list[str]:
             remarks.append(
                 f"{method.method} is unstable at {', '.join(unstable)}: the error grows a thousandfold or more."
             )
-    if task.key == "integrators-step" and all(p.error < 1e-9 for p in series[0].points):
+    if task.key == "integrators-step" and all(point.error < 1e-9 for point in series[0].points):
         remarks.append("The held step is exact at every step: a constant load is a straight line.")
     return remarks

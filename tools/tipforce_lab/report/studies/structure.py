@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tipforce.arrays import FloatArray
-from tipforce.sensor.structure.layouts import CASES
+from tipforce.sensor.structure.gauges import position_matrix
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS
+from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame, FrameModel
+from tipforce.sensor.structure.published import GAUGE_LENGTH_M
+from tipforce.sensor.structure.strain import condition_number, strain_matrix
+from tipforce_lab.fem import gauges as fem
+from tipforce_lab.fem.mesh import GRADING, Resolution
+from tipforce_lab.fem.outline import STATED
+from tipforce_lab.fem.plane_stress import Model, solve
 from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, timed
-
-if TYPE_CHECKING:
-    from tipforce.sensor.structure.plane_frame import FrameModel
-    from tipforce_lab.fem.gauges import Limit
-
-Matrix = Callable[[], FloatArray]
 
 GAUGES = ("L", "R", "K_H", "S_H", "U")
 """The gauges of the three cases: the rows of the strain matrix."""
@@ -25,28 +26,21 @@ BEAMS = 5
 MESHES = 3
 STEPS = 1 + BEAMS + 2 * MESHES
 LEFT_OUT = 'scikit-fem or scipy is missing: pip install "tipforce[fem]"'
-_QUICK_CELLS, _FULL_CELLS = (1, 2, 3), (2, 3, 5)
-_QUICK_REFERENCE, _FULL_REFERENCE = (1, 2, 4), (2, 4, 8)
+_UNIFORM, _GRADED = "FE, uniform meshes", "FE, graded meshes"
 
 
 @dataclass(frozen=True, slots=True)
-class _Reference:
-    """The finest graded meshes, extrapolated."""
-
-    conditions: tuple[Limit, ...]
-    matrix: FloatArray
-    matrix_error: float
-    """Relative, Frobenius norm."""
-    cells: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
+class _Result:
     """One setting of one model."""
 
     setting: str
     matrix: FloatArray
     timing: Timing
+
+
+_Results = dict[str, list[_Result]]
+"""By model."""
+_Error = Callable[[FloatArray], float]
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
@@ -60,19 +54,25 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     except ImportError:
         for _ in range(STEPS):
             advance()
-        return [_left_out(key, title) for key, title in _TITLES.items()]
-    reference = _reference(effort)
+        lack = {"finite elements and all that they judge": LEFT_OUT}
+        return [Study(key, title, "", "", "none", float("nan"), (), lack) for key, title in _TITLES.items()]
+    levels = (1, 2, 4) if effort.quick else (2, 4, 8)
+    references = [_finite_elements(cells, GRADING)[0] for cells in levels]
     advance()
-    results: dict[str, list[_Found]] = {}
+    results: _Results = {}
     for method, matrix in _beam_models().items():
-        results[method] = [_Found("", matrix(), timed(matrix, effort))]
+        results[method] = [_Result("", matrix(), timed(matrix, effort))]
         advance()
-    for method, grading in (("FE, uniform meshes", 1.0), ("FE, graded meshes", None)):
+    for method, grading in ((_UNIFORM, 1.0), (_GRADED, GRADING)):
         results[method] = []
-        for cells in _QUICK_CELLS if effort.quick else _FULL_CELLS:
-            results[method].append(_finite_elements(effort, cells, grading))
+        for cells in (1, 2, 3) if effort.quick else (2, 3, 5):
+            fe, unknowns = _finite_elements(cells, grading)
+            timing = timed(lambda n=cells, g=grading: _finite_elements(n, g), effort)  # type: ignore[misc]
+            results[method].append(_Result(f"n = {cells}, {unknowns} unknowns", fe, timing))
             advance()
-    return [_conditions(reference, results), _matrices(reference, results)]
+    shown = ", ".join(str(n) for n in levels)
+    what = f"plane-stress FE of the stated outline, 1 mm gauges, graded meshes n = {shown} extrapolated"
+    return [_conditions(references, what, results), _matrices(references, what, results)]
 
 
 _TITLES = {
@@ -81,125 +81,77 @@ _TITLES = {
 }
 
 
-def _conditions(reference: _Reference, results: dict[str, list[_Found]]) -> Study:
+def _conditions(references: list[FloatArray], what: str, results: _Results) -> Study:
     """Return the error of a model: the largest of the three cases."""
+    limits = [fem.extrapolate(values) for values in zip(*map(conditions, references), strict=True)]
 
     def error(matrix: FloatArray) -> float:
-        pairs = zip(conditions(matrix), reference.conditions, strict=True)
-        return max(abs(value / limit.value - 1.0) for value, limit in pairs)
+        return max(abs(value / limit.value - 1.0) for value, limit in zip(conditions(matrix), limits, strict=True))
 
-    limits = zip(CASES, reference.conditions, strict=True)
-    values = ", ".join(f"{case} {limit.value:.4f} +- {limit.error:.4f}" for case, limit in limits)
+    values = (f"{case} {limit.value:.4f} +- {limit.error:.4f}" for case, limit in zip(CASES, limits, strict=True))
     return _study(
         "structure-condition", "relative error of the condition number, the largest of cases I, II, III",
-        f"{_what(reference)}: {values}", max(limit.error / limit.value for limit in reference.conditions),
-        results, error,
+        f"{what}: {', '.join(values)}", max(limit.error / limit.value for limit in limits), results, error,
         (Need("rank gauge layouts, condition number to 6 %", 0.06), Need("condition number to 0.5 %", 5e-3)),
     )  # fmt: skip
 
 
-def _matrices(reference: _Reference, results: dict[str, list[_Found]]) -> Study:
+def _matrices(references: list[FloatArray], what: str, results: _Results) -> Study:
+    limit, own_error = fem.extrapolate_matrix(references)
+
     def error(matrix: FloatArray) -> float:
-        return float(np.linalg.norm(matrix - reference.matrix) / np.linalg.norm(reference.matrix))
+        return float(np.linalg.norm(matrix - limit) / np.linalg.norm(limit))
 
     return _study(
-        "structure-strain", f"relative error of the strain matrix ({', '.join(GAUGES)}), Frobenius norm",
-        _what(reference), reference.matrix_error, results, error,
-        (Need("strain of a gauge to 5 %", 0.05), Need("strain of a gauge to 0.5 %", 5e-3)),
+        "structure-strain", f"relative error of the strain matrix ({', '.join(GAUGES)}), Frobenius norm", what,
+        own_error, results, error, (Need("strain of a gauge to 5 %", 0.05), Need("strain of a gauge to 0.5 %", 5e-3)),
     )  # fmt: skip
 
 
 def _study(
-    key: str, error_unit: str, reference: str, known: float, results: dict[str, list[_Found]],
-    error: Callable[[FloatArray], float], needs: tuple[Need, ...],
+    key: str, error_unit: str, reference: str, own_error: float, results: _Results, error: _Error,
+    needs: tuple[Need, ...],
 ) -> Study:  # fmt: skip
+    series = tuple(
+        Series(method, tuple(Point(result.setting, error(result.matrix), result.timing) for result in points))
+        for method, points in results.items()
+    )
+    errors = {one.method: one.points[-1].error for one in series}
+    best = min((method for method in errors if not method.startswith("FE")), key=lambda method: errors[method])
+    remarks = (
+        f"With as many unknowns ({results[_GRADED][-1].setting}) the graded mesh has an error of "
+        f"{errors[_GRADED]:.1e}, the uniform one {errors[_UNIFORM]:.1e}.",
+        f"No beam model includes the corners: the best, {best}, is {errors[best]:.1%} off, where gauges fit; Table 1 "
+        f"at its points is {errors['Table 1, at its points']:.0%} off.",
+    )
     return Study(
-        key, _TITLES[key], error_unit, "s per structure (mesh to strain matrix)", reference, known,
-        tuple(
-            Series(method, tuple(Point(result.setting, error(result.matrix), result.timing) for result in points))
-            for method, points in results.items()
-        ),
-        remarks=(_against_uniform(results, error), _beams_against_meshes(results, error)), needs=needs,
+        key, _TITLES[key], error_unit, "s per structure (mesh to strain matrix)", reference, own_error, series,
+        remarks=remarks, needs=needs,
     )  # fmt: skip
-
-
-def _what(reference: _Reference) -> str:
-    levels = ", ".join(str(n) for n in reference.cells)
-    return f"plane-stress FE of the stated outline, 1 mm gauges, graded meshes n = {levels} extrapolated"
-
-
-def _against_uniform(results: dict[str, list[_Found]], error: Callable[[FloatArray], float]) -> str:
-    uniform, graded = results["FE, uniform meshes"][-1], results["FE, graded meshes"][-1]
-    return (
-        f"With as many unknowns ({graded.setting}) the graded mesh has an error of {error(graded.matrix):.1e}, the "
-        f"uniform one {error(uniform.matrix):.1e}."
-    )
-
-
-def _beams_against_meshes(results: dict[str, list[_Found]], error: Callable[[FloatArray], float]) -> str:
-    beams = {method: error(points[0].matrix) for method, points in results.items() if not method.startswith("FE")}
-    best = min(beams, key=lambda method: beams[method])
-    return (
-        f"No beam model includes the corners: the best, {best}, is {beams[best]:.1%} off, where gauges fit; Table 1 at "
-        f"its points is {beams['Table 1, at its points']:.0%} off."
-    )
 
 
 def conditions(matrix: FloatArray) -> list[float]:
     """Return the condition numbers of the three cases from the rows GAUGES (5, 3)."""
-    from tipforce.sensor.structure.layouts import LAYOUTS
-    from tipforce.sensor.structure.strain import condition_number
-
     return [condition_number(matrix[[GAUGES.index(point) for point in LAYOUTS[case]]]) for case in CASES]
 
 
-def _beam_models() -> dict[str, Matrix]:
+def _beam_models() -> dict[str, Callable[[], FloatArray]]:
     """Return models without a mesh. All but the first have the gauge positions of the finite elements."""
-    from tipforce.sensor.structure.gauges import position_matrix
-    from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame
-    from tipforce.sensor.structure.published import GAUGE_LENGTH_M
-    from tipforce.sensor.structure.strain import strain_matrix
-    from tipforce_lab.fem.gauges import nearest_place
-    from tipforce_lab.fem.outline import STATED
-
     geometry = STATED.geometry
-    places = [nearest_place(STATED, point) for point in GAUGES]
+    places = [fem.nearest_place(STATED, point) for point in GAUGES]
 
-    def frame(model: FrameModel) -> Matrix:
+    def frame(model: FrameModel) -> Callable[[], FloatArray]:
         return lambda: Frame(geometry, model).strain_matrix(places, GAUGE_LENGTH_M)
 
+    frames = {"Euler-Bernoulli": EULER_BERNOULLI, "Timoshenko": TIMOSHENKO, "roots that rotate": ELASTIC_ROOTS}
     return {
         "Table 1, at its points": lambda: strain_matrix(geometry, GAUGES),
         "Table 1, where 1 mm gauges fit": lambda: position_matrix(geometry, places),
-        "frame, Euler-Bernoulli": frame(EULER_BERNOULLI),
-        "frame, Timoshenko": frame(TIMOSHENKO),
-        "frame, roots that rotate": frame(ELASTIC_ROOTS),
+        **{f"frame, {name}": frame(model) for name, model in frames.items()},
     }
 
 
-def _fe_matrix(cells: int, grading: float | None) -> tuple[FloatArray, int]:
-    from tipforce_lab.fem.gauges import strain_matrix
-    from tipforce_lab.fem.mesh import GRADING, Resolution
-    from tipforce_lab.fem.plane_stress import Model, solve
-
-    solution = solve(Model(resolution=Resolution(cells, GRADING if grading is None else grading)))
-    return strain_matrix(solution, GAUGES), solution.unknowns
-
-
-def _finite_elements(effort: Effort, cells: int, grading: float | None) -> _Found:
-    matrix, unknowns = _fe_matrix(cells, grading)
-    return _Found(f"n = {cells}, {unknowns} unknowns", matrix, timed(lambda: _fe_matrix(cells, grading), effort))
-
-
-def _reference(effort: Effort) -> _Reference:
-    from tipforce_lab.fem.gauges import extrapolate, extrapolate_matrix
-
-    levels = _QUICK_REFERENCE if effort.quick else _FULL_REFERENCE
-    matrices = [_fe_matrix(cells, None)[0] for cells in levels]
-    limits = tuple(extrapolate(values) for values in zip(*(conditions(matrix) for matrix in matrices), strict=True))
-    matrix, error = extrapolate_matrix(matrices)
-    return _Reference(limits, matrix, error, levels)
-
-
-def _left_out(key: str, title: str) -> Study:
-    return Study(key, title, "", "", "none", float("nan"), (), {"finite elements and all that they judge": LEFT_OUT})
+def _finite_elements(cells: int, grading: float) -> tuple[FloatArray, int]:
+    """Return the strain matrix and the number of unknowns."""
+    solution = solve(Model(resolution=Resolution(cells, grading)))
+    return fem.strain_matrix(solution, GAUGES), solution.unknowns
