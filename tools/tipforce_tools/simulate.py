@@ -70,7 +70,7 @@ def _serve(args: argparse.Namespace, devices: list[SimulatedDevice], port: Port,
 
 
 def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:
-    from canopen_device.machine.device import made_device
+    from canopen_device.machine.make import made_device
     from canopen_device.machine.file import check_node_ids, read_machine
 
     if any(file.endswith(".toml") for file in args.files):

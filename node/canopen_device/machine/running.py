@@ -10,7 +10,8 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 from canopen_device.errors import InputError
-from canopen_device.machine.device import DeviceApplication, Key, SimulatedDevice, device_from_file
+from canopen_device.machine.device import DeviceApplication, Key, SimulatedDevice
+from canopen_device.machine.make import device_from_file
 from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
 

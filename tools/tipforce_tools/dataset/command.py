@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
-import os
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any
@@ -50,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show, check, compact or query. Raises InputError, EnvironmentLackError without DuckDB or pyarrow."""
-    from tipforce.host.dataset.reader import opened
+    from tipforce.host.dataset.reader import opened, wrong_files
 
     if args.sql is not None:
         from tipforce_tools.dataset.sql import query
@@ -75,22 +73,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 _MB = 1_000_000
-
-
-def wrong_files(store: Store, manifest: Manifest, *, hashes: bool) -> dict[str, str]:
-    """Return by path what is wrong with a file: it is missing, or its size or (with ``hashes``) its content differs."""
-    from tipforce.host.dataset.manifest import files_of
-
-    found = {}
-    for file in {file.path: file for file in files_of(manifest.parts)}.values():
-        try:
-            with store.open(file.path) as stream:
-                changed = hashes and hashlib.sha256(stream.read()).hexdigest() != file.sha256
-                if changed or stream.seek(0, os.SEEK_END) != file.bytes:
-                    found[file.path] = "differs from what was written"
-        except OSError as error:
-            found[file.path] = "is missing" if isinstance(error, FileNotFoundError) else str(error)
-    return found
 
 
 def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str, Any]:

@@ -14,10 +14,9 @@ from typing import Any
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.dataset.manifest import Manifest
-from tipforce.host.dataset.reader import damaged
+from tipforce.host.dataset.reader import damaged, wrong_files
 from tipforce.host.dataset.store import Store
 from tipforce_tools.cli import common
-from tipforce_tools.dataset.command import wrong_files
 
 MEMORY_MIB = 2048
 """Of tables, sorts and groups; the process may have as much again, for texts and lists that DuckDB does not count."""

@@ -14,10 +14,10 @@ import pyarrow.parquet as pq
 from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
 from tipforce_tools.decode.summary import event_rows
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
-from tipforce_tools.decode.writers import Shape
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.services import BusEvent
+    from tipforce_tools.decode.writers import Shape
 
 ROW_GROUP_ROWS = 1 << 18
 _TYPES = {"real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64()}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -236,3 +238,19 @@ def _values(array: Any, column: Column) -> Values:
     filled = array.fill_null(mark[0].item()) if array.null_count else array
     found: Values = filled.to_numpy()
     return found.astype(mark.dtype, copy=False)
+
+
+def wrong_files(store: Store, manifest: Manifest, *, hashes: bool) -> dict[str, str]:
+    """Return by path what is wrong with a file: it is missing, or its size or (with ``hashes``) its content differs."""
+    from tipforce.host.dataset.manifest import files_of
+
+    found = {}
+    for file in {file.path: file for file in files_of(manifest.parts)}.values():
+        try:
+            with store.open(file.path) as stream:
+                changed = hashes and hashlib.sha256(stream.read()).hexdigest() != file.sha256
+                if changed or stream.seek(0, os.SEEK_END) != file.bytes:
+                    found[file.path] = "differs from what was written"
+        except OSError as error:
+            found[file.path] = "is missing" if isinstance(error, FileNotFoundError) else str(error)
+    return found
