@@ -1,14 +1,17 @@
-"""Every conformance case against the device core in this process, with a fake clock."""
+"""Every conformance case against the device core in this process on a fake clock; docs/conformance.md counts them."""
 
 import re
+from pathlib import Path
 
 import pytest
+from bench.conformance_document import COMMAND, LIST_COMMAND, summary
 
 from canopen_conformance.case import Case
 from canopen_conformance.run import PASS
 from conformance.fingertip import all_cases, run_in_process
 
 CASES = all_cases()
+DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance.md"
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
@@ -28,3 +31,8 @@ def test_there_are_enough_cases_and_their_names_differ() -> None:
 def test_titles_are_printable_and_every_clause_is_of_one_form() -> None:
     form = r"CiA 301 7(\.\d+)+|CiA 302-2 1F80h|CiA 305 6(\.\d)+|(CiA 404|tipforce) [0-9A-F]{4}h"
     assert [case.name for case in CASES if not (case.title.isprintable() and re.fullmatch(form, case.clause))] == []
+
+
+def test_document_counts_every_case_as_passed_but_those_that_no_bus_carries() -> None:
+    rows = [(case.clause, "not applicable" if case.error_frames else "pass") for case in all_cases()]
+    assert DOCUMENT.read_text(encoding="utf-8") == summary(rows), f"regenerate: {LIST_COMMAND}; {COMMAND}"

@@ -116,7 +116,7 @@ class LssSlave:
         elif service == codes.LSS_STORE:
             self._answer(service, self._store())
         elif codes.LSS_INQUIRE_FIRST <= service < codes.LSS_INQUIRE_NODE_ID:
-            self._answer_number(service, self._identity(service - codes.LSS_INQUIRE_FIRST))
+            self._answer(service, self._identity(service - codes.LSS_INQUIRE_FIRST))
         elif service == codes.LSS_INQUIRE_NODE_ID:
             self._answer(service, self._device.node_id)
 
@@ -163,10 +163,7 @@ class LssSlave:
         return int(od.get(communication.IDENTITY, sub))
 
     def _answer(self, service: int, value: int = 0) -> None:
-        self._device.send(codes.LSS_RESPONSE_COB_ID, bytes((service, value, 0, 0, 0, 0, 0, 0)))
-
-    def _answer_number(self, service: int, number: int) -> None:
-        self._device.send(codes.LSS_RESPONSE_COB_ID, struct.pack("<BIxxx", service, number))
+        self._device.send(codes.LSS_RESPONSE_COB_ID, struct.pack("<BIxxx", service, value))
 
 
 def _valid_node_id(node_id: int) -> bool:

@@ -121,7 +121,9 @@ class Pdo:
 
     def _check_cob_id(self, cob_id: int) -> int:
         can_id = cob_id & codes.STANDARD_MASK
-        if cob_id & _OTHER_BITS or (self.direction == 1 and not cob_id & codes.NO_RTR and self._no_rtr()):
+        # Bit 30, no remote request, must be set where the default has it: a device without RTR.
+        no_rtr = self.direction == 1 and int(self._od.default(self.communication, 1)) & codes.NO_RTR
+        if cob_id & _OTHER_BITS or (no_rtr and not cob_id & codes.NO_RTR):
             return codes.INVALID_VALUE
         if cob_id & codes.COB_ID_INVALID:
             return 0
@@ -129,10 +131,6 @@ class Pdo:
         if codes.restricted(can_id) or (self.valid and can_id != self.can_id):
             return codes.INVALID_VALUE
         return 0
-
-    def _no_rtr(self) -> bool:
-        """Return whether bit 30, no remote request, must be set: as in the default of a device without RTR."""
-        return bool(int(self._od.default(self.communication, 1)) & codes.NO_RTR)
 
     def _write_mapping(self, sub: int, value: "Value") -> int:
         word: int = value  # type: ignore[assignment]

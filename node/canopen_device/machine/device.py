@@ -107,11 +107,6 @@ class SimulatedDevice:
         """Seconds since the first step."""
         return 0.0 if self._started_us is None else (self.core.now_us - self._started_us) * 1e-6
 
-    @property
-    def is_operational(self) -> bool:
-        """Whether the NMT state is OPERATIONAL."""
-        return self.core.nmt.state == codes.OPERATIONAL
-
     def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
         """Step the device, as ``Device.step`` does; faults drop, delay and change its frames."""
         with self._lock:

@@ -43,11 +43,13 @@ class Ramp(Signal):
     repeats: bool = False
 
     def at(self, t_s: float, _device: SimulatedDevice) -> float:
+        """See the class."""
         part = t_s / self.duration_s
         part = part % 1.0 if self.repeats else min(part, 1.0)
         return self.start + (self.end - self.start) * part
 
     def extremes(self) -> tuple[float, float]:
+        """See ``Signal``."""
         return min(self.start, self.end), max(self.start, self.end)
 
 
@@ -61,9 +63,11 @@ class Sine(Signal):
     phase_deg: float = 0.0
 
     def at(self, t_s: float, _device: SimulatedDevice) -> float:
+        """See the class."""
         return self.offset + self.amplitude * math.sin(math.tau * (t_s / self.cycle_s + self.phase_deg / 360.0))
 
     def extremes(self) -> tuple[float, float]:
+        """See ``Signal``."""
         return self.offset - abs(self.amplitude), self.offset + abs(self.amplitude)
 
 
@@ -84,6 +88,7 @@ class RandomWalk(Signal):
         self._random = random.Random(self.seed)
 
     def at(self, t_s: float, _device: SimulatedDevice) -> float:
+        """See the class."""
         if math.isnan(self._value):
             self._value = self.start
         while self._steps < int(t_s / self.every_s):
@@ -97,6 +102,7 @@ class RandomWalk(Signal):
         return self._value
 
     def extremes(self) -> tuple[float, float]:
+        """See ``Signal``."""
         return self.low, self.high
 
 
@@ -109,11 +115,13 @@ class Recorded(Signal):
     repeats: bool = False
 
     def at(self, t_s: float, _device: SimulatedDevice) -> float:
+        """See the class."""
         if self.repeats and self.t_s[-1] > 0.0:
             t_s %= self.t_s[-1]
         return self.values[max(0, bisect.bisect_right(self.t_s, t_s) - 1)]
 
     def extremes(self) -> tuple[float, float]:
+        """See ``Signal``."""
         return min(self.values), max(self.values)
 
 
@@ -129,6 +137,7 @@ class Follows(Signal):
     _t_s: float = field(init=False, default=0.0, repr=False)
 
     def at(self, t_s: float, _device: SimulatedDevice) -> float:
+        """See the class."""
         source = _device[self.key]
         if not isinstance(source, int | float):
             raise InputError(f"follows {self.key!r}: {source!r} is no number")

@@ -5,7 +5,7 @@ The text is the same at each run: the dates are constants. Lines end with LF; Ci
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from canopen_device import types
@@ -48,7 +48,7 @@ def eds_text(
     declared = objects(n, simulated, converter, programs)
     lines = _file_info(n, simulated, "eds", converter) + _device_info(n, simulated, converter)
     lines += _dummy_usage() + _comments(n)
-    return _text(lines + _object_lists(declared) + _sections(declared, None))
+    return "\n".join(lines + _object_lists(declared) + _sections(declared, None))
 
 
 def dcf_text(
@@ -79,7 +79,7 @@ def dcf_text(
     lines.insert(-1, f"LastEDS={last_eds or file_name(n, simulated, bits=converter[0])}")
     lines += _device_info(n, simulated, converter) + _commissioning(node_id, bit_rate_kbit_s, node_name)
     lines += _dummy_usage() + _comments(n) + _object_lists(declared) + _sections(declared, values)
-    return _text(lines)
+    return "\n".join(lines)
 
 
 def value_text(letter: str, value: types.Value) -> str:
@@ -129,10 +129,6 @@ def obj_flags(entry: Entry[Any]) -> int:
     """``ObjFlags``: commands and states are not to be downloaded from a DCF; what is wo can't be scanned."""
     flags = _REFUSE_WRITE if entry.flags & table.NOT_STORED or entry.access == "wo" else 0
     return flags | (_REFUSE_READ if entry.access == "wo" else 0)
-
-
-def _text(lines: Iterable[str]) -> str:
-    return "\n".join(lines)
 
 
 def _file_info(n: int, simulated: bool, suffix: str, converter: Converter) -> _Lines:

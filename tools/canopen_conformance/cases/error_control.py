@@ -79,8 +79,6 @@ heartbeat("consumer_twice_off 7.5.2.19: the same node-id with time 0 is no secon
 heartbeat("not_before_first 7.2.8.3.2.2: nobody is missed before a first heartbeat", CONSUMER)(
     do.put("I", 0x1016, 1, WATCHED << 16 | 20), do.no_emcy(ms=100)
 )
-
-
 heartbeat("lost_heartbeat 7.2.8.2.2.3: a lost heartbeat: EMCY 8130h after the consumer time", CONSUMER)(
     do.run(watch, 100), do.after(100, "consumer time", do.emcy("30 81 *", 200))
 )
@@ -191,8 +189,6 @@ guarding.each("guarding_state 7.2.8.3.2.1: guarding in {1}", GUARDING, STATES[1:
 guarding("toggle_reset 7.2.8.3.2.1: reset communication sets the toggle bit to 0", GUARDING)(
     do.run(life, 0, 0), do.run(guard, "7F"), do.reset(RESET_COMMUNICATION), do.run(life, 0, 0), do.run(guard, "7F")
 )
-
-
 guarding("life_lost 7.2.8.2.2.2: the life time runs out: EMCY 8130h; the next remote frame cures", GUARDING)(
     do.run(life, 30, 2),
     do.run(guard, "7F"),
@@ -230,8 +226,6 @@ guarding("life_behaviour 7.5.2.32: life guarding lost in OPERATIONAL: PRE-OPERAT
     do.emcy("30 81 *", 100),
     do.run(guard, "FF"),
 )
-
-
 guarding("no_guard 7.2.8.3.2.1: a data frame on the guarding identifier is not answered", GUARDING)(
     do.run(life, 0, 0), do.nmt(STOP), lambda dut: dut.send(0x700 + dut.node_id), do.no_heartbeat()
 )

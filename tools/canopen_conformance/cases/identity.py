@@ -129,25 +129,17 @@ storage.each(
     GROUP,
     [(index, name, signature) for index, name in BOTH for signature in ("evas", "SAVE", "loaf", "abcd")],
 )(lambda index, _name, signature: do.refuses_bytes(index, 1, signature.encode(), *WRONG_SIGNATURE))
-
-
 storage.each(
     "other_signature 7.5.2.13: the signature of the other object is a wrong one",
     GROUP,
     [(0x1010, LOAD), (0x1011, SAVE)],
 )(lambda index, signature: do.refuses("I", index, 1, signature, *WRONG_SIGNATURE))
-
-
 storage.each("size 7.5.2.13: {1}: two bytes are refused by their length", GROUP, BOTH)(
     lambda index, _name: do.refuses("H", index, 1, 0x6173, Abort.TOO_SHORT, Abort.WRONG_LENGTH)
 )
-
-
 storage.each("no_group 7.5.2.13: {1} of a group that is not there: 06090011h", GROUP, BOTH)(
     lambda index, _name: lambda dut: dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB)
 )
-
-
 storage.each("not_stored 7.5.2.13: what is not stored is lost by {1}", ((0x1016, 1),), RESETS)(
     lambda command, _name: do.unchanged("I", 0x1016, 1, do.put("I", 0x1016, 1, VALUE), do.reset(command))
 )

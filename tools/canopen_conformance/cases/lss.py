@@ -151,8 +151,6 @@ def inquire(dut: Dut, part: int, _name: str) -> None:
 case("inquire_node_id 6.5: inquire node-id", IDENTITY)(
     do.within(configuring, do.run(say, 0x5E), lambda dut: dut.expect(SLAVE, f"5E {dut.node_id:02X} 00 00 00 00 00 00"))
 )
-
-
 case.each(
     "inquire_waiting 6.5: an inquiry in the waiting state is not answered", IDENTITY, [(0x5A,), (0x5D,), (0x5E,)]
 )(lambda service: (do.run(say, service), do.silence(SLAVE)))
@@ -247,8 +245,6 @@ def bit_timing(dut: Dut, table: int, index: int, error: int) -> None:
 case("store 6.4.3: store configuration: error 0", IDENTITY, persistent=True)(
     do.within(configuring, do.run(say, 0x17), do.expect(SLAVE, "17 00 00 00 00 00 00 00", 2000))
 )
-
-
 case.each(
     "configure_waiting 6.4: configuration services in the waiting state do nothing",
     IDENTITY,

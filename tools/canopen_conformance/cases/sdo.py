@@ -31,8 +31,6 @@ expedited.each(
 expedited("upload_u16 7.2.4.3.6: an UNSIGNED16 is read expedited, two bytes unused", BEAT)(
     do.ask("40 17 10 00", "4B 17 10 00 .. ..")
 )
-
-
 expedited.each(
     "upload_u8 7.2.4.3.6: an UNSIGNED8 is read expedited, three bytes unused", (), [("01 10 00",), ("18 10 00",)]
 )(lambda place: do.ask(f"40 {place}", f"4F {place} .."))
@@ -51,8 +49,6 @@ expedited("download_u32 7.2.4.3.3: a write of four bytes", ((0x1016, 1),))(
 expedited("download_without_size 7.2.4.3.3: expedited without a size: the object's own length holds", BEAT)(
     do.ask("22 17 10 00 34 12 FF FF", "60 17 10 00"), do.ask("40 17 10 00", "4B 17 10 00 34 12")
 )
-
-
 expedited.each(
     "download_size 7.2.4.3.3: {1} bytes for an UNSIGNED16 are refused",
     BEAT,
@@ -126,8 +122,6 @@ def no_request(dut: Dut, can_id: int, _what: str) -> None:
 expedited("other_node 7.2.4.3: a request to another node is not answered")(
     lambda dut: dut.send(0x600 + (dut.node_id ^ 0x40), "40 00 10 00 00 00 00 00"), do.no_sdo()
 )
-
-
 expedited(
     "client_abort_idle 7.2.4.3.17: an abort of the client is not answered, and ends nothing when nothing goes on"
 )(do.request("80 00 10 00 00 00 00 08"), do.no_sdo(), do.ask("40 00 10 00", "43 00 10 00 *"))
@@ -241,8 +235,6 @@ segmented("download_two 7.2.4.3.4: two segments: the toggle bit alternates from 
 segmented("download_late 7.2.4.3.4: nothing is written before the last segment", BEAT)(
     not_written(begin_download, do.ask("0C 34", "20"), do.request("80 17 10 00 00 00 00 08"))
 )
-
-
 segmented.each(
     "download_toggle 7.2.4.3.4: a wrong toggle bit {1}: 05030000h, nothing is written",
     BEAT,
@@ -254,8 +246,6 @@ segmented.each("download_short 7.2.4.3.4: fewer bytes than stated: {0:08X}h", BE
 segmented.each("download_long 7.2.4.3.4: more bytes than stated: {0:08X}h", BEAT, [(Abort.TOO_LONG,)])(
     lambda code: (begin_download, do.request("09 34 12 56"), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH))
 )
-
-
 segmented.each(
     "download_wrong_end 7.2.4.3.4: size not stated, {1} than the object: refused at the end",
     BEAT,

@@ -229,8 +229,6 @@ download("without_crc 7.2.4.3.16: a client without CRC: what stands in its place
     do.answer("A1"),
     do.holds("H", 0x1017, 0, 0x1234),
 )
-
-
 download("bad_crc 7.2.4.3.16: a wrong CRC: 05040004h, nothing is written", BEAT)(
     not_written(
         one_segment,

@@ -32,15 +32,11 @@ sync("moved 7.5.2.5: SYNC on another CAN-ID: that one alone acts", (*TPDO1, (0x1
 sync("bit_31 7.5.2.5: bit 31 of 1005h is not looked at", (*TPDO1, (0x1005, 0)))(
     do.run(enable_tpdo1, 1), do.put("I", 0x1005, 0, 0x80000090), do.nmt(START), do.send(0x090), do.pdo()
 )
-
-
 sync.each(
     "restricted 7.3.5: 1005h with the restricted CAN-ID {0:03X}h: 06090030h",
     ((0x1005, 0),),
     [(0x000,), (0x07F,), (0x101,), (0x580 | 5,), (0x600 | 5,), (0x6E0,), (0x701,)],
 )(lambda can_id: do.refuses("I", 0x1005, 0, can_id, Abort.INVALID_VALUE))
-
-
 sync("remote_frame 7.2.5: a remote frame is no SYNC", TPDO1)(
     do.run(enable_tpdo1, 1), do.nmt(START), do.send(0x080 | REMOTE_FLAG), do.no_pdo()
 )
@@ -134,15 +130,11 @@ time("default 7.3.3: the default CAN-ID of TIME is 100h", TIME)(do.matches("I", 
 time.each("taken 7.5.2.15: 1012h = {0:08X}h is taken", TIME, [(0x100,), (0x80000390,), (0x80000100,)])(
     lambda value: (do.accepts("I", 0x1012, 0, value), do.holds("I", 0x1012, 0, value))
 )
-
-
 time.each(
     "restricted 7.3.5: 1012h with the restricted CAN-ID {0:03X}h: 06090030h",
     TIME,
     [(0x001,), (0x07F,), (0x101,), (0x581,), (0x601,), (0x6E0,), (0x701,)],
 )(lambda can_id: do.refuses("I", 0x1012, 0, CONSUME | can_id, Abort.INVALID_VALUE))
-
-
 time.each("message 7.2.6.3: a TIME message in {1} is not answered and no error", (*TIME, (0x1001, 0)), STATES)(
     lambda state, _name: (
         do.put("I", 0x1012, 0, CONSUME | 0x100),

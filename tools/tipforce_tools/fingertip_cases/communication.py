@@ -43,8 +43,6 @@ nmt.each(
     ((0x1F80, 0),),
     [(1,), (5,), (0x10,)],
 )(lambda value: (do.refuses("I", 0x1F80, 0, value, Abort.INVALID_VALUE), do.holds("I", 0x1F80, 0, 4)))
-
-
 node_guarding("heartbeat_excludes 7.2.8.2.2: with a heartbeat there is no node guarding", GUARDING)(
     do.put("H", 0x1017, 0, 5000), lambda dut: dut.send(0x700 + dut.node_id | REMOTE_FLAG), do.no_heartbeat()
 )
@@ -65,8 +63,6 @@ error_control.each(
     CONSUMER,
     [(0x00800064, "node-id 128"), (0x01700064, "reserved bits"), (0xFF700064, "reserved bits")],
 )(lambda value, _why: do.refuses("I", 0x1016, 1, value, Abort.INVALID_VALUE))
-
-
 error_control("behaviour_refused 7.5.2.32: 1029h:1 = 3 is refused", ((0x1029, 1),))(
     do.refuses("B", 0x1029, 1, 3, Abort.TOO_HIGH)
 )
@@ -81,8 +77,6 @@ emcy("queue 7.5.2.18: many messages wait, in their order", INHIBIT)(
     do.repeat(12, break_sync, do.send(0x080)),
     do.repeat(12, do.emcy("40 82 *"), do.emcy("00 00 *")),
 )
-
-
 emcy("collision 7.2.7.1: another node sends this node's heartbeat: EMCY 8150h, once", NEEDS)(
     do.repeat(3, lambda dut: dut.send(0x700 + dut.node_id, "05")), do.emcy("50 81 11 *"), do.no_emcy()
 )

@@ -112,8 +112,6 @@ tpdo("acyclic 7.2.2.2: type 0: silent at a SYNC while there was no event", TPDO1
     do.repeat(3, do.send(0x080)),
     do.no_pdo(),
 )
-
-
 tpdo.each("first_values 7.2.2.2: type {0}: sent once when OPERATIONAL is entered", TPDO1, [(254,), (255,)])(
     lambda transmission: (do.run(enable_tpdo1, transmission), do.nmt(START), do.pdo(), do.no_pdo())
 )
@@ -215,8 +213,6 @@ interrupts_404("hysteresis 6136h: the hysteresis holds a value outside until it 
     do.run(shift, 50.0),
     do.pdo(within_ms=SAMPLE_MS),
 )
-
-
 interrupts_404("acyclic CiA 301 7.2.2.2: type 0: an interrupt is sent with the next SYNC, once", NEEDS)(
     do.put("f", 0x6133, 1, 100.0),
     do.run(begin, 0),

@@ -74,8 +74,6 @@ segmented.each(
         (0x1017, 0, Abort.TOO_SHORT),
     ],
 )(lambda index, size, code: (do.request(struct.pack("<BHBI", 0x21, index, 0, size)), do.aborted(index, 0, code)))
-
-
 segmented.each(
     "download_refused 7.2.4.3.3: refused at the initiate: {3}",
     (),
@@ -234,8 +232,6 @@ def lost_last(dut: Dut) -> None:
 download.each("too_much 7.2.4.3.10: more data than stated: {0:08X}h, before the end", BEAT, [(Abort.TOO_LONG,)])(
     lambda code: (do.run(begin_block_download, 0x1017, 2), do.run(segment, 1, bytes(7)), do.aborted(0x1017, 0, code))
 )
-
-
 download.each(
     "refused_size 7.2.4.3.9: a size that the object cannot have is refused at the initiate",
     BEAT,
