@@ -126,12 +126,6 @@ def test_the_node_refuses_what_no_sensor_can_have(bench: Bench, changes: dict[st
     assert bench.state() == before
 
 
-def test_the_limit_of_the_condition_number_is_the_nodes(bench: Bench) -> None:
-    bench.client.sdo.write(od.CALIBRATION_CONDITION_LIMIT, 1.0)
-    with pytest.raises(RefusedError, match="06090031"):
-        bench.client.apply_calibration(bench.active)
-
-
 def test_locked_is_refused_and_says_how_to_unlock(bench: Bench) -> None:
     before = bench.state()
     bench.client.sdo.write(od.CALIBRATION_LOCK, 1)

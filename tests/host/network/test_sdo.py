@@ -19,7 +19,7 @@ from tipforce.host.network.sdo import SdoChannel
 
 NODE = 5
 ANSWER = 0x580 + NODE
-TIMEOUT_S = 0.5  # a loaded machine responds in this time; each lost response costs it
+TIMEOUT_S = 0.4  # a loaded machine responds in this time; a node repeats the response to a block after 0.5 s
 
 
 @pytest.fixture(scope="module")

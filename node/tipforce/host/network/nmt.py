@@ -31,14 +31,13 @@ class Heartbeats(can.Listener):
 
     def on_message_received(self, msg: can.Message) -> None:
         """Store a heartbeat; called by the Notifier's thread."""
+        can_id = raw_can_id(msg)
         if not msg.is_fd:
-            self.duplicates.frame(raw_can_id(msg), bytes(msg.data), round(1e9 * msg.timestamp))
-        if not 0 < msg.arbitration_id - HEARTBEAT_BASE <= NODE_ID_MASK or len(msg.data) != 1:
-            return
-        if msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
+            self.duplicates.frame(can_id, bytes(msg.data), round(1e9 * msg.timestamp))
+        if not 0 < can_id - HEARTBEAT_BASE <= NODE_ID_MASK or len(msg.data) != 1:
             return
         with self._arrived:
-            self._last[msg.arbitration_id & NODE_ID_MASK] = time.monotonic(), msg.data[0] & 0x7F
+            self._last[can_id & NODE_ID_MASK] = time.monotonic(), msg.data[0] & 0x7F
             self._arrived.notify_all()
 
     def on_error(self, exc: Exception) -> None:
