@@ -141,12 +141,8 @@ def test_loops_speed_and_gaps(tmp_path: Path) -> None:
 
 def test_stdin_and_bad_lines() -> None:
     text = MIXED_LOG + "rubbish\n" + MIXED_LOG
-    words = [
-        sys.executable,
-        "-m",
-        "tipforce_tools.cli.main",
-        *["replay", "-i", "virtual", "-c", "x", "--speed", "inf", "-"],
-    ]
+    words = [sys.executable, "-m", "tipforce_tools.cli.main", "replay"]
+    words += ["-i", "virtual", "-c", "x", "--speed", "inf", "-"]
     done = subprocess.run(words, input=text, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0
     assert "18 frames sent" in done.stderr
