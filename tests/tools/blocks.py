@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import CandumpParser
+from tipforce_tools.log import open_writer
 
 MIXED_LOG = """\
 (1700000000.000000) vcan0 285#2E1129239A110303
@@ -26,3 +29,11 @@ MIXED: tuple[tuple[int, str | int], ...] = (
 def block_of_text(text: str) -> CandumpBlock:
     """The frames of candump's text."""
     return CandumpParser(strict=True).parse(text.splitlines())
+
+
+def written(path: Path, text: str = MIXED_LOG) -> Path:
+    """A log of these lines of candump -L, in the format of its suffix."""
+    writer = open_writer(path)
+    writer.write(block_of_text(text))
+    writer.close()
+    return path

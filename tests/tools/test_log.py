@@ -17,8 +17,8 @@ import can
 import pytest
 
 from tipforce_tools.cli.main import main
-from tipforce_tools.log import Recorder, default_name, open_writer
-from tools.blocks import MIXED, MIXED_LOG, block_of_text
+from tipforce_tools.log import Recorder, default_name
+from tools.blocks import MIXED, MIXED_LOG, block_of_text, written
 from tools.rig import message, sending
 
 COUNT = 60
@@ -82,19 +82,11 @@ def test_python_cans_formats(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["run.log", "run.log.gz"])
 def test_every_kind_of_frame_as_candump_writes_it(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    writer = open_writer(path)
-    writer.write(block_of_text(MIXED_LOG))
-    writer.close()
-    assert text_of(path) == MIXED_LOG
+    assert text_of(written(tmp_path / name)) == MIXED_LOG
 
 
 def test_every_kind_of_frame_as_messages(tmp_path: Path) -> None:
-    path = tmp_path / "run.blf"
-    writer = open_writer(path)
-    writer.write(block_of_text(MIXED_LOG))
-    writer.close()
-    with can.LogReader(path) as reader:
+    with can.LogReader(written(tmp_path / "run.blf")) as reader:
         messages = list(reader)
     assert [message.arbitration_id for message in messages] == [can_id & 0x1FFFFFFF for can_id, _ in MIXED]
     assert [message.is_fd for message in messages] == [isinstance(kind, int) for _, kind in MIXED]
@@ -104,12 +96,8 @@ def test_every_kind_of_frame_as_messages(tmp_path: Path) -> None:
 
 def test_a_database_holds_all_that_was_written_at_once(tmp_path: Path) -> None:
     """python-can's own stop() loses most of them."""
-    path = tmp_path / "run.db"
     text = "".join(f"(1700000000.{k:06d}) vcan0 285#{k:08X}\n" for k in range(20_000))
-    writer = open_writer(path)
-    writer.write(block_of_text(text))
-    writer.close()
-    with can.LogReader(path) as reader:
+    with can.LogReader(written(tmp_path / "run.db", text)) as reader:
         assert sum(1 for _ in reader) == 20_000
 
 

@@ -19,9 +19,8 @@ import pytest
 
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce_tools.cli.main import main
-from tipforce_tools.log import open_writer
 from tipforce_tools.replay import Clock
-from tools.blocks import MIXED, MIXED_LOG, block_of_text
+from tools.blocks import MIXED, MIXED_LOG, written
 
 
 @contextmanager
@@ -77,10 +76,7 @@ def test_all_frames_to_one_bus(log: Path, capsys: pytest.CaptureFixture[str]) ->
 
 @pytest.mark.parametrize("name", ["run.log.gz", "run.blf", "run.asc"])
 def test_other_formats(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    writer = open_writer(path)
-    writer.write(block_of_text(MIXED_LOG))
-    writer.close()
+    path = written(tmp_path / name)
     with listening("replay2") as (bus,):
         assert replay("-c", "replay2", "-q", str(path)) == 0
         found = [shown(message) for message in received(bus)]
@@ -145,19 +141,8 @@ def test_loops_speed_and_gaps(tmp_path: Path) -> None:
 
 def test_stdin_and_bad_lines() -> None:
     text = MIXED_LOG + "rubbish\n" + MIXED_LOG
-    words = [
-        sys.executable,
-        "-m",
-        "tipforce_tools.cli.main",
-        "replay",
-        "-i",
-        "virtual",
-        "-c",
-        "x",
-        "--speed",
-        "inf",
-        "-",
-    ]
+    words = [sys.executable, "-m", "tipforce_tools.cli.main", "replay"]
+    words += ["-i", "virtual", "-c", "x", "--speed", "inf", "-"]
     done = subprocess.run(words, input=text, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0
     assert "18 frames sent" in done.stderr

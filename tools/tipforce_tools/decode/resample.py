@@ -40,6 +40,10 @@ class _Groups:
     count: IntArray
     sums: dict[str, FloatArray]
 
+    def of(self, name: str) -> FloatArray:
+        """Return the sums of a column, zeros if no interval has it."""
+        return self.sums.get(name, np.zeros((len(self.key), 3)))
+
     def take(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> _Groups:
         sums = {name: values[rows] for name, values in self.sums.items()}
         return _Groups(self.key[rows], self.interval[rows], self.count[rows], sums)
@@ -97,10 +101,7 @@ class Resampler:
 
     def _joined(self, new: _Groups) -> _Groups:
         old = self._open
-        sums = {}
-        for name in {**old.sums, **new.sums}:
-            before = old.sums.get(name, np.zeros((len(old.key), 3)))
-            sums[name] = np.concatenate((before, new.sums.get(name, np.zeros((len(new.key), 3)))))
+        sums = {name: np.concatenate((old.of(name), new.of(name))) for name in {**old.sums, **new.sums}}
         return _Groups(
             np.concatenate((old.key, new.key)), np.concatenate((old.interval, new.interval)),
             np.concatenate((old.count, new.count)), sums,
@@ -123,7 +124,7 @@ class Resampler:
             found, steps = groups.take(source[rows]), step[rows]
             is_full = steps == 0
             sums = {name: np.where(is_full[:, np.newaxis], values, 0.0) for name, values in found.sums.items()}
-            yield self._table(found.key, found.interval + steps, np.where(is_full, found.count, 0), sums)
+            yield self._table(_Groups(found.key, found.interval + steps, np.where(is_full, found.count, 0), sums))
 
     def _check_empty(self, groups: _Groups, empty: IntArray) -> None:
         if empty.sum() > MOST_EMPTY:
@@ -133,24 +134,23 @@ class Resampler:
                 "choose a lower rate, or a part of the log with --from and --to"
             )
 
-    def _table(
-        self, key: npt.NDArray[np.uint16], interval: IntArray, count: IntArray, sums: dict[str, FloatArray]
-    ) -> Table:
-        values: dict[str, Values] = {COUNT: count}
+    def _table(self, groups: _Groups) -> Table:
+        values: dict[str, Values] = {COUNT: groups.count}
         columns = [counted(COUNT)]
         for column in in_order(self._columns.values(), self._asked):
             digits = None if column.digits is None else column.digits + _MORE_DIGITS
             columns.append(Column(column.name, column.signal, "real", digits, column.unit, column.rank))
-            of_column = sums.get(column.name, np.zeros((len(key), 3)))
+            of_column = groups.of(column.name)
             values[column.name] = _mean(column, of_column)
             if column.kind != "flag":
                 columns.append(counted(f"n_{column.name}"))
                 values[columns[-1].name] = of_column[:, 0].astype(np.int64)
         period = 1e9 / self._rate_hz
-        t_ns = interval * round(period) if period == round(period) else np.rint(interval * period).astype(np.int64)
-        no_counter = np.full(len(key), NO_COUNTER, dtype=np.int64)
-        cyclic = np.ones(len(key), dtype=np.bool_)
-        return Table(t_ns, key, no_counter, cyclic, tuple(columns), values, {}, self._channels)
+        interval, whole = groups.interval, period == round(period)
+        t_ns = interval * round(period) if whole else np.rint(interval * period).astype(np.int64)
+        no_counter = np.full(len(t_ns), NO_COUNTER, dtype=np.int64)
+        cyclic = np.ones(len(t_ns), dtype=np.bool_)
+        return Table(t_ns, groups.key, no_counter, cyclic, tuple(columns), values, {}, self._channels)
 
 
 def _summed(groups: _Groups) -> _Groups:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
 from tipforce.host.dataset.reader import tables_of_logs
+from tipforce.host.decoding.log_part import Notes
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Table
@@ -49,7 +49,7 @@ def plot(args: Namespace) -> int:
     for table in tables if contact is None else contact.tables(tables):
         fingers.add(table)
     notes = recording.told.notes
-    _check(args, fingers, names, sum(log.frames for log in notes), sum(log.extended for log in notes))
+    _check(args, fingers, notes)
     if STATUS not in wanted and not any(finger.traces for _, finger in fingers.named()):
         raise InputError(f"{', '.join(names)}: no {', '.join(wanted)} in it, so there is nothing to draw")
     drawn = figure.draw(fingers, plt, args.title, args.size, status=STATUS in wanted)
@@ -66,16 +66,12 @@ def plot(args: Namespace) -> int:
 
 def _layouts(args: Namespace) -> tuple[Layouts, ContactColumns | None, frozenset[str]]:
     """Return the layouts, and the estimator of the contact from gauges, with its signals."""
-    layouts = choice.layouts(args)
-    if not args.calibration:
+    layouts, calibrations = choice.calibrated(args, choice.layouts(args))
+    if not calibrations:
         return layouts, None, frozenset()
-    from tipforce.host.decoding import contact_columns
+    from tipforce.host.decoding.contact_columns import COLUMNS, ContactColumns
 
-    calibrations = contact_columns.read_calibrations(args.calibration)
-    if not args.gauges and not args.dcf:
-        layouts = replace(layouts, gauges=contact_columns.gauges_of(calibrations))
-    computed = frozenset(column.signal for column in contact_columns.COLUMNS)
-    return layouts, contact_columns.ContactColumns(calibrations, None), computed
+    return layouts, ContactColumns(calibrations, None), frozenset(column.signal for column in COLUMNS)
 
 
 def _default(layouts: Layouts) -> Iterable[str]:
@@ -97,16 +93,18 @@ def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) 
     return frozenset(signals)
 
 
-def _check(args: Namespace, fingers: Fingers, names: Iterable[str], frames: int, extended: int) -> None:
+def _check(args: Namespace, fingers: Fingers, notes: Sequence[Notes]) -> None:
+    names = ", ".join(log.source for log in notes)
     count = len(fingers.named())
     if not count:
+        frames = sum(log.frames for log in notes)
         flags = choice.narrowing_flags(args)
         if not flags:
-            raise no_sample(", ".join(names), frames, extended)
+            raise no_sample(names, frames, sum(log.extended for log in notes))
         why = f" (of {counted(frames, 'frame')}, with {flags})"
-        raise InputError(f"{', '.join(names)}: no PDO of a fingertip{why}, so there is nothing to draw")
+        raise InputError(f"{names}: no PDO of a fingertip{why}, so there is nothing to draw")
     if not fingers.timed:
-        raise InputError(f"{', '.join(names)}: no timestamps, which a plot needs; candump -L writes them")
+        raise InputError(f"{names}: no timestamps, which a plot needs; candump -L writes them")
     if count > MOST_FINGERS:
         raise InputError(f"{count} nodes: allowed are at most {MOST_FINGERS} in a plot; choose with --nodes")
 
@@ -132,4 +130,4 @@ def _record(fingers: Fingers, path: Path | None) -> dict[str, object]:
         }
         for name, finger in fingers.named()
     ]
-    return {"output": None if path is None else str(path), "start_ns": fingers.start_ns, "nodes": nodes}
+    return {"output": path and str(path), "start_ns": fingers.start_ns, "nodes": nodes}
