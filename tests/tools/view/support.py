@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import http.client
 import json
-import math
 import time
 from collections.abc import Iterator
 from typing import Any, Self
@@ -167,8 +166,3 @@ class Page:
 
     def __exit__(self, *_: object) -> None:
         self._connecting.__exit__(None, None, None)
-
-
-def known(value: float) -> bool:
-    """Not NaN."""
-    return not math.isnan(value)
