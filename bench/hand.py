@@ -18,8 +18,7 @@ import numpy as np
 from bench.loopback import LoopbackLink, may_hurry
 from bench.measure import arguments, machine, table, write_page
 
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand, Statistics
 from tipforce.host.hand.link import Link

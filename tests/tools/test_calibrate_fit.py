@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tipforce.host.configuration.calibration_file import read_calibration, read_fit
+from tipforce.host.configuration.calibration import read_calibration, read_fit
 from tipforce.host.configuration.measurements import Measurements, write_measurements
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.simulation import Simulated, simulate

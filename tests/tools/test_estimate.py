@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
 from tipforce.host.decoding import estimates as estimate_rows
 from tipforce.sensor.calibration.simulation import Faults, simulate

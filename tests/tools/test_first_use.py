@@ -110,8 +110,7 @@ def test_gauges_of_a_decoded_log_are_measurements(log: Path, tmp_path: Path, pri
 def _write_calibration(path: str) -> None:
     import numpy as np
 
-    from tipforce.host.configuration.calibration import Calibration
-    from tipforce.host.configuration.calibration_file import write_calibration
+    from tipforce.host.configuration.calibration import Calibration, write_calibration
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sensor.structure.strain import calibration_matrix
 

@@ -10,7 +10,7 @@ import pytest
 
 from host.bus_with_nodes import beam_calibration, new_channel
 from host.hand.test_hand import Fingers
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce_tools.cli.main import main
 from tools.rig import Printed
 

@@ -13,7 +13,7 @@ import pytest
 
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.errors import InputError, WriteError
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.configuration.measurements import write_measurements
 from tipforce.output_file import CALIBRATION, NewFile, new_file, write_file
 from tipforce.scene import beam_calibration

@@ -15,7 +15,7 @@ from canopen_device.machine.file import read_machine
 from canopen_device.running.store import FileStore
 from eds.samples import described, text, var
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import read_hand
 from tipforce.host.network.open_bus import open_bus
 from tipforce.scene import beam_calibration

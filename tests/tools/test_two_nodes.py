@@ -20,7 +20,7 @@ from host.bus_with_nodes import beam_calibration, connected, new_channel, runnin
 from tipforce.dictionary import objects as od
 from tipforce.errors import DuplicateNodeError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
 from tipforce.host.hand.events import Supervisor
 from tipforce.host.hand.file import HandPlan

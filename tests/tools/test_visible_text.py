@@ -17,7 +17,7 @@ from canopen_device.eds.load import device_of
 from eds.samples import INFO, MANDATORY, record, var
 from host.bus_with_nodes import connected, finger, new_channel
 from host.logs.test_pcap import block, socketcan
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce_tools.cli.main import COMMANDS, main
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce_tools.demo.job import bounds, case_calibration, coverage_factor
 from vcan.support import BUS, WAIT_S, Command, running_node, wait_until
 

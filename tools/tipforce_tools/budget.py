@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     calibration = None
     if args.file is not None:
-        from tipforce.host.configuration.calibration_file import read_calibration
+        from tipforce.host.configuration.calibration import read_calibration
 
         calibration = read_calibration(args.file)
     sensor = _sensor(args, calibration)

@@ -129,7 +129,7 @@ def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path
 
 
 def _calibration_file(folder: Path, name: str, gauges: int) -> Calibration:
-    from tipforce.host.configuration.calibration_file import read_calibration
+    from tipforce.host.configuration.calibration import read_calibration
 
     calibration = read_calibration(below(folder, name, "nodes.calibration"))
     if calibration.gauges != gauges:

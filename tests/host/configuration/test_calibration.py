@@ -20,8 +20,7 @@ from hypothesis import strategies as st
 from host.bus_with_nodes import ROUNDING_STRAIN2, beam_calibration
 from tipforce.dictionary import table, table_objects
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import read_calibration, write_calibration
+from tipforce.host.configuration.calibration import Calibration, read_calibration, write_calibration
 
 UNCHECKED = patch.object(Calibration, "check", lambda _self: None)
 """Any numbers survive a file and a record, those that no sensor can have too."""

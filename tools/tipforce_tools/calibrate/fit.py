@@ -120,7 +120,7 @@ def add_transfer_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_transfer(args: argparse.Namespace) -> int:
     """Apply (return 0; raises RefusedError) or verify (return 0 if equal, 1 if different)."""
-    from tipforce.host.configuration.calibration_file import read_calibration
+    from tipforce.host.configuration.calibration import read_calibration
     from tipforce.host.network.finger import FingertipClient
 
     calibration = read_calibration(args.file)

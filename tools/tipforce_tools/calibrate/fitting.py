@@ -12,8 +12,8 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import fit_record, write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
+from tipforce.host.configuration.calibration_file import fit_record
 from tipforce.host.configuration.measurements import MODES, Measurements
 from tipforce.sensor.calibration.data import rails, require_degrees, require_order, require_size
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, beam_prior, best_fit, fit_with_drift

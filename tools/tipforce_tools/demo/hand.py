@@ -19,7 +19,7 @@ from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
 from canopen_device.running.store import MemoryStore
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.sources.simulated import OPEN, SILENT

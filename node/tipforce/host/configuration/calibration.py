@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import binascii
 import struct
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,6 +20,7 @@ from tipforce.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tipforce.host.configuration.calibration_file import FitRecord
     from tipforce.sensor.calibration.result import Fit
 
 _LEAST_RANK = 1e-9  # smallest over largest singular value: below, rounding alone decides
@@ -95,11 +96,16 @@ class Calibration:
     model_uncertainty: float = field(default=0.0, metadata=_row(indices.CALIBRATION_VALIDITY, 5))
     """Relative standard uncertainty of the force from nonlinearity and misfit (2112h:5). 0: not known."""
     converter_limit_strain: FloatArray = field(
-        default_factory=_not_known, metadata=_row(indices.CALIBRATION_CONVERTER_LIMIT, shape=("n",))
+        default_factory=_not_known,
+        metadata=_row(indices.CALIBRATION_CONVERTER_LIMIT, shape=("n",)),
     )
     """Symmetric limit of the converter per gauge (2113h), (n,). 0: not known, the span 6148h/6149h alone holds."""
     offset_temperature_strain_per_K: FloatArray = field(
-        default_factory=_not_known, metadata=_row(indices.CALIBRATION_OFFSET_TEMPERATURE, shape=("n",))
+        default_factory=_not_known,
+        metadata=_row(
+            indices.CALIBRATION_OFFSET_TEMPERATURE,
+            shape=("n",),
+        ),
     )
     """Offset of each gauge against ``reference_temperature_degC`` (2114h), (n,). 0: not known, or none."""
     gain_temperature_per_K: float = field(default=0.0, metadata=_row(indices.CALIBRATION_GAIN_TEMPERATURE))
@@ -174,8 +180,6 @@ class Calibration:
     @staticmethod
     def read(path: str | Path) -> Calibration:
         """A calibration file (TOML), with the uncertainty of its fit. Raises InputError naming what is allowed."""
-        from tipforce.host.configuration.calibration_file import read_calibration
-
         return read_calibration(path, with_fit=True)
 
     @classmethod
@@ -188,8 +192,6 @@ class Calibration:
 
     def write(self, path: str | Path) -> None:
         """Write a calibration file that reads back to the same record. Raises InputError."""
-        from tipforce.host.configuration.calibration_file import write_calibration
-
         fit: dict[str, object] | None = None
         if self.parameter_covariance is not None:
             side = 4 * self.gauges
@@ -276,13 +278,62 @@ class Calibration:
             if size == len(record):
                 numbers = iter(struct.unpack(packing, record))
                 return cls(**{of.name: _from_numbers(of, numbers, n) for of in RECORD})
-            if len(record) == size - version_2_bytes(n):
+            if len(record) == size - _version_2_bytes(n):
                 raise InputError(f"a calibration record of {len(record)} bytes is of version 1: allowed is version 2")
         raise InputError(f"a calibration record of {len(record)} bytes: with 3 gauges it has 158")
 
 
 RECORD = tuple(sorted((of for of in fields(Calibration) if stated(of).place[0]), key=lambda of: stated(of).place))
 """The fields that a node holds, in the order of its record."""
+
+
+def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
+    """A calibration file. Raises InputError naming the place and what is allowed.
+
+    A ``crc32`` in the file must be that of the record: a number edited by hand is noticed. Take the line out to
+    accept the edit. ``with_fit``: with the ``parameter_covariance`` of its [fit] table, where it has one.
+    """
+    from tipforce.host.configuration.calibration_file import read_file
+
+    content = read_file(path, fields(Calibration))
+    try:
+        calibration = Calibration(**content.values)
+        record = calibration.record()
+        if content.is_version_1:
+            record = record[: -_version_2_bytes(calibration.gauges)]
+        content.check_crc32(binascii.crc32(record))
+        calibration.check()
+        fit = content.fit(calibration.gauges) if with_fit else None
+        if fit is not None:
+            calibration = replace(calibration, parameter_covariance=fit.parameter_covariance())
+            calibration.check()
+    except InputError as error:
+        raise InputError(f"calibration {path}: {str(error).removeprefix('calibration ')}") from None
+    return calibration
+
+
+def read_fit(path: str | Path) -> FitRecord | None:
+    """The [fit] table of a calibration file, None where it has none. Raises InputError for shapes that do not fit."""
+    from tipforce.host.configuration.calibration_file import read_file
+
+    content = read_file(path, fields(Calibration))
+    try:
+        return content.fit(len(content.values["offset_strain"]))
+    except InputError as error:
+        raise InputError(f"calibration {path}: {error}") from None
+
+
+def write_calibration(
+    path: str | Path, calibration: Calibration, fit: FitRecord | dict[str, object] | None = None
+) -> None:
+    """Write a calibration file that reads back to the same record.
+
+    Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
+    """
+    from tipforce.host.configuration.calibration_file import write_file
+
+    values = {of.name: getattr(calibration, of.name) for of in fields(calibration)}
+    write_file(path, fields(calibration), values, calibration.crc32(), fit)
 
 
 def difference(expected: bytes, held: bytes) -> list[str]:
@@ -321,7 +372,7 @@ def _from_numbers(of: Field[Any], numbers: Iterator[int | float], n: int) -> Any
     return array
 
 
-def version_2_bytes(n: int) -> int:
+def _version_2_bytes(n: int) -> int:
     """How much longer a record is than one of version 1."""
     kinds = "".join(kind for index, _, kind in table_objects.staged(n) if index >= indices.CALIBRATION_VALIDITY)
     return struct.calcsize("<" + kinds)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import binascii
 import datetime
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import MISSING, Field, fields, replace
+from dataclasses import MISSING, Field
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -19,11 +16,12 @@ from tipforce import output_file
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices, table
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import RECORD, Calibration, stated, version_2_bytes
 from tipforce.sensor.structure.layouts import CASE_OF_CODE
 
 if TYPE_CHECKING:
     from tipforce.sensor.calibration.result import Fit
+
+    Fields = tuple[Field[Any], ...]
 
 _WORDS: dict[str, dict[str, int | bool]] = {
     "pull": {"push": False, "pull": True},
@@ -62,27 +60,6 @@ class FitRecord(msgspec.Struct):
     loss: str | None = None
     angle_scatter_deg: float | None = None
 
-    def check(self, n: int) -> None:
-        """Raise InputError for matrices that are not of ``n`` gauges, or missing."""
-        shapes = {
-            "residual_covariance_microstrain2": ((n, n),),
-            "normal_matrix": ((4, 4), (3, 3)),
-            "parameter_covariance_microstrain2": ((4 * n, 4 * n),),
-        }
-        if self.parameter_covariance_microstrain2 is None and None in (
-            self.residual_covariance_microstrain2,
-            self.normal_matrix,
-        ):
-            raise InputError(
-                "fit: parameter_covariance_microstrain2 is missing, or in its place "
-                "residual_covariance_microstrain2 and normal_matrix"
-            )
-        for name, allowed in shapes.items():
-            rows = getattr(self, name)
-            matrix = None if rows is None else _matrix(name, rows)
-            if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
-                raise InputError(f"{name} must be {' or '.join(map(str, allowed))}, finite")
-
     def parameter_covariance(self) -> FloatArray:
         """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes."""
         if self.parameter_covariance_microstrain2 is not None:
@@ -112,54 +89,85 @@ def fit_record(fit: Fit, **facts: object) -> FitRecord:
     return msgspec.convert({**values, **facts}, FitRecord)
 
 
-def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
-    """A calibration file. Raises InputError naming the place and what is allowed.
+class Content(NamedTuple):
+    """What a file has."""
 
-    A ``crc32`` in the file must be that of the record: a number edited by hand is noticed. Take the line out to
-    accept the edit. ``with_fit``: with the ``parameter_covariance`` of its [fit] table, where it has one.
-    """
-    values, stated_crc, fit = _content(path)
-    with _located(path):
-        calibration = Calibration(**values)
-        record = calibration.record()
-        if all(stated(of).place[0] < indices.CALIBRATION_VALIDITY for of in RECORD if of.name in values):
-            record = record[: -version_2_bytes(calibration.gauges)]  # a file of version 1
-        crc = binascii.crc32(record)
-        if stated_crc is not None and stated_crc.lower() != f"0x{crc:08x}":
+    values: dict[str, Any]
+    """Fields of ``Calibration`` by name; what is absent is not among them."""
+    crc32: str | None
+    is_version_1: bool
+    fit_table: FitRecord | None
+
+    def check_crc32(self, crc: int) -> None:
+        """Raise InputError where the file states another CRC-32 of its numbers."""
+        if self.crc32 is not None and self.crc32.lower() != f"0x{crc:08x}":
             raise InputError(
-                f"crc32 is {stated_crc}, but the numbers give 0x{crc:08X}; "
+                f"crc32 is {self.crc32}, but the numbers give 0x{crc:08X}; "
                 "the file was changed: restore it, or take out the crc32 line to accept the change"
             )
-        calibration.check()
-        if with_fit and fit is not None:
-            fit.check(calibration.gauges)
-            calibration = replace(calibration, parameter_covariance=fit.parameter_covariance())
-            calibration.check()
-    return calibration
+
+    def fit(self, n: int) -> FitRecord | None:
+        """The [fit] table of ``n`` gauges, None where there is none. Raises InputError for shapes that do not fit."""
+        record = self.fit_table
+        if record is None:
+            return None
+        shapes = {
+            "residual_covariance_microstrain2": ((n, n),),
+            "normal_matrix": ((4, 4), (3, 3)),
+            "parameter_covariance_microstrain2": ((4 * n, 4 * n),),
+        }
+        if record.parameter_covariance_microstrain2 is None and None in (
+            record.residual_covariance_microstrain2,
+            record.normal_matrix,
+        ):
+            raise InputError(
+                "fit: parameter_covariance_microstrain2 is missing, or in its place "
+                "residual_covariance_microstrain2 and normal_matrix"
+            )
+        for name, allowed in shapes.items():
+            rows = getattr(record, name)
+            matrix = None if rows is None else _matrix(name, rows)
+            if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
+                raise InputError(f"{name} must be {' or '.join(map(str, allowed))}, finite")
+        return record
 
 
-def read_fit(path: str | Path) -> FitRecord | None:
-    """The [fit] table of a calibration file, None where it has none. Raises InputError for shapes that do not fit."""
-    values, _, fit = _content(path)
-    with _located(path):
-        if fit is not None:
-            fit.check(len(values["offset_strain"]))
-    return fit
+def read_file(path: str | Path, fields: Fields) -> Content:
+    """What a file has of the fields. Raises InputError naming the key and what is allowed."""
+    place, rows = f"calibration {path}", _rows(fields)
+    content: Any = convert(_file_type(fields), read_table(path, place), place, finite=False)
+    try:
+        values = {
+            of.name: _value(of, key, unit, cell)
+            for of, key, unit in rows
+            if (cell := getattr(content.calibration, key)) is not None
+        }
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
+    newest = max(of.metadata["row"].place[0] for of, _, _ in rows if of.name in values)
+    fit = None if content.fit is None else convert(FitRecord, content.fit, f"{place}: fit", finite=False)
+    return Content(values, content.calibration.crc32, newest < indices.CALIBRATION_VALIDITY, fit)
 
 
-def write_calibration(
-    path: str | Path, calibration: Calibration, fit: FitRecord | dict[str, object] | None = None
+def write_file(
+    path: str | Path,
+    fields: Fields,
+    values: dict[str, Any],
+    crc32: int,
+    fit: FitRecord | dict[str, object] | None = None,
 ) -> None:
-    """Write a calibration file that reads back to the same record.
+    """Write a file with the values of the fields by name, the CRC-32 of its record, and a [fit] table.
 
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
     """
-    with _located(path):
-        content = {key: _cell(of, unit, getattr(calibration, of.name)) for of, key, unit in _KEYS}
+    try:
+        content = {key: _cell(of, unit, values[of.name]) for of, key, unit in _rows(fields)}
+    except InputError as error:
+        raise InputError(f"calibration {path}: {error}") from None
     date = content.pop("date")
     if not content["tare_drift_microstrain_per_s"]:
         del content["tare_drift_microstrain_per_s"]
-    content["crc32"] = f"0x{calibration.crc32():08X}"
+    content["crc32"] = f"0x{crc32:08X}"
     document: dict[str, object] = {"calibration": content if date is None else {**content, "date": date}}
     if fit is not None:
         record = msgspec.to_builtins(fit)
@@ -167,65 +175,38 @@ def write_calibration(
     output_file.write_file(path, msgspec.toml.encode(document), output_file.CALIBRATION)
 
 
-def _content(path: str | Path) -> tuple[dict[str, Any], str | None, FitRecord | None]:
-    """Return the fields that a file has, by name, its CRC-32, and its [fit] table."""
-    place = f"calibration {path}"
-    content: Any = convert(_file_type(), read_table(path, place), place, finite=False)
-    with _located(path):
-        values = {
-            of.name: _value(of, key, unit, cell)
-            for of, key, unit in _KEYS
-            if (cell := getattr(content.calibration, key)) is not None
-        }
-    fit = None if content.fit is None else convert(FitRecord, content.fit, f"{place}: fit", finite=False)
-    return values, content.calibration.crc32, fit
-
-
-@contextmanager
-def _located(path: str | Path) -> Iterator[None]:
-    """Put the file before the text of an InputError."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"calibration {path}: {str(error).removeprefix('calibration ')}") from None
-
-
-def _required(of: Field[Any]) -> bool:
-    return of.type == "bool" or of.default is of.default_factory is MISSING
-
-
-def _keys() -> list[tuple[Field[Any], str, float]]:
+def _rows(fields: Fields) -> list[tuple[Field[Any], str, float]]:
     """The fields of a file in its order (required ones, numbers, arrays, what no node holds), keys and units.
 
     Units are those of the names: a number in a file is the value times the unit.
     """
 
     def rank(of: Field[Any]) -> int:
-        return 3 if not stated(of).place[0] else 0 if _required(of) else 1 + (of.type == "FloatArray")
+        required = of.type == "bool" or of.default is of.default_factory is MISSING
+        return 3 if not of.metadata["row"].place[0] else 0 if required else 1 + (of.type == "FloatArray")
 
+    listed = sorted((of for of in fields if of.type != "FloatArray | None"), key=rank)
     return [
         (
             of,
-            stated(of).key or of.name.replace("_strain", "_microstrain"),
+            of.metadata["row"].key or of.name.replace("_strain", "_microstrain"),
             1e12 if "_strain2" in of.name else 1e6 if "_strain" in of.name else 1.0,
         )
-        for of in sorted((of for of in fields(Calibration) if of.type != "FloatArray | None"), key=rank)
+        for of in listed
     ]
 
 
-_KEYS = _keys()
-
-
 @lru_cache(maxsize=1)
-def _file_type() -> type[msgspec.Struct]:
+def _file_type(fields: Fields) -> type[msgspec.Struct]:
     """The form of a file: the keys of its table [calibration] with their types, None where one may be absent."""
     keys: list[Any] = []
-    for of, key, _ in _KEYS:
+    for of, key, _ in _rows(fields):
         words, plain = of.name in _WORDS, int if of.type == "int" else float
         kind: Any = str if words else datetime.date if of.name == "date" else plain
-        for _ in stated(of).shape:
+        for _ in of.metadata["row"].shape:
             kind = list[kind]
-        keys.append((key, kind) if _required(of) else (key, kind | None, None))
+        required = of.type == "bool" or of.default is of.default_factory is MISSING
+        keys.append((key, kind) if required else (key, kind | None, None))
     keys.append(("crc32", str | None, None))
     calibration = msgspec.defstruct("_Table", keys, forbid_unknown_fields=True)
     tables: list[Any] = [("calibration", calibration), ("fit", dict[str, object] | None, None)]
@@ -240,7 +221,7 @@ def _value(of: Field[Any], key: str, unit: float, cell: Any) -> Any:
         return _WORDS[of.name][cell]
     if of.name == "date":
         return cell.year * 10000 + cell.month * 100 + cell.day
-    value = _matrix(key, cell) if stated(of).shape else cell
+    value = _matrix(key, cell) if of.metadata["row"].shape else cell
     return value if unit == 1.0 else value * (1.0 / unit)
 
 
@@ -254,7 +235,7 @@ def _cell(of: Field[Any], unit: float, value: Any) -> Any:
     if of.name == "date":
         return _date(value) if value else None
     number = value if unit == 1.0 else value * unit
-    return number.tolist() if stated(of).shape else number
+    return number.tolist() if of.metadata["row"].shape else number
 
 
 def _date(number: int) -> datetime.date:

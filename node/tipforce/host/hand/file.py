@@ -34,8 +34,7 @@ from canopen_device.paths_below import below
 from canopen_device.toml_table import convert, read_table
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import read_calibration
+from tipforce.host.configuration.calibration import Calibration, read_calibration
 from tipforce.host.configuration.configuration_file import Configuration, read_configuration
 
 MAX_FINGERS = 32
