@@ -30,6 +30,7 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Logs are cut from 20 kB on, and a piece's start is decided after few frames."""
     monkeypatch.setattr(part_session, "_LEAST_PIECE_BYTES", PIECE_BYTES)
     monkeypatch.setattr(part_session, "_PIECE_BYTES", 3 * PIECE_BYTES)
+    monkeypatch.setattr(decoded_part, "_STEP_FRAMES", 50)
     monkeypatch.setattr(decoded_part, "_HEAD_FRAMES", 100)
 
 

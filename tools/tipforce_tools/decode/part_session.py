@@ -69,7 +69,7 @@ def write_parts(
 
     def parts(sink: PartFile, shape: Shape) -> Iterator[FilePart]:
         workers = _workers(args, reading, sink, len(pieces))
-        for written in InOrder(pieces, recording, shape, workers, asked=reading.signals):
+        for written in InOrder(pieces, recording, shape, workers):
             summary.append(written.summary)
             yield written.number, written.record, written.shape
             bar.add(written.piece)

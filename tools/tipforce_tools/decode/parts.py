@@ -9,17 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, NamedTuple, Protocol
 
 from tipforce.errors import TipforceError
-from tipforce.host.decoding.counters import Tally
-from tipforce.host.decoding.decoded_part import DecodedPart, Ends, Start
-from tipforce.host.decoding.health import NAMES
-from tipforce.host.decoding.health_rows import EMCY, STATE, with_channel
+from tipforce.host.decoding.decoded_part import DecodedPart, Ends
+from tipforce.host.decoding.duplicates import services
 from tipforce.host.decoding.log_part import Notes, Piece, Reading, StrictError
 from tipforce.host.decoding.recording import Recording, State
-from tipforce.host.decoding.sample_table import Column, Table, flag, in_order
+from tipforce.host.decoding.sample_table import Table
 from tipforce.host.decoding.services import BusEvent
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce_tools.decode.summary import Summary
 from tipforce_tools.decode.writers import Shape
 
@@ -42,8 +42,9 @@ class Written:
     summary: Summary
     state: State | None = None
     """Of the recording after it."""
-    notes: list[Notes] = field(default_factory=list)
-    """Of a part that was decoded after the ones in front."""
+    notes: Notes | None = None
+    """Of a part that was decoded after the ones in front, as ``services``: the frames that ``BusEvents`` looks at."""
+    services: list[FrameArray] = field(default_factory=list)
     frames: int = 0
     bad: dict[str, int] = field(default_factory=dict)
     """Bad lines by reason."""
@@ -67,8 +68,8 @@ class Workers(Protocol):
     def decode(self, number: int, piece: Piece) -> None:
         """Begin to decode a part."""
 
-    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
-        """Complete and write a decoded part; after a ``State`` decode it after the ones in front."""
+    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
+        """Complete and write a part after ``before``: as it was decoded apart, or decode it now."""
 
     def next(self) -> Event:
         """Wait for the next event. Raises EnvironmentLackError if a part cannot be finished."""
@@ -89,22 +90,17 @@ class Work:
         self._part = DecodedPart(self._piece, self._reading)
         return self._part.ends
 
-    def write(self, before: Start | State, shape: Shape, last: bool, sink: Sink) -> Written:
-        """Complete and write the rows; after a ``State`` the part is decoded again. Raises TipforceError, OSError."""
-        if isinstance(before, Start):
+    def write(self, sink: Sink, before: State, apart: bool, shape: Shape, last: bool) -> Written:
+        """Complete and write the rows, see ``Workers``. Raises TipforceError, OSError."""
+        if apart:
             assert self._part is not None
-            return self._written(self._part.rows(before), shape, sink)
+            return self._written(self._part.rows(before, last=last), shape, sink)
         recording = Recording(self._reading, before)
-        found = self._written(self._tables(recording, last), shape, sink)
-        found.state, found.notes = recording.state(), recording.told.notes
-        found.events = recording.told.bus.found
-        found.frames, found.bad = recording.told.notes[0].frames, dict(recording.told.notes[0].bad)
+        few: list[FrameArray] = []
+        tables = recording.tables_of_piece(self._piece, tap=lambda block, _: few.append(services(block)))
+        found = self._written(chain(tables, recording.finish() if last else ()), shape, sink)
+        found.state, found.notes, found.services = recording.state(), recording.told.notes[0], few
         return found
-
-    def _tables(self, recording: Recording, last: bool) -> Iterator[Table]:
-        yield from recording.tables_of_piece(self._piece)
-        if last:
-            yield from recording.finish()
 
     def _written(self, tables: Iterable[Table], shape: Shape, sink: Sink) -> Written:
         summary = Summary()
@@ -128,13 +124,13 @@ class Here:
     def decode(self, number: int, piece: Piece) -> None:
         """Do nothing yet."""
         self._pieces[number] = piece
-        self._events.append(Event(number, Ends((), Tally(), Notes(piece.name))))
+        self._events.append(Event(number, Ends((), Notes(piece.name))))
 
-    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
+    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
         """Decode and write a part."""
         work = Work(number, self._pieces.pop(number), self._reading)
         try:
-            self._events.append(Event(number, work.write(before, shape, last, self._sink)))
+            self._events.append(Event(number, work.write(self._sink, before, apart, shape, last)))
         except (TipforceError, OSError) as error:
             self._events.append(Event(number, error))
 
@@ -150,21 +146,14 @@ class InOrder:
     """The pass over the parts of a recording in order, while workers decode and write them."""
 
     def __init__(
-        self,
-        pieces: Sequence[Piece],
-        recording: Recording,
-        shape: Shape,
-        workers: Workers,
-        *,
-        asked: Sequence[str] | None = None,
-        ends: bool = True,
+        self, pieces: Sequence[Piece], recording: Recording, shape: Shape, workers: Workers, *, ends: bool = True
     ) -> None:
-        """``asked``: the signals that are shown; ``ends``: the recording ends with the last part."""
+        """``ends``: the recording ends with the last part."""
         self._pieces, self._recording, self._shape = pieces, recording, shape
-        self._workers, self._asked, self._ends = workers, asked, ends
+        self._workers, self._ends = workers, ends
         self._known: dict[int, Ends | Exception] = {}
         self._written: dict[int, Written] = {}
-        self._followed_parts: dict[int, tuple[State, int, dict[str, int], list[BusEvent]]] = {}
+        self._told: dict[int, tuple[State, int, dict[str, int], list[BusEvent]]] = {}
         self._begun = self._followed = self._given = 0
         self._alone = False
 
@@ -179,8 +168,7 @@ class InOrder:
                 self._follow()
                 while self._given in self._written:
                     found = self._written.pop(self._given)
-                    if found.number in self._followed_parts:
-                        found.state, found.frames, found.bad, found.events = self._followed_parts.pop(found.number)
+                    found.state, found.frames, found.bad, found.events = self._told.pop(found.number)
                     self._given += 1
                     yield found
         finally:
@@ -189,19 +177,20 @@ class InOrder:
     def _take(self, event: Event) -> None:
         number, told = event
         if not isinstance(told, Written):
-            if number >= self._followed:
-                self._known[number] = told
-            if self._alone and isinstance(told, Exception):
+            if isinstance(told, Exception) and self._alone and number == self._followed:
                 self._raise(told)
             elif isinstance(told, Exception) and number < self._followed:
                 raise told
+            self._known[number] = told
             return
         self._written[number] = told
-        if told.state is not None and number == self._followed:
-            self._recording.resume(told.state, told.notes)
+        if told.state is not None and told.notes is not None and number == self._followed:
+            events = len(self._recording.told.bus.found)
+            self._recording.resume(told.state, told.notes, told.services)
             self._shape = told.shape.copy()
+            self._passed(number, told.notes, events)
             self._known.pop(number, None)
-            self._followed, self._alone = number + 1, False
+            self._alone = False
 
     def _follow(self) -> None:
         """Tell the parts whose turn it is what the parts in front leave."""
@@ -211,32 +200,20 @@ class InOrder:
                 self._raise(ends)
                 return
             last = self._ends and number == len(self._pieces) - 1
-            counts = ends.notes.frames, dict(ends.notes.bad)
-            start = self._recording.follow(ends, last=last)
-            if start is None:
+            before, events = self._recording.state(), len(self._recording.told.bus.found)
+            columns = self._recording.follow(ends, last=last)
+            if columns is None:
                 self._alone = True
-                self._workers.write(number, self._recording.state(), self._shape.copy(), last)
-                return
-            self._shape.take(columns_of(ends, start, self._asked), start.channels)
-            self._followed_parts[number] = (self._recording.state(), *counts, start.events)
-            self._followed += 1
-            self._workers.write(number, start, self._shape.copy(), last)
+            else:
+                self._shape.take(columns, self._recording.channels)
+                self._passed(number, ends.notes, events)
+            self._workers.write(number, before, not self._alone, self._shape.copy(), last)
+
+    def _passed(self, number: int, notes: Notes, events: int) -> None:
+        """Note what the recording knows after a part, which had so many ``events`` before it."""
+        found = self._recording.told.bus.found[events:]
+        self._told[number] = self._recording.state(), notes.frames, notes.bad, found
+        self._followed = number + 1
 
     def _raise(self, error: Exception) -> None:
         raise self._recording.numbered(error) if isinstance(error, StrictError) else error
-
-
-def columns_of(ends: Ends, start: Start, asked: Sequence[str] | None) -> tuple[Column, ...]:
-    """Return the columns of a part's rows, in order: those that its frames carry, and the faults told before it."""
-    found = {column.name: column for column in ends.columns if column.name not in (EMCY, STATE)}
-    for table in (*start.before, *start.after):
-        found |= {column.name: column for column in table.columns if column.name not in found}
-    seen = 0
-    for change in ends.health.values():
-        seen |= change.seen_ever
-    for key in ends.keys:
-        seen |= start.health.get(with_channel(key, start.numbers), (0, 0))[1]
-    for name, bit in NAMES.items():
-        if seen >> bit & 1 and (asked is None or name in asked):
-            found.setdefault(name, flag(name))
-    return in_order(found.values(), asked)

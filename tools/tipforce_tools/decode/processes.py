@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, TipforceError
-from tipforce.host.decoding.decoded_part import Ends, Start
+from tipforce.host.decoding.decoded_part import Ends
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import State
 from tipforce_tools.decode.parts import Event, Sink, Work, Written
@@ -57,9 +57,9 @@ class Processes:
         self._busy[number] = self._idle.pop()
         self._order(number, ("decode", number, piece))
 
-    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
+    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
         """See ``Workers``."""
-        self._order(number, ("write", before, shape, last))
+        self._order(number, ("write", before, apart, shape, last))
 
     def _order(self, number: int, order: tuple[Any, ...]) -> None:
         self._orders.setdefault(number, []).append(order)
@@ -122,8 +122,7 @@ def _serve(pipe: Any, inherited: list[Any], reading: Reading, sink: Sink) -> Non
                     work = Work(order[1], order[2], reading)
                     pipe.send(work.decode())
                 elif work is not None:
-                    _, before, shape, last = order
-                    done = work.write(before, shape, last, sink)
+                    done = work.write(sink, *order[1:])
                     work = None
                     pipe.send(done)
             except (TipforceError, OSError) as error:
@@ -165,9 +164,9 @@ class Cluster:
         work = self._works[number] = self._client.submit(_decoded, number, piece, self._reading, pure=False)
         self._wait(number, self._client.submit(_ends, work, pure=False, priority=1))
 
-    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
+    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
         """See ``Workers``."""
-        order = self._works[number], before, shape, last, self._sink
+        order = self._works[number], before, apart, shape, last, self._sink
         self._wait(number, self._client.submit(_write, *order, pure=False, priority=2))
 
     def _wait(self, number: int, future: Any) -> None:
@@ -208,9 +207,9 @@ def _ends(decoded: tuple[Work, Ends | Exception]) -> Ends | Exception:
 
 
 def _write(
-    decoded: tuple[Work, Ends], before: Start | State, shape: Shape, last: bool, sink: Sink
+    decoded: tuple[Work, Ends], before: State, apart: bool, shape: Shape, last: bool, sink: Sink
 ) -> Written | Exception:
     try:
-        return decoded[0].write(before, shape, last, sink)
+        return decoded[0].write(sink, before, apart, shape, last)
     except (TipforceError, OSError) as error:
         return error
