@@ -139,7 +139,9 @@ class Recording:
 
     def finish(self) -> Iterator[Table]:
         """Yield the rows that are still open: the recording ends."""
-        yield from self._flush()
+        table = self._merger.finish()
+        if table is not None:
+            yield from self._finished(table)
         self._take_tally()
         if joins(self.reading.signals):
             self.told.unseen = self._health.unseen
@@ -196,11 +198,6 @@ class Recording:
             return rows
         self._set(before)
         return None
-
-    def _flush(self) -> Iterator[Table]:
-        table = self._merger.finish()
-        if table is not None:
-            yield from self._finished(table)
 
     def _finished(self, table: Table) -> Iterator[Table]:
         joined = self._health.joined(self._counters.unwrapped(table))
