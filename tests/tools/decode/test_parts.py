@@ -25,7 +25,20 @@ from tipforce_tools.decode.writers import Shape
 from tools.decode.logs import decode, log_lines, write_log
 
 READING = Reading(Layouts(4, (1, 2)))
-KINDS = ("gauges", "contact", "contact", "gauges", "health", "emcy", "heartbeat", "boot", "sync", "bad")
+KINDS = (
+    "gauges",
+    "contact",
+    "contact",
+    "gauges",
+    "health",
+    "emcy",
+    "heartbeat",
+    "boot",
+    "sync",
+    "read",
+    "serial",
+    "bad",
+)
 EMCY_CODES = (0x5000, 0xFF10, 0x0000, 0x4200)
 STEPS = st.tuples(
     st.sampled_from(KINDS),
@@ -48,7 +61,7 @@ def lines_of(steps: list[tuple[str, int, int, int]], modulus: int) -> list[str]:
         t_us += 1000 * ms + 1
         node, bus = (1, 2, 1)[which], ("can0", "can0", "can1")[which]
         counters[which] = (counters[which] + step) % 256
-        count, value = counters[which], place % 3000
+        count, value = numbers[bus] or counters[which], place % 3000  # a SYNC with a number is what its answers count
         frame = {
             "gauges": f"{0x180 + node:03X}#{struct.pack('<hhhBB', value, -value, 5, 3, count).hex()}",
             "contact": f"{0x280 + node:03X}#{struct.pack('<hhhBB', value, 100, -32768, 3, count).hex()}",
@@ -57,6 +70,8 @@ def lines_of(steps: list[tuple[str, int, int, int]], modulus: int) -> list[str]:
             "heartbeat": f"{0x700 + node:03X}#{(5, 127)[place % 2]:02X}",
             "boot": f"{0x700 + node:03X}#00",
             "sync": "080#",
+            "read": f"{0x600 + node:03X}#4018100400000000",
+            "serial": f"{0x580 + node:03X}#43181004{1 + place % 2:02X}000000",
             "bad": "28Z#",
         }[kind]
         if kind == "sync" and modulus and (modulus > 3 or place > len(steps) // 2):
