@@ -25,8 +25,8 @@ from tipforce.host.decoding.sample_merger import GAP_FRAMES, GAP_NS, OpenRows, S
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.frames.frame_array import FrameArray
 
-_STEP_FRAMES = 4096  # by which a head grows
-_HEAD_NS, _HEAD_FRAMES = 5 * GAP_NS, 5 * GAP_FRAMES  # either holds a row of each PDO, and its wait for the next one
+_STEP_FRAMES = 2048  # by which a head grows
+_HEAD_NS, _HEAD_FRAMES = 5 * GAP_NS, 5 * GAP_FRAMES  # in either a row of a few PDOs ends, and the wait for the next
 _IN_MEMORY_BYTES = 100_000_000
 """Of the rows of one part; more are kept in a temporary file."""
 
