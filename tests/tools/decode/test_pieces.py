@@ -28,6 +28,7 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Logs are cut from 20 kB on, and a piece's start is decided after few frames."""
     monkeypatch.setattr(session, "_LEAST_PIECE_BYTES", PIECE_BYTES)
     monkeypatch.setattr(session, "_PIECE_BYTES", 3 * PIECE_BYTES)
+    monkeypatch.setattr(decoded_part, "_STEP_FRAMES", 50)
     monkeypatch.setattr(decoded_part, "_HEAD_FRAMES", 100)
 
 

@@ -278,8 +278,7 @@ class DatasetRun:
         shape = Shape(BASE)
         shape.take(self.manifest.columns, ())
         state = recording.state()
-        for written in InOrder(pieces, recording, shape, self._workers(sink, len(pieces)), asked=self._reading.signals,
-                               ends=chain.ends):  # fmt: skip
+        for written in InOrder(pieces, recording, shape, self._workers(sink, len(pieces)), ends=chain.ends):
             assert written.state is not None
             last = written.number == len(pieces) - 1
             self._take(written, logs[written.number], sink.names[written.number], state, last and chain.ends)

@@ -155,7 +155,7 @@ class _Run:
         output = JoinedFile(Path(self._args.output), self._kind, shape, [piece.name for piece in pieces])
         with self._completed(output):
             workers = _workers(self._args, self._reading, output.sink, len(pieces))
-            for written in InOrder(pieces, self._recording, shape, workers, asked=self._reading.signals):
+            for written in InOrder(pieces, self._recording, shape, workers):
                 self.summary.append(written.summary)
                 output.add(written.number, written.record, written.shape)
                 advance(_size(written.piece))

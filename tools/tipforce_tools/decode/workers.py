@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain
 from multiprocessing import connection
 from operator import itemgetter
 from typing import Any, NamedTuple, Protocol
@@ -19,14 +20,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, TipforceError
-from tipforce.host.decoding.counters import Tally
-from tipforce.host.decoding.decoded_part import DecodedPart, Ends, Start
-from tipforce.host.decoding.health import NAMES
-from tipforce.host.decoding.health_rows import EMCY, STATE, with_channel
+from tipforce.host.decoding.decoded_part import DecodedPart, Ends
+from tipforce.host.decoding.duplicates import services
 from tipforce.host.decoding.log_part import Notes, Piece, Reading, StrictError
 from tipforce.host.decoding.recording import Recording, State
-from tipforce.host.decoding.sample_table import Column, Table, flag, in_order
+from tipforce.host.decoding.sample_table import Table
 from tipforce.host.decoding.services import BusEvent
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce_tools.decode.summary import Summary
 from tipforce_tools.decode.writers import Shape
 
@@ -49,8 +49,9 @@ class Written:
     summary: Summary
     state: State | None = None
     """Of the recording after it."""
-    notes: list[Notes] = field(default_factory=list)
-    """Of a part that was decoded after the ones in front."""
+    notes: Notes | None = None
+    """Of a part that was decoded after the ones in front, as ``services``: the frames that ``BusEvents`` looks at."""
+    services: list[FrameArray] = field(default_factory=list)
     frames: int = 0
     bad: dict[str, int] = field(default_factory=dict)
     """Bad lines by reason."""
@@ -74,8 +75,8 @@ class Workers(Protocol):
     def decode(self, number: int, piece: Piece) -> None:
         """Begin to decode a part."""
 
-    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
-        """Complete and write a decoded part; after a ``State`` decode it after the ones in front."""
+    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
+        """Complete and write a part after ``before``: as it was decoded apart, or decode it now."""
 
     def next(self) -> Event:
         """Wait for the next event. Raises EnvironmentLackError if a part cannot be finished."""
@@ -99,25 +100,20 @@ class Work:
         except (TipforceError, OSError) as error:
             return error
 
-    def write(self, before: Start | State, shape: Shape, last: bool, sink: Sink) -> Written | Exception:
-        """Complete and write the rows; after a ``State`` the part is decoded again."""
+    def write(self, sink: Sink, before: State, apart: bool, shape: Shape, last: bool) -> Written | Exception:
+        """Complete and write the rows, see ``Workers``."""
         try:
-            if isinstance(before, Start):
+            if apart:
                 assert self._part is not None
-                return self._written(self._part.rows(before), shape, sink)
+                return self._written(self._part.rows(before, last=last), shape, sink)
             recording = Recording(self._reading, before)
-            found = self._written(self._tables(recording, last), shape, sink)
+            few: list[FrameArray] = []
+            tables = recording.tables_of_piece(self._piece, tap=lambda block, _: few.append(services(block)))
+            written = self._written(chain(tables, recording.finish() if last else ()), shape, sink)
         except (TipforceError, OSError) as error:
             return error
-        found.state, found.notes = recording.state(), recording.told.notes
-        found.events = recording.told.bus.found
-        found.frames, found.bad = found.notes[0].frames, dict(found.notes[0].bad)
-        return found
-
-    def _tables(self, recording: Recording, last: bool) -> Iterator[Table]:
-        yield from recording.tables_of_piece(self._piece)
-        if last:
-            yield from recording.finish()
+        written.state, written.notes, written.services = recording.state(), recording.told.notes[0], few
+        return written
 
     def _written(self, tables: Iterable[Table], shape: Shape, sink: Sink) -> Written:
         summary = Summary()
@@ -139,11 +135,11 @@ class Here(Workers):
 
     def decode(self, number: int, piece: Piece) -> None:
         self._pieces[number] = piece
-        self._events.append(Event(number, Ends((), Tally(), Notes(piece.name))))
+        self._events.append(Event(number, Ends((), Notes(piece.name))))
 
-    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
+    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
         work = Work(number, self._pieces.pop(number), self._reading)
-        self._events.append(Event(number, work.write(before, shape, last, self._sink)))
+        self._events.append(Event(number, work.write(self._sink, before, apart, shape, last)))
 
     def next(self) -> Event:
         return self._events.pop(0)
@@ -156,15 +152,14 @@ class InOrder:
     """The pass over the parts of a recording in order, while workers decode and write them."""
 
     def __init__(
-        self, pieces: Sequence[Piece], recording: Recording, shape: Shape, workers: Workers, *,
-        asked: Sequence[str] | None = None, ends: bool = True,
-    ) -> None:  # fmt: skip
-        """``asked``: the signals that are shown; ``ends``: the recording ends with the last part."""
+        self, pieces: Sequence[Piece], recording: Recording, shape: Shape, workers: Workers, *, ends: bool = True
+    ) -> None:
+        """``ends``: the recording ends with the last part."""
         self._pieces, self._recording, self._shape = pieces, recording, shape
-        self._workers, self._asked, self._ends = workers, asked, ends
+        self._workers, self._ends = workers, ends
         self._known: dict[int, Ends | Exception] = {}
         self._written: dict[int, Written] = {}
-        self._followed_parts: dict[int, tuple[State, int, dict[str, int], list[BusEvent]]] = {}
+        self._told: dict[int, tuple[State, int, dict[str, int], list[BusEvent]]] = {}
         self._begun = self._followed = self._given = 0
         self._alone = False
 
@@ -179,8 +174,7 @@ class InOrder:
                 self._follow()
                 while self._given in self._written:
                     found = self._written.pop(self._given)
-                    if found.number in self._followed_parts:
-                        found.state, found.frames, found.bad, found.events = self._followed_parts.pop(found.number)
+                    found.state, found.frames, found.bad, found.events = self._told.pop(found.number)
                     self._given += 1
                     yield found
         finally:
@@ -189,19 +183,20 @@ class InOrder:
     def _take(self, event: Event) -> None:
         number, told = event
         if not isinstance(told, Written):
-            if number >= self._followed:
-                self._known[number] = told
-            if isinstance(told, Exception) and self._alone:
+            if isinstance(told, Exception) and self._alone and number == self._followed:
                 raise self._numbered(told)
             if isinstance(told, Exception) and number < self._followed:
                 raise told
+            self._known[number] = told
             return
         self._written[number] = told
-        if told.state is not None and number == self._followed:
-            self._recording.resume(told.state, told.notes)
+        if told.state is not None and told.notes is not None and number == self._followed:
+            events = len(self._recording.told.bus.found)
+            self._recording.resume(told.state, told.notes, told.services)
             self._shape = told.shape.copy()
+            self._passed(number, told.notes, events)
             self._known.pop(number, None)
-            self._followed, self._alone = number + 1, False
+            self._alone = False
 
     def _follow(self) -> None:
         """Tell the parts whose turn it is what the parts in front leave."""
@@ -210,35 +205,23 @@ class InOrder:
             if isinstance(ends, Exception):
                 raise self._numbered(ends)
             last = self._ends and number == len(self._pieces) - 1
-            counts = ends.notes.frames, dict(ends.notes.bad)
-            start = self._recording.follow(ends, last=last)
-            if start is None:
+            before, events = self._recording.state(), len(self._recording.told.bus.found)
+            columns = self._recording.follow(ends, last=last)
+            if columns is None:
                 self._alone = True
-                self._workers.write(number, self._recording.state(), self._shape.copy(), last)
-                return
-            self._shape.take(columns_of(ends, start, self._asked), start.channels)
-            self._followed_parts[number] = (self._recording.state(), *counts, start.events)
-            self._followed += 1
-            self._workers.write(number, start, self._shape.copy(), last)
+            else:
+                self._shape.take(columns, self._recording.channels)
+                self._passed(number, ends.notes, events)
+            self._workers.write(number, before, not self._alone, self._shape.copy(), last)
+
+    def _passed(self, number: int, notes: Notes, events: int) -> None:
+        """Note what the recording knows after a part, which had so many ``events`` before it."""
+        found = self._recording.told.bus.found[events:]
+        self._told[number] = self._recording.state(), notes.frames, notes.bad, found
+        self._followed = number + 1
 
     def _numbered(self, error: Exception) -> Exception:
         return self._recording.numbered(error) if isinstance(error, StrictError) else error
-
-
-def columns_of(ends: Ends, start: Start, asked: Sequence[str] | None) -> tuple[Column, ...]:
-    """Return the columns of a part's rows, in order: those that its frames carry, and the faults told before it."""
-    found = {column.name: column for column in ends.columns if column.name not in (EMCY, STATE)}
-    for table in (*start.before, *start.after):
-        found |= {column.name: column for column in table.columns if column.name not in found}
-    seen = 0
-    for change in ends.health.values():
-        seen |= change.seen_ever
-    for key in ends.keys:
-        seen |= start.health.get(with_channel(key, start.numbers), (0, 0))[1]
-    for name, bit in NAMES.items():
-        if seen >> bit & 1 and (asked is None or name in asked):
-            found.setdefault(name, flag(name))
-    return in_order(found.values(), asked)
 
 
 _KEPT_BYTES = 31 << 20  # glibc keeps twice as much
@@ -279,8 +262,8 @@ class Processes(Workers):
         self._busy[number] = self._idle.pop()
         self._order(number, ("decode", number, piece))
 
-    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
-        self._order(number, ("write", before, shape, last))
+    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
+        self._order(number, ("write", before, apart, shape, last))
 
     def _order(self, number: int, order: tuple[Any, ...]) -> None:
         self._orders.setdefault(number, []).append(order)
@@ -339,8 +322,8 @@ def _serve(pipe: Any, inherited: list[Any], reading: Reading, sink: Sink) -> Non
                 case "decode", number, piece:
                     work = Work(number, piece, reading)
                     pipe.send(work.decode())
-                case "write", before, shape, last if work is not None:
-                    done = work.write(before, shape, last, sink)
+                case "write", *order if work is not None:
+                    done = work.write(sink, *order)
                     work = None  # its rows are not kept while the process waits
                     pipe.send(done)
 
@@ -378,8 +361,8 @@ class Cluster(Workers):
         work = self._works[number] = self._client.submit(_decoded, number, piece, self._reading, pure=False)
         self._wait(number, self._client.submit(itemgetter(1), work, pure=False, priority=1))
 
-    def write(self, number: int, before: Start | State, shape: Shape, last: bool) -> None:
-        order = self._works[number], before, shape, last, self._sink
+    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
+        order = self._works[number], self._sink, before, apart, shape, last
         self._wait(number, self._client.submit(_written, *order, pure=False, priority=2))
 
     def _wait(self, number: int, future: Any) -> None:

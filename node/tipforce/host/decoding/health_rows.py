@@ -69,9 +69,7 @@ class HealthRows:
         """Take what the tables of a part tell, whose channels have these ``numbers`` here."""
         for key, change in changes.items():
             mine = with_channel(key, numbers)
-            faults, seen = self._health.now(mine)
-            told = change.faults_set | faults & change.faults_kept, change.seen_set | seen & change.seen_kept
-            self._health.set(mine, *told)
+            self._health.set(mine, *change.after(*self._health.now(mine)))
         for key in sampled:
             mine = with_channel(key, numbers)
             self.sampled[mine] = channels[mine >> NODE_BITS], mine & ((1 << NODE_BITS) - 1)
@@ -121,18 +119,20 @@ class HealthRows:
 
 
 class Change(NamedTuple):
-    """What messages do to the (faults, seen) before them: bits that are set after them, and bits that stay."""
+    """(faults, seen) after messages where no bit was set before them, and where all were."""
 
-    faults_set: int
-    faults_kept: int
-    seen_set: int
-    seen_kept: int
+    from_none: tuple[int, int]
+    from_all: tuple[int, int]
     seen_ever: int
     """Bits told by any of them."""
 
+    def after(self, faults: int, seen: int) -> tuple[int, int]:
+        """Return (faults, seen) after the messages, by those before them: each message acts on single bits."""
+        return self.from_none[0] | faults & self.from_all[0], self.from_none[1] | seen & self.from_all[1]
+
 
 class HealthChanges:
-    """What the tables of a part do to an unknown state before them: each operation acts on single bits."""
+    """What the tables of a part do to an unknown state before them."""
 
     def __init__(self) -> None:
         self._from = Health(), Health(unknown=(ALL, ALL))
@@ -158,13 +158,7 @@ class HealthChanges:
         """By key the change over all tables."""
         nothing, everything = self._from
         keys = {*nothing.nodes, *everything.nodes}
-        return {
-            key: Change(
-                nothing.now(key)[0], everything.now(key)[0], nothing.now(key)[1], everything.now(key)[1],
-                self._ever.get(key, 0),
-            )
-            for key in keys
-        }  # fmt: skip
+        return {key: Change(nothing.now(key), everything.now(key), self._ever.get(key, 0)) for key in keys}
 
 
 def _sampled_keys(table: Table, service: BoolArray) -> list[int]:

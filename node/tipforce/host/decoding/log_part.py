@@ -12,7 +12,6 @@ from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health_rows import joins, with_services
 from tipforce.host.decoding.pdo_layout import Layouts
-from tipforce.host.decoding.services import BusEvents
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import BadLine
 from tipforce.host.logs.reader import LogReader, open_log
@@ -85,7 +84,6 @@ class Notes:
     first_bad_line: BadLine | None = None
     lines: int = 0
     extended: int = 0
-    events: BusEvents = field(default_factory=BusEvents)
 
     def append(self, other: Notes) -> None:
         """Add the notes of the next part of the same log."""
@@ -95,8 +93,6 @@ class Notes:
             self.first_bad = str(numbered_from(self.lines, line)) if moved and line is not None else other.first_bad
         self.frames += other.frames
         self.extended += other.extended
-        for event in other.events.found:
-            self.events.append(event)
         self.lines += other.lines
         for mine, more in ((self.bad, other.bad), (self.skipped, other.skipped)):
             for reason, count in more.items():
@@ -126,7 +122,7 @@ class Source:
             name, strict=reading.strict, follow=reading.follow and name != "-", deltas=reading.deltas,
             part=(piece.start, piece.end),
         )  # fmt: skip
-        self.notes = Notes(name, goes_on=piece.start > 0, events=BusEvents(reading.layouts.nodes))
+        self.notes = Notes(name, goes_on=piece.start > 0)
 
     @property
     def channels(self) -> list[str]:
@@ -142,7 +138,6 @@ class Source:
                     if self._progress is not None:
                         self._progress(log.position)
                     if len(frames):
-                        self.notes.events.add(frames, log.channels)
                         yield frames
             finally:
                 self._take_notes(log)

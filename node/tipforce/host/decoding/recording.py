@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from tipforce.errors import InputError
 from tipforce.host.decoding.counters import Counters, Tally, TallyRow
-from tipforce.host.decoding.health_rows import HealthRows, joins
+from tipforce.host.decoding.health import NAMES
+from tipforce.host.decoding.health_rows import EMCY, STATE, HealthRows, joins, with_channel
 from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading, Source, StrictError, numbered_from
-from tipforce.host.decoding.sample_merger import SampleMerger
-from tipforce.host.decoding.sample_table import NODE_BITS, Table
+from tipforce.host.decoding.sample_merger import OpenRows, SampleMerger, renumbered
+from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, flag, in_order
 from tipforce.host.decoding.services import BusEvent, BusEvents
-from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus, Syncs
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
 
 if TYPE_CHECKING:
-    from tipforce.host.decoding.decoded_part import Ends, Start
+    from tipforce.host.decoding.decoded_part import Ends
 
 Tap = Callable[[FrameArray, Sequence[str]], None]
 """Takes FRAME (n,) and the interfaces by number."""
@@ -69,16 +68,17 @@ class Recording:
         """``state`` as ``state()`` returned it after the parts in front."""
         self.reading = reading
         self.channels: list[str] = []
-        self.told = Told(Tally(), [])
+        self.told = Told(Tally(), [], bus=BusEvents(reading.layouts.nodes))
         self._counters, self._health = Counters(), HealthRows(reading.signals)
         self._merger = SampleMerger(reading.decoder, self.channels, reading.wanted, follows=bool(reading.layouts.eds))
         if state is not None:
             self._set(state)
 
-    def resume(self, state: State, notes: Iterable[Notes]) -> None:
-        """Take over from a recording that began with this one's state and read the next part."""
-        for one in notes:
-            self._take_notes(one)
+    def resume(self, state: State, notes: Notes, services: Iterable[FrameArray]) -> None:
+        """Take over from a recording that began with this one's state and read the next part with these services."""
+        self._take_notes(notes)
+        for frames in services:
+            self.told.bus.add(frames, notes.channels)
         self._set(state)
         if joins(self.reading.signals):
             self.told.unseen = self._health.unseen
@@ -86,9 +86,9 @@ class Recording:
     def _set(self, state: State) -> None:
         self.channels[:] = state.channels
         merger = self._merger
-        merger.timed, merger.sync = state.timed, SyncModulus(state.syncs)
         held: FrameArray = np.frombuffer(state.held, dtype=FRAME).copy()
-        merger.hold(held, np.array(state.held_number, dtype=np.int64))
+        merger.timed = state.timed
+        merger.resume(OpenRows(held, np.array(state.held_number, dtype=np.int64), state.syncs))
         self._counters, self._health = Counters(state.counters), HealthRows(self.reading.signals, state.health)
         for key in state.sampled:
             self._health.sampled[key] = self.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
@@ -100,12 +100,12 @@ class Recording:
 
     def state(self) -> State:
         """Return what the next part of the recording depends on."""
-        frames, number = self._merger.held
+        frames, number, syncs = self._merger.open
         self._take_tally()
         tally, short = self.told.tally.rows()
         bus = self.told.bus
         return State(
-            list(self.channels), self._merger.timed, frames.tobytes(), number.tolist(), self._merger.sync.state,
+            list(self.channels), self._merger.timed, frames.tobytes(), number.tolist(), syncs,
             dict(self._counters.last), self._health.told, list(self._health.sampled),
             [(*place, code) for place, code in bus.states.items()], tally, short,
             [(*place, crc) for place, crc in bus.calibrations.items()],
@@ -121,8 +121,9 @@ class Recording:
             for block in source:
                 if tap is not None:
                     tap(block, source.channels)
+                self.told.bus.add(block, source.channels)
                 self._merger.timed = before and source.log.timed
-                for table in self._merger.tables(self._numbered(block, source.channels)):
+                for table in self._merger.tables(renumbered(block, self.numbers_of(source.channels))):
                     yield from self._finished(table)
         except StrictError as error:
             raise self.numbered(error) from None
@@ -138,67 +139,65 @@ class Recording:
 
     def finish(self) -> Iterator[Table]:
         """Yield the rows that are still open: the recording ends."""
-        yield from self._flush()
+        table = self._merger.finish()
+        if table is not None:
+            yield from self._finished(table)
         self._take_tally()
         if joins(self.reading.signals):
             self.told.unseen = self._health.unseen
 
-    def follow(self, ends: Ends, *, last: bool = False) -> Start | None:
-        """Take a part that was decoded separately as the next one, and return what completes its rows.
+    def follow(self, ends: Ends, *, last: bool = False) -> tuple[Column, ...] | None:
+        """Take a part that was decoded apart as the next one; return the columns of all its rows, in order.
 
         None, without a change, for a part that must be decoded after the ones in front: by ``tables_of_piece`` of a
         recording with the present ``state``. ``last``: the recording ends with this part.
         """
-        from tipforce.host.decoding.decoded_part import Start  # not where one process reads the logs
-
-        if not ends.separable or ends.head is None or ends.tail is None or not self._fits(ends):
+        rows = self._head(ends)
+        if rows is None:
             return None
-        numbers = self.numbers_of(ends.channels).tolist()
-        merger, counted = self._merger, len(self.told.bus.found)
-        merger.timed = timed = merger.timed or not ends.notes.goes_on
-        seen, _ = ends.looked[0]
-        self._look(seen, numbers)
-        table = merger.add(self._numbered(ends.head.frames, ends.channels), number=ends.head.number)
-        before = [*(self._finished(table) if table is not None else ()), *self._flush()]
-        start = Start(
-            tuple(self.channels), numbers, dict(self._counters.last), self._health.told, timed, before, [], []
-        )
-        for seen, _ in ends.looked[1:]:
-            self._look(seen, numbers)
+        numbers, told = self.numbers_of(ends.channels), self._health.told
         self._counters.skip(*ends.counters, numbers)
         self._health.skip(ends.health, ends.sampled, numbers, self.channels)
         self._take_tally()
         self.told.tally.append(ends.tally)
         self._take_notes(ends.notes)
-        merger.timed = timed and ends.notes.timed
-        merger.hold(self._numbered(ends.tail.frames, ends.channels), ends.tail.number)
-        start.after += list(self.finish()) if last else []
-        start.events += self.told.bus.found[counted:]
-        return start
+        for frames in ends.services:
+            self.told.bus.add(frames, ends.channels)
+        self._merger.timed = self._merger.timed and ends.notes.timed
+        self._merger.resume(ends.tail.renumbered(numbers))
+        rows += self.finish() if last else ()
+        columns = {column.name: column for column in ends.columns if column.name not in (EMCY, STATE)}
+        for table in rows:
+            columns = {column.name: column for column in table.columns} | columns
+        seen = [change.seen_ever for change in ends.health.values()]
+        seen += [told.get(with_channel(key, numbers), (0, 0))[1] for key in ends.keys]
+        for name, bit in NAMES.items():
+            if any(bits >> bit & 1 for bits in seen) and (self.reading.signals is None or name in self.reading.signals):
+                columns.setdefault(name, flag(name))
+        return in_order(columns.values(), self.reading.signals)
 
-    def _fits(self, ends: Ends) -> bool:
-        """Return whether the part has found the same moduli of counters as it does after the parts in front."""
-        numbers = self.numbers_of(ends.channels).tolist()
-        here = SyncModulus(self._merger.sync.state)
-        for seen in ends.looked[0][0]:
-            if (here.of.get(numbers[seen.channel], SAMPLES) != SAMPLES) != seen.numbered:
-                return False
-        for seen_now, moduli in ends.looked:
-            for seen in seen_now:
-                here.take(seen._replace(channel=numbers[seen.channel]))
-            found = {numbers[channel]: modulus for channel, modulus in moduli.items()}
-            if any(found.get(k, SAMPLES) != here.of.get(k, SAMPLES) for k in {*found, *here.of}):
-                return False
-        return True
+    def rows_of_part(self, ends: Ends, kept: Iterable[Table], *, last: bool = False) -> Iterator[Table]:
+        """Yield all rows of the next part, which ``follow`` took elsewhere; ``kept``: those behind its head."""
+        yield from self._head(ends) or ()
+        numbers, timed = self.numbers_of(ends.channels), self._merger.timed
+        for table in kept:
+            yield from self._finished(table.renumbered(numbers, tuple(self.channels), timed))
+        self._merger.resume(ends.tail.renumbered(numbers))
+        if last:
+            yield from self.finish()
 
-    def _look(self, seen: Iterable[Syncs], numbers: Sequence[int]) -> None:
-        for one in seen:
-            self._merger.sync.take(one._replace(channel=numbers[one.channel]))
-
-    def _flush(self) -> Iterator[Table]:
-        table = self._merger.finish()
-        if table is not None:
-            yield from self._finished(table)
+    def _head(self, ends: Ends) -> list[Table] | None:
+        """Decode the head of a part; None, without a change, if what follows is not what the part has decoded."""
+        if ends.head is None:
+            return None
+        before, numbers = self.state(), self.numbers_of(ends.channels)
+        self._merger.timed = ends.timed and (self._merger.timed or not ends.notes.goes_on)
+        tables = self._merger.tables(renumbered(ends.head, numbers))
+        rows = [row for table in tables for row in self._finished(table)]
+        if self._merger.open.equals(ends.behind_head.renumbered(numbers)):
+            return rows
+        self._set(before)
+        return None
 
     def _finished(self, table: Table) -> Iterator[Table]:
         joined = self._health.joined(self._counters.unwrapped(table))
@@ -210,27 +209,14 @@ class Recording:
         self._merger.tally = Tally()
 
     def _take_notes(self, notes: Notes) -> None:
-        for event in notes.events.found:
-            self.told.bus.append(event)
         if notes.goes_on and self.told.notes and self.told.notes[-1].source == notes.source:
             self.told.notes[-1].append(notes)
         else:
-            self.told.notes.append(notes)
+            self.told.notes.append(replace(notes, bad={**notes.bad}, skipped={**notes.skipped}))
 
-    def numbers_of(self, names: Iterable[str]) -> npt.NDArray[np.uint8]:
+    def numbers_of(self, names: Iterable[str]) -> list[int]:
         """Return the numbers of interfaces; new ones are added. Raises InputError for too many."""
-        for name in names:
-            if name not in self.channels:
-                self.channels.append(name)
+        self.channels += [name for name in dict.fromkeys(names) if name not in self.channels]
         if len(self.channels) > MAX_CHANNELS:
             raise InputError(f"the logs have more than {MAX_CHANNELS} interfaces; decode one at a time, with --jobs 1")
-        return np.array([self.channels.index(name) for name in names], dtype=np.uint8)
-
-    def _numbered(self, frames: FrameArray, names: Iterable[str]) -> FrameArray:
-        """Return the frames with the channel numbers of the whole recording."""
-        numbers = self.numbers_of(list(names))
-        if not len(frames) or (numbers == np.arange(len(numbers))).all():
-            return frames
-        frames = frames.copy()
-        frames["channel"] = numbers[frames["channel"]]
-        return frames
+        return [self.channels.index(name) for name in names]

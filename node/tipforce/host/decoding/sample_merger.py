@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from tipforce.host.decoding.sample_table import (
     in_order,
     missing_of,
 )
-from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus, Syncs
+from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 
 IntArray = npt.NDArray[np.intp]
@@ -122,22 +122,6 @@ def open_from(frames: Frames, found: Runs) -> int:
     return int(found.start[last[near]].min(initial=count))
 
 
-def certain_from(frames: Frames, found: Runs) -> int:
-    """Return the index from which no row depends on frames before the first; the number of frames if there is none."""
-    early = frames.t_ns - frames.t_ns[0] <= GAP_NS
-    early &= frames.number - frames.number[0] <= GAP_FRAMES
-    uncertain = -1
-    order, key = found.order, frames.key[found.order]
-    for nodes in np.split(order, np.flatnonzero(key[1:] != key[:-1]) + 1):
-        cyclic = nodes[frames.cyclic[nodes] & (frames.counter[nodes] != NO_COUNTER)]
-        if not early[nodes[0]]:
-            continue
-        first = cyclic[0] if len(cyclic) else nodes[-1]
-        waiting = nodes[(found.start[nodes] == first) | (nodes < first)]
-        uncertain = max(uncertain, int(waiting[early[waiting]].max(initial=-1)))
-    return uncertain + 1
-
-
 def row_numbers(start: IntArray, end: int) -> tuple[IntArray, IntArray]:
     """Return (first, row): index of the first frame of each row that starts before ``end``; each frame's row number."""
     is_first = start == np.arange(len(start))
@@ -150,9 +134,41 @@ def joined(*parts: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
+class OpenRows(NamedTuple):
+    """Frames of incomplete rows, their numbers relative to the next decodable frame, and ``SyncModulus.state``."""
+
+    frames: FrameArray
+    number: npt.NDArray[np.int64]
+    syncs: list[tuple[int, int, int, int]]
+
+    @classmethod
+    def none(cls) -> OpenRows:
+        """Return those of a merger that has seen nothing."""
+        return cls(np.zeros(0, dtype=FRAME), np.zeros(0, dtype=np.int64), [])
+
+    def renumbered(self, numbers: Sequence[int]) -> OpenRows:
+        """Return them with other ``numbers`` of the channels."""
+        syncs = [(numbers[k], modulus, largest, last) for k, modulus, largest, last in self.syncs]
+        return OpenRows(renumbered(self.frames, numbers), self.number, syncs)
+
+    def equals(self, other: OpenRows) -> bool:
+        """Return whether the same samples follow from both."""
+        mine, others = ({one for one in rows.syncs if one[1] != SAMPLES} for rows in (self, other))
+        return (
+            mine == others and np.array_equal(self.number, other.number) and np.array_equal(self.frames, other.frames)
+        )
+
+
+def renumbered(frames: FrameArray, numbers: Sequence[int]) -> FrameArray:
+    """Return the frames with other ``numbers`` of the channels."""
+    if not len(frames) or list(numbers) == list(range(len(numbers))):
+        return frames
+    frames = frames.copy()
+    frames["channel"] = np.array(numbers, dtype=np.uint8)[frames["channel"]]
+    return frames
+
+
 _PLAIN = f"V{FRAME.itemsize}"  # copied as a whole, not field by field
-Looked = tuple[list[Syncs], dict[int, int]]
-"""SYNCs, and the modulus of each channel's counters behind them."""
 _Found = list[tuple[int, Samples]]  # (channel, samples), their rows indexed in the whole block
 _Piece = tuple[IntArray, Samples, BoolArray | slice]  # rows of the table, and the samples for them
 
@@ -161,7 +177,7 @@ class SampleMerger:
     """Convert each block to a table. Frames of an incomplete row are kept for the next block.
 
     ``channels`` are the names of the frames' channels and may grow. ``signals`` None means all. ``tally`` counts the
-    returned samples. ``looked``, if it is a list, gets the SYNCs that were looked at.
+    returned samples.
     """
 
     def __init__(
@@ -189,7 +205,6 @@ class SampleMerger:
         self.timed = True
         self.sync = SyncModulus()
         self.tally = Tally()
-        self.looked: list[Looked] | None = None
 
     def tables(self, frames: FrameArray) -> Iterator[Table]:
         """Yield the samples that are complete now, apart where numbers of SYNCs begin or end, and layouts change."""
@@ -208,9 +223,7 @@ class SampleMerger:
 
     def _part(self, frames: FrameArray, *, begins: bool) -> Iterator[Table]:
         rest = self.finish() if begins else None
-        seen = self.sync.look(frames)
-        if self.looked is not None:
-            self.looked.append((seen, dict(self.sync.of)))
+        self.sync.look(frames)
         yield from (table for table in (rest, self.add(frames)) if table is not None)
 
     def _changes(self, frames: FrameArray) -> list[tuple[int, Decoder, Change]]:
@@ -222,19 +235,13 @@ class SampleMerger:
             found += [(int(rows[one.row - 1]) + 1, decoder, one) for one in decoder.changes(frames[rows])]
         return found
 
-    def add(
-        self, frames: FrameArray, *, last: bool = False, number: npt.NDArray[np.int64] | None = None
-    ) -> Table | None:
-        """Return the samples that are complete now; with ``last`` all of them. None if there are none.
-
-        ``number``: of each frame, all of which are decodable, counted from the first decodable frame after ``hold``.
-        """
+    def add(self, frames: FrameArray, *, last: bool = False) -> Table | None:
+        """Return the samples that are complete now; with ``last`` all of them. None if there are none."""
         before = len(self._held)
         block = np.concatenate((self._held.view(_PLAIN), frames.view(_PLAIN))).view(FRAME) if before else frames
         found = self._decoded(block)
         decoded, index = _places(len(block), found)
-        numbered = self._number(before, decoded) if number is None else np.concatenate((self._held_number, number))
-        arrived = _arrived(found, index, numbered)
+        arrived = _arrived(found, index, self._number(before, decoded))
         sorted_out = runs(arrived)
         end = len(decoded) if last or not len(decoded) else open_from(arrived, sorted_out)
         table = self._table(arrived, sorted_out, found, index, end)
@@ -246,32 +253,15 @@ class SampleMerger:
         """Return the remaining samples."""
         return self.add(np.zeros(0, dtype=FRAME), last=True)
 
-    def head(self, frames: FrameArray) -> tuple[FrameArray, npt.NDArray[np.bool_]]:
-        """Split the start of a recording's part: the decodable frames, and which depend on the part before."""
-        found = self._decoded(frames)
-        decoded, index = _places(len(frames), found)
-        if not len(decoded):
-            return frames[:0], np.zeros(0, dtype=np.bool_)
-        arrived = _arrived(found, index, np.arange(len(decoded)))
-        sorted_out = runs(arrived)
-        return frames[decoded], sorted_out.start < certain_from(arrived, sorted_out)
-
-    def decodable(self, frames: FrameArray) -> FrameArray:
-        """Return the frames to decode; all others are skipped and, if too short, counted."""
-        return frames[_places(len(frames), self._decoded(frames))[0]]
-
     @property
-    def held(self) -> tuple[FrameArray, npt.NDArray[np.int64]]:
-        """The frames of incomplete rows, and their numbers relative to the next decodable frame."""
-        return self._held, self._held_number - self._count
+    def open(self) -> OpenRows:
+        """What the next samples depend on."""
+        return OpenRows(self._held, self._held_number - self._count, self.sync.state)
 
-    def hold(self, frames: FrameArray, number: npt.NDArray[np.int64]) -> None:
-        """Begin with these frames, as ``held`` returned them."""
-        self._held, self._held_number, self._count = frames, number, 0
-
-    def skip(self, count: int) -> None:
-        """Number the next decodable frames from ``count``."""
-        self._count = count
+    def resume(self, rows: OpenRows) -> None:
+        """Go on from what ``open`` returned."""
+        self._held, self._held_number, self._count = rows.frames, rows.number, 0
+        self.sync = SyncModulus(rows.syncs)
 
     def _number(self, before: int, decoded: IntArray) -> npt.NDArray[np.int64]:
         new = len(decoded) - before

@@ -91,6 +91,11 @@ class Table:
             self, columns=ordered, values={**self.values, **none}, absent={**self.absent, **absent}, channels=channels
         )
 
+    def renumbered(self, numbers: Sequence[int], channels: tuple[str, ...], timed: bool) -> Table:
+        """Return the table with other ``numbers`` of its channels, and without times unless ``timed``."""
+        key = np.array(numbers, dtype=np.uint16)[self.channel] << NODE_BITS | self.node
+        return replace(self, key=key.astype(np.uint16), channels=channels, timed=self.timed and timed)
+
     def take(self, rows: npt.NDArray[Any]) -> Table:
         """Return some of the rows."""
         return replace(

@@ -105,7 +105,7 @@ class Services:
 
 
 class BusEvents:
-    """Collect the events of ``node_ids`` (None: all); parts can be joined.
+    """Collect the events of ``node_ids`` (None: all) in the order of a recording.
 
     By channel and node-id, ``states``: the last NMT state; ``calibrations``: the last CRC-32 read from 2103h:3.
     """
@@ -118,47 +118,24 @@ class BusEvents:
         self._duplicates: dict[str, DuplicateNodes] = {}
         self._doubled: set[tuple[str, int]] = set()
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what other parts of a log need; what waits for a second node stays in the process that reads."""
-        return {**self.__dict__, "_duplicates": {}}
-
     def add(self, frames: FrameArray, channels: Sequence[str]) -> None:
         """Add the events among FRAME (n,); ``channels`` are the interfaces by number."""
-        can_id = np.ascontiguousarray(frames["can_id"])
-        functions = can_id & ~np.uint32(codes.NODE_ID_MASK)
-        wanted = (functions == codes.HEARTBEAT_BASE) | (functions == codes.EMCY_BASE)
-        read = np.flatnonzero(functions == codes.SDO_RESPONSE_BASE)
-        wanted[read] = (frames["data"][read, :4] == np.frombuffer(_CRC_READ, np.uint8)).all(axis=1)
-        new = self._second_nodes(frames, channels)
-        few = np.flatnonzero(wanted)
-        chosen = frames[few[can_id[few] & codes.NODE_ID_MASK != 0]]  # SYNC is EMCY's function with node-id 0
+        chosen = services(frames)
         data = chosen["data"].tobytes()
         columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length", "channel"))
-        for k, (t_ns, can_id, length, channel) in enumerate(zip(*columns, strict=True)):
-            node_id = can_id & codes.NODE_ID_MASK
+        for k, (t_ns, can_id, length, number) in enumerate(zip(*columns, strict=True)):
+            channel, node_id, content = channels[number], can_id & codes.NODE_ID_MASK, data[8 * k : 8 * k + length]
+            told = []
+            duplicate = self._duplicates.setdefault(channel, DuplicateNodes()).frame(can_id, content, t_ns)
+            if duplicate is not None:
+                told.append(("duplicate", 0, str(duplicate)))
+            if (event := _event(can_id - node_id, content)) is not None:
+                told.append(event)
             if self._node_ids is None or node_id in self._node_ids:
-                told = _event(can_id & codes.FUNCTION_MASK, data[8 * k : 8 * k + length])
-                if told is not None:
-                    new.append(BusEvent(t_ns, channels[channel], node_id, *told))
-        if new and new[0].kind == "duplicate":
-            new.sort(key=lambda event: event.t_ns)
-        for event in new:
-            self.append(event)
+                for kind, code, text in told:
+                    self._append(BusEvent(t_ns, channel, node_id, kind, code, text))
 
-    def _second_nodes(self, frames: FrameArray, channels: Sequence[str]) -> list[BusEvent]:
-        """Return the events of node-ids that two nodes use."""
-        events = []
-        chosen = services(frames)
-        for number in set(chosen["channel"].tolist()):
-            channel = channels[number]
-            watch = self._duplicates.setdefault(channel, DuplicateNodes())
-            for duplicate in watch.add(chosen[chosen["channel"] == number]):
-                if self._node_ids is None or duplicate.node_id in self._node_ids:
-                    text = str(duplicate)
-                    events.append(BusEvent(duplicate.t_ns, channel, duplicate.node_id, "duplicate", 0, text))
-        return events
-
-    def append(self, event: BusEvent) -> None:
+    def _append(self, event: BusEvent) -> None:
         """Add an event, unless it repeats the state or the calibration of its node, or that two nodes have its id."""
         place = event.channel, event.node_id
         if event.kind == "duplicate" and place in self._doubled:
@@ -180,7 +157,7 @@ def _event(function: int, data: bytes) -> tuple[str, int, str] | None:
     if function == codes.EMCY_BASE and len(data) == 8:
         code = int.from_bytes(data[:2], "little")
         return "emcy" if code >> 8 else "emcy_reset", code, _emcy(data)
-    if function == codes.SDO_RESPONSE_BASE and len(data) == 8:
+    if function == codes.SDO_RESPONSE_BASE and data.startswith(_CRC_READ):
         crc = int.from_bytes(data[4:], "little")
         return "calibration", crc, f"CRC-32 0x{crc:08X}" if crc else "not calibrated"
     return None

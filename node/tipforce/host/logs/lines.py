@@ -97,18 +97,20 @@ def row_blocks(path: Path, rows: Iterator[bytes], notes: LogNotes) -> Iterator[F
     """Yield the frames that ``rows`` packs, in blocks. Any error of a library at a damaged file is noted as bad."""
     ended = False
     while not ended:
-        packed, ended = bytearray(), True
+        packed, ended, failure = bytearray(), True, None
         try:
             for row in islice(rows, BLOCK_ROWS):
                 ended = False
                 packed += row
-        except TipforceError:
-            raise
         except Exception as error:  # each library raises various ones
-            notes.note_bad(UNREADABLE, f"{path}: truncated: {error or type(error).__name__}")
-            ended = not packed
+            failure = error
         if packed:
             yield np.frombuffer(packed, dtype=FRAME)
+        if isinstance(failure, TipforceError):
+            raise failure
+        if failure is not None:
+            notes.note_bad(UNREADABLE, f"{path}: truncated: {failure or type(failure).__name__}")
+            ended = not packed
 
 
 def open_file(path: Path) -> FileIO:

@@ -14,15 +14,12 @@ from io import BufferedReader, FileIO
 from pathlib import Path
 from typing import TypeAlias
 
-import numpy as np
-
 from canopen_device.core.codes import REMOTE_FLAG
 from tipforce.errors import InputError
-from tipforce.host.frames.frame_array import FRAME, PACK_FRAME, FrameArray
-from tipforce.host.logs.lines import FD, UNREADABLE, LogNotes, open_file
+from tipforce.host.frames.frame_array import PACK_FRAME, FrameArray
+from tipforce.host.logs.lines import FD, LogNotes, open_file, row_blocks
 
 SOCKETCAN, COOKED, COOKED_2 = 227, 113, 276
-BLOCK_FRAMES = 8192
 _CAN, _CAN_FD = 0x000C, 0x000D
 _FD_FLAG = 0x04  # CANFD_FDF in the byte after the length
 _FD_BYTES = 72
@@ -32,10 +29,6 @@ _NAME_OPTION, _RESOLUTION_OPTION = 2, 9
 _LONGEST_BLOCK = 1 << 20
 _HEAD = struct.Struct(">IBB")
 _UNIT_OF_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}  # ns per unit of the fraction
-
-
-class _BrokenError(Exception):
-    """The rest of the file cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,35 +49,20 @@ def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
 
     Raises InputError for a file that cannot be opened for reading.
     """
-    rows = bytearray()
     with BufferedReader(open_file(path)) as file:
         magic = int.from_bytes(file.peek(4)[:4], "little")
         order = "<" if magic in _UNIT_OF_MAGIC else ">"
         packets = _pcapng(file, path, notes) if magic == _SECTION else _pcap(file, order, path, notes)
-        while True:
-            try:
-                packet = next(packets, None)
-            except (_BrokenError, struct.error) as error:
-                yield from _block(rows)
-                notes.note_bad(UNREADABLE, f"{path}: truncated: {error}")
-                return
-            if packet is None:
-                break
-            row = _row(packet, notes)
-            if row is None:
-                yield from _block(rows)
-                notes.note_bad("not CAN", f"{path}: a packet that is not a CAN frame (link type {packet[1].link})")
-                continue
-            rows += row
-            if len(rows) >= BLOCK_FRAMES * FRAME.itemsize:
-                yield from _block(rows)
-    yield from _block(rows)
+        yield from row_blocks(path, _rows(packets, path, notes), notes)
 
 
-def _block(rows: bytearray) -> Iterator[FrameArray]:
-    if rows:
-        yield np.frombuffer(bytearray(rows), dtype=FRAME)
-        rows.clear()
+def _rows(packets: Iterator[_Packet], path: Path, notes: LogNotes) -> Iterator[bytes]:
+    for packet in packets:
+        row = _row(packet, notes)
+        if row is None:
+            notes.note_bad("not CAN", f"{path}: a packet that is not a CAN frame (link type {packet[1].link})")
+        else:
+            yield row
 
 
 def _row(packet: _Packet, notes: LogNotes) -> bytes | None:
@@ -132,21 +110,21 @@ def _pcapng(file: _File, path: Path, notes: LogNotes) -> Iterator[_Packet]:
             interfaces = []
         kind, length = struct.unpack(f"{order}II", head)
         if length < 12 or length % 4:
-            raise _BrokenError(f"a block of {length} bytes")
+            raise ValueError(f"a block of {length} bytes")
         body = _exactly(file, length - 8)[:-4]
         if kind == _INTERFACE:
             interfaces.append(_interface(body, order, path, notes))
         elif kind == _ENHANCED:
             number, high, low, captured, _ = struct.unpack_from(f"{order}IIIII", body)
             if number >= len(interfaces):
-                raise _BrokenError(f"a packet of interface {number}, which is not described")
+                raise ValueError(f"a packet of interface {number}, which is not described")
             source = interfaces[number]
             t_ns = (high << 32 | low) * 1_000_000_000 // source.ticks_per_s
             yield t_ns, source, body[20 : 20 + captured]
         elif kind == _SIMPLE:
             notes.timed = False
             if not interfaces:
-                raise _BrokenError("a packet before its interface is described")
+                raise ValueError("a packet before its interface is described")
             yield 0, interfaces[0], body[4:]
 
 
@@ -175,8 +153,8 @@ def _channel(name: str, path: Path, notes: LogNotes) -> int:
 
 def _exactly(file: _File, count: int) -> bytes:
     if count > _LONGEST_BLOCK:
-        raise _BrokenError(f"a packet of {count} bytes")
+        raise ValueError(f"a packet of {count} bytes")
     data = file.read(count)
     if len(data) < count:
-        raise _BrokenError("the end of the last packet is missing")
+        raise ValueError("the end of the last packet is missing")
     return data
