@@ -20,8 +20,8 @@ WAIT_S = 60.0
 
 
 def test_the_simulated_hand_is_shown_as_it_is_loaded() -> None:
-    with simulated_hand(moving=False) as (hand, nodes):
-        for k, gauges in enumerate(nodes.sources):
+    with simulated_hand(moving=False) as (hand, sources):
+        for k, gauges in enumerate(sources):
             gauges.load = load_at(k, 3.0)
         source = serving.hand_source(argparse.Namespace(quiet=True), hand, "simulated hand")
         deadline_s = time.monotonic() + WAIT_S
