@@ -51,7 +51,7 @@ def test_the_node_tells_systemd_that_it_is_ready_alive_and_stopping(
     assert main(["node", "--node-id", "5", "-i", "virtual", "-c", new_channel(), "-q"]) == 0
     assert signal.getsignal(signal.SIGTERM) is before
     told = [manager.recv(1000).decode() for _ in range(3)]
-    assert told[0].startswith("READY=1\nSTATUS=node 5 (0x05) on ")
+    assert told[0].startswith("READY=1\nSTATUS=node 5 (0x05): layout I, ")
     assert told[1] == "WATCHDOG=1"
     assert told[2] == "STOPPING=1\nSTATUS=node 5 (0x05) stopped"
 

@@ -9,7 +9,6 @@ import argparse
 import contextlib
 import gc
 import math
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from canopen_device.core.node import Device
-    from canopen_device.running.loop import Port
     from tipforce.arrays import FloatArray
     from tipforce.fingertip.source import Source
     from tipforce.sensor.structure.gauges import Gauge
@@ -102,36 +100,10 @@ def run(args: argparse.Namespace) -> int:
             gc.freeze()  # keep present objects out of later collections
         if args.lock_memory:
             service.lock_memory()
-        _serve(args, device, port, place)
+        origin = "" if args.source == "sim" else f"source {args.source}, "
+        who, what = common.shown_node(args.node_id), f"layout {args.layout}, {origin}{place}"
+        service.serve(args, who, what, [device], [device], port)
     return 0
-
-
-def _serve(args: argparse.Namespace, device: Device, port: Port, place: str) -> None:
-    """Run until a signal; report start and end to the service manager, the bus and the terminal."""
-    from canopen_device.running import loop
-    from tipforce_tools.cli import service
-    from tipforce_tools.cli.listening import StopSignals
-
-    who = common.shown_node(args.node_id)
-    notifier = service.Notifier()
-    source = "" if args.source == "sim" else f"source {args.source}, "
-    common.note(args, f"{who}: layout {args.layout}, {source}{place}; Ctrl-C ends it")
-
-    def ended() -> bool:
-        notifier.alive()
-        return stop()
-
-    with StopSignals((signal.SIGINT,)) as stop:
-        try:
-            notifier.send("READY=1", f"STATUS={who} on {place}, source {args.source}")
-            loop.run([device], port, ended)
-        except KeyboardInterrupt:
-            pass
-        finally:
-            notifier.send("STOPPING=1", f"STATUS={who} stopped")
-            loop.say_stopped([device], port)
-            notifier.close()
-    common.note(args, f"{who}: stopped")
 
 
 def _device(args: argparse.Namespace) -> tuple[Device, Source]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import signal
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
@@ -12,7 +10,6 @@ from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from canopen_device.machine.device import SimulatedDevice
-    from canopen_device.running.loop import Port
 
 EPILOG = """\
 examples:
@@ -43,30 +40,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the devices until Ctrl-C or SIGTERM; return 0."""
-    from tipforce_tools.cli.service import open_port
+    from tipforce_tools.cli.service import open_port, serve
 
     devices = _devices(args)
     for device in devices:
         for warning in device.description.warnings:
             common.note(args, f"warning: {warning}")
     port, place = open_port(args)
-    _serve(args, devices, port, place)
-    return 0
-
-
-def _serve(args: argparse.Namespace, devices: list[SimulatedDevice], port: Port, place: str) -> None:
-    from canopen_device.running import loop
-    from tipforce_tools.cli.listening import StopSignals
-
     shown = ", ".join(f"{common.shown_id(device.node_id)} {device.description.product_name}" for device in devices)
-    common.note(args, f"node {shown}: on {place}; Ctrl-C ends it")
-    with StopSignals((signal.SIGINT,)) as stop:
-        try:
-            with contextlib.suppress(KeyboardInterrupt):
-                loop.run(devices, port, stop)
-        finally:
-            loop.say_stopped([device.core for device in devices], port)
-    common.note(args, "stopped")
+    serve(args, f"node {shown}", f"on {place}", devices, [device.core for device in devices], port)
+    return 0
 
 
 def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:

@@ -7,17 +7,21 @@ import contextlib
 import ctypes
 import logging
 import os
+import signal
 import socket
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
+from canopen_device.running import loop
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.cli import common
+from tipforce_tools.cli.listening import StopSignals
 
 if TYPE_CHECKING:
-    from canopen_device.running.loop import Port
+    from canopen_device.core.node import Device
+    from canopen_device.running.loop import Port, Runnable
 
 _LOG = logging.getLogger(__name__)
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h
@@ -131,3 +135,30 @@ def open_port(args: argparse.Namespace) -> tuple[Port, str]:
             ) from error
     bus = common.open_bus(args)
     return PythonCanPort(bus), str(bus.channel_info)
+
+
+def serve(
+    args: argparse.Namespace, who: str, what: str, devices: Sequence[Runnable], nodes: Sequence[Device], port: Port
+) -> None:
+    """Run ``devices`` until a signal; report start and end to the service manager, the bus and the terminal.
+
+    ``nodes`` are those that report STOPPED at the end.
+    """
+    notifier = Notifier()
+    common.note(args, f"{who}: {what}; Ctrl-C ends it")
+
+    def ended() -> bool:
+        notifier.alive()
+        return stop()
+
+    with StopSignals((signal.SIGINT,)) as stop:
+        try:
+            notifier.send("READY=1", f"STATUS={who}: {what}")
+            loop.run(devices, port, ended)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            notifier.send("STOPPING=1", f"STATUS={who} stopped")
+            loop.say_stopped(nodes, port)
+            notifier.close()
+    common.note(args, f"{who}: stopped")

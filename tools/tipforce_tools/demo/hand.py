@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import tempfile
 import threading
@@ -22,7 +21,7 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
-from tipforce.sources.simulated import OPEN, SILENT
+from tipforce.sources.simulated import OPEN, SILENT, SimulatedSource
 from tipforce_tools.demo.job import case_calibration, simulated_source
 
 NAMES = ("thumb", "index", "middle", "ring", "little")
@@ -35,7 +34,6 @@ FAULTS = ((8.0, 11.0, 2, OPEN), (14.0, 16.5, 4, SILENT))
 """(begin, end) within the cycle, the finger, and the fault (2200h)."""
 UNPLUGGED = (19.0, 22.0, 1)
 _STEP_S = 0.01
-_CHANNELS = itertools.count()
 
 
 def load_at(finger: int, t_s: float) -> tuple[float, float, float]:
@@ -52,84 +50,64 @@ def load_at(finger: int, t_s: float) -> tuple[float, float, float]:
     return P, (phi + 180.0) % 360.0 - 180.0, theta
 
 
-class SimulatedHand:
-    """The nodes in one thread, and a second thread that moves the loads. ``moving`` False: constant loads."""
+@contextlib.contextmanager
+def simulated_hand(moving: bool = True) -> Iterator[tuple[Hand, list[SimulatedSource]]]:
+    """Return a simulated hand, not yet commissioned, and the gauges of its fingers, which run in a thread.
 
-    def __init__(self, folder: Path, sync_hz: float = SYNC_HZ, moving: bool = True, faults: bool = True) -> None:
-        self.channel = f"tipforce-view-{next(_CHANNELS)}"
-        self.sources = [simulated_source(case, seed) for seed, case in enumerate(CASES)]
-        self.devices: list[Device] = []
-        plans = []
-        for k, (name, source) in enumerate(zip(NAMES, self.sources, strict=True)):
-            store = MemoryStore()
-            self.devices.append(fingertip_node(k + 1, source, serial=k + 1, save=store.save, load=store.load))
-            calibration = replace(case_calibration(CASES[k], PULLS[k]), serial=k + 1)
-            write_calibration(folder / f"{name}.toml", calibration)
-            plans.append(
-                FingerPlan(node_id=k + 1, name=name, serial=k + 1, calibration=f"{name}.toml", layout=CASES[k])
-            )
-        self.file = HandFile(
-            finger=tuple(plans), hand=HandPlan(sync_hz=sync_hz, pdos=("contact", "gauges"), heartbeat_ms=HEARTBEAT_MS),
-            bus={"interface": "virtual", "channel": self.channel}, folder=str(folder),
-        )  # fmt: skip
-        self._running = list(self.devices)
-        self._stopped = threading.Event()
-        self._threads = [threading.Thread(target=self._run, name="nodes", daemon=True)]
-        if moving:
-            self._threads.append(threading.Thread(target=self._move, args=(faults,), name="loads", daemon=True))
-
-    def plug(self, finger: int, plugged: bool) -> None:
-        """Disconnect a finger (from 0) from the bus, or reconnect it."""
-        device = self.devices[finger]
-        if plugged and device not in self._running:
-            self._running.append(device)
-        elif not plugged and device in self._running:
-            self._running.remove(device)
-
-    def start(self) -> None:
-        """Power on."""
-        for thread in self._threads:
+    ``moving``: a second thread moves the loads, injects faults and unplugs a finger; otherwise nothing changes.
+    """
+    sources = [simulated_source(case, seed) for seed, case in enumerate(CASES)]
+    devices: list[Device] = []
+    for node_id, source in enumerate(sources, 1):
+        store = MemoryStore()
+        devices.append(fingertip_node(node_id, source, serial=node_id, save=store.save, load=store.load))
+    channel, stopped = f"tipforce-view-{id(devices)}", threading.Event()
+    threads = [threading.Thread(target=_run, args=(devices, channel, stopped), name="nodes", daemon=True)]
+    if moving:
+        threads.append(threading.Thread(target=_move, args=(sources, devices, stopped), name="loads", daemon=True))
+    with tempfile.TemporaryDirectory(prefix="tipforce-view-") as folder:
+        file = _hand_file(Path(folder), channel)
+        for thread in threads:
             thread.start()
+        try:
+            with Hand(file) as hand:
+                yield hand, sources
+        finally:
+            stopped.set()
+            for thread in threads:
+                thread.join(2.0)
 
-    def close(self) -> None:
-        """Power off."""
-        self._stopped.set()
-        for thread in self._threads:
-            thread.join(2.0)
 
-    def _run(self) -> None:
-        with can.Bus(interface="virtual", channel=self.channel) as bus:
-            loop.run(self._running, PythonCanPort(bus), self._stopped.is_set)
+def _hand_file(folder: Path, channel: str) -> HandFile:
+    plans = []
+    for node_id, (name, case, pull) in enumerate(zip(NAMES, CASES, PULLS, strict=True), 1):
+        calibration = f"{name}.toml"
+        write_calibration(folder / calibration, replace(case_calibration(case, pull), serial=node_id))
+        plans.append(FingerPlan(node_id=node_id, name=name, serial=node_id, calibration=calibration, layout=case))
+    return HandFile(
+        finger=tuple(plans), hand=HandPlan(sync_hz=SYNC_HZ, pdos=("contact", "gauges"), heartbeat_ms=HEARTBEAT_MS),
+        bus={"interface": "virtual", "channel": channel}, folder=str(folder),
+    )  # fmt: skip
 
-    def _move(self, faults: bool) -> None:
-        begun_s = time.monotonic()
-        while not self._stopped.wait(_STEP_S):
-            t_s = time.monotonic() - begun_s
-            for k, source in enumerate(self.sources):
-                source.load = load_at(k, t_s)
-            if faults:
-                self._fail(t_s % FAULT_CYCLE_S)
 
-    def _fail(self, t_s: float) -> None:
-        now_us = loop.now_us()
+def _run(devices: list[Device], channel: str, stopped: threading.Event) -> None:
+    with can.Bus(interface="virtual", channel=channel) as bus:
+        loop.run(devices, PythonCanPort(bus), stopped.is_set)
+
+
+def _move(sources: list[SimulatedSource], running: list[Device], stopped: threading.Event) -> None:
+    """Move the loads; ``running`` loses the unplugged finger for a while."""
+    begun_s, devices = time.monotonic(), list(running)
+    while not stopped.wait(_STEP_S):
+        t_s = time.monotonic() - begun_s
+        for k, source in enumerate(sources):
+            source.load = load_at(k, t_s)
+        t_s %= FAULT_CYCLE_S
         for begin_s, end_s, finger, fault in FAULTS:
             wanted = fault if begin_s <= t_s < end_s else 0
-            if self.sources[finger].fault != wanted:
-                self.sources[finger].set_fault(wanted, 1, 0.0, now_us)
+            if sources[finger].fault != wanted:
+                sources[finger].set_fault(wanted, 1, 0.0, loop.now_us())
         begin_s, end_s, finger = UNPLUGGED
-        self.plug(finger, not begin_s <= t_s < end_s)
-
-
-@contextlib.contextmanager
-def simulated_hand(
-    moving: bool = True, faults: bool = True, sync_hz: float = SYNC_HZ
-) -> Iterator[tuple[Hand, SimulatedHand]]:
-    """Return a simulated hand, not yet commissioned, and its nodes."""
-    with tempfile.TemporaryDirectory(prefix="tipforce-view-") as folder:
-        nodes = SimulatedHand(Path(folder), sync_hz, moving, faults)
-        nodes.start()
-        try:
-            with Hand(nodes.file) as hand:
-                yield hand, nodes
-        finally:
-            nodes.close()
+        plugged = not begin_s <= t_s < end_s
+        if plugged != (devices[finger] in running):
+            (running.append if plugged else running.remove)(devices[finger])
