@@ -363,7 +363,6 @@ def report_cpu(nodes: int = 15, rate_hz: int = 500, seconds: float = 6.0) -> lis
 
 
 def main() -> None:
-    """Run as a command."""
     parser = arguments(__doc__)
     parser.add_argument("parts", nargs="*", metavar="|".join(PARTS), help="default: all")
     options = parser.parse_args()

@@ -123,7 +123,6 @@ def fuzz(path: Path, steps: int, seed: int) -> int:
 
 
 def main() -> None:
-    """Run as a command."""
     arguments(__doc__).parse_args()
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:

@@ -172,7 +172,6 @@ than half a period late.
 
 
 def main() -> int:
-    """Run as a command."""
     parser = arguments(__doc__, "--realtime")
     parser.add_argument("--sync", choices=("process", "thread"), default="process", help="what sends the SYNC")
     args = parser.parse_args()

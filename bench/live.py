@@ -353,7 +353,6 @@ def report() -> str:
 
 
 def main() -> None:
-    """Run as a command."""
     arguments(__doc__).parse_args()
     text = report()
     write_page("live-performance", text, text)

@@ -158,7 +158,6 @@ class LoopbackPort:
         self._poll.register(fingers, select.POLLIN)
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """See fingertip.loop.Port."""
         if not self._poll.poll(timeout_s * 1e3):
             return None
         packed = self._socket.recv(CAN_FRAME.size)
@@ -168,7 +167,6 @@ class LoopbackPort:
         return can_id, data[:length]
 
     def send(self, frames: Iterable[Frame]) -> None:
-        """See fingertip.loop.Port."""
         for can_id, data in frames:
             packed = CAN_FRAME.pack(can_id, len(data), data)
             self._socket.sendto(packed, self._receiver)
@@ -284,11 +282,9 @@ class LoopbackLink(Link):
         self.fingers_cpu_s = 0.0
 
     def receive(self, timeout_s: float) -> FrameArray:
-        """See Link."""
         return self._receiver.receive(timeout_s)
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-        """See Link."""
         addresses = self._receiver_address, self._fingers_address
         if self._sender == "thread":
             self.producer = ThreadSync(partial(_send_sync, self._sync_socket, addresses), period_s, data)
@@ -298,7 +294,6 @@ class LoopbackLink(Link):
 
     @property
     def dropped(self) -> int:
-        """See Link."""
         return self._receiver.dropped
 
     def close(self) -> None:

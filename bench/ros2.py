@@ -53,7 +53,6 @@ class RecordingLink(LoopbackLink):
         self.frames: list[FrameArray] = []
 
     def receive(self, timeout_s: float) -> FrameArray:
-        """See Link."""
         frames = super().receive(timeout_s)
         if len(frames):
             self.frames.append(frames.copy())
@@ -206,7 +205,6 @@ def draw(output: Path) -> None:
 
 
 def main() -> int:
-    """Run."""
     parser = arguments(__doc__)
     parser.add_argument("--read", type=Path, metavar="FOLDER", help=argparse.SUPPRESS)
     parser.add_argument("--prefix", default="f", help=argparse.SUPPRESS)

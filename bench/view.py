@@ -46,7 +46,6 @@ _STATUS = 3
 
 
 def main() -> None:
-    """See the module."""
     args = arguments(__doc__, "--screenshots").parse_args()
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if chromium is None:
