@@ -61,7 +61,6 @@ class Rig:
 
 
 def main() -> int:
-    """Run as a command."""
     if len(sys.argv) < 2 or sys.argv[1] not in ("sdo", "storage"):
         print("usage: python -m bench.atheris_sdo sdo|storage [libFuzzer arguments]", file=sys.stderr)
         return 2

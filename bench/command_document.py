@@ -126,7 +126,6 @@ def _escaped(text: str) -> str:
 
 
 def main() -> int:
-    """Write the page if it differs."""
     text = page()
     if not PATH.is_file() or PATH.read_text() != text:
         PATH.write_text(text)

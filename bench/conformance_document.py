@@ -122,7 +122,6 @@ def run_on_vcan(folder: Path) -> list[dict[str, str]]:
 
 
 def main() -> int:
-    """Print the list, or the summary of one."""
     parser = arguments(__doc__)
     parser.add_argument("--summary", type=Path, metavar="LIST", help="of this list")
     path = parser.parse_args().summary

@@ -347,7 +347,6 @@ def _plot_line(ax: Any, cells: list[Cell], quantity: int, label: str) -> None:
 
 
 def main() -> None:
-    """The command."""
     parser = arguments(__doc__)
     parser.add_argument("-o", "--output", metavar="FILE", help="a plot, .png or .svg")
     output, cells = parser.parse_args().output, study()

@@ -280,7 +280,6 @@ def _aims(runs: Runs) -> list[str]:
 
 
 def main() -> int:
-    """Measure and write, or check."""
     args = arguments(__doc__, "--asammdf", "--check").parse_args()
     if args.check:
         compared, different = different_values(FRAMES)

@@ -9,22 +9,36 @@ docs/device-performance.md holds the figures and what they mean.
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import io
 import itertools
+import multiprocessing
+import select
+import socket
+import statistics
 import struct
+import threading
+import time
 import tracemalloc
 from collections.abc import Callable, Iterator
+from functools import partial
 from random import Random
 from typing import Any
 
+import canopen
 import numpy as np
 from bench.fuzz import STRAIN_PER_NEWTON
 from bench.fuzz_frames import good_record
-from bench.measure import ROOT, arguments, cpu_us, machine, median_and_spread
+from bench.loopback import connected_pair, python_can_bus
+from bench.measure import ROOT, Meter, arguments, cpu_us, machine, median_and_spread
 
+from canopen_device.can_frame import CAN_FRAME
 from canopen_device.core import storage
 from canopen_device.core.node import Device
+from canopen_device.running import loop, ports
 from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.sample import Sample
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
@@ -34,7 +48,8 @@ EDS = (ROOT / "eds" / "tipforce-3.eds").read_bytes()
 REPEATS = 7
 SYNC_PERIOD_US = 2000
 TPDO1, TPDO2 = 1, 2
-PARTS = ("costs", "latency", "cpu")
+SYNC = CAN_FRAME.pack(0x80, 0, b"")
+ROUNDS, WARM_UP, SYNCS = 5, 20, 1500  # of the latencies
 
 
 def _stored(record: bytes) -> dict[str, bytes]:
@@ -190,24 +205,178 @@ def report_costs() -> list[str]:
     return [*lines, f"memory per node: {memory_per_node() / 1024:.0f} KiB"]
 
 
+# --- SYNC to the last TPDO over two connected UDP sockets on 127.0.0.1, each set of nodes in a process of its own ---
+
+
+def run_tipforce(bus: socket.socket, nodes: int) -> None:
+    """The product: fingertip nodes in their loop, with their own port on another socket."""
+    ports._bound_socket = lambda interface: bus  # noqa: ARG005
+    loop.run([calibrated_node(k + 1, operational=False) for k in range(nodes)], ports.SocketCanPort("loopback"))
+
+
+def run_raw(bus: socket.socket, nodes: int) -> None:
+    """By hand, with the same gauges, the same estimate and the same two PDOs, and no CANopen at all."""
+    fingers = []
+    for k in range(nodes):
+        application: Any = calibrated_node(k + 1).application
+        fingers.append((k + 1, application.source, application.channels.scaling, application.calibration.active))
+    present, readings, counter = [False] * nodes, [finger[1].read(0) for finger in fingers], 0
+    while True:  # the shortest loop there is that can also wait for a time
+        if not select.select([bus], [], [], 0.2)[0] or CAN_FRAME.unpack(bus.recv(16))[0] != 0x80:
+            continue
+        now_us = loop.now_us()
+        counter = counter + 1 & 0xFF
+        for k, (node_id, source, scaling, active) in enumerate(fingers):
+            readings[k] = source.read(now_us) or readings[k]
+            sample = Sample(readings[k], scaling, active, was_present=present[k])
+            status = sample.status()
+            present[k] = bool(status & 1)
+            strains = [round(10 * strain) for strain in sample.microstrains]
+            P, phi, theta, _ = sample.contact()
+            bus.send(CAN_FRAME.pack(0x180 + node_id, 8, struct.pack("<hhhBB", *strains, status, counter)))
+            contact = (round(1000 * P), round(5729.578 * phi), round(5729.578 * theta)) if status & 1 else (-32768,) * 3
+            bus.send(CAN_FRAME.pack(0x280 + node_id, 8, struct.pack("<hhhBB", *contact, status, counter)))
+
+
+def run_local_node(bus: socket.socket, nodes: int) -> None:
+    """canopen's LocalNode with our EDS: at each SYNC a node of ours has the values, which two TPDOs send."""
+    network = canopen.Network(python_can_bus(bus))
+    fingers: list[tuple[Any, list[Any]]] = []
+    for node_id in range(1, nodes + 1):
+        file = io.StringIO(EDS.decode())
+        file.name = "node.eds"
+        node = network.create_node(node_id, canopen.import_od(file, node_id))
+        node.tpdo.read(from_od=True)
+        fingers.append((calibrated_node(node_id).application, [node.tpdo[1], node.tpdo[2]]))
+
+    def on_sync(_can_id: int, _data: bytearray, _timestamp: float) -> None:
+        for application, pdos in fingers:
+            application.on_sync(loop.now_us(), 0)
+            for pdo in pdos:
+                for variable in pdo.map:
+                    variable.raw = application.device.od.get(variable.index, variable.subindex)
+            for pdo in pdos:
+                pdo.transmit()
+
+    network.subscribe(0x80, on_sync)
+    network.connect()
+    threading.Event().wait()
+
+
+Runner = Callable[[socket.socket, int], None]
+LOOPS: tuple[tuple[str, Runner], ...] = (
+    ("fingertip node", run_tipforce),
+    ("raw socket loop, same measurement by hand", run_raw),
+    ("canopen LocalNode, same values set", run_local_node),
+)
+
+
+class Process:
+    """One set of nodes in a process of its own, and the master's socket to it."""
+
+    def __init__(self, runner: Runner, nodes: int) -> None:
+        theirs, self._bus = connected_pair()
+        self._expected = 2 * nodes
+        self._process = multiprocessing.Process(target=runner, args=(theirs, nodes), daemon=True)
+        self._process.start()
+        theirs.close()
+        # Boot-up messages, heartbeats: wait until a SYNC is answered in full.
+        self._bus.settimeout(0.3)
+        for _ in range(60):
+            self._bus.send(CAN_FRAME.pack(0x000, 2, b"\x01\x00"))
+            if self.sync_us() is not None:
+                with contextlib.suppress(TimeoutError):  # what a slow start left behind: answers to the SYNCs before
+                    while True:
+                        self._bus.recv(16)
+                self.meter = Meter(self._process.pid)
+                return
+        raise RuntimeError("the nodes do not respond")
+
+    def sync_us(self) -> float | None:
+        """Send a SYNC; microseconds until its last TPDO, None if one is missing."""
+        bus, left = self._bus, self._expected
+        started_s = time.perf_counter()
+        bus.send(SYNC)
+        try:
+            while left:
+                # 180h-3FFh in little-endian: a TPDO; the rest is heartbeats and EMCY.
+                if 1 <= bus.recv(16)[1] <= 3:
+                    left -= 1
+        except TimeoutError:
+            return None
+        return 1e6 * (time.perf_counter() - started_s)
+
+    def stop(self) -> None:
+        """End the process."""
+        self._process.terminate()
+        self._process.join()
+        self._bus.close()
+
+
+def latencies(nodes: int, syncs: int, period_s: float) -> list[list[list[float]]]:
+    """Latencies in microseconds of each loop, by turn. The loops take turns, so that a busy machine hits all alike."""
+    processes = [Process(runner, nodes) for _, runner in LOOPS]
+    turns: list[list[list[float]]] = [[] for _ in LOOPS]
+    for _ in range(ROUNDS):
+        for of_loop, process in zip(turns, processes, strict=True):
+            values = []
+            for _ in range(syncs // ROUNDS + WARM_UP):
+                time.sleep(period_s)
+                values.append(process.sync_us())
+            of_loop.append([value for value in values[WARM_UP:] if value is not None])
+    for process in processes:
+        process.stop()
+    return turns
+
+
+def report_latency(nodes: int, syncs: int = SYNCS) -> list[str]:
+    """Median, p99, max of each loop, and the ratios of the medians."""
+    turns = latencies(nodes, syncs, 0.002)
+    lines = [f"SYNC to last TPDO, {nodes} nodes with TPDO1+TPDO2, {syncs} SYNCs each, microseconds"]
+    own = statistics.median(itertools.chain(*turns[0]))
+    for (what, _), of_loop in zip(LOOPS, turns, strict=True):
+        values, medians = sorted(itertools.chain(*of_loop)), [statistics.median(turn) for turn in of_loop]
+        median, p99 = statistics.median(values), values[min(len(values) - 1, int(0.99 * len(values)))]
+        lines.append(
+            f"  {what:<44}median {median:7.0f} ({min(medians):.0f}-{max(medians):.0f})  p99 {p99:7.0f}  "
+            f"max {values[-1]:8.0f}  ours / this {own / median:5.2f}"
+        )
+    return lines
+
+
+def report_cpu(nodes: int = 15, rate_hz: int = 500, seconds: float = 6.0) -> list[str]:
+    """The load of a whole hand: CPU time over wall time of the nodes' process, and SYNCs answered in time."""
+    lines = [f"{nodes} nodes at {rate_hz} Hz for {seconds:.0f} s (aim: under 25 % of a core)"]
+    for what, runner in LOOPS[:2]:
+        process = Process(runner, nodes)
+        count, answered, due_s = int(seconds * rate_hz), 0, time.perf_counter()
+        for _ in range(count):
+            due_s += 1.0 / rate_hz
+            time.sleep(max(0.0, due_s - time.perf_counter()))
+            answered += process.sync_us() is not None
+        share = process.meter.share
+        process.stop()
+        lines.append(
+            f"  {what:<44}{100 * share:5.1f} % of a core, {100 * answered / count:.1f} % of the SYNCs answered"
+        )
+    return lines
+
+
 def main() -> None:
-    """Run as a command."""
     parser = arguments(__doc__)
     parser.add_argument("parts", nargs="*", metavar="|".join(PARTS), help="default: all")
     options = parser.parse_args()
     print(machine("python-can", "canopen"), flush=True)
     for part in options.parts or PARTS:
-        if part == "costs":
-            print("\n".join(report_costs()), flush=True)
-            continue
-        from bench import device_latency
+        for work in PARTS[part]:
+            print("\n".join(work()), flush=True)
 
-        if part == "latency":
-            for nodes in (1, 5, 15):
-                print("\n".join(device_latency.report_latency(nodes)), flush=True)
-        else:
-            print("\n".join(device_latency.report_cpu()), flush=True)
 
+PARTS: dict[str, tuple[Callable[[], list[str]], ...]] = {
+    "costs": (report_costs,),
+    "latency": tuple(partial(report_latency, nodes) for nodes in (1, 5, 15)),
+    "cpu": (report_cpu,),
+}
 
 if __name__ == "__main__":
     main()

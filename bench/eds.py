@@ -1,6 +1,6 @@
 """Devices from EDS files: time to load one, cost of SDO and SYNC beside a fingertip's, random frames.
 
-python -m bench.eds    a generated device of 1000 objects and a shipped one, a million frames
+python -m bench.eds    a generated device of 1000 objects and a shipped one, a million steps of random frames
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from pathlib import Path
 from random import Random
 
 from bench.device import calibrated_node, steps
-from bench.fuzz import require
+from bench.fuzz import BrokenError, require
+from bench.fuzz_frames import Frames
 from bench.measure import arguments, cpu_s, cpu_us, in_turns
 
 from canopen_device.eds.load import device_of
@@ -23,11 +24,10 @@ from canopen_device.machine import SimulatedDevice, shipped_eds
 from canopen_device.machine.cia402 import Drive
 from canopen_device.testing import MemoryStore
 
-OBJECTS, FRAMES = 1000, 500_000
+OBJECTS, STEPS = 1000, 500_000
 REPEATS = 9
-ROUND_FRAMES = 5000
-MOST_STEPS = 300  # frames of one step: an SDO block of 127, and PDOs
-HOT = (0x1005, 0x1006, 0x1010, 0x1011, 0x1014, 0x1016, 0x1017, 0x1019, 0x1400, 0x1600, 0x1800, 0x1A00, 0x6040, 0x6060)
+ROUND_STEPS = 5000
+MOST_FRAMES = 300  # sent by one step for each received: an SDO block of 127, and PDOs
 
 
 def entry(name: str, data_type: int, access: str, default: str, mapping: int = 0) -> str:
@@ -43,8 +43,8 @@ def generated_eds(count: int = OBJECTS) -> str:
     text = "[FileInfo]\nFileName=generated.eds\n[DeviceInfo]\nVendorNumber=1\n[MandatoryObjects]\nSupportedObjects=0\n"
     text += entry("1000", 7, "ro", "0") + entry("1001", 5, "ro", "0") + entry("1005", 7, "rw", "0x80")
     text += entry("1006", 7, "rw", "0") + entry("1014", 7, "rw", "$NODEID+0x80") + entry("1017", 6, "rw", "0")
-    text += "[1018]\nParameterName=Identity\nObjectType=9\nSubNumber=2\n" + entry("1018sub0", 5, "ro", "1")
-    text += entry("1018sub1", 7, "ro", "1")
+    text += "[1018]\nParameterName=Identity\nObjectType=9\nSubNumber=5\n" + entry("1018sub0", 5, "ro", "4")
+    text += "".join(entry(f"1018sub{sub}", 7, "ro", "1") for sub in range(1, 5))
     for k, direction in ((0x1800, 0x40000180), (0x1801, 0x40000280), (0x1400, 0x200)):
         text += f"[{k:04X}]\nParameterName=PDO\nObjectType=9\nSubNumber=3\n" + entry(f"{k:04X}sub0", 5, "const", "2")
         text += entry(f"{k:04X}sub1", 7, "rw", f"$NODEID+0x{direction:X}") + entry(f"{k:04X}sub2", 5, "rw", "1")
@@ -84,54 +84,45 @@ def report_costs(path: Path) -> list[str]:
     return lines
 
 
-def frames(rng: Random, entries: list[tuple[int, int, int]], node_id: int) -> list[tuple[int, bytes]]:
-    """The next frames of a master that misbehaves: requests that fit, and noise."""
-    kind = rng.random()
-    if kind < 0.6:
-        index, sub, size = rng.choice(entries)
-        if rng.random() < 0.3:
-            index = rng.choice(HOT)
-        value = rng.choice((0, 1, 3, 6, 7, 15, 0x1F, 0x40000080, 0x80000200 + node_id, rng.getrandbits(32)))
-        if rng.random() < 0.4:
-            return [(0x600 + node_id, struct.pack("<BHB4x", 0x40, index, sub))]
-        return [(0x600 + node_id, struct.pack("<BHBI", 0x23 | 4 - min(size, 4) << 2, index, sub, value))]
-    if kind < 0.75:
-        command = rng.choice((0x00, 0x01, 0x0D, 0x10, 0x20, 0x21, 0x60, 0x70, 0x80, 0xA0, 0xA2, 0xA3, 0xC0, 0xC2, 0xC6))
-        index, sub, _ = rng.choice(entries)
-        return [(0x600 + node_id, struct.pack("<BHB", command, index, sub) + rng.randbytes(4))]
-    if kind < 0.8:
-        return [(0, bytes((rng.choice((1, 1, 1, 2, 128, 129, 130)), rng.choice((0, node_id)))))]
-    can_id = rng.choice(
-        (0x80, 0x80, 0x200 + node_id, 0x300 + node_id, 0x7E5, 0x700 + rng.randrange(128), rng.randrange(0x800))
-    )
-    return [(can_id, rng.randbytes(rng.randrange(9)))]
+class Rig:
+    """The device of a file in one round, and what must hold after each step. What it raises passes through."""
 
-
-def fuzz(path: Path, count: int, seed: int) -> int:
-    """Throw ``count`` frames at the device of a file; return how many it sent. Whatever it raises passes through."""
-    sent_frames = 0
-    for number in range(0, count, ROUND_FRAMES):
-        rng = Random(f"{seed} {path.name} {number}")
+    def __init__(self, path: Path, rng: Random) -> None:
         eds, store = read_eds(path, 5), MemoryStore()
         drive = Drive() if 0x6040 in eds.objects and 0x6060 in eds.objects else None
-        device = SimulatedDevice(eds, drive, None, store.save, store.load)
-        entries = [(item.index, item.sub, item.type.size or 4) for item in eds.entries()]
-        now_us = 0
-        device.step(0)
-        for _ in range(min(ROUND_FRAMES, count - number)):
-            now_us += int(rng.expovariate(1e-3))
-            sent, due_us = device.step(now_us, frames(rng, entries, 5))
-            at = f"{path.name}, round {number}"
-            require(due_us >= now_us and len(sent) <= MOST_STEPS, f"{at}: due {due_us} at {now_us}, {len(sent)} frames")
-            for can_id, data in sent:
-                require(0 <= can_id <= 0x7FF and len(data) <= 8, f"{at}: sent {can_id:X}#{data.hex()}")
-            sent_frames += len(sent)
-            device.requests.clear()
+        self._simulated = SimulatedDevice(eds, drive, None, store.save, store.load)
+        self.device = self._simulated.core
+        self.now_us = self.due_us = self.sdo_answers = 0
+        self._frames = Frames(rng, self)
+        self._simulated.step(0)
+
+    def step(self) -> int:
+        """Throw the next frames; return how many were sent."""
+        pause_us, frames = self._frames.next()
+        self.now_us += pause_us
+        sent, self.due_us = self._simulated.step(self.now_us, frames)
+        self.sdo_answers = sum(can_id == 0x580 + self.device.node_id for can_id, _ in sent)
+        require(self.due_us >= self.now_us, f"due {self.due_us} at {self.now_us}")
+        require(len(sent) <= MOST_FRAMES * (1 + len(frames)), f"{len(sent)} frames sent at once")
+        for can_id, data in sent:
+            require(0 <= can_id <= 0x7FF and len(data) <= 8, f"sent {can_id:X}#{data.hex()}")
+        self.device.requests.clear()
+        return len(sent)
+
+
+def fuzz(path: Path, steps: int, seed: int) -> int:
+    """Throw so many steps of frames at the device of a file; return how many it sent. Raises BrokenError."""
+    sent_frames = 0
+    for number in range(0, steps, ROUND_STEPS):
+        rig = Rig(path, Random(f"{seed} {path.name} {number}"))
+        try:
+            sent_frames += sum(rig.step() for _ in range(min(ROUND_STEPS, steps - number)))
+        except BrokenError as error:
+            raise BrokenError(f"{path.name}, round {number}: {error}") from None
     return sent_frames
 
 
 def main() -> None:
-    """Run as a command."""
     arguments(__doc__).parse_args()
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:
@@ -141,7 +132,7 @@ def main() -> None:
         print(f"generated device of {objects} objects: loaded in {load_ms(path):.0f} ms")
         print("\n".join(report_costs(path)), flush=True)
         for file in (path, shipped_eds("cia402")):
-            print(f"  {file.name}: {FRAMES} frames received, {fuzz(file, FRAMES, seed=1)} sent, nothing raised")
+            print(f"  {file.name}: {STEPS} steps of frames, {fuzz(file, STEPS, seed=1)} sent, nothing raised")
 
 
 if __name__ == "__main__":

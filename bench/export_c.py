@@ -83,7 +83,6 @@ def _text(path: Path) -> int:
 
 
 def as_text(figures: dict[str, Any]) -> str:
-    """For people."""
     header = ["largest deviation", "samples", "P, uN", "phi, deg", "theta, deg", "u, %", "limit"]
     rows = [
         [name, f"{t['samples']}", f"{1e6 * t['P']:.3g}", f"{t['ordinary_phi_deg']:.1e}",

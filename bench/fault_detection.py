@@ -237,7 +237,6 @@ def plot(results: list[Rate], path: str) -> None:
 
 
 def main() -> None:
-    """The command."""
     parser = arguments(__doc__)
     parser.add_argument("-o", "--output", metavar="FILE", help="a plot, .png or .svg")
     output, by_gauges = parser.parse_args().output, {5: rates(FIVE, TRIALS), 6: rates(SIX, TRIALS)}

@@ -222,7 +222,6 @@ def distance(matrix: FloatArray, other: FloatArray) -> float:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Run and print."""
     parser = arguments(__doc__, "--quick")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write the figures here")
     options = parser.parse_args(words)

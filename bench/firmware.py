@@ -147,7 +147,6 @@ def measure_all() -> dict[str, Any]:
 
 
 def tables(result: dict[str, Any]) -> str:
-    """For people."""
     sizes: dict[str, list[int]] = result["code_bytes"]
     totals = {
         "drivers of this board": [f"firmware/{name}.mpy" for name in MODULES],

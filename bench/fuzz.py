@@ -249,7 +249,6 @@ def rounds(seed: int, numbers: range, frames: int = ROUND_FRAMES, measure: bool 
 
 
 def main() -> int:
-    """Run as a command."""
     parser = arguments(__doc__)
     parser.add_argument("--frames", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=1)

@@ -11,16 +11,14 @@ import struct
 from collections import deque
 from collections.abc import Callable, Sequence
 from random import Random
-from typing import TYPE_CHECKING, TypeVar
+from typing import Protocol, TypeVar
 
 from canopen_device.core import codes
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, NEVER_US, REMOTE_FLAG
+from canopen_device.core.node import Device
 from canopen_device.core.object_dictionary import SIZES
 from canopen_device.core.sdo_block import crc16
 from tipforce.dictionary import table
-
-if TYPE_CHECKING:
-    from bench.fuzz import Rig
 
 Item = TypeVar("Item")
 Frame = tuple[int, bytes]
@@ -33,7 +31,7 @@ NOT_FINITE = (float("nan"), float("inf"), float("-inf"))
 # Written more often than their share of the dictionary, because whole services depend on them.
 HOT = (
     0x1003, 0x1005, 0x1007, 0x100C, 0x100D, 0x1012, 0x1013, 0x1014, 0x1015, 0x1016, 0x1017, 0x1019, 0x1029, 0x1F80,
-    0x1400,
+    0x1400, 0x6040, 0x6060,
 )  # fmt: skip
 ACTIONS = (
     *[(0x1010, sub, 0x65766173) for sub in (1, 2, 3, 4)], *[(0x1011, sub, 0x64616F6C) for sub in (1, 2, 3, 4)],
@@ -55,13 +53,25 @@ def good_record(rng: Random) -> bytes:
     return struct.pack("<9f3fIIfB6f5fB13f", *C, *offsets, 7, 20260101, 23.0, 1, *noise, *contact, *validity)
 
 
+class Target(Protocol):
+    """What the frames are thrown at."""
+
+    device: Device
+    now_us: int
+    due_us: int
+    """When it asked to be stepped."""
+    sdo_answers: int
+    """In its last step."""
+
+
 class Frames:
     """The steps of one round against ``rig``; what waits of a conversation is in ``_waiting``."""
 
-    def __init__(self, rng: Random, rig: Rig) -> None:
+    def __init__(self, rng: Random, rig: Target) -> None:
         self._rng, self._rig = rng, rig
         od = rig.device.od
         self._entries = [(i, s) for i in od.indices(0, 0xFFFF) for s in od.subs(i)]
+        self._hot = [index for index in HOT if od.subs(index)]
         self._waiting: deque[bytes | Callable[[], bytes]] = deque()
         self._makers = (
             [self._upload] * 8 + [self._download] * 10 + [self._segmented_download] * 4 + [self._block_download] * 4
@@ -131,7 +141,7 @@ class Frames:
     def _target(self) -> tuple[int, int]:
         r = self._rng.random()
         if r < 0.25:
-            index = self._pick(HOT)
+            index = self._pick(self._hot)
             return index, self._pick(self._rig.device.od.subs(index))
         if r < 0.9:
             return self._pick(self._entries)
@@ -201,8 +211,7 @@ class Frames:
 
     def _download(self) -> None:
         index, sub = self._target()
-        data = self._value(index, sub)[:4]
-        self._waiting.append(struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub) + data + bytes(4 - len(data)))
+        self._write(index, sub, self._value(index, sub)[:4])
 
     def _segmented_download(self) -> None:
         index, sub = self._target() if self._rng.random() < 0.5 else (0x2141, 0)
@@ -308,7 +317,7 @@ class Frames:
         return 0, bytes((command, node_id))
 
     def _lss(self) -> Frame:
-        identity = [int(self._rig.device.od.get(0x1018, sub)) for sub in (1, 2, 3, 4)]
+        identity = [self._rig.device.od.integer(0x1018, sub) for sub in (1, 2, 3, 4)]
         service = self._pick((0x04, 0x04, 0x11, 0x13, 0x15, 0x17, 0x40, 0x46, 0x4C, 0x51, 0x51, 0x5A, 0x5E))
         if service in (0x40, 0x46):
             part = self._below(4 if service == 0x40 else 6)

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from bench.loopback import LoopbackLink, may_hurry
-from bench.measure import arguments, machine, table, write_page
+from bench.measure import Meter, arguments, machine, table, write_page
 
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
@@ -81,7 +81,7 @@ def measure(fingers: int, sync_hz: float, seconds: float, sync: str = "process",
     try:
         with tempfile.TemporaryDirectory() as folder, brought_up(Path(folder), names, plan, link=link) as hand:
             hand.events()
-            latency_ns, incomplete, elapsed_s, cpu_s = _run(hand, seconds)
+            latency_ns, incomplete, elapsed_s, cpu_share = _run(hand, seconds)
             hand.stop()
             statistics, events = hand.statistics(), tuple(str(event) for event in hand.events())
     finally:
@@ -91,25 +91,25 @@ def measure(fingers: int, sync_hz: float, seconds: float, sync: str = "process",
     p50, p99, largest = np.percentile(latency_ns, (50, 99, 100)) / 1e3
     return Outcome(
         fingers, sync_hz, sync, elapsed_s, statistics, incomplete, producer.skipped, (p50, p99, largest),
-        cpu_s / elapsed_s, link.fingers_cpu_s / elapsed_s, events,
+        cpu_share, link.fingers_cpu_s / elapsed_s, events,
     )  # fmt: skip
 
 
 def _run(hand: Hand, seconds: float) -> tuple[np.ndarray, int, float, float]:
-    """Latencies of the rows (ns), rows that lack a finger, and what it took: seconds, and of CPU time."""
+    """Latencies of the rows (ns), rows that lack a finger, and what it took: seconds, and share of a core."""
     latency_ns: list[np.ndarray] = []
     incomplete = 0
     iterator = hand.blocks(60.0)  # a loaded machine starts the process that sends the SYNC late
-    started_s, cpu_s = 0.0, 0.0
+    meter = Meter()
     hand.start()
     for rows in iterator:
         if not latency_ns:  # the process that sends the SYNC has started
-            started_s, cpu_s = time.monotonic(), time.process_time()
+            meter = Meter()
         latency_ns.append(time.time_ns() - rows.sync_ns)
         incomplete += int(rows.missing.any(axis=1).sum())
-        if time.monotonic() - started_s >= seconds:
+        if meter.elapsed_s >= seconds:
             break
-    return np.concatenate(latency_ns), incomplete, time.monotonic() - started_s, time.process_time() - cpu_s
+    return np.concatenate(latency_ns), incomplete, meter.elapsed_s, meter.share
 
 
 def row(outcome: Outcome) -> list[str]:
@@ -172,7 +172,6 @@ than half a period late.
 
 
 def main() -> int:
-    """Run as a command."""
     parser = arguments(__doc__, "--realtime")
     parser.add_argument("--sync", choices=("process", "thread"), default="process", help="what sends the SYNC")
     args = parser.parse_args()

@@ -34,7 +34,7 @@ from bench.loopback import (
     sending,
     struct_contact,
 )
-from bench.measure import arguments, cpu_us, in_turns, machine, table, write_page
+from bench.measure import Meter, arguments, cpu_us, in_turns, machine, table, write_page
 
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver
@@ -263,11 +263,11 @@ def _run(
     total, record = round(rate_hz * seconds), _Record()
     with busy_thread() if busy else nullcontext(), sending(receiver, rate_hz, seconds):
         count = part = take(30.0, record)
-        start_s, start_cpu_s = time.monotonic(), time.process_time()
+        meter = Meter()
         while part and count + dropped() < total:
             part = take(_SILENCE_S, record)
             count += part
-        elapsed_s, cpu_s = time.monotonic() - start_s, time.process_time() - start_cpu_s
+        share = meter.share
     number, stamp_ns = np.hstack(record.numbers).astype(np.int64), np.hstack(record.stamps_ns)
     lag_ms = (np.repeat(record.decoded_ns, record.counts) - stamp_ns) / 1e6
     # A last part of less than half a second belongs to the second before.
@@ -282,7 +282,7 @@ def _run(
         lag_p99_ms=float(np.quantile(lag_ms, 0.99)),
         lag_p99_seconds_ms=tuple(np.quantile(part, 0.99).item() for part in by_second),
         lag_max_ms=float(lag_ms.max()),
-        cpu_share=cpu_s / elapsed_s,
+        cpu_share=share,
         frames_a_batch=len(number) / len(record.counts),
     )
 
@@ -303,11 +303,11 @@ def _our_logger(path: Path, rate_hz: int, seconds: float) -> tuple[float, int]:
         sending(receiver_socket, rate_hz, seconds),
     ):
         block = receiver.receive_block(30.0)
-        start_s, start_cpu_s = time.monotonic(), time.process_time()
-        while time.monotonic() - start_s < seconds - 0.5:
+        meter = Meter()
+        while meter.elapsed_s < seconds - 0.5:
             writer.write(block)
             block = receiver.receive_block(1.0)
-        share = (time.process_time() - start_cpu_s) / (time.monotonic() - start_s)
+        share = meter.share
         writer.write(block)
     writer.close()
     return share, path.read_bytes().count(b"\n")
@@ -320,10 +320,10 @@ def _their_logger(path: Path, rate_hz: int, seconds: float) -> tuple[float, int]
         logger = can.Logger(path)
         message = bus.recv(30.0)
         assert message is not None
-        start_s, start_cpu_s = time.monotonic(), time.process_time()
+        meter = Meter()
         notifier = can.Notifier(bus, [logger])
         time.sleep(seconds - 0.5)
-        share = (time.process_time() - start_cpu_s) / (time.monotonic() - start_s)
+        share = meter.share
         notifier.stop()  # stops the logger, too
     return share, path.read_bytes().count(b"\n")
 
@@ -352,7 +352,6 @@ def report() -> str:
 
 
 def main() -> None:
-    """Run as a command."""
     arguments(__doc__).parse_args()
     text = report()
     write_page("live-performance", text, text)

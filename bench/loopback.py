@@ -10,6 +10,7 @@ import struct
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing.connection import Connection as Pipe
 from multiprocessing.context import SpawnProcess
 from typing import Any
@@ -17,7 +18,7 @@ from typing import Any
 import can
 import canopen
 import numpy as np
-from bench.measure import ROOT
+from bench.measure import ROOT, Meter
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
 from canopen_device.can_frame import CAN_FRAME
@@ -156,7 +157,6 @@ class LoopbackPort:
         self._poll.register(fingers, select.POLLIN)
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """See fingertip.loop.Port."""
         if not self._poll.poll(timeout_s * 1e3):
             return None
         packed = self._socket.recv(CAN_FRAME.size)
@@ -166,7 +166,6 @@ class LoopbackPort:
         return can_id, data[:length]
 
     def send(self, frames: Iterable[Frame]) -> None:
-        """See fingertip.loop.Port."""
         for can_id, data in frames:
             packed = CAN_FRAME.pack(can_id, len(data), data)
             self._socket.sendto(packed, self._receiver)
@@ -177,8 +176,8 @@ class LoopbackPort:
         """Nothing to do here."""
 
 
-def run_fingers(count: int, receiver: Address, services: Address, pipe: Pipe, realtime: bool) -> None:
-    """A process: fingers 1 to ``count`` until the pipe says stop; then their CPU time."""
+def run_fingers(count: int, receiver: Address, services: Address, realtime: bool, pipe: Pipe) -> None:
+    """A process: fingers 1 to ``count``, until it is ended."""
     from canopen_device.running import loop
     from tipforce.fingertip.node import fingertip_node
     from tipforce.sensor.structure.geometry import FABRICATED
@@ -194,45 +193,25 @@ def run_fingers(count: int, receiver: Address, services: Address, pipe: Pipe, re
     _hurry(realtime)
     with bound_receiver() as bus:
         pipe.send(bus.getsockname())
-        loop.run(devices, LoopbackPort(bus, receiver, services), _asked_to_stop(pipe))
-        pipe.send(time.process_time())
+        loop.run(devices, LoopbackPort(bus, receiver, services))
 
 
 def run_sync(
-    period_s: float, data: Sequence[bytes], receiver: Address, fingers: Address, pipe: Pipe, realtime: bool
+    period_s: float, data: Sequence[bytes], receiver: Address, fingers: Address, realtime: bool, pipe: Pipe
 ) -> None:
-    """A process: the SYNC, until the pipe says stop; then how many were left out, and CPU time."""
+    """A process: the SYNC, until the pipe says stop; then how many were left out."""
     _hurry(realtime)
     with udp_socket() as sender:
-
-        def send(number: bytes) -> None:
-            _send_sync(sender, number, receiver, fingers)
-
-        producer = ThreadSync(send, period_s, data)
+        producer = ThreadSync(partial(_send_sync, sender, (receiver, fingers)), period_s, data)
         pipe.recv()
         producer.stop()
-        pipe.send((producer.skipped, time.process_time()))
+        pipe.send(producer.skipped)
 
 
-def _send_sync(sender: socket.socket, number: bytes, *addresses: Address) -> None:
+def _send_sync(sender: socket.socket, addresses: tuple[Address, Address], number: bytes) -> None:
     frame = CAN_FRAME.pack(SYNC_COB_ID, len(number), number)
     for address in addresses:
         sender.sendto(frame, address)
-
-
-def _asked_to_stop(pipe: Pipe) -> Callable[[], bool]:
-    """Looks into the pipe at most a few times a second: that is a system call."""
-    next_s = 0.0
-
-    def asked() -> bool:
-        nonlocal next_s
-        now_s = time.monotonic()
-        if now_s < next_s:
-            return False
-        next_s = now_s + 0.2
-        return pipe.poll()
-
-    return asked
 
 
 def _hurry(realtime: bool) -> None:
@@ -252,38 +231,30 @@ def may_hurry() -> bool:
     return True
 
 
-class Child:
-    """A process with a pipe."""
-
-    def __init__(self, work: Callable[..., None], *args: Any, realtime: bool) -> None:
-        self.pipe, theirs = _spawn.Pipe()
-        self._process: SpawnProcess = _spawn.Process(target=work, args=(*args, theirs, realtime), daemon=True)
-        self._process.start()
-        theirs.close()
-
-    def stop(self) -> Any:
-        """Ask it to end; what it sends at its end."""
-        self.pipe.send(None)
-        result = self.pipe.recv() if self.pipe.poll(10.0) else None
-        _end(self._process, 10.0)
-        return result
+def _child(work: Callable[..., None], *args: Any) -> tuple[SpawnProcess, Pipe]:
+    """A process and our end of its pipe."""
+    ours, theirs = _spawn.Pipe()
+    process = _spawn.Process(target=work, args=(*args, theirs), daemon=True)
+    process.start()
+    theirs.close()
+    return process, ours
 
 
 class ChildSync:
     """SYNCs from a process of their own."""
 
-    def __init__(
-        self, period_s: float, data: Sequence[bytes], receiver: Address, fingers: Address, realtime: bool
-    ) -> None:
-        self._child: Child | None = Child(run_sync, period_s, data, receiver, fingers, realtime=realtime)
-        self.skipped, self.cpu_s = 0, 0.0
+    skipped = 0
+
+    def __init__(self, *args: Any) -> None:
+        self._process, self._pipe = _child(run_sync, *args)
 
     def stop(self) -> None:
         """See ThreadSync."""
-        if self._child is not None:
-            result, self._child = self._child.stop(), None
-            if result is not None:
-                self.skipped, self.cpu_s = result
+        if not self._pipe.closed:
+            self._pipe.send(None)
+            self.skipped = self._pipe.recv() if self._pipe.poll(10.0) else 0
+            self._pipe.close()
+            _end(self._process, 10.0)
 
 
 class LoopbackLink(Link):
@@ -295,10 +266,11 @@ class LoopbackLink(Link):
         receiver, services = bound_receiver(), bound_receiver()
         self._receiver_address = receiver.getsockname()
         addresses = self._receiver_address, services.getsockname()
-        self._fingers = Child(run_fingers, count, *addresses, realtime=realtime)
-        if not self._fingers.pipe.poll(30.0):
+        self._fingers, pipe = _child(run_fingers, count, *addresses, realtime)
+        self._meter = Meter(self._fingers.pid)
+        if not pipe.poll(30.0):
             raise RuntimeError("the fingers' process did not start")
-        self._fingers_address: Address = self._fingers.pipe.recv()
+        self._fingers_address: Address = pipe.recv()
         services.connect(self._fingers_address)
         self._receiver = SocketReceiver(receiver, "loopback")
         bus = python_can_bus(services)
@@ -309,28 +281,24 @@ class LoopbackLink(Link):
         self.fingers_cpu_s = 0.0
 
     def receive(self, timeout_s: float) -> FrameArray:
-        """See Link."""
         return self._receiver.receive(timeout_s)
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-        """See Link."""
+        addresses = self._receiver_address, self._fingers_address
         if self._sender == "thread":
-            self.producer = ThreadSync(self._send_sync, period_s, data)
+            self.producer = ThreadSync(partial(_send_sync, self._sync_socket, addresses), period_s, data)
         else:
-            self.producer = ChildSync(period_s, data, self._receiver_address, self._fingers_address, self._realtime)
+            self.producer = ChildSync(period_s, data, *addresses, self._realtime)
         return self.producer.stop
-
-    def _send_sync(self, number: bytes) -> None:
-        _send_sync(self._sync_socket, number, self._receiver_address, self._fingers_address)
 
     @property
     def dropped(self) -> int:
-        """See Link."""
         return self._receiver.dropped
 
     def close(self) -> None:
         """See Link; ends the fingers, too."""
-        self.fingers_cpu_s = self._fingers.stop() or 0.0
+        self.fingers_cpu_s = self._meter.cpu_s
+        _end(self._fingers, 0.0)
         self.connection.close()
         self._receiver.close()
         self._sync_socket.close()

@@ -112,7 +112,6 @@ def _rgb(thing: dict[str, Any]) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    """Run."""
     parser = arguments(__doc__)
     parser.add_argument("--picture", type=Path, metavar="FILE.svg")
     args = parser.parse_args()

@@ -63,6 +63,35 @@ def cpu_s(work: Callable[[], object]) -> float:
     return time.process_time() - started_s
 
 
+class Meter:
+    """The processor's time of a process, this one or a running child, and the clock's, since the meter was made."""
+
+    def __init__(self, pid: int | None = None) -> None:
+        self._pid = pid
+        self._start_s = self._cpu_s(), time.monotonic()
+
+    def _cpu_s(self) -> float:
+        if self._pid is None:
+            return time.process_time()
+        fields = Path(f"/proc/{self._pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")  # proc(5): utime and stime
+
+    @property
+    def cpu_s(self) -> float:
+        """Seconds of the processor."""
+        return self._cpu_s() - self._start_s[0]
+
+    @property
+    def elapsed_s(self) -> float:
+        """Seconds by the clock."""
+        return time.monotonic() - self._start_s[1]
+
+    @property
+    def share(self) -> float:
+        """Of a core."""
+        return self.cpu_s / self.elapsed_s
+
+
 def command_s(words: Sequence[object], **options: Any) -> tuple[float, float]:
     """(processor time of a command with all its processes, time by the clock); ``options`` of subprocess.run."""
     before, started_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()

@@ -32,7 +32,6 @@ def replaced(document: str, text: str) -> str:
 
 
 def main() -> None:
-    """Run."""
     head = json.loads((ROOT / "build" / "report" / "report.jsonl").read_text(encoding="utf-8").splitlines()[0])
     path = ROOT / "docs" / "report.md"
     path.write_text(replaced(path.read_text(encoding="utf-8"), section(head)), encoding="utf-8")

@@ -28,7 +28,7 @@ import numpy.typing as npt
 from bench.decode import write_log
 from bench.hand import brought_up, calibration
 from bench.loopback import LoopbackLink
-from bench.measure import arguments, new_svg_figure
+from bench.measure import Meter, arguments, new_svg_figure
 
 from canopen_device.core.codes import SYNC_COB_ID
 from tipforce.host.frames.frame_array import FrameArray
@@ -53,7 +53,6 @@ class RecordingLink(LoopbackLink):
         self.frames: list[FrameArray] = []
 
     def receive(self, timeout_s: float) -> FrameArray:
-        """See Link."""
         frames = super().receive(timeout_s)
         if len(frames):
             self.frames.append(frames.copy())
@@ -84,14 +83,14 @@ def publish(folder: Path) -> tuple[FrameArray, dict[str, Any]]:
             hand.start()
             while not bridge.rows:  # the process that sends the SYNC starts
                 bridge.step()
-            cpu_s, end_s = time.process_time(), time.monotonic() + SECONDS
-            while time.monotonic() < end_s:
+            meter = Meter()
+            while meter.elapsed_s < SECONDS:
                 bridge.step()
-            cpu_s = time.process_time() - cpu_s
+            cpu_share = round(meter.share, 3)
             hand.stop()
             for _ in range(3):
                 bridge.step()
-            counts = {"rows": bridge.rows, "wrenches": bridge.wrenches, "cpu_share": round(cpu_s / SECONDS, 3)}
+            counts = {"rows": bridge.rows, "wrenches": bridge.wrenches, "cpu_share": cpu_share}
             counts |= {"missing": int(hand.statistics().tally.missing.sum()), "overrun": feed.overrun}
             time.sleep(1.0)
         reader.communicate(b"\n", timeout=60)
@@ -207,7 +206,6 @@ def draw(output: Path) -> None:
 
 
 def main() -> int:
-    """Run."""
     parser = arguments(__doc__)
     parser.add_argument("--read", type=Path, metavar="FOLDER", help=argparse.SUPPRESS)
     parser.add_argument("--prefix", default="f", help=argparse.SUPPRESS)

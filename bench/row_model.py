@@ -164,7 +164,6 @@ def failures(sequences: int, first_seed: int = 0) -> list[str]:
 
 
 def main() -> int:
-    """Run as a command."""
     parser = arguments(__doc__)
     parser.add_argument("--sequences", type=int, default=10_000)
     sequences = parser.parse_args().sequences

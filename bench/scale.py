@@ -157,7 +157,6 @@ def slice_of_month(folder: Path) -> str:
 
 
 def main() -> None:
-    """Measure, print and write the page."""
     parser = arguments(__doc__)
     parser.add_argument("--frames", type=int, default=FULL_FRAMES)
     args = parser.parse_args()

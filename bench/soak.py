@@ -292,7 +292,6 @@ class Soak:
 
 
 def main() -> int:
-    """Run, print, and fail where an invariant broke."""
     parser = arguments(__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0, help="simulated (default %(default)g)")
     args = parser.parse_args()

@@ -104,7 +104,6 @@ def measure(runs: int) -> dict[str, list[float]]:
 
 
 def main() -> None:
-    """Measure and print."""
     arguments(__doc__).parse_args()
     on, runs = machine("tipforce", "python-can", "numpy", "msgspec"), measure(RUNS)
     rows = [[name, *(f"{pick(ms):.1f}" for pick in (min, statistics.median, max))] for name, ms in runs.items()]

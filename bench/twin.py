@@ -175,7 +175,6 @@ def _picture(gripper: grasp.Gripper) -> npt.NDArray[np.uint8]:
 
 
 def main() -> None:
-    """Run as a command."""
     if arguments(__doc__, "--figure").parse_args().figure:
         figure()
     else:

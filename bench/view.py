@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bench.loopback import bound_receiver, sending
-from bench.measure import ROOT, arguments, machine, table
+from bench.measure import ROOT, Meter, arguments, machine, table
 from playwright.sync_api import Browser, Page, sync_playwright
 from websockets.sync.client import connect
 
@@ -46,7 +46,6 @@ _STATUS = 3
 
 
 def main() -> None:
-    """See the module."""
     args = arguments(__doc__, "--screenshots").parse_args()
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if chromium is None:
@@ -91,11 +90,10 @@ def one_run(browser: Browser, looking: bool, idle: int) -> list[str]:
             page.wait_for_function("() => window.tipforce.drawn > 10")
             page.evaluate("window.tipforce.longest = 0")
         before = counts(page)
-        cpu_s, begun_s = time.process_time(), time.monotonic()
+        meter = Meter()
         missing = sum(source.model.counters.missing)
         time.sleep(SECONDS) if page is None else page.wait_for_timeout(1000 * SECONDS)
-        elapsed_s, after = time.monotonic() - begun_s, counts(page)
-        cpu_s = time.process_time() - cpu_s
+        elapsed_s, share, after = meter.elapsed_s, meter.share, counts(page)
         missing = sum(source.model.counters.missing) - missing
         if page is not None:
             page.close()
@@ -107,7 +105,7 @@ def one_run(browser: Browser, looking: bool, idle: int) -> list[str]:
     source.close()
     rates = [f"{(b - a) / elapsed_s:.1f}" if looking else "" for a, b in zip(before[:2], after[:2], strict=True)]
     longest = f"{after[2]:.0f}" if looking else ""
-    return [*rates, longest, str(dropped), f"{lost} of {whole}", str(missing), f"{cpu_s / elapsed_s:.2f}"]
+    return [*rates, longest, str(dropped), f"{lost} of {whole}", str(missing), f"{share:.2f}"]
 
 
 def counts(page: Page | None) -> list[float]:
