@@ -201,8 +201,8 @@ def test_a_page_that_listens_says_what_happens_on_its_bus() -> None:
 
 
 def test_the_simulated_hand_is_shown_as_it_is_loaded() -> None:
-    with simulated_hand(moving=False) as (hand, nodes):
-        for k, gauges in enumerate(nodes.sources):
+    with simulated_hand(moving=False) as (hand, sources):
+        for k, gauges in enumerate(sources):
             gauges.load = load_at(k, 3.0)
         source = LiveSource(commissioned(argparse.Namespace(quiet=True), hand), "simulated hand")
         deadline_s = time.monotonic() + WAIT_S
