@@ -194,4 +194,5 @@ def widened(rows: Any, schema: Any, channel: str) -> Any:
     """Return rows with the columns of ``schema``, null where they have none; ``channel`` for rows without one."""
     if CHANNEL in schema.names and CHANNEL not in rows.schema.names:
         rows = rows.append_column(CHANNEL, pa.repeat(pa.scalar(channel, pa.string()), len(rows)))
-    return pa.concat_tables([schema.empty_table(), rows], promote_options="default")
+    # A file may have a column that a damaged manifest does not name.
+    return pa.concat_tables([schema.empty_table(), rows], promote_options="default").select(schema.names)
