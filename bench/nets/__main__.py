@@ -19,7 +19,7 @@ from pathlib import Path
 from bench.nets.compare import check, inputs, run_cases
 from bench.nets.trees import ROOT, Tree
 
-REFERENCE = "9931bb3"
+REFERENCE, FILES = "c80f866", "9931bb3"
 DECODE_BASELINE, COLLECTOR_BASELINE = "e2c4c76", "9931bb3"
 
 
@@ -28,7 +28,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("mode", choices=("make", "check", "costs"))
     parser.add_argument("--reference", default=REFERENCE, metavar="REF")
-    parser.add_argument("--files", default=REFERENCE, metavar="REF")
+    parser.add_argument("--files", default=FILES, metavar="REF")
     parser.add_argument("--only", default="*", metavar="PATTERN", help="cases (log-*,help), or figures of costs")
     parser.add_argument("--tree", type=Path, default=ROOT, help="another checkout than this one is checked")
     parser.add_argument("--jobs", type=int, default=2)
