@@ -16,6 +16,7 @@ from typing import Any
 
 import rosless
 
+from tipforce.samples.reasons import Status
 from tipforce.shipped_files import shipped_folder
 
 WAIT_S = 120.0  # far more than on an idle machine
@@ -68,7 +69,9 @@ def _watch(process: subprocess.Popen[str]) -> dict[str, Any]:
     found["tare"] = _dict(_until(ask, lambda one: one.status[0].message.startswith("tared")))
     _say(process, "fault 2 silent")
     found["fault"] = _dict(_until(lambda: diagnostics.read(timeout=WAIT_S), lambda one: _worst(one) == 2))
-    _all(contact)
+    # On a loaded machine a diagnosis can precede the contacts that were sent before the fault.
+    _until(lambda: contact.read(timeout=WAIT_S), lambda one: bool(one.status & Status.FAULT))
+    _until(lambda: contact.read(timeout=WAIT_S), lambda one: bool(one.status & Status.FAULT))
     _all(wrench)
     unknown = [contact.read(timeout=WAIT_S) for _ in range(20)]
     found["unknown"] = [_dict(one) for one in unknown]
