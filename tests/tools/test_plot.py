@@ -86,6 +86,19 @@ def test_the_unknown_is_a_gap(parts: int) -> None:
     assert np.isnan(t).tolist() == np.isnan(y).tolist()
 
 
+def test_a_single_peak_of_a_million_samples_is_kept() -> None:
+    x = np.zeros(1_000_000)
+    x[654_321] = 7.0
+    trace = Trace(T0)
+    for rows in np.array_split(np.arange(len(x)), 25):
+        trace.add(times(len(x))[rows], x[rows])
+    line = line_of(trace)
+    assert len(line.mean) <= BINS
+    assert line.high.max() == 7.0
+    where = line.t_ns[line.high.argmax()]
+    assert abs(where - (T0 + 654_321 * MS)) < 1e12 / BINS * 2
+
+
 def test_silence_is_a_gap() -> None:
     trace = Trace(T0)
     t_ns = np.concatenate((times(50), times(50) + 200 * MS))
@@ -176,6 +189,15 @@ def test_a_bar_ends_where_the_samples_end() -> None:
     flags.add(times(50), {"stale": on})
     flags.add(times(50) + 1000 * MS, {"stale": on})
     assert [((a - T0) // MS, (b - T0) // MS) for a, b in flags.bars()["stale"]] == [(0, 49), (1000, 1049)]
+
+
+def test_a_flag_of_one_sample_in_a_million_has_its_bar() -> None:
+    flags = Flags(T0)
+    fault = np.zeros(1_000_000, dtype=np.bool_)
+    fault[777_777] = True
+    flags.add(times(len(fault)), {"fault": fault})
+    ((begin, end),) = flags.bars()["fault"]
+    assert begin <= T0 + 777_777 * MS <= end
 
 
 def test_lost_samples_are_marked_and_counted() -> None:

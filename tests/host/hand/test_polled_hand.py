@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from host.bus_with_nodes import FaultyBus, apply_load, beam_calibration, connected, finger, fresh_sample
+from tipforce.dictionary import objects as od
 from tipforce.errors import InputError
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
@@ -73,6 +74,19 @@ def test_a_sample_never_shows_what_came_before_its_sync(hand: PolledHand, bus: t
     assert fresh_sample(hand).P_newtons[0] == pytest.approx(3.0, abs=0.02)
     bus[1].fault = lambda m: None if m.arbitration_id == 0x281 else m
     assert hand.sample(PATIENCE_S).missing[0]
+
+
+def test_a_silent_converter_is_unknown_not_frozen(hand: PolledHand) -> None:
+    apply_load(hand.connection, 7, 2.0, 90.0, 60.0)
+    assert not np.isnan(fresh_sample(hand).P_newtons[2])
+    sdo = hand.connection.sdo(7)
+    sdo.write(od.SIMULATION_FAULT, 4)
+    hand.sample(timeout_s=2.0)
+    row = hand.sample(timeout_s=2.0)
+    sdo.write(od.SIMULATION_FAULT, 0)
+    assert not row.missing[2]
+    assert np.isnan(row.P_newtons[2])
+    assert row.messages[7, "Contact"].columns["stale"][0]
 
 
 def test_stopped_fingers_are_missing(hand: PolledHand) -> None:

@@ -269,3 +269,26 @@ def test_the_switch_interval_is_short_while_a_receiver_is_open() -> None:
         sys.setswitchinterval(0.002)  # the program's own wish stays
     assert sys.getswitchinterval() == pytest.approx(0.002)
     sys.setswitchinterval(before)
+
+
+@needs_recvmmsg
+def test_a_busy_thread_does_not_stop_it() -> None:
+    stop = threading.Event()
+
+    def work() -> None:
+        while not stop.is_set():
+            sum(range(1000))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        with connected() as (receiver, bus):
+            for number in range(500):
+                bus.send(can_frame(1, struct.pack("<q", number)))
+            found: list[int] = []
+            while len(found) < 500:
+                found += receiver.receive(5.0)["data"].copy().view("<i8")[:, 0].tolist()
+            assert found == list(range(500))
+    finally:
+        stop.set()
+        thread.join()

@@ -110,20 +110,60 @@ def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Calibration, "check", lambda _calibration: None)
 
 
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"C": np.zeros((3, 3))}, "matrix: rank below 3"),
+        ({"C": np.full((3, 3), np.nan)}, "matrix: nan is not finite"),
+        ({"covariance_strain2": 1e-12 * (2.0 * np.ones((3, 3)) - np.eye(3))}, "covariance: not positive"),
+        ({"theta_min_deg": 170.0, "theta_max_deg": 10.0}, "theta_min_deg: 170 is above"),
+    ],
+)
+def test_the_host_sends_no_calibration_that_no_sensor_can_have(
+    bench: Bench, changes: dict[str, object], text: str
+) -> None:
+    before = bench.state()
+    with pytest.raises(InputError, match=text):
+        bench.client.apply_calibration(beam_calibration(**changes))
+    assert bench.state() == before
+
+
+NOT_FINITE = ("C", "offset_strain", "covariance_strain2", "tip_radius_m", "contact_on_newtons")
+CROSSED = ({"theta_min_deg": 170.0, "theta_max_deg": 10.0}, {"contact_on_newtons": 0.01, "contact_off_newtons": 0.02})
+ILL_CONDITIONED = (np.ones((3, 3)), np.zeros((3, 3)), np.diag([1.0, 1.0, 1e-5]))
+
+
+def spoiled(field: str, value: float) -> dict[str, object]:
+    """A field of a calibration with one value that is not finite."""
+    present = getattr(beam_calibration(), field)
+    if not isinstance(present, np.ndarray):
+        return {field: value}
+    present = present.copy()
+    present.flat[0] = value
+    return {field: present}
+
+
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"C": np.full((3, 3), np.nan)}, r"0x06090030\): a value is not finite"),
-        ({"theta_min_deg": 170.0, "theta_max_deg": 10.0}, r"0x06090030\): .*theta minimum over maximum, contact-off"),
-        ({"C": np.zeros((3, 3))}, r"0x06090031\): the condition number of C exceeds the limit 2105h:1"),
+        *((spoiled(field, value), r"0x06090030\): a value is not finite") for field in NOT_FINITE
+          for value in (np.nan, np.inf, -np.inf)),
+        *((changes, r"0x06090030\): .*theta minimum over maximum, contact-off over") for changes in CROSSED),
+        *(({"C": C}, r"0x06090031\): the condition number of C exceeds the limit 2105h:1") for C in ILL_CONDITIONED),
     ],
-)
+)  # fmt: skip
 def test_the_node_refuses_what_no_sensor_can_have(bench: Bench, changes: dict[str, object], text: str) -> None:
     before = bench.state()
     with pytest.raises(RefusedError, match=r"node 5 rejected the calibration \(" + text):
         bench.client.apply_calibration(beam_calibration(**changes))
     assert bench.state() == before
+
+
+def test_the_limit_of_the_condition_number_is_the_nodes(bench: Bench) -> None:
+    bench.client.sdo.write(od.CALIBRATION_CONDITION_LIMIT, 1.0)
+    with pytest.raises(RefusedError, match="06090031"):
+        bench.client.apply_calibration(bench.active)
 
 
 def test_locked_is_refused_and_says_how_to_unlock(bench: Bench) -> None:
@@ -207,11 +247,6 @@ def test_a_block_with_one_flipped_bit_is_read_again(bench: Bench) -> None:
     assert found is not None
     assert found.record() == bench.active.record()
     assert next(following) > 0, "a segment was corrupted"
-
-
-def test_a_calibration_that_no_sensor_can_have_never_leaves_the_host(bench: Bench) -> None:
-    with pytest.raises(InputError, match="matrix: rank below 3"):
-        bench.client.apply_calibration(beam_calibration(C=np.zeros((3, 3))))
 
 
 def test_another_number_of_gauges_never_leaves_the_host(bench: Bench) -> None:
