@@ -100,10 +100,13 @@ def command_s(words: Sequence[object], **options: Any) -> tuple[float, float]:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall_s
 
 
-def peak_mb(words: Sequence[object]) -> float:
-    """The most memory that a command and its processes had at one time, sampled; what they share counts once."""
+def peak_mb(words: Sequence[object], **options: Any) -> float:
+    """The most memory that a command and its processes had at one time, sampled; what they share counts once.
+
+    ``options`` of subprocess.Popen.
+    """
     peak = 0
-    with subprocess.Popen([str(word) for word in words], stdout=subprocess.DEVNULL) as process:
+    with subprocess.Popen([str(word) for word in words], stdout=subprocess.DEVNULL, **options) as process:
         while process.poll() is None:
             peak = max(peak, sum(map(_own_kb, _descendants(process.pid))))
             time.sleep(_SAMPLE_S)

@@ -6,15 +6,14 @@ import resource
 import statistics
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from fnmatch import fnmatch
 from pathlib import Path
 
+from bench.measure import peak_mb
 from bench.nets.logs import write_large
 from bench.nets.trees import BUILD, ROOT, Tree
 
-_SAMPLE_S = 0.02
 _FORMS = {"parquet": ["-o", "out.parquet"], "csv": ["-o", "out.csv"], "summary": ["--summary", "--json"]}
 _STARTS = {"--version": ["--version"], "scan --help": ["scan", "--help"]}
 _START_RUNS = 5
@@ -34,7 +33,7 @@ def costs(decode_ref: str, collector_ref: str, pattern: str, pairs: int, quick: 
         name = f"memory {size} {form}, MB"
         if fnmatch(name, pattern):
             words = ["decode", "-q", str(log), *_FORMS[form]]
-            _print(name, [(peak_mb(old, words, folder), peak_mb(after, words, folder)) for _ in range(min(pairs, 3))])
+            _print(name, [(_peak(old, words, folder), _peak(after, words, folder)) for _ in range(min(pairs, 3))])
     return 0
 
 
@@ -108,30 +107,5 @@ def _collector_us(tree: Tree, frames: int, folder: Path) -> float:
     return float(done.stdout)
 
 
-def peak_mb(tree: Tree, words: list[str], folder: Path) -> float:
-    """The most memory that a command and its processes had at one time, sampled; what they share counts once."""
-    peak = 0
-    with subprocess.Popen(
-        [sys.executable, "-c", tree.code, *words], cwd=folder, env=tree.environment(), stdout=subprocess.DEVNULL
-    ) as process:
-        while process.poll() is None:
-            peak = max(peak, sum(map(_own_kb, _processes(process.pid))))
-            time.sleep(_SAMPLE_S)
-    return peak * 1024 / 1e6
-
-
-def _processes(pid: int) -> list[int]:
-    try:
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    except OSError:
-        return []
-    return [pid, *(descendant for child in children for descendant in _processes(int(child)))]
-
-
-def _own_kb(pid: int) -> int:
-    """Proportional set size (proc(5))."""
-    try:
-        text = Path(f"/proc/{pid}/smaps_rollup").read_text()
-    except OSError:
-        return 0
-    return sum(int(line.split()[1]) for line in text.splitlines() if line.startswith("Pss:"))
+def _peak(tree: Tree, words: list[str], folder: Path) -> float:
+    return peak_mb([sys.executable, "-c", tree.code, *words], cwd=folder, env=tree.environment())
