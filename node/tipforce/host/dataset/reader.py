@@ -229,8 +229,6 @@ def _table(rows: Any, wanted: list[Column], channels: list[str], t_ns: Values, t
 def _values(array: Any, column: Column) -> Values:
     """Return the values as a decoder has them, with its marks for missing ones."""
     mark = missing_of(column, 1)
-    if column.kind == "word":
-        return np.array([(text or "").encode() for text in array.to_pylist()])
     if column.kind == "flag":
         import pyarrow as pa
 

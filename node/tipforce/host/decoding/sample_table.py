@@ -28,7 +28,7 @@ _GAUGE, _NUMBER, _FLAG, _COUNT = 20, 40, 60, 80
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: ``kind`` is "real", "flag", "integer" or "word".
+    """One column: ``kind`` is "real", "flag" or "integer".
 
     ``digits`` after the point are its resolution (None: as many as needed). ``rank`` orders columns.
     """
@@ -52,7 +52,7 @@ class Table:
 
     ``t_ns`` (k,) receive time of the first frame; ``key`` (k,) channel and node; ``counter`` (k,) of the sample, or
     NO_COUNTER; ``cyclic`` (k,): whether it came with a PDO that follows SYNC. ``values`` by column name, (k,) each:
-    real float64 with NaN for missing, flag int8 with NO_FLAG, integer int64 with NO_INTEGER, word bytes.
+    real float64 with NaN for missing, flag int8 with NO_FLAG, integer int64 with NO_INTEGER.
     ``absent``: by column name, where no frame carried it; columns present in all rows are omitted.
     """
 
@@ -160,7 +160,7 @@ def missing_of(column: Column, count: int) -> Values:
         return np.full(count, NO_FLAG, dtype=np.int8)
     if column.kind == "integer":
         return np.full(count, NO_INTEGER, dtype=np.int64)
-    return np.full(count, b"") if column.kind == "word" else np.full(count, np.nan)
+    return np.full(count, np.nan)
 
 
 def is_missing(column: Column, values: Values) -> BoolArray:
@@ -169,4 +169,4 @@ def is_missing(column: Column, values: Values) -> BoolArray:
         return np.asarray(values == NO_FLAG)
     if column.kind == "integer":
         return np.asarray(values == NO_INTEGER)
-    return np.asarray(values == b"") if column.kind == "word" else np.asarray(np.isnan(values))
+    return np.asarray(np.isnan(values))
