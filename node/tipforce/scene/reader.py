@@ -39,6 +39,8 @@ def _check_nodes(scene: schema.Scene, place: str) -> None:
     for number, group in enumerate(scene.nodes, 1):
         at = f"{place}: nodes[{number}]"
         gauges = _gauges(group, at)
+        if group.names and len(group.names) != len(group.ids):
+            raise InputError(f"{at}.names has {len(group.names)} names: allowed are as many as ids, {len(group.ids)}")
         if group.offset_microstrain and len(group.offset_microstrain) != gauges:
             raise InputError(f"{at}.offset_microstrain has {len(group.offset_microstrain)} values: allowed is {gauges}")
         if scene.dynamics is not None and group.sample_period_us % scene.dynamics.step_us:

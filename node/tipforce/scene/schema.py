@@ -26,6 +26,8 @@ class Nodes(_Table, frozen=True, kw_only=True):
     """[[nodes]]: identical fingertips."""
 
     ids: NodeIds
+    names: tuple[str, ...] = ()
+    """Of the fingers, in the order of ``ids``; for `tipforce view`."""
     pdos: tuple[Pdo, ...]
     """PDOs that are sent; the others are disabled by bit 31 of their COB-ID."""
     layout: Literal["I", "II", "III", "I'", "II'", "III'"] | tuple[str, ...] = "I"

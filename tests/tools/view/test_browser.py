@@ -15,9 +15,10 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
-from tipforce.watching.watcher import Finger
+from tipforce.shipped_files import file_or_shipped
+from tipforce.watching.watcher import Finger, finger_maker
 from tipforce_tools.view.server import ViewServer
-from tipforce_tools.view.sources import LogSource
+from tipforce_tools.view.sources import LogSource, scene_source
 from tools.view.support import MovingSource, serving
 from tools.view.test_watcher import cycle, written
 
@@ -256,6 +257,32 @@ def test_a_log_is_replayed_to_its_end(browser: Browser, tmp_path: Path) -> None:
         page.keyboard.press("Home")
         expect(mode).to_have_text("paused")
         expect(page.locator("#play")).to_have_text("Play")
+        page.close()
+
+
+@pytest.mark.parametrize("loops", [True, False], ids=["loops", "ends"])
+def test_a_scene_loops_or_ends_on_its_best_moment(browser: Browser, loops: bool) -> None:
+    source = scene_source(file_or_shipped("hand", "scenes"), finger_maker(), 8.0, 9.0)
+    source.loops = loops
+    with serving(source) as server:
+        page = new_page(browser, viewport={"width": 1280, "height": 900})
+        page.goto(server.url)
+        expect(page.locator("#frames")).to_contain_text("sim0")
+        expect(page.locator("#python")).to_contain_text("tipforce.read_log")
+        if loops:
+            page.evaluate(
+                "() => { window.ended = 0; new MutationObserver(() => { window.ended += 1; })"
+                ".observe(document.getElementById('mode'), {childList: true, characterData: true, subtree: true}); }"
+            )
+            before = page.evaluate("() => window.tipforce.messages")
+            page.wait_for_function("before => window.tipforce.messages > before + 60", arg=before)  # 1 s has 33 at most
+            assert page.evaluate("() => window.ended") == 0  # it has played on
+            expect(page.locator("#mode")).to_contain_text("replay")
+        else:
+            expect(page.locator("#mode")).to_contain_text("paused")
+            assert source.rest_ns is not None
+            shown = page.evaluate("() => Number(document.getElementById('scrub').value)")
+            assert abs(shown - source.rest_ns / 1e6) < 20.0
         page.close()
 
 

@@ -62,15 +62,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _view(args: argparse.Namespace) -> int:
-    """Serve the page with a simulated hand until Ctrl-C."""
-    from tipforce_tools.cli.listening import commissioned
-    from tipforce_tools.demo.hand import simulated_hand
+    """Serve the page with the scene of a hand, in a loop, until Ctrl-C. Its time is simulated: no row is missing."""
+    from tipforce.shipped_files import file_or_shipped
+    from tipforce.watching.watcher import finger_maker
     from tipforce_tools.view.command import page_guard, serve
-    from tipforce_tools.view.sources import LiveSource
+    from tipforce_tools.view.sources import scene_source
 
     guard = page_guard(args)
-    with simulated_hand() as (hand, _):
-        return serve(args, LiveSource(commissioned(args, hand), "simulated hand"), guard)
+    source = scene_source(file_or_shipped("hand", "scenes"), finger_maker())
+    source.loops = True
+    return serve(args, source, guard)
 
 
 def _record(result: Result) -> dict[str, object]:

@@ -81,7 +81,7 @@ def _source(args: argparse.Namespace) -> Iterator[Source]:
         source: Source = LiveSource(feed, f"{title}, listening", "this page only listens to the bus")
     elif is_table and is_scene(path):
         common.note(args, f"{path}: running the scene")
-        source = scene_source(path, maker, args.gauges, args.start_s, args.end_s)
+        source = scene_source(path, maker, args.start_s, args.end_s)
     elif is_table:
         from tipforce.host.hand.hand import Hand
 

@@ -14,6 +14,9 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.host.frames.frame_array import SENT, FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.sensor.contact import scalar
@@ -139,6 +142,7 @@ def _silent(since_ns: int) -> FingerState:
 
 
 MAX_EVENTS = 2000
+SHOWN_FRAMES = 12
 _RATE_ROWS = 4096
 
 
@@ -171,6 +175,8 @@ class Picture(msgspec.Struct, omit_defaults=True, rename={"states": "fingers"}):
     events: list[PageEvent] | None = None
     """New ones, of a stream; all up to the moment, of a log."""
     ended: bool = False
+    frames: list[str] | None = None
+    """The last ones up to the moment, as `candump -tz` prints them."""
 
 
 class Model:
@@ -184,6 +190,8 @@ class Model:
         self.counters = Counters()
         self.generation = 0
         """Number of changes of the fingers."""
+        self.frames: tuple[FrameArray, tuple[str, ...]] | None = None
+        """Those of a log and its interfaces, to be shown as candump does; None: too many, or live."""
         self.nmt: list[str] = []
         """Present NMT state of each finger, if the source knows it."""
         self.error = ""
@@ -259,8 +267,17 @@ class Model:
             times_ms = moment / 1e6, start / 1e6, end / 1e6
             return Picture(
                 *times_ms, round(rate_hz, 2), period_ns(t_ns[:last]) / 1e6, self.generation, self.error, self.nmt,
-                self.counters, states,
+                self.counters, states, frames=self._frame_lines(moment),
             )  # fmt: skip
+
+    def _frame_lines(self, moment_ns: int) -> list[str] | None:
+        if self.frames is None:
+            return None
+        frames, names = self.frames
+        last = int(np.searchsorted(frames["t_ns"], moment_ns, side="right"))
+        shown = np.append(frames[:1], frames[max(0, last - SHOWN_FRAMES) : last])  # -tz counts from the first frame
+        block = CandumpBlock(shown, shown["channel"].astype(np.uint16), names, shown["flags"] & SENT != 0)
+        return CandumpFormat("z").lines(block)[1:]
 
     def envelope(self, first_bin: int, last_bin: int, width_ns: int, what: Charted = "contact") -> Envelope:
         """See History."""
@@ -271,6 +288,13 @@ class Model:
         """See History."""
         with self._lock:
             return self._history.largest()
+
+    def best_ns(self) -> int:
+        """Return the time of the row in which most fingers are in contact, of these the one with the largest forces."""
+        with self._lock:
+            P, theta = self._history.rows.contact[..., 0], self._history.rows.contact[..., 2]
+            score = 1e6 * np.isfinite(theta).sum(axis=1) + np.nansum(P, axis=1)
+            return int(self._history.t_ns[int(score.argmax())]) if len(score) else 0
 
     def rows_after(self, t_ns: int, count: int, until_ns: int) -> Block:
         """Return a copy of at most ``count`` rows with t_ns < time <= until_ns."""

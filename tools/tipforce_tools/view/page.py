@@ -98,7 +98,8 @@ def answer(request: AnyRequest, source: Source, read_only: str) -> Any:
                 "title": source.title, "live": model.live, "generation": model.generation,
                 "fingers": [drawing(finger, model.gauges) for finger in model.fingers],
                 "gauges": model.gauges, "no_tare": source.no_tare or read_only, "events": model.events()[-MAX_EVENTS:],
-                "picture": model.picture(), "scale": _scale(model),
+                "picture": model.picture(), "scale": _scale(model), "loops": source.loops,
+                "rest": None if source.rest_ns is None else source.rest_ns / 1e6, "python": source.python,
             }  # fmt: skip
         case At():
             picture = model.picture(_ns(request.t))
@@ -125,7 +126,7 @@ def _scale(model: Model) -> dict[str, float]:
     """Return the full scales of force and strain: those of a log's rows; of a live page at least the usual ones."""
     least = (5.0, 500.0) if model.live else (0.5, 50.0)
     P, strain = model.largest()
-    expected = P * max((largest_strain_per_newton(finger.geometry) for finger in model.fingers), default=0.0)
+    expected = 0.5 * P * max((largest_strain_per_newton(finger.geometry) for finger in model.fingers), default=0.0)
     return {"newtons": _nice(max(P, least[0])), "microstrain": _nice(max(strain, expected, least[1]))}
 
 

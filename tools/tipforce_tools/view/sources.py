@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 import time
 import tomllib
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
@@ -23,19 +23,34 @@ from tipforce.watching.watcher import Finger, FingerMaker, Watcher, with_layout
 from tipforce_tools.view.history import MAX_BYTES, row_bytes
 from tipforce_tools.view.model import Model
 
-if TYPE_CHECKING:
-    from tipforce.scene.schema import Scene
-
 LOG_BYTES = 8 * MAX_BYTES
 """Memory limit of a log's rows; of a longer log the user must choose a part."""
+MAX_FRAMES = 1_000_000
+"""A longer log is shown without the text of its frames."""
 _NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)
+
+
+_PYTHON = """\
+import tipforce
+
+log = tipforce.read_log("{file}")
+finger = log[{node_id}]
+print(finger.t_s, finger.P_newtons)
+print(finger.phi_deg, finger.theta_deg)
+"""
 
 
 class Source:
     """Fills a model. One thread calls ``pump`` about 30 times a second.
 
-    ``no_tare``: why tare is not available; empty if it is.
+    ``no_tare``: why tare is not available; empty if it is. ``loops``: a replay begins again at its end; otherwise it
+    ends on the moment ``rest_ns``, if that is given.
     """
+
+    loops = False
+    rest_ns: int | None = None
+    python = ""
+    """Lines of Python that read the same."""
 
     def __init__(self, title: str, no_tare: str, model: Model) -> None:
         self.title, self.no_tare, self.model = title, no_tare, model
@@ -106,6 +121,7 @@ class LogSource(Source):
                 "(seconds)"
             )
         super().__init__(path.name, "a log can't be tared", Model(found, gauges, live=False, capacity=rows + 1))
+        self.python = _PYTHON.format(file=path.name, node_id=found[0].node_id)
         low, high = self._read()
         if not self._rows:
             raise InputError(f"{path}: no sample between --from and --to; the log lasts {self._seconds:g} s")
@@ -139,14 +155,19 @@ class LogSource(Source):
     def _read(self) -> tuple[int, int]:
         """Read the rows; return the bits of all frames, without stuff bits and with their maximum."""
         self._rows, last_s, low, high = 0, 0.0, 0, 0
+        kept: list[FrameArray] = []
         with open_log(self._path, start_ns=self._limits[0], end_ns=self._limits[1]) as log:
             for frames in log:
+                if sum(map(len, kept)) <= MAX_FRAMES:
+                    kept.append(frames)
                 last_s = float(frames["t_ns"][-1]) * 1e-9
                 for event in self._add(frames, last_s):
                     self.model.add_event(round(event.t_s * 1e9), event.node_id, event.kind, event.text)
                 least, most = range_of_bits(frames)
                 low, high = low + least, high + most
         self._add(_NO_FRAMES, last_s + 1.0)  # the end of a log is not a lost heartbeat
+        if kept and sum(map(len, kept)) <= MAX_FRAMES:
+            self.model.frames = np.concatenate(kept), tuple(log.channels)
         return low, high
 
     def _add(self, frames: FrameArray, now_s: float) -> list[Event]:
@@ -165,30 +186,35 @@ def is_scene(path: Path) -> bool:
     return False
 
 
-def scene_source(path: Path, make_finger: FingerMaker, gauges: int, start_s: float, end_s: float | None) -> LogSource:
-    """Run the scene without its output files, expectations and bus, and show it like its log. Raises InputError."""
+def scene_source(path: Path, make_finger: FingerMaker, start_s: float = 0.0, end_s: float | None = None) -> LogSource:
+    """Run the scene without its output files, expectations and bus, and show it like its log. Raises InputError.
+
+    It knows the names, layouts and calibrations of its fingers, and ends on the moment with most of them in contact.
+    """
+    from tipforce.scene.build import build
     from tipforce.scene.reader import read_scene
     from tipforce.scene.run import Options, run_scene
     from tipforce.scene.schema import Outputs
 
     scene = replace(read_scene(path), outputs=Outputs(), expect=(), bus=None)
-    layouts = _layouts(scene)
+    built = {finger.node_id: finger for finger in build(scene, path.parent)}
 
     def make(node_id: int) -> Finger | None:
-        finger = make_finger(node_id)
-        return finger and with_layout(finger, "" if finger.layout else layouts.get(node_id, ""), None)
+        finger, simulated = make_finger(node_id), built[node_id]
+        if finger is None:
+            return None
+        names, layout = dict(zip(simulated.group.ids, simulated.group.names, strict=False)), simulated.group.layout
+        finger = dataclasses.replace(finger, name=names.get(node_id, ""), calibration=simulated.calibration)
+        return with_layout(finger, layout if isinstance(layout, str) and not finger.layout else "", None)
 
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "scene.log"
         run_scene(scene, path.parent, Options(log=str(log)))
         try:
-            source = LogSource(log, make, gauges, start_s, end_s)
+            source = LogSource(log, make, max(finger.gauges for finger in built.values()), start_s, end_s)
         except InputError as error:
             raise InputError(str(error).replace(str(log), str(path))) from None
-    source.title, source.no_tare = path.name, "a scene can't be tared"
+    source.python = f"# tipforce run {path.stem} --log scene.log\n{source.python}"
+    source.title, source.no_tare = scene.title or path.name, "a scene can't be tared"
+    source.rest_ns = source.model.best_ns()
     return source
-
-
-def _layouts(scene: Scene) -> dict[int, str]:
-    """Return the named layouts by node-id."""
-    return {node_id: nodes.layout for nodes in scene.nodes if isinstance(nodes.layout, str) for node_id in nodes.ids}

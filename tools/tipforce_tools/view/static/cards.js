@@ -91,7 +91,7 @@ export class Card {
     this.worded = key;
     this.words.replaceChildren();
     if (sense(state)) this.words.append(make("b", "", sense(state)), " ");
-    if (nmt) this.words.append(nmt, " ");
+    if (nmt) this.words.append(`node ${nmt}`, " ");
     flags.forEach((text) => this.words.append(make("span", "flag", text), " "));
   }
 

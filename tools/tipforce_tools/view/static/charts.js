@@ -88,14 +88,14 @@ function names(context, drawn, py, right, top, bottom, most, least) {
   context.textAlign = "left";
   context.textBaseline = "middle";
   for (const { curve, y, end } of places) {
-    context.strokeStyle = curve.main ? curve.colour : colour.other;
+    context.strokeStyle = curve.colour;
     context.lineWidth = 0.8;
     context.beginPath();
     context.moveTo(right, end);
     context.lineTo(right + 6, y);
     context.stroke();
     context.font = `${curve.main ? "600 " : ""}11px ${font.family}`;
-    context.fillStyle = curve.main ? curve.colour : colour.soft;
+    context.fillStyle = curve.colour;
     context.fillText(curve.name, right + 8, y, RIGHT - 8);
   }
 }
@@ -118,7 +118,7 @@ function heading(context, options, drawn, joint, left, baseline, right, most, le
   context.font = `12px ${font.family}`;
   const words = [[clock(options.pointer, 2), colour.soft]];
   const order = [...drawn.filter((curve) => curve.main), ...drawn.filter((curve) => !curve.main)];
-  for (const curve of order) words.push([`${curve.name} ${reading(options.bins.nearest(curve, options.pointer, joint), options.digits)}`, curve.main ? curve.colour : colour.soft]);
+  for (const curve of order) words.push([`${curve.name} ${reading(options.bins.nearest(curve, options.pointer, joint), options.digits)}`, curve.colour]);
   for (const [text, style] of words) {
     const width = context.measureText(text).width;
     if (at + width > right) return;
@@ -196,7 +196,8 @@ function* runs(series, joint) {
 
 function line(context, bins, curve, from, to, joint, px, py) {
   context.strokeStyle = curve.colour;
-  context.lineWidth = curve.main ? 1.6 : 1;
+  context.lineWidth = curve.main ? 2.2 : 1.2;
+  context.setLineDash(curve.dashed ? [5, 3] : []);
   context.beginPath();
   let before = -Infinity;
   bins.values(curve, from, to, (t, low, high) => {
@@ -213,6 +214,7 @@ function line(context, bins, curve, from, to, joint, px, py) {
     before = t;
   });
   context.stroke();
+  context.setLineDash([]);
 }
 
 function band(context, series, joint, px, py, width) {

@@ -7,7 +7,7 @@ import { savePicture } from "./picture.js";
 import { clock, duration, nice, number } from "./format.js";
 import { Panel } from "./panel.js";
 import { MARGIN, drawLegend } from "./section.js";
-import { startTheme } from "./theme.js";
+import { CURVES, startTheme } from "./theme.js";
 
 const LATE_MS = 500; // an older message, or a longer silence of the server, is not "live"
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
@@ -46,8 +46,9 @@ async function begin() {
   const { setup } = page;
   $("title").textContent = setup.title;
   document.title = `tipforce: ${setup.title}`;
-  page.events = setup.events;
+  page.events = setup.live ? setup.events : []; // those of a recording come with its moments
   page.cards = setup.fingers.map((geometry, n) => new Card(geometry, () => choose(n), setup.no_tare ? null : () => tare(geometry)));
+  page.cards.forEach(({ element }, n) => element.style.setProperty("--own", `var(--curve${(n % CURVES) + 1})`));
   sight.disconnect();
   page.scale ??= setup.scale;
   offerScales();
@@ -58,11 +59,13 @@ async function begin() {
   const spread = setup.fingers.every((finger) => finger.calibrated_here) ? "" : "Uncertainty: only with a calibration or a health PDO. ";
   $("note").textContent = missing + spread;
   $("band").hidden = false;
+  $("python").textContent = setup.python;
+  $("python").parentElement.hidden = !setup.python;
   showEvents();
   take(setup.picture);
   panel.begin(setup);
   if (setup.live) goLive();
-  else if (calm.matches) goTo(setup.picture.start);
+  else if (calm.matches) goTo(setup.rest ?? setup.picture.start);
   else play();
 }
 
@@ -183,7 +186,18 @@ function receive(message) {
   take(message);
   if (panel.follow(message.t, live)) panel.fill();
   panel.bins.prune(panel.from - 0.1 * panel.widthMs);
-  if (message.ended) pause();
+  if (message.ended) end();
+}
+
+// The end of a recording: again from the beginning, or still, on its best moment if it has one.
+function end() {
+  const { loops, rest } = page.setup;
+  if (!loops) pause();
+  if (rest !== null && !loops) goTo(rest);
+  if (!loops) return;
+  page.events = [];
+  showEvents();
+  play();
 }
 
 function take(message) {
@@ -240,6 +254,8 @@ function paint(everything) {
   drawAngles(...sizeCanvas($("angles")));
   panel.draw((canvas) => everything || inSight.has(canvas));
   showBus(message);
+  $("frames").hidden = !message.frames;
+  $("frames").textContent = (message.frames ?? []).join("\n");
   showTime(message);
   window.tipforce.drawn += 1;
   window.tipforce.longest = Math.max(window.tipforce.longest, performance.now() - begun);
@@ -267,19 +283,25 @@ function drawingScale() {
   return { mmPerNewton: MARGIN / page.scale.newtons, fullStrain: page.scale.microstrain, newtons: page.scale.newtons };
 }
 
+// What rows can lack, in words, and how often they did.
+const LACKS = {
+  "finger without a PDO": (c) => c.missing,
+  "PDO came too late": (c) => c.late,
+  "PDOs of two SYNCs": (c) => c.mixed,
+  "settings may have changed": (c) => c.doubtful,
+  "frames lost by this machine": (c) => [c.dropped, c.overrun],
+};
+
 function showBus({ rate, period, counters, error }) {
   const sum = (list) => list.reduce((total, value) => total + value, 0);
   const load = `${number(100 * counters.load[0], 1)} to ${number(100 * counters.load[1], 1)} %`;
+  const lacks = Object.entries(LACKS).map(([name, of]) => [name, sum(of(counters))]).filter(([, count]) => count);
   const entries = [
     ["rate", rate ? `${number(rate, rate < 100 ? 1 : 0)} Hz` : "no SYNC", !rate],
     ...(period ? [["period", `${number(period, 3)} ms`]] : []),
     ...(counters.load[0] === null ? [] : [["bus load", load, counters.load[1] > 0.8]]),
-    ["rows", String(counters.rows)],
-    ["missing", String(sum(counters.missing)), sum(counters.missing) > 0],
-    ["late", String(sum(counters.late)), sum(counters.late) > 0],
-    ["mixed", String(sum(counters.mixed)), sum(counters.mixed) > 0],
-    ["doubtful", String(sum(counters.doubtful)), sum(counters.doubtful) > 0],
-    ["dropped", String(counters.dropped + counters.overrun), counters.dropped + counters.overrun > 0],
+    ["rows", lacks.length || !counters.rows ? String(counters.rows) : `${counters.rows}, all complete`],
+    ...lacks.map(([name, count]) => [name, String(count), true]),
   ];
   if (counters.jitter_p99_us !== null) entries.push(["SYNC jitter p99", `${number(counters.jitter_p99_us, 0)} \u00b5s`]);
   const list = $("bus");

@@ -3,7 +3,7 @@ import { Bins } from "./bins.js";
 import { LEFT, RIGHT, drawChart } from "./charts.js";
 import { sizeCanvas } from "./cards.js";
 import { QUANTITIES, spanText } from "./format.js";
-import { colour } from "./theme.js";
+import { CURVES, colour, fingerColour } from "./theme.js";
 
 const BINS = 500; // in a chart's width
 const LEAST_MS = 20, MOST_MS = 1000 * 3600 * 24 * 366;
@@ -204,7 +204,7 @@ export class Panel {
     if (what === "contact") {
       const { symbol, unit, least, digits } = QUANTITIES[n];
       const curves = fingers.map(({ label }, finger) => ({
-        name: label, finger, quantity: n, main: finger === page.chosen, colour: finger === page.chosen ? colour.select : colour.other,
+        name: label, finger, quantity: n, main: finger === page.chosen, colour: fingerColour(finger), dashed: finger >= CURVES,
       }));
       curves.push(...curves.splice(page.chosen, 1)); // the selected one on top
       const title = `${symbol} in ${unit === "\u00b0" ? "degrees" : unit}`;

@@ -248,9 +248,9 @@ function arrow(view, tail, head) {
   const length = Math.hypot(hx - tx, hy - ty);
   if (length < 1) return;
   const ux = (hx - tx) / length, uy = (hy - ty) / length;
-  const size = Math.min(9, 0.6 * length), wing = 0.42 * size;
+  const size = Math.min(16, 0.6 * length), wing = 0.5 * size; // seen from across a room
   context.strokeStyle = context.fillStyle = colour.force;
-  context.lineWidth = 2.2;
+  context.lineWidth = Math.min(5, 0.25 * length);
   context.beginPath();
   context.moveTo(tx, ty);
   context.lineTo(hx - ux * size * 0.8, hy - uy * size * 0.8);

@@ -1,10 +1,14 @@
 // Colours come from the style sheet, so that drawings follow light, dark and print.
 const NAMES = ["paper", "card", "ink", "soft", "line", "faint", "body", "edge", "beam", "neutral", "minus", "plus",
-  "force", "cone", "select", "good", "warn", "bad", "other", "curve1", "curve2", "curve3", "curve4"];
+  "force", "cone", "select", "good", "warn", "bad", "curve1", "curve2", "curve3", "curve4", "curve5"];
 const dark = matchMedia("(prefers-color-scheme: dark)");
 let printing = false;
 export const colour = {};
 export const font = { family: "sans-serif" };
+
+// Each finger has its colour, in the charts and on its card; from the sixth on the line is dashed.
+export const CURVES = 5;
+export const fingerColour = (n) => colour[`curve${(n % CURVES) + 1}`];
 
 function read() {
   const style = getComputedStyle(document.documentElement);
