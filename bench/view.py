@@ -10,7 +10,6 @@ become a whole row. Figures are as found on this machine; nothing is asserted.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import math
 import shutil
@@ -19,7 +18,7 @@ import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from bench.loopback import bound_receiver, sending
 from bench.measure import ROOT, Meter, arguments, machine, table
@@ -34,7 +33,7 @@ from tipforce.watching.frame_sources import BusSource
 from tipforce.watching.watcher import Finger, with_layout
 from tipforce_tools.view.guard import Guard
 from tipforce_tools.view.server import ViewServer
-from tipforce_tools.view.sources import LiveSource
+from tipforce_tools.view.sources import LiveSource, Source
 
 FINGERS, SYNC_HZ, SECONDS = 15, 400, 10.0
 HEADER = ["browsers", "pictures/s", "messages/s", "longest drawing ms", "frames dropped", "lost rows", "missing",
@@ -146,44 +145,47 @@ def row(k: int) -> list[bytes]:
 
 
 def screenshots(browser: Browser, folder: Path) -> None:
-    """The simulated hand, light on a desktop and dark on a phone, while a finger has a fault; and a recording."""
+    """The demo's hand, light on a desktop while a finger has a fault, and dark on a phone; and a recording."""
     from tipforce.shipped_files import shipped_folder
-    from tipforce_tools.cli.listening import commissioned
-    from tipforce_tools.demo.hand import simulated_hand
+    from tipforce.watching.watcher import finger_maker
     from tipforce_tools.view.sources import scene_source
 
-    with simulated_hand() as (hand, _):
-        source: Any = LiveSource(commissioned(argparse.Namespace(quiet=True), hand), "simulated hand")
-        # The fault of the middle finger begins 8 s after the nodes were switched on, and lasts for 3 s.
-        with shown(browser, source, Guard(allow_writes=True), 1280, 900, "light") as (url, desktop):
-            desktop.wait_for_selector('.finger[data-word="unknown"]', timeout=60_000)
-            desktop.wait_for_timeout(1200)
-            picture(desktop, folder / "view-desktop.png")
-            phone = browser.new_page(viewport={"width": 390, "height": 844}, color_scheme="dark")
-            phone.goto(url)
-            phone.wait_for_selector('.finger[data-word="silent"], .finger[data-word="stale"]', timeout=60_000)
-            phone.wait_for_timeout(2500)
-            picture(phone, folder / "view-phone.png")
-    source = scene_source(shipped_folder("scenes") / "grooves.toml", Finger, 3, 0.0, None)
-    with shown(browser, source, Guard(), 1280, 1000, "dark") as (_, page):
+    hand = scene_source(shipped_folder("scenes") / "hand.toml", finger_maker())
+    with shown(browser, hand, 1280, 900, "light") as page:
+        seek(page, 9.0)
+        picture(page, folder / "view-desktop.png")
+    with shown(browser, hand, 390, 844, "dark") as page:
+        seek(page, 5.0)
+        picture(page, folder / "view-phone.png")
+    grooves = scene_source(shipped_folder("scenes") / "grooves.toml", finger_maker())
+    with shown(browser, grooves, 1280, 1000, "dark") as page:
         page.select_option("#what", "gauges")
-        page.wait_for_timeout(1500)
-        page.click("#play")
+        seek(page, 1.0)
         page.locator(".chart").first.hover(position={"x": 300, "y": 60})
-        page.wait_for_timeout(500)
         picture(page, folder / "view-recording.png")
+
+
+def seek(page: Page, t_s: float) -> None:
+    """Show this moment of a recording."""
+    page.wait_for_function("() => window.tipforce.drawn > 10")
+    page.evaluate(
+        "t => { const scrub = document.getElementById('scrub'); scrub.value = Number(scrub.min) + 1000 * t;"
+        " scrub.dispatchEvent(new Event('input')); }",
+        t_s,
+    )
+    page.wait_for_timeout(1500)
 
 
 @contextlib.contextmanager
 def shown(
-    browser: Browser, source: Any, guard: Guard, width: int, height: int, scheme: Literal["light", "dark"]
-) -> Iterator[tuple[str, Page]]:
-    """A server of a source, and a page that shows it: (address, page)."""
-    server = ViewServer(source, guard, ("127.0.0.1",))
+    browser: Browser, source: Source, width: int, height: int, scheme: Literal["light", "dark"]
+) -> Iterator[Page]:
+    """Serve a source, and yield a page that shows it."""
+    server = ViewServer(source, Guard(), ("127.0.0.1",))
     server.start()
     page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
     page.goto(server.url)
-    yield server.url, page
+    yield page
     server.close()
 
 

@@ -27,7 +27,7 @@ def test_a_hand_on_a_bus(bus: Bus | None, tmp_path: Path) -> None:
     options = Options(duration_s=0.45, bus=bus, realtime=True, log=str(path))
     outcome = run_scene(scene, SCENES, options)
     assert "bus" in outcome.built
-    expected = {0x000, 0x080, *range(0x281, 0x286), *range(0x701, 0x706)}
+    expected = {0x000, 0x080, *range(0x181, 0x186), *range(0x281, 0x286), *range(0x701, 0x706)}
     assert set(outcome.frames_by_id) == expected
     assert outcome.frames_by_id[0x080] == outcome.syncs == 225
     for finger in outcome.fingers:

@@ -77,7 +77,10 @@ def test_frames_of_one_sync_come_in_order(tmp_path: Path) -> None:
     heads = [line.rpartition("#")[0] for line in path.read_text().splitlines()]
     nodes = range(1, 6)
     boot = [f"(0000000000.000000) sim0 70{k}" for k in nodes] + ["(0000000000.000000) sim0 000"]
-    syncs = [[f"(0000000000.00{t}000) sim0 080", *(f"(0000000000.00{t}000) sim0 28{k}" for k in nodes)] for t in (2, 4)]
+    syncs = [
+        [f"(0000000000.00{t}000) sim0 080", *(f"(0000000000.00{t}000) sim0 {pdo}8{k}" for k in nodes for pdo in (1, 2))]
+        for t in (2, 4)
+    ]
     assert heads == boot + syncs[0] + syncs[1]
 
 
@@ -243,10 +246,10 @@ def test_options_that_are_not_allowed(options: dict[str, float], told: str) -> N
 
 
 def test_the_bus_load_is_that_of_the_standard_frame() -> None:
-    """Five contact PDOs and a SYNC at 500 Hz: 500 (5 x 111 + 47) bit/s without stuff bits, and 135 and 55 with all."""
+    """Ten PDOs and a SYNC at 500 Hz: 500 (10 x 111 + 47) bit/s without stuff bits, and 135 and 55 with all."""
     low, high = bus_load(read_scene(SCENES / "grasp.toml"))
-    assert low == pytest.approx(500 * (5 * 111 + 47) / 1e6)
-    assert high == pytest.approx(500 * (5 * 135 + 55) / 1e6)
+    assert low == pytest.approx(500 * (10 * 111 + 47) / 1e6)
+    assert high == pytest.approx(500 * (10 * 135 + 55) / 1e6)
 
 
 def test_a_calibration_file_beside_the_scene(tmp_path: Path) -> None:

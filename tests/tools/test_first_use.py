@@ -85,7 +85,7 @@ def test_a_scene_is_viewed_as_the_log_that_it_writes(scene: Path, tmp_path: Path
     hand.write_text("[hand]\n[[finger]]\nnode_id = 1\n")
     assert not is_scene(hand)
     assert not is_scene(tmp_path / "no.toml")
-    source = scene_source(scene, Finger, 3, 0.0, None)
+    source = scene_source(scene, Finger)
     assert source.title == "scene.toml"
     assert [(finger.node_id, finger.layout) for finger in source.model.fingers] == [(5, "II"), (6, "II")]
     assert source.model.counters.rows == 20
@@ -93,7 +93,7 @@ def test_a_scene_is_viewed_as_the_log_that_it_writes(scene: Path, tmp_path: Path
     silent = tmp_path / "silent.toml"
     silent.write_text(SCENE.replace('"gauges", "contact"', ""))
     with pytest.raises(InputError, match=r"silent\.toml: no PDO of a fingertip"):
-        scene_source(silent, Finger, 3, 0.0, None)
+        scene_source(silent, Finger)
 
 
 def test_gauges_of_a_decoded_log_are_measurements(log: Path, tmp_path: Path, printed: Printed) -> None:

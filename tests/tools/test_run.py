@@ -31,7 +31,7 @@ def test_a_run_prints_a_table_and_judges(printed: Printed) -> None:
     assert "no contact" in out
     assert "PASS: 50 of 50 expectations hold, 0 do not" in out
     assert len(re.findall(r"^\W*ok .*\W1,2,3,4,5\W", out, re.MULTILINE)) == 10
-    assert "2 s with 1000 SYNCs and 6006 frames" in err
+    assert "2 s with 1000 SYNCs and 11006 frames" in err
 
 
 def test_a_run_as_json(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
