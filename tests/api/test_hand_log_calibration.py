@@ -8,12 +8,15 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import tipforce
 from tipforce.host import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce.sensor import FABRICATED, calibration_matrix, force_vector, strain_matrix
+from tipforce.shipped_files import shipped_folder
+from tipforce_tools.cli.main import main
 
 NAMES = {"thumb": 1, "index": 2, "middle": 3}
 LOG = """\
@@ -91,6 +94,28 @@ def test_a_log_as_arrays(tmp_path: Path) -> None:
     assert np.isfinite(known[5].u_P_newtons).all()
     with pytest.raises(tipforce.InputError, match="line 6"):
         tipforce.read_log(path, strict=True)
+
+
+def test_a_log_as_tables_has_what_decode_writes(tmp_path: Path) -> None:
+    """Arrow and pandas: the columns of `tipforce decode -o x.parquet`, and the uncertainties and the status beside."""
+    scene, log, parquet = (tmp_path / name for name in ("hand.toml", "run.log", "run.parquet"))
+    hand = (shipped_folder("scenes") / "hand.toml").read_text().partition("[[expect]]")[0]
+    scene.write_text(hand.replace("duration_s = 20.0", "duration_s = 2.2"))
+    assert main(["run", str(scene), "-o", str(log), "-q"]) == 0
+    assert main(["decode", str(log), "-o", str(parquet), "-q"]) == 0
+    found = tipforce.read_log(str(tmp_path / "r*.log"))
+    written = pq.read_table(parquet).sort_by([("t_s", "ascending"), ("node", "ascending")])
+    table = found.to_arrow()
+    assert set(table.column_names) - set(written.column_names) == {"u_phi_deg", "u_theta_deg", "status"}
+    for name in written.column_names:
+        assert table[name].cast(written[name].type).to_pylist() == written[name].to_pylist(), name
+    frame = found[3].to_pandas()
+    assert len(frame) == len(found[3])
+    assert frame["P_N"].max() == np.nanmax(found[3].P_newtons)
+    assert len(repr(found).splitlines()) <= 6
+    assert len(repr(found[3]).splitlines()) == 5
+    with pytest.raises(tipforce.InputError, match=r"x\*\.log: no file matches"):
+        tipforce.read_log(str(tmp_path / "x*.log"))
 
 
 def test_a_log_of_gauges_is_estimated_by_the_calibration(tmp_path: Path) -> None:

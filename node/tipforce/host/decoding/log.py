@@ -2,30 +2,38 @@
 
 from __future__ import annotations
 
+import glob
 import logging
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os import PathLike, fspath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.dictionary import table
-from tipforce.errors import InputError
+from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding import judged
 from tipforce.host.decoding.estimates import Contacts, of_samples
 from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
-from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, missing_of
+from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, NODE_BITS, Column, Table, missing_of
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
 from tipforce.samples.record import Samples
 
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow
+
 _log = logging.getLogger(__name__)
 FloatArray = npt.NDArray[np.float64]
+_SHOWN_NODES = 4
+_ARROW_NAMES = {"temperature": "temperature_degC", "u_P": "u_P_N"}
 _NOT_USABLE = np.uint16(Status.STALE | Status.FAULT)
 """Status bits of a node for an invalid gauge reading."""
 
@@ -45,6 +53,54 @@ class NodeLog(Contacts):
     """(k, 3) F1, F2, F3; NaN where unknown or not sent."""
     columns: dict[str, npt.NDArray[Any]]
     """All other decoded values, by signal name, (k,) each."""
+
+    def __repr__(self) -> str:
+        return "\n".join(f"<{line}>" if number == 0 else f"  {line}" for number, line in enumerate(self._lines()))
+
+    def _lines(self) -> Iterator[str]:
+        """The first five lines that one wants to know of a log."""
+        span_s = self.t_s[-1] - self.t_s[0] if len(self) else 0.0
+        yield f"NodeLog of node {self.node_id}: {len(self)} samples in {span_s:.3f} s"
+        for name in ("P_newtons", "phi_deg", "theta_deg"):
+            known = getattr(self, name)[np.isfinite(getattr(self, name))]
+            limits = f"{known.min():.3f} to {known.max():.3f}, " if len(known) else ""
+            yield f"{name}: {limits}{len(self) - len(known)} unknown"
+        yield f"also t_s, counter, microstrain, F_newtons, status, columns: {', '.join(self.columns) or 'none'}"
+
+    def to_arrow(self) -> pyarrow.Table:
+        """Return the samples as an Arrow table, with the names, types and units of `tipforce decode -o x.parquet`.
+
+        An unknown value is null. ``status`` holds the bits of ``Status``. Raises EnvironmentLackError without pyarrow.
+        """
+        try:
+            import pyarrow as pa
+        except ImportError:
+            raise EnvironmentLackError("to_arrow needs pyarrow: `pip install 'tipforce[parquet]'`") from None
+        times = pa.array((self.t_s * 1e6).round().astype(np.int64), pa.timestamp("us", tz="UTC"))
+        arrays = {"t_s": times, "node": pa.array(np.full(len(self), self.node_id, dtype=np.uint8)),
+                  "counter": pa.array(self.counter, mask=self.counter < 0)}  # fmt: skip
+        forces = {f"F{k + 1}_N": self.F_newtons[:, k] for k in range(3)}
+        strains = {f"SG{k + 1}_ue": column for k, column in enumerate(self.microstrain.T)}
+        names = ("P_N", "phi_deg", "theta_deg", "u_P_N", "u_phi_deg", "u_theta_deg")
+        others = {_ARROW_NAMES.get(name, name): values for name, values in self.columns.items()}
+        contact = dict(zip(names, self.values.T, strict=True))
+        own_u_P = others.pop("u_P_N", None)  # of TPDO4, where no calibration gives it
+        if own_u_P is not None and np.isnan(contact["u_P_N"]).all():
+            contact["u_P_N"] = own_u_P
+        for name, values in {**contact, **forces, **strains, **others}.items():
+            unknown = (
+                np.isnan(values)
+                if values.dtype.kind == "f"
+                else values == (NO_FLAG if values.dtype == np.int8 else NO_INTEGER)
+            )
+            whole = values.astype(np.bool_) if values.dtype == np.int8 else values
+            arrays[name] = pa.array(whole, mask=unknown)
+        arrays["status"] = pa.array(self.status)
+        return pa.table(arrays)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return ``to_arrow`` as a data frame. Raises EnvironmentLackError without pandas or pyarrow."""
+        return _data_frame(self.to_arrow())
 
 
 class Log(Mapping[int, NodeLog]):
@@ -74,8 +130,28 @@ class Log(Mapping[int, NodeLog]):
         return len(self._nodes)
 
     def __repr__(self) -> str:
-        found = ", ".join(f"{node}: {len(samples)} samples" for node, samples in self._nodes.items())
-        return f"<Log {found or 'without samples'}>"
+        heads = [f"  {str(samples).splitlines()[0][1:-1]}, {self.lost[node]} lost" for node, samples in self.items()]
+        more = [f"  and {len(heads) - _SHOWN_NODES} more nodes"] if len(heads) > _SHOWN_NODES else []
+        return "\n".join([f"<Log of {len(heads)} nodes, {self.bad_lines} bad lines>", *heads[:_SHOWN_NODES], *more])
+
+    def to_arrow(self) -> pyarrow.Table:
+        """Return the samples of all nodes as one Arrow table in the order of time. See ``NodeLog.to_arrow``."""
+        import pyarrow as pa
+
+        tables = [samples.to_arrow() for samples in self.values()]
+        whole = pa.concat_tables(tables, promote_options="default") if tables else pa.table({})
+        return whole.sort_by([("t_s", "ascending"), ("node", "ascending")]) if tables else whole
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return ``to_arrow`` as a data frame. Raises EnvironmentLackError without pandas or pyarrow."""
+        return _data_frame(self.to_arrow())
+
+
+def _data_frame(table: pyarrow.Table) -> pandas.DataFrame:
+    try:
+        return table.to_pandas()
+    except ImportError:
+        raise EnvironmentLackError("to_pandas needs pandas: `pip install pandas`") from None
 
 
 def read_log(
@@ -86,7 +162,7 @@ def read_log(
     channel: str | None = None,
     strict: bool = False,
 ) -> Log:
-    """Decode a log (or several in sequence) of any format that `tipforce decode` reads.
+    """Decode a log of any format that `tipforce decode` reads; several in sequence, also by a pattern: "run*.log".
 
     ``calibration``: one, or by node-id: P, phi and theta are estimated from the gauges if the log has all of them;
     otherwise it gives the uncertainties of the node's values. ``gauges``: number per node (default: the calibration's,
@@ -96,7 +172,8 @@ def read_log(
     """
     from tipforce.host.dataset.reader import tables_of_logs  # its import costs time
 
-    names = [fspath(path)] if isinstance(path, str | PathLike) else [fspath(one) for one in path]
+    paths = [path] if isinstance(path, str | PathLike) else path
+    names = [name for pattern in paths for name in _files(fspath(pattern))]
     given: dict[int | None, Calibration] = {}
     if isinstance(calibration, Mapping):
         given.update(calibration.items())
@@ -124,6 +201,16 @@ def read_log(
     if unseen:
         _log.warning("%s: %s", ", ".join(names), reasons.not_seen(unseen))
     return Log(nodes, lost, sum(sum(notes.bad.values()) for notes in told.notes), unseen)
+
+
+def _files(pattern: str) -> list[str]:
+    """Return the files that match a pattern, by name; a path without ``*?[``, or of a file that exists, itself."""
+    if not glob.has_magic(pattern) or os.path.exists(pattern):
+        return [pattern]
+    names = sorted(glob.glob(pattern, recursive=True))
+    if not names:
+        raise InputError(f"{pattern}: no file matches")
+    return names
 
 
 def _gauges(counts: set[int]) -> int:
