@@ -28,8 +28,6 @@ MAX_WAITING = 64  # limit of messages queued by the inhibit time or in STOPPED: 
 class Emcy:
     """Raise and clear errors; ``register`` is the value of 1001h."""
 
-    __slots__ = ("_active", "_device", "_free_us", "_history", "_history_length", "_waiting", "due_us", "register")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self._history: "list[int]" = []
@@ -156,8 +154,6 @@ OVERRUN_QUIET_US = 1000000  # an overrun has ended when none occurred for this t
 
 class BusFaults:
     """Monitor the bus; ``off`` is true while the controller is bus-off and cannot send."""
-
-    __slots__ = ("_back_us", "_device", "_overrun_until_us", "_restart_at_us", "_wait_us", "due_us", "off")
 
     def __init__(self, device: "Device") -> None:
         self._device = device

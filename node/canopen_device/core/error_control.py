@@ -17,8 +17,6 @@ MASTER = 0  # detail of the EMCY: the lost node is the one that guards
 class NodeGuarding:
     """Respond to the master's remote frames with state and toggle bit; report when they stop."""
 
-    __slots__ = ("_device", "_toggle", "due_us")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self._toggle = 0
@@ -55,8 +53,6 @@ class NodeGuarding:
 class HeartbeatProducer:
     """Send the NMT state every 1017h milliseconds; the boot-up message counts as the first heartbeat."""
 
-    __slots__ = ("_device", "due_us")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.due_us = codes.NEVER_US
@@ -85,8 +81,6 @@ class HeartbeatProducer:
 
 class HeartbeatConsumer:
     """Monitor up to four nodes, each from its first heartbeat on."""
-
-    __slots__ = ("_deadlines", "_device", "_lost", "_periods", "due_us")
 
     def __init__(self, device: "Device") -> None:
         self._device = device

@@ -19,11 +19,6 @@ _OK, _OUT_OF_RANGE, _STORE_UNSUPPORTED, _STORE_FAILED = 0, 1, 1, 2
 class LssSlave:
     """LSS state, waiting or configuration; ``pending_node_id`` becomes the node-id at the next reset."""
 
-    __slots__ = (
-        "_bit_rate_index", "_configuring", "_device", "_identified", "_matched", "_position", "pending_node_id",
-        "supported",
-    )  # fmt: skip
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.pending_node_id = device.node_id

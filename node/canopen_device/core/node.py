@@ -29,8 +29,6 @@ SELF_START_OFF = 4  # 1F80h bit 2 (CiA 302-2)
 class Nmt:
     """Hold ``state``; the services of the device depend on it."""
 
-    __slots__ = ("_device", "state")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.state = codes.INITIALISING

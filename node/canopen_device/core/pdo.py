@@ -24,11 +24,6 @@ class Pdo:
     of each mapped entry if not all are whole values, otherwise None.
     """
 
-    __slots__ = (
-        "_changed", "_od", "active", "can_id", "communication", "direction", "keys", "length", "letters", "mapping",
-        "transmission", "valid", "widths",
-    )  # fmt: skip
-
     def __init__(
         self, od: "ObjectDictionary", communication: int, mapping: int, direction: int, changed: "Callable[[], None]"
     ) -> None:
@@ -157,8 +152,6 @@ class Pdo:
 class ReceivePdo(Pdo):
     """One RPDO; ``waiting`` holds the data of a synchronous one until the SYNC, ``deadline_us`` is the next one's."""
 
-    __slots__ = ("deadline_us", "waiting")
-
     def load(self) -> None:
         """Compile the parameters and discard data that waits for a SYNC."""
         Pdo.load(self)
@@ -172,8 +165,6 @@ class ReceivePdo(Pdo):
 
 class ReceivePdos:
     """All RPDOs of a device. ``due_us`` is when one is overdue (event timer, 7.5.2.35)."""
-
-    __slots__ = ("_device", "_pdos", "due_us")
 
     def __init__(self, device: "Device") -> None:
         self._device = device

@@ -48,10 +48,6 @@ class BlockDownload:
     The sink gets the segments of a block before the response: a sink that is slow loses no segments.
     """
 
-    __slots__ = (
-        "_buffer", "_crc", "_ending", "_expected", "_length", "_limit", "_patience", "_server", "_size", "_with_crc",
-    )  # fmt: skip
-
     def __init__(self, server: "SdoServer", size: "int | None", limit: int, with_crc: bool) -> None:
         self._server = server
         self._size = size
@@ -139,8 +135,6 @@ class BlockDownload:
 
 class BlockUpload:
     """Block upload: send blocks; repeat the segments that the client did not acknowledge."""
-
-    __slots__ = ("_block_size", "_crc", "_data", "_ending", "_offset", "_sent", "_server", "_started", "_with_crc")
 
     def __init__(self, server: "SdoServer", data: bytes, block_size: int, with_crc: bool) -> None:
         self._server = server

@@ -34,11 +34,6 @@ class Transfer:
     last frame that did not belong to this transfer. Such a frame restarts no time-out.
     """
 
-    __slots__ = (
-        "_conversation", "_deadline_us", "_due_us", "_patient", "_requests", "_timeout_us",
-        "abort_code", "data", "ended", "failure", "ignored", "place",
-    )  # fmt: skip
-
     def __init__(self, index: int, sub: int, timeout_us: int, deadline_us: int) -> None:
         """``timeout_us`` is the time for each response; ``deadline_us`` is the latest end, on the clock of ``step``."""
         self.place = struct.pack("<HB", index, sub)
@@ -159,8 +154,6 @@ class Transfer:
 class Upload(Transfer):
     """Expedited or segmented upload: read an object. ``limit`` bounds its size in bytes."""
 
-    __slots__ = ("_limit",)
-
     def __init__(self, index: int, sub: int, timeout_us: int, deadline_us: int, limit: int = MAX_UPLOAD_BYTES) -> None:
         super().__init__(index, sub, timeout_us, deadline_us)
         self._limit = limit
@@ -209,8 +202,6 @@ class Download(Transfer):
     ``progress`` receives the number of bytes that the server has acknowledged.
     """
 
-    __slots__ = ("_content", "_progress")
-
     def __init__(
         self,
         index: int,
@@ -251,8 +242,6 @@ _MOST_EMPTY_BLOCKS = 3
 
 class BlockUpload(Upload):
     """Block upload; the server may switch to segments if the data is short."""
-
-    __slots__ = ("_complete", "_empty_blocks", "_received", "_size")
 
     def _converse(self) -> "Conversation":
         content = bytes((MAX_BLOCK, SWITCH_BYTES))
@@ -313,8 +302,6 @@ class BlockUpload(Upload):
 
 class BlockDownload(Download):
     """Block download; segments that the server does not acknowledge are repeated."""
-
-    __slots__ = ()
 
     def _converse(self) -> "Conversation":
         content = self._content

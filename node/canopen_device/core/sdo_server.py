@@ -35,8 +35,6 @@ MAX_DOWNLOAD_BYTES = 4096  # bounds memory for objects that state no length
 class Collected:
     """The sink of an ordinary object: the value is written when it is complete."""
 
-    __slots__ = ("_content", "_index", "_od", "_sub")
-
     def __init__(self, od: "ObjectDictionary", index: int, sub: int) -> None:
         self._od, self._index, self._sub = od, index, sub
         self._content = bytearray()
@@ -56,11 +54,6 @@ class Collected:
 
 class SdoServer:
     """Default SDO server: receives frames of 8 bytes on 0x600 + node-id, responds on 0x580 + node-id."""
-
-    __slots__ = (
-        "_block", "_buffer", "_device", "_index", "_offset", "_size", "_sub", "_toggle", "_transfer", "due_us",
-        "max_download_bytes", "sink",
-    )  # fmt: skip
 
     def __init__(self, device: "Device") -> None:
         self._device = device

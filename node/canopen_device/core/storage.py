@@ -34,8 +34,6 @@ class Storage:
     the last change of a setting (7.5.2.21).
     """
 
-    __slots__ = ("_device", "_groups", "_load", "_save", "_verified", "after_communication", "damaged")
-
     def __init__(
         self,
         device: "Device",
@@ -219,8 +217,6 @@ class WearBudget:
 
     An operation is the write of one group of parameters, or the erase of one program.
     """
-
-    __slots__ = ("_device", "_full_us", "_reported")
 
     def __init__(self, device: "Device") -> None:
         self._device = device

@@ -16,8 +16,6 @@ OVERFLOW = communication.SYNC_OVERFLOW << 8  # the key of 1019h in ``od.values``
 class SyncConsumer:
     """SYNC consumer: the application latches one sample, then the synchronous PDOs are sent."""
 
-    __slots__ = ("_device", "cob_id", "last_us")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.cob_id = codes.SYNC_COB_ID
@@ -69,8 +67,6 @@ _DAY_MS = 86400000
 
 class TimeConsumer:
     """Network time, known after the first TIME message; between messages it follows the device's clock."""
-
-    __slots__ = ("_device", "_high_us", "_received_us", "_unix_ms")
 
     def __init__(self, device: "Device") -> None:
         self._device = device

@@ -15,8 +15,6 @@ _FIRST_OVERFLOW, _LAST_OVERFLOW = 2, 240
 class SyncProducer:
     """Send SYNC every 1006h microseconds in PRE-OPERATIONAL and OPERATIONAL; this device's own PDOs follow it."""
 
-    __slots__ = ("_counter", "_device", "_on", "due_us")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self._on = False

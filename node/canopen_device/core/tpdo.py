@@ -15,20 +15,6 @@ if TYPE_CHECKING:
 class TransmitPdo(Pdo):
     """One TPDO with its counters and due times."""
 
-    __slots__ = (
-        "_getters",
-        "_packing",
-        "_row",
-        "due_us",
-        "each_sync",
-        "event_us",
-        "free_us",
-        "inhibit_us",
-        "pending",
-        "sync_start",
-        "syncs",
-    )
-
     def load(self) -> None:
         """Compile the parameters, resolve the source of each mapped value, and restart the counters."""
         Pdo.load(self)
@@ -84,8 +70,6 @@ class TransmitPdo(Pdo):
 
 class TransmitPdos:
     """All TPDOs of a device. ``due_us`` is the earliest time at which an event-driven one may be due."""
-
-    __slots__ = ("_device", "_pdos", "_synchronous", "due_us")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
