@@ -71,8 +71,6 @@ class LssSlave:
         elif self._configuring:
             self._configure(service, data)
 
-    # --- switch state (CiA 305, 6.3) ------------------------------------------------------------------------
-
     def _switch(self, mode: int) -> None:
         if mode == 1:
             self._configuring = True
@@ -91,8 +89,6 @@ class LssSlave:
             self._matched = 0
             self._configuring = True
             self._answer(codes.LSS_SELECTED)
-
-    # --- configure and inquire (6.4, 6.5) -------------------------------------------------------------------
 
     def _configure(self, service: int, data: bytes) -> None:
         if service == codes.LSS_NODE_ID:
@@ -120,8 +116,6 @@ class LssSlave:
         if not self._device.storage.available:
             return _STORE_UNSUPPORTED
         return _STORE_FAILED if self._device.storage.save_blob(GROUP, content) else _OK
-
-    # --- identify (6.6) -------------------------------------------------------------------------------------
 
     def _identify(self, part: int, number: int) -> None:
         """Check vendor, product, revision low and high, serial low and high in this order; each is a condition."""

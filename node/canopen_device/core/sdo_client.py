@@ -121,8 +121,6 @@ class Transfer:
         self.failure = text
         self._end()
 
-    # --- shared by the kinds of transfer ---------------------------------------------------------------------
-
     def _send(self, data: bytes) -> None:
         self._requests.append(data + bytes(8 - len(data)))
 

@@ -120,8 +120,6 @@ class SdoServer:
     def _name(self, data: bytes) -> None:
         self._index, self._sub = data[1] | data[2] << 8, data[3]
 
-    # --- shared with the block transfers --------------------------------------------------------------------
-
     def head(self, command: int) -> bytes:
         """Return the command byte, index and sub-index of the transfer."""
         return struct.pack("<BHB", command, self._index, self._sub)
@@ -160,8 +158,6 @@ class SdoServer:
             self.reset()
             self.answer(confirmation)
 
-    # --- upload: the client reads ---------------------------------------------------------------------------
-
     def _upload_initiate(self, data: "bytes | int | None") -> None:
         if data is None:
             data = self._device.upload(self._index, self._sub)
@@ -198,8 +194,6 @@ class SdoServer:
         else:
             self._transfer = _BLOCK_UPLOAD
             self._block = BlockUpload(self, data, block_size, with_crc)
-
-    # --- download: the client writes ------------------------------------------------------------------------
 
     def _download_initiate(self, data: bytes) -> None:
         command = data[0]

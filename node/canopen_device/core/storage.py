@@ -140,8 +140,6 @@ class Storage:
                 return codes.HARDWARE
         return 0
 
-    # --- 1020h ----------------------------------------------------------------------------------------------
-
     def _write_verification(self, _sub: int, _value: "Value") -> int:
         self._verified = True
         self._device.od.edited = False

@@ -135,9 +135,6 @@ def _directions(entry: Entry) -> int:
     return {"ro": TPDO, "const": TPDO, "rwr": TPDO, "wo": RPDO, "rww": RPDO}.get(entry.access, TPDO | RPDO)
 
 
-# --- PDOs -----------------------------------------------------------------------------------------------------
-
-
 def _check_pdos(eds: Description, first: int, last: int, direction: int) -> None:
     used: dict[int, int] = {}
     for index in sorted(index for index in eds.objects if first <= index <= last):
