@@ -179,27 +179,27 @@ class ReceivePdos:
         return [pdo.can_id for pdo in self._pdos if pdo.active]
 
     def receiver(self, can_id: int) -> "Callable[[bytes], None]":
-        """Return the handler of an RPDO's frames. A frame shorter than the mapping changes nothing (7.2.2.5.1)."""
+        """Return the handler of the frames with an identifier."""
+        return lambda data: self.receive(can_id, data)
+
+    def receive(self, can_id: int, data: bytes) -> None:
+        """Process the frame of an RPDO. A frame shorter than the mapping changes nothing (7.2.2.5.1)."""
         emcy = self._device.emcy
-
-        def receive(data: bytes) -> None:
-            for pdo in self._pdos:
-                if not pdo.active or pdo.can_id != can_id:
-                    continue
-                if len(data) < pdo.length:
-                    emcy.raise_error(PDO_LENGTH, COMMUNICATION, can_id)
-                    continue
-                emcy.cure(PDO_LENGTH, can_id)
-                event_ms = pdo.parameter(5)
-                pdo.deadline_us = self._device.now_us + 1000 * event_ms if event_ms else codes.NEVER_US
-                emcy.cure(RPDO_TIMEOUT, can_id)
-                if pdo.transmission > codes.LAST_SYNCHRONOUS:
-                    self._apply(pdo, data)
-                elif self._device.sync.in_window():
-                    pdo.waiting = bytes(data)
-            self._schedule()
-
-        return receive
+        for pdo in self._pdos:
+            if not pdo.active or pdo.can_id != can_id:
+                continue
+            if len(data) < pdo.length:
+                emcy.raise_error(PDO_LENGTH, COMMUNICATION, can_id)
+                continue
+            emcy.cure(PDO_LENGTH, can_id)
+            event_ms = pdo.parameter(5)
+            pdo.deadline_us = self._device.now_us + 1000 * event_ms if event_ms else codes.NEVER_US
+            emcy.cure(RPDO_TIMEOUT, can_id)
+            if pdo.transmission > codes.LAST_SYNCHRONOUS:
+                self._apply(pdo, data)
+            elif self._device.sync.in_window():
+                pdo.waiting = bytes(data)
+        self._schedule()
 
     def expire(self, now_us: int) -> None:
         """Report each RPDO that is overdue."""

@@ -52,10 +52,9 @@ class Storage:
         device.od.writers[communication.STORE_PARAMETERS] = self._write_store
         device.od.writers[communication.RESTORE_DEFAULTS] = self._write_restore
         device.od.writers[communication.VERIFY_CONFIGURATION] = self._write_verification
-        values = device.od.values
-        for index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS):
-            # Bit 0: stores on command, never autonomously.
-            device.od.readers[index] = lambda sub, count=index << 8: 1 if sub else values[count]  # type: ignore[misc]
+        values, store, restore = device.od.values, communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS
+        device.od.readers[store] = lambda sub: 1 if sub else values[store << 8]  # bit 0: stores on command, never
+        device.od.readers[restore] = lambda sub: 1 if sub else values[restore << 8]  # autonomously
 
     def add_range(self, sub: int, name: str, first: int, last: int) -> None:
         """Add a group of every setting among the objects ``first`` to ``last`` that differs from its default."""
