@@ -85,7 +85,6 @@ class TransmitPdos:
             pdo.load()
         self._changed()
 
-
     def can_ids(self) -> "list[int]":
         """Return the identifiers of the TPDOs that this device sends."""
         return [pdo.can_id for pdo in self._pdos if pdo.active]
