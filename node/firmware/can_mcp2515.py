@@ -104,8 +104,6 @@ class Mcp2515(CanPort):
         self._enter(CONFIGURATION)
         self._enter(NORMAL)
 
-    # --- SPI ------------------------------------------------------------------------------------------------
-
     def _write(self, data: bytes) -> None:
         self._cs.value(0)
         self._spi.write(data)

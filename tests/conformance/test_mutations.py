@@ -57,10 +57,11 @@ def always_pre_operational(self: HeartbeatProducer, now_us: int) -> None:
     self.due_us = now_us + 1000 * self._device.od.integer(0x1017)
 
 
-def routes_of_every_state(self: Device, routes: dict[int, Any]) -> None:
+def routes_of_every_state(self: Device, routes_changed: Any = Device.routes_changed) -> None:
     """SDO and SYNC in STOPPED as well."""
-    routes[0x080] = self.sync.receive
-    routes[0x600 + self.node_id] = self.sdo.receive
+    routes_changed(self)
+    self._routes[0x080] = self.sync.receive
+    self._routes[0x600 + self.node_id] = self.sdo.receive
 
 
 def oldest_first(self: Emcy, sub: int) -> int:
@@ -90,7 +91,7 @@ FAULTS: dict[str, tuple[str, Injection]] = {
     "heartbeat always PRE-OPERATIONAL": ("error_*", replaced(HeartbeatProducer, "expire", always_pre_operational)),
     "lost heartbeats not reported": ("error_*", forced(HeartbeatConsumer, "expire", "_deadlines", {})),
     "guarding toggle stands still": ("node_g*", forced(NodeGuarding, "receive", "_toggle", 0)),
-    "SDO and SYNC in STOPPED": ("nmt.*", replaced(Device, "_add_state_routes", routes_of_every_state)),
+    "SDO and SYNC in STOPPED": ("nmt.*", replaced(Device, "routes_changed", routes_of_every_state)),
     "NMT frames of any length": ("nmt.*", arguments(Nmt, "receive", lambda _, data: ((data + b"\0\0")[:2],))),
     "node-id of NMT not looked at": ("nmt.*", arguments(Nmt, "receive", lambda _, d: (d[:1] + bytes(len(d[1:])),))),
     "no boot-up message": ("nmt.*", replaced(Nmt, "boot", lambda self: self.enter(127))),
@@ -100,7 +101,7 @@ FAULTS: dict[str, tuple[str, Injection]] = {
     "COB-ID moves while valid": ("pdo_par*", forced(Pdo, "_check_cob_id", "valid", False)),
     "restricted identifiers taken": ("pdo_par*", replaced(codes, "restricted", lambda _can_id: False)),
     "short RPDOs taken": ("rpdo.*", arguments(ReceivePdos, "receive", lambda _, i, data: (i, (data + bytes(8))[:8]))),
-    "EMCY without inhibit time": ("emcy.*", forced(Emcy, "_schedule", "_free_us", 0)),
+    "EMCY without inhibit time": ("emcy.*", forced(Emcy, "schedule", "_free_us", 0)),
     "errors never cured": ("emcy.*", replaced(Emcy, "cure", lambda *_: None)),
     "oldest error first": ("emcy.*", replaced(Emcy, "_read_history", oldest_first)),
     "any signature stores": ("storage.*", arguments(Storage, "_write_store", lambda _, sub, _v: (sub, SIGNATURE_SAVE))),

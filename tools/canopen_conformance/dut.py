@@ -6,24 +6,9 @@ import struct
 from collections.abc import Sequence
 from contextlib import suppress
 
+from canopen_conformance import wire
 from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product
-from canopen_conformance.wire import (
-    ANSWER_MS,
-    ENTER_PRE_OPERATIONAL,
-    OPERATIONAL,
-    PRE_OPERATIONAL,
-    QUIET_MS,
-    RESET_COMMUNICATION,
-    RESET_NODE,
-    START,
-    STOP,
-    Abort,
-    Frame,
-    Frames,
-    Link,
-    Wanted,
-    as_bytes,
-)
+from canopen_conformance.wire import Abort, Frame, Frames, Link, Wanted
 
 LAST_DATA_TYPE = 0x1B
 _RPDO_MAPPING, _RPDO_MAPPING_END, _TPDO_MAPPING, _TPDO_MAPPING_END = 0x1600, 0x1800, 0x1A00, 0x1C00
@@ -52,9 +37,7 @@ class Dut(Frames):
         self._starts_by_itself: bool | None = None
         self._own_sync: list[tuple[int, bytes]] | None = None
         self._fresh = False  # as after a reset: since then only objects were read
-        self._reset_command = RESET_NODE
-
-    # --- NMT ------------------------------------------------------------------------------------------------
+        self._reset_command = wire.RESET_NODE
 
     def nmt(self, command: int, node_id: int | None = None) -> None:
         """Send an NMT command to this device, or to ``node_id`` (0: all)."""
@@ -65,12 +48,12 @@ class Dut(Frames):
         self._fresh = False
         super().send(can_id, data)
 
-    def reset(self, command: int = RESET_NODE) -> None:
+    def reset(self, command: int = wire.RESET_NODE) -> None:
         """Reset the device and wait for its boot-up, then PRE-OPERATIONAL; earlier frames are discarded."""
         self.boot(command)
         if self.starts_by_itself():
-            self.nmt(ENTER_PRE_OPERATIONAL)
-            self.sleep(QUIET_MS)  # for the PDOs of its short time in OPERATIONAL
+            self.nmt(wire.ENTER_PRE_OPERATIONAL)
+            self.sleep(wire.QUIET_MS)  # for the PDOs of its short time in OPERATIONAL
             self._pending.clear()
         self._end_own_sync()
         self._fresh = True
@@ -94,7 +77,7 @@ class Dut(Frames):
         device does not boot.
         """
         times_us = {}
-        for command in (RESET_NODE, RESET_COMMUNICATION):
+        for command in (wire.RESET_NODE, wire.RESET_COMMUNICATION):
             start_us = self.now_us
             try:
                 self.reset(command)
@@ -136,7 +119,7 @@ class Dut(Frames):
         beat = self.heard(0x700 + self.node_id, 3 * _BEAT_MS)
         self.try_write(0x1017, 0, period)
         self.forget(0x700 + self.node_id)
-        return beat is not None and beat.data == bytes((OPERATIONAL,))
+        return beat is not None and beat.data == bytes((wire.OPERATIONAL,))
 
     def waits_for_start(self) -> None:
         """End a case about the state after the boot-up for a device that starts by itself."""
@@ -162,29 +145,27 @@ class Dut(Frames):
         self.expect(can_id, within_ms=2 * _BEAT_MS)
         self.expect(can_id, f"{expected:02X}", 2 * _BEAT_MS)
 
-    def heartbeat(self, wanted: Wanted = None, within_ms: float = ANSWER_MS) -> Frame:
+    def heartbeat(self, wanted: Wanted = None, within_ms: float = wire.ANSWER_MS) -> Frame:
         """Return the next heartbeat, or answer to node guarding, which must match."""
         return self.expect(0x700 + self.node_id, wanted, within_ms)
 
-    def no_heartbeat(self, ms: float = QUIET_MS) -> None:
+    def no_heartbeat(self, ms: float = wire.QUIET_MS) -> None:
         """Check that there is no heartbeat."""
         self.silence(0x700 + self.node_id, ms=ms)
 
-    def emcy(self, wanted: Wanted = None, within_ms: float = ANSWER_MS) -> Frame:
+    def emcy(self, wanted: Wanted = None, within_ms: float = wire.ANSWER_MS) -> Frame:
         """Return the next EMCY, which must match."""
         return self.expect(0x80 + self.node_id, wanted, within_ms)
 
-    def no_emcy(self, ms: float = QUIET_MS) -> None:
+    def no_emcy(self, ms: float = wire.QUIET_MS) -> None:
         """Check that there is no EMCY."""
         self.silence(0x80 + self.node_id, ms=ms)
 
-    # --- the PDO that the case has set up -------------------------------------------------------------------
-
-    def pdo(self, wanted: Wanted = None, within_ms: float = ANSWER_MS) -> Frame:
+    def pdo(self, wanted: Wanted = None, within_ms: float = wire.ANSWER_MS) -> Frame:
         """Return the next frame of the PDO, which must match."""
         return self.expect(self.pdo_id, wanted, within_ms)
 
-    def no_pdo(self, ms: float = QUIET_MS) -> None:
+    def no_pdo(self, ms: float = wire.QUIET_MS) -> None:
         """Check that the PDO is not sent."""
         self.silence(self.pdo_id, ms=ms)
 
@@ -198,14 +179,12 @@ class Dut(Frames):
 
     def enter(self, state: int) -> None:
         """Change from PRE-OPERATIONAL, the state after a reset, to ``state``."""
-        if state != PRE_OPERATIONAL:
-            self.nmt(START if state == OPERATIONAL else STOP)
-
-    # --- SDO, frame by frame --------------------------------------------------------------------------------
+        if state != wire.PRE_OPERATIONAL:
+            self.nmt(wire.START if state == wire.OPERATIONAL else wire.STOP)
 
     def request(self, data: bytes | str) -> None:
         """Send an SDO frame, padded to 8 bytes."""
-        content = as_bytes(data)
+        content = wire.as_bytes(data)
         self.send(0x600 + self.node_id, content + bytes(8 - len(content)))
 
     def answer(self, wanted: Wanted = None, within_ms: float = 1000) -> bytes:
@@ -232,8 +211,6 @@ class Dut(Frames):
     def no_sdo(self, ms: float = 30) -> None:
         """Check that the device sends no SDO frame."""
         self.silence(0x580 + self.node_id, ms=ms)
-
-    # --- SDO, whole transfers -------------------------------------------------------------------------------
 
     def try_read(self, index: int, sub: int = 0) -> bytes | int:
         """Upload, expedited or segmented: return the data, or the abort code."""
@@ -345,8 +322,6 @@ class Dut(Frames):
             raise CheckError(
                 f"abort {shown} of {index:04X}h:{sub:02X}", f"abort {code:08X}h" if code else "it was written"
             )
-
-    # --- identity -------------------------------------------------------------------------------------------
 
     def lacks(self, entries: Sequence[tuple[int, int]]) -> tuple[int, int] | None:
         """Return the first of the entries that does not exist; reset the device before it asks."""

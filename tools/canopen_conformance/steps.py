@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from canopen_conformance.case import Step, check
 from canopen_conformance.dut import Dut
@@ -30,16 +30,16 @@ def run(function: Callable[Concatenate[Dut, P], object], *arguments: P.args, **n
 @step
 def repeat(dut: Dut, /, times: int, *steps: Step) -> None:
     """Take the steps so many times."""
-    for one in times * steps:
-        one(dut)
+    for taken in times * steps:
+        taken(dut)
 
 
 @step
 def within(dut: Dut, /, context: Callable[[Dut], AbstractContextManager[object]], *steps: Step) -> None:
     """Take the steps inside a context."""
     with context(dut):
-        for one in steps:
-            one(dut)
+        for taken in steps:
+            taken(dut)
 
 
 @step
@@ -68,41 +68,11 @@ def matches(dut: Dut, /, kind: str, index: int, sub: int, mask: int, bits: int, 
 def unchanged(dut: Dut, /, kind: str, index: int, sub: int, *steps: Step) -> None:
     """Take the steps, and check that they left the value of an object as it was."""
     before = dut.number(kind, index, sub)
-    for one in steps:
-        one(dut)
+    for taken in steps:
+        taken(dut)
     dut.holds(kind, index, sub, before)
 
 
-nmt = step(Dut.nmt)
-reset = step(Dut.reset)
-boot_up = step(Dut.boot_up)
-waits_for_start = step(Dut.waits_for_start)
-enter = step(Dut.enter)
-state = step(Dut.state)
-beat = step(Dut.beat)
-heartbeat = step(Dut.heartbeat)
-no_heartbeat = step(Dut.no_heartbeat)
-request = step(Dut.request)
-answer = step(Dut.answer)
-ask = step(Dut.ask)
-aborted = step(Dut.aborted)
-no_sdo = step(Dut.no_sdo)
-read = step(Dut.read)
-put = step(Dut.put)
-accepts = step(Dut.accepts)
-holds = step(Dut.holds)
-refuses = step(Dut.refuses)
-refuses_bytes = step(Dut.refuses_bytes)
-read_segments = step(Dut.read_segments)
-integer = step(Dut.integer)
-send = step(Dut.send)
-expect = step(Dut.expect)
-silence = step(Dut.silence)
-sleep = step(Dut.sleep)
-forget = step(Dut.forget)
-emcy = step(Dut.emcy)
-no_emcy = step(Dut.no_emcy)
-pdo = step(Dut.pdo)
-no_pdo = step(Dut.no_pdo)
-send_pdo = step(Dut.send_pdo)
-forget_pdo = step(Dut.forget_pdo)
+def __getattr__(name: str) -> Callable[..., Callable[[Dut], Any]]:
+    """Return the step of a method of the Dut."""
+    return step(getattr(Dut, name))

@@ -25,6 +25,7 @@ LSS_UNCONFIGURED = 255  # a node-id
 # NMT commands (7.2.8.3.1) and states as the heartbeat encodes them (7.2.8.3.2); the boot-up message is state 0.
 NMT_START, NMT_STOP, NMT_ENTER_PRE_OPERATIONAL, NMT_RESET_NODE, NMT_RESET_COMMUNICATION = 1, 2, 128, 129, 130
 INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
+TALKING = (PRE_OPERATIONAL, OPERATIONAL)  # the states in which a device serves SDO, SYNC, TIME and EMCY
 
 # Signatures of 1010h and 1011h: "save", "load".
 SIGNATURE_SAVE, SIGNATURE_LOAD = 0x65766173, 0x64616F6C

@@ -28,8 +28,6 @@ MAX_WAITING = 64  # limit of messages queued by the inhibit time or in STOPPED: 
 class Emcy:
     """Raise and clear errors; ``register`` is the value of 1001h."""
 
-    __slots__ = ("_active", "_device", "_free_us", "_history", "_history_length", "_waiting", "due_us", "register")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self._history: "list[int]" = []
@@ -54,7 +52,7 @@ class Emcy:
         self._waiting: "list[bytes]" = []
         self._free_us = 0
         self._update_register()
-        self.due_us = codes.NEVER_US
+        self.schedule()
 
     def raise_error(self, code: int, bits: int, detail: int = 0) -> None:
         """Report an error that is not active yet; ``detail`` (16 bits) distinguishes errors of one code."""
@@ -74,8 +72,8 @@ class Emcy:
 
     def cure_all_but(self, code: int, details: "list[int]") -> None:
         """Clear the active errors of a code whose detail is not in ``details``: they are no longer monitored."""
-        for found, detail in sorted(self._active):  # the same order everywhere: MicroPython's dicts are unordered
-            if found == code and detail not in details:
+        for active, detail in sorted(self._active):  # the same order everywhere: MicroPython's dicts are unordered
+            if active == code and detail not in details:
                 self.cure(code, detail)
 
     def report(self, code: int, detail: int = 0) -> None:
@@ -84,32 +82,28 @@ class Emcy:
         del self._history[self._history_length :]
         self._queue(struct.pack("<HBHHx", code, self.register, detail, 0))
 
-    def allowed(self) -> None:
-        """Check after a change of the NMT state or of 1014h whether queued messages are due."""
-        self._schedule()
-
     def expire(self, now_us: int) -> None:
         """Send the next queued message."""
         if self._waiting and self._may_send():
             od = self._device.od
             self._device.send(od.integer(communication.COB_ID_EMCY) & codes.STANDARD_MASK, self._waiting.pop(0))
             self._free_us = now_us + 100 * od.integer(communication.EMCY_INHIBIT_TIME)
-        self._schedule()
+        self.schedule()
 
     def _queue(self, data: bytes) -> None:
         if len(self._waiting) < MAX_WAITING:
             self._waiting.append(data)
-        self._schedule()
+        self.schedule()
 
-    def _schedule(self) -> None:
+    def schedule(self) -> None:
+        """Set the due time of queued messages, also after a change of the NMT state or of 1014h."""
         self.due_us = self._free_us if self._waiting and self._may_send() else codes.NEVER_US
 
     def _may_send(self) -> bool:
         cob_id = self._device.od.integer(communication.COB_ID_EMCY)
-        valid = cob_id & codes.STANDARD_MASK and not cob_id & codes.COB_ID_INVALID
+        valid = bool(cob_id & codes.STANDARD_MASK) and not cob_id & codes.COB_ID_INVALID
         # While the controller is bus-off a message would be lost, so it stays queued.
-        talking = self._device.nmt.state in (codes.PRE_OPERATIONAL, codes.OPERATIONAL)
-        return bool(valid) and talking and not self._device.bus_faults.off
+        return valid and self._device.nmt.state in codes.TALKING and not self._device.bus_faults.off
 
     def _update_register(self) -> None:
         self.register = 0
@@ -121,9 +115,9 @@ class Emcy:
         return len(self._history) < sub <= self._history_length
 
     def _read_history(self, sub: int) -> "Value":
-        if sub == 0:
-            return len(self._history)
-        return self._history[sub - 1] if sub <= len(self._history) else 0
+        if self.is_empty(sub):
+            return 0
+        return self._history[sub - 1] if sub else len(self._history)
 
     def _write_history(self, _sub: int, value: "Value") -> int:
         if value != 0:
@@ -141,7 +135,7 @@ class Emcy:
             if used or codes.restricted(new & codes.STANDARD_MASK):
                 return codes.INVALID_VALUE
         self._device.od.values[communication.COB_ID_EMCY << 8] = new
-        self._schedule()
+        self.schedule()
         return 0
 
 
@@ -157,24 +151,24 @@ OVERRUN_QUIET_US = 1000000  # an overrun has ended when none occurred for this t
 class BusFaults:
     """Monitor the bus; ``off`` is true while the controller is bus-off and cannot send."""
 
-    __slots__ = ("_back_us", "_device", "_overrun_until_us", "_restart_at_us", "_wait_us", "due_us", "off")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.off = False
-        self._wait_us = FIRST_RESTART_US
-        self._back_us = 0
-        self._restart_at_us = codes.NEVER_US
-        self._overrun_until_us = codes.NEVER_US
-        self.due_us = codes.NEVER_US
+        self._wait_us, self._back_us = FIRST_RESTART_US, 0
+        self.due_us = self._restart_at_us = self._overrun_until_us = codes.NEVER_US
 
     def receive(self, can_id: int, data: bytes) -> None:
         """Process an error frame."""
         detail = data[1] if len(data) > 1 and can_id & CONTROLLER else 0
         if can_id & BUS_OFF:
-            self._went_off()
+            if not self.off:
+                self.off = True
+                if self._device.now_us - self._back_us > LAST_RESTART_US:
+                    self._wait_us = FIRST_RESTART_US  # the bus was free of faults for long: this is a new fault
+                self._restart_at_us = self._device.now_us + self._wait_us
+                self._device.communication_failed()
         elif self.off and (can_id & RESTARTED or detail & (ACTIVE | WARNING)):
-            self._came_back()
+            self.heard()
         if detail & OVERFLOW:
             self._device.emcy.raise_error(CAN_OVERRUN, COMMUNICATION)
             self._overrun_until_us = self._device.now_us + OVERRUN_QUIET_US
@@ -186,7 +180,10 @@ class BusFaults:
 
     def heard(self) -> None:
         """Handle the first data frame after a fault: the bus has recovered, whatever the controller last reported."""
-        self._came_back()
+        self.off = False
+        self._back_us = self._device.now_us
+        self._restart_at_us = codes.NEVER_US
+        self._device.emcy.report(BUS_OFF_RECOVERED)
         self._schedule()
 
     def collision(self, can_id: int) -> "Callable[[bytes], None]":
@@ -203,20 +200,6 @@ class BusFaults:
             self._overrun_until_us = codes.NEVER_US
             self._device.emcy.cure(CAN_OVERRUN)
         self._schedule()
-
-    def _went_off(self) -> None:
-        if not self.off:
-            self.off = True
-            if self._device.now_us - self._back_us > LAST_RESTART_US:
-                self._wait_us = FIRST_RESTART_US  # the bus was free of faults for long: this is a new fault
-            self._restart_at_us = self._device.now_us + self._wait_us
-            self._device.communication_failed()
-
-    def _came_back(self) -> None:
-        self.off = False
-        self._back_us = self._device.now_us
-        self._restart_at_us = codes.NEVER_US
-        self._device.emcy.report(BUS_OFF_RECOVERED)
 
     def _schedule(self) -> None:
         self.due_us = min(self._restart_at_us, self._overrun_until_us)

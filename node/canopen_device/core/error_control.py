@@ -17,12 +17,9 @@ MASTER = 0  # detail of the EMCY: the lost node is the one that guards
 class NodeGuarding:
     """Respond to the master's remote frames with state and toggle bit; report when they stop."""
 
-    __slots__ = ("_device", "_toggle", "due_us")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
-        self._toggle = 0
-        self.due_us = codes.NEVER_US
+        self.reset()
 
     def reset(self) -> None:
         """Restart after a boot-up: toggle bit 0, no life guarding before the first remote frame."""
@@ -31,31 +28,28 @@ class NodeGuarding:
 
     def receive(self, _data: bytes) -> None:
         """Respond to a remote frame on 0x700 + node-id."""
-        od = self._device.od
-        if od.integer(communication.PRODUCER_HEARTBEAT):
+        if self._device.od.integer(communication.PRODUCER_HEARTBEAT):
             return  # a device that sends heartbeats does not support guarding (7.2.8.3.2.2)
         self._device.send(codes.HEARTBEAT_BASE + self._device.node_id, bytes((self._toggle | self._device.nmt.state,)))
         self._toggle ^= 0x80
-        life_ms = od.integer(communication.GUARD_TIME) * od.integer(communication.LIFE_TIME_FACTOR)
-        self.due_us = self._device.now_us + 1000 * life_ms if life_ms else codes.NEVER_US
+        life_us = self._life_us()
+        self.due_us = self._device.now_us + life_us if life_us else codes.NEVER_US
         self._device.emcy.cure(HEARTBEAT_LOST, MASTER)
 
     def expire(self, _now_us: int) -> None:
-        """Report a life time that elapsed without a remote frame."""
+        """Report a life time that elapsed without a remote frame, unless guarding was disabled since the last one."""
         self.due_us = codes.NEVER_US
+        if self._life_us() and not self._device.od.integer(communication.PRODUCER_HEARTBEAT):
+            self._device.emcy.raise_error(HEARTBEAT_LOST, COMMUNICATION, MASTER)
+            self._device.communication_failed()
+
+    def _life_us(self) -> int:
         od = self._device.od
-        if od.integer(communication.PRODUCER_HEARTBEAT) or not od.integer(communication.GUARD_TIME) * od.integer(
-            communication.LIFE_TIME_FACTOR
-        ):
-            return  # guarding was disabled since the last remote frame
-        self._device.emcy.raise_error(HEARTBEAT_LOST, COMMUNICATION, MASTER)
-        self._device.communication_failed()
+        return 1000 * od.integer(communication.GUARD_TIME) * od.integer(communication.LIFE_TIME_FACTOR)
 
 
 class HeartbeatProducer:
     """Send the NMT state every 1017h milliseconds; the boot-up message counts as the first heartbeat."""
-
-    __slots__ = ("_device", "due_us")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
@@ -86,8 +80,6 @@ class HeartbeatProducer:
 class HeartbeatConsumer:
     """Monitor up to four nodes, each from its first heartbeat on."""
 
-    __slots__ = ("_deadlines", "_device", "_lost", "_periods", "due_us")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self._periods: "dict[int, int]" = {}  # node-id -> microseconds
@@ -99,8 +91,7 @@ class HeartbeatConsumer:
     def reset(self) -> None:
         """Apply the present value of 1016h; monitoring of a node starts with its first heartbeat."""
         self._periods = {}
-        for sub in self._device.od.subs(communication.CONSUMER_HEARTBEAT)[1:]:
-            node_id, period_ms = _split(self._device.od.integer(communication.CONSUMER_HEARTBEAT, sub))
+        for _sub, node_id, period_ms in self._entries():
             if node_id and period_ms:
                 self._periods[node_id] = 1000 * period_ms
         self._deadlines = {n: due for n, due in self._deadlines.items() if n in self._periods}
@@ -143,17 +134,18 @@ class HeartbeatConsumer:
     def _schedule(self) -> None:
         self.due_us = min(self._deadlines.values()) if self._deadlines else codes.NEVER_US
 
+    def _entries(self) -> "list[tuple[int, int, int]]":
+        """Return (sub-index, node-id, milliseconds) of the entries of 1016h."""
+        od, index = self._device.od, communication.CONSUMER_HEARTBEAT
+        return [(sub,) + _split(od.integer(index, sub)) for sub in od.subs(index)[1:]]
+
     def _write(self, sub: int, value: "Value") -> int:
         od = self._device.od
         node_id, period_ms = _split(int(value))
         if int(value) >> 24 or node_id > 127:
             return codes.INVALID_VALUE
-        others = [
-            _split(od.integer(communication.CONSUMER_HEARTBEAT, k))
-            for k in od.subs(communication.CONSUMER_HEARTBEAT)[1:]
-            if k != sub
-        ]
-        if node_id and period_ms and node_id in [n for n, period in others if period]:
+        others = [n for k, n, period in self._entries() if k != sub and period]
+        if node_id and period_ms and node_id in others:
             return codes.INCOMPATIBLE  # two times for one node (7.5.2.19)
         od.values[communication.CONSUMER_HEARTBEAT << 8 | sub] = value
         self._deadlines.pop(node_id, None)

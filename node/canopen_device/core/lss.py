@@ -19,20 +19,13 @@ _OK, _OUT_OF_RANGE, _STORE_UNSUPPORTED, _STORE_FAILED = 0, 1, 1, 2
 class LssSlave:
     """LSS state, waiting or configuration; ``pending_node_id`` becomes the node-id at the next reset."""
 
-    __slots__ = (
-        "_bit_rate_index", "_configuring", "_device", "_identified", "_matched", "_position", "pending_node_id",
-        "supported",
-    )  # fmt: skip
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.pending_node_id = device.node_id
         self.supported = True  # an EDS may say otherwise
         self._bit_rate_index = DEFAULT_BIT_RATE_INDEX
         self._configuring = False
-        self._matched = 0
-        self._identified = 0
-        self._position = 0
+        self._matched = self._identified = self._position = 0
 
     @property
     def bit_rate(self) -> int:
@@ -76,8 +69,6 @@ class LssSlave:
         elif self._configuring:
             self._configure(service, data)
 
-    # --- switch state (CiA 305, 6.3) ------------------------------------------------------------------------
-
     def _switch(self, mode: int) -> None:
         if mode == 1:
             self._configuring = True
@@ -97,36 +88,26 @@ class LssSlave:
             self._configuring = True
             self._answer(codes.LSS_SELECTED)
 
-    # --- configure and inquire (6.4, 6.5) -------------------------------------------------------------------
-
     def _configure(self, service: int, data: bytes) -> None:
         if service == codes.LSS_NODE_ID:
-            error = _OK if _valid_node_id(data[1]) else _OUT_OF_RANGE
-            if not error:
-                self.pending_node_id = data[1]
-            self._answer(service, error)
+            valid = _valid_node_id(data[1])
+            self.pending_node_id = data[1] if valid else self.pending_node_id
+            self._answer(service, _OK if valid else _OUT_OF_RANGE)
         elif service == codes.LSS_BIT_TIMING:
-            error = _OK if data[1] == 0 and data[2] in BIT_RATES else _OUT_OF_RANGE
-            if not error:
-                self._bit_rate_index = data[2]
-            self._answer(service, error)
+            valid = data[1] == 0 and data[2] in BIT_RATES
+            self._bit_rate_index = data[2] if valid else self._bit_rate_index
+            self._answer(service, _OK if valid else _OUT_OF_RANGE)
         elif service == codes.LSS_ACTIVATE:
             delay_ms = data[1] | data[2] << 8
             self._device.requests.append(("bit-rate", BIT_RATES[self._bit_rate_index], delay_ms))
         elif service == codes.LSS_STORE:
-            self._answer(service, self._store())
+            content = struct.pack(_STORED, self.pending_node_id, self._bit_rate_index)
+            error = _STORE_FAILED if self._device.storage.available else _STORE_UNSUPPORTED
+            self._answer(service, error if self._device.storage.save_blob(GROUP, content) else _OK)
         elif codes.LSS_INQUIRE_FIRST <= service < codes.LSS_INQUIRE_NODE_ID:
             self._answer(service, self._identity(service - codes.LSS_INQUIRE_FIRST))
         elif service == codes.LSS_INQUIRE_NODE_ID:
             self._answer(service, self._device.node_id)
-
-    def _store(self) -> int:
-        content = struct.pack(_STORED, self.pending_node_id, self._bit_rate_index)
-        if not self._device.storage.available:
-            return _STORE_UNSUPPORTED
-        return _STORE_FAILED if self._device.storage.save_blob(GROUP, content) else _OK
-
-    # --- identify (6.6) -------------------------------------------------------------------------------------
 
     def _identify(self, part: int, number: int) -> None:
         """Check vendor, product, revision low and high, serial low and high in this order; each is a condition."""

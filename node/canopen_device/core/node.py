@@ -13,7 +13,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from .object_dictionary import ObjectDictionary, Value
+    from .object_dictionary import ObjectDictionary
 
     Frame = tuple[int, bytes]
     Request = tuple[str, int, int]
@@ -29,12 +29,13 @@ SELF_START_OFF = 4  # 1F80h bit 2 (CiA 302-2)
 class Nmt:
     """Hold ``state``; the services of the device depend on it."""
 
-    __slots__ = ("_device", "state")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.state = codes.INITIALISING
-        device.od.writers[communication.NMT_STARTUP] = self._write_startup
+        # Only bit 2 applies to a slave; bit 0 would make this device the NMT master, which it does not support.
+        device.od.writers[communication.NMT_STARTUP] = lambda _sub, value: (
+            0 if value in (0, SELF_START_OFF) else codes.INVALID_VALUE
+        )
 
     def boot(self) -> None:
         """Send the boot-up message and leave INITIALISING (7.2.8.3.3) as 1F80h specifies."""
@@ -62,13 +63,6 @@ class Nmt:
         if state != self.state:
             self.state = state
             self._device.state_changed()
-
-    def _write_startup(self, _sub: int, value: "Value") -> int:
-        # Only bit 2 applies to a slave; bit 0 would make this device the NMT master, which it does not support.
-        return 0 if value in (0, SELF_START_OFF) else codes.INVALID_VALUE
-
-
-_TALKING = (codes.PRE_OPERATIONAL, codes.OPERATIONAL)
 
 
 class Application:
@@ -134,18 +128,18 @@ class Device:
         self.time = TimeConsumer(self)
         self.lss = lss.LssSlave(self)
         self.sync = SyncConsumer(self)
+        self.rpdos = ReceivePdos(self)
+        self.tpdos = TransmitPdos(self)
+        self._timed = (
+            self.heartbeat, self.heartbeat_consumer, self.guarding, self.sdo, self.rpdos, self.tpdos,
+            self.bus_faults, self.emcy,
+        )  # fmt: skip
         self.sync_producer = None
         if od.indices(communication.SYNC_PERIOD, communication.SYNC_PERIOD):
             from .sync_producer import SyncProducer  # a fingertip does without
 
             self.sync_producer = SyncProducer(self)
-        self.rpdos = ReceivePdos(self)
-        self.tpdos = TransmitPdos(self)
-        timed = (
-            self.heartbeat, self.heartbeat_consumer, self.guarding, self.sdo, self.rpdos, self.tpdos,
-            self.bus_faults, self.emcy,
-        )  # fmt: skip
-        self._timed = timed if self.sync_producer is None else timed + (self.sync_producer,)
+            self._timed += (self.sync_producer,)  # type: ignore[assignment]
 
     def step(self, now_us: int, frames: "Iterable[Frame]" = ()) -> "tuple[list[Frame], int]":
         """Process ``frames``, (SocketCAN can_id, data); return the frames to send and the next due time."""
@@ -210,13 +204,13 @@ class Device:
         if self.nmt.state == codes.OPERATIONAL:
             self.tpdos.started()
         else:
-            self.tpdos.stopped()
+            self.tpdos.due_us = codes.NEVER_US
             self.rpdos.forget()
         if self.nmt.state == codes.STOPPED:
             self.sdo.reset()
         if self.sync_producer is not None:
             self.sync_producer.state_changed()
-        self.emcy.allowed()
+        self.emcy.schedule()
         self.settings_changed()
         self.routes_changed()
 
@@ -245,24 +239,18 @@ class Device:
             routes[codes.HEARTBEAT_BASE + self.node_id | codes.REMOTE_FLAG] = self.guarding.receive
             for can_id, handler in self.heartbeat_consumer.routes():
                 routes[can_id] = handler
-            self._add_state_routes(routes)
+            if self.nmt.state == codes.OPERATIONAL:
+                for can_id in self.rpdos.can_ids():
+                    routes[can_id] = self.rpdos.receiver(can_id)
+            if self.nmt.state in codes.TALKING:
+                if self.time.can_id is not None:
+                    routes[self.time.can_id] = self.time.receive
+                routes[self.sync.cob_id] = self.sync.receive
+                routes[codes.SDO_REQUEST_BASE + self.node_id] = self.sdo.receive
             routes[codes.NMT_COB_ID] = self.nmt.receive
         if self.lss.supported:
             routes[codes.LSS_REQUEST_COB_ID] = self.lss.receive
         self._routes = routes
-
-    def _add_state_routes(self, routes: "dict[int, Callable[[bytes], None]]") -> None:
-        if self.nmt.state == codes.OPERATIONAL:
-            for can_id in self.rpdos.can_ids():
-                routes[can_id] = self._rpdo_route(can_id)
-        if self.nmt.state in _TALKING:
-            if self.time.can_id is not None:
-                routes[self.time.can_id] = self.time.receive
-            routes[self.sync.cob_id] = self.sync.receive
-            routes[codes.SDO_REQUEST_BASE + self.node_id] = self.sdo.receive
-
-    def _rpdo_route(self, can_id: int) -> "Callable[[bytes], None]":
-        return lambda data: self.rpdos.receive(can_id, data)
 
     def _restart(self, whole: bool) -> None:
         self.nmt.state = codes.INITIALISING

@@ -88,11 +88,6 @@ class ObjectDictionary:
     with the flag VIEW that have no hook of their own: they hold no value.
     """
 
-    __slots__ = (
-        "_entries", "changed", "dummies", "edited", "node_id", "readers", "row", "sinks", "sizes", "values", "views",
-        "writers",
-    )  # fmt: skip
-
     def __init__(self, node_id: int) -> None:
         self.node_id = node_id
         self._entries: "dict[int, dict[int, Entry]]" = {}

@@ -24,11 +24,6 @@ class Pdo:
     of each mapped entry if not all are whole values, otherwise None.
     """
 
-    __slots__ = (
-        "_changed", "_od", "active", "can_id", "communication", "direction", "keys", "length", "letters", "mapping",
-        "transmission", "valid", "widths",
-    )  # fmt: skip
-
     def __init__(
         self, od: "ObjectDictionary", communication: int, mapping: int, direction: int, changed: "Callable[[], None]"
     ) -> None:
@@ -38,11 +33,9 @@ class Pdo:
         self.mapping = mapping
         self.direction = direction
         self.valid = self.active = False
-        self.can_id = 0
-        self.transmission = 255
+        self.can_id, self.transmission, self.length = 0, 255, 0
         self.letters: "list[str]" = []
         self.widths: "list[int] | None" = None
-        self.length = 0
         self.keys: "list[tuple[int, int]]" = []
         od.writers[communication] = self._write_communication
         od.writers[mapping] = self._write_mapping
@@ -85,8 +78,7 @@ class Pdo:
     def _letter(self, word: int) -> "str | int":
         """Return struct's letter of a mapped entry, or the abort code of an entry that cannot be mapped here."""
         index, sub, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
-        from_wire = self.direction != 1
-        if from_wire and index in self._od.dummies and not sub:
+        if self.direction == RPDO and index in self._od.dummies and not sub:
             letter = self._od.dummies[index]
         else:
             entry = self._od.find(index, sub)
@@ -97,43 +89,34 @@ class Pdo:
             letter = entry[0]
         size = SIZES.get(letter)
         if size is None:  # a string or DOMAIN has no length of its own: whole bytes, cut or filled up
-            fits = bits and bits % 8 == 0
-        else:
-            fits = size * 8 == bits or (letter == "?" and bits == 1)
-        return letter if fits else codes.NOT_MAPPABLE
+            return letter if bits and bits % 8 == 0 else codes.NOT_MAPPABLE
+        return letter if size * 8 == bits or (letter == "?" and bits == 1) else codes.NOT_MAPPABLE
 
     def _write_communication(self, sub: int, value: "Value") -> int:
-        number: int = value  # type: ignore[assignment]
+        number, abort = int(value), 0
         if sub == 1:
             abort = self._check_cob_id(number)
-        elif sub == 2:
+        elif sub == 2 and codes.LAST_SYNCHRONOUS < number < codes.EVENT_DRIVEN:
             # 241-251 are reserved; 252 and 253 (sent on RTR) are rejected because TPDOs do not support RTR.
-            abort = codes.INVALID_VALUE if codes.LAST_SYNCHRONOUS < number < codes.EVENT_DRIVEN else 0
+            abort = codes.INVALID_VALUE
         elif sub in (3, 6) and self.valid:
             abort = codes.DEVICE_STATE
         elif sub == 6 and number > codes.LAST_SYNCHRONOUS:  # the start value; an EDS may have no limit for it
             abort = codes.TOO_HIGH
-        else:
-            abort = 0
-        if not abort:
-            self._store_and_reload(self.communication, sub, number)
-        return abort
+        return abort or self._store_and_reload(self.communication, sub, number)
 
     def _check_cob_id(self, cob_id: int) -> int:
         can_id = cob_id & codes.STANDARD_MASK
         # Bit 30, no remote request, must be set where the default has it: a device without RTR.
-        no_rtr = self.direction == 1 and int(self._od.default(self.communication, 1)) & codes.NO_RTR
+        no_rtr = self.direction != RPDO and int(self._od.default(self.communication, 1)) & codes.NO_RTR
+        # A valid PDO keeps its identifier; it must be made invalid first (7.5.2.35).
+        wrong = codes.restricted(can_id) or (self.valid and can_id != self.can_id)
         if cob_id & _OTHER_BITS or (no_rtr and not cob_id & codes.NO_RTR):
             return codes.INVALID_VALUE
-        if cob_id & codes.COB_ID_INVALID:
-            return 0
-        # A valid PDO keeps its identifier; it must be made invalid first (7.5.2.35).
-        if codes.restricted(can_id) or (self.valid and can_id != self.can_id):
-            return codes.INVALID_VALUE
-        return 0
+        return codes.INVALID_VALUE if wrong and not cob_id & codes.COB_ID_INVALID else 0
 
     def _write_mapping(self, sub: int, value: "Value") -> int:
-        word: int = value  # type: ignore[assignment]
+        word = int(value)
         if self.valid or (sub and self._od.integer(self.mapping, 0)):
             # 7.5.2.36: make the PDO invalid, set sub-index 0 to 0, write the entries, set sub-index 0.
             return codes.DEVICE_STATE
@@ -144,20 +127,17 @@ class Pdo:
             room = self._od.subs(self.mapping)[-1]
             words = [self._od.integer(self.mapping, k) for k in range(1, min(word, room) + 1)]
             abort = self._compile(words) if word <= room else codes.PDO_LENGTH
-        if not abort:
-            self._store_and_reload(self.mapping, sub, word)
-        return abort
+        return abort or self._store_and_reload(self.mapping, sub, word)
 
-    def _store_and_reload(self, index: int, sub: int, value: int) -> None:
+    def _store_and_reload(self, index: int, sub: int, value: int) -> int:
         self._od.values[index << 8 | sub] = value
         self.load()
         self._changed()
+        return 0
 
 
 class ReceivePdo(Pdo):
     """One RPDO; ``waiting`` holds the data of a synchronous one until the SYNC, ``deadline_us`` is the next one's."""
-
-    __slots__ = ("deadline_us", "waiting")
 
     def load(self) -> None:
         """Compile the parameters and discard data that waits for a SYNC."""
@@ -172,8 +152,6 @@ class ReceivePdo(Pdo):
 
 class ReceivePdos:
     """All RPDOs of a device. ``due_us`` is when one is overdue (event timer, 7.5.2.35)."""
-
-    __slots__ = ("_device", "_pdos", "due_us")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
@@ -200,25 +178,28 @@ class ReceivePdos:
         """Return the identifiers of the RPDOs that this device receives."""
         return [pdo.can_id for pdo in self._pdos if pdo.active]
 
+    def receiver(self, can_id: int) -> "Callable[[bytes], None]":
+        """Return the handler of the frames with an identifier."""
+        return lambda data: self.receive(can_id, data)
+
     def receive(self, can_id: int, data: bytes) -> None:
         """Process the frame of an RPDO. A frame shorter than the mapping changes nothing (7.2.2.5.1)."""
+        emcy = self._device.emcy
         for pdo in self._pdos:
-            if pdo.active and pdo.can_id == can_id:
-                if len(data) < pdo.length:
-                    self._device.emcy.raise_error(PDO_LENGTH, COMMUNICATION, can_id)
-                else:
-                    self._device.emcy.cure(PDO_LENGTH, can_id)
-                    self._accept(pdo, data)
+            if not pdo.active or pdo.can_id != can_id:
+                continue
+            if len(data) < pdo.length:
+                emcy.raise_error(PDO_LENGTH, COMMUNICATION, can_id)
+                continue
+            emcy.cure(PDO_LENGTH, can_id)
+            event_ms = pdo.parameter(5)
+            pdo.deadline_us = self._device.now_us + 1000 * event_ms if event_ms else codes.NEVER_US
+            emcy.cure(RPDO_TIMEOUT, can_id)
+            if pdo.transmission > codes.LAST_SYNCHRONOUS:
+                self._apply(pdo, data)
+            elif self._device.sync.in_window():
+                pdo.waiting = bytes(data)
         self._schedule()
-
-    def _accept(self, pdo: ReceivePdo, data: bytes) -> None:
-        event_ms = pdo.parameter(5)
-        pdo.deadline_us = self._device.now_us + 1000 * event_ms if event_ms else codes.NEVER_US
-        self._device.emcy.cure(RPDO_TIMEOUT, pdo.can_id)
-        if pdo.transmission > codes.LAST_SYNCHRONOUS:
-            self._apply(pdo, data)
-        elif self._device.sync.in_window():
-            pdo.waiting = bytes(data)
 
     def expire(self, now_us: int) -> None:
         """Report each RPDO that is overdue."""
@@ -245,16 +226,15 @@ class ReceivePdos:
         self.due_us = min([pdo.deadline_us for pdo in self._pdos], default=codes.NEVER_US)
 
     def _apply(self, pdo: ReceivePdo, data: bytes) -> None:
-        if pdo.widths is not None:
+        if pdo.widths is None:
+            parts, offset = [], 0
+            for letter in pdo.letters:
+                parts.append(data[offset : offset + SIZES[letter]])
+                offset += SIZES[letter]
+        else:
             from .wide_types import unpack  # a device without mapped bits does without
 
-            for (index, sub), part in zip(pdo.keys, unpack(pdo.widths, data)):  # noqa: B905
-                if index > 0x1F:
-                    self._device.od.download(index, sub, part)
-            return
-        offset = 0
-        for letter, (index, sub) in zip(pdo.letters, pdo.keys):  # noqa: B905
-            size = SIZES[letter]
+            parts = unpack(pdo.widths, data)
+        for (index, sub), part in zip(pdo.keys, parts):  # noqa: B905
             if index > 0x1F:  # below are the dummy types, placeholders without a value
-                self._device.od.download(index, sub, data[offset : offset + size])
-            offset += size
+                self._device.od.download(index, sub, part)

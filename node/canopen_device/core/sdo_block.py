@@ -48,10 +48,6 @@ class BlockDownload:
     The sink gets the segments of a block before the response: a sink that is slow loses no segments.
     """
 
-    __slots__ = (
-        "_buffer", "_crc", "_ending", "_expected", "_length", "_limit", "_patience", "_server", "_size", "_with_crc",
-    )  # fmt: skip
-
     def __init__(self, server: "SdoServer", size: "int | None", limit: int, with_crc: bool) -> None:
         self._server = server
         self._size = size
@@ -60,8 +56,7 @@ class BlockDownload:
         self._buffer = bytearray()  # what the sink has not: the segments of this block, or the last ones
         self._length = self._crc = 0  # of what the sink has
         self._expected = 1
-        self._ending = False
-        self._patience = True
+        self._ending, self._patience = False, True
         server.answer(server.head(0xA0 | _WITH_CRC) + bytes((MAX_BLOCK,)))
 
     def takes(self, _command: int) -> bool:
@@ -109,11 +104,7 @@ class BlockDownload:
         if not self._ending:
             part, self._buffer = bytes(self._buffer), bytearray()
             self._count(part)
-            sink = self._server.sink
-            assert sink is not None
-            abort = sink.write(part) if part else 0
-            if abort:
-                self._server.abort(abort)
+            if not self._server.write(part):
                 return
         self._server.answer(bytes((0xA2, received, MAX_BLOCK)))
 
@@ -126,8 +117,7 @@ class BlockDownload:
         if data[0] & 0xE3 != 0xC1:
             self._server.abort(codes.UNKNOWN_COMMAND)
             return
-        unused = data[0] >> 2 & 7
-        part = bytes(self._buffer[: len(self._buffer) - unused])
+        part = bytes(self._buffer[: len(self._buffer) - (data[0] >> 2 & 7)])
         self._count(part)
         if self._with_crc and self._crc != data[1] | data[2] << 8:
             self._server.abort(codes.BLOCK_CRC)
@@ -140,18 +130,13 @@ class BlockDownload:
 class BlockUpload:
     """Block upload: send blocks; repeat the segments that the client did not acknowledge."""
 
-    __slots__ = ("_block_size", "_crc", "_data", "_ending", "_offset", "_sent", "_server", "_started", "_with_crc")
-
     def __init__(self, server: "SdoServer", data: bytes, block_size: int, with_crc: bool) -> None:
         self._server = server
         self._data = data
         self._block_size = block_size
         self._with_crc = with_crc
-        self._offset = 0
-        self._sent = 0
-        self._crc = 0
-        self._started = False
-        self._ending = False
+        self._offset = self._sent = self._crc = 0
+        self._started = self._ending = False
         # Bit 1: the response contains the size; bit 2: this server computes the CRC.
         server.answer(server.head(0xC0 | _WITH_CRC | 2) + struct.pack("<I", len(data)))
 
@@ -179,23 +164,19 @@ class BlockUpload:
         self._server.abort(codes.TIMEOUT)
 
     def _send_block(self) -> None:
-        self._sent = 0
         offset = self._offset
-        while self._sent < self._block_size:
+        for number in range(1, self._block_size + 1):
+            self._sent = number
             part = self._data[offset : offset + 7]
             offset += 7
-            self._sent += 1
             last = offset >= len(self._data)
-            self._server.answer(bytes((self._sent | (_LAST if last else 0),)) + part)
+            self._server.answer(bytes((number | (_LAST if last else 0),)) + part)
             if last:
                 break
 
     def _acknowledged(self, received: int, block_size: int) -> None:
-        if received > self._sent:
-            self._server.abort(codes.BLOCK_SEQUENCE)
-            return
-        if not 1 <= block_size <= MAX_BLOCK:
-            self._server.abort(codes.BLOCK_SIZE)
+        if received > self._sent or not 1 <= block_size <= MAX_BLOCK:
+            self._server.abort(codes.BLOCK_SEQUENCE if received > self._sent else codes.BLOCK_SIZE)
             return
         self._block_size = block_size
         done = self._data[self._offset : self._offset + 7 * received]

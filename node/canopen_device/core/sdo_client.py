@@ -34,11 +34,6 @@ class Transfer:
     last frame that did not belong to this transfer. Such a frame restarts no time-out.
     """
 
-    __slots__ = (
-        "_conversation", "_deadline_us", "_due_us", "_patient", "_requests", "_timeout_us",
-        "abort_code", "data", "ended", "failure", "ignored", "place",
-    )  # fmt: skip
-
     def __init__(self, index: int, sub: int, timeout_us: int, deadline_us: int) -> None:
         """``timeout_us`` is the time for each response; ``deadline_us`` is the latest end, on the clock of ``step``."""
         self.place = struct.pack("<HB", index, sub)
@@ -59,8 +54,7 @@ class Transfer:
 
         The first call starts the transfer. A request is the data of a frame, 8 bytes.
         """
-        requests: "list[bytes]" = []
-        self._requests = requests
+        self._requests = []
         if not self.ended:
             try:
                 self._advance(now_us, response)
@@ -68,15 +62,14 @@ class Transfer:
                 self._end()
             except TransferError as error:
                 self._give_up(error.code, error.text)
-        return requests, self._due_us
+        return self._requests, self._due_us
 
     def cancel(self) -> "list[bytes]":
         """End the transfer on the client's own decision; return the abort request, if one is due."""
-        requests: "list[bytes]" = []
-        self._requests = requests
+        self._requests = []
         if not self.ended:
             self._give_up(codes.GENERAL, "cancelled")
-        return requests
+        return self._requests
 
     def _advance(self, now_us: int, response: "bytes | None") -> None:
         conversation = self._conversation
@@ -126,8 +119,6 @@ class Transfer:
         self.failure = text
         self._end()
 
-    # --- shared by the kinds of transfer ---------------------------------------------------------------------
-
     def _send(self, data: bytes) -> None:
         self._requests.append(data + bytes(8 - len(data)))
 
@@ -158,8 +149,6 @@ class Transfer:
 
 class Upload(Transfer):
     """Expedited or segmented upload: read an object. ``limit`` bounds its size in bytes."""
-
-    __slots__ = ("_limit",)
 
     def __init__(self, index: int, sub: int, timeout_us: int, deadline_us: int, limit: int = MAX_UPLOAD_BYTES) -> None:
         super().__init__(index, sub, timeout_us, deadline_us)
@@ -209,24 +198,13 @@ class Download(Transfer):
     ``progress`` receives the number of bytes that the server has acknowledged.
     """
 
-    __slots__ = ("_content", "_progress")
-
     def __init__(
-        self,
-        index: int,
-        sub: int,
-        timeout_us: int,
-        deadline_us: int,
-        content: bytes,
+        self, index: int, sub: int, timeout_us: int, deadline_us: int, content: bytes,
         progress: "Callable[[int], None] | None" = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(index, sub, timeout_us, deadline_us)
         self._content = content
-        self._progress = progress
-
-    def _arrived(self, length: int) -> None:
-        if self._progress is not None:
-            self._progress(min(length, len(self._content)))
+        self._progress = progress or (lambda _length: None)
 
     def _converse(self) -> "Conversation":
         content = self._content
@@ -239,7 +217,7 @@ class Download(Transfer):
             part = content[start : start + 7]
             command = toggle | (7 - len(part)) << 1 | (start + 7 >= len(content))
             yield from self._segment(bytes((command,)) + part, _DOWNLOAD_SEGMENT, toggle)
-            self._arrived(start + 7)
+            self._progress(min(start + 7, len(content)))
             toggle ^= 0x10
 
 
@@ -251,8 +229,6 @@ _MOST_EMPTY_BLOCKS = 3
 
 class BlockUpload(Upload):
     """Block upload; the server may switch to segments if the data is short."""
-
-    __slots__ = ("_complete", "_empty_blocks", "_received", "_size")
 
     def _converse(self) -> "Conversation":
         content = bytes((MAX_BLOCK, SWITCH_BYTES))
@@ -267,8 +243,13 @@ class BlockUpload(Upload):
         self._send(b"\xa3")
         while not self._complete:
             yield from self._block()
-        response = yield from self._awaited(lambda r: r[0] & 0xE3 == 0xC1)
-        self._finish(response, bool(first[0] & _WITH_CRC))
+        end = yield from self._awaited(lambda r: r[0] & 0xE3 == 0xC1)
+        content = bytes(self._received[: len(self._received) - (end[0] >> 2 & 7)])
+        if first[0] & _WITH_CRC and crc16(content) != end[1] | end[2] << 8:
+            raise TransferError(codes.BLOCK_CRC, "the CRC of the blocks is wrong")
+        self._check_size(len(content), self._size, True)
+        self._send(b"\xa1")
+        self.data = content
 
     def _block(self) -> "Conversation":
         """Receive one block and acknowledge its segments up to the first that is missing; the server repeats these."""
@@ -284,7 +265,11 @@ class BlockUpload(Upload):
             accepted = number == count + 1
             if accepted:
                 count = number
-                self._append(segment[1:], bool(last))
+                self._received += segment[1:]
+                self._complete = bool(last)
+                self._patient = True
+                # The last segment may contain up to 7 unused bytes; their number is known only at the end.
+                self._check_size(len(self._received) - (7 if last else 0), self._size, False)
             else:
                 self._ignore(segment)
             if last or number == MAX_BLOCK:
@@ -295,26 +280,9 @@ class BlockUpload(Upload):
         self._patient = self._patient and not self._complete
         self._send(bytes((0xA2, count, MAX_BLOCK)))
 
-    def _append(self, part: bytes, last: bool) -> None:
-        self._received += part
-        self._complete = last
-        self._patient = True
-        # The last segment may contain up to 7 unused bytes; their number is known only at the end.
-        self._check_size(len(self._received) - (7 if last else 0), self._size, False)
-
-    def _finish(self, end: bytes, with_crc: bool) -> None:
-        content = bytes(self._received[: len(self._received) - (end[0] >> 2 & 7)])
-        if with_crc and crc16(content) != end[1] | end[2] << 8:
-            raise TransferError(codes.BLOCK_CRC, "the CRC of the blocks is wrong")
-        self._check_size(len(content), self._size, True)
-        self._send(b"\xa1")
-        self.data = content
-
 
 class BlockDownload(Download):
     """Block download; segments that the server does not acknowledge are repeated."""
-
-    __slots__ = ()
 
     def _converse(self) -> "Conversation":
         content = self._content
@@ -331,7 +299,7 @@ class BlockDownload(Download):
             if empty_blocks == _MOST_EMPTY_BLOCKS:
                 raise TransferError(codes.BLOCK_SEQUENCE, f"no segment of {_MOST_EMPTY_BLOCKS} blocks was acknowledged")
             offset, block_size = offset + 7 * response[1], response[2]
-            self._arrived(offset)
+            self._progress(min(offset, len(content)))
         crc = crc16(content) if first[0] & _WITH_CRC else 0
         self._send(bytes((0xC1 | (offset - len(content)) << 2, crc & 0xFF, crc >> 8)))
         yield from self._awaited(lambda r: r[0] & 0xE3 == 0xA1)

@@ -35,8 +35,6 @@ MAX_DOWNLOAD_BYTES = 4096  # bounds memory for objects that state no length
 class Collected:
     """The sink of an ordinary object: the value is written when it is complete."""
 
-    __slots__ = ("_content", "_index", "_od", "_sub")
-
     def __init__(self, od: "ObjectDictionary", index: int, sub: int) -> None:
         self._od, self._index, self._sub = od, index, sub
         self._content = bytearray()
@@ -56,11 +54,6 @@ class Collected:
 
 class SdoServer:
     """Default SDO server: receives frames of 8 bytes on 0x600 + node-id, responds on 0x580 + node-id."""
-
-    __slots__ = (
-        "_block", "_buffer", "_device", "_index", "_offset", "_size", "_sub", "_toggle", "_transfer", "due_us",
-        "max_download_bytes", "sink",
-    )  # fmt: skip
 
     def __init__(self, device: "Device") -> None:
         self._device = device
@@ -89,6 +82,8 @@ class SdoServer:
             return
         specifier = data[0] >> 5
         if specifier in (_DOWNLOAD, _UPLOAD, _BLOCK_DOWNLOAD, _BLOCK_UPLOAD):
+            self.reset()  # an initiate request ends an active transfer (7.2.4.2)
+            self._name(data)
             self._begin(specifier, data)
         elif specifier == _ABORT:
             self.reset()
@@ -110,24 +105,27 @@ class SdoServer:
             self.abort(codes.TIMEOUT)
 
     def _begin(self, specifier: int, data: bytes) -> None:
-        """Process an initiate request; it ends an active transfer (7.2.4.2)."""
-        self.reset()
-        self._name(data)
-        if specifier == _DOWNLOAD:
-            self._download_initiate(data)
+        """Process an initiate request. Where the size is not stated, it is known only at the end."""
+        command, size = data[0], struct.unpack("<I", data[4:])[0]
+        if specifier == _DOWNLOAD and command & 2:
+            self._download_expedited(data)
+        elif specifier == _DOWNLOAD:
+            if self._may_download(size if command & 1 else None):
+                self._transfer = _DOWNLOAD
+                self.answer(self.head(0x60))
         elif specifier == _UPLOAD:
-            self._upload_initiate(None)
-        elif specifier == _BLOCK_UPLOAD and data[0] & 3 == 0:
-            self._block_upload_initiate(data[4], data[5], bool(data[0] & 4))
-        elif specifier == _BLOCK_DOWNLOAD and data[0] & 1 == 0:
-            self._block_download_initiate(data)
+            self._upload_initiate(self._device.upload(self._index, self._sub))
+        elif specifier == _BLOCK_UPLOAD and command & 3 == 0:
+            self._block_upload_initiate(data[4], data[5], bool(command & 4))
+        elif specifier == _BLOCK_DOWNLOAD and command & 1 == 0:
+            if self._may_download(size if command & 2 else None):
+                self._transfer = _BLOCK_DOWNLOAD
+                self._block = BlockDownload(self, self._size, self._limit(), bool(command & 4))
         else:
             self.abort(codes.UNKNOWN_COMMAND)
 
     def _name(self, data: bytes) -> None:
         self._index, self._sub = data[1] | data[2] << 8, data[3]
-
-    # --- shared with the block transfers --------------------------------------------------------------------
 
     def head(self, command: int) -> bytes:
         """Return the command byte, index and sub-index of the transfer."""
@@ -150,15 +148,18 @@ class SdoServer:
         self.reset()
         self.answer(head + struct.pack("<I", code))
 
+    def write(self, part: bytes) -> bool:
+        """Write the next part of a download; return False where it was aborted."""
+        abort = self.sink.write(part) if part and self.sink is not None else 0
+        if abort:
+            self.abort(abort)
+        return not abort
+
     def end(self, part: bytes, confirmation: bytes) -> None:
         """Write the last part of a download and end it; confirm it, or abort if the object rejects the content."""
-        sink = self.sink
-        assert sink is not None
-        abort = sink.write(part)
-        if not abort:
-            self.sink = None
-            abort = sink.end()
-        self._finish(abort, confirmation)
+        if self.write(part):
+            sink, self.sink = self.sink, None
+            self._finish(sink.end() if sink is not None else 0, confirmation)
 
     def _finish(self, abort: int, confirmation: bytes) -> None:
         if abort:
@@ -167,11 +168,7 @@ class SdoServer:
             self.reset()
             self.answer(confirmation)
 
-    # --- upload: the client reads ---------------------------------------------------------------------------
-
-    def _upload_initiate(self, data: "bytes | int | None") -> None:
-        if data is None:
-            data = self._device.upload(self._index, self._sub)
+    def _upload_initiate(self, data: "bytes | int") -> None:
         if isinstance(data, int):
             self.abort(data)
         elif 0 < len(data) <= 4:
@@ -195,33 +192,14 @@ class SdoServer:
 
     def _block_upload_initiate(self, block_size: int, switch_bytes: int, with_crc: bool) -> None:
         data = self._device.upload(self._index, self._sub)
-        if isinstance(data, int):
-            self.abort(data)
-        elif not 1 <= block_size <= MAX_BLOCK:
+        if not isinstance(data, int) and not 1 <= block_size <= MAX_BLOCK:
             self.abort(codes.BLOCK_SIZE)
-        elif switch_bytes and len(data) <= switch_bytes:
+        elif isinstance(data, int) or (switch_bytes and len(data) <= switch_bytes):
             # Protocol switch (pst): data this short is faster without blocks (7.2.4.3.13); pst 0 forbids the switch.
             self._upload_initiate(data)
         else:
             self._transfer = _BLOCK_UPLOAD
             self._block = BlockUpload(self, data, block_size, with_crc)
-
-    # --- download: the client writes ------------------------------------------------------------------------
-
-    def _download_initiate(self, data: bytes) -> None:
-        command = data[0]
-        if command & 2:
-            self._download_expedited(data)
-            return
-        # Bit 0: the data contains the size; without it the size is known only at the end.
-        if self._may_download(struct.unpack("<I", data[4:])[0] if command & 1 else None):
-            self._transfer = _DOWNLOAD
-            self.answer(self.head(0x60))
-
-    def _block_download_initiate(self, data: bytes) -> None:
-        if self._may_download(struct.unpack("<I", data[4:])[0] if data[0] & 2 else None):
-            self._transfer = _BLOCK_DOWNLOAD
-            self._block = BlockDownload(self, self._size, self._limit(), bool(data[0] & 4))
 
     def _may_download(self, size: "int | None") -> bool:
         """Return whether ``size`` bytes (None: unknown) may be written; if not, abort at once."""
@@ -261,19 +239,11 @@ class SdoServer:
         self._toggle ^= 1
         if self._offset > (self._limit() if self._size is None else self._size):
             self.abort(codes.TOO_LONG)
-        elif not data[0] & 1:
-            self._write(part, confirmation)
-        elif self._size is not None and self._offset < self._size:
+        elif data[0] & 1 and self._size is not None and self._offset < self._size:
             self.abort(codes.TOO_SHORT)
-        else:
+        elif data[0] & 1:
             self.end(part, confirmation)
-
-    def _write(self, part: bytes, confirmation: bytes) -> None:
-        assert self.sink is not None
-        abort = self.sink.write(part)
-        if abort:
-            self.abort(abort)
-        else:
+        elif self.write(part):
             self.answer(confirmation)
 
     def _limit(self) -> int:

@@ -34,8 +34,6 @@ class Storage:
     the last change of a setting (7.5.2.21).
     """
 
-    __slots__ = ("_device", "_groups", "_load", "_save", "_verified", "after_communication", "damaged")
-
     def __init__(
         self,
         device: "Device",
@@ -54,19 +52,15 @@ class Storage:
         device.od.writers[communication.STORE_PARAMETERS] = self._write_store
         device.od.writers[communication.RESTORE_DEFAULTS] = self._write_restore
         device.od.writers[communication.VERIFY_CONFIGURATION] = self._write_verification
-        for index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS):
-            device.od.readers[index] = self._reader(device.od, index << 8)
-
-    def _reader(self, od: "ObjectDictionary", count: int) -> "Callable[[int], Value]":
-        return lambda sub: 1 if sub else od.values[count]  # bit 0: stores on command, never autonomously
+        values, store, restore = device.od.values, communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS
+        device.od.readers[store] = lambda sub: 1 if sub else values[store << 8]  # bit 0: stores on command, never
+        device.od.readers[restore] = lambda sub: 1 if sub else values[restore << 8]  # autonomously
 
     def add_range(self, sub: int, name: str, first: int, last: int) -> None:
         """Add a group of every setting among the objects ``first`` to ``last`` that differs from its default."""
         od = self._device.od
-        self._groups[sub] = (
-            name,
-            lambda: pack_settings(od, first, last),
-            lambda data: unpack_settings(od, first, last, data),
+        self.add_group(
+            sub, name, lambda: pack_settings(od, first, last), lambda data: unpack_settings(od, first, last, data)
         )
 
     def add_group(
@@ -83,7 +77,10 @@ class Storage:
                 name, _dump, restore = self._groups[sub]
                 if name in self.damaged:
                     self.damaged.remove(name)
-                restore(self._read(name))
+                data = self.read_blob(name)
+                if data is None:
+                    self.damaged.append(name)
+                restore(data or None)
                 if sub == COMMUNICATION and self.after_communication is not None:
                     self.after_communication()
 
@@ -104,13 +101,6 @@ class Storage:
         sound = len(blob) >= 4 and struct.unpack("<I", blob[:4])[0] == binascii.crc32(blob[4:]) & 0xFFFFFFFF
         return blob[4:] if sound else None
 
-    def _read(self, name: str) -> "bytes | None":
-        """Return the stored bytes of a group, None if its defaults apply; record a damaged group."""
-        data = self.read_blob(name)
-        if data is None:
-            self.damaged.append(name)
-        return data or None
-
     def _write_store(self, sub: int, value: "Value") -> int:
         if value != codes.SIGNATURE_SAVE:
             return codes.NOT_TRANSFERRED
@@ -129,7 +119,9 @@ class Storage:
         """Write all blobs if the budget of wear allows it; return 0 or an abort code. Every write passes here."""
         if self._save is None:
             return codes.HARDWARE
-        clears = not verified and any(self._changes(name, blob) for name, blob in blobs)
+        # Whether boot-up will load other content than before, besides 1020h.
+        changes = [_without_1020(n, blob[4:]) != _without_1020(n, self.read_blob(n) or b"") for n, blob in blobs]
+        clears = not verified and True in changes
         if clears:
             blobs = self._without_verification(blobs)
         abort = self._device.wear.spend(len(blobs))
@@ -142,16 +134,10 @@ class Storage:
                 return codes.HARDWARE
         return 0
 
-    # --- 1020h ----------------------------------------------------------------------------------------------
-
     def _write_verification(self, _sub: int, _value: "Value") -> int:
         self._verified = True
         self._device.od.edited = False
         return 0
-
-    def _changes(self, name: str, blob: bytes) -> bool:
-        """Return whether boot-up will load other content than before, besides 1020h."""
-        return _without_1020(name, blob[4:]) != _without_1020(name, self.read_blob(name) or b"")
 
     def _without_verification(self, blobs: "list[Blob]") -> "list[Blob]":
         """The same with 1020h left out, and out of what is stored already, which is written first."""
@@ -219,8 +205,6 @@ class WearBudget:
 
     An operation is the write of one group of parameters, or the erase of one program.
     """
-
-    __slots__ = ("_device", "_full_us", "_reported")
 
     def __init__(self, device: "Device") -> None:
         self._device = device

@@ -16,14 +16,12 @@ OVERFLOW = communication.SYNC_OVERFLOW << 8  # the key of 1019h in ``od.values``
 class SyncConsumer:
     """SYNC consumer: the application latches one sample, then the synchronous PDOs are sent."""
 
-    __slots__ = ("_device", "cob_id", "last_us")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.cob_id = codes.SYNC_COB_ID
         self.last_us = 0
         device.od.writers[communication.COB_ID_SYNC] = self._write_cob_id
-        device.od.writers[communication.SYNC_OVERFLOW] = self._write_overflow
+        device.od.writers[communication.SYNC_OVERFLOW] = lambda _sub, value: codes.INVALID_VALUE if value == 1 else 0
 
     def reset(self) -> None:
         """Apply the present value of 1005h."""
@@ -59,9 +57,6 @@ class SyncConsumer:
         self._device.routes_changed()
         return 0
 
-    def _write_overflow(self, _sub: int, value: "Value") -> int:
-        return codes.INVALID_VALUE if value == 1 else 0
-
 
 _EPOCH_DAYS = 5113  # from 1970-01-01, where Unix time starts, to 1984-01-01, where TIME_OF_DAY does
 _DAY_MS = 86400000
@@ -70,12 +65,9 @@ _DAY_MS = 86400000
 class TimeConsumer:
     """Network time, known after the first TIME message; between messages it follows the device's clock."""
 
-    __slots__ = ("_device", "_high_us", "_received_us", "_unix_ms")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
-        self._unix_ms = -1
-        self._received_us = 0
+        self._unix_ms, self._received_us = -1, 0
         self._high_us = 0  # offset of 1013h from the device's clock
         od = device.od
         od.writers[communication.COB_ID_TIME] = self._write_cob_id

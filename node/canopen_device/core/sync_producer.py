@@ -15,8 +15,6 @@ _FIRST_OVERFLOW, _LAST_OVERFLOW = 2, 240
 class SyncProducer:
     """Send SYNC every 1006h microseconds in PRE-OPERATIONAL and OPERATIONAL; this device's own PDOs follow it."""
 
-    __slots__ = ("_counter", "_device", "_on", "due_us")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self._on = False
@@ -37,7 +35,7 @@ class SyncProducer:
 
     def state_changed(self) -> None:
         """Stop in STOPPED; otherwise start if nothing is due yet. The counter then starts at 1 (7.2.5.1)."""
-        if self._device.nmt.state not in (codes.PRE_OPERATIONAL, codes.OPERATIONAL):
+        if self._device.nmt.state not in codes.TALKING:
             self.due_us = codes.NEVER_US
         elif self.due_us == codes.NEVER_US:
             self._start(self._device.od.integer(communication.SYNC_PERIOD))
@@ -58,7 +56,7 @@ class SyncProducer:
 
     def _start(self, period_us: int) -> None:
         self._counter = 0
-        talking = self._device.nmt.state in (codes.PRE_OPERATIONAL, codes.OPERATIONAL)
+        talking = self._device.nmt.state in codes.TALKING
         self.due_us = self._device.now_us + period_us if self._on and period_us and talking else codes.NEVER_US
 
     def _write_cob_id(self, write: "Callable[[int, Value], int]", sub: int, value: "Value") -> int:

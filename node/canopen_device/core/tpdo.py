@@ -15,20 +15,6 @@ if TYPE_CHECKING:
 class TransmitPdo(Pdo):
     """One TPDO with its counters and due times."""
 
-    __slots__ = (
-        "_getters",
-        "_packing",
-        "_row",
-        "due_us",
-        "each_sync",
-        "event_us",
-        "free_us",
-        "inhibit_us",
-        "pending",
-        "sync_start",
-        "syncs",
-    )
-
     def load(self) -> None:
         """Compile the parameters, resolve the source of each mapped value, and restart the counters."""
         Pdo.load(self)
@@ -44,9 +30,8 @@ class TransmitPdo(Pdo):
         self.event_us = 1000 * self.parameter(5)
         self.sync_start = self.parameter(6)
         self.each_sync = self.transmission == 1 and not self.sync_start
-        self.syncs = 0
+        self.syncs = self.free_us = 0
         self.pending = False
-        self.free_us = 0
         self.due_us = codes.NEVER_US
 
     def pack(self) -> bytes:
@@ -85,8 +70,6 @@ class TransmitPdo(Pdo):
 class TransmitPdos:
     """All TPDOs of a device. ``due_us`` is the earliest time at which an event-driven one may be due."""
 
-    __slots__ = ("_device", "_pdos", "_synchronous", "due_us")
-
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.due_us = codes.NEVER_US
@@ -101,10 +84,6 @@ class TransmitPdos:
         for pdo in self._pdos:
             pdo.load()
         self._changed()
-
-    def enabled(self, number: int) -> bool:
-        """Return True if TPDO ``number``, counted from 1, is active at present."""
-        return self._pdos[number - 1].active
 
     def can_ids(self) -> "list[int]":
         """Return the identifiers of the TPDOs that this device sends."""
@@ -124,14 +103,14 @@ class TransmitPdos:
         """Handle an event of the application: send TPDO ``number`` as its type and inhibit time allow, not earlier."""
         pdo = self._pdos[number - 1]
         pdo.pending = True
-        if pdo.transmission > LAST_SYNCHRONOUS and self._active(pdo):
+        if self._is_timed(pdo):
             pdo.due_us = min(pdo.due_us, max(self._device.now_us, pdo.free_us, earliest_us))
             self._reschedule()
 
     def announce(self, index: int) -> None:
         """Send each event-driven TPDO that maps an object at once, or as soon as its inhibit time allows."""
         for k, pdo in enumerate(self._pdos):
-            if pdo.transmission > LAST_SYNCHRONOUS and self._active(pdo) and (index, 0) in pdo.keys:
+            if self._is_timed(pdo) and (index, 0) in pdo.keys:
                 if pdo.free_us <= self._device.now_us:
                     self._send(pdo, self._device.now_us)
                     self._reschedule()
@@ -147,16 +126,12 @@ class TransmitPdos:
                 pdo.due_us = max(self._device.now_us, pdo.free_us)
         self._reschedule()
 
-    def stopped(self) -> None:
-        """Stop when the device leaves OPERATIONAL: nothing is due."""
-        self.due_us = codes.NEVER_US
-
     def expire(self, now_us: int) -> None:
         """Send the event-driven TPDOs that are due."""
         if self._device.application is not None:
             self._device.application.refresh(now_us)
         for pdo in self._pdos:
-            if pdo.due_us <= now_us and self._active(pdo):
+            if pdo.due_us <= now_us and self._is_timed(pdo):
                 self._send(pdo, now_us)
         self._reschedule()
 
@@ -166,23 +141,20 @@ class TransmitPdos:
         pdo.free_us = now_us + pdo.inhibit_us
         pdo.due_us = now_us + max(pdo.event_us, pdo.inhibit_us) if pdo.event_us else codes.NEVER_US
 
-    def _active(self, pdo: TransmitPdo) -> bool:
-        return pdo.active and self._device.nmt.state == codes.OPERATIONAL
+    def _is_timed(self, pdo: TransmitPdo) -> bool:
+        """Return whether a PDO is event-driven and may be sent now."""
+        operational = self._device.nmt.state == codes.OPERATIONAL
+        return operational and pdo.active and pdo.transmission > LAST_SYNCHRONOUS
 
     def _changed(self) -> None:
         self._synchronous = [pdo for pdo in self._pdos if pdo.active and pdo.transmission <= LAST_SYNCHRONOUS]
         self._device.settings_changed()
         self._device.routes_changed()  # another node may use an identifier that is no longer used here
         for pdo in self._pdos:
-            if (
-                self._active(pdo)
-                and pdo.transmission > LAST_SYNCHRONOUS
-                and pdo.due_us == codes.NEVER_US
-                and pdo.event_us
-            ):
+            if self._is_timed(pdo) and pdo.due_us == codes.NEVER_US and pdo.event_us:
                 pdo.due_us = self._device.now_us + pdo.event_us
         self._reschedule()
 
     def _reschedule(self) -> None:
-        due = [pdo.due_us for pdo in self._pdos if self._active(pdo) and pdo.transmission > LAST_SYNCHRONOUS]
+        due = [pdo.due_us for pdo in self._pdos if self._is_timed(pdo)]
         self.due_us = min(due) if due else codes.NEVER_US

@@ -5,7 +5,7 @@ from __future__ import annotations
 from canopen_device.core import codes, communication
 from canopen_device.core.object_dictionary import RPDO, TPDO
 from canopen_device.eds import values
-from canopen_device.eds.description import Description, Entry
+from canopen_device.eds.description import Description
 from canopen_device.eds.sections import EdsFile, Section
 from canopen_device.types import LETTER_OF_CODE, TYPES
 
@@ -18,10 +18,8 @@ _WITH_NODE_ID = (
     (communication.SDO_SERVER, 2, codes.SDO_RESPONSE_BASE),
 )  # fmt: skip
 _DEFAULT_DUMMIES = frozenset(range(1, 8))
-_PDOS = (
-    (communication.RPDO, communication.LAST_RPDO, RPDO),
-    (communication.TPDO, communication.LAST_TPDO, TPDO),
-)
+_PDOS = ((communication.RPDO, communication.LAST_RPDO, RPDO), (communication.TPDO, communication.LAST_TPDO, TPDO))
+_DIRECTIONS = {"ro": TPDO, "const": TPDO, "rwr": TPDO, "wo": RPDO, "rww": RPDO}  # CiA 306-1; rw: both
 
 
 def check(file: EdsFile, eds: Description) -> None:
@@ -34,12 +32,15 @@ def check(file: EdsFile, eds: Description) -> None:
     if "supportedmodules" in file.sections and _count(file.sections["supportedmodules"], "NrOfEntries"):
         eds.add(file.sections["supportedmodules"].line, "[SupportedModules]: objects of modules are not loaded")
     _check_parameter_values(file, eds)
-    _check_identifiers(eds)
+    for index, sub, base in _WITH_NODE_ID:  # identifiers of EMCY and SDO
+        entry = eds.entry(index, sub)
+        if entry is not None and entry.initial == base:
+            eds.add(entry.line, f"{entry.place} has {base:#x}: $NODEID+{base:#x} may be meant; the value stays")
     _check_identity(file.sections.get("deviceinfo"), eds)
     if eds.bit_rate and eds.bit_rates and eds.bit_rate not in eds.bit_rates:
         eds.add(0, f"Baudrate={eds.bit_rate // 1000}: [DeviceInfo] has BaudRate_{eds.bit_rate // 1000}=0")
     for entry in eds.entries():
-        entry.directions = _directions(entry)
+        entry.directions = _DIRECTIONS.get(entry.access, TPDO | RPDO) if entry.mappable else 0
     for first, last, direction in _PDOS:
         _check_pdos(eds, first, last, direction)
 
@@ -92,31 +93,21 @@ def _check_parameter_values(file: EdsFile, eds: Description) -> None:
 def _listed_index(file: EdsFile, text: str) -> int | None:
     """Return the index of a list: hexadecimal; decimal if only that names a section."""
     value = values.integer(text).value
-    bare = text.strip()
-    if value in file.objects or value in file.subs or bare[:2].lower() == "0x":
+    if value in file.objects or value in file.subs or text.strip()[:2].lower() == "0x":
         return value
     try:
-        return int(bare, 16)
+        return int(text, 16)
     except ValueError:
         return value
-
-
-def _check_identifiers(eds: Description) -> None:
-    """Report identifiers of EMCY and SDO without the node-id."""
-    for index, sub, base in _WITH_NODE_ID:
-        entry = eds.entry(index, sub)
-        if entry is not None and entry.initial == base:
-            eds.add(entry.line, f"{entry.place} has {base:#x}: $NODEID+{base:#x} may be meant; the value stays")
 
 
 def _check_identity(section: Section | None, eds: Description) -> None:
     """Fill 1018h from [DeviceInfo] where it has no default; report where they differ."""
     for sub, key in enumerate(_IDENTITY, 1):
         entry = eds.entry(communication.IDENTITY, sub)
-        text = section.get(key) if section is not None else None
-        if section is None or entry is None or not text:
+        if section is None or entry is None or not section.get(key):
             continue
-        number, _, remark = values.integer(text)
+        number, _, remark = values.integer(section.get(key) or "")
         if number is None or not 0 <= number <= 0xFFFFFFFF:
             section.say(key, remark or "allowed are 0 to 0xFFFFFFFF")
         elif not entry.has_default and entry.value is None:
@@ -128,16 +119,6 @@ def _check_identity(section: Section | None, eds: Description) -> None:
         serial.value = eds.serial
 
 
-def _directions(entry: Entry) -> int:
-    """Return the PDOs that may map an entry, by PDOMapping and AccessType (CiA 306-1)."""
-    if not entry.mappable:
-        return 0
-    return {"ro": TPDO, "const": TPDO, "rwr": TPDO, "wo": RPDO, "rww": RPDO}.get(entry.access, TPDO | RPDO)
-
-
-# --- PDOs -----------------------------------------------------------------------------------------------------
-
-
 def _check_pdos(eds: Description, first: int, last: int, direction: int) -> None:
     used: dict[int, int] = {}
     for index in sorted(index for index in eds.objects if first <= index <= last):
@@ -145,13 +126,11 @@ def _check_pdos(eds: Description, first: int, last: int, direction: int) -> None
         cob_id = entry.initial if entry is not None else codes.COB_ID_INVALID
         if not isinstance(cob_id, int):
             continue
-        valid = not cob_id & codes.COB_ID_INVALID
-        can_id = cob_id & codes.STANDARD_MASK
+        valid, can_id = not cob_id & codes.COB_ID_INVALID, cob_id & codes.STANDARD_MASK
         line = eds.objects[index].line if entry is None else entry.line
-        if index + communication.MAPPING not in eds.objects:
-            eds.add(
-                line, f"[{index:04X}]: no mapping object 0x{index + communication.MAPPING:04X}; the PDO is inactive"
-            )
+        mapping = index + communication.MAPPING
+        if mapping not in eds.objects:
+            eds.add(line, f"[{index:04X}]: no mapping object 0x{mapping:04X}; the PDO is inactive")
             continue
         if valid and cob_id & codes.EXTENDED_COB_ID:
             eds.add(line, f"[{index:04X}sub1] {cob_id:#x}: a 29-bit identifier, which is not supported; inactive")
@@ -163,7 +142,7 @@ def _check_pdos(eds: Description, first: int, last: int, direction: int) -> None
         if valid:
             used.setdefault(can_id, index)
             _check_transmission(eds, index, direction)
-        _check_mapping(eds, index + communication.MAPPING, direction)
+        _check_mapping(eds, mapping, direction)
 
 
 def _check_transmission(eds: Description, index: int, direction: int) -> None:
@@ -171,13 +150,13 @@ def _check_transmission(eds: Description, index: int, direction: int) -> None:
     kind = entry.initial if entry is not None else None
     if entry is None or not isinstance(kind, int):
         return
-    problem = ""
+    place = f"[{index:04X}sub2]"
     if kind <= codes.LAST_SYNCHRONOUS and communication.COB_ID_SYNC not in eds.objects:
         problem = f"a synchronous PDO, but no object 1005h; SYNC is received on 0x{codes.SYNC_COB_ID:02X}"
+        eds.add(entry.line, f"{place}: {problem}")
     elif direction == TPDO and codes.LAST_SYNCHRONOUS < kind < codes.EVENT_DRIVEN:
         problem = f"{kind} is reserved, or sent on a remote request, which is not supported; inactive"
-    if problem:
-        eds.add(entry.line, f"[{index:04X}sub2]: {problem}")
+        eds.add(entry.line, f"{place}: {problem}")
 
 
 def _check_mapping(eds: Description, index: int, direction: int) -> None:

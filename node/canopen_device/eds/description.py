@@ -110,8 +110,8 @@ class Description:
         self.value_bytes += len(entry.name)
         self.value_bytes += sum(len(v) for v in (entry.default, entry.value) if isinstance(v, str | bytes))
         if self.value_bytes > MOST_VALUE_BYTES:
-            told = f"more than {MOST_VALUE_BYTES} bytes of names and values up to it, the limit"
-            raise InputError(f"{self.path}:{entry.line}: {entry.place}: {told}")
+            problem = f"more than {MOST_VALUE_BYTES} bytes of names and values up to it, the limit"
+            raise InputError(f"{self.path}:{entry.line}: {entry.place}: {problem}")
         return entry
 
     def add(self, line: int, text: str) -> None:
@@ -126,12 +126,11 @@ class Description:
 
     def entry(self, index: int, sub: int) -> Entry | None:
         """The entry, None if there is none."""
-        found = self.objects.get(index)
-        return None if found is None else found.entries.get(sub)
+        return self.objects[index].entries.get(sub) if index in self.objects else None
 
     def entries(self) -> list[Entry]:
         """Every entry, by index and sub-index."""
-        return [found.entries[sub] for _, found in sorted(self.objects.items()) for sub in sorted(found.entries)]
+        return [entry for _, part in sorted(self.objects.items()) for _, entry in sorted(part.entries.items())]
 
     def find(self, key: int | tuple[int, int] | str) -> Entry:
         """The entry of an index (its only or first value), of (index, sub), of ``"0x6064"``, ``"6041h:00"``, or a name.
@@ -148,24 +147,18 @@ class Description:
 
 
 def _numbered(description: Description, index: int, sub: int | None) -> Entry:
-    found = description.objects.get(index)
-    if found is None:
+    named = description.objects.get(index)
+    if named is None:
         near = sorted(description.objects, key=lambda known: (abs(known - index), known))[:3]
         shown = ", ".join(f"0x{known:04X}" for known in near)
         raise InputError(f"{description.path.name}: no object 0x{index:04X}; the nearest are {shown}")
-    if sub is None and set(found.entries) != {0}:
-        raise InputError(
-            f"0x{index:04X} {found.name!r} has several entries: write 0x{index:04X}:SS, {_subs(found.entries)}"
-        )
-    entry = found.entries.get(sub or 0)
-    if entry is None:
-        raise InputError(f"0x{index:04X} {found.name!r}: no sub-index {sub}; allowed are {_subs(found.entries)}")
-    return entry
-
-
-def _subs(entries: dict[int, Entry]) -> str:
-    subs = sorted(entries)
-    return ", ".join(f"{sub:02X}" for sub in subs) if len(subs) < 9 else f"{subs[0]:02X} to {subs[-1]:02X}"
+    subs = sorted(named.entries)
+    shown = ", ".join(f"{known:02X}" for known in subs) if len(subs) < 9 else f"{subs[0]:02X} to {subs[-1]:02X}"
+    if sub is None and subs != [0]:
+        raise InputError(f"0x{index:04X} {named.name!r} has several entries: write 0x{index:04X}:SS, {shown}")
+    if (sub or 0) not in subs:
+        raise InputError(f"0x{index:04X} {named.name!r}: no sub-index {sub}; allowed are {shown}")
+    return named.entries[sub or 0]
 
 
 def folded(name: str) -> str:
@@ -176,24 +169,24 @@ def folded(name: str) -> str:
 def names(description: Description) -> dict[str, list[Entry]]:
     """Return the entries by folded name: that of the object for a single value, object/entry, and entry alone."""
     known: dict[str, list[Entry]] = {}
-    for _, described in sorted(description.objects.items()):
-        object_name = folded(described.name)
-        for entry in described.entries.values():
+    for _, part in sorted(description.objects.items()):
+        object_name = folded(part.name)
+        for entry in part.entries.values():
             name = folded(entry.name)
-            alone = set(described.entries) == {0}
-            for text in (object_name,) if alone else (f"{object_name.replace('/', '')}/{name.replace('/', '')}", name):
+            both = object_name.replace("/", "") + "/" + name.replace("/", "")
+            for text in (object_name,) if set(part.entries) == {0} else (both, name):
                 known.setdefault(text, []).append(entry)
     return known
 
 
 def _named(description: Description, key: str) -> Entry:
     known = names(description)
-    found = known.get(folded(key), [])
-    if len(found) == 1:
-        return found[0]
-    if found:
-        shown = ", ".join(entry.place for entry in found[:4]) + (", ..." if len(found) > 4 else "")
-        raise InputError(f"{key!r} names {len(found)} entries of {description.path.name}: {shown}; write one of these")
+    named = known.get(folded(key), [])
+    if len(named) == 1:
+        return named[0]
+    if named:
+        shown = ", ".join(entry.place for entry in named[:4]) + (", ..." if len(named) > 4 else "")
+        raise InputError(f"{key!r} names {len(named)} entries of {description.path.name}: {shown}; write one of these")
     near = difflib.get_close_matches(folded(key), list(known), 3, 0.5)
     shown = ", ".join(f"{known[name][0].name!r} ({known[name][0].place})" for name in near)
     hint = f"close to it: {shown}" if near else "write an index such as 0x6064 or a ParameterName of the file"

@@ -65,8 +65,6 @@ class _Reader:
             self._read_list(made)
         return made if made.entries else None
 
-    # --- objects --------------------------------------------------------------------------------------------
-
     def _code(self) -> int:
         section = self._section
         if section is None:
@@ -177,8 +175,6 @@ class _Reader:
             zero.default = highest
         elif zero.initial != highest and highest < 0xFF:
             self._subs[0].say("DefaultValue", f"the highest sub-index is {highest}; the value stays")
-
-    # --- entries --------------------------------------------------------------------------------------------
 
     def _entry(self, sub: int, section: Section, name: str, is_domain: bool, parent: Section | None = None) -> Entry:
         """Read the entry of a section; ``parent`` is the section of its object."""

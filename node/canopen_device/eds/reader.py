@@ -15,6 +15,7 @@ from canopen_device.errors import InputError
 _COMMISSIONING = ("devicecomissioning", "devicecommissioning")  # CiA 306 spells it with one m
 _CONFIGURED = (".dcf", ".xdc")  # of one node
 _UNCONFIGURED, _LAST_NODE_ID = 255, 127
+_NODE_IDS = (*range(1, _LAST_NODE_ID + 1), _UNCONFIGURED)
 _FIRST_DUMMY, _LAST_DUMMY = 1, 0x1B
 
 
@@ -63,10 +64,20 @@ def describe(file: EdsFile, path: Path, content: bytes, node_id: int | None) -> 
     if described.is_dcf and commissioning is None:
         described.add(0, "no section [DeviceComissioning], as a DCF has")
     described.node_id = _node_id(described, commissioning, node_id)
-    _read_device_info(file.sections.get("deviceinfo"), described)
+    info = file.sections.get("deviceinfo")
+    if info is None:
+        described.add(0, "no section [DeviceInfo]")
+    else:
+        described.vendor_name, described.product_name, described.order_code, described.lss = (
+            read_key(info, key) for key in ("VendorName", "ProductName", "OrderCode", "LSS_Supported")
+        )
+        described.bit_rates = tuple(1000 * rate for rate in BIT_RATES_KBIT_S if read_key(info, f"BaudRate_{rate}"))
     if commissioning is not None:
-        _read_commissioning(commissioning, described)
-    _read_dummies(file.sections.get("dummyusage"), described)
+        described.node_name = read_key(commissioning, "NodeName")
+        described.bit_rate = read_key(commissioning, "Baudrate")
+        described.serial = read_key(commissioning, "LSS_SerialNumber") or None  # 0: none is given
+    if "dummyusage" in file.sections:
+        _read_dummies(file.sections["dummyusage"], described)
     read_objects(file, described)
     if not described.objects:
         raise InputError(f"{path}: no object in it; an EDS has a section for each, such as [1000] and [1018sub1]")
@@ -79,44 +90,21 @@ def describe(file: EdsFile, path: Path, content: bytes, node_id: int | None) -> 
 def _node_id(described: Description, section: Section | None, given: int | None) -> int:
     text = (section.get("NodeID") if section is not None else None) or ""
     own = values.integer(text).value if text else None
-    valid = own is not None and (1 <= own <= _LAST_NODE_ID or own == _UNCONFIGURED)
+    valid = own in _NODE_IDS
     if section is not None and text and not valid:
         section.say("NodeID", f"allowed are 1 to {_LAST_NODE_ID}")
     if given is None:
         if own is None or not valid:
             raise InputError(f"{described.path}: names no node-id; give one, 1 to {_LAST_NODE_ID}")
         return own
-    if (
-        isinstance(given, bool)
-        or not isinstance(given, int)
-        or not (1 <= given <= _LAST_NODE_ID or given == _UNCONFIGURED)
-    ):
+    if isinstance(given, bool) or not isinstance(given, int) or given not in _NODE_IDS:
         raise InputError(f"node-id {given!r}: allowed are 1 to {_LAST_NODE_ID}, and {_UNCONFIGURED} for none yet")
     if section is not None and valid and own != given:
-        remark = f"loaded as node {given}; values without $NODEID stay those of node {own}"
-        section.say("NodeID", remark)
+        section.say("NodeID", f"loaded as node {given}; values without $NODEID stay those of node {own}")
     return given
 
 
-def _read_device_info(section: Section | None, described: Description) -> None:
-    if section is None:
-        described.add(0, "no section [DeviceInfo]")
-        return
-    described.vendor_name, described.product_name, described.order_code, described.lss = (
-        read_key(section, key) for key in ("VendorName", "ProductName", "OrderCode", "LSS_Supported")
-    )
-    described.bit_rates = tuple(1000 * rate for rate in BIT_RATES_KBIT_S if read_key(section, f"BaudRate_{rate}"))
-
-
-def _read_commissioning(section: Section, described: Description) -> None:
-    described.node_name = read_key(section, "NodeName")
-    described.bit_rate = read_key(section, "Baudrate")
-    described.serial = read_key(section, "LSS_SerialNumber") or None  # 0: none is given
-
-
-def _read_dummies(section: Section | None, described: Description) -> None:
-    if section is None:
-        return
+def _read_dummies(section: Section, described: Description) -> None:
     used = set()
     for key, text in section.keys.items():
         number = key.removeprefix("dummy")

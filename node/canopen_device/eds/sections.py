@@ -34,10 +34,6 @@ class Finding(NamedTuple):
     line: int
     text: str
 
-    def __str__(self) -> str:
-        """``line 12: ...``."""
-        return f"line {self.line}: {self.text}" if self.line else self.text
-
 
 class Findings(list[Finding]):
     """The findings in a file; too many of them are the end: InputError."""
@@ -72,23 +68,15 @@ class Section:
         """The value of ``key``, in any case; None where it is missing."""
         return self.keys.get(key.lower())
 
-    def line_of(self, key: str) -> int:
-        """The line of ``key``; that of the section where it is missing."""
-        return self.lines.get(key.lower(), self.line)
-
     def text_lines(self) -> list[str]:
         """The lines of the section, and an empty one."""
         return [f"[{self.name}]", *(f"{self.written[key]}={value}" for key, value in self.keys.items()), ""]
 
-    def complaint(self, key: str, what: str) -> str:
-        """``[name] key=value: what``."""
+    def say(self, key: str, what: str) -> None:
+        """Note what is wrong with a key, at its line: ``[name] key=value: what``."""
         value = self.get(key)
         shown = f"{key} missing" if value is None else f"{self.written[key.lower()]}={shortened(value)}"
-        return f"[{self.name}] {shown}: {what}"
-
-    def say(self, key: str, what: str) -> None:
-        """Note what is wrong with a key, at its line."""
-        self.findings.append(Finding(self.line_of(key), self.complaint(key, what)))
+        self.findings.append(Finding(self.lines.get(key.lower(), self.line), f"[{self.name}] {shown}: {what}"))
 
 
 def shortened(text: str) -> str:
@@ -134,11 +122,6 @@ class EdsFile:
         """Note what is wrong at ``line``."""
         self.findings.append(Finding(line, text))
 
-    @property
-    def complaints(self) -> list[str]:
-        """The findings as text."""
-        return [str(finding) for finding in self.findings]
-
     def entry(self, index: int, sub: int) -> Section | None:
         """The section of an entry: that of the sub-index, or of the object itself where it has none."""
         if index in self.subs:
@@ -176,12 +159,10 @@ def parse(text: str, path: str | Path = "") -> EdsFile:
             section = open_section(file, _heading(file, line, number), number)
         elif section is None:
             file.add(number, f"{_shown(line)}: a key needs a [section] above it; skipped")
-        elif "=" in line:
-            key, _, value = line.partition("=")
-            add_key(file, section, key.strip(), value, number)
-        elif ":" in line:
-            file.add(number, f"{_shown(line)}: the form is key=value; read so")
-            key, _, value = line.partition(":")
+        elif "=" in line or ":" in line:
+            if "=" not in line:
+                file.add(number, f"{_shown(line)}: the form is key=value; read so")
+            key, _, value = line.partition("=" if "=" in line else ":")
             add_key(file, section, key.strip(), value, number)
         else:
             file.add(number, f"{_shown(line)}: allowed are [section], key=value and ; comment; skipped")
@@ -211,21 +192,19 @@ def open_section(file: EdsFile, name: str, number: int) -> Section:
         first = file.sections[key].line
         file.add(number, f"[{shortened(name)}]: the section is already there at line {first}; the first one applies")
         return section
-    match = _OBJECT.fullmatch(name) or _SUB.fullmatch(name) or _LIST.fullmatch(name)
-    index = int(match[1], 16) if match else 0
-    if _SUB.fullmatch(name) and match:
-        known: Section | None = file.subs.setdefault(index, {}).setdefault(int(match[2], 16), section)
-    elif _LIST.fullmatch(name) and match:
-        known = file.lists.setdefault(index, {}).setdefault(match[2].lower(), section)
-    else:
-        known = file.objects.setdefault(index, section) if match else section
-    if known is not None and known is not section:  # [018] and [0018]
-        problem = f"[{name}]: the same as [{known.name}] at line {known.line}; the first one applies"
-        file.add(number, problem)
-        return section
-    if match is None and _NEAR_OBJECT.match(name):
+    known = section
+    if match := _OBJECT.fullmatch(name):
+        known = file.objects.setdefault(int(match[1], 16), section)
+    elif match := _SUB.fullmatch(name):
+        known = file.subs.setdefault(int(match[1], 16), {}).setdefault(int(match[2], 16), section)
+    elif match := _LIST.fullmatch(name):
+        known = file.lists.setdefault(int(match[1], 16), {}).setdefault(match[2].lower(), section)
+    elif _NEAR_OBJECT.match(name):
         file.add(number, f"[{shortened(name)}]: the forms are [2000] and [2000sub1]; the section is skipped")
-    file.sections[key] = section
+    if known is section:
+        file.sections[key] = section
+    else:  # [018] and [0018]
+        file.add(number, f"[{name}]: the same as [{known.name}] at line {known.line}; the first one applies")
     return section
 
 
@@ -236,10 +215,8 @@ def add_key(file: EdsFile, section: Section, name: str, value: str, number: int)
     if key != name.lower():
         file.add(number, f"[{section.name}] {shortened(name)}: a key has no blanks; read without")
     if key in section.keys:
-        problem = (
-            f"[{section.name}] {name}: the key is already there at line {section.line_of(key)}; the first one applies"
-        )
-        file.add(number, problem)
+        problem = f"the key is already there at line {section.lines.get(key, section.line)}; the first one applies"
+        file.add(number, f"[{section.name}] {name}: {problem}")
         return
     section.keys[key] = value.strip()
     section.written[key] = name
@@ -256,10 +233,6 @@ _MAPPABLE = ("optional", "default", "tpdo", "rpdo", "on", "y")  # in words, as a
 
 Parsed = tuple[Any, str]
 """A value, None for what is none, and a remark, "" where the text is as CiA 306-1 has it."""
-
-
-def _text(text: str) -> Parsed:
-    return text, ""
 
 
 def _name(text: str) -> Parsed:
@@ -301,7 +274,7 @@ def _bit_rate(text: str) -> Parsed:
 class Key(NamedTuple):
     """How a key is read, its value where it is missing or nothing can be read, and its name in an XDD."""
 
-    parse: Callable[[str], Parsed] = _text
+    parse: Callable[[str], Parsed] = lambda text: (text, "")
     default: Any = ""
     xdd: str = ""
 

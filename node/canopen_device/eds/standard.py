@@ -6,7 +6,7 @@ from canopen_device.core import codes
 from canopen_device.core import communication as at
 from canopen_device.eds import values
 from canopen_device.eds.description import ARRAY, RECORD, VAR, Description, Entry, Object
-from canopen_device.eds.sections import EdsFile, Section
+from canopen_device.eds.sections import EdsFile
 
 _U8, _U16, _U32 = "B", "H", "I"
 _VARIABLES = {
@@ -20,10 +20,12 @@ _LISTS = {
     at.ERROR_HISTORY: _U32, at.STORE_PARAMETERS: _U32, at.RESTORE_DEFAULTS: _U32, at.CONSUMER_HEARTBEAT: _U32,
     at.IDENTITY: _U32, at.VERIFY_CONFIGURATION: _U32, at.ERROR_BEHAVIOUR: _U8,
 }  # fmt: skip
-_PDO_PARAMETER = {1: _U32, 2: _U8, 3: _U16, 4: _U8, 5: _U16, 6: _U8}
-_SDO_PARAMETER = {1: _U32, 2: _U32, 3: _U8}
-_MANDATORY = {at.DEVICE_TYPE: "Device type", at.ERROR_REGISTER: "Error register", at.IDENTITY: "Identity"}
-_IDENTITY = ("Vendor-ID", "Product code", "Revision number")
+_PDO_PARAMETER = {0: _U8, 1: _U32, 2: _U8, 3: _U16, 4: _U8, 5: _U16, 6: _U8}
+_SDO_PARAMETER = {0: _U8, 1: _U32, 2: _U32, 3: _U8}
+_MANDATORY = {  # the names of objects, and of the entries of a record
+    at.DEVICE_TYPE: ["Device type"], at.ERROR_REGISTER: ["Error register"],
+    at.IDENTITY: ["Identity", "Highest sub-index supported", "Vendor-ID", "Product code", "Revision number"],
+}  # fmt: skip
 _LAST_SDO = at.SDO_SERVER | 0xFF
 _TEXT_OR_DATA = ("s", "D")
 
@@ -32,14 +34,12 @@ def standard_letter(index: int, sub: int) -> str | None:
     """Return the type of an entry of the communication area, None where CiA 301 fixes none."""
     if index in _VARIABLES:
         return _VARIABLES[index] if sub == 0 else None
-    if index in _LISTS:
-        return _LISTS[index] if sub else _U8
     if at.RPDO <= index <= at.LAST_RPDO or at.TPDO <= index <= at.LAST_TPDO:
-        return _PDO_PARAMETER.get(sub) if sub else _U8
-    if is_mapping(index):
-        return _U32 if sub else _U8
+        return _PDO_PARAMETER.get(sub)
     if at.SDO_SERVER <= index <= _LAST_SDO:
-        return _SDO_PARAMETER.get(sub) if sub else _U8
+        return _SDO_PARAMETER.get(sub)
+    if index in _LISTS or is_mapping(index):
+        return _LISTS.get(index, _U32) if sub else _U8
     return None
 
 
@@ -56,16 +56,14 @@ def is_needed_integer(index: int, sub: int) -> bool:
 
 def add_mandatory(eds: Description) -> None:
     """Add the objects that every device has (CiA 301, 7.5.2) where the file has none, and report them."""
-    for index, name in _MANDATORY.items():
+    for index, (name, *entry_names) in _MANDATORY.items():
         if index in eds.objects:
             continue
-        is_record = index == at.IDENTITY
-        made = eds.objects[index] = Object(index, name, RECORD if is_record else VAR, 0)
-        for sub in range(len(_IDENTITY) + 1 if is_record else 1):
-            letter, default = standard_letter(index, sub) or _U8, len(_IDENTITY) if is_record and sub == 0 else 0
-            entry_name = name if not is_record else ("Highest sub-index supported", *_IDENTITY)[sub]
+        made = eds.objects[index] = Object(index, name, RECORD if entry_names else VAR, 0)
+        for sub, entry_name in enumerate(entry_names or [name]):
+            letter, default = standard_letter(index, sub) or _U8, 0 if sub else max(0, len(entry_names) - 1)
             made.entries[sub] = Entry(index, sub, entry_name, letter, "ro", default, has_default=not sub)
-        value = "the numbers of [DeviceInfo]" if is_record else "the value 0"
+        value = "the numbers of [DeviceInfo]" if entry_names else "the value 0"
         eds.add(0, f"no object 0x{index:04X}, which is mandatory (CiA 301, 7.5.2); added with {value}")
 
 
@@ -75,9 +73,9 @@ COUNTS = (
     ("NrOfRXPDO", at.RPDO, at.LAST_RPDO, codes.RPDO_BASES),
     ("NrOfTXPDO", at.TPDO, at.LAST_TPDO, codes.TPDO_BASES),
 )
-_PARAMETERS = (  # bit k of CompactPDO: sub-index k + 1 of the communication parameter
-    ("COB-ID", "I"), ("Transmission type", "B"), ("Inhibit time", "H"), ("Compatibility entry", "B"),
-    ("Event timer", "H"), ("SYNC start value", "B"),
+# Bit k of CompactPDO: sub-index k + 1 of the communication parameter.
+_PARAMETERS = (
+    "COB-ID", "Transmission type", "Inhibit time", "Compatibility entry", "Event timer", "SYNC start value",
 )  # fmt: skip
 _ALL, _MOST = 0x3F, 512
 _EVENT_DRIVEN = 255
@@ -102,61 +100,42 @@ def add_compact_pdos(file: EdsFile, eds: Description) -> None:
         if remark or count is None or not 0 <= count <= _MOST:
             section.say(key, remark or f"allowed are 0 to {_MOST}")
         elif mask:
-            _add(section, eds, first, count, mask, bases, granularity)
+            most = _BITS // granularity if 1 <= granularity <= _BITS else 8
+            _add(eds, section.line, first, count, mask, bases, most)
         elif count != there:
             kind = "1400h" if first == at.RPDO else "1800h"
             section.say(key, f"the file has {there} PDOs from {kind} on; these apply")
 
 
-def _add(
-    section: Section,
-    eds: Description,
-    first: int,
-    count: int,
-    mask: int,
-    bases: tuple[int, ...],
-    granularity: int,
-) -> None:
+def _add(eds: Description, line: int, first: int, count: int, mask: int, bases: tuple[int, ...], most: int) -> None:
     absent = [number for number in range(_MOST) if first + number not in eds.objects]
     missing = absent[: max(0, count - (_MOST - len(absent)))]
     for number in range(missing[-1] + 1 if missing else 0):
         index, made = first + number, []
         if number in missing:
-            made.append(_parameter(section, eds, index, number, mask, bases))
+            made.append(_parameter(eds, line, index, number, mask, bases))
         if index + at.MAPPING not in eds.objects:
-            made.append(_mapping(section, index + at.MAPPING, granularity))
+            made.append(Object(index + at.MAPPING, "PDO mapping", ARRAY, line))
+            for sub in range(most + 1):
+                name, letter = (f"Mapped object {sub}", "I") if sub else ("Number of mapped objects", "B")
+                made[-1].entries[sub] = Entry(index + at.MAPPING, sub, name, letter, "rw", 0, line=line)
         for added in made:
             eds.objects[added.index] = added
             for entry in added.entries.values():
                 eds.take(entry)
 
 
-def _parameter(
-    section: Section, eds: Description, index: int, number: int, mask: int, bases: tuple[int, ...]
-) -> Object:
+def _parameter(eds: Description, line: int, index: int, number: int, mask: int, bases: tuple[int, ...]) -> Object:
     """Return a communication parameter: the identifier of the pre-defined connection set for the first four PDOs."""
-    made = Object(index, f"PDO parameter {number + 1}", RECORD, section.line)
+    made = Object(index, f"PDO parameter {number + 1}", RECORD, line)
     subs = [k + 1 for k in range(len(_PARAMETERS)) if mask >> k & 1]
-    made.entries[0] = Entry(index, 0, "Highest sub-index", "B", "const", max(subs), line=section.line)
+    made.entries[0] = Entry(index, 0, "Highest sub-index", "B", "const", max(subs), line=line)
     for sub in subs:
-        name, letter = _PARAMETERS[sub - 1]
-        entry = Entry(index, sub, name, letter, "rw", 0, line=section.line)
-        if sub == 1 and number < len(bases):
-            entry.default, entry.has_node_id = bases[number] + eds.node_id, True
-            if bases is codes.TPDO_BASES:
-                entry.default |= codes.NO_RTR
-        elif sub == 1:
-            entry.default = codes.COB_ID_INVALID
-        elif sub == 2:
-            entry.default = _EVENT_DRIVEN
-        made.entries[sub] = entry
-    return made
-
-
-def _mapping(section: Section, index: int, granularity: int) -> Object:
-    made = Object(index, "PDO mapping", ARRAY, section.line)
-    most = _BITS // granularity if 1 <= granularity <= _BITS else 8
-    made.entries[0] = Entry(index, 0, "Number of mapped objects", "B", "rw", 0, line=section.line)
-    for sub in range(1, most + 1):
-        made.entries[sub] = Entry(index, sub, f"Mapped object {sub}", "I", "rw", 0, line=section.line)
+        name, default = _PARAMETERS[sub - 1], _EVENT_DRIVEN if sub == 2 else 0
+        made.entries[sub] = Entry(index, sub, name, _PDO_PARAMETER[sub], "rw", default, line=line)
+    if 1 in subs and number < len(bases):
+        no_rtr = codes.NO_RTR if bases is codes.TPDO_BASES else 0
+        made.entries[1].default, made.entries[1].has_node_id = bases[number] + eds.node_id | no_rtr, True
+    elif 1 in subs:
+        made.entries[1].default = codes.COB_ID_INVALID
     return made

@@ -50,18 +50,18 @@ def integer(text: str, node_id: int = 0) -> Read:
     if len(plain) > _LONGEST_SUM:
         return Read(None, False, f"{len(plain)} characters are no number")
     if not _NODE_ID.search(plain):
-        value, told = _number(plain)
-        return Read(value, False, told or remark)
+        value, problem = _number(plain)
+        return Read(value, False, problem or remark)
     total, seen = 0, 0
-    for part in plain.split("+"):
-        if _NODE_ID.fullmatch(part.strip()):
+    for part in map(str.strip, plain.split("+")):
+        if _NODE_ID.fullmatch(part):
             seen += 1
-            remark = remark or ("" if part.strip().upper() == "$NODEID" else "the form is $NODEID")
+            remark = remark or ("" if part.upper() == "$NODEID" else "the form is $NODEID")
             continue
-        value, told = _number(part.strip())
+        value, problem = _number(part)
         if value is None:
             return Read(None, False, "allowed are a number, and a sum of numbers and $NODEID")
-        total, remark = total + value, remark or told
+        total, remark = total + value, remark or problem
     if seen > 1:
         remark = f"$NODEID occurs {seen} times; it is added once"
     return Read(total + node_id, True, remark)
@@ -73,9 +73,7 @@ def _number(text: str) -> tuple[int | None, str]:
     if len(digits) > _MOST_DIGITS:
         return None, f"{len(digits)} characters are no number"
     value, remark = _unsigned(digits)
-    if value is None:
-        return None, remark
-    number = -value if negative else value
+    number = -value if negative and value is not None else value
     return number, remark.replace(_READ, str(number))
 
 
@@ -108,14 +106,13 @@ def typed(kind: DataType, text: str, node_id: int) -> tuple[Value, bool, str]:
     """Read a value of a type: the value, whether $NODEID is in it, and a remark. Empty text is 0 or empty."""
     if kind.python is int:
         return _integer(kind, text, node_id)
-    if kind.python is float:
-        value, remark = _real(kind, text)
-        return value, False, remark
-    if kind.python is str:
-        shown, remark = _string(kind, text)
-        return shown, False, remark
-    data, remark = _bytes(kind, text)
-    return data, False, remark
+    if kind.letter == "s":
+        shown = text.encode("latin-1", "replace").decode("latin-1")
+        return shown, False, "" if shown == text else f"not in {kind.name}; read with ? for other characters"
+    if kind.letter == "u":
+        return text, False, ""
+    value, remark = _real(kind, text) if kind.python is float else _bytes(kind, text)
+    return value, False, remark
 
 
 def limit(kind: DataType, text: str, node_id: int) -> tuple[int | float | None, str]:
@@ -126,29 +123,22 @@ def limit(kind: DataType, text: str, node_id: int) -> tuple[int | float | None, 
     return value, remark
 
 
-def _string(kind: DataType, text: str) -> tuple[str, str]:
-    if kind.letter == "u":
-        return text, ""
-    found = text.encode("latin-1", "replace").decode("latin-1")
-    return found, "" if found == text else f"not in {kind.name}; read with ? for other characters"
-
-
 def _integer(kind: DataType, text: str, node_id: int) -> tuple[int, bool, str]:
     if not text:
         return 0, False, ""
     value, has_node_id, remark = integer(text, node_id)
     if value is None:
         return 0, False, f"{remark}; {_AS_ZERO}"
-    if kind.limits is None or kind.size is None:
-        raise AssertionError(kind.name)
+    assert kind.limits is not None
+    assert kind.size is not None
     low, high = kind.limits
     if low <= value <= high:
         return value, has_node_id, remark
     bits = 8 * kind.size
     wrapped = (value + (1 << bits - 1)) % (1 << bits) - (1 << bits - 1) if low < 0 else value % (1 << bits)
-    hexadecimal = "x" in text.lower()
     if kind.letter != "?" and -(1 << bits - 1) <= value < 1 << bits:  # the same bits with the other sign
-        return wrapped, has_node_id, remark if hexadecimal and low < 0 else f"not in {kind.name}; read as {wrapped}"
+        as_bits = "x" in text.lower() and low < 0
+        return wrapped, has_node_id, remark if as_bits else f"not in {kind.name}; read as {wrapped}"
     nearest = min(max(value, low), high)
     return nearest, has_node_id, f"not in {kind.name}, {low} to {high}; read as {nearest}"
 
@@ -178,14 +168,14 @@ def _bytes(kind: DataType, text: str) -> tuple[bytes, str]:
     """Read hexadecimal bytes; a text that is none stands for its own bytes."""
     bare = "".join(text.split()).removeprefix("0x").removeprefix("0X")
     try:
-        found = bytes.fromhex(bare)
+        data = bytes.fromhex(bare)
     except ValueError:
-        found = text.encode("utf-8")
+        data = text.encode("utf-8")
         if kind.size is None:
-            return found, "not hexadecimal bytes; read as text"
-    if kind.size is None or len(found) == kind.size:
-        return found, ""
-    if not found:
+            return data, "not hexadecimal bytes; read as text"
+    if kind.size is None or len(data) == kind.size:
+        return data, ""
+    if not data:
         return bytes(kind.size), ""
     number = integer(text).value
     if number is not None and 0 <= number < 1 << 8 * kind.size:

@@ -106,8 +106,6 @@ class Drive(DeviceApplication):
             self.velocity = 0.0
         self._publish()
 
-    # --- the state machine (CiA 402-2, 8.4.1) ---------------------------------------------------------------
-
     def _command(self, word: int) -> None:
         rising = word & ~self._control
         self._control = word
@@ -169,8 +167,6 @@ class Drive(DeviceApplication):
             if self._get(HOMING_METHOD) in _CURRENT_POSITION:
                 self._end_homing()
 
-    # --- motion ---------------------------------------------------------------------------------------------
-
     def _move(self, mode: int, dt_s: float) -> None:
         slow_down = self._get(PROFILE_DECELERATION)
         if self.state != ENABLED:
@@ -230,8 +226,6 @@ class Drive(DeviceApplication):
         inside = min(max(position, low), high) if low < high else position
         self._limited = inside != position
         return inside
-
-    # --- objects --------------------------------------------------------------------------------------------
 
     def _publish(self) -> None:
         """Set the objects that a master reads."""

@@ -41,8 +41,8 @@ INHIBIT = (*NEEDS, (0x1015, 0))
 @case("7.2.7.3: the message: 8 bytes, code, error register, the manufacturer's five", NEEDS)
 def message(dut: Dut) -> None:
     data = make_error(dut)
-    if len(data) != 8 or data[:2] != b"\x40\x82" or data[2:3] != dut.read(0x1001):
-        raise CheckError("40 82, 1001h and five bytes", data.hex(" "))
+    right = len(data) == 8 and data[:2] == b"\x40\x82" and data[2:3] == dut.read(0x1001)
+    check(right, "40 82, 1001h and five bytes", data.hex(" "))
 
 
 case("register_clear 7.5.2.2: 1001h is 0 without an error", NEEDS)(do.holds("B", 0x1001, 0, 0))
@@ -58,21 +58,16 @@ def cured(dut: Dut) -> None:
     check(data[2] == 0 and dut.integer("B", 0x1001) == 0, "error register 0", data.hex(" "))
 
 
-@case("7.2.7.1: of two errors one ends: the register keeps the other's bits", (*NEEDS, (0x1016, 1)))
-def cured_one(dut: Dut) -> None:
-    dut.put("I", 0x1016, 1, 0x700014)
-    dut.send(0x770, "05")
-    dut.emcy("30 81 11 *")
-    make_error(dut)
-    check(cure_error(dut)[2] == 0x11, "error register 11h", "another one")
-
-
+case("cured_one 7.2.7.1: of two errors one ends: the register keeps the other's bits", (*NEEDS, (0x1016, 1)))(
+    do.put("I", 0x1016, 1, 0x700014),
+    do.send(0x770, "05"),
+    do.emcy("30 81 11 *"),
+    make_error,
+    lambda dut: check(cure_error(dut)[2] == 0x11, "error register 11h", "another one"),
+)
 case.each(
     "register_reset 7.2.8.2.1.5: {1} clears the register", NEEDS, [(129, "reset node"), (130, "reset communication")]
 )(lambda command, _name: (make_error, do.reset(command), do.holds("B", 0x1001, 0, 0), do.no_emcy()))
-
-
-# --- history ----------------------------------------------------------------------------------------------
 
 
 def clear(dut: Dut) -> None:
@@ -123,13 +118,15 @@ case("history_read_only 7.5.2.4: entries cannot be written", (*HISTORY, (0x1003,
 )
 
 
-# --- 1014h ------------------------------------------------------------------------------------------------
-
-
 def check_on(dut: Dut) -> None:
     """End a case about a device that sends no EMCY by default."""
     if dut.integer("I", 0x1014) & INVALID:
         raise NotApplicableError("1014h: EMCY is switched off")
+
+
+def switch_off(dut: Dut) -> None:
+    """Make the EMCY object invalid."""
+    dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id)
 
 
 case("default 7.5.2.17: the default CAN-ID is 080h + node-id", NEEDS)(
@@ -139,7 +136,7 @@ case("switched_off 7.5.2.17: with bit 31 set there is no EMCY, but register and 
     make_error,
     cure_error,
     clear,
-    lambda dut: dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id),
+    switch_off,
     break_sync,
     do.holds("B", 0x1001, 0, 0x11),
     do.holds("B", 0x1003, 0, 1),
@@ -151,7 +148,7 @@ case("moved_while_valid 7.5.2.17: another CAN-ID while the object exists: 060900
     lambda dut: dut.holds("I", 0x1014, 0, 0x80 + dut.node_id),
 )
 case("moved 7.5.2.17: switched off, moved, switched on", NEEDS)(
-    lambda dut: dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id),
+    switch_off,
     do.put("I", 0x1014, 0, 0x390),
     break_sync,
     do.expect(0x390, "40 82 *"),
@@ -159,15 +156,9 @@ case("moved 7.5.2.17: switched off, moved, switched on", NEEDS)(
 )
 
 
-@case("7.5.2.17: 1014h = {0:08X}h: 06090030h", NEEDS, each=[
+case.each("refused 7.5.2.17: 1014h = {0:08X}h: 06090030h", NEEDS, [
     (0x000,), (0x07F,), (0x101,), (0x581,), (0x601,), (0x6E0,), (0x701,), (0x20000390,), (0x40000390,), (0x00001390,),
-])  # fmt: skip
-def refused(dut: Dut, value: int) -> None:
-    dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id)
-    dut.refuses("I", 0x1014, 0, value, Abort.INVALID_VALUE)
-
-
-# --- 1015h ------------------------------------------------------------------------------------------------
+])(lambda value: (switch_off, do.refuses("I", 0x1014, 0, value, Abort.INVALID_VALUE)))  # fmt: skip
 
 
 @case("7.5.2.18: the inhibit time lies between two messages, and none is lost", INHIBIT)

@@ -3,19 +3,10 @@
 from __future__ import annotations
 
 from canopen_conformance import steps as do
+from canopen_conformance import wire
 from canopen_conformance.case import Service
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import (
-    OPERATIONAL,
-    PRE_OPERATIONAL,
-    REMOTE_FLAG,
-    RESET_COMMUNICATION,
-    START,
-    STATES,
-    STOP,
-    STOPPED,
-    Abort,
-)
+from canopen_conformance.wire import Abort
 
 heartbeat = Service("error_control")
 guarding = Service("node_guarding")
@@ -38,13 +29,10 @@ def lost(dut: Dut, within_ms: int = 100) -> None:
     dut.emcy(lambda d: len(d) == 8 and d[:2] == b"\x30\x81" and d[2] & 0x11 == 0x11, within_ms)
 
 
-# --- producer ---------------------------------------------------------------------------------------------
-
-
 heartbeat.each("period 7.2.8.3.2.2: a heartbeat each {0} ms", PRODUCER, [(20,), (50,), (110,)])(
     lambda ms: (do.accepts("H", 0x1017, 0, ms), do.each_ms(ms, 3, "three periods of", do.heartbeat("7F", 2 * ms)))
 )
-heartbeat.each("heartbeat_state 7.2.8.3.2.2: the heartbeat in {1} carries {0:02X}h", PRODUCER, STATES)(
+heartbeat.each("heartbeat_state 7.2.8.3.2.2: the heartbeat in {1} carries {0:02X}h", PRODUCER, wire.STATES)(
     lambda state, _name: (do.beat(), do.enter(state), do.state(state))
 )
 heartbeat("producer_off 7.5.2.20: 1017h = 0 ends the heartbeat", PRODUCER)(
@@ -58,9 +46,6 @@ heartbeat("new_period 7.5.2.20: a new period holds from the write on", PRODUCER)
 @heartbeat("7.5.2.20: {1} bytes for 1017h are refused", PRODUCER, each=[("B", 1), ("I", 4)])
 def producer_size(dut: Dut, kind: str, size: int) -> None:
     dut.refuses(kind, 0x1017, 0, 100, Abort.WRONG_LENGTH, Abort.TOO_LONG if size > 2 else Abort.TOO_SHORT)
-
-
-# --- consumer ---------------------------------------------------------------------------------------------
 
 
 heartbeat("consumer_read_back 7.5.2.19: 1016h is read back as written", CONSUMER)(
@@ -103,11 +88,11 @@ heartbeat("watched_again 7.2.8.2.2.3: a heartbeat that returned is watched again
     "7.5.2.32: 1029h:1 = {0}: a lost heartbeat in {2} leads to {4}",
     BEHAVIOUR,
     each=[
-        (0, OPERATIONAL, "OPERATIONAL", PRE_OPERATIONAL, "PRE-OPERATIONAL"),
-        (1, OPERATIONAL, "OPERATIONAL", OPERATIONAL, "OPERATIONAL"),
-        (2, OPERATIONAL, "OPERATIONAL", STOPPED, "STOPPED"),
-        (0, PRE_OPERATIONAL, "PRE-OPERATIONAL", PRE_OPERATIONAL, "PRE-OPERATIONAL"),
-        (0, STOPPED, "STOPPED", STOPPED, "STOPPED"),
+        (0, wire.OPERATIONAL, "OPERATIONAL", wire.PRE_OPERATIONAL, "PRE-OPERATIONAL"),
+        (1, wire.OPERATIONAL, "OPERATIONAL", wire.OPERATIONAL, "OPERATIONAL"),
+        (2, wire.OPERATIONAL, "OPERATIONAL", wire.STOPPED, "STOPPED"),
+        (0, wire.PRE_OPERATIONAL, "PRE-OPERATIONAL", wire.PRE_OPERATIONAL, "PRE-OPERATIONAL"),
+        (0, wire.STOPPED, "STOPPED", wire.STOPPED, "STOPPED"),
     ],
 )
 def behaviour(dut: Dut, value: int, before: int, _in: str, after: int, _to: str) -> None:
@@ -126,7 +111,7 @@ heartbeat.each(
     [
         ((0, "05 05"), "two bytes"),
         ((0, ""), "no data"),
-        ((REMOTE_FLAG, ""), "a remote frame"),
+        ((wire.REMOTE_FLAG, ""), "a remote frame"),
         ((1, "05"), "of another node"),
     ],
 )(
@@ -156,13 +141,13 @@ heartbeat("lost_then_off 7.5.2.19: a lost node whose entry is set to 0 is an err
     do.run(watch, 20), lost, do.put("I", 0x1016, 1, 0), do.holds("B", 0x1001, 0, 0)
 )
 heartbeat("watch_reset 7.2.8.2.1.6: reset communication ends every watch", CONSUMER)(
-    do.run(watch, 60), do.reset(RESET_COMMUNICATION), do.no_emcy(ms=120)
+    do.run(watch, 60), do.reset(wire.RESET_COMMUNICATION), do.no_emcy(ms=120)
 )
 
 
 def guard(dut: Dut, wanted: str) -> None:
     """The guarding master's remote frame, and the answer."""
-    dut.send(0x700 + dut.node_id | REMOTE_FLAG)
+    dut.send(0x700 + dut.node_id | wire.REMOTE_FLAG)
     dut.heartbeat(wanted)
 
 
@@ -177,7 +162,7 @@ def life(dut: Dut, guard_ms: int, factor: int) -> None:
 guarding("toggle 7.2.8.3.2.1: the answer carries the state; the toggle bit starts at 0 and alternates", GUARDING)(
     do.run(life, 0, 0), do.repeat(2, do.run(guard, "7F"), do.run(guard, "FF"))
 )
-guarding.each("guarding_state 7.2.8.3.2.1: guarding in {1}", GUARDING, STATES[1:])(
+guarding.each("guarding_state 7.2.8.3.2.1: guarding in {1}", GUARDING, wire.STATES[1:])(
     lambda state, _name: (
         do.run(life, 0, 0),
         do.run(guard, "7F"),
@@ -187,7 +172,7 @@ guarding.each("guarding_state 7.2.8.3.2.1: guarding in {1}", GUARDING, STATES[1:
     )
 )
 guarding("toggle_reset 7.2.8.3.2.1: reset communication sets the toggle bit to 0", GUARDING)(
-    do.run(life, 0, 0), do.run(guard, "7F"), do.reset(RESET_COMMUNICATION), do.run(life, 0, 0), do.run(guard, "7F")
+    do.run(life, 0, 0), do.run(guard, "7F"), do.reset(wire.RESET_COMMUNICATION), do.run(life, 0, 0), do.run(guard, "7F")
 )
 guarding("life_lost 7.2.8.2.2.2: the life time runs out: EMCY 8130h; the next remote frame cures", GUARDING)(
     do.run(life, 30, 2),
@@ -221,11 +206,11 @@ guarding("heartbeat_ends_life 7.2.8.2.2: a heartbeat that is switched on ends li
 guarding("life_behaviour 7.5.2.32: life guarding lost in OPERATIONAL: PRE-OPERATIONAL", (*GUARDING, (0x1029, 1)))(
     do.put("B", 0x1029, 1, 0),
     do.run(life, 30, 1),
-    do.nmt(START),
+    do.nmt(wire.START),
     do.run(guard, "05"),
     do.emcy("30 81 *", 100),
     do.run(guard, "FF"),
 )
 guarding("no_guard 7.2.8.3.2.1: a data frame on the guarding identifier is not answered", GUARDING)(
-    do.run(life, 0, 0), do.nmt(STOP), lambda dut: dut.send(0x700 + dut.node_id), do.no_heartbeat()
+    do.run(life, 0, 0), do.nmt(wire.STOP), lambda dut: dut.send(0x700 + dut.node_id), do.no_heartbeat()
 )

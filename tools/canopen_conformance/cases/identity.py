@@ -10,18 +10,13 @@ from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.pdo import TPDO1, check_mapped
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, RESETS, Abort
+from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, RESETS, START, Abort
 
 identity = Service("identity")
 storage = Service("storage")
 
 
-@identity("7.5.2.1: 1000h is there, an UNSIGNED32, and stays the same")
-def device_type(dut: Dut) -> None:
-    first = dut.integer("I", 0x1000)
-    dut.holds("I", 0x1000, 0, first)
-
-
+identity("device_type 7.5.2.1: 1000h is there, an UNSIGNED32, and stays the same")(do.unchanged("I", 0x1000, 0))
 identity("error_register 7.5.2.2: 1001h is there, an UNSIGNED8")(do.integer("B", 0x1001))
 identity("status_register 7.5.2.3: 1002h is an UNSIGNED32 that cannot be written", ((0x1002, 0),))(
     do.integer("I", 0x1002), do.refuses("I", 0x1002, 0, 0, Abort.READ_ONLY)
@@ -61,14 +56,9 @@ identity.each(
 )(lambda sub: (do.put("I", 0x1020, sub, 0x12345678), do.holds("I", 0x1020, sub, 0x12345678)))
 
 
-@identity("7.5.2.23: 1020h is lost with what it speaks of, unless stored", ((0x1020, 1),))
-def configuration_lost(dut: Dut) -> None:
-    before = dut.integer("I", 0x1020, 1)
-    dut.put("I", 0x1020, 1, before ^ 0xFF)
-    dut.reset()
-    dut.holds("I", 0x1020, 1, before)
-
-
+identity("configuration_lost 7.5.2.23: 1020h is lost with what it speaks of, unless stored", ((0x1020, 1),))(
+    do.unchanged("I", 0x1020, 1, lambda dut: dut.put("I", 0x1020, 1, dut.integer("I", 0x1020, 1) ^ 0xFF), do.reset())
+)
 identity.each(
     "sdo_server 7.5.2.33: 1200h:{0} is the pre-defined COB-ID {1:03X}h + node-id",
     ((0x1200, 1), (0x1200, 2)),
@@ -176,11 +166,7 @@ def restore(dut: Dut, sub: int) -> None:
         dut.holds("I", 0x1016, 1, 0)
 
 
-@storage(
-    "7.5.2.13: PDO parameters are stored, and the PDO works as stored",
-    ((0x1010, 2), *TPDO1),
-    persistent=True,
-)
+@storage("7.5.2.13: PDO parameters are stored, and the PDO works as stored", ((0x1010, 2), *TPDO1), persistent=True)
 def stored_pdo(dut: Dut) -> None:
     cob_id = dut.integer("I", 0x1800, 1)
     check_mapped(dut)
@@ -191,6 +177,6 @@ def stored_pdo(dut: Dut) -> None:
         store(dut, 2)
         dut.reset(RESET_NODE)
         dut.holds("I", 0x1800, 1, cob_id & 0x40000000 | 0x3A5)
-        dut.nmt(1)
+        dut.nmt(START)
         dut.send(0x080)
         dut.expect(0x3A5)

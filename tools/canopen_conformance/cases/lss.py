@@ -7,11 +7,11 @@ All of them select the device by its identity, so that other LSS slaves on the b
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import CheckError, NotApplicableError, Service, check
+from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, STOP
 
@@ -37,10 +37,15 @@ def identity(dut: Dut) -> list[int]:
     return [dut.integer("I", 0x1018, sub) for sub in (1, 2, 3, 4)]
 
 
+def say_each(dut: Dut, first: int, numbers: Iterable[tuple[int, int]]) -> None:
+    """A request for each (part, number): ``first`` is 0x40, switch state selective, or 0x46, identify remote slave."""
+    for part, number in numbers:
+        say(dut, first + part, number=number)
+
+
 def select(dut: Dut, numbers: list[int]) -> None:
     """The four requests of "switch state selective"."""
-    for part, number in enumerate(numbers):
-        say(dut, 0x40 + part, number=number)
+    say_each(dut, 0x40, enumerate(numbers))
 
 
 def waiting(dut: Dut) -> None:
@@ -84,14 +89,9 @@ def global_configuration(dut: Dut) -> None:
         raise NotApplicableError("no LSS slave")
 
 
-@case("6.3.1: switch state global, waiting: inquiries are not answered", IDENTITY)
-def global_waiting(dut: Dut) -> None:
-    with configuring(dut):
-        pass
-    say(dut, 0x5E)
-    dut.silence(SLAVE)
-
-
+case("global_waiting 6.3.1: switch state global, waiting: inquiries are not answered", IDENTITY)(
+    do.within(configuring), do.run(say, 0x5E), do.silence(SLAVE)
+)
 case.each("global_mode 6.3.1: switch state global with mode {0} does nothing", IDENTITY, [(2,), (255,)])(
     lambda mode: (do.run(say, 0x04, mode), do.run(say, 0x5E), do.silence(SLAVE))
 )
@@ -115,18 +115,12 @@ def selective_other(dut: Dut, part: int, _name: str) -> None:
     dut.silence(SLAVE)
 
 
-@case("6.3.2: switch state selective without its first request: silence", IDENTITY)
-def selective_incomplete(dut: Dut) -> None:
-    for part, number in list(enumerate(identity(dut)))[1:]:
-        say(dut, 0x40 + part, number=number)
-    dut.silence(SLAVE)
-
-
-@case("6.3.2: switch state selective in another order: silence", IDENTITY)
-def selective_order(dut: Dut) -> None:
-    for part, number in reversed(list(enumerate(identity(dut)))):
-        say(dut, 0x40 + part, number=number)
-    dut.silence(SLAVE)
+case("selective_incomplete 6.3.2: switch state selective without its first request: silence", IDENTITY)(
+    lambda dut: say_each(dut, 0x40, list(enumerate(identity(dut)))[1:]), do.silence(SLAVE)
+)
+case("selective_order 6.3.2: switch state selective in another order: silence", IDENTITY)(
+    lambda dut: say_each(dut, 0x40, reversed(list(enumerate(identity(dut))))), do.silence(SLAVE)
+)
 
 
 @case("6.3.2: after a wrong selection the right one selects", IDENTITY)
@@ -136,9 +130,6 @@ def selective_again(dut: Dut) -> None:
     dut.silence(SLAVE, ms=5)
     with configuring(dut, numbers):
         pass
-
-
-# --- inquire ----------------------------------------------------------------------------------------------
 
 
 @case("6.5: inquire {1}", IDENTITY, each=list(enumerate(PARTS)))
@@ -174,20 +165,14 @@ def stopped(dut: Dut) -> None:
         dut.expect(SLAVE, f"5E {dut.node_id:02X} *")
 
 
-# --- configure --------------------------------------------------------------------------------------------
-
-
 case.each(
     "node_id_refused 6.4.1: configure node-id {0}: out of range, error 1", IDENTITY, [(0,), (128,), (200,), (254,)]
 )(lambda node_id: do.within(configuring, do.run(say, 0x11, node_id), do.expect(SLAVE, "11 01 00 00 00 00 00 00")))
 
 
-@case(
-    "6.4.1: configure node-id {0}: taken, and not in use before a reset",
-    IDENTITY,
-    persistent=True,
-    each=[(1,), (127,), (255,)],
-)
+@case("6.4.1: configure node-id {0}: taken, and not in use before a reset", IDENTITY, persistent=True, each=[
+    (1,), (127,), (255,),
+])  # fmt: skip
 def node_id_taken(dut: Dut, node_id: int) -> None:
     with configuring(dut):
         try:
@@ -252,13 +237,9 @@ case.each(
 )(lambda service, value: (do.run(say, service, value), do.silence(SLAVE), do.reset(RESET_COMMUNICATION)))
 
 
-# --- identify, and a device without a node-id ------------------------------------------------------------------
-
-
 def identify(dut: Dut, numbers: list[int]) -> None:
     """Identify remote slave: vendor, product, revision from, to, serial from, to."""
-    for part, number in enumerate(numbers):
-        say(dut, 0x46 + part, number=number)
+    say_each(dut, 0x46, enumerate(numbers))
 
 
 def ranges(own: list[int]) -> list[int]:
@@ -280,18 +261,11 @@ def identified_in_range(dut: Dut) -> None:
     slave_answer(dut)
 
 
-@numbered(
-    "6.6.1: identify remote slave: {2} is not this device's: silence",
-    IDENTITY,
-    each=[
-        (0, 1, "the vendor-ID"),
-        (1, 1, "the product code"),
-        (2, 1, "a revision from above"),
-        (3, -1, "a revision to below"),
-        (4, 1, "a serial number from above"),
-        (5, -1, "a serial number to below"),
-    ],
-)
+@numbered("6.6.1: identify remote slave: {2} is not this device's: silence", IDENTITY, each=[
+    (0, 1, "the vendor-ID"), (1, 1, "the product code"),
+    (2, 1, "a revision from above"), (3, -1, "a revision to below"),
+    (4, 1, "a serial number from above"), (5, -1, "a serial number to below"),
+])  # fmt: skip
 def not_identified(dut: Dut, part: int, step: int, _name: str) -> None:
     numbers = ranges(identity(dut))
     numbers[part] += step
@@ -301,13 +275,9 @@ def not_identified(dut: Dut, part: int, step: int, _name: str) -> None:
     dut.silence(SLAVE)
 
 
-@numbered("6.6.1: identify remote slave in another order: silence", IDENTITY)
-def identify_order(dut: Dut) -> None:
-    for part, number in reversed(list(enumerate(ranges(identity(dut))))):
-        say(dut, 0x46 + part, number=number)
-    dut.silence(SLAVE)
-
-
+numbered("identify_order 6.6.1: identify remote slave in another order: silence", IDENTITY)(
+    lambda dut: say_each(dut, 0x46, reversed(list(enumerate(ranges(identity(dut)))))), do.silence(SLAVE)
+)
 numbered("configured 6.6.3: identify non-configured remote slave: a device with a node-id is silent")(
     do.run(say, 0x4C), do.silence(SLAVE)
 )
@@ -351,11 +321,9 @@ def silent(dut: Dut) -> None:
         dut.silence(0x580 + old, 0x700 + old, 0x80 + old, 0x700 + UNCONFIGURED)
 
 
-@unnumbered("6.6.3: identify non-configured remote slave: answer 50h", IDENTITY, persistent=True)
-def lss_unconfigured_identify(dut: Dut) -> None:
-    with unconfigured(dut):
-        say(dut, 0x4C)
-        dut.expect(SLAVE, "50 00 00 00 00 00 00 00")
+unnumbered("identify 6.6.3: identify non-configured remote slave: answer 50h", IDENTITY, persistent=True)(
+    do.within(unconfigured, do.run(say, 0x4C), do.expect(SLAVE, "50 00 00 00 00 00 00 00"))
+)
 
 
 @unnumbered("6.5: inquire node-id: 255", IDENTITY, persistent=True)
@@ -378,11 +346,16 @@ def boots(dut: Dut) -> None:
         dut.ask("40 00 10 00", "43 00 10 00 *")
 
 
+def start_scan(dut: Dut) -> None:
+    """Begin fastscan; not applicable for a device without it."""
+    if not scan(dut, 0, START_SCAN, 0, 0):
+        raise NotApplicableError("no fastscan")
+
+
 @unnumbered("6.6.4: fastscan finds all 128 bits and leads to configuration", IDENTITY, persistent=True)
 def fastscan(dut: Dut) -> None:
     with unconfigured(dut) as own:
-        if not scan(dut, 0, START_SCAN, 0, 0):
-            raise NotApplicableError("no fastscan")
+        start_scan(dut)
         numbers = []
         for part in range(4):
             number = 0
@@ -401,18 +374,16 @@ def fastscan(dut: Dut) -> None:
 ])  # fmt: skip
 def fastscan_other(dut: Dut, part: int, _name: str) -> None:
     with unconfigured(dut) as own:
-        if not scan(dut, 0, START_SCAN, 0, 0):
-            raise NotApplicableError("no fastscan")
+        start_scan(dut)
         check(not part or scan(dut, own[0], 0, 0, 1), "an answer to the vendor-ID", "silence")
-        if scan(dut, own[part] ^ 0x100, 0, part, part):
-            raise CheckError("silence", "an answer to a number that is not the device's")
+        answers = scan(dut, own[part] ^ 0x100, 0, part, part)
+        check(not answers, "silence", "an answer to a number that is not the device's")
 
 
 @unnumbered("6.6.4: fastscan of a part that is not its turn: silence", IDENTITY, persistent=True)
 def fastscan_order(dut: Dut) -> None:
     with unconfigured(dut) as own:
-        if not scan(dut, 0, START_SCAN, 0, 0):
-            raise NotApplicableError("no fastscan")
+        start_scan(dut)
         check(not scan(dut, own[2], 0, 2, 3), "silence", "an answer to the third number before the first")
 
 

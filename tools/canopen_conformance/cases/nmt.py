@@ -5,36 +5,23 @@ from __future__ import annotations
 import struct
 
 from canopen_conformance import steps as do
+from canopen_conformance import wire
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.emcy import break_sync
 from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import (
-    ENTER_PRE_OPERATIONAL,
-    EXTENDED_FLAG,
-    OPERATIONAL,
-    PRE_OPERATIONAL,
-    REMOTE_FLAG,
-    RESET_COMMUNICATION,
-    RESET_NODE,
-    RESETS,
-    START,
-    STATES,
-    STOP,
-    STOPPED,
-)
 
 case = Service("nmt")
 
 HEARTBEAT = ((0x1017, 0),)
-COMMANDS = [(START, "start"), (STOP, "stop"), (ENTER_PRE_OPERATIONAL, "enter PRE-OPERATIONAL")]
-AFTER = {START: OPERATIONAL, STOP: STOPPED, ENTER_PRE_OPERATIONAL: PRE_OPERATIONAL}
+COMMANDS = [(wire.START, "start"), (wire.STOP, "stop"), (wire.ENTER_PRE_OPERATIONAL, "enter PRE-OPERATIONAL")]
+AFTER = {wire.START: wire.OPERATIONAL, wire.STOP: wire.STOPPED, wire.ENTER_PRE_OPERATIONAL: wire.PRE_OPERATIONAL}
 TARGETS = [(None, "to this node"), (0, "to all nodes")]
 
 case.each(
     "transition 7.2.8.3.1: {1[1]} in {0[1]}, {2[1]}",
     HEARTBEAT,
-    [(before, command, target) for target in TARGETS for before in STATES for command in COMMANDS],
+    [(before, command, target) for target in TARGETS for before in wire.STATES for command in COMMANDS],
 )(
     lambda before, command, target: (
         do.beat(),
@@ -46,7 +33,7 @@ case.each(
 case.each(
     "reset 7.2.8.3.1: {1[1]} in {0[1]}, {2[1]}: boot-up, then PRE-OPERATIONAL",
     HEARTBEAT,
-    [(before, command, target) for target in TARGETS for before in STATES for command in RESETS],
+    [(before, command, target) for target in TARGETS for before in wire.STATES for command in wire.RESETS],
 )(
     lambda before, command, target: (
         do.waits_for_start(),
@@ -55,7 +42,7 @@ case.each(
         do.nmt(command[0], target[0]),
         do.boot_up(),
         do.beat(),
-        do.state(PRE_OPERATIONAL),
+        do.state(wire.PRE_OPERATIONAL),
     )
 )
 case.each(
@@ -68,36 +55,38 @@ case.each(
         (0, "01 00 00", "three bytes"),
         (0, "01 00 00 00 00 00 00 00", "eight bytes"),
         *((0, f"{command:02X} 00", f"command specifier {command}") for command in (0, 3, 127, 131, 255)),
-        (EXTENDED_FLAG, "01 00", "start in a 29-bit frame"),
-        (REMOTE_FLAG, "", "a remote frame"),
+        (wire.EXTENDED_FLAG, "01 00", "start in a 29-bit frame"),
+        (wire.REMOTE_FLAG, "", "a remote frame"),
     ],
-)(lambda can_id, data, _why: (do.beat(), do.send(can_id, data), do.state(PRE_OPERATIONAL), do.silence()))
+)(lambda can_id, data, _why: (do.beat(), do.send(can_id, data), do.state(wire.PRE_OPERATIONAL), do.silence()))
 case("node_id_with_high_bit 7.2.8.3.1: node-id + 128 in the command is not this node", HEARTBEAT)(
-    do.beat(), lambda dut: dut.nmt(START, 0x80 | dut.node_id), do.state(PRE_OPERATIONAL)
+    do.beat(), lambda dut: dut.nmt(wire.START, 0x80 | dut.node_id), do.state(wire.PRE_OPERATIONAL)
 )
 case.each(
-    "boot_up_once 7.2.8.3.3: the boot-up message is one byte 00, and one message alone", (), [(RESET_NODE,), (130,)]
+    "boot_up_once 7.2.8.3.3: the boot-up message is one byte 00, and one message alone",
+    (),
+    [(wire.RESET_NODE,), (130,)],
 )(lambda command: (do.reset(command), do.silence(), do.no_heartbeat(ms=10)))
 
 
 @case("7.2.8.3.3: nothing is sent before the boot-up message", HEARTBEAT)
 def boot_up_first(dut: Dut) -> None:
-    dut.enter(OPERATIONAL)
+    dut.enter(wire.OPERATIONAL)
     dut.forget()
-    dut.nmt(RESET_NODE)
+    dut.nmt(wire.RESET_NODE)
     for can_id in (0x80, 0x180, 0x280, 0x380, 0x480, 0x580):
         dut.silence(can_id + dut.node_id, ms=0)
     dut.boot_up()
 
 
-case.each("sdo_served 7.3.2.3: SDO is served in {1}", (), STATES[:2])(
+case.each("sdo_served 7.3.2.3: SDO is served in {1}", (), wire.STATES[:2])(
     lambda state, _name: (do.enter(state), do.ask("40 00 10 00", "43 00 10 00 *"))
 )
 case("sdo_stopped 7.3.2.3: SDO is not served in STOPPED, and served again after it")(
-    do.nmt(STOP),
+    do.nmt(wire.STOP),
     do.request("40 00 10 00"),
     do.no_sdo(),
-    do.nmt(ENTER_PRE_OPERATIONAL),
+    do.nmt(wire.ENTER_PRE_OPERATIONAL),
     do.ask("40 00 10 00", "43 00 10 00 *"),
 )
 
@@ -106,17 +95,17 @@ case("sdo_stopped 7.3.2.3: SDO is not served in STOPPED, and served again after 
 def stop_ends_sdo(dut: Dut) -> None:
     if dut.ask("40 08 10 00")[0] & 0xE3 != 0x41:
         raise NotApplicableError("1008h fits into one frame")
-    dut.nmt(STOP)
+    dut.nmt(wire.STOP)
     dut.request("60")
     dut.no_sdo()
-    dut.nmt(ENTER_PRE_OPERATIONAL)
+    dut.nmt(wire.ENTER_PRE_OPERATIONAL)
     dut.ask("60", lambda data: data[0] == 0x80)
 
 
 case.each(
     "tpdo_by_state 7.3.2.3: a synchronous TPDO in {1}: {2}",
     TPDO1,
-    [(*state, does) for state, does in zip(STATES, ("silent", "sent", "silent"), strict=True)],
+    [(*state, does) for state, does in zip(wire.STATES, ("silent", "sent", "silent"), strict=True)],
 )(
     lambda state, _name, does: (
         do.run(enable_tpdo1, 1),
@@ -130,8 +119,8 @@ case.each(
 @case("7.3.2.3: TPDOs stop when OPERATIONAL is left, and go on when it is entered again", TPDO1)
 def tpdo_leave_and_return(dut: Dut) -> None:
     enable_tpdo1(dut, transmission=1)
-    for command in (ENTER_PRE_OPERATIONAL, STOP):
-        dut.nmt(START)
+    for command in (wire.ENTER_PRE_OPERATIONAL, wire.STOP):
+        dut.nmt(wire.START)
         dut.send(0x080)
         dut.pdo()
         dut.nmt(command)
@@ -142,7 +131,7 @@ def tpdo_leave_and_return(dut: Dut) -> None:
 @case(
     "7.3.2.3: an RPDO in {1}: {2}",
     ((0x1013, 0), (0x1400, 1), (0x1600, 0)),
-    each=[(*STATES[0], "ignored"), (*STATES[1], "taken")],
+    each=[(*wire.STATES[0], "ignored"), (*wire.STATES[1], "taken")],
 )
 def rpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
     mapped_rpdo1(dut, 0x10130020)
@@ -156,13 +145,13 @@ def rpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
 case("emcy_waits 7.3.2.3: an EMCY waits while STOPPED and comes after it", ((0x1014, 0), (0x1016, 1)))(
     do.put("I", 0x1016, 1, 0x700000 | 40),
     do.send(0x770, "05"),
-    do.nmt(STOP),
+    do.nmt(wire.STOP),
     do.no_emcy(ms=100),
-    do.nmt(ENTER_PRE_OPERATIONAL),
+    do.nmt(wire.ENTER_PRE_OPERATIONAL),
     do.emcy("30 81 *"),
 )
 case("sync_stopped 7.3.2.3: SYNC is not looked at in STOPPED", ((0x1005, 0), (0x1014, 0)))(
-    do.nmt(STOP), break_sync, do.nmt(ENTER_PRE_OPERATIONAL), do.no_emcy()
+    do.nmt(wire.STOP), break_sync, do.nmt(wire.ENTER_PRE_OPERATIONAL), do.no_emcy()
 )
 
 
@@ -177,7 +166,7 @@ def self_start(dut: Dut) -> None:
         dut.put("I", 0x1F80, 0, 0)
         dut.put("H", 0x1017, 0, 20)
         dut.put("I", 0x1010, 2, 0x65766173)
-        dut.reset(RESET_COMMUNICATION)
-        dut.state(OPERATIONAL)
+        dut.reset(wire.RESET_COMMUNICATION)
+        dut.state(wire.OPERATIONAL)
     finally:
         dut.put("I", 0x1011, 2, 0x64616F6C)

@@ -170,9 +170,6 @@ def begin_download(dut: Dut, size: int | None = 2) -> None:
     dut.ask("20 17 10 00" if size is None else f"21 17 10 00 {size:02X}", "60 17 10 00")
 
 
-# --- upload -----------------------------------------------------------------------------------------------
-
-
 @segmented("7.2.4.3.7: all segments: the toggle bit alternates from 0, the stated size comes")
 def upload(dut: Dut) -> None:
     _index, size = begin_upload(dut)
@@ -221,9 +218,6 @@ def upload_twice(dut: Dut) -> None:
     index, _size = begin_upload(dut)
     first = dut.read_segments()
     check(dut.read(index) == first, "the same string", "another one")
-
-
-# --- download ---------------------------------------------------------------------------------------------
 
 
 segmented.each("download 7.2.4.3.4: one segment, {1}", BEAT, [(2, "size stated"), (None, "size not stated")])(

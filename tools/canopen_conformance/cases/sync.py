@@ -42,9 +42,6 @@ sync("remote_frame 7.2.5: a remote frame is no SYNC", TPDO1)(
 )
 
 
-# --- counter ----------------------------------------------------------------------------------------------
-
-
 sync.each("overflow_refused 7.5.2.22: 1019h = {0} is refused", ((0x1019, 0),), [(1,), (241,), (255,)])(
     lambda value: (do.refuses("B", 0x1019, 0, value, Abort.INVALID_VALUE, Abort.TOO_HIGH), do.holds("B", 0x1019, 0, 0))
 )
@@ -98,8 +95,6 @@ sync("start_without_counter 7.5.2.37: without a counter the start value has no m
     do.run(enable_tpdo1, 1, sync_start=5), do.nmt(START), do.send(0x080), do.pdo()
 )
 
-
-# --- window -----------------------------------------------------------------------------------------------
 
 WINDOW = ((0x1007, 0), (0x1013, 0), (0x1400, 1), (0x1600, 0))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 
 from canopen_conformance import steps as do
+from canopen_conformance import wire
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.emcy import HISTORY, INHIBIT, NEEDS, break_sync, clear, cure_error, make_error
 from canopen_conformance.cases.error_control import CONSUMER, GUARDING, PRODUCER
@@ -12,17 +13,7 @@ from canopen_conformance.cases.identity import ALL, LOAD, VALUE, WRONG_SIGNATURE
 from canopen_conformance.cases.pdo import INVALID
 from canopen_conformance.cases.sync import LENGTH, TIME
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import (
-    ERROR_FLAG,
-    OPERATIONAL,
-    PRE_OPERATIONAL,
-    REMOTE_FLAG,
-    RESET_COMMUNICATION,
-    RESET_NODE,
-    RESETS,
-    START,
-    Abort,
-)
+from canopen_conformance.wire import Abort
 
 nmt = Service("nmt", own=True)
 node_guarding = Service("node_guarding", own=True)
@@ -44,7 +35,7 @@ nmt.each(
     [(1,), (5,), (0x10,)],
 )(lambda value: (do.refuses("I", 0x1F80, 0, value, Abort.INVALID_VALUE), do.holds("I", 0x1F80, 0, 4)))
 node_guarding("heartbeat_excludes 7.2.8.2.2: with a heartbeat there is no node guarding", GUARDING)(
-    do.put("H", 0x1017, 0, 5000), lambda dut: dut.send(0x700 + dut.node_id | REMOTE_FLAG), do.no_heartbeat()
+    do.put("H", 0x1017, 0, 5000), lambda dut: dut.send(0x700 + dut.node_id | wire.REMOTE_FLAG), do.no_heartbeat()
 )
 
 
@@ -52,7 +43,7 @@ node_guarding("heartbeat_excludes 7.2.8.2.2: with a heartbeat there is no node g
 def first_period(dut: Dut) -> None:
     ms = dut.integer("H", 0x1017)
     dut.forget()
-    dut.nmt(RESET_COMMUNICATION)
+    dut.nmt(wire.RESET_COMMUNICATION)
     boot = dut.boot_up()
     beat = dut.heartbeat("7F", 2 * ms)
     dut.check_ms("boot-up to heartbeat", beat.at_us - boot.at_us, ms)
@@ -69,7 +60,7 @@ error_control("behaviour_refused 7.5.2.32: 1029h:1 = 3 is refused", ((0x1029, 1)
 emcy("history_full 7.5.2.4: a full history drops the oldest", HISTORY)(
     clear, do.repeat(10, make_error, cure_error), do.holds("B", 0x1003, 0, 8), do.read(0x1003, 8)
 )
-emcy.each("history_reset 7.5.2.4: the history outlives {1}", HISTORY, RESETS[::-1])(
+emcy.each("history_reset 7.5.2.4: the history outlives {1}", HISTORY, wire.RESETS[::-1])(
     lambda command, _name: (clear, make_error, do.reset(command), do.holds("B", 0x1003, 0, 1))
 )
 emcy("queue 7.5.2.18: many messages wait, in their order", INHIBIT)(
@@ -85,7 +76,7 @@ emcy("collision 7.2.7.1: another node sends this node's heartbeat: EMCY 8150h, o
 @emcy("7.2.7.1: an identifier that a TPDO has left may be another node's", (*NEEDS, (0x1800, 1)))
 def no_collision(dut: Dut) -> None:
     cob_id = dut.integer("I", 0x1800, 1)
-    dut.nmt(START)
+    dut.nmt(wire.START)
     dut.put("I", 0x1800, 1, cob_id | INVALID)
     dut.send(cob_id & 0x7FF, bytes(8))
     dut.no_emcy()
@@ -133,9 +124,9 @@ def capability(dut: Dut, sub: int) -> None:
 
 storage("application_kept 7.2.8.2.1.6: reset communication leaves the application's parameters", ((0x6114, 1),))(
     do.put("I", 0x6114, 1, 777),
-    do.reset(RESET_COMMUNICATION),
+    do.reset(wire.RESET_COMMUNICATION),
     do.holds("I", 0x6114, 1, 777),
-    do.reset(RESET_NODE),
+    do.reset(wire.RESET_NODE),
     do.holds("I", 0x6114, 1, 500),
 )
 storage(
@@ -148,7 +139,7 @@ storage(
         do.put("I", 0x1016, 1, VALUE),
         do.put("I", 0x6114, 1, 777),
         do.run(store, 3),
-        do.reset(RESET_NODE),
+        do.reset(wire.RESET_NODE),
         do.holds("I", 0x1016, 1, 0),
         do.holds("I", 0x6114, 1, 777),
     )
@@ -165,7 +156,7 @@ storage.each(
         do.put("I", 0x6114, 1, 777),
         do.run(store, 1),
         do.put("I", 0x1011, sub, LOAD),
-        do.reset(RESET_NODE),
+        do.reset(wire.RESET_NODE),
         do.holds("I", 0x1016, 1, communication),
         do.holds("I", 0x6114, 1, application),
     )
@@ -180,7 +171,7 @@ def state(dut: Dut, index: int, kind: str, _name: str, value: int, after: int) -
     with restored(dut):
         dut.put(kind, index, sub, value)
         store(dut, 1)
-        dut.reset(RESET_NODE)
+        dut.reset(wire.RESET_NODE)
         dut.holds(kind, index, sub, after)
 
 
@@ -217,7 +208,7 @@ NONE = "00 00 00 00 00 00 00 00"
 
 def report(dut: Dut, error_class: int, data: str = NONE) -> None:
     """An error frame of the controller."""
-    dut.send(ERROR_FLAG | error_class, data)
+    dut.send(wire.ERROR_FLAG | error_class, data)
 
 
 bus_faults("passive 7.2.7.1: error passive: EMCY 8120h once; active again: the cure", error_frames=True)(
@@ -242,11 +233,11 @@ bus_faults("bus_off 7.2.7.1: bus-off: silent, and EMCY 8140h when it is over", e
 )
 bus_faults("bus_off_behaviour 7.5.2.32: bus-off in OPERATIONAL: PRE-OPERATIONAL by 1029h", error_frames=True)(
     do.beat(),
-    do.nmt(START),
-    do.state(OPERATIONAL),
+    do.nmt(wire.START),
+    do.state(wire.OPERATIONAL),
     do.run(report, BUS_OFF),
     do.run(report, RESTARTED),
-    do.state(PRE_OPERATIONAL),
+    do.state(wire.PRE_OPERATIONAL),
 )
 bus_faults("bus_off_again 7.2.7.1: bus-off twice in a row: both are reported", error_frames=True)(
     do.repeat(2, do.run(report, BUS_OFF), do.sleep(10), do.run(report, RESTARTED), do.emcy("40 81 *"))

@@ -6,18 +6,7 @@ import struct
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, Service, check
-from canopen_conformance.cases.pdo import (
-    HIGH_RESOLUTION,
-    TIME_U32,
-    TPDO1,
-    disable_pdo,
-    enable_tpdo1,
-    high_resolution,
-    mapped_rpdo1,
-    on_syncs,
-    remap,
-    set_time,
-)
+from canopen_conformance.cases import pdo
 from canopen_conformance.cases.pdo_parameters import BOTH, EITHER, NO_RTR
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, REMOTE_FLAG, START, Abort
@@ -32,13 +21,13 @@ interrupts_404 = Service("interrupts_404", standard="CiA 404", own=True)
     (*pdo, bits) for pdo in BOTH for bits in (0x20000000, 0x800)
 ])  # fmt: skip
 def extended(dut: Dut, communication: int, _mapping: int, _name: str, bits: int) -> None:
-    cob_id = disable_pdo(dut, communication)
+    cob_id = pdo.disable_pdo(dut, communication)
     dut.refuses("I", communication, 1, cob_id | bits, Abort.INVALID_VALUE)
 
 
-@pdo_parameters("7.5.2.37: a TPDO that answers to remote frames is not offered: 06090030h", TPDO1)
+@pdo_parameters("7.5.2.37: a TPDO that answers to remote frames is not offered: 06090030h", pdo.TPDO1)
 def rtr(dut: Dut) -> None:
-    cob_id = disable_pdo(dut, 0x1800)
+    cob_id = pdo.disable_pdo(dut, 0x1800)
     dut.refuses("I", 0x1800, 1, cob_id & ~NO_RTR, Abort.INVALID_VALUE)
 
 
@@ -58,53 +47,58 @@ pdo_parameters.each(
     (0x1400, 0x1600, 0x00050010, "another length than the dummy type's"),
 ])  # fmt: skip
 def not_mappable(dut: Dut, communication: int, mapping: int, word: int, _what: str) -> None:
-    disable_pdo(dut, communication)
+    pdo.disable_pdo(dut, communication)
     dut.put("B", mapping, 0, 0)
     dut.refuses("I", mapping, 1, word, Abort.NOT_MAPPABLE)
 
 
 @pdo_parameters("7.5.2.36: {2}: an entry of 0 counted in is refused", EITHER, each=BOTH)
 def empty_entry(dut: Dut, communication: int, mapping: int, _name: str) -> None:
-    disable_pdo(dut, communication)
+    pdo.disable_pdo(dut, communication)
     dut.put("B", mapping, 0, 0)
     dut.put("I", mapping, 1, 0)
     dut.refuses("B", mapping, 0, 1, Abort.NO_OBJECT, Abort.NOT_MAPPABLE)
 
 
-rpdo("forgotten 7.2.2.2: what waited for a SYNC is forgotten when OPERATIONAL is left", HIGH_RESOLUTION)(
-    do.run(mapped_rpdo1, TIME_U32, transmission=1),
+rpdo("forgotten 7.2.2.2: what waited for a SYNC is forgotten when OPERATIONAL is left", pdo.HIGH_RESOLUTION)(
+    do.run(pdo.mapped_rpdo1, pdo.TIME_U32, transmission=1),
     do.nmt(START),
-    set_time,
+    pdo.set_time,
     do.send_pdo(struct.pack("<I", 0x60000000)),
     do.nmt(ENTER_PRE_OPERATIONAL),
     do.nmt(START),
     do.send(0x080),
-    do.run(high_resolution, 0, 0x60000000),
+    do.run(pdo.high_resolution, 0, 0x60000000),
 )
-rpdo("length_cured 7.2.7.1: an RPDO of the right length cures 8210h", (*HIGH_RESOLUTION, (0x1014, 0)))(
-    do.run(mapped_rpdo1, TIME_U32),
+rpdo("length_cured 7.2.7.1: an RPDO of the right length cures 8210h", (*pdo.HIGH_RESOLUTION, (0x1014, 0)))(
+    do.run(pdo.mapped_rpdo1, pdo.TIME_U32),
     do.nmt(START),
     do.repeat(2, do.send_pdo(), do.emcy("10 82 *"), do.send_pdo(bytes(4)), do.emcy("00 00 00 *")),
 )
-tpdo("cyclic_240 7.2.2.2: type 240: silent for the 200 SYNCs after a TPDO", TPDO1)(
-    do.run(enable_tpdo1, 240), do.nmt(START), do.repeat(239, do.send(0x080)), do.no_pdo(ms=50), do.send(0x080), do.pdo()
+tpdo("cyclic_240 7.2.2.2: type 240: silent for the 200 SYNCs after a TPDO", pdo.TPDO1)(
+    do.run(pdo.enable_tpdo1, 240),
+    do.nmt(START),
+    do.repeat(239, do.send(0x080)),
+    do.no_pdo(ms=50),
+    do.send(0x080),
+    do.pdo(),
 )
 
 
-@tpdo("7.2.2.2: the SYNCs count anew when OPERATIONAL is entered", TPDO1)
+@tpdo("7.2.2.2: the SYNCs count anew when OPERATIONAL is entered", pdo.TPDO1)
 def counted_anew(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 3)
+    can_id = pdo.enable_tpdo1(dut, 3)
     dut.nmt(START)
     dut.send(0x080)
     dut.send(0x080)
     dut.nmt(ENTER_PRE_OPERATIONAL)
     dut.nmt(START)
-    answered = on_syncs(dut, can_id, 3)
+    answered = pdo.on_syncs(dut, can_id, 3)
     check(answered == [3], "an answer to the third SYNC", f"answers to SYNC {answered}")
 
 
-tpdo("acyclic 7.2.2.2: type 0: silent at a SYNC while there was no event", TPDO1)(
-    do.run(enable_tpdo1, 0),
+tpdo("acyclic 7.2.2.2: type 0: silent at a SYNC while there was no event", pdo.TPDO1)(
+    do.run(pdo.enable_tpdo1, 0),
     do.nmt(START),
     do.send(0x080),
     lambda dut: dut.sleep(dut.link.tolerance_ms),
@@ -112,22 +106,22 @@ tpdo("acyclic 7.2.2.2: type 0: silent at a SYNC while there was no event", TPDO1
     do.repeat(3, do.send(0x080)),
     do.no_pdo(),
 )
-tpdo.each("first_values 7.2.2.2: type {0}: sent once when OPERATIONAL is entered", TPDO1, [(254,), (255,)])(
-    lambda transmission: (do.run(enable_tpdo1, transmission), do.nmt(START), do.pdo(), do.no_pdo())
+tpdo.each("first_values 7.2.2.2: type {0}: sent once when OPERATIONAL is entered", pdo.TPDO1, [(254,), (255,)])(
+    lambda transmission: (do.run(pdo.enable_tpdo1, transmission), do.nmt(START), do.pdo(), do.no_pdo())
 )
 
 
-@tpdo("7.2.2.5.2: a remote frame is not answered by a TPDO without RTR", TPDO1)
+@tpdo("7.2.2.5.2: a remote frame is not answered by a TPDO without RTR", pdo.TPDO1)
 def remote_frame(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
+    can_id = pdo.enable_tpdo1(dut, 1)
     dut.nmt(START)
     dut.send(can_id | REMOTE_FLAG)
     dut.silence(can_id)
 
 
-@tpdo("7.5.2.38: a new mapping: contents in the order of the entries, little-endian", TPDO1)
+@tpdo("7.5.2.38: a new mapping: contents in the order of the entries, little-endian", pdo.TPDO1)
 def remapped(dut: Dut) -> None:
-    enable_tpdo1(dut, 1, 0x10010008, 0x21230010, 0x10020020)
+    pdo.enable_tpdo1(dut, 1, 0x10010008, 0x21230010, 0x10020020)
     dut.nmt(START)
     dut.send(0x080)
     data = dut.pdo(lambda d: len(d) == 7).data
@@ -135,11 +129,11 @@ def remapped(dut: Dut) -> None:
     check(data == wanted, wanted.hex(" "), data.hex(" "))
 
 
-@tpdo("7.5.2.38: a TPDO that maps nothing is not sent", TPDO1)
+@tpdo("7.5.2.38: a TPDO that maps nothing is not sent", pdo.TPDO1)
 def nothing_mapped(dut: Dut) -> None:
-    enable_tpdo1(dut, 1)
-    cob_id = disable_pdo(dut, 0x1800)
-    remap(dut, 0x1A00)
+    pdo.enable_tpdo1(dut, 1)
+    cob_id = pdo.disable_pdo(dut, 0x1800)
+    pdo.remap(dut, 0x1A00)
     dut.put("I", 0x1800, 1, cob_id)
     dut.nmt(START)
     dut.send(0x080)
@@ -148,14 +142,14 @@ def nothing_mapped(dut: Dut) -> None:
 
 GAUGE_1 = 0x71300110
 STATUS, COUNTER = 0x21200008, 0x21210008
-NEEDS = (*TPDO1, (0x6133, 1))
-NUMBERED = (*TPDO1, (0x1019, 0))
+NEEDS = (*pdo.TPDO1, (0x6133, 1))
+NUMBERED = (*pdo.TPDO1, (0x1019, 0))
 SAMPLE_MS = 130  # 100 ms after the last SYNC samples are taken without one
 
 
 def begin(dut: Dut, transmission: int = 255, inhibit_100us: int | None = None) -> int:
     """TPDO1 carries gauge 1, OPERATIONAL, what it says at first has been heard; its CAN-ID."""
-    can_id = enable_tpdo1(dut, transmission, GAUGE_1, inhibit_100us=inhibit_100us)
+    can_id = pdo.enable_tpdo1(dut, transmission, GAUGE_1, inhibit_100us=inhibit_100us)
     dut.nmt(START)
     dut.sleep(SAMPLE_MS)
     dut.forget(can_id)
@@ -247,12 +241,9 @@ def inhibit(dut: Dut) -> None:
     check(second.data != first.data, "the later value", "the first one again")
 
 
-# --- what a PDO carries -----------------------------------------------------------------------------------
-
-
-@interrupts_404("tipforce 2121h: the sample counter goes up by one for each SYNC, and wraps", TPDO1)
+@interrupts_404("tipforce 2121h: the sample counter goes up by one for each SYNC, and wraps", pdo.TPDO1)
 def counter(dut: Dut) -> None:
-    enable_tpdo1(dut, 1, COUNTER)
+    pdo.enable_tpdo1(dut, 1, COUNTER)
     dut.nmt(START)
     last = -1
     for _ in range(260):
@@ -265,7 +256,7 @@ def counter(dut: Dut) -> None:
 
 @interrupts_404("tipforce 2121h: with 1019h = 240 the counter is the number of the SYNC, 1 to 240", NUMBERED)
 def numbered(dut: Dut) -> None:
-    enable_tpdo1(dut, 1, COUNTER)
+    pdo.enable_tpdo1(dut, 1, COUNTER)
     dut.put("B", 0x1019, 0, 240)
     dut.nmt(START)
     for number in (1, 2, 7, 8, 239, 240, 1, 120):  # also where numbers were left out
@@ -274,12 +265,12 @@ def numbered(dut: Dut) -> None:
         check(value == number, str(number), str(value))
 
 
-@interrupts_404("tipforce 2121h: all TPDOs of one SYNC carry the same counter", (*TPDO1, (0x1801, 1)))
+@interrupts_404("tipforce 2121h: all TPDOs of one SYNC carry the same counter", (*pdo.TPDO1, (0x1801, 1)))
 def one_sample(dut: Dut) -> None:
     second = dut.integer("I", 0x1801, 1)
     if second & 0x80000000:
         dut.put("I", 0x1801, 1, second & ~0x80000000)
-    enable_tpdo1(dut, 1)
+    pdo.enable_tpdo1(dut, 1)
     dut.nmt(START)
     for _ in range(3):
         dut.sleep(1)
@@ -289,9 +280,9 @@ def one_sample(dut: Dut) -> None:
         check(first[7] == other[7] and first[6] == other[6], "one status and counter", f"{first.hex()} {other.hex()}")
 
 
-@interrupts_404("tipforce 2120h: a SYNC that finds no new sample: status bit 3, the counter repeated", TPDO1)
+@interrupts_404("tipforce 2120h: a SYNC that finds no new sample: status bit 3, the counter repeated", pdo.TPDO1)
 def stale(dut: Dut) -> None:
-    enable_tpdo1(dut, 1, STATUS, COUNTER)
+    pdo.enable_tpdo1(dut, 1, STATUS, COUNTER)
     dut.put("I", 0x6114, 1, 1000000)
     dut.nmt(START)
     for _ in range(2):  # one of two pairs lies within one sample period

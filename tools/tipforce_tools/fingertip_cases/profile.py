@@ -40,9 +40,6 @@ def settle(dut: Dut) -> None:
     dut.sleep(NEWEST_MS)
 
 
-# --- what the channels are --------------------------------------------------------------------------------
-
-
 for header, kind, index, values in (
     ("sensor_type 6110h: the sensor type of a {0}", "H", 0x6110, (70, 10001, 10002, 10003, 10003)),
     ("unit 6131h: the unit of a {0}", "I", 0x6131, (0xFA010100, 0x210000, 0x210000, 0x410000, 0x410000)),
@@ -68,9 +65,6 @@ profile_404.each(
         zip((0x6100, 0x6110, 0x6130, 0x6131, 0x6132, 0x6150, 0x7100, 0x7130, 0x9100, 0x9130), "fHfIBBhhii", strict=True)
     ),
 )(lambda index, kind: do.refuses(kind, index, 1, 0, Abort.READ_ONLY))
-
-
-# --- one value in three forms -----------------------------------------------------------------------------
 
 
 def in_form(value: float, digits: int, kind: str) -> int:
@@ -117,9 +111,6 @@ def setting_saturates(dut: Dut, value: float, shown: int) -> None:
 def not_finite(dut: Dut, value: float) -> None:
     for index in (0x6124, 0x6133, 0x6148):
         dut.refuses("f", index, 1, value, Abort.INVALID_VALUE)
-
-
-# --- status and unknown values ----------------------------------------------------------------------------
 
 
 @profile_404("6150h: without calibration a {0} is not valid, and unknown in every form", each=[

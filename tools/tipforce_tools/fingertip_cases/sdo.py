@@ -6,16 +6,8 @@ import struct
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import Service, check
+from canopen_conformance.cases import sdo_block
 from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload, not_written, over
-from canopen_conformance.cases.sdo_block import (
-    begin_block_download,
-    begun_upload,
-    block,
-    end_block_download,
-    initiate,
-    one_segment,
-    segment,
-)
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import Abort
 
@@ -109,7 +101,7 @@ LONG = ((0x1021, 0),)
 
 @block_upload("7.2.4.3.14: ackseq beyond what was sent: 05040003h")
 def acknowledged_too_much(dut: Dut) -> None:
-    index = begun_upload(dut)
+    index = sdo_block.begun_upload(dut)
     dut.request("A2 02 7F")
     dut.aborted(index, 0, Abort.SEQUENCE_NUMBER)
 
@@ -120,25 +112,25 @@ def acknowledged_too_much(dut: Dut) -> None:
     each=[(4, 4, "expedited"), (4, 255, "expedited"), (4, 3, "block"), (4, 0, "block")],
 )
 def protocol_switch(dut: Dut, _size: int, switch: int, how: str) -> None:
-    answer = initiate(dut, 0x1000, 127, switch)
+    answer = sdo_block.initiate(dut, 0x1000, 127, switch)
     wanted = 0x43 if how == "expedited" else 0xC6
     check(answer[0] == wanted, f"{wanted:02X}h", f"{answer[0]:02X}h")
 
 
 @block_upload("7.2.4.3.13: protocol switch to a segmented upload")
 def protocol_switch_segmented(dut: Dut) -> None:
-    answer = initiate(dut, 0x1008, 127, 100)
+    answer = sdo_block.initiate(dut, 0x1008, 127, 100)
     check(answer[0] == 0x41, "41h", f"{answer[0]:02X}h")
     dut.read_segments()
 
 
 @block_upload("7.2.4.3.14: full blocks of 127 segments", LONG)
 def full_block(dut: Dut) -> None:
-    size = struct.unpack("<I", initiate(dut, 0x1021, 127)[4:])[0]
+    size = struct.unpack("<I", sdo_block.initiate(dut, 0x1021, 127)[4:])[0]
     dut.request("A3")
-    first = block(dut, 127, size <= 889)
+    first = sdo_block.block(dut, 127, size <= 889)
     dut.request("A2 7F 02")
-    first += block(dut, 2, False)
+    first += sdo_block.block(dut, 2, False)
     dut.request("80 21 10 00 00 00 00 08")
     dut.ask("40 21 10 00", "41 21 10 00 *")
     for offset in range(0, 35, 7):
@@ -147,7 +139,7 @@ def full_block(dut: Dut) -> None:
 
 
 block_upload("restart 7.2.4.2.13: an initiate gives up the block upload that went on")(
-    begun_upload, do.ask("40 00 10 00", "43 00 10 00 *")
+    sdo_block.begun_upload, do.ask("40 00 10 00", "43 00 10 00 *")
 )
 
 
@@ -160,7 +152,7 @@ block_upload("restart 7.2.4.2.13: an initiate gives up the block upload that wen
     ],
 )
 def wrong_command(dut: Dut, request: str, _why: str) -> None:
-    index = begun_upload(dut, False)
+    index = sdo_block.begun_upload(dut, False)
     dut.request(request)
     dut.aborted(index, 0, Abort.UNKNOWN_COMMAND)
 
@@ -170,21 +162,21 @@ def wrong_command(dut: Dut, request: str, _why: str) -> None:
     each=[(False, "before the start"), (True, "after a block")],
 )
 def silent_client(dut: Dut, started: bool, _when: str) -> None:
-    index = begun_upload(dut, started)
+    index = sdo_block.begun_upload(dut, started)
     dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
 
 
 def begin_record(dut: Dut) -> tuple[bytes, int]:
     """Initiate the block download of a record that is not the present one; the record, and its number of segments."""
     data = bytes(len(dut.read(0x2141)) - 1) + b"\1"
-    begin_block_download(dut, 0x2141, len(data))
+    sdo_block.begin_block_download(dut, 0x2141, len(data))
     return data, -(-len(data) // 7)
 
 
 def end_record(dut: Dut, data: bytes, acknowledged: int) -> None:
     """The answer to the last block, the end of the transfer, and the record that is read back."""
     dut.answer(f"A2 {acknowledged:02X} ..")
-    end_block_download(dut, data)
+    sdo_block.end_block_download(dut, data)
     dut.answer("A1")
     check(dut.read(0x2141) == data, "the record that was written", "another one")
 
@@ -192,7 +184,7 @@ def end_record(dut: Dut, data: bytes, acknowledged: int) -> None:
 def send(dut: Dut, data: bytes, *numbers: int) -> None:
     """Segments of a block of ``data``, by their numbers in it."""
     for number in numbers:
-        segment(dut, number, data[7 * number - 7 : 7 * number], 7 * number >= len(data))
+        sdo_block.segment(dut, number, data[7 * number - 7 : 7 * number], 7 * number >= len(data))
 
 
 @download("7.2.4.3.10: many segments: the whole record is written", RECORD)
@@ -223,14 +215,18 @@ def lost_last(dut: Dut) -> None:
     data, last = begin_record(dut)
     send(dut, data, *range(1, last))
     dut.answer(f"A2 {last - 1:02X} ..", within_ms=900)
-    segment(dut, 1, data[7 * last - 7 :], True)
+    sdo_block.segment(dut, 1, data[7 * last - 7 :], True)
     dut.answer("A2 01 ..")
-    end_block_download(dut, data)
+    sdo_block.end_block_download(dut, data)
     dut.answer("A1")
 
 
 download.each("too_much 7.2.4.3.10: more data than stated: {0:08X}h, before the end", BEAT, [(Abort.TOO_LONG,)])(
-    lambda code: (do.run(begin_block_download, 0x1017, 2), do.run(segment, 1, bytes(7)), do.aborted(0x1017, 0, code))
+    lambda code: (
+        do.run(sdo_block.begin_block_download, 0x1017, 2),
+        do.run(sdo_block.segment, 1, bytes(7)),
+        do.aborted(0x1017, 0, code),
+    )
 )
 download.each(
     "refused_size 7.2.4.3.9: a size that the object cannot have is refused at the initiate",
@@ -244,13 +240,13 @@ download.each(
 ])  # fmt: skip
 def sdo_block_download_silent_client(dut: Dut, sent: bool, _when: str) -> None:
     if sent:
-        one_segment(dut)
+        sdo_block.one_segment(dut)
     else:
-        begin_block_download(dut, 0x1017, 2)
+        sdo_block.begin_block_download(dut, 0x1017, 2)
         dut.answer("A2 00 .. 00 00 00 00 00", within_ms=900)
     dut.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)
 
 
 download("wrong_end 7.2.4.3.11: no end but another command: 05040001h", BEAT)(
-    one_segment, do.request("C2"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
+    sdo_block.one_segment, do.request("C2"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
 )
