@@ -12,7 +12,7 @@ from contextlib import suppress
 from canopen_device.core import communication
 from canopen_device.core.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
-from tipforce.dictionary.dbc import NMT_STATES
+from tipforce.dictionary.service_texts import NMT_STATES
 from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.device_objects import Place
