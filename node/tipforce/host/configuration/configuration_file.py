@@ -91,20 +91,19 @@ def settings_toml(settings: Mapping[Place, Value], objects: DeviceObjects, node_
     written: dict[str, object] = {}
     for (index, sub), value in sorted(settings.items()):
         if not is_mapping(index):
-            written[known[index, sub].name] = _portable(known[index, sub], value, node_id)
+            entry, shown = known[index, sub], value
+            if isinstance(value, bytes):
+                shown = types.format_value(entry.type, value)
+            elif entry.flags & table.ADD_NODE_ID and isinstance(value, int) and value & codes.NODE_ID_MASK == node_id:
+                shown = f"{NODE_ID_MARK}+0x{value - node_id:X}"
+            elif entry.stem.endswith("cob_id") and isinstance(value, int):
+                shown = f"0x{value:X}"
+            written[entry.name] = shown
         elif sub == 0:
             words = [int(settings[index, k]) for k in range(1, int(value) + 1) if (index, k) in settings]
             array = known[index, 1].stem if (index, 1) in known else f"0x{index:04X}"
             written[array] = [objects.name(word >> 16, word >> 8 & 0xFF) or word for word in words]
     return tomli_w.dumps({"objects": written}, multiline_strings=False)
-
-
-def _portable(entry: Entry[Value], value: Value, node_id: int) -> Value:
-    if isinstance(value, bytes):
-        return types.format_value(entry.type, value)
-    if entry.flags & table.ADD_NODE_ID and isinstance(value, int) and value & codes.NODE_ID_MASK == node_id:
-        return f"{NODE_ID_MARK}+0x{value - node_id:X}"
-    return f"0x{value:X}" if entry.stem.endswith("cob_id") and isinstance(value, int) else value
 
 
 def same(entry: Entry[Value], a: Value, b: Value) -> bool:
