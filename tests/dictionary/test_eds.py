@@ -119,9 +119,9 @@ VALUES: dict[tuple[int, int], types.Value] = {
 
 
 def test_dcf(tmp_path: Path) -> None:
-    text = dcf_text(3, 7, VALUES, bit_rate_kbit_s=500)
+    text = dcf_text(3, 7, VALUES)
     od = _import(text, tmp_path, None, "dcf")
-    assert (od.node_id, od.bitrate) == (7, 500_000)
+    assert (od.node_id, od.bitrate) == (7, 1_000_000)
     for (index, sub), value in VALUES.items():
         assert od.get_variable(index, sub).value == value
     assert od.get_variable(0x1014).default == 0x87
@@ -160,8 +160,3 @@ def test_dcf_of_every_default(tmp_path: Path) -> None:
 def test_dcf_refuses(n: int, node_id: int, values: dict[tuple[int, int], types.Value], said: str) -> None:
     with pytest.raises(InputError, match=said):
         dcf_text(n, node_id, values)
-
-
-def test_dcf_refuses_an_unknown_bit_rate() -> None:
-    with pytest.raises(InputError, match="bit rate 300 kbit/s"):
-        dcf_text(3, 5, {}, bit_rate_kbit_s=300)

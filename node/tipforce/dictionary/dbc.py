@@ -3,58 +3,31 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from canopen_device.core import codes, emcy
+from canopen_device.core import codes
 from tipforce.dictionary import signals, table
+from tipforce.dictionary.service_texts import EMCY_CODES, NMT_COMMANDS, NMT_STATES
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
-    from cantools.database.can import Message, Signal
+    from cantools.database.can import Message
     from cantools.database.namedsignalvalue import NamedSignalValue
 
 HOST = "HOST"
-EMCY_CODES = {
-    emcy.NO_ERROR: "no error",
-    table.EMCY_TEMPERATURE: "temperature",
-    table.EMCY_GAUGE_SATURATED: "gauge saturated",
-    table.EMCY_OVERLOAD: "overload",
-    table.EMCY_FRONT_END: "front end",
-    table.EMCY_CALIBRATION_INVALID: "stored calibration invalid",
-    emcy.CAN_OVERRUN: "CAN overrun",
-    emcy.ERROR_PASSIVE: "CAN error passive",
-    emcy.HEARTBEAT_LOST: "heartbeat lost",
-    emcy.BUS_OFF_RECOVERED: "recovered from bus-off",
-    emcy.COB_ID_COLLISION: "COB-ID collision",
-    emcy.PDO_LENGTH: "PDO length",
-    emcy.SYNC_LENGTH: "SYNC length",
-    emcy.RPDO_TIMEOUT: "RPDO timeout",
-    emcy.WEAR_BUDGET_EMPTY: "too many stores or erases",
+_CHOICES = {
+    ("NMT", "command"): NMT_COMMANDS,
+    ("NMT", "node"): {0: "all"},
+    ("EMCY", "error_code"): EMCY_CODES,
+    ("Heartbeat", "state"): NMT_STATES,
+    ("Command", "command"): {
+        table.COMMAND_TARE: "tare",
+        table.COMMAND_CLEAR_TARE: "clear tare",
+        table.COMMAND_ZERO: "zero gauges",
+    },
 }
-NMT_STATES = {
-    codes.INITIALISING: "boot-up",
-    codes.STOPPED: "stopped",
-    codes.OPERATIONAL: "operational",
-    codes.PRE_OPERATIONAL: "pre-operational",
-}
-NMT_COMMANDS = {
-    codes.NMT_START: "start",
-    codes.NMT_STOP: "stop",
-    codes.NMT_ENTER_PRE_OPERATIONAL: "enter pre-operational",
-    codes.NMT_RESET_NODE: "reset node",
-    codes.NMT_RESET_COMMUNICATION: "reset communication",
-}
-_RPDO_COMMANDS = {
-    table.COMMAND_TARE: "tare",
-    table.COMMAND_CLEAR_TARE: "clear tare",
-    table.COMMAND_ZERO: "zero gauges",
-}
-
-
-def node_name(node_id: int) -> str:
-    """The name of a node in the .dbc: TIP05."""
-    return f"TIP{node_id:02d}"
+"""By message and signal."""
 
 
 def dbc_text(node_ids: Iterable[int] = range(1, 16), n: int = 3) -> str:
@@ -68,105 +41,72 @@ def dbc_text(node_ids: Iterable[int] = range(1, 16), n: int = 3) -> str:
     for node_id in ids:
         if not 1 <= node_id <= 127 or ids.count(node_id) > 1:
             raise InputError(f"node-id {node_id}: allowed are 1 to 127, each once")
-    messages = _network(ids)
-    for node_id in ids:
-        messages += _node(node_id, n)
+    names = [f"TIP{node_id:02d}" for node_id in ids]
+    command = _number("command", 0, 8, "NMT command (CiA 301, 7.2.8.3.1)")
+    node = _number("node", 8, 8, "node-id, 0 for all nodes", 127)
+    text = "network management: changes the state of nodes"
+    messages = [_message(codes.NMT_COB_ID, "NMT", 2, (command, node), HOST, names, text)]
+    text = "all PDOs of one SYNC carry the same sample and counter"
+    messages.append(_message(codes.SYNC_COB_ID, "SYNC", 0, (), HOST, names, text))
+    for node_id, name in zip(ids, names, strict=True):
+        messages += _of_node(node_id, name, n)
     messages.sort(key=lambda message: message.frame_id)
     nodes = [Node(HOST, "the computer that reads the sensors")]
-    nodes += [Node(node_name(k), f"fingertip with node-id {k}, {n} gauges") for k in ids]
+    nodes += [Node(name, f"fingertip with node-id {k}, {n} gauges") for k, name in zip(ids, names, strict=True)]
     database = Database(messages, nodes, version=table.SOFTWARE_VERSION)
     text = database.as_dbc_string(sort_signals=None, sort_attribute_signals=None).replace("\r\n", "\n")
     return text.rstrip("\n") + "\n"  # cantools ends with empty lines, one per kind of entry that there is not
 
 
-def _network(ids: list[int]) -> list[Message]:
-    nodes = [node_name(k) for k in ids]
-    command = _signal("command", 0, 8, nodes, 0, 255, "NMT command (CiA 301, 7.2.8.3.1)", choices=NMT_COMMANDS)
-    node = _signal("node", 8, 8, nodes, 0, 127, "node-id, 0 for all nodes", choices={0: "all"})
-    return [
-        _message(codes.NMT_COB_ID, "NMT", 2, [command, node], HOST, "network management: changes the state of nodes"),
-        _message(codes.SYNC_COB_ID, "SYNC", 0, [], HOST, "all PDOs of one SYNC carry the same sample and counter"),
+def _of_node(node_id: int, name: str, n: int) -> list[Message]:
+    messages = []
+    for pdo in signals.tpdo_messages(n) + signals.rpdo_messages():
+        if pdo.cob_id_base:
+            sender, receiver = (name, HOST) if pdo.kind == "tpdo" else (HOST, name)
+            when = "at every SYNC" if pdo.transmission_type == 1 else "event-driven"
+            if pdo.event_timer_ms:
+                when = f"every {pdo.event_timer_ms} ms"
+            text = f"{pdo.kind.upper()}{pdo.number}, {when}" + ("" if pdo.enabled else "; disabled by default")
+            can_id, title = pdo.cob_id_base + node_id, f"{name}_{pdo.name}"
+            messages.append(_message(can_id, title, pdo.length_bytes, pdo.signals, sender, [receiver], text))
+    emcy = [
+        _number("error_code", 0, 16, "emergency error code"),
+        _number("error_register", 16, 8, "object 1001h: bit 0 is set with any error"),
+        *(_number(f"manufacturer_{k}", 16 + 8 * k, 8, f"byte {k} of 5 that tell more") for k in range(1, 6)),
     ]
-
-
-def _node(node_id: int, n: int) -> list[Message]:
-    name = node_name(node_id)
-    pdos = [m for m in signals.tpdo_messages(n) + signals.rpdo_messages() if m.cob_id_base]
-    return [*(_pdo(pdo, node_id) for pdo in pdos), _emcy(name, node_id), _heartbeat(name, node_id)]
-
-
-def _pdo(pdo: signals.Message, node_id: int) -> Message:
-    name = node_name(node_id)
-    sender, receiver = (name, HOST) if pdo.kind == "tpdo" else (HOST, name)
-    when = "at every SYNC" if pdo.transmission_type == 1 else "event-driven"
-    if pdo.event_timer_ms:
-        when = f"every {pdo.event_timer_ms} ms"
-    text = f"{pdo.kind.upper()}{pdo.number}, {when}" + ("" if pdo.enabled else "; disabled by default")
-    return _message(
-        pdo.cob_id_base + node_id, f"{name}_{pdo.name}", pdo.length_bytes,
-        [_pdo_signal(signal, receiver) for signal in pdo.signals], sender, text,
-    )  # fmt: skip
-
-
-def _pdo_signal(signal: signals.Signal, receiver: str) -> Signal:
-    choices = {} if signal.unknown is None else {signal.unknown: "unknown"}
-    if signal.name == "command":
-        choices = _RPDO_COMMANDS
-    return _signal(
-        signal.name, signal.start_bit, signal.bits, [receiver], signal.minimum, signal.maximum,
-        signal.description, signed=signal.signed, scale=signal.scale, unit=signal.unit, choices=choices,
-        real=signal.real,
-    )  # fmt: skip
-
-
-def _emcy(name: str, node_id: int) -> Message:
-    parts = [
-        _signal("error_code", 0, 16, [HOST], 0, 0xFFFF, "emergency error code", choices=EMCY_CODES),
-        _signal("error_register", 16, 8, [HOST], 0, 0xFF, "object 1001h: bit 0 is set with any error"),
+    heartbeat = [
+        _number("state", 0, 7, "NMT state (CiA 301, 7.2.8.3.2)"),
+        _number("toggle", 7, 1, "node guarding alternates it, a heartbeat has 0"),
     ]
-    parts += [
-        _signal(f"manufacturer_{k + 1}", 24 + 8 * k, 8, [HOST], 0, 0xFF, f"byte {k + 1} of 5 that tell more")
-        for k in range(5)
-    ]
-    return _message(codes.EMCY_BASE + node_id, f"{name}_EMCY", 8, parts, name, "emergency: an error came or went")
+    for base, title, length, parts, text in (
+        (codes.EMCY_BASE, "EMCY", 8, emcy, "emergency: an error came or went"),
+        (codes.HEARTBEAT_BASE, "Heartbeat", 1, heartbeat, "heartbeat, boot-up and node guarding"),
+    ):
+        messages.append(_message(base + node_id, f"{name}_{title}", length, parts, name, [HOST], text))
+    return messages
 
 
-def _heartbeat(name: str, node_id: int) -> Message:
-    parts = [
-        _signal("state", 0, 7, [HOST], 0, 127, "NMT state (CiA 301, 7.2.8.3.2)", choices=NMT_STATES),
-        _signal("toggle", 7, 1, [HOST], 0, 1, "node guarding alternates it, a heartbeat has 0"),
-    ]
-    comment = "heartbeat, boot-up and node guarding"
-    return _message(codes.HEARTBEAT_BASE + node_id, f"{name}_Heartbeat", 1, parts, name, comment)
+def _number(name: str, start: int, bits: int, text: str, highest: int = 0) -> signals.Signal:
+    """A number of a service, up to ``highest`` or that of its bits."""
+    return signals.Signal(name, start, bits, False, 1, "", 0, highest or (1 << bits) - 1, None, text, 0, 0)
 
 
-def _message(frame_id: int, name: str, length: int, parts: list[Signal], sender: str, comment: str) -> Message:
-    from cantools.database.can import Message
-
-    return Message(frame_id, name, length, parts, comment=comment, senders=[sender], strict=True)
-
-
-def _signal(
-    name: str,
-    start: int,
-    bits: int,
-    receivers: list[str],
-    minimum: float,
-    maximum: float,
-    comment: str,
-    *,
-    signed: bool = False,
-    scale: float = 1,
-    unit: str = "",
-    choices: dict[int, str] | None = None,
-    real: bool = False,
-) -> Signal:
-    from cantools.database.can import Signal
+def _message(
+    can_id: int, name: str, length: int, parts: Sequence[signals.Signal], sender: str, receivers: list[str], text: str
+) -> Message:
+    from cantools.database.can import Message, Signal
     from cantools.database.conversion import BaseConversion
 
-    named = OrderedDict[int, "str | NamedSignalValue"](choices or {}) or None
-    conversion = BaseConversion.factory(scale=scale, offset=0, choices=named, is_float=real)
-    return Signal(
-        name, start, bits, is_signed=signed, conversion=conversion, minimum=minimum, maximum=maximum,
-        unit=unit or None, comment=comment, receivers=receivers,
-    )  # fmt: skip
+    converted = []
+    for part in parts:
+        choices = _CHOICES.get((name.rpartition("_")[2], part.name), {})
+        if part.unknown is not None:
+            choices = {part.unknown: "unknown"}
+        named = OrderedDict[int, "str | NamedSignalValue"](choices) or None
+        signal = Signal(
+            part.name, part.start_bit, part.bits, is_signed=part.signed, minimum=part.minimum, maximum=part.maximum,
+            conversion=BaseConversion.factory(scale=part.scale, offset=0, choices=named, is_float=part.real),
+            unit=part.unit or None, comment=part.description, receivers=receivers,
+        )  # fmt: skip
+        converted.append(signal)
+    return Message(can_id, name, length, converted, comment=text, senders=[sender], strict=True)

@@ -20,7 +20,7 @@ from tipforce.dictionary import table, table_objects
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
-    from tipforce.dictionary.table import Limit, Run
+    from tipforce.dictionary.table import Limit
 
 T = TypeVar("T", bound=types.Value)
 Entries: TypeAlias = "dict[tuple[int, int], Entry[Any]]"
@@ -130,10 +130,19 @@ def objects(
         declared = table_objects.objects(n, simulated, converter, programs)
     except ValueError as error:
         raise InputError(str(error)) from None
-    return tuple(
-        Object(index, code, name, stem, tuple(entry for run in runs for entry in _unfold(index, code, run)))
-        for index, code, name, stem, runs in declared
-    )
+    unfolded = []
+    for index, code, name, stem, runs in declared:
+        listed: list[Entry[Any]] = []
+        for first, count, titles, slug, letter, access, flags, defaults, low, high, unit in runs:
+            counted = code != table.VAR and not (first == 0 or (code == table.RECORD and count == 1))
+            own = "" if slug == "count" else slug
+            for k, sub in enumerate(range(first, first + count)):
+                full = f"0x{index:04X}:{sub:02X}" if not own else f"{own}:{sub}" if counted else own
+                title = titles[k] if isinstance(titles, tuple) else titles.replace("%d", str(sub))
+                default = defaults[k] if isinstance(defaults, tuple) else defaults
+                listed.append(Entry(index, sub, letter, full, access, unit, title, own, flags, default, low, high))
+        unfolded.append(Object(index, code, name, stem, tuple(listed)))
+    return tuple(unfolded)
 
 
 @lru_cache(maxsize=32)
@@ -143,17 +152,6 @@ def entries(n: int = 3, simulated: bool = False, programs: bool = False) -> Entr
     return {(entry.index, entry.sub): entry for each in known for entry in each.entries}
 
 
-def _unfold(index: int, code: int, run: Run) -> Iterator[Entry[Any]]:
-    first, count, titles, slug, letter, access, flags, defaults, low, high, unit = run
-    counted = code != table.VAR and not (first == 0 or (code == table.RECORD and count == 1))
-    stem = "" if slug == "count" else slug
-    for k, sub in enumerate(range(first, first + count)):
-        name = f"0x{index:04X}:{sub:02X}" if not stem else f"{stem}:{sub}" if counted else stem
-        title = titles[k] if isinstance(titles, tuple) else titles.replace("%d", str(sub))
-        default = defaults[k] if isinstance(defaults, tuple) else defaults
-        yield Entry(index, sub, letter, name, access, unit, title, stem, flags, default, low, high)
-
-
 def resolve(text: str, n: int = 3) -> Entry[Any]:
     """The entry that ``text`` names on a node with ``n`` gauges, simulated or not, with program slots or without.
 
@@ -161,7 +159,20 @@ def resolve(text: str, n: int = 3) -> Entry[Any]:
     """
     known, wanted = entries(n, True, True), text.strip()
     match = _NUMERIC.fullmatch(wanted)
-    return _numeric(match, known, n) if match else _named(wanted, known, n)
+    if match is None:
+        return _named(wanted, known, n)
+    index, sub = int(match[1] or match[2], 16), int(match[3] or "0", 16)
+    subs = [s for i, s in known if i == index]
+    if sub in subs and (match[3] is not None or subs == [0]):
+        return known[index, sub]
+    if not subs:
+        near = sorted({i for i, _ in known}, key=lambda i: (abs(i - index), i))[:3]
+        hint = ", ".join(f"0x{i:04X}" for i in near)
+        raise InputError(f"{wanted}: no object 0x{index:04X} with {n} gauges; the nearest are {hint}")
+    allowed = _ranges(subs, "02X")
+    if match[3] is None:
+        raise InputError(f"{wanted} has several sub-indices: write 0x{index:04X}:SS, SS (hex) {allowed}")
+    raise InputError(f"{wanted}: no sub-index {sub} (0x{sub:02X}); allowed, in hex, with {n} gauges: {allowed}")
 
 
 def describe(index: int, sub: int, n: int = 3) -> Entry[Any] | None:
@@ -174,22 +185,6 @@ def all_names(n: int = 3) -> tuple[str, ...]:
     return tuple(entry.name for entry in entries(n, True, True).values() if entry.stem)
 
 
-def _numeric(match: re.Match[str], known: Entries, n: int) -> Entry[Any]:
-    index, sub = int(match[1] or match[2], 16), int(match[3] or "0", 16)
-    entry = known.get((index, sub))
-    subs = [s for i, s in known if i == index]
-    if entry is not None and (match[3] is not None or subs == [0]):
-        return entry
-    if not subs:
-        near = sorted({i for i, _ in known}, key=lambda i: (abs(i - index), i))[:3]
-        hint = ", ".join(f"0x{i:04X}" for i in near)
-        raise InputError(f"{match[0]}: no object 0x{index:04X} with {n} gauges; the nearest are {hint}")
-    allowed = _ranges(subs, "02X")
-    if match[3] is None:
-        raise InputError(f"{match[0]} has several sub-indices: write 0x{index:04X}:SS, SS (hex) {allowed}")
-    raise InputError(f"{match[0]}: no sub-index {sub} (0x{sub:02X}); allowed, in hex, with {n} gauges: {allowed}")
-
-
 def _named(text: str, known: Entries, n: int) -> Entry[Any]:
     by_name = {entry.name: entry for entry in known.values() if entry.stem}
     name = re.sub(r"[.:](\d+)$", lambda m: f":{int(m[1])}", text)
@@ -199,13 +194,8 @@ def _named(text: str, known: Entries, n: int) -> Entry[Any]:
     subs = [entry.sub for entry in known.values() if entry.is_counted and entry.stem == stem]
     if subs:
         raise InputError(f"{text}: write {stem}:SUB, with {n} gauges SUB is {_ranges(subs, 'd')}")
-    return _folded(text, name, by_name)
-
-
-def _folded(text: str, name: str, by_name: dict[str, Entry[Any]]) -> Entry[Any]:
-    """One name that differs in case alone is meant; anything else gets suggestions."""
     same = [entry for own, entry in by_name.items() if own.lower() == name.lower()]
-    if len(same) == 1:
+    if len(same) == 1:  # one name that differs in case alone is meant; anything else gets suggestions
         return same[0]
     stems = {own.partition(":")[0] for own in by_name}
     tails = {stem.rpartition(".")[2]: stem for stem in sorted(stems)}

@@ -4,9 +4,39 @@ from __future__ import annotations
 
 from typing import Final
 
-from canopen_device.core import codes
-from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
+from canopen_device.core import codes, emcy
+from tipforce.dictionary import table
 
+EMCY_CODES: Final = {
+    emcy.NO_ERROR: "no error",
+    table.EMCY_TEMPERATURE: "temperature",
+    table.EMCY_GAUGE_SATURATED: "gauge saturated",
+    table.EMCY_OVERLOAD: "overload",
+    table.EMCY_FRONT_END: "front end",
+    table.EMCY_CALIBRATION_INVALID: "stored calibration invalid",
+    emcy.CAN_OVERRUN: "CAN overrun",
+    emcy.ERROR_PASSIVE: "CAN error passive",
+    emcy.HEARTBEAT_LOST: "heartbeat lost",
+    emcy.BUS_OFF_RECOVERED: "recovered from bus-off",
+    emcy.COB_ID_COLLISION: "COB-ID collision",
+    emcy.PDO_LENGTH: "PDO length",
+    emcy.SYNC_LENGTH: "SYNC length",
+    emcy.RPDO_TIMEOUT: "RPDO timeout",
+    emcy.WEAR_BUDGET_EMPTY: "too many stores or erases",
+}
+NMT_STATES: Final = {
+    codes.INITIALISING: "boot-up",
+    codes.STOPPED: "stopped",
+    codes.OPERATIONAL: "operational",
+    codes.PRE_OPERATIONAL: "pre-operational",
+}
+NMT_COMMANDS: Final = {
+    codes.NMT_START: "start",
+    codes.NMT_STOP: "stop",
+    codes.NMT_ENTER_PRE_OPERATIONAL: "enter pre-operational",
+    codes.NMT_RESET_NODE: "reset node",
+    codes.NMT_RESET_COMMUNICATION: "reset communication",
+}
 _ABORTS: Final = {
     codes.TOGGLE: "toggle bit not alternated",
     codes.TIMEOUT: "SDO protocol timed out",

@@ -163,9 +163,7 @@ def communication_area(product: int, simulated: bool) -> "tuple[Object, ...]":
             communication.HIGH_RESOLUTION_TIME, "High resolution time stamp", "time.high_resolution_us",
             U32, "rw", TPDO | RPDO | NOT_STORED, unit="us",
         ),
-        var(
-            communication.COB_ID_EMCY, "COB-ID EMCY", "emcy.cob_id", U32, "rw", ADD_NODE_ID | COUNTED, codes.EMCY_BASE,
-        ),
+        var(communication.COB_ID_EMCY, "COB-ID EMCY", "emcy.cob_id", U32, "rw", ADD_NODE_ID | COUNTED, codes.EMCY_BASE),
         var(communication.EMCY_INHIBIT_TIME, "Inhibit time EMCY", "emcy.inhibit_100us", U16, "rw", unit="100 us"),
         array(
             communication.CONSUMER_HEARTBEAT, "Consumer heartbeat time", "heartbeat.consumer", 4,
@@ -263,19 +261,13 @@ def calibration(n: int) -> "tuple[Object, ...]":
     noise = tuple("Covariance SG%d SG%d" % (j, k) for j in range(1, n + 1) for k in range(j, n + 1))
     gauges = tuple("SG%d" % k for k in range(1, n + 1))
     return (
-        array(
-            0x2100, "Calibration matrix C", "calibration.matrix", 3 * n, matrix,
-            REAL32, "rw", STAGED, 0.0, unit="N",
-        ),
-        array(
-            0x2101, "Gauge offset", "calibration.offset", n, gauges, REAL32, "rw", STAGED, 0.0, unit="strain",
-        ),
+        array(0x2100, "Calibration matrix C", "calibration.matrix", 3 * n, matrix, REAL32, "rw", STAGED, 0.0, unit="N"),
+        array(0x2101, "Gauge offset", "calibration.offset", n, gauges, REAL32, "rw", STAGED, 0.0, unit="strain"),
         record(
             0x2102, "Calibration facts", "calibration",
             (1, "Calibration serial", "serial", U32, "rw", STAGED),
             (2, "Calibration date YYYYMMDD", "date", U32, "rw", STAGED),
-            (3, "Reference temperature", "reference_temperature",
-             REAL32, "rw", STAGED, 0.0, None, None, "degC"),
+            (3, "Reference temperature", "reference_temperature", REAL32, "rw", STAGED, 0.0, None, None, "degC"),
             (4, "Gauge layout", "layout", U8, "rw", STAGED),
             (5, "Condition number of staged C", "condition_number", REAL32, "ro", 0, 0.0),
         ),
@@ -312,12 +304,9 @@ def calibration(n: int) -> "tuple[Object, ...]":
         ),
         record(
             0x2112, "Calibration validity", "calibration",
-            (1, "Calibrated force (0 not known)", "calibrated_force",
-             REAL32, "rw", STAGED, 0.0, None, None, "N"),
-            (2, "Overload force (0 not known)", "overload_force",
-             REAL32, "rw", STAGED, 0.0, None, None, "N"),
-            (3, "Lowest temperature", "temperature_minimum",
-             REAL32, "rw", STAGED, 0.0, None, None, "degC"),
+            (1, "Calibrated force (0 not known)", "calibrated_force", REAL32, "rw", STAGED, 0.0, None, None, "N"),
+            (2, "Overload force (0 not known)", "overload_force", REAL32, "rw", STAGED, 0.0, None, None, "N"),
+            (3, "Lowest temperature", "temperature_minimum", REAL32, "rw", STAGED, 0.0, None, None, "degC"),
             (4, "Highest temperature (both 0 not known)", "temperature_maximum",
              REAL32, "rw", STAGED, 0.0, None, None, "degC"),
             (5, "Relative model uncertainty of the force", "model_uncertainty", REAL32, "rw", STAGED, 0.0),
@@ -334,10 +323,7 @@ def calibration(n: int) -> "tuple[Object, ...]":
             0x2115, "Gain of the force against temperature", "calibration.gain_temperature",
             REAL32, "rw", STAGED, 0.0, unit="1/K",
         ),
-        var(
-            0x2116, "Limit of the redundancy check (0 off)", "calibration.redundancy_limit",
-            REAL32, "rw", STAGED, 0.0,
-        ),
+        var(0x2116, "Limit of the redundancy check (0 off)", "calibration.redundancy_limit", REAL32, "rw", STAGED, 0.0),
     )
 
 

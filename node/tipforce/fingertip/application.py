@@ -13,8 +13,6 @@ from .sample import NO_TARE, Sample
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from canopen_device.core.object_dictionary import ObjectDictionary, Value
 
     from .filters import Filtering
@@ -64,21 +62,19 @@ class Fingertip(Application):
         self._own_live_objects(device.od)
 
     def _own_live_objects(self, od: "ObjectDictionary") -> None:
-        readers: "tuple[tuple[int, Callable[[int], Value]], ...]" = (
-            (communication.MANUFACTURER_STATUS, lambda _sub: self.sample.status() | self.sample.faults << 16),
-            (indices.UNCERTAINTY, self._read_uncertainty),
-            (indices.TARE, self._read_tare),
-            (indices.STATUS, lambda _sub: self.sample.status()),
-            (indices.COUNTER, lambda _sub: self.sample.counter),
-            (indices.TEMPERATURE, lambda _sub: self._read_temperature()),
-            (indices.U_P, lambda _sub: self._read_magnitude_uncertainty()),
-            (indices.FAULTS, lambda _sub: self.sample.faults),
-        )
-        for index, reader in readers:
-            od.readers[index] = reader
-        od.writers[indices.CALIBRATION_COMMIT] = self._write_commit
-        od.writers[indices.COMMAND] = lambda _sub, value: self.command(value)  # type: ignore[arg-type]
-        od.writers[indices.AUTOTARE] = self._write_autotare
+        readers, writers = od.readers, od.writers
+        readers[communication.MANUFACTURER_STATUS] = lambda _sub: self.sample.status() | self.sample.faults << 16
+        readers[indices.UNCERTAINTY] = self._read_uncertainty
+        readers[indices.TARE] = self._read_tare
+        readers[indices.STATUS] = lambda _sub: self.sample.status()
+        readers[indices.COUNTER] = lambda _sub: self.sample.counter
+        readers[indices.TEMPERATURE] = self._read_temperature
+        readers[indices.U_P] = self._read_magnitude_uncertainty
+        readers[indices.FAULTS] = lambda _sub: self.sample.faults
+        writers[indices.CALIBRATION_COMMIT] = self._write_commit
+        writers[indices.COMMAND] = lambda _sub, value: self.command(value)  # type: ignore[arg-type]
+        tara = table.SIGNATURE_TARA
+        writers[indices.AUTOTARE] = lambda _sub, value: self.tare() if value == tara else codes.NOT_TRANSFERRED
 
     # --- the device calls these -----------------------------------------------------------------------------
 
@@ -306,12 +302,12 @@ class Fingertip(Application):
             return scalar.NAN if unknown & scalar.UNKNOWN_PHI else u_phi * scalar.DEGREES
         return scalar.NAN if unknown & scalar.UNKNOWN_THETA else u_theta * scalar.DEGREES
 
-    def _read_magnitude_uncertainty(self) -> int:
+    def _read_magnitude_uncertainty(self, _sub: int) -> int:
         u_P = self._read_uncertainty(1)
         # Bounded before rounding: where floats are single precision u_P may be infinite.
         return round(min(1000.0 * u_P, table.UNKNOWN_U16 - 1.0)) if u_P >= 0.0 else table.UNKNOWN_U16
 
-    def _read_temperature(self) -> int:
+    def _read_temperature(self, _sub: int) -> int:
         reading = self.sample.reading
         known = reading is not None and not self.sample.unknown_early() & scalar.UNKNOWN_GAUGES
         return reading.temperature if known and reading is not None else table.UNKNOWN_I16
@@ -329,6 +325,3 @@ class Fingertip(Application):
             if self.calibration.active_record() != before or tare != NO_TARE:
                 self.reports.changed()
         return abort
-
-    def _write_autotare(self, _sub: int, value: "Value") -> int:
-        return self.tare() if value == table.SIGNATURE_TARA else codes.NOT_TRANSFERRED

@@ -9,12 +9,10 @@ import struct
 
 from canopen_device.core import codes, communication
 from tipforce.dictionary import indices, table, table_objects
-from tipforce.sensor.contact.scalar_condition import condition_number, singular_range
+from tipforce.sensor.contact.scalar_condition import condition_number, singular_range, square
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from canopen_device.core.object_dictionary import ObjectDictionary, Value
 
     Covariance = tuple[float, float, float, float, float, float]
@@ -41,23 +39,19 @@ class Active:
     def __init__(self, record: bytes, values: "list[float]", n: int) -> None:
         self.record = record
         self.C = [values[row * n : row * n + n] for row in range(3)]
-        self.offsets = values[3 * n : 4 * n]
-        after_facts = 4 * n + 4
-        triangle = n * (n + 1) // 2
-        self.noise = values[after_facts : after_facts + triangle]
-        pad = after_facts + triangle
-        _radius, theta_min, theta_max, on, off, sense = values[pad : pad + 6]
+        parts, first = [], 3 * n
+        for count in (n, 4, n * (n + 1) // 2, 6, 5, n, n, 2):  # 2101h, 2102h, 2106h, 2110h, 2112h to 2114h, the rest
+            parts.append(values[first : first + count])
+            first += count
+        self.offsets, facts, self.noise, contact, validity, converter, per_kelvin, coefficients = parts
+        self.reference_degC = facts[2]
+        _radius, theta_min, theta_max, on, off, sense = contact
         self.limits = (on, off, theta_min, theta_max)
         self.pull = bool(sense)
-        self.reference_degC = values[4 * n + 2]
-        pad += 6
-        self.forces = values[pad], values[pad + 1]
-        self.range_degC = values[pad + 2], values[pad + 3]
-        self.model = values[pad + 4]
-        converter, per_kelvin = values[pad + 5 : pad + 5 + n], values[pad + 5 + n : pad + 5 + 2 * n]
+        self.forces, self.range_degC, self.model = (validity[0], validity[1]), (validity[2], validity[3]), validity[4]
         self.converter = converter if any(converter) else None
         self.per_kelvin = per_kelvin if any(per_kelvin) else None
-        self.gain_per_kelvin, self.redundancy = values[pad + 5 + 2 * n :]
+        self.gain_per_kelvin, self.redundancy = coefficients
         known = any(self.forces) or any(self.range_degC) or self.compensated()
         self.checked = known or self.model > 0.0 or (n > 3 and self.redundancy > 0.0)
         self._checks: "dict[int, Check | None]" = {}
@@ -131,21 +125,11 @@ def _propagate(C: "list[list[float]]", noise: "list[float]", n: int) -> "Covaria
     return product(c1, c1), product(c1, c2), product(c1, c3), product(c2, c2), product(c2, c3), product(c3, c3)
 
 
-def square(noise: "Sequence[float]", n: int) -> "list[list[float]]":
-    """The symmetric matrix whose upper triangle, by rows, is ``noise``."""
-    full = [[0.0] * n for _ in range(n)]
-    k = 0
-    for i in range(n):
-        for j in range(i, n):
-            full[i][j] = full[j][i] = noise[k]
-            k += 1
-    return full
-
-
 CALIBRATION_GROUP = 4  # sub-index of 1010h and 1011h
 _ROUNDING = 1e-5  # of variances: that of REAL32, with room for a node that works in single precision
 _STORED_TAIL = "<fI"  # condition limit 2105h:1, generation 2103h:4
 _HEALTH_MAPPING = communication.TPDO_MAPPING + 3  # of TPDO4
+_LOAD_SENSE = indices.CONTACT_SETTINGS << 8 | 6
 _CONDITION_LIMIT, _EXPECTED_CRC = indices.CALIBRATION_GUARD << 8 | 1, indices.CALIBRATION_CHECK << 8 | 1
 
 
@@ -185,23 +169,19 @@ class Calibration:
         self.refused = False  # what is stored is no record of this version (or of another number of gauges)
         self._generation = 0
         self._locked = False
-        fields = table_objects.staged(n)
+        fields, guard = table_objects.staged(n), indices.CALIBRATION_GUARD
         self._keys = [index << 8 | sub for index, sub, _kind in fields]
         self.packing = "<" + "".join([kind for _index, _sub, kind in fields])
         for index, _sub, _kind in fields:
-            od.writers[index] = self._write_staged
+            od.writers[index] = lambda _sub, _value: codes.DEVICE_STATE if self._locked else 0
         od.sizes[indices.CALIBRATION_STAGED_RECORD] = struct.calcsize(self.packing)
         od.readers[indices.CALIBRATION_FACTS] = self._read_facts
         od.readers[indices.CALIBRATION_CHECK] = self._read_check
-        od.readers[indices.CALIBRATION_GUARD] = self._read_guard
+        od.readers[guard] = lambda sub: int(self._locked) if sub == 2 else od.values[guard << 8 | sub]
         od.readers[indices.CALIBRATION_ACTIVE_RECORD] = lambda _sub: self.active_record()
         od.readers[indices.CALIBRATION_STAGED_RECORD] = lambda _sub: self.staged_record()
-        od.writers[indices.CALIBRATION_GUARD] = self._write_guard
+        od.writers[guard] = self._write_guard
         od.writers[indices.CALIBRATION_STAGED_RECORD] = self._write_record
-
-    def _pad(self) -> int:
-        """Where 2110h:1 is among the fields."""
-        return 4 * self._n + 4 + self._n * (self._n + 1) // 2
 
     def staged_record(self) -> bytes:
         """The staged record as one byte string (2141h)."""
@@ -229,7 +209,7 @@ class Calibration:
         if data is not None and not self.refused:
             self._od.values[_CONDITION_LIMIT], self._generation = struct.unpack(_STORED_TAIL, data[:tail])
             if len(data) > tail:
-                self.active = self._unpack(data[tail:])
+                self._activate(data[tail:])
         self._stage(self.active_record())
         self.drop_old_mapping()
 
@@ -238,8 +218,8 @@ class Calibration:
         if self.refused:
             self._od.restore_defaults(_HEALTH_MAPPING, _HEALTH_MAPPING)
 
-    def _unpack(self, record: bytes) -> Active:
-        return Active(record, list(struct.unpack(self.packing, record)), self._n)
+    def _activate(self, record: bytes) -> None:
+        self.active = Active(record, list(struct.unpack(self.packing, record)), self._n)
 
     def _stage(self, record: bytes) -> None:
         for key, value in zip(self._keys, struct.unpack(self.packing, record)):  # noqa: B905
@@ -254,11 +234,9 @@ class Calibration:
         return rows
 
     def _read_facts(self, sub: int) -> "Value":
-        return (
-            condition_number(self._staged_matrix())
-            if sub == 5
-            else self._od.values[indices.CALIBRATION_FACTS << 8 | sub]
-        )
+        if sub == 5:
+            return condition_number(self._staged_matrix())
+        return self._od.values[indices.CALIBRATION_FACTS << 8 | sub]
 
     def _read_check(self, sub: int) -> "Value":
         if sub == 2:
@@ -267,17 +245,11 @@ class Calibration:
             return 0 if self.active is None else crc32(self.active.record)
         return self._generation if sub == 4 else self._od.values[indices.CALIBRATION_CHECK << 8 | sub]
 
-    def _read_guard(self, sub: int) -> "Value":
-        return int(self._locked) if sub == 2 else self._od.values[indices.CALIBRATION_GUARD << 8 | sub]
-
-    def _write_staged(self, _sub: int, _value: "Value") -> int:
-        return codes.DEVICE_STATE if self._locked else 0
-
     def _write_record(self, _sub: int, value: "Value") -> int:
         if self._locked:
             return codes.DEVICE_STATE
         fields = struct.unpack(self.packing, value)  # type: ignore[arg-type]
-        if fields[self._pad() + 5] > 1:
+        if fields[self._keys.index(_LOAD_SENSE)] > 1:
             return codes.INVALID_VALUE  # 2110h:6 load sense, the one field with limits of its own
         self._stage(value)  # type: ignore[arg-type]
         return 0
@@ -310,14 +282,14 @@ class Calibration:
             return codes.TOO_HIGH
         if not table.NORM_MIN <= largest <= table.NORM_MAX:
             return codes.TOO_HIGH if largest > table.NORM_MAX else codes.TOO_LOW
-        self.active = self._unpack(record)
+        self._activate(record)
         self._od.edited = True
         self._generation = (self._generation + 1) & 0xFFFFFFFF
         return 0
 
     def _is_allowed(self, candidate: "tuple[float, ...]") -> bool:
         """Finite, a covariance (a negative variance would pass for no uncertainty at all), of the table's order."""
-        n, of = self._n, dict(zip(self._keys, candidate))  # noqa: B905 (not in MicroPython)
+        of = dict(zip(self._keys, candidate))  # noqa: B905 (not in MicroPython)
         for key, field in of.items():
             if field - field != 0:
                 return False
@@ -326,4 +298,5 @@ class Calibration:
         for key, greatest in table.IN_ORDER:
             if of[key] > of[greatest]:
                 return False
-        return _is_covariance(square(candidate[4 * n + 4 : self._pad()], n))
+        noise = [of[key] for key in self._keys if key >> 8 == indices.CALIBRATION_NOISE]
+        return _is_covariance(square(noise, self._n))

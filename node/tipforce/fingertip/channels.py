@@ -66,7 +66,9 @@ class Channels:
         for index in _SPAN:
             od.writers[index] = self._writer(index, self.load)
         od.writers[indices.SAMPLE_PERIOD_US] = self._write_period
-        od.writers[indices.AUTOZERO] = self._write_autozero
+        od.writers[indices.AUTOZERO] = lambda sub, value: (
+            fingertip.zero([sub - 1]) if value == table.SIGNATURE_ZERO else codes.NOT_TRANSFERRED
+        )
         for index in _FILTER:
             od.writers[index] = self._filter_writer(index)
         self.load()
@@ -287,8 +289,3 @@ class Channels:
         from . import filters  # a node without a filter does without
 
         return 0 if filters.offered(kind, constant) else codes.INVALID_VALUE
-
-    def _write_autozero(self, sub: int, value: "Value") -> int:
-        if value != table.SIGNATURE_ZERO:
-            return codes.NOT_TRANSFERRED
-        return self._fingertip.zero([sub - 1])

@@ -25,8 +25,6 @@ class MovingAverage:
 
     __slots__ = ("_at", "_constant", "_filled", "_n", "_ring", "_sums")
 
-    every = 1  # conversions from one output to the next
-
     def __init__(self, n: int, constant: int) -> None:
         self._n = n
         self._constant = constant
@@ -58,11 +56,11 @@ class MovingAverage:
 class RepeatingAverage:
     """The mean of ``constant`` conversions, then of the next ``constant``: one output for so many conversions."""
 
-    __slots__ = ("_filled", "_mean", "_n", "_sums", "every")
+    __slots__ = ("_constant", "_filled", "_mean", "_n", "_sums")
 
     def __init__(self, n: int, constant: int) -> None:
         self._n = n
-        self.every = constant
+        self._constant = constant
         self.restart()
 
     def restart(self) -> None:
@@ -76,9 +74,9 @@ class RepeatingAverage:
         for k in range(self._n):
             self._sums[k] += counts[k]
         self._filled += 1
-        if self._filled < self.every:
+        if self._filled < self._constant:
             return False
-        self._mean = [total / self.every for total in self._sums]
+        self._mean = [total / self._constant for total in self._sums]
         self._sums = [0] * self._n
         self._filled = 0
         return True
@@ -96,8 +94,6 @@ class FirstOrder:
     """
 
     __slots__ = ("_age", "_constant", "_n", "_states")
-
-    every = 1
 
     def __init__(self, n: int, constant: int) -> None:
         self._n = n

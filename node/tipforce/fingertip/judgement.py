@@ -7,6 +7,7 @@ from math import sqrt
 
 from tipforce.dictionary import table
 from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.scalar_condition import dot
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ class Judgement:
     def _judge_force(self, overloaded: bool, known_kelvin: float) -> None:
         active, solver = self._active, self.solver
         assert solver is not None
-        f1, f2, f3 = [_dot(row, self._strains) for row in solver[0]]
+        f1, f2, f3 = [dot(row, self._strains) for row in solver[0]]
         gain = 1.0 + active.gain_per_kelvin * known_kelvin
         self.force = f1 / gain, f2 / gain, f3 / gain
         calibrated, overload = active.forces
@@ -108,7 +109,7 @@ class Judgement:
         if self._kelvin > 0.0:
             moved = [active.gain_per_kelvin * f for f in force]
             if active.per_kelvin is not None:
-                moved = [m + _dot(row, active.per_kelvin) for m, row in zip(moved, matrix)]  # noqa: B905
+                moved = [m + dot(row, active.per_kelvin) for m, row in zip(moved, matrix)]  # noqa: B905
             found = _with(found, self._kelvin * moved[0], self._kelvin * moved[1], self._kelvin * moved[2])
         if self._faults:
             from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
@@ -167,10 +168,3 @@ def _with(cov: "Covariance", f1: float, f2: float, f3: float) -> "Covariance":
     """The covariance, upper triangle, with f f^T added."""
     k11, k12, k13, k22, k23, k33 = cov
     return k11 + f1 * f1, k12 + f1 * f2, k13 + f1 * f3, k22 + f2 * f2, k23 + f2 * f3, k33 + f3 * f3
-
-
-def _dot(a: "list[float]", b: "list[float]") -> float:
-    total = 0.0
-    for i in range(len(a)):
-        total += a[i] * b[i]
-    return total

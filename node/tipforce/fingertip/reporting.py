@@ -45,8 +45,12 @@ class Interrupts:
         for number, transmission, keys in self._device.tpdos.mapped():
             if transmission == _ON_SYNC_AFTER_EVENT or transmission >= EVENT_DRIVEN:
                 for index, sub in keys:
-                    if index in _CHANNEL_VALUES and self._configured(sub):
-                        self.watched.setdefault(sub, []).append(number)
+                    if index in _CHANNEL_VALUES:
+                        low, high = [self._device.od.default(limit, sub) for limit in _LIMITS[:2]]
+                        lower, upper, _ = [self._setting(limit, sub) for limit in _LIMITS]
+                        delta = self._setting(indices.INTERRUPT_DELTA, sub)
+                        if delta > 0.0 or lower > low or upper < high:  # type: ignore[operator]
+                            self.watched.setdefault(sub, []).append(number)
 
     def check(self) -> None:
         """Compare the present sample; ask for the TPDOs of the channels that have something to say."""
@@ -76,11 +80,6 @@ class Interrupts:
         if value > upper or (before == _ABOVE and value > upper - hysteresis):
             return _ABOVE
         return _INSIDE
-
-    def _configured(self, sub: int) -> bool:
-        low, high = [self._device.od.default(index, sub) for index in _LIMITS[:2]]
-        delta, (lower, upper, _) = self._setting(indices.INTERRUPT_DELTA, sub), [self._setting(k, sub) for k in _LIMITS]
-        return delta > 0.0 or lower > low or upper < high  # type: ignore[operator]
 
     def _setting(self, index: int, sub: int) -> float:
         return float(self._device.od.values[index << 8 | sub])

@@ -96,9 +96,9 @@ class Sample:
         if reading is not None:
             if active is not None and active.converter is not None:
                 self._limit(active.converter, scaling)
-            for microstrain, (start, end) in zip(self.microstrains, spans):  # noqa: B905
-                if not start <= microstrain <= end:
-                    self._leave_spans(spans)
+            for k, (start, end) in enumerate(spans):  # a gauge outside its span (6148h, 6149h) is saturated too
+                if not start <= self.microstrains[k] <= end:
+                    self.overloads[k] = self.overloads[k] or outside(self.microstrains[k], start, end)
             faults |= self._saturated()
         self.lost |= faults & _GAUGES
         self.solver = None if active is None else active.solver(self.lost)
@@ -130,11 +130,6 @@ class Sample:
             microstrain = gain * self.reading.counts[k] + bias
             if limit > 0.0 and not self.overloads[k]:
                 self.overloads[k] = (microstrain >= limit) - (microstrain <= -limit)
-
-    def _leave_spans(self, spans: "Sequence[tuple[float, float]]") -> None:
-        """A gauge outside its span (6148h, 6149h) is saturated too."""
-        for k, (start, end) in enumerate(spans):
-            self.overloads[k] = self.overloads[k] or outside(self.microstrains[k], start, end)
 
     def status(self) -> int:
         """The status byte 2120h of this sample."""

@@ -85,7 +85,7 @@ def finger_maker(node_ids: Collection[int] | None = None, fallback: Fallback | N
 HEARTBEAT_TIMEOUT_S = 2.5
 ROW_TIMEOUT_S = 0.05
 HEALTH_YOUNG_NS = 3_000_000_000
-_SERVICE, _NODE = ~np.uint32(NODE_ID_MASK), np.uint32(NODE_ID_MASK)
+_SERVICE = ~np.uint32(NODE_ID_MASK)
 _SERVICES = (NMT_COB_ID, EMCY_BASE, HEARTBEAT_BASE)
 _TALLIED = ("missing", "late", "mixed", "doubtful")
 _UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
@@ -119,14 +119,18 @@ class Watcher:
 
     def add(self, frames: FrameArray, now_s: float) -> tuple[list[Block], list[Event]]:
         """Process frames, FRAME (n,), at the monotonic time ``now_s``; call it also without frames."""
-        events: list[Event] = []
         self.discover(frames)
-        events += self._watch(frames, now_s)
+        events = self._watch(frames, now_s)
         if self._collector is None:
             return [], events
         rows = self._collector.add(self._paced(frames), now_s)
-        if len(frames):
-            self._take_health(frames)
+        service = frames["can_id"] & _SERVICE
+        chosen = frames[(service == TPDO_BASES[3]) | (service == HEARTBEAT_BASE) | (service == EMCY_BASE)]
+        if len(chosen):
+            decoded = self._health.decode(chosen)
+            self._faults.take(chosen, decoded.values())
+            for (node_id, _), samples in decoded.items():
+                self._health_u[node_id] = int(samples.t_ns[-1]), float(samples.columns["u_P"][-1])
         if not len(rows):
             return [], events
         faults = np.stack([self._faults.at(finger.node_id, rows.sync_ns)[0] for finger in self.fingers], axis=-1)
@@ -139,14 +143,14 @@ class Watcher:
 
     def tally(self) -> tuple[list[int], list[int], list[int], list[int]]:
         """Return missing, late, mixed and doubtful responses of each finger, over all collectors so far."""
-        missing, late, mixed, doubtful = (self._sums(what) for what in _TALLIED)
+        sums = []
+        for what in _TALLIED:
+            now: dict[int, int] = {}
+            if self._collector is not None:
+                now = dict(zip(self._collector.node_ids, getattr(self._collector.tally, what).tolist(), strict=True))
+            sums.append([now.get(f.node_id, 0) + self._past.get((what, f.node_id), 0) for f in self.fingers])
+        missing, late, mixed, doubtful = sums
         return missing, late, mixed, doubtful
-
-    def _sums(self, what: str) -> list[int]:
-        now: dict[int, int] = {}
-        if self._collector is not None:
-            now = dict(zip(self._collector.node_ids, getattr(self._collector.tally, what).tolist(), strict=True))
-        return [now.get(finger.node_id, 0) + self._past.get((what, finger.node_id), 0) for finger in self.fingers]
 
     def discover(self, frames: FrameArray) -> None:
         """Only find the fingers: the first pass over a log."""
@@ -215,14 +219,6 @@ class Watcher:
         syncs = np.zeros(len(places), dtype=FRAME)
         syncs["t_ns"], syncs["can_id"] = frames["t_ns"][places], SYNC_COB_ID
         return np.insert(frames, places, syncs)
-
-    def _take_health(self, frames: FrameArray) -> None:
-        service = frames["can_id"] & _SERVICE
-        chosen = frames[(service == TPDO_BASES[3]) | (service == HEARTBEAT_BASE) | (service == EMCY_BASE)]
-        decoded = self._health.decode(chosen)
-        self._faults.take(chosen, decoded.values())
-        for (node_id, _), samples in decoded.items():
-            self._health_u[node_id] = int(samples.t_ns[-1]), float(samples.columns["u_P"][-1])
 
     def _health_of(self, rows: Rows) -> FloatArray | None:
         if not self._health_u:

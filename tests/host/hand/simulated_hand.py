@@ -234,7 +234,7 @@ class Connection(Bus):
 
 
 class _Link:
-    dropped = 0
+    dropped, owned = 0, True
 
     def __init__(self, line: Line, echo: bool) -> None:
         self._line, self.connection = line, Connection(line, echo)

@@ -24,13 +24,13 @@ from tipforce.host.dataset.manifest import (
     DataFile,
     Manifest,
     Part,
+    RunLock,
     commit,
     files_of,
     joined,
     read_manifest,
 )
 from tipforce.host.dataset.reader import damage_named
-from tipforce.host.dataset.run_lock import RunLock
 from tipforce.host.dataset.store import FOLDER, Store
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME

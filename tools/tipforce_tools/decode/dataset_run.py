@@ -24,6 +24,7 @@ from tipforce.host.dataset.manifest import (
     DataFile,
     Manifest,
     Part,
+    RunLock,
     Source,
     commit,
     files_of,
@@ -31,7 +32,6 @@ from tipforce.host.dataset.manifest import (
     remove_replaced,
 )
 from tipforce.host.dataset.reader import need_pyarrow
-from tipforce.host.dataset.run_lock import RunLock
 from tipforce.host.dataset.store import FOLDER, Store, url_of
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, State, Told

@@ -21,8 +21,7 @@ from canopen_device.core.codes import (
     SYNC_COB_ID,
 )
 from tipforce.arrays import IntArray, occurring
-from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
-from tipforce.dictionary.service_texts import state_text
+from tipforce.dictionary.service_texts import EMCY_CODES, NMT_STATES, state_text
 from tipforce.dictionary.table import FAULT_BITS, STATUS_BITS
 from tipforce.host.decoding.counters import Tally
 from tipforce.host.decoding.decoder import Decoder, Samples

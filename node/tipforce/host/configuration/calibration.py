@@ -96,16 +96,11 @@ class Calibration:
     model_uncertainty: float = field(default=0.0, metadata=_row(indices.CALIBRATION_VALIDITY, 5))
     """Relative standard uncertainty of the force from nonlinearity and misfit (2112h:5). 0: not known."""
     converter_limit_strain: FloatArray = field(
-        default_factory=_not_known,
-        metadata=_row(indices.CALIBRATION_CONVERTER_LIMIT, shape=("n",)),
+        default_factory=_not_known, metadata=_row(indices.CALIBRATION_CONVERTER_LIMIT, shape=("n",))
     )
     """Symmetric limit of the converter per gauge (2113h), (n,). 0: not known, the span 6148h/6149h alone holds."""
     offset_temperature_strain_per_K: FloatArray = field(
-        default_factory=_not_known,
-        metadata=_row(
-            indices.CALIBRATION_OFFSET_TEMPERATURE,
-            shape=("n",),
-        ),
+        default_factory=_not_known, metadata=_row(indices.CALIBRATION_OFFSET_TEMPERATURE, shape=("n",))
     )
     """Offset of each gauge against ``reference_temperature_degC`` (2114h), (n,). 0: not known, or none."""
     gain_temperature_per_K: float = field(default=0.0, metadata=_row(indices.CALIBRATION_GAIN_TEMPERATURE))
@@ -273,12 +268,12 @@ class Calibration:
     def from_record(cls, record: bytes) -> Calibration:
         """The calibration in a record that a node gave. Raises InputError for a length that no n has."""
         for n in range(table.MIN_GAUGES, table.MAX_GAUGES + 1):
-            packing = "<" + "".join(kind for _, _, kind in table_objects.staged(n))
+            packing = _packing(n)
             size = struct.calcsize(packing)
             if size == len(record):
                 numbers = iter(struct.unpack(packing, record))
                 return cls(**{of.name: _from_numbers(of, numbers, n) for of in RECORD})
-            if len(record) == size - _version_2_bytes(n):
+            if len(record) == struct.calcsize(_packing(n, indices.CALIBRATION_VALIDITY)):
                 raise InputError(f"a calibration record of {len(record)} bytes is of version 1: allowed is version 2")
         raise InputError(f"a calibration record of {len(record)} bytes: with 3 gauges it has 158")
 
@@ -300,7 +295,7 @@ def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
         calibration = Calibration(**content.values)
         record = calibration.record()
         if content.is_version_1:
-            record = record[: -_version_2_bytes(calibration.gauges)]
+            record = record[: struct.calcsize(_packing(calibration.gauges, indices.CALIBRATION_VALIDITY))]
         content.check_crc32(binascii.crc32(record))
         calibration.check()
         fit = content.fit(calibration.gauges) if with_fit else None
@@ -342,9 +337,8 @@ def difference(expected: bytes, held: bytes) -> list[str]:
         return []
     if len(expected) != len(held):
         return [f"length: expected {len(expected)} bytes, the node has {len(held)}"]
-    fields_of_n = table_objects.staged(Calibration.from_record(expected).gauges)
-    packing = "<" + "".join(kind for _, _, kind in fields_of_n)
-    pairs = zip(fields_of_n, struct.unpack(packing, expected), struct.unpack(packing, held), strict=True)
+    n = Calibration.from_record(expected).gauges
+    pairs = zip(table_objects.staged(n), *(struct.unpack(_packing(n), data) for data in (expected, held)), strict=True)
     return [
         f"0x{index:04X}:{sub:02X}: expected {ours!r}, the node has {theirs!r}"
         for (index, sub, kind), ours, theirs in pairs
@@ -372,10 +366,9 @@ def _from_numbers(of: Field[Any], numbers: Iterator[int | float], n: int) -> Any
     return array
 
 
-def _version_2_bytes(n: int) -> int:
-    """How much longer a record is than one of version 1."""
-    kinds = "".join(kind for index, _, kind in table_objects.staged(n) if index >= indices.CALIBRATION_VALIDITY)
-    return struct.calcsize("<" + kinds)
+def _packing(n: int, before: int = indices.SIMULATED_FAULT) -> str:
+    """The form of a record; ``before`` 2112h: of version 1, which ends there."""
+    return "<" + "".join(kind for index, _, kind in table_objects.staged(n) if index < before)
 
 
 def _array(name: str, values: npt.ArrayLike) -> FloatArray:

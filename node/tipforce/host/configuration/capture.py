@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -173,9 +173,18 @@ class GaugeReader:
         rows: list[Sample] = []
         silent = taken = 0
         for _ in range(_ROUNDS):
-            more, unanswered = (self._by_pdo if self._can_id else self._by_sdo)(samples - taken, taken, on_progress)
-            silent += unanswered
-            rows += more
+            in_a_row = 0
+            for count in range(taken + 1, samples + 1):
+                due_s = time.monotonic() + self.period_s
+                sample = self._by_pdo() if self._can_id else self._by_sdo()
+                if sample is not None:
+                    rows.append(sample)
+                in_a_row = in_a_row + 1 if sample is None and self._can_id else 0
+                silent += in_a_row > 0
+                if in_a_row >= _SILENT:
+                    break
+                on_progress(count)
+                time.sleep(max(0.0, due_s - time.monotonic()))
             before, taken = taken, sum(_fresh(rows))
             if taken in (before, samples):
                 break
@@ -234,41 +243,23 @@ class GaugeReader:
         mine: FrameArray = frames[frames["can_id"] == self._can_id][-1:]
         return mine
 
-    def _paced(self, count: int, before: int, on_progress: Callable[[int], None]) -> Iterator[None]:
-        """Yield once a period; each sample is progress."""
-        for k in range(count):
-            due_s = time.monotonic() + self.period_s
-            yield
-            on_progress(before + k + 1)
-            time.sleep(max(0.0, due_s - time.monotonic()))
+    def _by_pdo(self) -> Sample | None:
+        """Return the sample of one SYNC, None without a response."""
+        for samples in self._decoder.decode(self._ask()).values():
+            gauges = [float(samples.columns[f"SG{k + 1}"][0]) for k in range(self._n)]
+            return Sample(float(samples.t_ns[0]) * 1e-9, gauges, *(samples.columns[name][0].item() for name in _FLAGS))
+        return None
 
-    def _by_pdo(self, count: int, before: int, on_progress: Callable[[int], None]) -> tuple[list[Sample], int]:
-        frames: list[FrameArray] = []
-        silent = in_a_row = 0
-        for _ in self._paced(count, before, on_progress):
-            answer = self._ask()
-            frames.append(answer)
-            in_a_row = 0 if len(answer) else in_a_row + 1
-            silent += in_a_row > 0
-            if in_a_row >= _SILENT:
-                break
-        rows: list[Sample] = []
-        for samples in self._decoder.decode(np.concatenate(frames)).values():
-            gauges = zip(*(samples.columns[f"SG{k + 1}"].tolist() for k in range(self._n)), strict=True)
-            rows += map(Sample, (samples.t_ns * 1e-9).tolist(), gauges, *(samples.columns[n].tolist() for n in _FLAGS))
-        return rows, silent
-
-    def _by_sdo(self, count: int, before: int, on_progress: Callable[[int], None]) -> tuple[list[Sample], int]:
-        rows: list[Sample] = []
-        for _ in self._paced(count, before, on_progress):
-            self._connection.sync()
-            counter = self._sdo.read(od.COUNTER)
-            gauges = [self._sdo.read(od.PROCESS_VALUE[k + 1]) for k in range(self._n)]
-            status = self._sdo.read(od.STATUS)
-            if self._sdo.read(od.COUNTER) == counter:  # otherwise another sample was latched in between
-                set_now = [name for bit, (name, _) in enumerate(table.STATUS_BITS) if status >> bit & 1]
-                rows.append(Sample(time.monotonic(), gauges, counter, *(name in set_now for name in _FLAGS[1:])))
-        return rows, 0
+    def _by_sdo(self) -> Sample | None:
+        """Return the sample of one SYNC, None where another one was latched while it was read."""
+        self._connection.sync()
+        counter = self._sdo.read(od.COUNTER)
+        gauges = [self._sdo.read(od.PROCESS_VALUE[k + 1]) for k in range(self._n)]
+        status = self._sdo.read(od.STATUS)
+        if self._sdo.read(od.COUNTER) != counter:
+            return None
+        set_now = [name for bit, (name, _) in enumerate(table.STATUS_BITS) if status >> bit & 1]
+        return Sample(time.monotonic(), gauges, counter, *(name in set_now for name in _FLAGS[1:]))
 
 
 def _fresh(rows: list[Sample]) -> list[bool]:

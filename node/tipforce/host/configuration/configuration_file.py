@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 import msgspec
 import tomli_w
@@ -27,7 +26,6 @@ from tipforce.host.configuration.device_objects import DeviceObjects, FingertipO
 from tipforce.host.network.sdo import Blocking, SdoChannel, finished
 
 _TEXT = "s"  # VISIBLE_STRING
-Transfers: TypeAlias = SdoChannel | Blocking
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,18 +77,11 @@ def changed_settings(settings: Mapping[Place, Value], objects: DeviceObjects) ->
 def compare(node: Mapping[Place, Value], wanted: Configuration, objects: DeviceObjects) -> list[Difference]:
     """Return the differences between a node and a file, both ways: also changes missing in the file."""
     differences = []
-    known = objects.settings
-    changed = changed_settings(node, objects)
-    for place in sorted(set(changed) | set(wanted)):
-        here = node.get(place)
-        there = wanted[place][1] if place in wanted else None
-        if place not in known:
-            continue
-        entry = known[place]
-        if here is not None and there is not None and same(entry, here, there):
-            continue
-        shown = [None if value is None else types.format_value(entry.type, value) for value in (here, there)]
-        differences.append(Difference(entry.name, str(entry), shown[0], shown[1]))
+    for place in sorted({*changed_settings(node, objects), *wanted} & objects.settings.keys()):
+        entry, here, there = objects.settings[place], node.get(place), wanted[place][1] if place in wanted else None
+        if here is None or there is None or not same(entry, here, there):
+            shown = [None if value is None else types.format_value(entry.type, value) for value in (here, there)]
+            differences.append(Difference(entry.name, str(entry), shown[0], shown[1]))
     return differences
 
 
@@ -100,20 +91,19 @@ def settings_toml(settings: Mapping[Place, Value], objects: DeviceObjects, node_
     written: dict[str, object] = {}
     for (index, sub), value in sorted(settings.items()):
         if not is_mapping(index):
-            written[known[index, sub].name] = _portable(known[index, sub], value, node_id)
+            entry, shown = known[index, sub], value
+            if isinstance(value, bytes):
+                shown = types.format_value(entry.type, value)
+            elif entry.flags & table.ADD_NODE_ID and isinstance(value, int) and value & codes.NODE_ID_MASK == node_id:
+                shown = f"{NODE_ID_MARK}+0x{value - node_id:X}"
+            elif entry.stem.endswith("cob_id") and isinstance(value, int):
+                shown = f"0x{value:X}"
+            written[entry.name] = shown
         elif sub == 0:
             words = [int(settings[index, k]) for k in range(1, int(value) + 1) if (index, k) in settings]
             array = known[index, 1].stem if (index, 1) in known else f"0x{index:04X}"
             written[array] = [objects.name(word >> 16, word >> 8 & 0xFF) or word for word in words]
     return tomli_w.dumps({"objects": written}, multiline_strings=False)
-
-
-def _portable(entry: Entry[Value], value: Value, node_id: int) -> Value:
-    if isinstance(value, bytes):
-        return types.format_value(entry.type, value)
-    if entry.flags & table.ADD_NODE_ID and isinstance(value, int) and value & codes.NODE_ID_MASK == node_id:
-        return f"{NODE_ID_MARK}+0x{value - node_id:X}"
-    return f"0x{value:X}" if entry.stem.endswith("cob_id") and isinstance(value, int) else value
 
 
 def same(entry: Entry[Value], a: Value, b: Value) -> bool:
@@ -124,7 +114,7 @@ def same(entry: Entry[Value], a: Value, b: Value) -> bool:
         return a == b
 
 
-Configuration = dict[tuple[int, int], tuple[Entry[Value], Value]]
+Configuration = dict[Place, tuple[Entry[Value], Value]]
 """By (index, sub), in index order: the entry and its required value."""
 
 NODE_ID_MARK = "$NODEID"
@@ -148,30 +138,29 @@ def read_configuration(
     """
     known = FingertipObjects(node_id, gauges) if objects is None else objects
     is_dcf = str(path).lower().endswith((".dcf", ".eds", ".xdc", ".xdd"))
-    found = (_read_dcf if is_dcf else _read_toml)(path, node_id, known)
-    for entry, value in found.values():
-        if entry.access not in ("rw", "wo"):
-            raise InputError(f"{path}: {entry.name} ({entry}) is {entry.access} and cannot be configured")
-        try:
-            entry.encode(value)
-            known.check(entry, value)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-    if not found:
+    stated: list[tuple[str, object]]
+    if is_dcf:
+        from canopen_device.eds.reader import read_eds
+
+        described = [entry for entry in read_eds(path, node_id).entries() if entry.value is not None]
+        stated = [(entry.place, entry.value) for entry in described]
+    else:
+        stated = list(convert(_File, read_table(path, str(path)), str(path)).objects.items())
+    wanted: Configuration = {}
+    try:
+        for name, value in stated:
+            for entry, single in _single_values(name, value if is_dcf else _numbered(value, node_id), known):
+                if entry.access in ("rw", "wo"):
+                    entry.encode(single)
+                    known.check(entry, single)
+                    wanted[entry.index, entry.sub] = entry, single
+                elif not is_dcf:  # there it is a fact of the device
+                    raise InputError(f"{entry.name} ({entry}) is {entry.access} and cannot be configured")
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if not wanted:
         raise InputError(f"{path}: no object is set")
-    return dict(sorted(found.items()))
-
-
-def _read_toml(path: str | Path, node_id: int, objects: DeviceObjects) -> Configuration:
-    content = convert(_File, read_table(path, str(path)), str(path))
-    found: Configuration = {}
-    for name, value in content.objects.items():
-        try:
-            for entry, single in _single_values(name, _numbered(value, node_id), objects):
-                found[entry.index, entry.sub] = entry, single
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-    return found
+    return dict(sorted(wanted.items()))
 
 
 def _numbered(value: object, node_id: int) -> object:
@@ -212,36 +201,16 @@ def _typed(entry: Entry[Value], value: object) -> Value:
     return value  # type: ignore[return-value]  # entry.encode checks its type
 
 
-def _read_dcf(path: str | Path, node_id: int, objects: DeviceObjects) -> Configuration:
-    """Return the entries of a DCF that have a ParameterValue."""
-    from canopen_device.eds.reader import read_eds
-
-    found: Configuration = {}
-    for one in read_eds(path, node_id).entries():
-        if one.value is not None:
-            try:
-                entry = objects.resolve(one.place)
-            except InputError as error:
-                raise InputError(f"{path}: {error}") from None
-            if entry.access in ("rw", "wo"):
-                found[entry.index, entry.sub] = entry, one.value
-    return found
-
-
 def apply_configuration(sdo: SdoChannel, wanted: Configuration) -> None:
     """Write every object; PDO parameters by the procedure of 7.5.2.36. Raises NoResponseError and SdoAbortError.
 
     If the node rejects one, the previous values are restored as far as the node accepts them.
     """
-    finished(_apply(Blocking(sdo), wanted))
+    finished(apply_configuration_async(Blocking(sdo), wanted))
 
 
-async def apply_configuration_async(sdo: SdoChannel, wanted: Configuration) -> None:
+async def apply_configuration_async(sdo: SdoChannel | Blocking, wanted: Configuration) -> None:
     """Apply for asyncio: several nodes are configured at once. Raises as ``apply_configuration``."""
-    await _apply(sdo, wanted)
-
-
-async def _apply(sdo: Transfers, wanted: Configuration) -> None:
     before = await _present(sdo, wanted)
     try:
         await _write(sdo, wanted)
@@ -251,23 +220,20 @@ async def _apply(sdo: Transfers, wanted: Configuration) -> None:
         raise
 
 
-async def _present(sdo: Transfers, wanted: Configuration) -> Configuration:
+async def _present(sdo: SdoChannel | Blocking, wanted: Configuration) -> Configuration:
     """Return the node's present values of the objects that ``wanted`` changes; of a PDO its whole mapping."""
     entries = {key: entry for key, (entry, _) in wanted.items() if entry.access != "wo"}
     for pdo in _pdos(wanted):
         cob_id, count = _pdo_entries(pdo)
-        entries[cob_id.index, cob_id.sub] = cob_id
+        entries[pdo, 1] = cob_id
         if any(index == count.index for index, _ in wanted):
             entries[count.index, 0] = count
             for sub in range(1, int(await sdo.read_async(count)) + 1):
                 entries[count.index, sub] = _entry(count.index, sub, "I")
-    present: Configuration = {}
-    for key, entry in sorted(entries.items()):
-        present[key] = entry, (await sdo.read_async(entry))
-    return present
+    return {place: (entry, await sdo.read_async(entry)) for place, entry in sorted(entries.items())}
 
 
-async def _write(sdo: Transfers, values: Configuration) -> None:
+async def _write(sdo: SdoChannel | Blocking, values: Configuration) -> None:
     for pdo in _pdos(values):
         await _apply_pdo(sdo, pdo, values)
     for (index, _), (entry, value) in values.items():
@@ -290,7 +256,7 @@ def _entry(index: int, sub: int, letter: str) -> Entry[Value]:
     return Entry[Value](index, sub, letter, f"0x{index:04X}:{sub:02X}" if known is None else known.name, "rw", "")
 
 
-async def _apply_pdo(sdo: Transfers, parameters: int, wanted: Configuration) -> None:
+async def _apply_pdo(sdo: SdoChannel | Blocking, parameters: int, wanted: Configuration) -> None:
     mapping = parameters + communication.MAPPING
     cob_id, count = _pdo_entries(parameters)
     final = wanted[parameters, 1][1] if (parameters, 1) in wanted else (await sdo.read_async(cob_id))
@@ -314,10 +280,10 @@ def apply_differences(sdo: SdoChannel, wanted: Configuration) -> Configuration:
     differing = finished(_differing(Blocking(sdo), wanted))
     mappings = {index for index, _ in differing if is_mapping(index)}
     written = {
-        key: one
-        for key, one in wanted.items()
-        if key in differing or key[0] in mappings or one[0].access == "wo"
-    }  # fmt: skip
+        place: (entry, value)
+        for place, (entry, value) in wanted.items()
+        if place in differing or place[0] in mappings or entry.access == "wo"
+    }
     if written:
         apply_configuration(sdo, written)
     return written
@@ -325,32 +291,28 @@ def apply_differences(sdo: SdoChannel, wanted: Configuration) -> Configuration:
 
 def verify_configuration(sdo: SdoChannel, wanted: Configuration) -> list[dict[str, object]]:
     """Return the differences: object, expected, found; write-only objects cannot be compared and are excluded."""
-    return finished(_verify(Blocking(sdo), wanted))
+    return finished(verify_configuration_async(Blocking(sdo), wanted))
 
 
-async def verify_configuration_async(sdo: SdoChannel, wanted: Configuration) -> list[dict[str, object]]:
+async def verify_configuration_async(sdo: SdoChannel | Blocking, wanted: Configuration) -> list[dict[str, object]]:
     """Verify for asyncio."""
-    return await _verify(sdo, wanted)
-
-
-async def _verify(sdo: Transfers, wanted: Configuration) -> list[dict[str, object]]:
     differences: list[dict[str, object]] = []
-    for key, found in (await _differing(sdo, wanted)).items():
-        entry, value = wanted[key]
-        shown, expected = types.format_value(entry.type, found), types.format_value(entry.type, value)
+    for place, present in (await _differing(sdo, wanted)).items():
+        entry, value = wanted[place]
+        shown, expected = types.format_value(entry.type, present), types.format_value(entry.type, value)
         differences.append({"object": f"{entry.name} ({entry})", "expected": expected, "found": shown})
     return differences
 
 
-async def _differing(sdo: Transfers, wanted: Configuration) -> dict[tuple[int, int], Value]:
+async def _differing(sdo: SdoChannel | Blocking, wanted: Configuration) -> dict[Place, Value]:
     """Return the node's values of the objects that differ."""
-    found: dict[tuple[int, int], Value] = {}
-    for key, (entry, value) in wanted.items():
+    differing: dict[Place, Value] = {}
+    for place, (entry, value) in wanted.items():
         if entry.access != "wo":
             present = await sdo.read_async(entry)
             if entry.encode(value) != entry.encode(present):
-                found[key] = present
-    return found
+                differing[place] = present
+    return differing
 
 
 def _is_pdo(index: int) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, IntArray
+from tipforce.dictionary.table import MAX_GAUGES, MIN_GAUGES
 from tipforce.errors import InputError
 from tipforce.output_file import CSV, write_file
 
@@ -37,23 +38,8 @@ _LIMITS = {
 """Least and largest value of a column, and the unit for messages; the columns of gauges are in microstrain."""
 
 
-MIN_GAUGES, MAX_GAUGES = 3, 8
 LOAD_COLUMNS = ("P_N", "phi_deg", "theta_deg")
 OPTIONAL_COLUMNS = ("t_s", "temperature_degC", "weight")
-
-
-class Columns(NamedTuple):
-    """The columns in the header."""
-
-    names: tuple[str, ...]
-    """The numeric columns that are read, gauges first."""
-    places: tuple[int, ...]
-    """The position of each in a row."""
-    mode: int | None
-    """The position of the mode."""
-    cells: int
-    """Number of cells of a row."""
-    ignored: tuple[str, ...]
 
 
 class BadRow(NamedTuple):
@@ -67,21 +53,21 @@ class BadRow(NamedTuple):
         return f"line {self.line}: {self.reason}"
 
 
-def _row(text: str, columns: Columns) -> tuple[list[float], int]:
-    """Return (values, mode) of one line. Raises InputError with its fault."""
+def _row(text: str, places: dict[str, int], mode: int | None, count: int) -> tuple[list[float], int]:
+    """Return (values, mode) of one line with ``count`` cells; arguments as of ``_header``. Raises InputError."""
     if not text.strip():
         raise InputError("the line is empty")
     try:
         cells = next(csv.reader([text], strict=True)) if '"' in text else text.split(",")
     except csv.Error as error:
         raise InputError(f"the quotes do not match ({error})") from None
-    if len(cells) != columns.cells:
-        raise InputError(f"{len(cells)} cells, the header has {columns.cells}")
-    word = "" if columns.mode is None else cells[columns.mode].strip()
+    if len(cells) != count:
+        raise InputError(f"{len(cells)} cells, the header has {count}")
+    word = "" if mode is None else cells[mode].strip()
     if word and word not in MODES:
         raise InputError(f"mode is {word!r}, allowed: {', '.join(MODES)} or blank")
     row: dict[str, float] = {}
-    for name, place in zip(columns.names, columns.places, strict=True):
+    for name, place in places.items():
         row[name] = _value(name, cells[place].strip(), word == "tare" or row.get("P_N") == 0.0)
     if word == "tare" and row.get("P_N", 0.0) != 0.0:
         raise InputError(f"mode is tare, an unloaded reading, but P_N is {row['P_N']:g}")
@@ -179,27 +165,27 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
     missing or duplicate column, a decoded log with estimates beside the gauges, or one of several nodes.
     """
     lines = _lines(path)
-    columns = _header(path, lines[0], loads)
+    places, mode, count, ignored = _header(path, lines[0], loads)
     if not any(line.strip() for line in lines[1:]):
         raise InputError(f"{path}: line 1 is a header without rows")
     _require_one_node(path, lines)
     line, rows, modes, bad = list[int](), list[list[float]](), list[int](), list[BadRow]()
     for number, text in enumerate(lines[1:], 2):
         try:
-            values, mode = _row(text, columns)
+            values, word = _row(text, places, mode, count)
         except InputError as error:
             bad.append(BadRow(number, str(error)))
         else:
             line.append(number)
             rows.append(values)
-            modes.append(mode)
+            modes.append(word)
     good = np.ones(len(line), dtype=np.bool_)
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(columns.names))
-    if "t_s" in columns.names:
-        late = time_faults(line, table[:, columns.names.index("t_s")].tolist())
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(places))
+    if "t_s" in places:
+        late = time_faults(line, table[:, list(places).index("t_s")].tolist())
         bad = sorted([*bad, *late])
         good = ~np.isin(line, [row.line for row in late])
-    values_of = {name: table[good, k] for k, name in enumerate(columns.names)}
+    values_of = {name: table[good, k] for k, name in enumerate(places)}
     gauges = [column for name, column in values_of.items() if name.startswith("SG")]
     angles = [np.radians(values_of[name]) if name in values_of else None for name in LOAD_COLUMNS[1:]]
     return Measurements(
@@ -211,9 +197,9 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
         t_s=values_of.get("t_s"),
         temperature_degC=values_of.get("temperature_degC"),
         weight=values_of.get("weight"),
-        mode=None if columns.mode is None else np.array(modes, dtype=np.int8)[good],
+        mode=None if mode is None else np.array(modes, dtype=np.int8)[good],
         bad=tuple(bad),
-        ignored_columns=columns.ignored,
+        ignored_columns=ignored,
     )
 
 
@@ -280,7 +266,8 @@ def _require_one_node(path: str | Path, lines: list[str]) -> None:
         )
 
 
-def _header(path: str | Path, text: str, loads: bool) -> Columns:
+def _header(path: str | Path, text: str, loads: bool) -> tuple[dict[str, int], int | None, int, tuple[str, ...]]:
+    """Return places of the numeric columns (gauges first), place of the mode, number of cells, columns not read."""
     names = [name.strip().strip('"').strip() for name in text.split(",")]
     if len(names) == 1 and (";" in text or "\t" in text):
         raise InputError(f"{path}: line 1: separate columns by commas (and write decimals with a point)")
@@ -309,4 +296,4 @@ def _header(path: str | Path, text: str, loads: bool) -> Columns:
     known = [*expected, *has_load, *(name for name in OPTIONAL_COLUMNS if name in plain)]
     mode = plain.index("mode") if "mode" in plain else None
     ignored = tuple(name for name, key in zip(names, plain, strict=True) if key not in known and key != "mode")
-    return Columns(tuple(known), tuple(plain.index(name) for name in known), mode, len(names), ignored)
+    return {name: plain.index(name) for name in known}, mode, len(names), ignored

@@ -8,11 +8,14 @@ log.
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -23,6 +26,7 @@ from tipforce.host.decoding.sample_table import Column
 
 ROWS, EVENTS = "rows", "events"
 FORMAT = 2
+_NAME = "manifest-{:010d}.json"
 NO_DATE = "__HIVE_DEFAULT_PARTITION__"
 """Of a log without times; query engines read it as null."""
 _SOURCE = r"[0-9a-f]{12}\d*"
@@ -115,14 +119,14 @@ class Manifest(msgspec.Struct):
 
     def source(self, source_id: str) -> Source | None:
         """Return a log by its id."""
-        return next((one for one in self.sources if one.id == source_id), None)
+        return next((source for source in self.sources if source.id == source_id), None)
 
     def files(self) -> list[DataFile]:
         """Return each Parquet file of rows once, with all its rows."""
-        found: dict[str, DataFile] = {}
+        by_path: dict[str, DataFile] = {}
         for file in (file for part in self.parts for file in part.files):
-            found[file.path] = joined([found[file.path], file]) if file.path in found else file
-        return list(found.values())
+            by_path[file.path] = joined([by_path[file.path], file]) if file.path in by_path else file
+        return list(by_path.values())
 
     def paths(self) -> set[str]:
         """Return the paths of all files, those of the events too."""
@@ -160,16 +164,15 @@ class Change:
         if self.removed - {part.id for part in manifest.parts}:
             raise WriteError("another run has replaced the same parts meanwhile; run again if work is left")
         known = {column.name for column in manifest.columns}
-        sources = [self.sources.get(one.id, one) for one in manifest.sources]
-        old = {one.id for one in sources}
-        found = Manifest(
-            FORMAT, manifest.generation + 1,
-            sources + [one for one in self.sources.values() if one.id not in old],
+        after = Manifest(
+            FORMAT,
+            manifest.generation + 1,
+            list(({source.id: source for source in manifest.sources} | self.sources).values()),
             [part for part in manifest.parts if part.id not in self.removed] + self.parts,
             manifest.columns + [column for column in self.columns if column.name not in known],
-        )  # fmt: skip
-        found.replaced = sorted(manifest.paths() - found.paths())
-        return found
+        )
+        after.replaced = sorted(manifest.paths() - after.paths())
+        return after
 
 
 def read_manifest(store: Store) -> Manifest | None:
@@ -184,13 +187,19 @@ def read_manifest(store: Store) -> Manifest | None:
             continue
         place = f"{store.name}/{FOLDER}/{names[-1]}"
         try:
-            found = msgspec.json.decode(text, type=Manifest)
-            if found.format == FORMAT and names[-1] == _file_name(found.generation):
-                return found
-            reason = f"format {found.format}, this tipforce reads {FORMAT}; generation {found.generation}"
+            manifest = msgspec.json.decode(text, type=Manifest)
+            if manifest.format == FORMAT and names[-1] == _NAME.format(manifest.generation):
+                return manifest
+            reason = f"format {manifest.format}, this tipforce reads {FORMAT}; generation {manifest.generation}"
         except msgspec.MsgspecError as error:
             reason = re.sub("matching regex .* - at", "with the name of a log or a file of a dataset, at", str(error))
-        _refuse_earlier(store.name, text)
+        with suppress(msgspec.MsgspecError):
+            sources = msgspec.json.decode(text, type=_Earlier).sources
+            logs = ", ".join([str(source.get("name", "")) for source in sources[:3]] + ["..."] * (len(sources) > 3))
+            raise InputError(
+                f"{store.name}: an earlier tipforce wrote this dataset, in a layout that pandas and Polars do not "
+                f"open: `tipforce decode LOGS -o NEW/` writes its logs again ({logs})"
+            )
         raise InputError(
             f"{place}: not a manifest that this tipforce reads ({reason}): update it if a newer one wrote the dataset; "
             "otherwise put back a copy of the file, or decode the logs again into another directory"
@@ -198,29 +207,11 @@ def read_manifest(store: Store) -> Manifest | None:
     raise InputError(f"{store.name}: its manifest changes too fast to be read; try again")
 
 
-class _Name(msgspec.Struct):
-    name: str = ""
-
-
 class _Earlier(msgspec.Struct):
     """A manifest of format 1, whose rows lie beside the events and the manifests."""
 
     format: Literal[1]
-    sources: list[_Name] = []
-
-
-def _refuse_earlier(name: str, text: bytes) -> None:
-    with suppress(msgspec.MsgspecError):
-        sources = msgspec.json.decode(text, type=_Earlier).sources
-        logs = ", ".join([one.name for one in sources[:3]] + ["..."] * (len(sources) > 3))
-        raise InputError(
-            f"{name}: an earlier tipforce wrote this dataset, in a layout that pandas and Polars do not open: "
-            f"`tipforce decode LOGS -o NEW/` writes its logs again ({logs})"
-        )
-
-
-def _file_name(generation: int) -> str:
-    return f"manifest-{generation:010d}.json"
+    sources: list[dict[str, Any]] = []
 
 
 def commit(store: Store, change: Change) -> Manifest:
@@ -232,7 +223,7 @@ def commit(store: Store, change: Change) -> Manifest:
         before = read_manifest(store) or Manifest()
         remove_replaced(store, before)  # of a writer that ended: no later generation names these files
         manifest = change.applied(before)
-        name = f"{FOLDER}/{_file_name(manifest.generation)}"
+        name = f"{FOLDER}/{_NAME.format(manifest.generation)}"
         if store.create(name, msgspec.json.encode(manifest)):
             break
     for old in generations(store)[:-_KEPT_GENERATIONS]:
@@ -245,3 +236,66 @@ def remove_replaced(store: Store, manifest: Manifest) -> None:
     """Remove the files that this generation replaced."""
     for path in manifest.replaced:
         store.remove(path)
+
+
+class RunLock:
+    """Held while a run writes to a dataset in a directory of this machine. The system releases it with the process."""
+
+    def __init__(self, store: Store, token: str) -> None:
+        self._store, self._token = store, token
+        self._file: int | None = None
+
+    def __enter__(self) -> RunLock:
+        if self._store.local is not None:
+            folder = Path(self._store.path(FOLDER))
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = os.open(self._store.path(f"{FOLDER}/{self._token}.run"), os.O_CREAT | os.O_RDWR)
+            lock(self._file)
+            for mark in folder.glob("*.run"):
+                if mark.stem != self._token and re.fullmatch(r"[0-9a-f]{12}\.run", mark.name) and not mark.is_symlink():
+                    with suppress(OSError):
+                        self._clean(mark)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._file is not None and self._store.local is not None:
+            folder = self._store.local / FOLDER
+            if kind is not None:
+                self._remove_unlisted(self._token)
+            shutil.rmtree(folder / self._token, ignore_errors=True)
+            (folder / f"{self._token}.run").unlink(missing_ok=True)
+            os.close(self._file)
+
+    def _clean(self, mark: Path) -> None:
+        """Remove what a run that was killed has left; one that still runs holds its lock. Raises OSError."""
+        file = os.open(mark, os.O_RDWR)
+        try:
+            if lock(file):
+                self._remove_unlisted(mark.stem)
+                shutil.rmtree(mark.with_suffix(""), ignore_errors=True)
+                mark.unlink(missing_ok=True)
+        finally:
+            os.close(file)
+
+    def _remove_unlisted(self, token: str) -> None:
+        """Remove the files of a run that no manifest lists."""
+        store, listed = self._store, (read_manifest(self._store) or Manifest()).paths()
+        assert store.local is not None
+        for pattern in (f"{ROWS}/hand=*/date=*/node=*/*-{token}.parquet", f"{EVENTS}/*-{token}.parquet"):
+            for path in store.local.glob(pattern):
+                relative = path.relative_to(store.local).as_posix()
+                if relative not in listed:
+                    store.remove(relative)
+
+
+def lock(file: int) -> bool:
+    """Lock an open file for this process and those that it starts; False if another one has it."""
+    try:
+        import fcntl
+    except ImportError:  # Windows: marks of other runs are left alone
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

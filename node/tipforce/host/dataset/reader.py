@@ -14,7 +14,7 @@ import numpy as np
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce.host.dataset.store import Store, is_dataset, local_copy
 from tipforce.host.decoding.counters import Tally
-from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading, When
+from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading
 from tipforce.host.decoding.recording import Recording, Tap
 from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
@@ -87,24 +87,23 @@ def first_ns(manifest: Manifest) -> int | None:
 
 def tally(manifest: Manifest) -> Tally:
     """Return the counts of all logs."""
-    found = Tally()
-    followed = {one.after for one in manifest.sources}
-    for one in manifest.sources:
-        if one.id not in followed:
+    total, followed = Tally(), {source.after for source in manifest.sources}
+    for source in manifest.sources:
+        if source.id not in followed:
             recording = Tally()
-            recording.set_rows(one.end.tally, one.end.short)
-            found.append(recording)
-    return found
+            recording.set_rows(source.end.tally, source.end.short)
+            total.append(recording)
+    return total
 
 
 def notes(name: str, manifest: Manifest) -> Notes:
     """Return the counts of frames and bad lines of all parts."""
-    found = Notes(name)
+    total = Notes(name)
     for part in manifest.parts:
-        found.frames += part.frames
+        total.frames += part.frames
         for reason, count in part.bad.items():
-            found.bad[reason] = found.bad.get(reason, 0) + count
-    return found
+            total.bad[reason] = total.bad.get(reason, 0) + count
+    return total
 
 
 def tables(name: str, reading: Reading) -> Iterator[Table]:
@@ -113,19 +112,21 @@ def tables(name: str, reading: Reading) -> Iterator[Table]:
     Only those that ``reading`` selects.
     """
     store, manifest = opened(name)
-    origin = first_ns(manifest) or 0
-    start = _limit(reading.start, reading.origin_ns or origin, -_FOREVER)
-    end = _limit(reading.end, reading.origin_ns or origin, _FOREVER)
-    wanted = [one for one in manifest.columns if reading.signals is None or one.signal in reading.signals]
+    origin = reading.origin_ns or first_ns(manifest) or 0
+    start, end = (
+        otherwise if when is None else when.ns + (origin if when.relative else 0)
+        for when, otherwise in ((reading.start, -_FOREVER), (reading.end, _FOREVER))
+    )
+    wanted = [column for column in manifest.columns if reading.signals is None or column.signal in reading.signals]
     channels: list[str] = []
     written: dict[str, list[DataFile]] = {}  # files of one name are of the same parts
     for file in manifest.files():
         written.setdefault(file.path.rpartition("/")[2], []).append(file)
     for files in sorted(written.values(), key=lambda some: min(file.first_ns for file in some)):
         with damage_named(store, *(file.path for file in files)):
-            found = _read_table(store, files, reading, wanted, channels, (start, end))
-        if found is not None and len(found):
-            yield found
+            table = _read_table(store, files, reading, wanted, channels, (start, end))
+        if table is not None and len(table):
+            yield table
 
 
 @contextmanager
@@ -152,12 +153,6 @@ def damaged(store: Store, reason: object) -> LogError:
     )
 
 
-def _limit(when: When | None, origin_ns: int, otherwise: int) -> int:
-    if when is None:
-        return otherwise
-    return when.ns + (origin_ns if when.relative else 0)
-
-
 def _read_table(
     store: Store,
     files: list[DataFile],
@@ -180,14 +175,14 @@ def _read_table(
     rows = pa.concat_tables(read, promote_options="default")
     timed = rows["t_s"].null_count == 0
     t_ns = 1000 * rows["t_s"].cast(pa.int64()).fill_null(0).to_numpy()
-    found = _table(rows, wanted, channels, t_ns, timed).take(np.argsort(t_ns, kind="stable"))
+    table = _table(rows, wanted, channels, t_ns, timed).take(np.argsort(t_ns, kind="stable"))
     if reading.signals is not None:  # a row of another PDO alone has neither them nor a sample's counter
-        there = [~is_missing(column, found.values[column.name]) for column in found.columns]
-        found = found.take(np.flatnonzero(np.logical_or.reduce([found.counter != NO_COUNTER, *there])))
+        there = [~is_missing(column, table.values[column.name]) for column in table.columns]
+        table = table.take(np.flatnonzero(np.logical_or.reduce([table.counter != NO_COUNTER, *there])))
     if reading.buses is None:
-        return found
-    keep = np.array([name in reading.buses for name in found.channels])[found.channel]
-    return found.take(np.flatnonzero(keep))
+        return table
+    keep = np.array([name in reading.buses for name in table.channels])[table.channel]
+    return table.take(np.flatnonzero(keep))
 
 
 def _rows(store: Store, path: str, names: list[str], span: tuple[int, int]) -> Any:
@@ -233,22 +228,21 @@ def _values(array: Any, column: Column) -> Values:
         import pyarrow as pa
 
         array = array.cast(pa.int8())
-    filled = array.fill_null(mark[0].item()) if array.null_count else array
-    found: Values = filled.to_numpy()
-    return found.astype(mark.dtype, copy=False)
+    filled: Values = (array.fill_null(mark[0].item()) if array.null_count else array).to_numpy()
+    return filled.astype(mark.dtype, copy=False)
 
 
 def wrong_files(store: Store, manifest: Manifest, *, hashes: bool) -> dict[str, str]:
     """Return by path what is wrong with a file: it is missing, or its size or (with ``hashes``) its content differs."""
     from tipforce.host.dataset.manifest import files_of
 
-    found = {}
+    wrong = {}
     for file in {file.path: file for file in files_of(manifest.parts)}.values():
         try:
             with store.open(file.path) as stream:
                 changed = hashes and hashlib.sha256(stream.read()).hexdigest() != file.sha256
                 if changed or stream.seek(0, os.SEEK_END) != file.bytes:
-                    found[file.path] = "differs from what was written"
+                    wrong[file.path] = "differs from what was written"
         except OSError as error:
-            found[file.path] = "is missing" if isinstance(error, FileNotFoundError) else str(error)
-    return found
+            wrong[file.path] = "is missing" if isinstance(error, FileNotFoundError) else str(error)
+    return wrong

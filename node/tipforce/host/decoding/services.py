@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from canopen_device.core import codes
 from tipforce.dictionary import indices
-from tipforce.dictionary.dbc import NMT_COMMANDS
-from tipforce.dictionary.service_texts import LSS_PARTS, LSS_SERVICES, emcy_text, state_text
+from tipforce.dictionary.service_texts import LSS_PARTS, LSS_SERVICES, NMT_COMMANDS, emcy_text, state_text
 from tipforce.host.decoding.duplicates import DuplicateNodes, services
 from tipforce.host.decoding.sdo_conversation import Describe, SdoConversation, fingertip_names
 from tipforce.host.frames.frame_array import FrameArray

@@ -78,7 +78,7 @@ def bring_up(
     for report in reports:
         report.seconds += FIND_S
         if report.plan.node_id in nodes:
-            _attempt(report, "find", partial(_check_alone, connection.sdo(report.plan.node_id)), on_event)
+            _attempt(report, "find", connection.sdo(report.plan.node_id).check_duplicates, on_event)
     absent = [report for report in reports if report.plan.node_id not in nodes]
     if absent:
         assign(connection, absent, hand.hand.store, on_event)
@@ -130,9 +130,14 @@ def set_up(
     plan, started_s = report.plan, time.monotonic()
     client = FingertipClient(connection.sdo(plan.node_id))
     written: Configuration = {}
-    steps: tuple[tuple[str, Kind, Callable[[], str]], ...] = (
+
+    def configure() -> str:
+        written.update(apply_differences(client.sdo, wanted))
+        return f"{len(wanted)} settings"
+
+    steps: tuple[tuple[str, Kind, Callable[[], str | None]], ...] = (
         ("identity", "found", lambda: _identity(client, plan)),
-        ("configure", "configured", lambda: _configure(client.sdo, wanted, written)),
+        ("configure", "configured", configure),
         ("verify", "verified", lambda: _verify(client.sdo, written)),
         ("calibrate", "calibrated", lambda: _calibrate(client, hand, report)),
         ("start", "started", lambda: _start(connection, hand, client, before_start)),
@@ -193,12 +198,7 @@ def select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
     return None
 
 
-def _check_alone(sdo: SdoChannel) -> str:
-    sdo.check_duplicates()
-    return ""
-
-
-def _attempt(report: FingerReport, step: str, act: Callable[[], str], on_event: OnEvent) -> str:
+def _attempt(report: FingerReport, step: str, act: Callable[[], str | None], on_event: OnEvent) -> str | None:
     try:
         text = act()
     except TipforceError as error:
@@ -221,13 +221,7 @@ def _identity(client: FingertipClient, plan: FingerPlan) -> str:
     return f"{'simulated ' if identity.simulated else ''}fingertip, serial {identity.serial}"
 
 
-def _configure(sdo: SdoChannel, wanted: Configuration, written: Configuration) -> str:
-    """Write what differs, into ``written`` too."""
-    written |= apply_differences(sdo, wanted)
-    return f"{len(wanted)} settings"
-
-
-def _verify(sdo: SdoChannel, wanted: Configuration) -> str:
+def _verify(sdo: SdoChannel, wanted: Configuration) -> None:
     differences = verify_configuration(sdo, wanted)
     if differences:
         first = differences[0]
@@ -235,7 +229,6 @@ def _verify(sdo: SdoChannel, wanted: Configuration) -> str:
             f"{len(differences)} settings differ from those written: {first['object']} is {first['found']}, "
             f"expected {first['expected']}"
         )
-    return ""
 
 
 def _calibrate(client: FingertipClient, hand: HandFile, report: FingerReport) -> str:

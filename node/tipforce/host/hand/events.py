@@ -14,14 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from canopen_device.core import codes
-from canopen_device.core.codes import (
-    EMCY_BASE,
-    HEARTBEAT_BASE,
-    INITIALISING,
-    NODE_ID_MASK,
-    OPERATIONAL,
-    SDO_RESPONSE_BASE,
-)
 from tipforce.dictionary.service_texts import emcy_text, state_text
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray
@@ -74,20 +66,20 @@ class Supervisor:
         events: list[Event] = []
         if len(frames):
             # Not SDO: requests of the host itself are not among the frames of every link; its channels watch them.
-            sdo = (frames["can_id"] >= SDO_RESPONSE_BASE) & (frames["can_id"] < HEARTBEAT_BASE)
+            sdo = (frames["can_id"] >= codes.SDO_RESPONSE_BASE) & (frames["can_id"] < codes.HEARTBEAT_BASE)
             for duplicate in self._duplicates.add(frames[~sdo]):
                 if duplicate.node_id in self.states:
                     events.append(Event(now_s, duplicate.node_id, "duplicate", str(duplicate)))
-            services = frames["can_id"] & np.uint32(~NODE_ID_MASK & 0xFFFFFFFF)
-            for frame in frames[(services == HEARTBEAT_BASE) | (services == EMCY_BASE)]:
-                node_id = int(frame["can_id"]) & NODE_ID_MASK
+            services = frames["can_id"] & np.uint32(~codes.NODE_ID_MASK & 0xFFFFFFFF)
+            for frame in frames[(services == codes.HEARTBEAT_BASE) | (services == codes.EMCY_BASE)]:
+                node_id = int(frame["can_id"]) & codes.NODE_ID_MASK
                 if node_id in self.states:
                     data = frame["data"][: frame["length"]].tobytes()
-                    heartbeat = int(frame["can_id"]) & ~NODE_ID_MASK == HEARTBEAT_BASE
+                    heartbeat = int(frame["can_id"]) & ~codes.NODE_ID_MASK == codes.HEARTBEAT_BASE
                     events += self._heartbeat(node_id, data, now_s) if heartbeat else _emcy(node_id, data, now_s)
         for node_id, heard_s in list(self._heard_s.items()):
             # A node that has just booted sends heartbeats at its default rate until it is configured and started.
-            unset = self.states[node_id] != OPERATIONAL
+            unset = self.states[node_id] != codes.OPERATIONAL
             timeout_s = max(self.timeout_s, UNSET_TIMEOUT_S) if unset else self.timeout_s
             if now_s - heard_s > timeout_s:
                 del self._heard_s[node_id]
@@ -107,10 +99,10 @@ class Supervisor:
     def _heartbeat(self, node_id: int, data: bytes, now_s: float) -> Iterable[Event]:
         if len(data) != 1:
             return
-        state, before = data[0] & NODE_ID_MASK, self.states[node_id]
+        state, before = data[0] & codes.NODE_ID_MASK, self.states[node_id]
         self._heard_s[node_id] = now_s
         self.states[node_id] = state
-        if state == INITIALISING:
+        if state == codes.INITIALISING:
             yield Event(now_s, node_id, "boot_up", "booted", state)
         elif before == _UNKNOWN_STATE:
             yield Event(now_s, node_id, "heartbeat_back", f"heartbeat received, {self.state_name(node_id)}", state)

@@ -29,7 +29,7 @@ from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up, side_by_side
 from tipforce.host.hand.events import BabbleWatch, Event, Supervisor, waited_s
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
-from tipforce.host.hand.link import Jitter, JitterFigures, Link, SharedLink, open_link, sync_data, wanted_overflow
+from tipforce.host.hand.link import Jitter, JitterFigures, Link, open_link, sync_data, wanted_overflow
 from tipforce.host.hand.recovery import LOST, Recovery, RecoveryQueue
 from tipforce.host.hand.rows import Collector, Delivery, HandRows, RowStream
 from tipforce.host.hand.trust import COUNTER
@@ -123,7 +123,7 @@ class Hand:
         """Return a hand with only its bus open: call ``bring_up`` and ``start``. Arguments as in ``open``."""
         content = file if isinstance(file, HandFile) else read_hand(file)
         if bus is not None:
-            return cls(content, SharedLink(bus))
+            return cls(content, Link(bus, owned=False))
         given = content.bus | {key: value for key, value in bus_options.items() if value is not None}
         return cls(HandFile(finger=content.finger, hand=content.hand, bus=given, folder=content.folder))
 
@@ -242,7 +242,7 @@ class Hand:
     def close(self) -> None:
         """Stop, and close the bus unless it was open before."""
         self.stop()
-        if self._own_link or isinstance(self._link, SharedLink):
+        if self._own_link or not self._link.owned:
             self._link.close()
 
     def __enter__(self) -> Hand:

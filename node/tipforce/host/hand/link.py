@@ -41,10 +41,12 @@ KEPT_FRAMES = 20_000  # in the connection's buffer: a hand runs for days, and on
 
 
 class Link:
-    """An open bus of python-can: a connection, its frames, and SYNCs."""
+    """An open bus of python-can: a connection, its frames, and SYNCs; not ``owned``: it stays open."""
 
-    def __init__(self, connection: Bus) -> None:
-        self.connection = connection
+    owned = True
+
+    def __init__(self, connection: Bus, owned: bool = True) -> None:
+        self.connection, self.owned = connection, owned
         connection.buffer.limit = KEPT_FRAMES
         self._frames = FrameBuffer()
         assert self.connection.network.notifier is not None  # a Bus is connected
@@ -72,17 +74,11 @@ class Link:
         return self._frames.dropped
 
     def close(self) -> None:
-        """Close the bus."""
-        self.connection.close()
-
-
-class SharedLink(Link):
-    """A bus that was already open and stays open."""
-
-    def close(self) -> None:
-        """Stop listening."""
+        """Close the bus, or stop listening to it."""
         notifier = self.connection.network.notifier
-        if notifier is not None:
+        if self.owned:
+            self.connection.close()
+        elif notifier is not None:
             with suppress(ValueError):
                 notifier.remove_listener(self._frames)
 
@@ -107,8 +103,19 @@ class SocketLink(Link):
         return self._receiver.receive(timeout_s)
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-        """See Link."""
-        return kernel_sync(self._bus, period_s, data)
+        """See Link; the kernel sends them (CAN_BCM). Raises EnvironmentLackError."""
+        messages = [can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=number) for number in data]
+        try:
+            task = self._bus.send_periodic(messages, period_s)
+        except (can.CanError, OSError) as error:
+            text = f"SYNC by the kernel's broadcast manager: {error}; `modprobe can-bcm`"
+            raise EnvironmentLackError(text) from error
+
+        def stop() -> None:
+            with suppress(can.CanError, OSError):  # a removed interface has removed its tasks too
+                task.stop()
+
+        return stop
 
     @property
     def dropped(self) -> int:
@@ -129,24 +136,6 @@ def open_link(options: Mapping[str, Any]) -> Link:
 def sync_data(first: int, overflow: int = LARGEST) -> list[bytes]:
     """Return the data of SYNCs to send in turn: numbers from ``first`` up to ``overflow`` and on from 1; 0: without."""
     return [bytes(((first + k - 1) % overflow + 1,)) for k in range(overflow)] if first else [b""]
-
-
-def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
-    """Send SYNCs with ``data`` in turn by CAN_BCM on python-can's SocketCAN bus, until the returned function is called.
-
-    Raises EnvironmentLackError.
-    """
-    messages = [can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=number) for number in data]
-    try:
-        task = bus.send_periodic(messages, period_s)
-    except (can.CanError, OSError) as error:
-        raise EnvironmentLackError(f"SYNC by the kernel's broadcast manager: {error}; `modprobe can-bcm`") from error
-
-    def stop() -> None:
-        with suppress(can.CanError, OSError):  # a removed interface has removed its tasks too
-            task.stop()
-
-    return stop
 
 
 class ThreadSync:
@@ -196,28 +185,22 @@ def wanted_overflow(link: Link, file: HandFile, nodes: set[int] | None) -> int |
     """
     plan = file.hand
     if not plan.sync_hz:
-        return _of_other_producer(link)
+        deadline_s = time.monotonic() + _LISTEN_S
+        while (left_s := deadline_s - time.monotonic()) > 0:
+            frames = link.receive(left_s)
+            lengths = frames["length"][frames["can_id"] == SYNC_COB_ID]
+            if len(lengths):
+                return LARGEST if lengths[-1] == 1 else 0
+        return None
     if plan.numbered_sync != "auto":
         return LARGEST if plan.numbered_sync else 0
-    others = (responding_nodes(link.connection) if nodes is None else nodes) - set(file.node_ids)
-    return LARGEST if all(_takes_numbers(link, node_id) for node_id in others) else 0
-
-
-def _takes_numbers(link: Link, node_id: int) -> bool:
-    try:
-        return link.connection.sdo(node_id).read(objects.SYNC_COUNTER_OVERFLOW) > 1
-    except TipforceError:
-        return False
-
-
-def _of_other_producer(link: Link) -> int | None:
-    deadline_s = time.monotonic() + _LISTEN_S
-    while (left_s := deadline_s - time.monotonic()) > 0:
-        frames = link.receive(left_s)
-        lengths = frames["length"][frames["can_id"] == SYNC_COB_ID]
-        if len(lengths):
-            return LARGEST if lengths[-1] == 1 else 0
-    return None
+    for node_id in (responding_nodes(link.connection) if nodes is None else nodes) - set(file.node_ids):
+        try:
+            if link.connection.sdo(node_id).read(objects.SYNC_COUNTER_OVERFLOW) <= 1:
+                return 0
+        except TipforceError:
+            return 0
+    return LARGEST
 
 
 _BIN_NS, _BINS = 1000, 50_001  # up to 50 ms; the last bin is for larger ones

@@ -12,13 +12,13 @@ from contextlib import suppress
 from canopen_device.core import communication
 from canopen_device.core.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
-from tipforce.dictionary.dbc import NMT_STATES
+from tipforce.dictionary.service_texts import NMT_STATES
 from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.device_objects import Place
 from tipforce.host.hand.bring_up import FingerReport, assign, select, set_up, wanted_settings
 from tipforce.host.hand.events import Event, Kind, Supervisor
-from tipforce.host.hand.file import FingerPlan, HandFile
+from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.meaning import (
     Difference,
     Meaning,
@@ -231,9 +231,18 @@ class Recovery:
     def _find_lost(self) -> bool:
         """Search fingers that are silent: one may have another node-id, or no heartbeat."""
         lost = [self._plans[n] for n, state in self._supervisor.states.items() if state < 0]
+        absent = []
         with LssMaster(self._connection()) as master:
-            somebody = master.any_unconfigured()
-            absent = [plan for plan in lost if (_has_another_id(master, plan) if plan.serial else somebody)]
+            unconfigured = master.any_unconfigured()
+            for plan in lost:
+                moved = unconfigured  # whoever has no node-id may be a finger without a serial
+                if plan.serial:
+                    moved = select(master, plan) is not None
+                    if moved:
+                        moved = master.node_id() != plan.node_id
+                        master.release()
+                if moved:
+                    absent.append(plan)
         if absent:
             assign(self._connection(), [FingerReport(plan) for plan in absent], self._file.hand.store, self._on_event)
         for plan in lost:
@@ -243,15 +252,6 @@ class Recovery:
                     if self._supervisor.states[plan.node_id] < 0:  # it responds, and has not booted
                         self._recover_finger(plan.node_id)
         return True
-
-
-def _has_another_id(master: LssMaster, plan: FingerPlan) -> bool:
-    """Return whether the node with the finger's serial responds to LSS and has another node-id, or none."""
-    if select(master, plan) is None:
-        return False
-    node_id = master.node_id()
-    master.release()
-    return node_id != plan.node_id
 
 
 class RecoveryQueue:

@@ -19,7 +19,7 @@ DEFAULT_BIT_RATE = 1_000_000
 LIMIT = 0.8
 """Share of the bit rate with worst-case stuffing: above it the lowest priority may miss a SYNC period."""
 
-_CRC_POLYNOMIAL = 0x4599
+_CRC_BITS, _CRC_POLYNOMIAL = 15, 0x4599
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,66 +145,31 @@ class LoadMeter:
 def exact_bits(frames: FrameArray) -> npt.NDArray[np.int64]:
     """Return the bits of each FRAME (n,) on the wire, stuff bits and intermission included; 0 for error frames.
 
-    A SocketCAN error frame reports an error and was not on the wire.
+    A SocketCAN error frame reports an error and was not on the wire. After five equal bits the opposite one is stuffed,
+    which counts for the next five.
     """
-    bits, length = _bit_matrix(frames)
-    count = length + AFTER_CRC + _stuff_bits(bits, length)
-    count[(frames["can_id"] & ERROR_FLAG) != 0] = 0
-    return count
-
-
-def _bit_matrix(frames: FrameArray) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
-    """Return start of frame to the CRC's end as bits (n, 118), and the number of bits of each frame (n,)."""
-    can_id = frames["can_id"].astype(np.int64)
+    can_id, length = frames["can_id"].astype(np.int64), frames["length"].astype(np.int64)
     extended, remote = (can_id & EXTENDED_FLAG) != 0, (can_id & REMOTE_FLAG) != 0
-    data_bytes = np.where(remote, 0, frames["length"]).astype(np.int64)
-    n = len(frames)
-    bits = np.zeros((n, 118), dtype=np.uint8)
-    rtr, control = remote.astype(np.int64), np.minimum(frames["length"], 8).astype(np.int64)
+    control = remote.astype(np.int64) << 6 | np.minimum(length, 8)
     # Standard: SOF, 11 bits, RTR, IDE, r0, DLC. Extended: SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, DLC.
-    header = np.where(
-        extended,
-        ((can_id >> 18 & STANDARD_MASK) << 27 | 0b11 << 25 | (can_id & 0x3FFFF) << 7 | rtr << 6 | control),
-        ((can_id & STANDARD_MASK) << 7 | rtr << 6 | control),
-    )
+    long_header = (can_id >> 18 & STANDARD_MASK) << 27 | 0b11 << 25 | (can_id & 0x3FFFF) << 7 | control
+    header = np.where(extended, long_header, (can_id & STANDARD_MASK) << 7 | control)
     start = np.where(extended, 39, 19)
-    columns = np.arange(118)
-    shift = start[:, None] - 1 - columns
-    inside = shift >= 0
-    bits[inside] = (header[:, None] >> np.where(inside, shift, 0) & 1)[inside].astype(np.uint8)
-    payload = np.unpackbits(frames["data"], axis=1)
-    for width in (19, 39):
-        rows = np.flatnonzero(start == width)
-        bits[rows[:, None], width + np.arange(64)] = payload[rows]
-    before_crc = start + 8 * data_bytes
-    bits[columns >= before_crc[:, None]] = 0
-    crc = _crc15(bits, before_crc)
-    place = before_crc[:, None] + np.arange(15)
-    bits[np.arange(n)[:, None], place] = (crc[:, None] >> (14 - np.arange(15)) & 1).astype(np.uint8)
-    return bits, before_crc + 15
-
-
-def _crc15(bits: npt.NDArray[np.uint8], length: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    crc = np.zeros(len(bits), dtype=np.int64)
-    for k in range(int(length.max(initial=0))):
-        mixed = (crc << 1) ^ np.where((crc >> 14 & 1) ^ bits[:, k], _CRC_POLYNOMIAL, 0)
-        crc = np.where(k < length, mixed & 0x7FFF, crc)
-    return crc
-
-
-def _stuff_bits(bits: npt.NDArray[np.uint8], length: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Count stuff bits: after five equal bits the opposite one, which counts for the next five."""
-    stuffed = np.zeros(len(bits), dtype=np.int64)
-    last = np.full(len(bits), 2, dtype=np.uint8)
-    run = np.zeros(len(bits), dtype=np.int64)
-    for k in range(int(length.max(initial=0))):
-        run = np.where(bits[:, k] == last, run + 1, 1)
-        last = bits[:, k]
-        full = (run == 5) & (k < length)
+    before_crc = start + np.where(remote, 0, 8 * length)
+    payload, every = np.unpackbits(frames["data"], axis=1), np.arange(len(frames))
+    crc, run, stuffed = np.zeros((3, len(frames)), dtype=np.int64)
+    last = np.full(len(frames), 2)
+    for k in range(int(before_crc.max(initial=0)) + _CRC_BITS):
+        sent = np.where(k < start, header >> np.maximum(start - 1 - k, 0), payload[every, np.clip(k - start, 0, 63)])
+        in_crc = np.clip(before_crc + _CRC_BITS - 1 - k, 0, _CRC_BITS - 1)
+        bit = np.where(k < before_crc, sent, crc >> in_crc) & 1
+        mixed = (crc << 1) ^ np.where((crc >> _CRC_BITS - 1 & 1) ^ bit, _CRC_POLYNOMIAL, 0)
+        crc = np.where(k < before_crc, mixed & 0x7FFF, crc)
+        run = np.where(bit == last, run + 1, 1)
+        full = (run == 5) & (k < before_crc + _CRC_BITS)
         stuffed += full
-        last = np.where(full, 1 - last, last).astype(np.uint8)
-        run = np.where(full, 1, run)
-    return stuffed
+        last, run = np.where(full, 1 - bit, bit), np.where(full, 1, run)
+    return np.where((can_id & ERROR_FLAG) != 0, 0, before_crc + _CRC_BITS + AFTER_CRC + stuffed)
 
 
 def budget_lines(budget: Budget) -> list[str]:

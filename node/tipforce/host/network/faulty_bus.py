@@ -19,10 +19,11 @@ from typing import Any
 
 import can
 
+from canopen_device.can_frame import raw_can_id
 from canopen_device.core import codes
 from tipforce.errors import InputError
+from tipforce.host.live.python_can import message
 
-_KEPT_MESSAGES = 10_000  # a duplicate needs its message too
 RawFrame = tuple[int, bytes]  # can_id with SocketCAN's flags, data
 
 
@@ -121,8 +122,6 @@ class FaultyBus(can.BusABC):
         self.bus = bus
         self.bus_off = False
         self._injector = Injector(faults, seed)
-        self._messages: dict[int, can.Message] = {}
-        self._numbers = itertools.count()
         self.channel_info = f"faulty {bus.channel_info}"
         self._can_protocol = bus.protocol
         super().__init__(channel="", **options)
@@ -153,18 +152,11 @@ class FaultyBus(can.BusABC):
             now_s = time.monotonic()
             frame = self._injector.take(now_s)
             if frame is not None:
-                message = self._messages[frame[0] >> 32 << 32].__copy__()
-                message.data, message.timestamp = bytearray(frame[1]), time.time()
-                return message, False
+                return message(time.time_ns(), frame[0], len(frame[1]), frame[1], "", False), False
             waits_s = [t - now_s for t in (deadline_s, self._injector.next_due_s()) if t is not None]
             received = self.bus.recv(max(0.0, min(waits_s)) if waits_s else 0.05)
             if received is not None:
-                number = next(self._numbers) << 32
-                self._messages[number] = received
-                can_id = number | received.arbitration_id & codes.STANDARD_MASK
-                self._injector.put((can_id, bytes(received.data)), now_s)
-                while len(self._messages) > _KEPT_MESSAGES:
-                    del self._messages[next(iter(self._messages))]
+                self._injector.put((raw_can_id(received), bytes(received.data)), now_s)
             elif deadline_s is not None and time.monotonic() >= deadline_s:
                 return None, False
 

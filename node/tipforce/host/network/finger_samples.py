@@ -78,7 +78,11 @@ class ContactReader:
         nodes use its node-id.
         """
         while True:
-            self._check_duplicates()
+            duplicate = self._connection.duplicates.found.get(self._node_id)
+            if duplicate is not None:
+                if not self._passive:
+                    self._connection.sdo(self._node_id).check_duplicates()
+                raise DuplicateNodeError(str(duplicate))
             contact = self._take()
             if contact is not None:
                 return contact
@@ -103,13 +107,6 @@ class ContactReader:
         if newest is not None and time.time() - newest.t_s <= _FRESH_S:
             return newest
         return self.next(deadline_s, period_s)
-
-    def _check_duplicates(self) -> None:
-        duplicate = self._connection.duplicates.found.get(self._node_id)
-        if duplicate is not None:
-            if not self._passive:
-                self._connection.sdo(self._node_id).check_duplicates()
-            raise DuplicateNodeError(str(duplicate))
 
     def _on_frame(self, can_id: int, data: bytearray, t_s: float) -> None:
         """Store a frame; called by the receiving thread."""

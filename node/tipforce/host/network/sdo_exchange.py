@@ -13,6 +13,7 @@ import can
 
 from canopen_device.core import codes
 from canopen_device.core.sdo_client import BlockDownload, BlockUpload, Transfer
+from tipforce.dictionary.service_texts import abort_text
 from tipforce.errors import EnvironmentLackError, NoResponseError, SdoAbortError
 
 if TYPE_CHECKING:
@@ -112,8 +113,14 @@ class Exchange:
         transfer = self._transfer
         if not transfer.ended:
             return
-        if transfer.abort_code is not None:
-            self._aborted(transfer.abort_code)
+        code, block = transfer.abort_code, isinstance(transfer, BlockUpload | BlockDownload)
+        if block and code == codes.UNKNOWN_COMMAND:  # the node has no block transfers: this was no attempt
+            self._channel.has_blocks = False
+            self._transfer = self._next_attempt()
+            self._attempts -= 1
+            self._step(None)
+        elif code is not None:
+            raise SdoAbortError(f"{self._place}: abort 0x{code:08X}, {abort_text(code)}", code)
         elif transfer.failure is None:
             self.done.set_result(transfer.data)
         elif self._attempts <= self._channel.retries and now_us < self._deadline_us:
@@ -133,17 +140,6 @@ class Exchange:
                 self._due_us = min(self._due_us, now_us + _FULL_QUEUE_US)
                 return
             self._unsent.popleft()
-
-    def _aborted(self, code: int) -> None:
-        if isinstance(self._transfer, BlockUpload | BlockDownload) and code == codes.UNKNOWN_COMMAND:
-            self._channel.has_blocks = False
-            self._transfer = self._next_attempt()
-            self._attempts -= 1
-            self._step(None)
-            return
-        from tipforce.dictionary.service_texts import abort_text
-
-        raise SdoAbortError(f"{self._place}: abort 0x{code:08X}, {abort_text(code)}", code)
 
     def _no_response(self, transfer: Transfer) -> Exception:
         failed = self._channel.bus_failure()

@@ -2,6 +2,10 @@
 
 from math import sqrt
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
 _SWEEPS = 30
 _CONVERGED = 1e-15
 
@@ -24,7 +28,7 @@ def singular_range(rows: "list[list[float]]") -> "tuple[float, float]":
     for _ in range(_SWEEPS):
         if not _sweep(work):
             break
-    lengths = [sqrt(_dot(row, row)) for row in work]
+    lengths = [sqrt(dot(row, row)) for row in work]
     return largest * max(lengths), largest * min(lengths)
 
 
@@ -42,7 +46,7 @@ def _sweep(work: "list[list[float]]") -> bool:
     for i in range(len(work)):
         for k in range(i + 1, len(work)):
             a, b = work[i], work[k]
-            aa, bb, ab = _dot(a, a), _dot(b, b), _dot(a, b)
+            aa, bb, ab = dot(a, a), dot(b, b), dot(a, b)
             if abs(ab) <= _CONVERGED * sqrt(aa * bb):
                 continue
             turned = True
@@ -55,5 +59,20 @@ def _sweep(work: "list[list[float]]") -> bool:
     return turned
 
 
-def _dot(a: "list[float]", b: "list[float]") -> float:
-    return sum([x * y for x, y in zip(a, b)])  # noqa: B905
+def dot(a: "Sequence[float]", b: "Sequence[float]") -> float:
+    """The sum of products."""
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total
+
+
+def square(triangle: "Sequence[float]", n: int) -> "list[list[float]]":
+    """The symmetric matrix whose upper triangle, by rows, is given."""
+    full = [[0.0] * n for _ in range(n)]
+    k = 0
+    for i in range(n):
+        for j in range(i, n):
+            full[i][j] = full[j][i] = triangle[k]
+            k += 1
+    return full

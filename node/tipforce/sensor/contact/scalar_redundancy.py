@@ -12,7 +12,7 @@ residuals of redundancy.py with Sigma + diag(extra). A fault f of gauge k adds f
 
 from math import erfc, exp, pi, sqrt
 
-from .scalar_condition import condition_number
+from .scalar_condition import condition_number, dot, square
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -73,9 +73,9 @@ def structure_matrix(C: list[list[float]], noise: list[float]) -> list[list[floa
 
     noise all zero stands for gauges of equal noise.
     """
-    covariance = square(noise, len(C[0]))
-    through = [[_dot(row, column) for column in covariance] for row in C]  # C Sigma, Sigma being symmetric
-    K = [[_dot(left, right) for right in C] for left in through]
+    covariance = _covariance(noise, len(C[0]))
+    through = [[dot(row, column) for column in covariance] for row in C]  # C Sigma, Sigma being symmetric
+    K = [[dot(left, right) for right in C] for left in through]
     columns = _solved(K, through)
     return None if columns is None else [[row[i] for row in columns] for i in range(len(C[0]))]
 
@@ -95,7 +95,7 @@ def leave_out(
     A = structure_matrix(C, noise)
     if A is None or len(kept) < 3:
         return None
-    full = square(noise, n)
+    full = _covariance(noise, n)
     rows = [A[k] for k in kept]
     weighed = _solved([[full[i][j] for j in kept] for i in kept], rows)  # Q A
     if weighed is None:
@@ -114,25 +114,9 @@ def leave_out(
     return matrix, (scale * k11, scale * k12, scale * k13, scale * k22, scale * k23, scale * k33)
 
 
-def square(noise: list[float], n: int) -> list[list[float]]:
+def _covariance(noise: list[float], n: int) -> list[list[float]]:
     """The covariance as n rows; the unit matrix where all of it is zero."""
-    full = [[0.0] * n for _ in range(n)]
-    place = 0
-    for i in range(n):
-        for j in range(i, n):
-            full[i][j] = full[j][i] = noise[place]
-            place += 1
-    if not any(noise):
-        for i in range(n):
-            full[i][i] = 1.0
-    return full
-
-
-def _dot(a: "Sequence[float]", b: "Sequence[float]") -> float:
-    total = 0.0
-    for i in range(len(a)):
-        total += a[i] * b[i]
-    return total
+    return square(noise, n) if any(noise) else [[1.0 if i == j else 0.0 for j in range(n)] for i in range(n)]
 
 
 def _solved(M: list[list[float]], B: list[list[float]]) -> list[list[float]] | None:
@@ -178,11 +162,11 @@ def directions(C: "list[list[float]]", noise: "list[float]", kept: "list[int]") 
     A = structure_matrix(C, noise) if len(kept) > 3 and any(noise) else None
     if A is None:
         return None
-    full = square(noise, n)
+    full = _covariance(noise, n)
     inverse_root = _inverse_root([[full[i][j] for j in kept] for i in kept])
     if inverse_root is None:
         return None
-    whitened = [[_dot(row, [A[k][i] for k in kept]) for row in inverse_root] for i in range(3)]
+    whitened = [[dot(row, [A[k][i] for k in kept]) for row in inverse_root] for i in range(3)]
     basis: list[list[float]] = []
     for column in whitened:
         if not _extend(basis, column):
@@ -196,18 +180,18 @@ def directions(C: "list[list[float]]", noise: "list[float]", kept: "list[int]") 
     W = [[0.0] * n for _ in range(m - 3)]
     for row, unit in zip(W, basis[3:]):  # noqa: B905 (MicroPython's zip has no strict=)
         for place in range(m):
-            row[kept[place]] = _dot(unit, [line[place] for line in inverse_root])
+            row[kept[place]] = dot(unit, [line[place] for line in inverse_root])
     return W
 
 
 def columns(W: "Directions", noise: "list[float]") -> "list[list[float] | None]":
     """Return column k of W for each gauge, None for one whose fault no residual shows."""
     n = len(W[0])
-    full = square(noise, n)
+    full = _covariance(noise, n)
     found: list[list[float] | None] = []
     for k in range(n):
         column = [row[k] for row in W]
-        found.append(column if _dot(column, column) * full[k][k] >= SMALLEST_VARIANCE else None)
+        found.append(column if dot(column, column) * full[k][k] >= SMALLEST_VARIANCE else None)
     return found
 
 
@@ -228,10 +212,10 @@ def judge(
     best-fitting fault leaves no more than ``exclusion`` of; of that fault, the chi-square it explains and the
     chi-square per strain^2 are returned, zeros for a gauge that is not shown. NaN in: chi-square NaN, bits 0.
     """
-    p = [_dot(row, strains) for row in W]
+    p = [dot(row, strains) for row in W]
     root = None if extra is None else _root(W, extra)
     q = p if root is None else _forward(root, p)
-    chi_square = _dot(q, q)
+    chi_square = dot(q, q)
     faults: list[tuple[float, float]] = []
     bits = 0
     for k in range(len(strains)):
@@ -240,8 +224,8 @@ def judge(
             faults.append((0.0, 0.0))
             continue
         s = column if root is None else _forward(root, column)
-        visible = _dot(s, s)
-        along = _dot(s, q)
+        visible = dot(s, s)
+        along = dot(s, q)
         explained = along * along / visible
         faults.append((explained, visible))
         # With one direction nothing is left but rounding, and every gauge explains all.
@@ -292,7 +276,7 @@ def _root(W: "Directions", extra: "Sequence[float]") -> "list[list[float]]":
     for i in range(d):
         scaled = [x * e for x, e in zip(W[i], extra)]  # noqa: B905
         for j in range(i + 1):
-            total = _dot(scaled, W[j]) - _dot(L[i][:j], L[j][:j])
+            total = dot(scaled, W[j]) - dot(L[i][:j], L[j][:j])
             L[i][j] = sqrt(1.0 + total) if i == j else total / L[j][j]
     return L
 
@@ -301,7 +285,7 @@ def _forward(L: "list[list[float]]", b: "list[float]") -> "list[float]":
     """x with L x = b."""
     x: list[float] = []
     for i in range(len(b)):
-        x.append((b[i] - _dot(L[i][:i], x)) / L[i][i])
+        x.append((b[i] - dot(L[i][:i], x)) / L[i][i])
     return x
 
 
@@ -316,7 +300,7 @@ def _inverse_root(S: "list[list[float]]") -> "list[list[float]] | None":
     L = [[0.0] * m for _ in range(m)]
     for i in range(m):
         for j in range(i + 1):
-            total = S[i][j] * scale[i] * scale[j] - _dot(L[i][:j], L[j][:j])
+            total = S[i][j] * scale[i] * scale[j] - dot(L[i][:j], L[j][:j])
             if i == j and not total > 1e-12:
                 return None
             L[i][j] = sqrt(total) if i == j else total / L[j][j]
@@ -327,15 +311,15 @@ def _inverse_root(S: "list[list[float]]") -> "list[list[float]] | None":
 
 def _extend(basis: "list[list[float]]", column: "list[float]") -> bool:
     """Add the unit vector of what ``column`` has outside of the basis; False where that is rounding alone."""
-    length = sqrt(_dot(column, column))
+    length = sqrt(dot(column, column))
     if not length > 0.0:
         return False
     left = [x / length for x in column]
     for _ in range(2):  # the second pass removes what rounding left of the first
         for row in basis:
-            along = _dot(row, left)
+            along = dot(row, left)
             left = [x - along * y for x, y in zip(left, row)]  # noqa: B905
-    length = sqrt(_dot(left, left))
+    length = sqrt(dot(left, left))
     if not length > 1e-6:
         return False
     basis.append([x / length for x in left])
