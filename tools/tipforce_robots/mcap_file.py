@@ -28,10 +28,9 @@ from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
 from tipforce.samples.record import Samples
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce_robots.ros2 import cdr
-from tipforce_robots.ros2 import messages as diagnosing
+from tipforce_robots.ros2 import bridge, cdr
+from tipforce_robots.ros2.bridge import Tip
 from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, FRAME, WRENCH, with_dependencies
-from tipforce_robots.ros2.messages import Tip
 
 _SECOND_NS = 1_000_000_000
 _PICTURE_NS = _SECOND_NS // 30
@@ -101,8 +100,8 @@ class McapWriter:
         """Append EMCYs and changes of NMT states, and complete the file."""
         for event in events:
             name, node = f"tipforce: finger_{event.node_id}", f"node {event.node_id}"
-            status = diagnosing.of_event(name, node, event.kind, event.text, channel=event.channel)
-            self._add(self._diagnostics, event.t_ns, diagnosing.array(event.t_ns, [status]))
+            status = bridge.of_event(name, node, event.kind, event.text, channel=event.channel)
+            self._add(self._diagnostics, event.t_ns, bridge.array(event.t_ns, [status]))
         self._report()
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
@@ -160,7 +159,7 @@ class McapWriter:
         if self._tips:
             t_ns = self._last_ns
             status = [tip.status("") for _, tip, _ in self._tips.values()]
-            self._add(self._diagnostics, t_ns, diagnosing.array(t_ns, status))
+            self._add(self._diagnostics, t_ns, bridge.array(t_ns, status))
 
 
 def samples_of(table: Table) -> tuple[Block, npt.NDArray[np.int64]]:
