@@ -118,7 +118,9 @@ def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> N
     names = list(dict.fromkeys(name for samples in messages.values() for name in samples.columns))
     rows: list[tuple[int, int, list[object]]] = []
     for (node_id, message), samples in messages.items():
-        columns = [_cells(samples.columns.get(name), len(samples.t_ns), _digits(samples, name)) for name in names]
+        scales = {signal.name: signal.scale for signal in samples.message.signals}
+        digits = {name: len(f"{scale:.9f}".rstrip("0").partition(".")[2]) for name, scale in scales.items()}
+        columns = [_cells(samples.columns.get(name), len(samples.t_ns), digits.get(name, 0)) for name in names]
         for k, (t_ns, row) in enumerate(zip(samples.t_ns.tolist(), samples.row.tolist(), strict=True)):
             rows.append((row, node_id, [f"{1e-9 * t_ns:.6f}", node_id, message, *(cells[k] for cells in columns)]))
     rows.sort(key=lambda entry: entry[:2])
@@ -126,12 +128,6 @@ def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> N
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["t_s", "node", "message", *names])
         writer.writerows(cells for _, _, cells in rows)
-
-
-def _digits(samples: Samples, name: str) -> int:
-    """Return the number of decimals for the signal's resolution."""
-    scale = next((signal.scale for signal in samples.message.signals if signal.name == name), 1.0)
-    return len(f"{scale:.9f}".rstrip("0").partition(".")[2])
 
 
 def _cells(column: Any, count: int, digits: int) -> list[str]:

@@ -80,8 +80,7 @@ class _Master:
     """The host of a run: it sends NMT and SYNC and records what it sends and hears."""
 
     def __init__(self, bus: can.BusABC, heard: _Heard) -> None:
-        self._bus = bus
-        self._heard = heard
+        self._bus, self._heard = bus, heard
         self._said: list[tuple[int, int, bytes]] = []
         self._refused = 0
         self.syncs = 0

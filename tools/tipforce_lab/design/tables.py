@@ -192,13 +192,11 @@ FIGURES = ("condition", "thin", "row_equilibrated", "noise_gain_N_per_ue")
 
 def figures(matrix: FloatArray) -> Record:
     """Return FIGURES of a strain matrix (n, 3) but "thin"; infinite if it cannot separate the three forces."""
-    if int(np.linalg.matrix_rank(matrix)) < 3:
-        return dict.fromkeys(("condition", "row_equilibrated", "noise_gain_N_per_ue"), float("inf"))
-    return {
-        "condition": condition_number(matrix),
-        "row_equilibrated": row_equilibrated_condition_number(matrix),
-        "noise_gain_N_per_ue": noise_gain(np.linalg.pinv(matrix)) / 1e6,
-    }
+    values = [float("inf")] * 3
+    if int(np.linalg.matrix_rank(matrix)) == 3:
+        gain = noise_gain(np.linalg.pinv(matrix)) / 1e6
+        values = [condition_number(matrix), row_equilibrated_condition_number(matrix), gain]
+    return dict(zip(("condition", "row_equilibrated", "noise_gain_N_per_ue"), values, strict=True))
 
 
 def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
@@ -210,11 +208,19 @@ def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
     """
     if by not in FIGURES:
         raise InputError(f"rank by {by!r}: allowed are {', '.join(FIGURES)}")
+    names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
     by_mirror: dict[frozenset[frozenset[str]], Record] = {}
-    for points in itertools.combinations(POINTS, 3):
-        pair = frozenset((frozenset(points), frozenset(mirror(points))))
-        if pair not in by_mirror:
-            by_mirror[pair] = _ranked(geometry, points)
+    for chosen in itertools.combinations(POINTS, 3):
+        pair = frozenset((frozenset(chosen), frozenset(mirror(chosen))))
+        if pair in by_mirror:
+            continue
+        case = names.get(frozenset(chosen), "")
+        points = LAYOUTS[case] if case else chosen
+        thin = condition_number(thin_limit_matrix(points))
+        by_mirror[pair] = {
+            "case": case, "gauges": points, "mirror": mirror(points), **figures(strain_matrix(geometry, points)),
+            "thin": thin if thin < 1e12 else float("inf"),  # singular: rounding makes it barely regular
+        }  # fmt: skip
     return sorted(by_mirror.values(), key=lambda row: (round(row[by], 9), row["condition"]))
 
 
@@ -229,20 +235,6 @@ def ties(rows: list[Record], by: str, tolerance: float = 1e-6) -> list[list[Reco
         else:
             groups.append([row])
     return [group for group in groups if len(group) > 1]
-
-
-def _ranked(geometry: Geometry, points: tuple[str, ...]) -> Record:
-    names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
-    case = names.get(frozenset(points), "")
-    points = LAYOUTS[case] if case else points
-    thin = condition_number(thin_limit_matrix(points))
-    return {
-        "case": case,
-        "gauges": points,
-        "mirror": mirror(points),
-        **figures(strain_matrix(geometry, points)),
-        "thin": thin if thin < 1e12 else float("inf"),  # singular: rounding makes it barely regular
-    }
 
 
 class RoundingRange(NamedTuple):

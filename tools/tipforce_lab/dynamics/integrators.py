@@ -103,11 +103,16 @@ def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: s
         raise InputError(f"method = {method!r}: allowed is {', '.join(SCIPY_METHODS)}")
     from scipy.integrate import solve_ivp
 
+    def jacobian(_: float, X: FloatArray) -> FloatArray:
+        if problem.push is None or not float(problem.closure @ X) > 0.0:
+            return problem.A
+        return np.add(problem.A, problem.stiffness * np.outer(problem.push, problem.closure))
+
     t = _times(times_s)
-    jacobian = {} if method == "DOP853" else {"jac": lambda _, X: _jacobian(problem, X)}
     solution = solve_ivp(
         lambda time_s, X: problem.rate(load(time_s), X), (t[0], t[-1]), problem.start,
-        method=method, t_eval=t, rtol=rtol, atol=rtol * problem.size, **jacobian,
+        method=method, t_eval=t, rtol=rtol, atol=rtol * problem.size,
+        **({} if method == "DOP853" else {"jac": jacobian}),
     )  # fmt: skip
     elastic = np.full((len(t), 3), np.nan)
     elastic[: solution.y.shape[1]] = solution.y.T @ problem.output.T
@@ -133,13 +138,6 @@ def rk4_stability_limit(damping_ratio: float) -> float:
     roots = np.roots(grows)
     real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 1e-6)]
     return float(real.min())
-
-
-def _jacobian(problem: Problem, X: FloatArray) -> FloatArray:
-    if problem.push is None or not float(problem.closure @ X) > 0.0:
-        return problem.A
-    J: FloatArray = problem.A + problem.stiffness * np.outer(problem.push, problem.closure)
-    return J
 
 
 def _alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, alpha_m: float, alpha_f: float) -> FloatArray:
@@ -281,9 +279,6 @@ def frequency_of_error(modes: Modes, error: float) -> float:
     low, high = 0.0, 0.9 * float(modes.frequency_hz[0])
     while float(quasi_static_error(modes, high)) < error:
         high = 0.5 * (high + float(modes.frequency_hz[0]))
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
+    while low < (middle := 0.5 * (low + high)) < high:
         low, high = (middle, high) if float(quasi_static_error(modes, middle)) < error else (low, middle)
     return high
