@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from bench.loopback import LoopbackLink, may_hurry
-from bench.measure import Meter, arguments, machine, table, write_page
+from bench.measure import Meter, arguments, fill_page, machine, table
 
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
@@ -139,36 +139,6 @@ HEADER = ["hand", "seconds", "rows", "values", "delayed", "stale", "missing", "l
           "rows not whole", "dropped", "overrun", "latency p50", "p99", "largest", "CPU host",
           "CPU fingers"]  # fmt: skip
 JITTER_HEADER = ["hand", "sent by a", "periods", "skipped", "mean period", "p50", "p99", "largest"]
-_PAGE = """\
-# A whole hand: losses, jitter, latency
-
-Written by `python -m bench.hand{options}` on: {machine}.
-
-Frames are `struct can_frame` in datagrams over UDP sockets on 127.0.0.1. The fingers run in one process (Python, by
-`running/loop.py`), the SYNC in another, in place of the kernel's broadcast manager{realtime}.
-The host is a `Hand` with the receiver of SocketCAN (`host/live/receive.py`), a consumer in another thread, and its own
-connection for SDO and heartbeats.
-`tests/vcan/test_hand_session.py` tests the same code on a real SocketCAN bus. Most delays here come from the machine:
-three processes share its cores with other work, and a finger that is not scheduled responds late.
-
-## Rows
-
-Values are rows times fingers. Delayed: received after the next SYNC, assigned to their own row by the sample counter.
-Stale: the finger had no new conversion (one each 500 us; after a delay it responds to several SYNCs at once), so P is
-flagged as unknown. Missing: absent values. Late: samples that came after their row was delivered (each leaves its value
-missing). Mixed: PDOs of two samples in one row. Doubtful: not shown, because the counter says that it
-may be old. Dropped frames: by the kernel or a buffer. Overrun: rows that the consumer did not take. Latency: from the
-SYNC (the kernel's time stamp) to the delivery of the row to the consumer, milliseconds.
-
-{rows}
-
-## SYNC
-
-Deviation of each received period from the nominal one, microseconds. Skipped: not sent, because the sender was more
-than half a period late.
-
-{jitter}
-"""
 
 
 def main() -> int:
@@ -181,12 +151,10 @@ def main() -> int:
     for fingers, sync_hz in CASES:
         outcomes.append(measure(fingers, sync_hz, SECONDS, args.sync, args.realtime))
         print(*outcomes[-1].events[:10], sep="\n", flush=True)
-    page = _PAGE.format(
-        machine=on, options=" --realtime" if args.realtime else "",
-        realtime=", both with SCHED_FIFO in place of hardware" if args.realtime else "",
-        rows=table(HEADER, map(row, outcomes)), jitter=table(JITTER_HEADER, map(jitter_row, outcomes)),
-    )  # fmt: skip
-    write_page("hand-performance", page, page)
+    options = " --realtime" if args.realtime else ""
+    written = f"Written by `python -m bench.hand{options}` on: {on}."
+    fill_page("hand-performance", written, table(HEADER, map(row, outcomes)),
+              table(JITTER_HEADER, map(jitter_row, outcomes)))  # fmt: skip
     return 0 if not any(outcome.statistics.tally.mixed.any() for outcome in outcomes) else 1
 
 

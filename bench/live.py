@@ -34,7 +34,7 @@ from bench.loopback import (
     sending,
     struct_contact,
 )
-from bench.measure import Meter, arguments, cpu_us, in_turns, machine, table, write_page
+from bench.measure import Meter, arguments, cpu_us, fill_page, in_turns, machine, table
 
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver
@@ -45,33 +45,6 @@ RATES_HZ = (5000, 30_000)
 LOGGER_HZ = 10_000
 FRAMES, ROUNDS = 2048, 40  # of the costs: frames in one turn
 _SILENCE_S = 5.0
-_PAGE = """\
-# The live receive path: cost, losses, lag
-
-Written by `python -m bench.live` on: {machine}.
-
-Frames are `struct can_frame` in datagrams between connected UDP sockets on 127.0.0.1, read by the code that reads
-SocketCAN (`host/live/`), with the kernel's time stamps. `tests/vcan` tests the same code on a real vcan.
-
-## Cost per frame
-
-CPU time of the process per Contact PDO, {rounds} rounds of {frames} frames in which the ways take turns. "Decode" means
-all signals of the PDO as numpy columns. python-can and canopen are called without a Notifier thread, their best case.
-
-{costs}
-
-## At a steady rate
-
-{seconds:g} s each, received and decoded as they come; the sender is a process of its own. Lag: from the kernel's stamp
-to decoded values, of every frame, in milliseconds; also the 99th percentile of the median second, and of the best and
-the worst. The busy thread is a Python loop in the receiving process that never pauses; its CPU time is in the share of
-a core. While a receiver is open, Python's switch interval is 0.5 ms; 5 ms is Python's own.
-
-{loads}
-
-Recording {logger_hz:,} frames a second for {seconds:g} s to a file in candump's log format, one after the
-other: {loggers}.
-"""
 
 
 def ways(receiver_socket: socket.socket) -> dict[str, Callable[[], int]]:
@@ -136,13 +109,9 @@ def costs(rounds: int) -> dict[str, list[float]]:
 def cost_rows(figures: dict[str, list[float]]) -> list[list[str]]:
     """Median, spread, and what each way costs of the first one's cost."""
     first = statistics.median(next(iter(figures.values())))
+    medians = {name: statistics.median(us) for name, us in figures.items()}
     return [
-        [
-            name,
-            f"{statistics.median(us):.2f}",
-            f"{min(us):.2f} to {max(us):.2f}",
-            f"{statistics.median(us) / first:.1f}",
-        ]
+        [name, f"{medians[name]:.2f}", f"{min(us):.2f} to {max(us):.2f}", f"{medians[name] / first:.1f}"]
         for name, us in figures.items()
     ]
 
@@ -289,47 +258,45 @@ def _run(
 
 def log_shares(rate_hz: int, seconds: float) -> dict[str, tuple[float, int]]:
     """CPU share of a core, and how many frames the file holds: our logger and python-can's, one after the other."""
+    shares = {}
     with tempfile.TemporaryDirectory() as folder:
-        return {
-            "tipforce log": _our_logger(Path(folder) / "ours.log", rate_hz, seconds),
-            "python-can's logger": _their_logger(Path(folder) / "theirs.log", rate_hz, seconds),
-        }
+        path = Path(folder) / "run.log"
+        for name, logger in (("tipforce log", _our_logger), ("python-can's logger", _their_logger)):
+            receiver = bound_receiver()
+            with receiver, sending(receiver, rate_hz, seconds):
+                share = logger(receiver, path, seconds - 0.5)
+            shares[name] = share, path.read_bytes().count(b"\n")
+            path.unlink()
+    return shares
 
 
-def _our_logger(path: Path, rate_hz: int, seconds: float) -> tuple[float, int]:
-    receiver_socket, writer = bound_receiver(), open_writer(path)
-    with (
-        SocketReceiver(receiver_socket, "loopback", tick_s=TICK_S) as receiver,
-        sending(receiver_socket, rate_hz, seconds),
-    ):
+def _our_logger(receiver_socket: socket.socket, path: Path, seconds: float) -> float:
+    writer = open_writer(path)
+    with SocketReceiver(receiver_socket, "loopback", tick_s=TICK_S) as receiver:
         block = receiver.receive_block(30.0)
         meter = Meter()
-        while meter.elapsed_s < seconds - 0.5:
+        while meter.elapsed_s < seconds:
             writer.write(block)
             block = receiver.receive_block(1.0)
         share = meter.share
         writer.write(block)
     writer.close()
-    return share, path.read_bytes().count(b"\n")
+    return share
 
 
-def _their_logger(path: Path, rate_hz: int, seconds: float) -> tuple[float, int]:
-    receiver_socket = bound_receiver()
-    bus = python_can_bus(receiver_socket)
-    with receiver_socket, sending(receiver_socket, rate_hz, seconds):
-        logger = can.Logger(path)
-        message = bus.recv(30.0)
-        assert message is not None
-        meter = Meter()
-        notifier = can.Notifier(bus, [logger])
-        time.sleep(seconds - 0.5)
-        share = meter.share
-        notifier.stop()  # stops the logger, too
-    return share, path.read_bytes().count(b"\n")
+def _their_logger(receiver_socket: socket.socket, path: Path, seconds: float) -> float:
+    bus, logger = python_can_bus(receiver_socket), can.Logger(path)
+    assert bus.recv(30.0) is not None
+    meter = Meter()
+    notifier = can.Notifier(bus, [logger])
+    time.sleep(seconds)
+    share = meter.share
+    notifier.stop()  # stops the logger, too
+    return share
 
 
-def report() -> str:
-    """The page: everything measured once."""
+def main() -> None:
+    arguments(__doc__).parse_args()
     on, figures = machine("python-can", "canopen"), costs(ROUNDS)
     loads = []
     for rate_hz in RATES_HZ:
@@ -343,18 +310,13 @@ def report() -> str:
         ):
             loads.append(run().row(name, rate_hz))
     shares = log_shares(LOGGER_HZ, SECONDS)
-    return _PAGE.format(
-        machine=on, rounds=ROUNDS, frames=FRAMES, seconds=SECONDS, logger_hz=LOGGER_HZ,
-        costs=table(["way", "microseconds a frame", "smallest to largest", "times the first"], cost_rows(figures)),
-        loads=table(LOAD_HEADER, loads),
-        loggers="; ".join(f"{name} {share:.1%} of a core, {frames} frames" for name, (share, frames) in shares.items()),
+    loggers = "; ".join(f"{name} {share:.1%} of a core, {frames} frames" for name, (share, frames) in shares.items())
+    fill_page(
+        "live-performance", f"Written by `python -m bench.live` on: {on}.",
+        table(["way", "microseconds a frame", "smallest to largest", "times the first"], cost_rows(figures)),
+        f"{table(LOAD_HEADER, loads)}\n\nRecording {LOGGER_HZ:,} frames a second for {SECONDS:g} s to a file in "
+        f"candump's log format, one after the other: {loggers}.",
     )  # fmt: skip
-
-
-def main() -> None:
-    arguments(__doc__).parse_args()
-    text = report()
-    write_page("live-performance", text, text)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ the tables print degrees.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import atan2, cos, degrees, hypot, pi, radians, sin
 from typing import Any, NamedTuple
@@ -287,15 +288,29 @@ def nearest_common_shifts(
 ) -> CommonShifts:
     """Return the shifts of K, S, L, R, U, one set for all three cases, that best fit the condition numbers.
 
-    Every combination of `steps` shifts from 0 to largest_shift_m; the largest miss counts. Case I holds K, S and
-    U, case II L, S and U, case III L, R and U, so K and R can be chosen last, each alone.
+    Every combination of `steps` shifts from 0 to largest_shift_m; the largest miss counts.
     """
     grid = np.linspace(0.0, largest_shift_m, steps)
-    shifts = np.stack(np.meshgrid(grid, grid, grid, indexing="ij"), axis=-1)
-    missed = {case: np.abs(np.linalg.cond(shifted_matrix(geometry, case, shifts)) - conditions[case]) for case in CASES}
-    first, third = missed["I"].min(axis=0), missed["III"].min(axis=1)  # [S, U] over K, [L, U] over R
-    worst = np.maximum(missed["II"], np.maximum(first[np.newaxis], third[:, np.newaxis]))  # [L, S, U]
+    points = ("K_H", "S_H", "L", "R", "U")
+    rows = shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
+    chosen, miss = nearest_common({point: rows[:, k] for k, point in enumerate(points)}, conditions)
+    return CommonShifts({point: float(grid[at]) for point, at in chosen.items()}, miss)
+
+
+def nearest_common(rows: Mapping[str, FloatArray], conditions: Mapping[str, float]) -> tuple[dict[str, int], float]:
+    """Return (index of the place of each gauge, largest miss) that best fit the condition numbers of the cases.
+
+    rows: strain per newton (m, 3) of K, S, L, R, U at m places each. Case I holds K, S and U, case II L, S and U, case
+    III L, R and U, so K and R can be chosen last, each alone.
+    """
+    missed = {}
+    for case in CASES:
+        first, second, third = (rows[point] for point in LAYOUTS[case])
+        grids = first[:, None, None], second[None, :, None], third[None, None, :]
+        stacked = np.stack(np.broadcast_arrays(*grids), axis=-2)
+        missed[case] = np.abs(np.linalg.cond(stacked) - conditions[case])
+    one, three = missed["I"].min(axis=0), missed["III"].min(axis=1)  # [S, U] over K, [L, U] over R
+    worst = np.maximum(missed["II"], np.maximum(one[np.newaxis], three[:, np.newaxis]))  # [L, S, U]
     L, S, U = (int(index) for index in np.unravel_index(int(worst.argmin()), worst.shape))
     K, R = int(missed["I"][:, S, U].argmin()), int(missed["III"][L, :, U].argmin())
-    chosen = {"K_H": grid[K], "S_H": grid[S], "L": grid[L], "R": grid[R], "U": grid[U]}
-    return CommonShifts({point: float(value) for point, value in chosen.items()}, float(worst.min()))
+    return {"K_H": K, "S_H": S, "L": L, "R": R, "U": U}, float(worst.min())

@@ -236,7 +236,11 @@ def contacts(
     if corners:
         counts = np.concatenate((counts, _corners(C)))
     exact = [_exact(C, row) for row in counts.tolist()]
-    return Contacts(C, counts, [contact[0] for contact in exact], [contact[1] for contact in exact], _full_scale(A))
+    # The largest strain of a gauge per newton: that for F2 = P or F2 = -P at the best phi.
+    at, sine = np.meshgrid(np.linspace(-np.pi, np.pi, 721), np.linspace(-1.0, 1.0, 3))
+    largest = np.abs(np.stack((np.sin(at), sine, np.cos(at)), axis=-1) @ A.T).max()
+    P_exact, theta_exact = map(list, zip(*exact, strict=True))
+    return Contacts(C, counts, P_exact, theta_exact, float(RANGE_MICROSTRAIN * 1e-6 / largest))
 
 
 def _corners(C: FloatArray) -> IntArray:
@@ -246,13 +250,6 @@ def _corners(C: FloatArray) -> IntArray:
     possible = np.abs(F[:, 1]) < 0.99 * np.hypot(F[:, 0], F[:, 2])
     corners: IntArray = signs[possible] * round(_FILLED * 2 ** (COUNT_BITS - 1))
     return corners
-
-
-def _full_scale(A: FloatArray) -> float:
-    """Search the largest strain of a gauge per newton: that for F2 = P or F2 = -P at the best phi."""
-    phi, sine = np.meshgrid(np.linspace(-np.pi, np.pi, 721), np.linspace(-1.0, 1.0, 3))
-    F = np.stack((np.sin(phi), sine, np.cos(phi)), axis=-1)
-    return float(RANGE_MICROSTRAIN * 1e-6 / np.abs(F @ A.T).max())
 
 
 def _exact(C: FloatArray, counts: list[int]) -> tuple[Decimal, Decimal]:

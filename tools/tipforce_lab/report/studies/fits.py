@@ -95,17 +95,14 @@ def _rig(rng: np.random.Generator, loads: int, share: float) -> _Rig:
 
 
 def _linear(readings: Readings) -> Fitted:
-    return linear_fit(readings.strain, _forces(readings)), np.zeros(readings.strain.shape[1])
+    F = force_vector(readings.P_newtons, readings.phi_rad, readings.theta_rad)
+    return linear_fit(readings.strain, F), np.zeros(readings.strain.shape[1])
 
 
 def _affine(readings: Readings) -> Fitted:
-    F = _forces(readings)
+    F = force_vector(readings.P_newtons, readings.phi_rad, readings.theta_rad)
     coefficients, *_ = np.linalg.lstsq(np.column_stack((F, np.ones(len(F)))), readings.strain, rcond=None)
     return np.linalg.pinv(coefficients[:3].T), coefficients[3]
-
-
-def _forces(readings: Readings) -> FloatArray:
-    return force_vector(readings.P_newtons, readings.phi_rad, readings.theta_rad)
 
 
 def _full(readings: Readings) -> Fitted:

@@ -186,7 +186,7 @@ def _fixed(task: Task, name: str, substeps: int) -> FloatArray:
 def _adaptive(task: Task, effort: Effort, name: str) -> list[_Job]:
     """Return the jobs of a method by tolerance, up to the first one that takes long."""
     jobs = []
-    for rtol in _tolerances(effort):
+    for rtol in (1e-4, 1e-7) if effort.quick else (1e-3, 1e-5, 1e-7, 1e-9, 1e-11):
         started = time.process_time_ns()
         run = partial(integrators.scipy_method, task.problem, task.load, task.times_s, name, rtol)
         jobs.append(_job(task, name, f"rtol {rtol:g}", run))
@@ -200,25 +200,18 @@ def _timed(task: Task, effort: Effort, jobs: list[_Job]) -> list[Series]:
     timings = timed_together([job.run for job in jobs], effort, at_least_s=0.004 if effort.quick else 0.02, warm=True)
     points: dict[str, list[Point]] = {}
     for job, timing in zip(jobs, timings, strict=True):
-        point = Point(job.setting, job.error, _per_second(timing, task.duration_s))
+        assert timing.cpu_seconds is not None
+        per_second = Timing(
+            timing.seconds / task.duration_s, timing.first_quartile_s / task.duration_s,
+            timing.third_quartile_s / task.duration_s, timing.runs, timing.cpu_seconds / task.duration_s,
+        )  # fmt: skip
+        point = Point(job.setting, job.error, per_second)
         points.setdefault(job.method, []).append(point)
     return [Series(method, tuple(of_method)) for method, of_method in points.items()]
 
 
-def _per_second(timing: Timing, duration_s: float) -> Timing:
-    assert timing.cpu_seconds is not None
-    return replace(
-        timing, seconds=timing.seconds / duration_s, first_quartile_s=timing.first_quartile_s / duration_s,
-        third_quartile_s=timing.third_quartile_s / duration_s, cpu_seconds=timing.cpu_seconds / duration_s,
-    )  # fmt: skip
-
-
 def _substeps(effort: Effort) -> tuple[int, ...]:
     return (1, 4, 16) if effort.quick else (1, 2, 4, 8, 16, 32, 64, 128)
-
-
-def _tolerances(effort: Effort) -> tuple[float, ...]:
-    return (1e-4, 1e-7) if effort.quick else (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
 
 
 def _setting(task: Task, substeps: int) -> str:

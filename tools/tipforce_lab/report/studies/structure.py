@@ -116,7 +116,7 @@ def _study(
         Series(method, tuple(Point(result.setting, error(result.matrix), result.timing) for result in points))
         for method, points in results.items()
     )
-    errors = {one.method: one.points[-1].error for one in series}
+    errors = {model.method: model.points[-1].error for model in series}
     best = min((method for method in errors if not method.startswith("FE")), key=lambda method: errors[method])
     remarks = (
         f"With as many unknowns ({results[_GRADED][-1].setting}) the graded mesh has an error of "
