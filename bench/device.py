@@ -113,35 +113,22 @@ def times_us(period_us: int) -> Iterator[int]:
     return itertools.count(1_000_000 + period_us, period_us)
 
 
-def _asking() -> Callable[..., bytes]:
-    """Send a node an SDO request (missing bytes are 0); return its last response."""
+def _upload_of_the_eds(in_blocks: bool) -> Callable[[], int]:
+    """In segments, or in blocks of 127 segments, CRC included."""
     device, clock = calibrated_node(5), times_us(10)
 
     def ask(*request: int) -> bytes:
         sent, _ = device.step(next(clock), [(0x605, bytes(request).ljust(8, b"\0"))])
         return sent[-1][1] if sent else b""
 
-    return ask
-
-
-def _segmented_upload_of_the_eds() -> Callable[[], int]:
-    ask = _asking()
-
-    def work() -> int:
+    def segments() -> int:
         ask(0x40, 0x21, 0x10)
         toggle = 0x60
         while not ask(toggle)[0] & 1:
             toggle ^= 0x10
         return 1
 
-    return work
-
-
-def _block_upload_of_the_eds() -> Callable[[], int]:
-    """127 segments a block, CRC included."""
-    ask = _asking()
-
-    def work() -> int:
+    def blocks() -> int:
         ask(0xA4, 0x21, 0x10, 0, 127)
         last = ask(0xA3)
         while not last[0] & 0x80:
@@ -150,20 +137,7 @@ def _block_upload_of_the_eds() -> Callable[[], int]:
         ask(0xA1)
         return 1
 
-    return work
-
-
-def _readings() -> Callable[[], int]:
-    """Readings of the simulated source, which are part of a SYNC here and hardware's work elsewhere."""
-    application: Any = calibrated_node(5).application
-    clock = times_us(SYNC_PERIOD_US)
-
-    def work() -> int:
-        for _ in range(5000):
-            application.source.read(next(clock))
-        return 5000
-
-    return work
+    return blocks if in_blocks else segments
 
 
 def _works() -> Iterator[tuple[str, str, Callable[[], int]]]:
@@ -174,9 +148,12 @@ def _works() -> Iterator[tuple[str, str, Callable[[], int]]]:
         ("SDO upload of 7130h:7 (a live value)", struct.pack("<BHB4x", 0x40, 0x7130, 7)),
     ):
         yield what, "aim 20", steps([calibrated_node(5)], [(0x605, data)], 5000, 10)
-    yield f"segmented upload of 1021h, {len(EDS)} bytes, in all", "", _segmented_upload_of_the_eds()
-    yield "block upload of the same, in all", "", _block_upload_of_the_eds()
-    yield "one reading of the simulated gauges (part of each SYNC)", "", _readings()
+    yield f"segmented upload of 1021h, {len(EDS)} bytes, in all", "", _upload_of_the_eds(False)
+    yield "block upload of the same, in all", "", _upload_of_the_eds(True)
+    application: Any = calibrated_node(5).application
+    read, clock = application.source.read, times_us(SYNC_PERIOD_US)  # hardware's work elsewhere
+    what = "one reading of the simulated gauges (part of each SYNC)"
+    yield what, "", lambda: sum(read(next(clock)) is not None for _ in range(5000))
     sync = [(0x80, b"")]
     for tpdos, what in (((TPDO1, TPDO2), "TPDO1+TPDO2"), ((TPDO2,), "TPDO2 alone")):
         for nodes in (1, 5, 15):

@@ -81,35 +81,28 @@ def measure(fingers: int, sync_hz: float, seconds: float, sync: str = "process",
     try:
         with tempfile.TemporaryDirectory() as folder, brought_up(Path(folder), names, plan, link=link) as hand:
             hand.events()
-            latency_ns, incomplete, elapsed_s, cpu_share = _run(hand, seconds)
+            latency_ns, incomplete, meter = list[np.ndarray](), 0, Meter()
+            blocks = hand.blocks(60.0)  # a loaded machine starts the process that sends the SYNC late
+            hand.start()
+            for rows in blocks:
+                if not latency_ns:  # the process that sends the SYNC has started
+                    meter = Meter()
+                latency_ns.append(time.time_ns() - rows.sync_ns)
+                incomplete += int(rows.missing.any(axis=1).sum())
+                if meter.elapsed_s >= seconds:
+                    break
+            elapsed_s, cpu_share = meter.elapsed_s, meter.share
             hand.stop()
             statistics, events = hand.statistics(), tuple(str(event) for event in hand.events())
     finally:
         link.close()
     producer = link.producer
     assert producer is not None
-    p50, p99, largest = np.percentile(latency_ns, (50, 99, 100)) / 1e3
+    p50, p99, largest = np.percentile(np.concatenate(latency_ns), (50, 99, 100)) / 1e3
     return Outcome(
         fingers, sync_hz, sync, elapsed_s, statistics, incomplete, producer.skipped, (p50, p99, largest),
         cpu_share, link.fingers_cpu_s / elapsed_s, events,
     )  # fmt: skip
-
-
-def _run(hand: Hand, seconds: float) -> tuple[np.ndarray, int, float, float]:
-    """Latencies of the rows (ns), rows that lack a finger, and what it took: seconds, and share of a core."""
-    latency_ns: list[np.ndarray] = []
-    incomplete = 0
-    iterator = hand.blocks(60.0)  # a loaded machine starts the process that sends the SYNC late
-    meter = Meter()
-    hand.start()
-    for rows in iterator:
-        if not latency_ns:  # the process that sends the SYNC has started
-            meter = Meter()
-        latency_ns.append(time.time_ns() - rows.sync_ns)
-        incomplete += int(rows.missing.any(axis=1).sum())
-        if meter.elapsed_s >= seconds:
-            break
-    return np.concatenate(latency_ns), incomplete, meter.elapsed_s, meter.share
 
 
 def row(outcome: Outcome) -> list[str]:

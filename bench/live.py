@@ -177,7 +177,6 @@ class _Record:
         self.counts: list[int] = []
 
     def note(self, numbers: Any, stamps_ns: Any, count: int) -> int:
-        """Keep what is decoded now; return the count."""
         self.numbers.append(numbers)
         self.stamps_ns.append(stamps_ns)
         self.decoded_ns.append(time.time_ns())

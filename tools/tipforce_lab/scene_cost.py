@@ -90,7 +90,6 @@ def _nodes(scene: schema.Scene, **changes: object) -> schema.Scene:
 
 
 def _stand_still(scene: schema.Scene) -> schema.Scene:
-    """Return the scene with every changing load held at its maximum."""
     loads = []
     for node_id in scene.node_ids:
         load = load_of(scene, node_id)

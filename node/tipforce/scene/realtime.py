@@ -39,7 +39,6 @@ class _Heard(FrameBuffer):
     count = 0
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Store a frame."""
         self.failure = None
         self.count += 1
         super().on_message_received(msg)

@@ -170,7 +170,6 @@ def _node_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator
 
 
 def _frame_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator[Part]:
-    """Yield the parts that process the frames."""
     out, bus, gap_mm = scene.outputs, scene.bus, scene.slit.gap_mm if scene.slit else None
     pdos = list(dict.fromkeys(pdo for group in groups for pdo in group.pdos))
     named = f"[bus]: {bus.interface or bus.channel or _CONFIGURED}" if bus else ""
@@ -309,6 +308,5 @@ def _statements(tree: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
 
 
 def _is_module(name: str) -> bool:
-    """Return whether a name is a module of tipforce, not an attribute of one."""
     folder = Path(__file__).parents[2].joinpath(*name.split("."))
     return name.partition(".")[0] in _OWN and (folder.with_suffix(".py").exists() or (folder / "__init__.py").exists())

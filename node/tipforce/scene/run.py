@@ -175,7 +175,6 @@ class _Hand:
             self._step(self._due.index(t_us), t_us, ())
 
     def inject(self, at_us: int, finger: Finger, fault: int, gauge: int, magnitude: float) -> None:
-        """Start or end a fault."""
         self.expire(at_us)
         finger.source.set_fault(fault, gauge, magnitude, at_us)
 

@@ -130,7 +130,6 @@ class _Parts:
         self._flush()
 
     def _flush(self) -> None:
-        """Open the selected channels of one device."""
         for device, channels in self._local.items():
             self.parts.append(self._part(device, channels))
         self._local.clear()

@@ -318,7 +318,6 @@ class _HertzRun:
         return self._stiffness * math.pow(max(float(self._overlap @ X), 0.0), 1.5)
 
     def _note_until(self, end_s: float, state_at: Callable[[float], FloatArray]) -> None:
-        """Add the samples up to a time."""
         due = int(np.searchsorted(self._samples, end_s, side="right"))
         for time_s in self._samples[:due]:
             X = state_at(float(time_s))

@@ -154,7 +154,6 @@ def _repeats(work: Callable[[], object], at_least_s: float, warm: bool) -> int:
 
 
 def _elapsed(work: Callable[[], object], repeats: int) -> tuple[float, float]:
-    """Return wall time and processor time, seconds."""
     started, started_cpu = time.perf_counter_ns(), time.process_time_ns()
     for _ in range(repeats):
         work()

@@ -192,7 +192,6 @@ def _normalised(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _shifted(value: IntArray, bits: int) -> IntArray:
-    """Return value / 2^bits, rounded to the nearest."""
     return (value + (1 << bits - 1)) >> bits if bits else value
 
 

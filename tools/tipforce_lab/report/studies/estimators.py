@@ -60,8 +60,6 @@ STEPS = 2 * (sum(map(len, _METHODS.values())) + 1)
 
 
 class _Result(NamedTuple):
-    """One setting of one method."""
-
     estimate: methods.Estimate
     timing: Timing
 

@@ -26,8 +26,6 @@ _MANY = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rig:
-    """One simulated calibration."""
-
     readings: Readings
     A: FloatArray
     offset_strain: FloatArray

@@ -31,8 +31,6 @@ _UNIFORM, _GRADED = "FE, uniform meshes", "FE, graded meshes"
 
 @dataclass(frozen=True, slots=True)
 class _Result:
-    """One setting of one model."""
-
     setting: str
     matrix: FloatArray
     timing: Timing
@@ -152,6 +150,5 @@ def _beam_models() -> dict[str, Callable[[], FloatArray]]:
 
 
 def _finite_elements(cells: int, grading: float) -> tuple[FloatArray, int]:
-    """Return the strain matrix and the number of unknowns."""
     solution = solve(Model(resolution=Resolution(cells, grading)))
     return fem.strain_matrix(solution, GAUGES), solution.unknowns
