@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import bisect
-import math
 from collections.abc import Sequence
 from itertools import pairwise
 
 from tipforce.errors import InputError
 from tipforce.scene import schema
+from tipforce.sources.simulated import force_of
 
 Triple = tuple[float, float, float]  # P newtons, phi and theta degrees
 Knot = tuple[float, float, float, float]  # t seconds, P, phi, theta
@@ -46,9 +46,7 @@ class LoadHistory:
 
     def force(self, t_s: float) -> Triple:
         """Return (F1, F2, F3) in newtons, equation (16)."""
-        P, phi_deg, theta_deg = self.at(t_s)
-        phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
-        return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
+        return force_of(self.at(t_s))
 
 
 def load_of(scene: schema.Scene, node_id: int) -> LoadHistory | None:

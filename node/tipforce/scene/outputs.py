@@ -142,15 +142,11 @@ def write_plot(path: str | Path, title: str, node_ids: Sequence[int], contacts: 
     """Plot one row of P, phi, theta per finger. Raises EnvironmentLackError without matplotlib, InputError for a file
     that cannot be written."""
     try:
-        import matplotlib as mpl
+        from matplotlib.figure import Figure
     except ImportError:
         raise EnvironmentLackError("plot: matplotlib is not installed: pip install 'tipforce[plot]'") from None
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(
-        len(node_ids), 3, figsize=(13.0, 2.2 * len(node_ids) + 1.0), sharex=True, squeeze=False, layout="constrained"
-    )
+    figure = Figure(figsize=(13.0, 2.2 * len(node_ids) + 1.0), layout="constrained")
+    axes = figure.subplots(len(node_ids), 3, sharex=True, squeeze=False)
     for row, node_id in zip(axes, node_ids, strict=True):
         contact = contacts[node_id]
         for k, axis in enumerate(row):
@@ -167,7 +163,4 @@ def write_plot(path: str | Path, title: str, node_ids: Sequence[int], contacts: 
     for axis in axes[-1]:
         axis.set_xlabel("t (s)")
     figure.suptitle(title)
-    try:
-        save_figure(figure, path, FIGURES)
-    finally:
-        plt.close(figure)
+    save_figure(figure, path, FIGURES)

@@ -69,7 +69,7 @@ class SimulatedSource(Source):
         self._conversion = -1
         self._fault_since_us = 0
         self._last_counts = (0,) * len(self.rows)
-        self._resolved = self.load, _force(self.load)
+        self._resolved = self.load, force_of(self.load)
 
     def set_fault(self, fault: int, gauge: int, magnitude: float, now_us: int) -> None:
         """Inject a fault of 2200h into ``gauge`` (from 1) from now on; fault 0 ends it."""
@@ -89,7 +89,7 @@ class SimulatedSource(Source):
             force = self.forces(converted_us)
         else:  # of the present load, resolved once
             if self._resolved[0] is not self.load:
-                self._resolved = self.load, _force(self.load)
+                self._resolved = self.load, force_of(self.load)
             force = self._resolved[1]
         microstrains = self._microstrains(force, now_us)
         temperature = self.temperature
@@ -161,8 +161,8 @@ class SimulatedSource(Source):
         return microstrains
 
 
-def _force(load: "Forces") -> "Forces":
-    """Return F1, F2, F3 of a load P, phi, theta."""
+def force_of(load: "Forces") -> "Forces":
+    """Return F1, F2, F3 in newtons of a load P newtons, phi and theta degrees: equation (16)."""
     P, phi_deg, theta_deg = load
     phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
     return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)

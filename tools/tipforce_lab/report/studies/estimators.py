@@ -18,7 +18,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_lab.report.studies import estimator_methods as methods
 from tipforce_lab.report.studies.estimator_methods import COUNT_BITS, LSB_MICROSTRAIN, RANGE_MICROSTRAIN, Contacts
-from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, timed
+from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, series_of, timed
 
 CASE = "III"
 _FILLED = 0.98  # of the converter's range, at most
@@ -136,12 +136,12 @@ def _run(
 
 
 def _series(results: dict[_Setting, _Result], error: Callable[[methods.Estimate], FloatArray]) -> tuple[Series, ...]:
-    points: dict[str, list[Point]] = {}
+    points = []
     for (method, setting), result in results.items():
         off = error(result.estimate)
-        point = Point(setting, float(np.abs(off).max()), result.timing, float(np.sqrt(np.mean(off**2))))
-        points.setdefault(method, []).append(point)
-    return tuple(Series(method, tuple(of_method)) for method, of_method in points.items())
+        rms = float(np.sqrt(np.mean(off**2)))
+        points.append((method, Point(setting, float(np.abs(off).max()), result.timing, rms)))
+    return series_of(points)
 
 
 def _worst(series: tuple[Series, ...]) -> dict[_Setting, float]:
