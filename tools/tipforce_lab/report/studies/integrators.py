@@ -30,6 +30,9 @@ _FIXED: dict[str, Callable[[Problem, Load, FloatArray], FloatArray]] = {
     "Newmark": integrators.newmark,
     "generalised-alpha 0.8": integrators.generalised_alpha,
 }
+_SUBSTEPS: dict[bool, tuple[int, ...]] = {True: (1, 4, 16), False: (1, 2, 4, 8, 16, 32, 64, 128)}
+_TOLERANCES: dict[bool, tuple[float, ...]] = {True: (1e-4, 1e-7), False: (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)}
+"""By ``Effort.quick``."""
 Run = Callable[[], FloatArray]
 
 
@@ -136,7 +139,7 @@ class _Job:
 
 
 def _study(task: Task, effort: Effort) -> Study:
-    jobs, steps = _exact(task, effort), _substeps(effort)
+    jobs, steps = _exact(task, effort), _SUBSTEPS[effort.quick]
     for name, method in _FIXED.items():
         for n in steps:
             run = partial(_fixed, task, method, n)
@@ -165,7 +168,9 @@ def _study(task: Task, effort: Effort) -> Study:
 def _exact(task: Task, effort: Effort) -> list[_Job]:
     """Return the jobs of the product's own method. The events are the reference: their error is that of it."""
     if isinstance(task.load, Wave):
-        return [_job(task, "held step (exact)", _setting(task, n), partial(_held, task, n)) for n in _substeps(effort)]
+        return [
+            _job(task, "held step (exact)", _setting(task, n), partial(_held, task, n)) for n in _SUBSTEPS[effort.quick]
+        ]
     run = partial(impact, task.problem.modes, _STRIKER, task.duration_s, task.times_s)
     job = _job(task, "events (exact)", "the reference", lambda: run().elastic_newtons)
     return [replace(job, error=max(job.error, task.reference_error))]
@@ -188,17 +193,13 @@ def _fixed(task: Task, method: Callable[[Problem, Load, FloatArray], FloatArray]
 def _adaptive(task: Task, effort: Effort, name: str) -> list[_Job]:
     """Return the jobs of a method by tolerance, up to the first one that takes long."""
     jobs = []
-    for rtol in (1e-4, 1e-7) if effort.quick else (1e-3, 1e-5, 1e-7, 1e-9, 1e-11):
+    for rtol in _TOLERANCES[effort.quick]:
         started = time.process_time()
         run = partial(integrators.scipy_method, task.problem, task.load, task.times_s, name, rtol)
         jobs.append(_job(task, name, f"rtol {rtol:g}", run))
         if time.process_time() - started > (0.05 if effort.quick else 0.5):
             break  # the next tolerance takes several times as long
     return jobs
-
-
-def _substeps(effort: Effort) -> tuple[int, ...]:
-    return (1, 4, 16) if effort.quick else (1, 2, 4, 8, 16, 32, 64, 128)
 
 
 def _setting(task: Task, substeps: int) -> str:
