@@ -15,12 +15,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 import numpy as np
@@ -34,8 +33,9 @@ from bench.loopback import (
     sending,
     struct_contact,
 )
-from bench.measure import Meter, arguments, cpu_us, fill_page, in_turns, machine, table
+from bench.measure import Meter, arguments, background, cpu_us, fill_page, in_turns, machine, table
 
+from tipforce.arrays import FloatArray, IntArray
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver
 from tipforce_tools.log import TICK_S, open_writer
@@ -116,76 +116,50 @@ def cost_rows(figures: dict[str, list[float]]) -> list[list[str]]:
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Load:
-    """What a run at a steady rate gave. Lags are from the kernel's stamp to the decoded values, of every frame."""
+class Load(NamedTuple):
+    """What a run at a steady rate gave; arrays (n,) by frame."""
 
+    rate_hz: int
     sent: int
-    received: int
     dropped: int
-    in_order: bool
-    stamps_rise: bool
-    lag_median_ms: float
-    lag_p99_ms: float
-    lag_p99_seconds_ms: tuple[float, ...]
-    """The 99th percentile of each second of the run."""
-    lag_max_ms: float
+    number: IntArray
+    stamp_ns: IntArray
+    lag_ms: FloatArray
+    """From the kernel's stamp to the decoded values."""
+    batches: int
     cpu_share: float
-    frames_a_batch: float
 
-    def row(self, name: str, rate_hz: int) -> list[str]:
+    @property
+    def in_order(self) -> bool:
+        """The running numbers rise, and the stamps do not fall."""
+        return bool((np.diff(self.number) > 0).all() and (np.diff(self.stamp_ns) >= 0).all())
+
+    def row(self, name: str) -> list[str]:
         """A line of the table of steady runs."""
-        each = self.lag_p99_seconds_ms
-        typical = f"{statistics.median(each):.1f} ({min(each):.1f} to {max(each):.1f})"
-        order = "yes" if self.in_order and self.stamps_rise else "NO"
-        lags = [f"{self.lag_median_ms:.2f}", f"{self.lag_p99_ms:.1f}", typical, f"{self.lag_max_ms:.1f}"]
-        counts = [str(self.sent), str(self.received), str(self.dropped), order]
-        return [f"{rate_hz:,} Hz, {name}", *counts, *lags, f"{self.cpu_share:.0%}", f"{self.frames_a_batch:.0f}"]
+        # A last part of less than half a second belongs to the second before.
+        by_second = np.array_split(self.lag_ms, max(round(len(self.lag_ms) / self.rate_hz), 1))
+        each = [np.quantile(part, 0.99) for part in by_second]
+        median, p99, largest = np.quantile(self.lag_ms, (0.5, 0.99, 1.0))
+        return [
+            f"{self.rate_hz:,} Hz, {name}", str(self.sent), str(len(self.number)), str(self.dropped),
+            "yes" if self.in_order else "NO", f"{median:.2f}", f"{p99:.1f}",
+            f"{np.median(each):.1f} ({min(each):.1f} to {max(each):.1f})", f"{largest:.1f}", f"{self.cpu_share:.0%}",
+            f"{len(self.number) / self.batches:.0f}",
+        ]  # fmt: skip
 
 
 LOAD_HEADER = ["run", "sent", "received", "dropped", "in order", "lag median", "p99", "p99 by seconds", "largest",
                "CPU", "frames a batch"]  # fmt: skip
+Take = Callable[[float], tuple[Any, Any]]
+"""Waits at most the given time; returns running numbers and stamps (ns) of the frames received and decoded, if any."""
 
 
-@contextmanager
-def busy_thread() -> Iterator[None]:
-    """A Python thread that computes without a pause."""
-    stop = threading.Event()
-
-    def work() -> None:
-        total = 0
-        while not stop.is_set():
-            for number in range(10_000):
-                total += number * number
-
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
-
-
-class _Record:
-    """What came: running numbers, kernel's stamps and times of decoding, as numbers or arrays."""
-
-    def __init__(self) -> None:
-        self.numbers: list[Any] = []
-        self.stamps_ns: list[Any] = []
-        self.decoded_ns: list[int] = []
-        self.counts: list[int] = []
-
-    def note(self, numbers: Any, stamps_ns: Any, count: int) -> int:
-        self.numbers.append(numbers)
-        self.stamps_ns.append(stamps_ns)
-        self.decoded_ns.append(time.time_ns())
-        self.counts.append(count)
-        return count
-
-
-Take = Callable[[float, _Record], int]
-"""Waits at most the given time; returns the number of frames received and decoded, and notes them."""
+def compute(stop: threading.Event) -> None:
+    """A Python thread that never pauses."""
+    total = 0
+    while not stop.is_set():
+        for number in range(10_000):
+            total += number * number
 
 
 def run_load(rate_hz: int, seconds: float, *, busy: bool = False, switch_s: float | None = None) -> Load:
@@ -198,10 +172,10 @@ def run_load(rate_hz: int, seconds: float, *, busy: bool = False, switch_s: floa
         if switch_s is not None:
             sys.setswitchinterval(switch_s)
 
-        def take(timeout_s: float, record: _Record) -> int:
+        def take(timeout_s: float) -> tuple[Any, Any]:
             frames = receiver.receive(timeout_s)
             decoder.decode(frames)
-            return record.note(running_numbers(frames), frames["t_ns"], len(frames)) if len(frames) else 0
+            return running_numbers(frames), frames["t_ns"]
 
         try:
             return _run(take, receiver_socket, rate_hz, seconds, busy, lambda: receiver.dropped)
@@ -214,12 +188,12 @@ def run_struct(rate_hz: int, seconds: float, *, busy: bool = False) -> Load:
     receiver_socket = bound_receiver()
     bus = python_can_bus(receiver_socket)
 
-    def take(timeout_s: float, record: _Record) -> int:
+    def take(timeout_s: float) -> tuple[Any, Any]:
         message = bus.recv(timeout_s)
         if message is None:
-            return 0
+            return (), ()
         struct_contact(message)
-        return record.note(int.from_bytes(message.data[:4], "little"), round(message.timestamp * 1e9), 1)
+        return (int.from_bytes(message.data[:4], "little"),), (round(message.timestamp * 1e9),)
 
     with receiver_socket:
         return _run(take, receiver_socket, rate_hz, seconds, busy, lambda: 0)
@@ -228,31 +202,20 @@ def run_struct(rate_hz: int, seconds: float, *, busy: bool = False) -> Load:
 def _run(
     take: Take, receiver: socket.socket, rate_hz: int, seconds: float, busy: bool, dropped: Callable[[], int]
 ) -> Load:
-    total, record = round(rate_hz * seconds), _Record()
-    with busy_thread() if busy else nullcontext(), sending(receiver, rate_hz, seconds):
-        count = part = take(30.0, record)
+    total, count, batches = round(rate_hz * seconds), 0, list[tuple[Any, Any, int]]()
+    with background(compute) if busy else nullcontext(), sending(receiver, rate_hz, seconds):
+        numbers, stamps_ns = take(30.0)
         meter = Meter()
-        while part and count + dropped() < total:
-            part = take(_SILENCE_S, record)
-            count += part
+        while len(numbers):
+            batches.append((numbers, stamps_ns, time.time_ns()))
+            count += len(numbers)
+            if count + dropped() >= total:
+                break
+            numbers, stamps_ns = take(_SILENCE_S)
         share = meter.share
-    number, stamp_ns = np.hstack(record.numbers).astype(np.int64), np.hstack(record.stamps_ns)
-    lag_ms = (np.repeat(record.decoded_ns, record.counts) - stamp_ns) / 1e6
-    # A last part of less than half a second belongs to the second before.
-    by_second = np.array_split(lag_ms, max(round(len(lag_ms) / rate_hz), 1))
-    return Load(
-        sent=total,
-        received=len(number),
-        dropped=dropped(),
-        in_order=bool((np.diff(number) > 0).all()),
-        stamps_rise=bool((np.diff(stamp_ns) >= 0).all()),
-        lag_median_ms=float(np.median(lag_ms)),
-        lag_p99_ms=float(np.quantile(lag_ms, 0.99)),
-        lag_p99_seconds_ms=tuple(np.quantile(part, 0.99).item() for part in by_second),
-        lag_max_ms=float(lag_ms.max()),
-        cpu_share=share,
-        frames_a_batch=len(number) / len(record.counts),
-    )
+    number, stamp_ns = (np.concatenate([batch[k] for batch in batches]).astype(np.int64) for k in (0, 1))
+    decoded_ns = np.repeat([batch[2] for batch in batches], [len(batch[0]) for batch in batches])
+    return Load(rate_hz, total, dropped(), number, stamp_ns, (decoded_ns - stamp_ns) / 1e6, len(batches), share)
 
 
 def log_shares(rate_hz: int, seconds: float) -> dict[str, tuple[float, int]]:
@@ -307,7 +270,7 @@ def main() -> None:
             ("python-can with struct, alone", by_hand),
             ("python-can with struct, one busy Python thread", partial(by_hand, busy=True)),
         ):
-            loads.append(run().row(name, rate_hz))
+            loads.append(run().row(name))
     shares = log_shares(LOGGER_HZ, SECONDS)
     loggers = "; ".join(f"{name} {share:.1%} of a core, {frames} frames" for name, (share, frames) in shares.items())
     fill_page(

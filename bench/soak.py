@@ -12,7 +12,6 @@ import math
 import random
 import struct
 import tempfile
-import threading
 import time
 from collections import Counter
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from pathlib import Path
 import can
 import numpy as np
 from bench.hand import NOISE_MICROSTRAIN, brought_up
-from bench.measure import arguments, resident_bytes
+from bench.measure import arguments, background, resident_bytes
 
 from canopen_device.core import communication
 from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
@@ -108,19 +107,13 @@ def stored_fingers(count: int, seed: int) -> list[Finger]:
             fingertip_node(n, SimulatedSource(rows), serial=n, save=store.save, load=store.load)
             for n, store in stores.items()
         ]
-        stopped = threading.Event()
-        with can.Bus(interface="virtual", channel=channel) as bus:
-            port = PythonCanPort(bus)
-            thread = threading.Thread(target=loop.run, args=(devices, port, stopped.is_set), name="nodes")
-            thread.start()
-            plan = HandPlan(heartbeat_ms=100, store=True)
-            network = {"interface": "virtual", "channel": channel}
-            try:
-                with brought_up(Path(folder), dict.fromkeys(stores, ""), plan, network):
-                    pass
-            finally:
-                stopped.set()
-                thread.join()
+        plan, network = HandPlan(heartbeat_ms=100, store=True), {"interface": "virtual", "channel": channel}
+        with (
+            can.Bus(interface="virtual", channel=channel) as bus,
+            background(lambda stop: loop.run(devices, PythonCanPort(bus), stop.is_set)),
+            brought_up(Path(folder), dict.fromkeys(stores, ""), plan, network),
+        ):
+            pass
         groups = ("communication", "application", "calibration", "lss")
         blobs = {n: {g: blob for g in groups if (blob := s.load(g)) is not None} for n, s in stores.items()}
     return [Finger(n, blobs[n], seed + n) for n in blobs]
@@ -143,8 +136,7 @@ class Soak:
     """One run, all of it from ``seed``."""
 
     def __init__(self, fingers: list[Finger], seed: int, faults: Faults = FAULTS) -> None:
-        self.fingers = fingers
-        self.outcome = Outcome()
+        self.fingers, self.outcome = fingers, Outcome()
         ids = [finger.node_id for finger in fingers]
         self._random = random.Random(seed)
         self._faults = faults

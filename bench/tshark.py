@@ -13,14 +13,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 
 import can
 import canopen
 from bench.decode import write_log
-from bench.measure import ROOT, arguments
+from bench.measure import ROOT, arguments, background
 
 from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
@@ -43,33 +42,27 @@ def session(log: Path) -> int:
     source = SimulatedSource(STRAIN_PER_NEWTON)
     eds = eds_text(3, simulated=True).encode()
     device = fingertip_node(255, source, serial=0x1234, save=store.save, load=store.load, eds=eds)
-    stopped = threading.Event()
     recorded: list[can.Message] = []
     with (
         can.Bus(interface="virtual", channel="tshark") as node_bus,
         can.Bus(interface="virtual", channel="tshark") as log_bus,
     ):
         notifier = can.Notifier(log_bus, [recorded.append])
-        thread = threading.Thread(target=loop.run, args=([device], PythonCanPort(node_bus), stopped.is_set))
-        thread.start()
-        try:
-            with canopen.Network() as network:
-                network.connect(interface="virtual", channel="tshark")
-                heard, identity = network.lss.fast_scan()
-                if not heard or identity[1] != product_code(3, True):
-                    raise SystemExit(f"fastscan did not find the node: {identity}")
-                network.lss.configure_node_id(NODE)
-                network.lss.configure_bit_timing(0)
-                network.lss.store_configuration()
-                if network.lss.inquire_lss_address(0x5B) != product_code(3, True):
-                    raise SystemExit("the product code by LSS is another one")
-                network.lss.send_switch_state_global(network.lss.WAITING_STATE)
-                _transfer(network, source)
-        finally:
-            stopped.set()
-            thread.join()
-            time.sleep(0.2)  # the last frames reach the log
-            notifier.stop()
+        port = PythonCanPort(node_bus)
+        with background(lambda stop: loop.run([device], port, stop.is_set)), canopen.Network() as network:
+            network.connect(interface="virtual", channel="tshark")
+            heard, identity = network.lss.fast_scan()
+            if not heard or identity[1] != product_code(3, True):
+                raise SystemExit(f"fastscan did not find the node: {identity}")
+            network.lss.configure_node_id(NODE)
+            network.lss.configure_bit_timing(0)
+            network.lss.store_configuration()
+            if network.lss.inquire_lss_address(0x5B) != product_code(3, True):
+                raise SystemExit("the product code by LSS is another one")
+            network.lss.send_switch_state_global(network.lss.WAITING_STATE)
+            _transfer(network, source)
+        time.sleep(0.2)  # the last frames reach the log
+        notifier.stop()
     # As `candump -L` does: tshark opens that, and not what python-can itself writes.
     write_log(log, frame_array(map(raw_frame, recorded)))
     return len(recorded)
