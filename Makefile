@@ -51,10 +51,9 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
 	$(PYTHON) -m bench.fuzz_sdo --conversations 1000000
 	$(PYTHON) -m bench.device
-	$(PYTHON) -m bench.eds
+	$(PYTHON) -m bench.fuzz --eds 500000
 	$(PYTHON) -m bench.firmware
 	$(PYTHON) -m bench.export_c
-	$(PYTHON) -m bench.startup
 	$(PYTHON) -m bench.decode
 	$(PYTHON) -m bench.decode --check
 	$(PYTHON) -m bench.scale
@@ -76,12 +75,12 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.optimise
 	$(PYTHON) -m bench.fem
 	.venv/bin/tipforce report -o build/report
-	.venv/bin/tipforce vcan -- $(PYTHON) -m bench.conformance_document > build/conformance.md
-	$(PYTHON) -m bench.conformance_document --summary build/conformance.md > docs/conformance.md
+	.venv/bin/tipforce vcan -- $(PYTHON) -m bench.documents cases > build/conformance.md
+	$(PYTHON) -m bench.documents conformance build/conformance.md
 
 generate: bootstrap-test ## write the committed files generated from the object dictionary and the command line
 	@$(PYTHON) -m tipforce.dictionary.generate
-	@$(PYTHON) -m bench.command_document
+	@$(PYTHON) -m bench.documents commands
 
 clean: ## remove .venv, caches and build results
 	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

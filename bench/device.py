@@ -18,24 +18,28 @@ import select
 import socket
 import statistics
 import struct
+import tempfile
 import threading
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from random import Random
 from typing import Any
 
 import canopen
 import numpy as np
-from bench.fuzz import STRAIN_PER_NEWTON
+from bench.fuzz import STRAIN_PER_NEWTON, generated_eds
 from bench.fuzz_frames import good_record
 from bench.loopback import connected_pair, python_can_bus
-from bench.measure import ROOT, Meter, arguments, cpu_us, machine, median_and_spread
+from bench.measure import ROOT, Meter, arguments, cpu_us, in_turns, machine, median_and_spread
 
 from canopen_device.can_frame import CAN_FRAME
 from canopen_device.core import storage
 from canopen_device.core.node import Device
+from canopen_device.eds.load import device_of
+from canopen_device.eds.reader import read_eds
 from canopen_device.running import loop, ports
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.sample import Sample
@@ -109,35 +113,22 @@ def times_us(period_us: int) -> Iterator[int]:
     return itertools.count(1_000_000 + period_us, period_us)
 
 
-def _asking() -> Callable[..., bytes]:
-    """Send a node an SDO request (missing bytes are 0); return its last response."""
+def _upload_of_the_eds(in_blocks: bool) -> Callable[[], int]:
+    """In segments, or in blocks of 127 segments, CRC included."""
     device, clock = calibrated_node(5), times_us(10)
 
     def ask(*request: int) -> bytes:
         sent, _ = device.step(next(clock), [(0x605, bytes(request).ljust(8, b"\0"))])
         return sent[-1][1] if sent else b""
 
-    return ask
-
-
-def _segmented_upload_of_the_eds() -> Callable[[], int]:
-    ask = _asking()
-
-    def work() -> int:
+    def segments() -> int:
         ask(0x40, 0x21, 0x10)
         toggle = 0x60
         while not ask(toggle)[0] & 1:
             toggle ^= 0x10
         return 1
 
-    return work
-
-
-def _block_upload_of_the_eds() -> Callable[[], int]:
-    """127 segments a block, CRC included."""
-    ask = _asking()
-
-    def work() -> int:
+    def blocks() -> int:
         ask(0xA4, 0x21, 0x10, 0, 127)
         last = ask(0xA3)
         while not last[0] & 0x80:
@@ -146,20 +137,7 @@ def _block_upload_of_the_eds() -> Callable[[], int]:
         ask(0xA1)
         return 1
 
-    return work
-
-
-def _readings() -> Callable[[], int]:
-    """Readings of the simulated source, which are part of a SYNC here and hardware's work elsewhere."""
-    application: Any = calibrated_node(5).application
-    clock = times_us(SYNC_PERIOD_US)
-
-    def work() -> int:
-        for _ in range(5000):
-            application.source.read(next(clock))
-        return 5000
-
-    return work
+    return blocks if in_blocks else segments
 
 
 def _works() -> Iterator[tuple[str, str, Callable[[], int]]]:
@@ -170,9 +148,12 @@ def _works() -> Iterator[tuple[str, str, Callable[[], int]]]:
         ("SDO upload of 7130h:7 (a live value)", struct.pack("<BHB4x", 0x40, 0x7130, 7)),
     ):
         yield what, "aim 20", steps([calibrated_node(5)], [(0x605, data)], 5000, 10)
-    yield f"segmented upload of 1021h, {len(EDS)} bytes, in all", "", _segmented_upload_of_the_eds()
-    yield "block upload of the same, in all", "", _block_upload_of_the_eds()
-    yield "one reading of the simulated gauges (part of each SYNC)", "", _readings()
+    yield f"segmented upload of 1021h, {len(EDS)} bytes, in all", "", _upload_of_the_eds(False)
+    yield "block upload of the same, in all", "", _upload_of_the_eds(True)
+    application: Any = calibrated_node(5).application
+    read, clock = application.source.read, times_us(SYNC_PERIOD_US)  # hardware's work elsewhere
+    what = "one reading of the simulated gauges (part of each SYNC)"
+    yield what, "", lambda: sum(read(next(clock)) is not None for _ in range(5000))
     sync = [(0x80, b"")]
     for tpdos, what in (((TPDO1, TPDO2), "TPDO1+TPDO2"), ((TPDO2,), "TPDO2 alone")):
         for nodes in (1, 5, 15):
@@ -181,6 +162,24 @@ def _works() -> Iterator[tuple[str, str, Callable[[], int]]]:
     yield "SYNC, 5 gauges, TPDO1+TPDO2, judged", "", steps([judged_node(5, True)], sync, 1000, 2000)
     what = "the same, a calibration that knows nothing to judge by"
     yield what, "", steps([judged_node(5, False)], sync, 1000, 2000)
+    yield from _file_works()
+
+
+def _file_works() -> Iterator[tuple[str, str, Callable[[], int]]]:
+    """The same of a device that is made from an EDS of 1000 objects."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "generated.eds"
+        path.write_text(generated_eds())
+        eds = read_eds(path, 5)
+    device = device_of(eds)
+    device.step(0)
+    device.step(2, [(0, b"\x01\0")])
+    yield f"EDS of {len(eds.objects)} objects: its device made", "", lambda: len([device_of(eds)])
+    for what, frame in (
+        ("SDO upload", (0x605, struct.pack("<BHB4x", 0x40, 0x1017, 0))),
+        ("SDO download", (0x605, struct.pack("<BHBH2x", 0x2B, 0x1017, 0, 0))), ("SYNC", (0x80, b"")),
+    ):  # fmt: skip
+        yield f"EDS of {len(eds.objects)} objects: {what}", "", steps([device], [frame], 3000, 2000)
 
 
 def memory_per_node() -> int:
@@ -198,10 +197,11 @@ def memory_per_node() -> int:
 def report_costs() -> list[str]:
     """The table, a line each."""
     lines = ["cost inside the core, microseconds of CPU time: median of 7 runs, +- largest deviation"]
-    for what, aim, work in _works():
-        work()
-        median, spread = median_and_spread([cpu_us(work) for _ in range(REPEATS)])
-        lines.append(f"  {what:<58}{median:10.1f} +- {spread:<8.1f}{aim}")
+    works = {what: (aim, partial(cpu_us, work)) for what, aim, work in _works()}
+    in_turns({what: work for what, (_, work) in works.items()}, 1)  # warms up
+    for what, figures in in_turns({what: work for what, (_, work) in works.items()}, REPEATS).items():
+        median, spread = median_and_spread(figures)
+        lines.append(f"  {what:<58}{median:10.1f} +- {spread:<8.1f}{works[what][0]}")
     return [*lines, f"memory per node: {memory_per_node() / 1024:.0f} KiB"]
 
 

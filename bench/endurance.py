@@ -13,8 +13,7 @@ import sys
 import tempfile
 import time
 from array import array
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
@@ -104,36 +103,30 @@ class Bus:
             return None
         self.now_us = self.next_sync_us
         self.next_sync_us += SYNC_US
-        if self._hourly():
-            return None
-        self.syncs += 1
-        return 0x080, b""
-
-    def _hourly(self) -> bool:
-        """What happens once an hour; True when this SYNC is lost."""
         into_us = self.now_us % HOUR_US
         self._gauges[1].trouble = "gone" if into_us // OUTAGE_US == 600 else ""
         self._gauges[2].trouble = "end" if into_us // SYNC_US == 12_000 else ""
         if into_us // SYNC_US == 18_000:
             self._pending.append((0x600 + NODE_ID, _STORE))
-        return into_us // SYNC_US == 24_000
+        if into_us // SYNC_US == 24_000:
+            return None  # this SYNC is lost
+        self.syncs += 1
+        return 0x080, b""
 
     def send(self, frames: Iterable[loop.Frame]) -> None:
         for can_id, data in frames:
             if can_id == 0x180 + NODE_ID:
                 self.samples += data[7] - self._counter & 0xFF
                 self._counter = data[7]
-                self._late(self.now_us - (self.next_sync_us - SYNC_US))
+                self.late_us = max(self.late_us, abs(self.now_us - (self.next_sync_us - SYNC_US)))
             elif can_id == 0x700 + NODE_ID and data != b"\0":
                 if self._first_heartbeat_us < 0:
                     self._first_heartbeat_us = self.now_us
-                self._late((self.now_us - self._first_heartbeat_us) - self.heartbeats * HEARTBEAT_US)
+                late_us = (self.now_us - self._first_heartbeat_us) - self.heartbeats * HEARTBEAT_US
+                self.late_us = max(self.late_us, abs(late_us))
                 self.heartbeats += 1
             elif can_id == 0x080 + NODE_ID:
                 self.emcys += 1
-
-    def _late(self, late_us: int) -> None:
-        self.late_us = max(self.late_us, abs(late_us))
 
     def request(self, what: str, value: int, delay_ms: int) -> None:
         pass
@@ -146,24 +139,18 @@ class _Count(logging.Handler):
         self.lines += 1
 
 
-@contextmanager
-def _counted_log() -> Iterator[_Count]:
-    log, handler = logging.getLogger("tipforce"), _Count()
-    log.addHandler(handler)
-    try:
-        with mock.patch.object(log, "propagate", new=False):
-            yield handler
-    finally:
-        log.removeHandler(handler)
-
-
 def run(hours: int, hour_us: int = HOUR_US, seed: int = 1) -> list[Hour]:
     """The state after each of ``hours`` hours of ``hour_us``."""
     gauges = [Gauge(f"iio:device{k}", seed + k) for k in range(3)]
     bus = Bus(gauges)
     width = len(Hour._fields)
     figures = array("q", bytes(8 * width * hours))  # what is measured is not to grow by being noted
-    with tempfile.TemporaryDirectory() as folder, _counted_log() as log, mock.patch.object(loop, "now_us", bus.clock):
+    log, logger = _Count(), logging.getLogger("tipforce")
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        mock.patch.multiple(logger, propagate=False, handlers=[log]),
+        mock.patch.object(loop, "now_us", bus.clock),
+    ):
         source = IioSource(gauges, 3, (16, 2.0, ((2048.0, 4048.0),) * 3), ENDS, clock=bus.clock)
         store = FileStore(Path(folder) / "node.json")
         device = fingertip_node(NODE_ID, source, save=store.save, load=store.load)

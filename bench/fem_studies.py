@@ -13,8 +13,8 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.structure.gauges import GaugePosition
-from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
+from tipforce_lab.design.tables import nearest_common
 from tipforce_lab.fem.gauges import Face, Limit, corner_exponent, extrapolate, face, nearest_place, strain_matrix
 from tipforce_lab.fem.mesh import GRADING, Resolution
 from tipforce_lab.fem.outline import STATED
@@ -259,34 +259,9 @@ def best_for_measured(solution: Solution, steps: int) -> Miss:
         sign = 1.0 if point in ("K_H", "S_H") else -1.0
         positions = [start._replace(position_m=start.position_m + sign * shift) for shift in shifts]
         rows[point], places[point] = strain_matrix(solution, positions), positions
-    wanted = np.array([TABLE_3_MEASUREMENT[case] for case in CASES])
-    tables = [_all_conditions([rows[point] for point in LAYOUTS[case]]) for case in CASES]
-    one, two, three = tables  # [K, S, U], [L, S, U], [L, R, U]
-    best, best_at = math.inf, (0, 0, 0, 0, 0)
-    for l_at, u_at in itertools.product(range(steps), repeat=2):
-        # Given L, S and U, case II is fixed; K and R are free for I and III.
-        miss_one = np.abs(one[:, :, u_at] - wanted[0])  # [K, S]
-        miss_two = np.abs(two[l_at, :, u_at] - wanted[1])  # [S]
-        miss_three = np.abs(three[l_at, :, u_at] - wanted[2])  # [R]
-        worst = np.maximum(np.maximum(miss_one.min(axis=0), miss_two), miss_three.min())
-        s_at = int(worst.argmin())
-        if worst[s_at] < best:
-            best = float(worst[s_at])
-            best_at = (l_at, int(miss_three.argmin()), int(miss_one[:, s_at].argmin()), s_at, u_at)
-    at = tuple(float(1e3 * places[point][index].position_m) for point, index in zip(GAUGES, best_at, strict=True))
-    matrix = np.array([rows[point][index] for point, index in zip(GAUGES, best_at, strict=True)])
-    return Miss(at, conditions_of_cases(matrix), best)
-
-
-def _all_conditions(rows: list[FloatArray]) -> FloatArray:
-    """Condition numbers [i, j, k] of the layouts of row i of the first gauge, j of the second, k of the third."""
-    first, second, third = rows
-    grids = first[:, None, None], second[None, :, None], third[None, None, :]
-    stacked = np.stack(np.broadcast_arrays(*grids), axis=-2)
-    singular = np.linalg.svd(stacked, compute_uv=False)
-    with np.errstate(divide="ignore"):
-        result: FloatArray = singular[..., 0] / singular[..., -1]
-    return result
+    best, worst = nearest_common(rows, TABLE_3_MEASUREMENT)
+    at = tuple(float(1e3 * places[point][best[point]].position_m) for point in GAUGES)
+    return Miss(at, conditions_of_cases(np.array([rows[point][best[point]] for point in GAUGES])), worst)
 
 
 def gauge_length_variants(solution: Solution) -> Variants:

@@ -74,13 +74,19 @@ class Frames:
         self._hot = [index for index in HOT if od.subs(index)]
         self._waiting: deque[bytes | Callable[[], bytes]] = deque()
         self._makers = (
-            [self._upload] * 8 + [self._download] * 10 + [self._segmented_download] * 4 + [self._block_download] * 4
+            [self._upload] * 8 + [self._download] * 14 + [self._block_download] * 4
             + [self._block_upload] * 4 + [self._commit] * 2 + [self._remap] * 4 + [self._stray_sdo] * 3
-            + [self._action] * 3 + [self._load] * 2
+            + [self._act] * 5
         )  # fmt: skip
-        self._singles = (
-            [self._sync] * 6 + [self._nmt] * 3 + [self._lss] * 4 + [self._time, self._heartbeat, self._command]
-            + [self._remote, self._error, self._error, self._noise, self._noise, self._own]
+        device, pick, random = rig.device, self._pick, rng
+        self._singles: Sequence[Callable[[], Frame]] = (
+            *[self._sync] * 6, *[self._nmt] * 3, *[self._lss] * 4, *[self._error] * 2, *[self._noise] * 2,
+            lambda: (0x100, struct.pack("<IH", random.getrandbits(28), random.getrandbits(16))),  # time
+            lambda: (0x700 + pick((1, 2, 3, 4, 127)), bytes((pick((0, 4, 5, 127)),))),  # heartbeats of others
+            lambda: (0x200 + device.node_id & 0x7FF, bytes((self._byte() % 5, 0))),  # a command
+            lambda: (0x700 + device.node_id & 0x7FF | REMOTE_FLAG, b""),
+            # another node with this node's identifiers
+            lambda: (pick((0x580, 0x700, 0x180, 0x280, 0x80)) + device.node_id & 0x7FF, random.randbytes(8)),
         )  # fmt: skip
 
     def next(self) -> Step:
@@ -210,13 +216,14 @@ class Frames:
             self._waiting.append(bytes((command,)) + part + bytes(7 - len(part)))
 
     def _download(self) -> None:
-        index, sub = self._target()
-        self._write(index, sub, self._value(index, sub)[:4])
-
-    def _segmented_download(self) -> None:
-        index, sub = self._target() if self._rng.random() < 0.5 else (0x2141, 0)
-        data = self._value(index, sub)
-        self._write(index, sub, data if len(data) > 4 else data + bytes(5))
+        """Expedited, or in segments."""
+        if self._rng.random() < 0.7:
+            index, sub = self._target()
+            self._write(index, sub, self._value(index, sub)[:4])
+        else:
+            index, sub = self._target() if self._rng.random() < 0.5 else (0x2141, 0)
+            data = self._value(index, sub)
+            self._write(index, sub, data if len(data) > 4 else data + bytes(5))
 
     def _block_download(self) -> None:
         index, sub = self._target() if self._rng.random() < 0.4 else (0x2141, 0)
@@ -278,18 +285,17 @@ class Frames:
         sub = 0 if index in (0x2120, 0x2121, 0x2122, 0x2123, 0x2124, 0x1013) else 1 + self._below(highest)
         return index << 16 | sub << 8 | bits
 
-    def _action(self) -> None:
-        index, sub, value = self._pick(ACTIONS)
-        self._write(index, sub, struct.pack("<I", value))
-
-    def _load(self) -> None:
-        """A simulated load of a likely size, or a fault, or its end."""
-        if self._rng.random() < 0.3:
+    def _act(self) -> None:
+        """An action, a simulated load of a likely size, or a fault, or its end."""
+        kind = self._below(10)
+        if kind < 6:
+            index, sub, value = self._pick(ACTIONS)
+            self._write(index, sub, struct.pack("<I", value))
+        elif kind == 6:
             self._write(0x2200, 1, struct.pack("<H", self._pick((0, 0, 0, 1, 2, 3, 4, 5))))
         else:
             sub = 1 + self._below(3)
-            value = self._rng.uniform(0, 5) if sub == 1 else self._rng.uniform(-180, 180)
-            self._write(0x2201, sub, struct.pack("<f", value))
+            self._write(0x2201, sub, struct.pack("<f", self._rng.uniform(*((0, 5) if sub == 1 else (-180, 180)))))
 
     def _stray_sdo(self) -> None:
         """A command out of place: any first byte, an abort, a segment of no transfer."""
@@ -331,27 +337,10 @@ class Frames:
         value = self._pick((0, 1, 5, 127, 128, 255, 0))
         return 0x7E5, bytes((service, value, self._pick((0, 1, 5, 8, 9)), 0, 0, 0, 0, 0))
 
-    def _time(self) -> Frame:
-        return 0x100, struct.pack("<IH", self._rng.getrandbits(28), self._rng.getrandbits(16))
-
-    def _heartbeat(self) -> Frame:
-        return 0x700 + self._pick((1, 2, 3, 4, 127)), bytes((self._pick((0, 4, 5, 127)),))
-
-    def _command(self) -> Frame:
-        return 0x200 + self._rig.device.node_id & 0x7FF, bytes((self._byte() % 5, 0))
-
-    def _remote(self) -> Frame:
-        return 0x700 + self._rig.device.node_id & 0x7FF | REMOTE_FLAG, b""
-
     def _error(self) -> Frame:
         kind = self._pick((0x004, 0x004, 0x004, 0x040, 0x100, 0x044, 0x008))
         detail = self._pick((0, 1, 2, 4, 8, 0x10, 0x20, 0x30, 0x40, 0xFF))
         return ERROR_FLAG | kind, bytes((0, detail, 0, 0, 0, 0, 0, 0))
-
-    def _own(self) -> Frame:
-        """Another node with this node's identifiers."""
-        can_id = self._pick((0x580, 0x700, 0x180, 0x280, 0x80)) + self._rig.device.node_id
-        return can_id & 0x7FF, self._rng.randbytes(8)
 
     def _noise(self) -> Frame:
         can_id = self._rng.getrandbits(11)

@@ -101,7 +101,6 @@ class Server:
         self._delay_us = rng.choice((0, 100, 5000))
 
     def __call__(self, now_us: int, request: bytes) -> list[Response]:
-        """Return the responses to a request."""
         sent, _ = self.device.step(now_us, [(0x605, request)])
         return [response for can_id, data in sent if can_id == 0x585 for response in self._on_the_way(data)]
 

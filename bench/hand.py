@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from bench.loopback import LoopbackLink, may_hurry
-from bench.measure import Meter, arguments, machine, table, write_page
+from bench.measure import Meter, arguments, fill_page, machine, table
 
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
@@ -81,35 +81,28 @@ def measure(fingers: int, sync_hz: float, seconds: float, sync: str = "process",
     try:
         with tempfile.TemporaryDirectory() as folder, brought_up(Path(folder), names, plan, link=link) as hand:
             hand.events()
-            latency_ns, incomplete, elapsed_s, cpu_share = _run(hand, seconds)
+            latency_ns, incomplete, meter = list[np.ndarray](), 0, Meter()
+            blocks = hand.blocks(60.0)  # a loaded machine starts the process that sends the SYNC late
+            hand.start()
+            for rows in blocks:
+                if not latency_ns:  # the process that sends the SYNC has started
+                    meter = Meter()
+                latency_ns.append(time.time_ns() - rows.sync_ns)
+                incomplete += int(rows.missing.any(axis=1).sum())
+                if meter.elapsed_s >= seconds:
+                    break
+            elapsed_s, cpu_share = meter.elapsed_s, meter.share
             hand.stop()
             statistics, events = hand.statistics(), tuple(str(event) for event in hand.events())
     finally:
         link.close()
     producer = link.producer
     assert producer is not None
-    p50, p99, largest = np.percentile(latency_ns, (50, 99, 100)) / 1e3
+    p50, p99, largest = np.percentile(np.concatenate(latency_ns), (50, 99, 100)) / 1e3
     return Outcome(
         fingers, sync_hz, sync, elapsed_s, statistics, incomplete, producer.skipped, (p50, p99, largest),
         cpu_share, link.fingers_cpu_s / elapsed_s, events,
     )  # fmt: skip
-
-
-def _run(hand: Hand, seconds: float) -> tuple[np.ndarray, int, float, float]:
-    """Latencies of the rows (ns), rows that lack a finger, and what it took: seconds, and share of a core."""
-    latency_ns: list[np.ndarray] = []
-    incomplete = 0
-    iterator = hand.blocks(60.0)  # a loaded machine starts the process that sends the SYNC late
-    meter = Meter()
-    hand.start()
-    for rows in iterator:
-        if not latency_ns:  # the process that sends the SYNC has started
-            meter = Meter()
-        latency_ns.append(time.time_ns() - rows.sync_ns)
-        incomplete += int(rows.missing.any(axis=1).sum())
-        if meter.elapsed_s >= seconds:
-            break
-    return np.concatenate(latency_ns), incomplete, meter.elapsed_s, meter.share
 
 
 def row(outcome: Outcome) -> list[str]:
@@ -139,36 +132,6 @@ HEADER = ["hand", "seconds", "rows", "values", "delayed", "stale", "missing", "l
           "rows not whole", "dropped", "overrun", "latency p50", "p99", "largest", "CPU host",
           "CPU fingers"]  # fmt: skip
 JITTER_HEADER = ["hand", "sent by a", "periods", "skipped", "mean period", "p50", "p99", "largest"]
-_PAGE = """\
-# A whole hand: losses, jitter, latency
-
-Written by `python -m bench.hand{options}` on: {machine}.
-
-Frames are `struct can_frame` in datagrams over UDP sockets on 127.0.0.1. The fingers run in one process (Python, by
-`running/loop.py`), the SYNC in another, in place of the kernel's broadcast manager{realtime}.
-The host is a `Hand` with the receiver of SocketCAN (`host/live/receive.py`), a consumer in another thread, and its own
-connection for SDO and heartbeats.
-`tests/vcan/test_hand_session.py` tests the same code on a real SocketCAN bus. Most delays here come from the machine:
-three processes share its cores with other work, and a finger that is not scheduled responds late.
-
-## Rows
-
-Values are rows times fingers. Delayed: received after the next SYNC, assigned to their own row by the sample counter.
-Stale: the finger had no new conversion (one each 500 us; after a delay it responds to several SYNCs at once), so P is
-flagged as unknown. Missing: absent values. Late: samples that came after their row was delivered (each leaves its value
-missing). Mixed: PDOs of two samples in one row. Doubtful: not shown, because the counter says that it
-may be old. Dropped frames: by the kernel or a buffer. Overrun: rows that the consumer did not take. Latency: from the
-SYNC (the kernel's time stamp) to the delivery of the row to the consumer, milliseconds.
-
-{rows}
-
-## SYNC
-
-Deviation of each received period from the nominal one, microseconds. Skipped: not sent, because the sender was more
-than half a period late.
-
-{jitter}
-"""
 
 
 def main() -> int:
@@ -181,12 +144,10 @@ def main() -> int:
     for fingers, sync_hz in CASES:
         outcomes.append(measure(fingers, sync_hz, SECONDS, args.sync, args.realtime))
         print(*outcomes[-1].events[:10], sep="\n", flush=True)
-    page = _PAGE.format(
-        machine=on, options=" --realtime" if args.realtime else "",
-        realtime=", both with SCHED_FIFO in place of hardware" if args.realtime else "",
-        rows=table(HEADER, map(row, outcomes)), jitter=table(JITTER_HEADER, map(jitter_row, outcomes)),
-    )  # fmt: skip
-    write_page("hand-performance", page, page)
+    options = " --realtime" if args.realtime else ""
+    written = f"Written by `python -m bench.hand{options}` on: {on}."
+    fill_page("hand-performance", written, table(HEADER, map(row, outcomes)),
+              table(JITTER_HEADER, map(jitter_row, outcomes)))  # fmt: skip
     return 0 if not any(outcome.statistics.tally.mixed.any() for outcome in outcomes) else 1
 
 

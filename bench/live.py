@@ -15,12 +15,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from collections.abc import Callable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 import numpy as np
@@ -34,8 +33,9 @@ from bench.loopback import (
     sending,
     struct_contact,
 )
-from bench.measure import Meter, arguments, cpu_us, in_turns, machine, table, write_page
+from bench.measure import Meter, arguments, background, cpu_us, fill_page, in_turns, machine, table
 
+from tipforce.arrays import FloatArray, IntArray
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver
 from tipforce_tools.log import TICK_S, open_writer
@@ -45,33 +45,6 @@ RATES_HZ = (5000, 30_000)
 LOGGER_HZ = 10_000
 FRAMES, ROUNDS = 2048, 40  # of the costs: frames in one turn
 _SILENCE_S = 5.0
-_PAGE = """\
-# The live receive path: cost, losses, lag
-
-Written by `python -m bench.live` on: {machine}.
-
-Frames are `struct can_frame` in datagrams between connected UDP sockets on 127.0.0.1, read by the code that reads
-SocketCAN (`host/live/`), with the kernel's time stamps. `tests/vcan` tests the same code on a real vcan.
-
-## Cost per frame
-
-CPU time of the process per Contact PDO, {rounds} rounds of {frames} frames in which the ways take turns. "Decode" means
-all signals of the PDO as numpy columns. python-can and canopen are called without a Notifier thread, their best case.
-
-{costs}
-
-## At a steady rate
-
-{seconds:g} s each, received and decoded as they come; the sender is a process of its own. Lag: from the kernel's stamp
-to decoded values, of every frame, in milliseconds; also the 99th percentile of the median second, and of the best and
-the worst. The busy thread is a Python loop in the receiving process that never pauses; its CPU time is in the share of
-a core. While a receiver is open, Python's switch interval is 0.5 ms; 5 ms is Python's own.
-
-{loads}
-
-Recording {logger_hz:,} frames a second for {seconds:g} s to a file in candump's log format, one after the
-other: {loggers}.
-"""
 
 
 def ways(receiver_socket: socket.socket) -> dict[str, Callable[[], int]]:
@@ -136,88 +109,57 @@ def costs(rounds: int) -> dict[str, list[float]]:
 def cost_rows(figures: dict[str, list[float]]) -> list[list[str]]:
     """Median, spread, and what each way costs of the first one's cost."""
     first = statistics.median(next(iter(figures.values())))
+    medians = {name: statistics.median(us) for name, us in figures.items()}
     return [
-        [
-            name,
-            f"{statistics.median(us):.2f}",
-            f"{min(us):.2f} to {max(us):.2f}",
-            f"{statistics.median(us) / first:.1f}",
-        ]
+        [name, f"{medians[name]:.2f}", f"{min(us):.2f} to {max(us):.2f}", f"{medians[name] / first:.1f}"]
         for name, us in figures.items()
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Load:
-    """What a run at a steady rate gave. Lags are from the kernel's stamp to the decoded values, of every frame."""
+class Load(NamedTuple):
+    """What a run at a steady rate gave; arrays (n,) by frame."""
 
+    rate_hz: int
     sent: int
-    received: int
     dropped: int
-    in_order: bool
-    stamps_rise: bool
-    lag_median_ms: float
-    lag_p99_ms: float
-    lag_p99_seconds_ms: tuple[float, ...]
-    """The 99th percentile of each second of the run."""
-    lag_max_ms: float
+    number: IntArray
+    stamp_ns: IntArray
+    lag_ms: FloatArray
+    """From the kernel's stamp to the decoded values."""
+    batches: int
     cpu_share: float
-    frames_a_batch: float
 
-    def row(self, name: str, rate_hz: int) -> list[str]:
+    @property
+    def in_order(self) -> bool:
+        """The running numbers rise, and the stamps do not fall."""
+        return bool((np.diff(self.number) > 0).all() and (np.diff(self.stamp_ns) >= 0).all())
+
+    def row(self, name: str) -> list[str]:
         """A line of the table of steady runs."""
-        each = self.lag_p99_seconds_ms
-        typical = f"{statistics.median(each):.1f} ({min(each):.1f} to {max(each):.1f})"
-        order = "yes" if self.in_order and self.stamps_rise else "NO"
-        lags = [f"{self.lag_median_ms:.2f}", f"{self.lag_p99_ms:.1f}", typical, f"{self.lag_max_ms:.1f}"]
-        counts = [str(self.sent), str(self.received), str(self.dropped), order]
-        return [f"{rate_hz:,} Hz, {name}", *counts, *lags, f"{self.cpu_share:.0%}", f"{self.frames_a_batch:.0f}"]
+        # A last part of less than half a second belongs to the second before.
+        by_second = np.array_split(self.lag_ms, max(round(len(self.lag_ms) / self.rate_hz), 1))
+        each = [np.quantile(part, 0.99) for part in by_second]
+        median, p99, largest = np.quantile(self.lag_ms, (0.5, 0.99, 1.0))
+        return [
+            f"{self.rate_hz:,} Hz, {name}", str(self.sent), str(len(self.number)), str(self.dropped),
+            "yes" if self.in_order else "NO", f"{median:.2f}", f"{p99:.1f}",
+            f"{np.median(each):.1f} ({min(each):.1f} to {max(each):.1f})", f"{largest:.1f}", f"{self.cpu_share:.0%}",
+            f"{len(self.number) / self.batches:.0f}",
+        ]  # fmt: skip
 
 
 LOAD_HEADER = ["run", "sent", "received", "dropped", "in order", "lag median", "p99", "p99 by seconds", "largest",
                "CPU", "frames a batch"]  # fmt: skip
+Take = Callable[[float], tuple[Any, Any]]
+"""Waits at most the given time; returns running numbers and stamps (ns) of the frames received and decoded, if any."""
 
 
-@contextmanager
-def busy_thread() -> Iterator[None]:
-    """A Python thread that computes without a pause."""
-    stop = threading.Event()
-
-    def work() -> None:
-        total = 0
-        while not stop.is_set():
-            for number in range(10_000):
-                total += number * number
-
-    thread = threading.Thread(target=work, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
-
-
-class _Record:
-    """What came: running numbers, kernel's stamps and times of decoding, as numbers or arrays."""
-
-    def __init__(self) -> None:
-        self.numbers: list[Any] = []
-        self.stamps_ns: list[Any] = []
-        self.decoded_ns: list[int] = []
-        self.counts: list[int] = []
-
-    def note(self, numbers: Any, stamps_ns: Any, count: int) -> int:
-        """Keep what is decoded now; return the count."""
-        self.numbers.append(numbers)
-        self.stamps_ns.append(stamps_ns)
-        self.decoded_ns.append(time.time_ns())
-        self.counts.append(count)
-        return count
-
-
-Take = Callable[[float, _Record], int]
-"""Waits at most the given time; returns the number of frames received and decoded, and notes them."""
+def compute(stop: threading.Event) -> None:
+    """A Python thread that never pauses."""
+    total = 0
+    while not stop.is_set():
+        for number in range(10_000):
+            total += number * number
 
 
 def run_load(rate_hz: int, seconds: float, *, busy: bool = False, switch_s: float | None = None) -> Load:
@@ -230,10 +172,10 @@ def run_load(rate_hz: int, seconds: float, *, busy: bool = False, switch_s: floa
         if switch_s is not None:
             sys.setswitchinterval(switch_s)
 
-        def take(timeout_s: float, record: _Record) -> int:
+        def take(timeout_s: float) -> tuple[Any, Any]:
             frames = receiver.receive(timeout_s)
             decoder.decode(frames)
-            return record.note(running_numbers(frames), frames["t_ns"], len(frames)) if len(frames) else 0
+            return running_numbers(frames), frames["t_ns"]
 
         try:
             return _run(take, receiver_socket, rate_hz, seconds, busy, lambda: receiver.dropped)
@@ -246,12 +188,12 @@ def run_struct(rate_hz: int, seconds: float, *, busy: bool = False) -> Load:
     receiver_socket = bound_receiver()
     bus = python_can_bus(receiver_socket)
 
-    def take(timeout_s: float, record: _Record) -> int:
+    def take(timeout_s: float) -> tuple[Any, Any]:
         message = bus.recv(timeout_s)
         if message is None:
-            return 0
+            return (), ()
         struct_contact(message)
-        return record.note(int.from_bytes(message.data[:4], "little"), round(message.timestamp * 1e9), 1)
+        return (int.from_bytes(message.data[:4], "little"),), (round(message.timestamp * 1e9),)
 
     with receiver_socket:
         return _run(take, receiver_socket, rate_hz, seconds, busy, lambda: 0)
@@ -260,76 +202,63 @@ def run_struct(rate_hz: int, seconds: float, *, busy: bool = False) -> Load:
 def _run(
     take: Take, receiver: socket.socket, rate_hz: int, seconds: float, busy: bool, dropped: Callable[[], int]
 ) -> Load:
-    total, record = round(rate_hz * seconds), _Record()
-    with busy_thread() if busy else nullcontext(), sending(receiver, rate_hz, seconds):
-        count = part = take(30.0, record)
+    total, count, batches = round(rate_hz * seconds), 0, list[tuple[Any, Any, int]]()
+    with background(compute) if busy else nullcontext(), sending(receiver, rate_hz, seconds):
+        numbers, stamps_ns = take(30.0)
         meter = Meter()
-        while part and count + dropped() < total:
-            part = take(_SILENCE_S, record)
-            count += part
+        while len(numbers):
+            batches.append((numbers, stamps_ns, time.time_ns()))
+            count += len(numbers)
+            if count + dropped() >= total:
+                break
+            numbers, stamps_ns = take(_SILENCE_S)
         share = meter.share
-    number, stamp_ns = np.hstack(record.numbers).astype(np.int64), np.hstack(record.stamps_ns)
-    lag_ms = (np.repeat(record.decoded_ns, record.counts) - stamp_ns) / 1e6
-    # A last part of less than half a second belongs to the second before.
-    by_second = np.array_split(lag_ms, max(round(len(lag_ms) / rate_hz), 1))
-    return Load(
-        sent=total,
-        received=len(number),
-        dropped=dropped(),
-        in_order=bool((np.diff(number) > 0).all()),
-        stamps_rise=bool((np.diff(stamp_ns) >= 0).all()),
-        lag_median_ms=float(np.median(lag_ms)),
-        lag_p99_ms=float(np.quantile(lag_ms, 0.99)),
-        lag_p99_seconds_ms=tuple(np.quantile(part, 0.99).item() for part in by_second),
-        lag_max_ms=float(lag_ms.max()),
-        cpu_share=share,
-        frames_a_batch=len(number) / len(record.counts),
-    )
+    number, stamp_ns = (np.concatenate([batch[k] for batch in batches]).astype(np.int64) for k in (0, 1))
+    decoded_ns = np.repeat([batch[2] for batch in batches], [len(batch[0]) for batch in batches])
+    return Load(rate_hz, total, dropped(), number, stamp_ns, (decoded_ns - stamp_ns) / 1e6, len(batches), share)
 
 
 def log_shares(rate_hz: int, seconds: float) -> dict[str, tuple[float, int]]:
     """CPU share of a core, and how many frames the file holds: our logger and python-can's, one after the other."""
+    shares = {}
     with tempfile.TemporaryDirectory() as folder:
-        return {
-            "tipforce log": _our_logger(Path(folder) / "ours.log", rate_hz, seconds),
-            "python-can's logger": _their_logger(Path(folder) / "theirs.log", rate_hz, seconds),
-        }
+        path = Path(folder) / "run.log"
+        for name, logger in (("tipforce log", _our_logger), ("python-can's logger", _their_logger)):
+            receiver = bound_receiver()
+            with receiver, sending(receiver, rate_hz, seconds):
+                share = logger(receiver, path, seconds - 0.5)
+            shares[name] = share, path.read_bytes().count(b"\n")
+            path.unlink()
+    return shares
 
 
-def _our_logger(path: Path, rate_hz: int, seconds: float) -> tuple[float, int]:
-    receiver_socket, writer = bound_receiver(), open_writer(path)
-    with (
-        SocketReceiver(receiver_socket, "loopback", tick_s=TICK_S) as receiver,
-        sending(receiver_socket, rate_hz, seconds),
-    ):
+def _our_logger(receiver_socket: socket.socket, path: Path, seconds: float) -> float:
+    writer = open_writer(path)
+    with SocketReceiver(receiver_socket, "loopback", tick_s=TICK_S) as receiver:
         block = receiver.receive_block(30.0)
         meter = Meter()
-        while meter.elapsed_s < seconds - 0.5:
+        while meter.elapsed_s < seconds:
             writer.write(block)
             block = receiver.receive_block(1.0)
         share = meter.share
         writer.write(block)
     writer.close()
-    return share, path.read_bytes().count(b"\n")
+    return share
 
 
-def _their_logger(path: Path, rate_hz: int, seconds: float) -> tuple[float, int]:
-    receiver_socket = bound_receiver()
-    bus = python_can_bus(receiver_socket)
-    with receiver_socket, sending(receiver_socket, rate_hz, seconds):
-        logger = can.Logger(path)
-        message = bus.recv(30.0)
-        assert message is not None
-        meter = Meter()
-        notifier = can.Notifier(bus, [logger])
-        time.sleep(seconds - 0.5)
-        share = meter.share
-        notifier.stop()  # stops the logger, too
-    return share, path.read_bytes().count(b"\n")
+def _their_logger(receiver_socket: socket.socket, path: Path, seconds: float) -> float:
+    bus, logger = python_can_bus(receiver_socket), can.Logger(path)
+    assert bus.recv(30.0) is not None
+    meter = Meter()
+    notifier = can.Notifier(bus, [logger])
+    time.sleep(seconds)
+    share = meter.share
+    notifier.stop()  # stops the logger, too
+    return share
 
 
-def report() -> str:
-    """The page: everything measured once."""
+def main() -> None:
+    arguments(__doc__).parse_args()
     on, figures = machine("python-can", "canopen"), costs(ROUNDS)
     loads = []
     for rate_hz in RATES_HZ:
@@ -341,20 +270,15 @@ def report() -> str:
             ("python-can with struct, alone", by_hand),
             ("python-can with struct, one busy Python thread", partial(by_hand, busy=True)),
         ):
-            loads.append(run().row(name, rate_hz))
+            loads.append(run().row(name))
     shares = log_shares(LOGGER_HZ, SECONDS)
-    return _PAGE.format(
-        machine=on, rounds=ROUNDS, frames=FRAMES, seconds=SECONDS, logger_hz=LOGGER_HZ,
-        costs=table(["way", "microseconds a frame", "smallest to largest", "times the first"], cost_rows(figures)),
-        loads=table(LOAD_HEADER, loads),
-        loggers="; ".join(f"{name} {share:.1%} of a core, {frames} frames" for name, (share, frames) in shares.items()),
+    loggers = "; ".join(f"{name} {share:.1%} of a core, {frames} frames" for name, (share, frames) in shares.items())
+    fill_page(
+        "live-performance", f"Written by `python -m bench.live` on: {on}.",
+        table(["way", "microseconds a frame", "smallest to largest", "times the first"], cost_rows(figures)),
+        f"{table(LOAD_HEADER, loads)}\n\nRecording {LOGGER_HZ:,} frames a second for {SECONDS:g} s to a file in "
+        f"candump's log format, one after the other: {loggers}.",
     )  # fmt: skip
-
-
-def main() -> None:
-    arguments(__doc__).parse_args()
-    text = report()
-    write_page("live-performance", text, text)
 
 
 if __name__ == "__main__":

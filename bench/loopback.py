@@ -125,9 +125,7 @@ class CanopenHost:
     """canopen's way of a PDO: a Network's listener, a PdoMap and a callback that reads its three values."""
 
     def __init__(self) -> None:
-        self.network = canopen.Network()
-        self.values = 0.0
-        self.frames = 0
+        self.network, self.values, self.frames = canopen.Network(), 0.0, 0
         for node_id in range(1, NODES + 1):
             node = self.network.add_node(node_id, str(ROOT / "eds" / "tipforce-3.eds"))
             node.tpdo.read(from_od=True)

@@ -87,7 +87,11 @@ def draw(recording: Path, output: Path) -> None:
             at, points = line["pose"]["position"], line["points"]
             axes.plot([at["x"] + p["x"] for p in points], [at["y"] + p["y"] for p in points], color=_rgb(line), lw=2)
         for arrow in entity["arrows"]:
-            at, turn, length = arrow["pose"]["position"], arrow["pose"]["orientation"], _length(arrow)
+            at, turn, length = (
+                arrow["pose"]["position"],
+                arrow["pose"]["orientation"],
+                arrow["shaft_length"] + arrow["head_length"],
+            )
             c, s = turn["w"] ** 2 - turn["z"] ** 2, 2.0 * turn["w"] * turn["z"]
             axes.annotate(
                 "", (at["x"] + length * c, at["y"] + length * s), (at["x"], at["y"]),
@@ -100,10 +104,6 @@ def draw(recording: Path, output: Path) -> None:
     axes.axis("off")
     axes.margins(0.05, 0.25)
     figure.savefig(output, metadata={"Date": None})
-
-
-def _length(arrow: dict[str, Any]) -> float:
-    return float(arrow["shaft_length"] + arrow["head_length"])
 
 
 def _rgb(thing: dict[str, Any]) -> tuple[float, float, float]:

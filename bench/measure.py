@@ -6,16 +6,21 @@ import argparse
 import json
 import os
 import platform
+import re
 import resource
 import statistics
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
+
+from tipforce_lab.report import run
 
 ROOT = Path(__file__).parents[1]
 TIPFORCE = (sys.executable, "-m", "tipforce_tools.cli.main")
@@ -25,10 +30,7 @@ Result = TypeVar("Result")
 
 def machine(*packages: str) -> str:
     """Processor, cores, versions, load at the start: what the figures depend on."""
-    info = Path("/proc/cpuinfo")
-    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    name = names[0] if names else platform.processor() or platform.machine()
+    name = run.machine()["processor"].rpartition(",")[0]
     versions = [f"Python {platform.python_version()}", *(f"{package} {version(package)}" for package in packages)]
     load = f"load {os.getloadavg()[0]:.1f} at the start"
     return f"{name}, {os.cpu_count()} cores, {load}; {platform.system()}; {', '.join(versions)}"
@@ -61,6 +63,19 @@ def cpu_s(work: Callable[[], object]) -> float:
     started_s = time.process_time()
     work()
     return time.process_time() - started_s
+
+
+@contextmanager
+def background(work: Callable[[threading.Event], object]) -> Iterator[None]:
+    """A thread runs ``work(stop)`` while the block runs; at its end ``stop`` is set, and the thread awaited."""
+    stop = threading.Event()
+    thread = threading.Thread(target=work, args=(stop,), daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
 
 
 class Meter:
@@ -197,6 +212,21 @@ def new_svg_figure(width_inch: float, height_inch: float) -> Any:
 def save_plot(figure: Any, path: str) -> None:
     """Write a figure, .png or .svg, without its date."""
     figure.savefig(path, dpi=110, metadata={"Date": None} if path.endswith(".svg") else None)
+
+
+def filled(document: str, *texts: str) -> str:
+    """The document with these texts between its marks, in order. Raises ValueError where it has not as many."""
+    parts = re.split(r"(?<=<!-- begin -->\n).*?(?=<!-- end -->\n)", document, flags=re.DOTALL)
+    if len(parts) != len(texts) + 1:
+        raise ValueError(f"{len(texts)} texts for {len(parts) - 1} places")
+    return parts[0] + "".join(f"\n{text}\n\n{part}" for text, part in zip(texts, parts[1:], strict=True))
+
+
+def fill_page(name: str, *texts: str) -> None:
+    """Write the texts to their places in docs/NAME.md, and print them."""
+    path = ROOT / "docs" / f"{name}.md"
+    path.write_text(filled(path.read_text(encoding="utf-8"), *texts), encoding="utf-8")
+    print(*texts, sep="\n\n")
 
 
 def write_page(name: str, full: str, summary: str | None = None) -> None:

@@ -20,7 +20,7 @@ from bench.measure import arguments, table
 
 from tipforce.arrays import FloatArray
 from tipforce_lab.design.merit import LoadSet
-from tipforce_lab.design.search import OBJECTIVES, Design, Limits, Objective, Problem, Slot, score, search
+from tipforce_lab.design.search import OBJECTIVES, Design, Limits, Objective, problem_of, score, search
 
 STARTS = (1, 2, 4, 8, 16)
 REFERENCE_STARTS, SEEDS = 32, 6
@@ -43,12 +43,8 @@ class Cell(NamedTuple):
 
 def value(design: Design, objective: Objective) -> float:
     """The logarithm of what the search minimised."""
-    problem = _problem(design)
+    problem = problem_of(design, LIMITS)
     return score(objective, LOADS)(problem.rows(problem.point(design)[np.newaxis])[0])[0]
-
-
-def _problem(design: Design) -> Problem:
-    return Problem([Slot(gauge.beam, gauge.side, gauge.face) for gauge in design.gauges], LIMITS)
 
 
 def multi_start(gauges: int, objective: Objective, starts: int, seeds: int) -> tuple[FloatArray, float]:
@@ -63,7 +59,7 @@ def evolution(reference: Design, objective: Objective) -> tuple[float, float]:
     """(logarithm of the objective, seconds) by differential evolution on the reference's configuration."""
     from scipy.optimize import differential_evolution
 
-    problem, part = _problem(reference), score(objective, LOADS)
+    problem, part = problem_of(reference, LIMITS), score(objective, LOADS)
     free = problem.bounds[:, 1] > problem.bounds[:, 0]
     base = problem.bounds[:, 0].copy()
     bounds = problem.bounds.copy()

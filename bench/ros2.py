@@ -101,7 +101,6 @@ def publish(folder: Path) -> tuple[FrameArray, dict[str, Any]]:
 
 
 def _reader(folder: Path, prefix: str, stdout: int) -> subprocess.Popen[bytes]:
-    """The process of ``read``."""
     words = [sys.executable, "-m", "bench.ros2", "--read", str(folder), "--prefix", prefix]
     return subprocess.Popen(words, stdin=subprocess.PIPE, stdout=stdout)
 

@@ -12,7 +12,6 @@ import math
 import random
 import struct
 import tempfile
-import threading
 import time
 from collections import Counter
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from pathlib import Path
 import can
 import numpy as np
 from bench.hand import NOISE_MICROSTRAIN, brought_up
-from bench.measure import arguments, resident_bytes
+from bench.measure import arguments, background, resident_bytes
 
 from canopen_device.core import communication
 from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
@@ -59,17 +58,13 @@ class Finger:
         self.last_contact = b""
         self._blobs, self._seed = blobs, seed
         self._random = random.Random(seed)
-        self._off_until_s = self._broken_until_s = -1.0
+        self.off_until_s = self._broken_until_s = -1.0
         self._booted_s = 0.0
         self._device = self._power()
 
     def _power(self) -> Device:
         self.source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist(), NOISE_MICROSTRAIN, seed=self._seed)
         return fingertip_node(self.node_id, self.source, serial=self.node_id, load=self._blobs.get)
-
-    def switch_off(self, until_s: float) -> None:
-        """Power loss."""
-        self._off_until_s = until_s
 
     def break_source(self, fault: int, until_s: float) -> None:
         """A fault of 2200h."""
@@ -78,17 +73,17 @@ class Finger:
 
     def end_trouble(self, now_s: float) -> bool:
         """Power comes back, the converter works again; return whether something is still wrong."""
-        if 0.0 <= self._off_until_s <= now_s:
-            self._off_until_s, self._booted_s = -1.0, now_s
+        if 0.0 <= self.off_until_s <= now_s:
+            self.off_until_s, self._booted_s = -1.0, now_s
             self._device = self._power()
         if 0.0 <= self._broken_until_s <= now_s:
             self._broken_until_s = -1.0
             self.source.set_fault(0, 1, 0.0, 0)
-        return max(self._off_until_s, self._broken_until_s) >= 0.0
+        return max(self.off_until_s, self._broken_until_s) >= 0.0
 
     def step(self, now_s: float, frames: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
         """Give it frames and the time."""
-        if self._off_until_s >= 0.0:
+        if self.off_until_s >= 0.0:
             return []
         if any(can_id == NMT_COB_ID for can_id, _ in frames):  # the hand numbers the SYNC before it starts a finger
             self._device.od.values[communication.SYNC_OVERFLOW << 8] = LARGEST
@@ -112,19 +107,13 @@ def stored_fingers(count: int, seed: int) -> list[Finger]:
             fingertip_node(n, SimulatedSource(rows), serial=n, save=store.save, load=store.load)
             for n, store in stores.items()
         ]
-        stopped = threading.Event()
-        with can.Bus(interface="virtual", channel=channel) as bus:
-            port = PythonCanPort(bus)
-            thread = threading.Thread(target=loop.run, args=(devices, port, stopped.is_set), name="nodes")
-            thread.start()
-            plan = HandPlan(heartbeat_ms=100, store=True)
-            network = {"interface": "virtual", "channel": channel}
-            try:
-                with brought_up(Path(folder), dict.fromkeys(stores, ""), plan, network):
-                    pass
-            finally:
-                stopped.set()
-                thread.join()
+        plan, network = HandPlan(heartbeat_ms=100, store=True), {"interface": "virtual", "channel": channel}
+        with (
+            can.Bus(interface="virtual", channel=channel) as bus,
+            background(lambda stop: loop.run(devices, PythonCanPort(bus), stop.is_set)),
+            brought_up(Path(folder), dict.fromkeys(stores, ""), plan, network),
+        ):
+            pass
         groups = ("communication", "application", "calibration", "lss")
         blobs = {n: {g: blob for g in groups if (blob := s.load(g)) is not None} for n, s in stores.items()}
     return [Finger(n, blobs[n], seed + n) for n in blobs]
@@ -147,8 +136,7 @@ class Soak:
     """One run, all of it from ``seed``."""
 
     def __init__(self, fingers: list[Finger], seed: int, faults: Faults = FAULTS) -> None:
-        self.fingers = fingers
-        self.outcome = Outcome()
+        self.fingers, self.outcome = fingers, Outcome()
         ids = [finger.node_id for finger in fingers]
         self._random = random.Random(seed)
         self._faults = faults
@@ -275,7 +263,7 @@ class Soak:
         length_s = self._random.uniform(0.2, 3.0)
         finger = self._random.choice(self.fingers)
         if kind == "power":
-            finger.switch_off(now_s + length_s)
+            finger.off_until_s = now_s + length_s
         elif kind == "busy":
             self._busy = {other.node_id: self._random.uniform(0.3, 0.95) for other in (finger, self.fingers[0])}
             self._busy_until_s = now_s + length_s

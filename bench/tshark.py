@@ -13,17 +13,17 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 
 import can
 import canopen
 from bench.decode import write_log
-from bench.measure import ROOT, arguments
+from bench.measure import ROOT, arguments, background
 
 from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.store import MemoryStore
 from tipforce.dictionary.eds import eds_text
 from tipforce.dictionary.table import product_code
 from tipforce.fingertip.node import fingertip_node
@@ -38,50 +38,34 @@ COMPLAINTS = "_ws.malformed || _ws.expert.severity >= 0x600000"
 
 def session(log: Path) -> int:
     """Run the session and write the log; returns the number of frames."""
-    store: dict[str, bytes] = {}
+    store = MemoryStore()
     source = SimulatedSource(STRAIN_PER_NEWTON)
-    device = fingertip_node(
-        255,
-        source,
-        serial=0x1234,
-        save=lambda group, data: not store.update({group: data}),
-        load=store.get,
-        eds=eds_text(3, simulated=True).encode(),
-    )
-    stopped = threading.Event()
+    eds = eds_text(3, simulated=True).encode()
+    device = fingertip_node(255, source, serial=0x1234, save=store.save, load=store.load, eds=eds)
     recorded: list[can.Message] = []
     with (
         can.Bus(interface="virtual", channel="tshark") as node_bus,
         can.Bus(interface="virtual", channel="tshark") as log_bus,
     ):
         notifier = can.Notifier(log_bus, [recorded.append])
-        thread = threading.Thread(target=loop.run, args=([device], PythonCanPort(node_bus), stopped.is_set))
-        thread.start()
-        try:
-            with canopen.Network() as network:
-                network.connect(interface="virtual", channel="tshark")
-                _configure_by_lss(network)
-                _transfer(network, source)
-        finally:
-            stopped.set()
-            thread.join()
-            time.sleep(0.2)  # the last frames reach the log
-            notifier.stop()
+        port = PythonCanPort(node_bus)
+        with background(lambda stop: loop.run([device], port, stop.is_set)), canopen.Network() as network:
+            network.connect(interface="virtual", channel="tshark")
+            heard, identity = network.lss.fast_scan()
+            if not heard or identity[1] != product_code(3, True):
+                raise SystemExit(f"fastscan did not find the node: {identity}")
+            network.lss.configure_node_id(NODE)
+            network.lss.configure_bit_timing(0)
+            network.lss.store_configuration()
+            if network.lss.inquire_lss_address(0x5B) != product_code(3, True):
+                raise SystemExit("the product code by LSS is another one")
+            network.lss.send_switch_state_global(network.lss.WAITING_STATE)
+            _transfer(network, source)
+        time.sleep(0.2)  # the last frames reach the log
+        notifier.stop()
     # As `candump -L` does: tshark opens that, and not what python-can itself writes.
     write_log(log, frame_array(map(raw_frame, recorded)))
     return len(recorded)
-
-
-def _configure_by_lss(network: canopen.Network) -> None:
-    heard, identity = network.lss.fast_scan()
-    if not heard or identity[1] != product_code(3, True):
-        raise SystemExit(f"fastscan did not find the node: {identity}")
-    network.lss.configure_node_id(NODE)
-    network.lss.configure_bit_timing(0)
-    network.lss.store_configuration()
-    if network.lss.inquire_lss_address(0x5B) != product_code(3, True):
-        raise SystemExit("the product code by LSS is another one")
-    network.lss.send_switch_state_global(network.lss.WAITING_STATE)
 
 
 def _transfer(network: canopen.Network, source: SimulatedSource) -> None:
@@ -106,15 +90,10 @@ def _transfer(network: canopen.Network, source: SimulatedSource) -> None:
     node.tpdo[2].add_variable(0x2120)
     node.tpdo[2].save()
     node.nmt.state = "OPERATIONAL"
-    for _ in range(20):
+    for fault in (*[0] * 20, 3, 0):  # 3 is a saturated gauge: EMCY
+        source.fault = fault
         network.sync.transmit()
-        time.sleep(0.005)
-    source.fault = 3  # a saturated gauge: EMCY
-    network.sync.transmit()
-    time.sleep(0.05)
-    source.fault = 0
-    network.sync.transmit()
-    time.sleep(0.05)
+        time.sleep(0.05)
     node.nmt.state = "STOPPED"
     node.nmt.state = "RESET"
     time.sleep(0.3)

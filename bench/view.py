@@ -54,16 +54,11 @@ def main() -> None:
         if args.screenshots:
             screenshots(browser, FIGURES)
         else:
-            measure(browser)
+            print(machine())
+            print(f"{FINGERS} fingers, {SYNC_HZ} Hz, {(2 * FINGERS + 1) * SYNC_HZ} frames/s, {SECONDS:g} s each")
+            runs = (("none", False, 0), ("one", True, 0), ("one, and two that do not read", True, 2))
+            print(table(HEADER, [[name, *one_run(browser, looking, idle)] for name, looking, idle in runs]))
         browser.close()
-
-
-def measure(browser: Browser) -> None:
-    """Three runs: nobody looks, one browser looks, and beside it two that do not read what they asked for."""
-    print(machine())
-    print(f"{FINGERS} fingers, {SYNC_HZ} Hz, {(2 * FINGERS + 1) * SYNC_HZ} frames/s, {SECONDS:g} s each")
-    runs = (("none", False, 0), ("one", True, 0), ("one, and two that do not read", True, 2))
-    print(table(HEADER, [[name, *one_run(browser, looking, idle)] for name, looking, idle in runs]))
 
 
 def one_run(browser: Browser, looking: bool, idle: int) -> list[str]:
@@ -126,21 +121,17 @@ def silent_reader(port: int) -> Iterator[None]:
 
 def sync_frames(first: int, until: int) -> list[bytes]:
     """The frames of these SYNCs, all answers included."""
-    return [frame for k in range(first, until) for frame in row(k)]
-
-
-def row(k: int) -> list[bytes]:
-    """The frames of SYNC number k."""
-    frames = [_FRAME.pack(0x80, 0, b"")]
-    for node_id in range(1, FINGERS + 1):
-        angle = 0.9 * k / SYNC_HZ + node_id
-        theta = round(9000 + 4000 * math.sin(angle))
-        P = round(2500 + 1500 * math.sin(1.7 * angle))
-        strain = [round(2000 * math.sin(angle + n)) for n in range(3)]
-        counter = k % 256
-        contact = struct.pack("<hhhBB", P, theta - 18000, theta, _STATUS, counter)
-        gauges = struct.pack("<hhhBB", *strain, _STATUS, counter)
-        frames += [_FRAME.pack(0x280 + node_id, 8, contact), _FRAME.pack(0x180 + node_id, 8, gauges)]
+    frames = []
+    for k in range(first, until):
+        frames.append(_FRAME.pack(0x80, 0, b""))
+        for node_id in range(1, FINGERS + 1):
+            angle = 0.9 * k / SYNC_HZ + node_id
+            theta = round(9000 + 4000 * math.sin(angle))
+            P = round(2500 + 1500 * math.sin(1.7 * angle))
+            strain = [round(2000 * math.sin(angle + n)) for n in range(3)]
+            for base, values in ((0x280, (P, theta - 18000, theta)), (0x180, strain)):
+                data = struct.pack("<hhhBB", *values, _STATUS, k % 256)
+                frames.append(_FRAME.pack(base + node_id, 8, data))
     return frames
 
 

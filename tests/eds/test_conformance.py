@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from bench import eds
+from bench import fuzz
 
 from canopen_conformance.run import FAIL, PASS
 from canopen_device.core.node import Device
@@ -52,8 +52,8 @@ def test_no_case_fails(content: str, tmp_path: Path) -> None:
 
 
 def test_random_frames_never_raise(tmp_path: Path) -> None:
-    """A small share of `python -m bench.eds`."""
+    """A small share of `python -m bench.fuzz --eds`."""
     path = tmp_path / "generated.eds"
-    path.write_text(eds.generated_eds(60))
+    path.write_text(fuzz.generated_eds(60))
     for file in (path, shipped_eds("cia402")):
-        assert eds.fuzz(file, 2000, seed=17) > 500
+        assert fuzz.fuzz_file(file, 2000, seed=17) > 500

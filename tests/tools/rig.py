@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import can
 import pytest
+from bench.measure import background
 
 from canopen_device.core.node import Device
 from host.bus_with_nodes import new_channel
@@ -74,9 +75,8 @@ def message(can_id: int, data: bytes = b"", **options: bool) -> can.Message:
 @contextmanager
 def sending(channel: str, frames: Callable[[int], Sequence[can.Message]], period_s: float = 0.005) -> Iterator[None]:
     """Sends frames(0), frames(1)... on a virtual bus, over and over, until the with block ends."""
-    stop = threading.Event()
 
-    def send() -> None:
+    def send(stop: threading.Event) -> None:
         with can.Bus(channel, interface="virtual") as bus:
             for number in itertools.count():
                 if stop.wait(period_s):
@@ -84,10 +84,5 @@ def sending(channel: str, frames: Callable[[int], Sequence[can.Message]], period
                 for frame in frames(number):
                     bus.send(frame)
 
-    thread = threading.Thread(target=send)
-    thread.start()
-    try:
+    with background(send):
         yield
-    finally:
-        stop.set()
-        thread.join()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.command_document import PATH, page
+from bench.documents import PATH, page
 
 from tipforce_tools.cli.main import EXIT_CODES, EXIT_TEXTS
 from tools.command_lines import PARSERS

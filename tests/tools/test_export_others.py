@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from canopen_device.eds import read_eds
-from tipforce_robots.ros2.bus_file import ros_name
+from tipforce_robots.ros2.bridge import ros_name
 from tipforce_tools.cli.main import main
 
 HAND = """\

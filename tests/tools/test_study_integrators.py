@@ -23,8 +23,8 @@ def found() -> dict[str, Study]:
     """All four, with one coarse and one finer setting of each method."""
     steps = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(integrators, "_substeps", lambda _: (1, 4))
-        patch.setattr(integrators, "_tolerances", lambda _: (1e-3, 1e-5))
+        patch.setitem(integrators._SUBSTEPS, True, (1, 4))
+        patch.setitem(integrators._TOLERANCES, True, (1e-3, 1e-5))
         patch.setattr(integrators, "timed_together", once)
         studies = integrators.studies(Effort(quick=True), lambda: steps.append(1))
     assert len(steps) == integrators.STEPS

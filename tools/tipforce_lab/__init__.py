@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from tipforce_lab.dynamics.impact import Striker as Striker
     from tipforce_lab.dynamics.impact import impact as impact
     from tipforce_lab.dynamics.impact import overload as overload
+    from tipforce_lab.dynamics.integrators import frequency_of_error as frequency_of_error
     from tipforce_lab.dynamics.integrators import rk4_stability_limit as rk4_stability_limit
-    from tipforce_lab.dynamics.sampling import frequency_of_error as frequency_of_error
     from tipforce_lab.dynamics.slit import slit_stop as slit_stop
 
 _NAMES = {
@@ -23,8 +23,7 @@ _NAMES = {
     "design.tables": ("shared_gauge_disagreement", "condition_numbers_by_unit", "table_1", "table_2", "table_3"),
     "design.paper_figures": ("shift_to_reach",),
     "dynamics.impact": ("Striker", "impact", "overload"),
-    "dynamics.integrators": ("rk4_stability_limit",),
-    "dynamics.sampling": ("frequency_of_error",),
+    "dynamics.integrators": ("frequency_of_error", "rk4_stability_limit"),
     "dynamics.slit": ("slit_stop",),
 }
 if not TYPE_CHECKING:

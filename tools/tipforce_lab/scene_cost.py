@@ -21,7 +21,7 @@ from msgspec.structs import replace
 from tipforce.scene import schema
 from tipforce.scene.loads import load_of
 from tipforce.scene.reader import read_scene
-from tipforce.scene.registry import Part, parts
+from tipforce.scene.registry import parts
 from tipforce.scene.run import Options, Outcome, run_scene
 from tipforce.shipped_files import shipped_folder
 from tipforce_lab.report.study import Effort, Point, Series, Study, quartiles
@@ -44,7 +44,11 @@ def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 
     imports = import_times(scene, path)
     ladder = rungs(scene)
     times = measure([step for _, step in ladder], path, samples, runs)
-    work = dict(zip((name for name, _ in ladder), _differences(times), strict=True))
+    columns = []  # time per sample (us) and per run (ms) of each step of the ladder, which ends with nothing
+    for column in ([measured.us_per_sample for measured in times], [measured.ms_per_run for measured in times]):
+        rising = [max(value, 0.0) for value in nondecreasing(column[::-1])]
+        columns.append([after - before for before, after in pairwise([0.0, *rising])][::-1])
+    work = dict(zip((name for name, _ in ladder), zip(*columns, strict=True), strict=True))
     costs: dict[str, Cost] = {}
     for part in parts(scene):
         us_per_sample, ms_per_run = work.get(part.name, (None, None)) if part.built else (None, None)
@@ -52,15 +56,6 @@ def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 
         costs[part.name] = {"us_per_sample": us_per_sample, "ms_per_run": ms_per_run, "import_ms": import_ms}
     names = ("us_per_sample", "ms_per_run", "import_ms")
     return costs | {"all": {name: sum(cost[name] or 0.0 for cost in costs.values()) for name in names}}
-
-
-def _differences(times: Sequence[Measured]) -> list[tuple[float, float]]:
-    """Return the time per sample (us) and per run (ms) of each step of a ladder that ends with nothing."""
-    columns = []
-    for column in ([measured.us_per_sample for measured in times], [measured.ms_per_run for measured in times]):
-        rising = [max(value, 0.0) for value in nondecreasing(column[::-1])]
-        columns.append([after - before for before, after in pairwise([0.0, *rising])][::-1])
-    return list(zip(*columns, strict=True))
 
 
 def nondecreasing(values: Sequence[float]) -> list[float]:
@@ -95,7 +90,6 @@ def _nodes(scene: schema.Scene, **changes: object) -> schema.Scene:
 
 
 def _stand_still(scene: schema.Scene) -> schema.Scene:
-    """Return the scene with every changing load held at its maximum."""
     loads = []
     for node_id in scene.node_ids:
         load = load_of(scene, node_id)
@@ -107,12 +101,6 @@ def _stand_still(scene: schema.Scene) -> schema.Scene:
 
 def _noise(scene: schema.Scene, **changes: object) -> schema.Scene:
     return replace(scene, noise=replace(scene.noise or schema.Noise(), **changes))
-
-
-def _no_temperature(scene: schema.Scene) -> schema.Scene:
-    front = scene.front_end or schema.FrontEnd()
-    cold = replace(front, temperature_degC=None, apparent_microstrain_per_degC=None, gain_drift_ppm_per_degC=None)
-    return replace(scene, front_end=cold)
 
 
 def _no_output(name: str) -> Callable[[schema.Scene], schema.Scene]:
@@ -133,7 +121,18 @@ _TAKE: tuple[tuple[str, Callable[[schema.Scene], schema.Scene]], ...] = (
     # An uncalibrated node sends the same PDOs and computes neither force nor contact.
     ("contact in the node", lambda scene: _nodes(scene, calibration="none")),
     ("decoder", lambda scene: _nodes(scene, pdos=())),
-    ("temperature", _no_temperature),
+    (
+        "temperature",
+        lambda scene: replace(
+            scene,
+            front_end=replace(
+                scene.front_end or schema.FrontEnd(),
+                temperature_degC=None,
+                apparent_microstrain_per_degC=None,
+                gain_drift_ppm_per_degC=None,
+            ),
+        ),
+    ),
     ("1/f noise", lambda scene: _noise(scene, one_over_f_microstrain=None)),
     ("front end", lambda scene: replace(scene, front_end=None)),
     ("noise", lambda scene: _noise(scene, gauge_microstrain=None)),
@@ -223,16 +222,12 @@ def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
         text = msgspec.json.encode(_in_folder(scene, Path(folder))).decode()
         words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, text, str(path.parent)]
         done = subprocess.run(words, capture_output=True, text=True, check=True)
-    return _attribute(done.stderr, [part for part in parts(scene) if part.built])
-
-
-def _attribute(report: str, built: list[Part]) -> dict[str, float]:
     owners: dict[str, str] = {}
-    for part in built:
-        for module in part.modules:
+    for part in parts(scene):
+        for module in part.modules if part.built else ():
             owners.setdefault(module, part.name)
     ms_by_part: dict[str, float] = {}
-    for line in report.splitlines():
+    for line in done.stderr.splitlines():
         if not line.startswith("import time:") or "cumulative" in line:
             continue
         own_us, total_us, name = line.removeprefix("import time:").split("|")

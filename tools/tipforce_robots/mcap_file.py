@@ -28,10 +28,9 @@ from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
 from tipforce.samples.record import Samples
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce_robots.ros2 import cdr
-from tipforce_robots.ros2 import messages as diagnosing
+from tipforce_robots.ros2 import bridge, cdr
+from tipforce_robots.ros2.bridge import Tip
 from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, FRAME, WRENCH, with_dependencies
-from tipforce_robots.ros2.messages import Tip
 
 _SECOND_NS = 1_000_000_000
 _PICTURE_NS = _SECOND_NS // 30
@@ -59,7 +58,9 @@ class McapWriter:
         self._newest: dict[int, tuple[Block, int]] = {}  # by key: samples, and the row of the newest
         self._picture_ns = self._last_ns = 0
         self._diagnostics = self.channel("/diagnostics", DIAGNOSTICS)
-        schema = self._writer.register_schema(_SCENE, "jsonschema", _SCHEMA)
+        example = {"entities": [_entity(0, 0, "", (1.0, 0.0, 0.0), 0)]}  # has all fields of SceneUpdate that are used
+        content = json.dumps({"title": _SCENE, **_schema(example)}).encode()
+        schema = self._writer.register_schema(_SCENE, "jsonschema", content)
         self._scene = self._writer.register_channel(f"{_PREFIX}/scene", "json", schema)
 
     def channel(self, topic: str, kind: str) -> int:
@@ -101,8 +102,8 @@ class McapWriter:
         """Append EMCYs and changes of NMT states, and complete the file."""
         for event in events:
             name, node = f"tipforce: finger_{event.node_id}", f"node {event.node_id}"
-            status = diagnosing.of_event(name, node, event.kind, event.text, channel=event.channel)
-            self._add(self._diagnostics, event.t_ns, diagnosing.array(event.t_ns, [status]))
+            status = bridge.of_event(name, node, event.kind, event.text, channel=event.channel)
+            self._add(self._diagnostics, event.t_ns, bridge.array(event.t_ns, [status]))
         self._report()
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.close()
@@ -160,7 +161,7 @@ class McapWriter:
         if self._tips:
             t_ns = self._last_ns
             status = [tip.status("") for _, tip, _ in self._tips.values()]
-            self._add(self._diagnostics, t_ns, diagnosing.array(t_ns, status))
+            self._add(self._diagnostics, t_ns, bridge.array(t_ns, status))
 
 
 def samples_of(table: Table) -> tuple[Block, npt.NDArray[np.int64]]:
@@ -225,39 +226,6 @@ _OUTLINE = [
 _GREY, _FORCE = {"r": 0.4, "g": 0.45, "b": 0.5, "a": 1.0}, {"r": 0.85, "g": 0.2, "b": 0.1, "a": 1.0}
 _HERE = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
-_NUMBER, _TEXT = {"type": "number"}, {"type": "string"}
-
-
-def _object(**properties: Any) -> dict[str, Any]:
-    return {"type": "object", "properties": properties}
-
-
-def _array(items: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "array", "items": items}
-
-
-_POINT = _object(x=_NUMBER, y=_NUMBER, z=_NUMBER)
-_COLOR = _object(r=_NUMBER, g=_NUMBER, b=_NUMBER, a=_NUMBER)
-_POSE = _object(position=_POINT, orientation=_object(x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER))
-_LINE = _object(
-    type={"type": "integer"}, pose=_POSE, thickness=_NUMBER, scale_invariant={"type": "boolean"},
-    points=_array(_POINT), color=_COLOR,
-)  # fmt: skip
-_ARROW = _object(
-    pose=_POSE, shaft_length=_NUMBER, shaft_diameter=_NUMBER, head_length=_NUMBER, head_diameter=_NUMBER, color=_COLOR
-)
-_LABEL = _object(
-    pose=_POSE, billboard={"type": "boolean"}, font_size=_NUMBER, scale_invariant={"type": "boolean"}, color=_COLOR,
-    text=_TEXT,
-)  # fmt: skip
-_TIME = _object(sec={"type": "integer"}, nsec={"type": "integer"})
-_ENTITY = _object(
-    timestamp=_TIME, frame_id=_TEXT, id=_TEXT, lifetime=_TIME, frame_locked={"type": "boolean"},
-    lines=_array(_LINE), arrows=_array(_ARROW), texts=_array(_LABEL),
-)  # fmt: skip
-_SCHEMA = json.dumps({"title": _SCENE, **_object(entities=_array(_ENTITY))}).encode()
-"""The fields of foxglove.SceneUpdate that are used."""
-
 
 def _entity(t_ns: int, number: int, name: str, contact: tuple[float, float, float], status: int) -> dict[str, Any]:
     x_m = number * _SPACING_M
@@ -276,6 +244,16 @@ def _entity(t_ns: int, number: int, name: str, contact: tuple[float, float, floa
             "scale_invariant": False, "color": _GREY, "text": f"{name}: {_said(contact, status)}",
         }],
     }  # fmt: skip
+
+
+def _schema(example: Any) -> dict[str, Any]:
+    """Return the JSON schema of values like this one."""
+    if isinstance(example, dict):
+        return {"type": "object", "properties": {name: _schema(value) for name, value in example.items()}}
+    if isinstance(example, list):
+        return {"type": "array", "items": _schema(example[0])}
+    names = {bool: "boolean", int: "integer", float: "number", str: "string"}
+    return {"type": names[type(example)]}
 
 
 def _said(contact: tuple[float, float, float], status: int) -> str:

@@ -94,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _text(args: argparse.Namespace, converter: Converter) -> str:
     if args.format == "mjcf":
-        from tipforce_robots.mujoco.mjcf import fingertip_mjcf
+        from tipforce_robots.mujoco.models import fingertip_mjcf
 
         return fingertip_mjcf(args.prefix, rigid=args.rigid, damping_ratio=args.damping_ratio)
     if args.format == "dbc":

@@ -98,7 +98,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _publish(args: argparse.Namespace, feed: Feed, bridge: Bridge) -> None:
-    from tipforce_robots.ros2.messages import OK
+    from tipforce_robots.ros2.bridge import OK
     from tipforce_tools.cli.main import terminate_as_interrupt
 
     terminate_as_interrupt()

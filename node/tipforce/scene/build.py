@@ -32,6 +32,11 @@ if TYPE_CHECKING:
     Frame = tuple[int, bytes]
 
 FAULTS = {"stuck": 1, "open": 2, "saturate": 3, "silent": 4, "drift": 5}  # 2200h:1
+_FRONT_END = {
+    "bits": "bits", "gain": "gain", "reference_volts": "reference_volts", "temperature": "temperature_degC",
+    "apparent_strain": "apparent_microstrain_per_degC", "gain_drift_ppm": "gain_drift_ppm_per_degC",
+}  # fmt: skip
+"""By argument of FrontEnd: the key of [front_end]."""
 FILTERS = {"moving_average": 1, "repeating_average": 2, "first_order": 100}  # 61A0h
 
 
@@ -121,20 +126,16 @@ def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path
     source = _source(scene, group, node_id, load, clock, chosen)
     calibration = None
     if "calibration file" in chosen:
-        calibration = _calibration_file(folder, group.calibration, gauges)
+        from tipforce.host.configuration.calibration import read_calibration
+
+        calibration = read_calibration(below(folder, group.calibration, "nodes.calibration"))
+        if calibration.gauges != gauges:
+            differs = f"it is for {calibration.gauges} gauges, the layout has {gauges}"
+            raise InputError(f"calibration {group.calibration}: {differs}")
     elif "calibration" in chosen:
         calibration = _model_calibration(scene, group, source)
     device = fingertip_node(node_id, source, gauges, serial=node_id)
     return Finger(node_id, gauges, device, source, load, node_pdos(group, node_id), calibration, group, clock)
-
-
-def _calibration_file(folder: Path, name: str, gauges: int) -> Calibration:
-    from tipforce.host.configuration.calibration import read_calibration
-
-    calibration = read_calibration(below(folder, name, "nodes.calibration"))
-    if calibration.gauges != gauges:
-        raise InputError(f"calibration {name}: it is for {calibration.gauges} gauges, the layout has {gauges}")
-    return calibration
 
 
 def _model_calibration(scene: schema.Scene, group: schema.Nodes, source: SimulatedSource) -> Calibration:
@@ -183,22 +184,20 @@ def _source(
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sensor.structure.strain import strain_matrix
 
+    def following(now_us: int) -> Triple:
+        return load.force(1e-6 * (now_us - clock.start_us))
+
     if "dynamics" in chosen:
-        options["forces"] = _swinging(scene.dynamics or schema.Dynamics(), load, clock)
+        options["forces"] = _swinging(scene.dynamics or schema.Dynamics(), following, clock)
     elif "load history" in chosen:
-        options["forces"] = _following(load, clock)
+        options["forces"] = following
     source = SimulatedSource(strain_matrix(FABRICATED, group.layout).tolist(), **options)
     if load.constant:
         source.load = load.at(0.0)
     return source
 
 
-def _following(load: LoadHistory, clock: Clock) -> Callable[[int], Triple]:
-    """Return F1, F2, F3 of the load at a time of the node."""
-    return lambda now_us: load.force(1e-6 * (now_us - clock.start_us))
-
-
-def _swinging(dynamics: schema.Dynamics, load: LoadHistory, clock: Clock) -> Callable[[int], Triple]:
+def _swinging(dynamics: schema.Dynamics, following: Callable[[int], Triple], clock: Clock) -> Callable[[int], Triple]:
     """Return the elastic force at the time of a conversion; the tip starts in equilibrium under its load.
 
     Steps of ``step_us`` from the start; a conversion between two steps gets the force of the earlier one.
@@ -206,7 +205,7 @@ def _swinging(dynamics: schema.Dynamics, load: LoadHistory, clock: Clock) -> Cal
     from tipforce.sources.dynamic_load import DynamicForces, DynamicLoad
 
     coefficients = _coefficients(dynamics.damping_ratio, dynamics.step_us)
-    forces = DynamicForces(DynamicLoad(coefficients), _following(load, clock), dynamics.step_us)
+    forces = DynamicForces(DynamicLoad(coefficients), following, dynamics.step_us)
     begun = False
 
     def force(now_us: int) -> Triple:
@@ -235,14 +234,7 @@ def _front_end(given: schema.FrontEnd | None, one_over_f: float | None, seed: in
     options: dict[str, Any] = {"one_over_f": one_over_f, "seed": seed}
     try:
         if given is not None:
-            options |= {
-                "bits": given.bits,
-                "gain": given.gain,
-                "reference_volts": given.reference_volts,
-                "temperature": given.temperature_degC,
-                "apparent_strain": given.apparent_microstrain_per_degC,
-                "gain_drift_ppm": given.gain_drift_ppm_per_degC,
-            }
+            options |= {name: getattr(given, key) for name, key in _FRONT_END.items()}
             if given.bridge is not None:
                 options["bridge"] = Bridge(given.bridge, given.gauge_factor, given.excitation_volts)
         return FrontEnd(**options)
@@ -263,11 +255,10 @@ def fault_events(scene: schema.Scene, fingers: Sequence[Finger]) -> list[tuple[i
     by_id = {finger.node_id: finger for finger in fingers}
     events = []
     for fault in scene.faults:
-        for node_id in fault.nodes:
+        for finger in (by_id[node_id] for node_id in fault.nodes):
             at_us = round(1e6 * fault.at_s)
-            events.append((at_us, 1, by_id[node_id], FAULTS[fault.kind], fault.gauge, fault.microstrain_per_s))
+            events.append((at_us, finger, FAULTS[fault.kind], fault.gauge, fault.microstrain_per_s))
             if fault.until_s is not None:
-                events.append((round(1e6 * fault.until_s), 0, by_id[node_id], 0, fault.gauge, 0.0))
+                events.append((round(1e6 * fault.until_s), finger, 0, fault.gauge, 0.0))
     # At equal times the end of a fault comes first: another fault may start then.
-    events.sort(key=lambda event: event[:2])
-    return [(at_us, *rest) for at_us, _order, *rest in events]  # type: ignore[misc]
+    return sorted(events, key=lambda event: (event[0], event[2] != 0))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import bisect
-import math
 from collections.abc import Sequence
 from itertools import pairwise
 
 from tipforce.errors import InputError
 from tipforce.scene import schema
+from tipforce.sources.simulated import force_of
 
 Triple = tuple[float, float, float]  # P newtons, phi and theta degrees
 Knot = tuple[float, float, float, float]  # t seconds, P, phi, theta
@@ -46,19 +46,13 @@ class LoadHistory:
 
     def force(self, t_s: float) -> Triple:
         """Return (F1, F2, F3) in newtons, equation (16)."""
-        P, phi_deg, theta_deg = self.at(t_s)
-        phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
-        return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
+        return force_of(self.at(t_s))
 
 
 def load_of(scene: schema.Scene, node_id: int) -> LoadHistory | None:
     """Return the load of a node, None if the scene names none."""
-    for load in scene.loads:
-        if not load.nodes or node_id in load.nodes:
-            history = load_history(load, node_id)
-            if history is not None:
-                return history
-    return None
+    histories = (load_history(load, node_id) for load in scene.loads if not load.nodes or node_id in load.nodes)
+    return next((history for history in histories if history is not None), None)
 
 
 def load_history(load: schema.Load, node_id: int) -> LoadHistory | None:
@@ -66,54 +60,40 @@ def load_history(load: schema.Load, node_id: int) -> LoadHistory | None:
     if isinstance(load, schema.Static):
         return LoadHistory([(0.0, load.P_N, load.phi_deg, load.theta_deg)])
     if isinstance(load, schema.History):
-        return LoadHistory(_history_knots(load))
+        return _given_history(load)
     if isinstance(load, schema.Grooves):
         return LoadHistory(_groove_knots(load))
-    angles = _angles(load, node_id)
-    if angles is None:
-        return None
-    return LoadHistory([(t, P, *angles) for t, P in _magnitudes(load, node_id)])
-
-
-def _angles(load: schema.Ramp | schema.Tap | schema.Grasp, node_id: int) -> tuple[float, float] | None:
-    if not isinstance(load, schema.Grasp):
-        return load.phi_deg, load.theta_deg
-    finger = _finger(load, node_id)
-    return None if finger is None else (finger.phi_deg, finger.theta_deg)
-
-
-def _magnitudes(load: schema.Ramp | schema.Tap | schema.Grasp, node_id: int) -> list[tuple[float, float]]:
-    """Return (t, P) of a load with a constant direction."""
-    if isinstance(load, schema.Ramp):
-        return [(load.start_s, load.from_N), (load.end_s, load.to_N)]
-    if isinstance(load, schema.Tap):
-        magnitudes = []
+    direction: schema.Ramp | schema.Tap | schema.Finger
+    if isinstance(load, schema.Grasp):
+        finger = next((finger for finger in load.fingers if finger.node == node_id), None)
+        if finger is None:
+            return None
+        begin, direction = load.start_s + finger.delay_s, finger
+        closed = begin + load.close_s
+        opening = closed + load.hold_s
+        magnitudes = [(begin, 0.0), (closed, finger.P_N), (opening, finger.P_N), (opening + load.open_s, 0.0)]
+    elif isinstance(load, schema.Ramp):
+        magnitudes, direction = [(load.start_s, load.from_N), (load.end_s, load.to_N)], load
+    else:
+        magnitudes, direction = [], load
         for t in sorted(load.at_s):
             peak = t + 1e-3 * load.rise_ms
             magnitudes += [(t, 0.0), (peak, load.P_N), (peak + 1e-3 * load.fall_ms, 0.0)]
-        return magnitudes
-    finger = _finger(load, node_id)
-    P, t = (0.0, 0.0) if finger is None else (finger.P_N, load.start_s + finger.delay_s)
-    closed = t + load.close_s
-    opening = closed + load.hold_s
-    return [(t, 0.0), (closed, P), (opening, P), (opening + load.open_s, 0.0)]
+    return LoadHistory([(t, P, direction.phi_deg, direction.theta_deg) for t, P in magnitudes])
 
 
-def _finger(load: schema.Grasp, node_id: int) -> schema.Finger | None:
-    return next((finger for finger in load.fingers if finger.node == node_id), None)
-
-
-def _history_knots(load: schema.History) -> list[Knot]:
+def _given_history(load: schema.History) -> LoadHistory:
     count = len(load.t_s)
-    columns = [
-        value if isinstance(value, tuple) else (value,) * count for value in (load.P_N, load.phi_deg, load.theta_deg)
-    ]
-    for name, column in zip(("P_N", "phi_deg", "theta_deg"), columns, strict=True):
+    columns = {
+        name: value if isinstance(value, tuple) else (value,) * count
+        for name, value in (("P_N", load.P_N), ("phi_deg", load.phi_deg), ("theta_deg", load.theta_deg))
+    }
+    for name, column in columns.items():
         if len(column) != count or not count:
             raise InputError(f"{name} has {len(column)} values: allowed are {count} (as t_s) or one number")
     if any(later < earlier for earlier, later in pairwise(load.t_s)):
         raise InputError(f"t_s = {list(load.t_s)}: allowed are non-decreasing times")
-    return list(zip(load.t_s, *columns, strict=True))
+    return LoadHistory(list(zip(load.t_s, *columns.values(), strict=True)))
 
 
 def _groove_knots(load: schema.Grooves) -> list[Knot]:

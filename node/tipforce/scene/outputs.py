@@ -118,7 +118,9 @@ def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> N
     names = list(dict.fromkeys(name for samples in messages.values() for name in samples.columns))
     rows: list[tuple[int, int, list[object]]] = []
     for (node_id, message), samples in messages.items():
-        columns = [_cells(samples.columns.get(name), len(samples.t_ns), _digits(samples, name)) for name in names]
+        scales = {signal.name: signal.scale for signal in samples.message.signals}
+        digits = {name: len(f"{scale:.9f}".rstrip("0").partition(".")[2]) for name, scale in scales.items()}
+        columns = [_cells(samples.columns.get(name), len(samples.t_ns), digits.get(name, 0)) for name in names]
         for k, (t_ns, row) in enumerate(zip(samples.t_ns.tolist(), samples.row.tolist(), strict=True)):
             rows.append((row, node_id, [f"{1e-9 * t_ns:.6f}", node_id, message, *(cells[k] for cells in columns)]))
     rows.sort(key=lambda entry: entry[:2])
@@ -126,12 +128,6 @@ def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> N
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["t_s", "node", "message", *names])
         writer.writerows(cells for _, _, cells in rows)
-
-
-def _digits(samples: Samples, name: str) -> int:
-    """Return the number of decimals for the signal's resolution."""
-    scale = next((signal.scale for signal in samples.message.signals if signal.name == name), 1.0)
-    return len(f"{scale:.9f}".rstrip("0").partition(".")[2])
 
 
 def _cells(column: Any, count: int, digits: int) -> list[str]:
@@ -146,15 +142,11 @@ def write_plot(path: str | Path, title: str, node_ids: Sequence[int], contacts: 
     """Plot one row of P, phi, theta per finger. Raises EnvironmentLackError without matplotlib, InputError for a file
     that cannot be written."""
     try:
-        import matplotlib as mpl
+        from matplotlib.figure import Figure
     except ImportError:
         raise EnvironmentLackError("plot: matplotlib is not installed: pip install 'tipforce[plot]'") from None
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(
-        len(node_ids), 3, figsize=(13.0, 2.2 * len(node_ids) + 1.0), sharex=True, squeeze=False, layout="constrained"
-    )
+    figure = Figure(figsize=(13.0, 2.2 * len(node_ids) + 1.0), layout="constrained")
+    axes = figure.subplots(len(node_ids), 3, sharex=True, squeeze=False)
     for row, node_id in zip(axes, node_ids, strict=True):
         contact = contacts[node_id]
         for k, axis in enumerate(row):
@@ -171,7 +163,4 @@ def write_plot(path: str | Path, title: str, node_ids: Sequence[int], contacts: 
     for axis in axes[-1]:
         axis.set_xlabel("t (s)")
     figure.suptitle(title)
-    try:
-        save_figure(figure, path, FIGURES)
-    finally:
-        plt.close(figure)
+    save_figure(figure, path, FIGURES)

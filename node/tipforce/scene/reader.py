@@ -38,9 +38,12 @@ def _check_nodes(scene: schema.Scene, place: str) -> None:
         raise InputError(f"{place}: nodes: {len(ids)} node-ids: allowed are 1 to {schema.MAX_NODES}")
     for number, group in enumerate(scene.nodes, 1):
         at = f"{place}: nodes[{number}]"
-        gauges = _gauges(group, at)
         if group.names and len(group.names) != len(group.ids):
             raise InputError(f"{at}.names has {len(group.names)} names: allowed are as many as ids, {len(group.ids)}")
+        try:
+            gauges = len(layout(group.layout))
+        except InputError as error:
+            raise InputError(f"{at}.layout: {error}") from None
         if group.offset_microstrain and len(group.offset_microstrain) != gauges:
             raise InputError(f"{at}.offset_microstrain has {len(group.offset_microstrain)} values: allowed is {gauges}")
         if scene.dynamics is not None and group.sample_period_us % scene.dynamics.step_us:
@@ -51,13 +54,6 @@ def _check_nodes(scene: schema.Scene, place: str) -> None:
         needs = [pdo for pdo in group.pdos if pdo in SYNCHRONOUS]
         if needs and scene.sync_hz is None:
             raise InputError(f"{at}.pdos: {needs[0]} is sent on SYNC: set sync_hz")
-
-
-def _gauges(group: schema.Nodes, at: str) -> int:
-    try:
-        return len(layout(group.layout))
-    except InputError as error:
-        raise InputError(f"{at}.layout: {error}") from None
 
 
 def _check_ids(scene: schema.Scene, ids: Iterable[int], at: str) -> None:
@@ -77,7 +73,9 @@ def _check_loads(scene: schema.Scene, place: str) -> None:
         if isinstance(load, schema.Ramp) and not load.end_s > load.start_s:
             raise InputError(f"{at}.end_s is {load.end_s}: allowed is a time after start_s, {load.start_s}")
         if isinstance(load, schema.Tap):
-            _check_taps(load, at)
+            lasts_s, times = 1e-3 * (load.rise_ms + load.fall_ms), sorted(load.at_s)
+            if not times or any(later - earlier < lasts_s for earlier, later in pairwise(times)):
+                raise InputError(f"{at}.at_s is {times}: allowed are one or more times at least {lasts_s:g} s apart")
         for node_id in load.nodes or scene.node_ids:
             try:
                 acts = load_history(load, node_id) is not None
@@ -87,13 +85,6 @@ def _check_loads(scene: schema.Scene, place: str) -> None:
                 raise InputError(f"{at}: node {node_id} already has a load, loads[{loaded[node_id]}]: allowed is one")
             if acts:
                 loaded[node_id] = number
-
-
-def _check_taps(load: schema.Tap, at: str) -> None:
-    lasts_s = 1e-3 * (load.rise_ms + load.fall_ms)
-    times = sorted(load.at_s)
-    if not times or any(later - earlier < lasts_s for earlier, later in pairwise(times)):
-        raise InputError(f"{at}.at_s is {times}: allowed are one or more times at least {lasts_s:g} s apart")
 
 
 def _check_faults(scene: schema.Scene, place: str) -> None:

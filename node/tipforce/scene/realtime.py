@@ -39,7 +39,6 @@ class _Heard(FrameBuffer):
     count = 0
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Store a frame."""
         self.failure = None
         self.count += 1
         super().on_message_received(msg)
@@ -80,8 +79,7 @@ class _Master:
     """The host of a run: it sends NMT and SYNC and records what it sends and hears."""
 
     def __init__(self, bus: can.BusABC, heard: _Heard) -> None:
-        self._bus = bus
-        self._heard = heard
+        self._bus, self._heard = bus, heard
         self._said: list[tuple[int, int, bytes]] = []
         self._refused = 0
         self.syncs = 0

@@ -23,6 +23,7 @@ PDO_NAMES = {"gauges": "Gauges", "contact": "Contact", "force": "Force", "health
 SYNCHRONOUS = ("gauges", "contact", "force")
 _STATUS = (indices.STATUS, 0)
 _OWN = ("tipforce", "canopen_device")
+_CONFIGURED = "python-can's configuration"
 
 Mapping = tuple[tuple[int, int, int], ...]  # (index, sub, bits)
 
@@ -108,45 +109,40 @@ def _part(name: str, why: str | None, without: str, *modules: str) -> Part:
     return Part(name, bool(why), why or without, modules)
 
 
+def _keyed(name: str, key: str, value: object, *modules: str, without: str = "") -> Part:
+    """Return a part that a key of the scene names by its value; ``without`` follows the key where there is none."""
+    shown = f'"{value}"' if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else value
+    return _part(name, f"{key} = {shown}" if value else "", f"no {key}{without}", *modules)
+
+
+def _listed(name: str, key: str, items: Sequence[object]) -> Part:
+    """Return a part that the tables of a key name."""
+    return _part(name, f"{key}: {len(items)}" if items else "", f"no {key}")
+
+
 def _load_parts(scene: schema.Scene, loads: Sequence[LoadHistory | None]) -> Iterator[Part]:
     loaded = any(load is not None for load in loads)
     moving = any(load is not None and not load.constant for load in loads)
     swinging = scene.dynamics is not None and loaded
     published = any(isinstance(load, schema.Grooves) for load in scene.loads)
+    modules = ("tipforce.sensor.structure.published",) if published else ()
+    why = "[[loads]] that change" if moving else "[dynamics]" if swinging else ""
     yield _part("structure", "[[loads]]" if loaded else "", "no [[loads]]: the gauges are unloaded", *_STRUCTURE)
-    yield _part(
-        "load history",
-        "[[loads]] that change" if moving else "[dynamics]" if swinging else "",
-        "every load is static" if loaded else "no [[loads]]",
-        *(("tipforce.sensor.structure.published",) if published else ()),
-    )
-    yield _part(
-        "dynamics",
-        "[dynamics]" if swinging else "",
-        "no [[loads]]" if scene.dynamics else "no [dynamics]: the gauges follow the load without delay",
-        *_DYNAMICS,
-    )
+    yield _part("load history", why, "every load is static" if loaded else "no [[loads]]", *modules)
+    without = "no [[loads]]" if scene.dynamics else "no [dynamics]: the gauges follow the load without delay"
+    yield _part("dynamics", "[dynamics]" if swinging else "", without, *_DYNAMICS)
 
 
 def _electronics(scene: schema.Scene) -> Iterator[Part]:
     front, noise = scene.front_end, scene.noise or schema.Noise()
     white, pink = noise.gauge_microstrain, noise.one_over_f_microstrain
-    named = "[front_end]" if front else "noise.one_over_f_microstrain" if pink else ""
-    temperature = front is not None and front.temperature_degC is not None
-    yield _part(
-        "noise",
-        f"noise.gauge_microstrain = {white:g}" if white else "",
-        "no noise.gauge_microstrain: no random numbers",
-        "random",
-    )
-    yield _part(
-        "1/f noise",
-        f"noise.one_over_f_microstrain = {pink:g}" if pink else "",
-        "no noise.one_over_f_microstrain",
-        "random",
-    )
-    yield _part("front end", named, "no [front_end]: an ideal converter of 16 bits", "tipforce.sources.front_end")
-    yield _part("temperature", "front_end.temperature_degC" if temperature else "", "no front_end.temperature_degC")
+    why = "[front_end]" if front else "noise.one_over_f_microstrain" if pink else ""
+    temperature = "front_end.temperature_degC"
+    yield _keyed("noise", "noise.gauge_microstrain", white, "random", without=": no random numbers")
+    yield _keyed("1/f noise", "noise.one_over_f_microstrain", pink, "random")
+    yield _part("front end", why, "no [front_end]: an ideal converter of 16 bits", "tipforce.sources.front_end")
+    known = front is not None and front.temperature_degC is not None
+    yield _part("temperature", temperature if known else "", f"no {temperature}")
 
 
 def _node_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator[Part]:
@@ -154,64 +150,40 @@ def _node_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator
     file = next((name for name in calibrated if name != "model"), None)
     filtered = next((group.filter for group in groups if group.filter), None)
     force, contact = (next((why for why in reasons if why), "") for reasons in zip(*map(computes, groups), strict=True))
-    yield _part("nodes", f"[[nodes]]: {len(scene.node_ids)}", "", *_NODES)
-    yield _part(
-        "calibration",
-        f'nodes.calibration = "{calibrated[0]}"' if calibrated else "",
-        'nodes.calibration = "none"',
-        *(("tipforce.host.configuration.calibration",) if calibrated else ()),
-        *(_STRUCTURE if "model" in calibrated else ()),
-    )
+    modules = ["tipforce.host.configuration.calibration"] if calibrated else []
+    modules += _STRUCTURE if "model" in calibrated else ()
+    why = f'nodes.calibration = "{calibrated[0]}"' if calibrated else ""
     named = "" if file is None else f'"{file}"'
-    yield _part("calibration file", named, "none is named", "tipforce.host.configuration.calibration_file")
-    yield _part(
-        "filter", f'nodes.filter = "{filtered}"' if filtered else "", "no nodes.filter", "tipforce.fingertip.filters"
-    )
     nobody = "" if calibrated else "no node is calibrated"
+    yield _part("nodes", f"[[nodes]]: {len(scene.node_ids)}", "", *_NODES)
+    yield _part("calibration", why, 'nodes.calibration = "none"', *modules)
+    yield _part("calibration file", named, "none is named", "tipforce.host.configuration.calibration_file")
+    yield _keyed("filter", "nodes.filter", filtered, "tipforce.fingertip.filters")
     yield _part("force in the node", force, nobody or "no PDO that has or needs it")
     yield _part("contact in the node", contact, nobody or "no contact PDO, and no status byte 2120h that needs it")
     spare = any(group.calibration != "none" and len(layout(group.layout)) > 3 for group in groups)
-    yield Part(
-        "spare gauges",
-        spare,
-        "a calibrated layout of more than 3 gauges; used after the loss of one"
-        if spare
-        else "no calibrated node has more than 3",
-        on_demand_imports=("tipforce.sensor.contact.scalar_redundancy",),
-    )
-    yield _part("SYNC", f"sync_hz = {scene.sync_hz:g}" if scene.sync_hz else "", "no sync_hz")
-    yield _part("faults", f"[[faults]]: {len(scene.faults)}" if scene.faults else "", "no [[faults]]")
+    why = "a calibrated layout of more than 3 gauges; used after the loss of one"
+    redundancy = ("tipforce.sensor.contact.scalar_redundancy",)
+    yield Part("spare gauges", spare, why if spare else "no calibrated node has more than 3", (), redundancy)
+    yield _keyed("SYNC", "sync_hz", scene.sync_hz)
+    yield _listed("faults", "[[faults]]", scene.faults)
 
 
 def _frame_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator[Part]:
-    """Yield the parts that process the frames."""
-    out, bus = scene.outputs, scene.bus
+    out, bus, gap_mm = scene.outputs, scene.bus, scene.slit.gap_mm if scene.slit else None
     pdos = list(dict.fromkeys(pdo for group in groups for pdo in group.pdos))
-    named = bus.interface or bus.channel or "python-can's configuration" if bus else ""
-    yield _part(
-        "bus", f"[bus]: {named}" if bus else "", "no [bus]: simulated time, no bus at all", "tipforce.scene.realtime"
-    )
+    named = f"[bus]: {bus.interface or bus.channel or _CONFIGURED}" if bus else ""
+    sent = f"nodes.pdos: {', '.join(pdos)}" if pdos else ""
+    slit = f"slit.gap_mm = {gap_mm:g}" if gap_mm else ""
+    logs = ("tipforce.host.logs.candump", "tipforce.host.logs.candump_format")
+    yield _part("bus", named, "no [bus]: simulated time, no bus at all", "tipforce.scene.realtime")
     yield _part("recording", "every frame, for the parts below", "", "tipforce.scene.outputs", "tipforce.scene.results")
-    yield _part(
-        "decoder", f"nodes.pdos: {', '.join(pdos)}" if pdos else "", "no nodes.pdos", "tipforce.host.decoding.decoder"
-    )
-    yield _part(
-        "slit", f"slit.gap_mm = {scene.slit.gap_mm:g}" if scene.slit else "", "no [slit]: not checked",
-        "tipforce.sensor.structure.limits",
-    )  # fmt: skip
-    yield _part("expectations", f"[[expect]]: {len(scene.expect)}" if scene.expect else "", "no [[expect]]")
-    yield _part(
-        "log",
-        f'outputs.log = "{out.log}"' if out.log else "",
-        "no outputs.log: no file",
-        "tipforce.host.logs.candump",
-        "tipforce.host.logs.candump_format",
-    )
-    yield _part("table", f'outputs.table = "{out.table}"' if out.table else "", "no outputs.table: no file")
-    yield _part(
-        "plot", f'outputs.plot = "{out.plot}"' if out.plot else "", "no outputs.plot: no matplotlib",
-        "matplotlib",
-    )  # fmt: skip
+    yield _part("decoder", sent, "no nodes.pdos", "tipforce.host.decoding.decoder")
+    yield _part("slit", slit, "no [slit]: not checked", "tipforce.sensor.structure.limits")
+    yield _listed("expectations", "[[expect]]", scene.expect)
+    yield _keyed("log", "outputs.log", out.log, *logs, without=": no file")
+    yield _keyed("table", "outputs.table", out.table, without=": no file")
+    yield _keyed("plot", "outputs.plot", out.plot, "matplotlib", without=": no matplotlib")
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,9 +282,19 @@ def _imports(name: str) -> tuple[str, ...]:
     assert spec.origin is not None, name
     parent = name.rpartition(".")[0]
     package = name if spec.submodule_search_locations is not None else parent
-    tree = ast.parse(Path(spec.origin).read_text(encoding="utf-8"))
-    modules = {module for node in _statements(tree) for module in _targets(node, package)}
-    return tuple(modules | ({parent} if parent else set()))
+    modules = {parent} if parent else set()
+    for node in _statements(ast.parse(Path(spec.origin).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        else:
+            base = package.rsplit(".", node.level - 1)[0] if node.level else ""
+            module = ".".join(filter(None, (base, node.module)))
+            inside = [f"{module}.{alias.name}" for alias in node.names]
+            names = [inner if _is_module(inner) else module for inner in inside]
+        roots = {name: name.partition(".")[0] for name in names}
+        modules |= {name for name, root in roots.items() if root in _OWN}
+        modules |= {root for root in roots.values() if root not in _OWN and root not in sys.stdlib_module_names}
+    return tuple(modules)
 
 
 def _statements(tree: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
@@ -325,22 +307,6 @@ def _statements(tree: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
             yield from _statements(node)
 
 
-def _targets(node: ast.Import | ast.ImportFrom, package: str) -> Iterator[str]:
-    if isinstance(node, ast.Import):
-        names = [alias.name for alias in node.names]
-    else:
-        base = package.rsplit(".", node.level - 1)[0] if node.level else ""
-        module = ".".join(filter(None, (base, node.module)))
-        names = [f"{module}.{alias.name}" if _is_module(f"{module}.{alias.name}") else module for alias in node.names]
-    for name in names:
-        first = name.partition(".")[0]
-        if first in _OWN:
-            yield name
-        elif first not in sys.stdlib_module_names:
-            yield first
-
-
 def _is_module(name: str) -> bool:
-    """Return whether a name is a module of tipforce, not an attribute of one."""
     folder = Path(__file__).parents[2].joinpath(*name.split("."))
     return name.partition(".")[0] in _OWN and (folder.with_suffix(".py").exists() or (folder / "__init__.py").exists())

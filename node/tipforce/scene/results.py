@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from tipforce.host.frames.frame_array import FrameArray
 
 Emcy = Sequence[tuple[float, str]]  # (t_s, error code)
+_Number = TypeVar("_Number", int, float)
 QUANTITIES = ("P", "phi", "theta")
 _NO_PDO = "contact PDO not sent"
 # Why P is unknown, and why an angle is while P is not: the first that holds counts.
@@ -112,10 +114,7 @@ def contact_of(
     estimated = np.stack([samples.columns[name] for name in QUANTITIES], axis=-1)
     flags = {name: column for name, column in samples.columns.items() if column.dtype == np.bool_}
     applied = applied_at(finger.load, t_s)
-    closed = None
-    if slit is not None:
-        closed = slit_closed(slit, applied)
-    return Contact(t_s, estimated, applied, flags, closed)
+    return Contact(t_s, estimated, applied, flags, None if slit is None else slit_closed(slit, applied))
 
 
 def applied_at(load: LoadHistory | None, t_s: FloatArray) -> FloatArray:
@@ -139,9 +138,7 @@ def emcy_of(node_id: int, frames: FrameArray) -> list[tuple[float, str]]:
 
 def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: list[tuple[float, str]]) -> FingerResult:
     """Return the results of one finger."""
-    counts: dict[str, int] = {}
-    for _, code in emcy:
-        counts[code] = counts.get(code, 0) + 1
+    counts = dict(Counter(code for _, code in emcy))
     nothing = (float("nan"),) * 3
     if contact is None or not len(contact.t_s):
         sent = any(pdo.name == PDO_NAMES["contact"] for pdo in finger.pdos)
@@ -154,7 +151,7 @@ def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: lis
         finger.node_id,
         syncs,
         len(contact.t_s),
-        _counts(np.isfinite(contact.estimated)),
+        _triple(np.isfinite(contact.estimated).sum(axis=0).tolist()),
         _triple([P_newtons, *(angles if P_newtons else (float("nan"),) * 2)]),
         _triple(contact.estimated[-1].tolist()),
         _triple([float(np.sqrt(np.mean(c * c))) if len(c) else float("nan") for c in columns]),
@@ -166,7 +163,7 @@ def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: lis
 
 
 def _missing(contact: Contact, syncs: int) -> dict[str, int]:
-    counts: dict[str, int] = {}
+    counts: Counter[str] = Counter()
     P_unknown = np.isnan(contact.estimated[:, 0])
     angle_unknown = ~P_unknown & np.isnan(contact.estimated[:, 1:]).any(axis=1)
     for left, causes in ((P_unknown, _P_CAUSES), (angle_unknown, _ANGLE_CAUSES)):
@@ -175,24 +172,14 @@ def _missing(contact: Contact, syncs: int) -> dict[str, int]:
             flag, is_set, _ = CAUSES[cause]
             if flag in contact.flags:
                 hit = rest & (contact.flags[flag] == is_set)
-                _count(counts, name, int(hit.sum()))
+                counts[name] += int(hit.sum())
                 rest &= ~hit
-        _count(counts, "not said", int(rest.sum()))
-    _count(counts, "no frame", syncs - len(contact.t_s))
-    return counts
+        counts["not said"] += int(rest.sum())
+    counts["no frame"] = syncs - len(contact.t_s)
+    return {name: count for name, count in counts.items() if count > 0}
 
 
-def _count(counts: dict[str, int], name: str, count: int) -> None:
-    if count > 0:
-        counts[name] = counts.get(name, 0) + count
-
-
-def _counts(known: BoolArray) -> tuple[int, int, int]:
-    a, b, c = (int(column.sum()) for column in known.T)
-    return a, b, c
-
-
-def _triple(values: Sequence[float]) -> tuple[float, float, float]:
+def _triple(values: Sequence[_Number]) -> tuple[_Number, _Number, _Number]:
     a, b, c = values
     return a, b, c
 
@@ -263,18 +250,11 @@ def _checks(
     yield from _errors(expect, contact)
     known = 0 if contact is None else int(np.isfinite(contact.estimated[:, 0]).sum())
     share = known / syncs if syncs else 0.0
-    if expect.P_known_at_least is not None:
-        yield (
-            f"P known in at least {expect.P_known_at_least:g} of the SYNCs",
-            f"{share:.4g}",
-            (share >= expect.P_known_at_least),
-        )
-    if expect.P_known_at_most is not None:
-        yield (
-            f"P known in at most {expect.P_known_at_most:g} of the SYNCs",
-            f"{share:.4g}",
-            (bool(syncs) and share <= expect.P_known_at_most),
-        )
+    least, most = expect.P_known_at_least, expect.P_known_at_most
+    if least is not None:
+        yield f"P known in at least {least:g} of the SYNCs", f"{share:.4g}", share >= least
+    if most is not None:
+        yield f"P known in at most {most:g} of the SYNCs", f"{share:.4g}", bool(syncs) and share <= most
     flags = {} if contact is None else contact.flags
     for name in expect.status_seen:
         count = int(flags[name].sum()) if name in flags else 0

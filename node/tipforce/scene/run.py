@@ -156,8 +156,7 @@ class _Hand:
     """The booted and started nodes, and the due times of their timers."""
 
     def __init__(self, fingers: Sequence[Finger], emit: Emit, end_us: int) -> None:
-        self._fingers = fingers
-        self._emit = emit
+        self._fingers, self._emit = fingers, emit
         self._due = [end_us + 1] * len(fingers)  # due time of each node's next timer
         for finger in fingers:
             for can_id, data in finger.boot(0):
@@ -167,9 +166,8 @@ class _Hand:
     def say(self, t_us: int, can_id: int, data: bytes) -> None:
         """Send one frame of the scene's master to every node."""
         self._emit(t_us, can_id, data)
-        frames = ((can_id, data),)
         for place in range(len(self._fingers)):
-            self._step(place, t_us, frames)
+            self._step(place, t_us, ((can_id, data),))
 
     def expire(self, until_us: int) -> None:
         """Step each node with a timer due before a time, in the order of the due times."""
@@ -177,12 +175,10 @@ class _Hand:
             self._step(self._due.index(t_us), t_us, ())
 
     def inject(self, at_us: int, finger: Finger, fault: int, gauge: int, magnitude: float) -> None:
-        """Start or end a fault."""
         self.expire(at_us)
         finger.source.set_fault(fault, gauge, magnitude, at_us)
 
     def _step(self, place: int, t_us: int, frames: Sequence[Frame]) -> None:
-        sent, due_us = self._fingers[place].device.step(t_us, frames)
+        sent, self._due[place] = self._fingers[place].device.step(t_us, frames)
         for can_id, data in sent:
             self._emit(t_us, can_id, data)
-        self._due[place] = due_us

@@ -70,13 +70,12 @@ class Temperature:
     """Temperature of the tip: one number, (seconds, degC) points joined by lines, or a function of seconds."""
 
     def __init__(self, trajectory: "Trajectory") -> None:
-        self._constant: "float | None" = None
         self._points: "Sequence[tuple[float, float]]" = ()
         self._function: "Callable[[float], float] | None" = None
         if callable(trajectory):
             self._function = trajectory
         elif isinstance(trajectory, (int, float)):
-            self._constant = _check("temperature", trajectory)
+            self._points = [(0.0, _check("temperature", trajectory))]
         else:
             self._points = [(_check("temperature", t), _check("temperature", degC)) for t, degC in trajectory]
             times = [t for t, _degC in self._points]
@@ -85,8 +84,6 @@ class Temperature:
 
     def degrees(self, now_us: int) -> float:
         """Return the temperature in degC at a time; before the first and after the last point it is constant."""
-        if self._constant is not None:
-            return self._constant
         if self._function is not None:
             return self._function(1e-6 * now_us)
         t = 1e-6 * now_us
@@ -112,7 +109,7 @@ class ApparentStrain:
         self._temperature = temperature
         given = microstrain_per_degC
         self._one = _check("apparent_strain", given) if isinstance(given, (int, float)) else None
-        self._each = [] if isinstance(given, (int, float)) else [_check("apparent_strain", one) for one in given]
+        self._each = [] if isinstance(given, (int, float)) else [_check("apparent_strain", value) for value in given]
 
     def apply(self, microstrains: "list[float]", now_us: int) -> None:
         """Add the apparent strain. Raises ValueError if the number of values is not the number of gauges."""
@@ -184,22 +181,18 @@ class OneOverFNoise:
         if len(self._states) != len(microstrains):
             self._states = [[gauss(0.0, 1.0) for _ in self.corners_hz] for _ in microstrains]
         elif now_us > self._now_us:
-            steps = self._over(now_us - self._now_us)
+            gap_us = now_us - self._now_us
+            if gap_us != self._gap_us:  # of each process the part that remains, and the deviation of the new part
+                self._gap_us = gap_us
+                kept = [math.exp(-2e-6 * math.pi * f * gap_us) for f in self.corners_hz]
+                self._steps = [(keep, math.sqrt(1.0 - keep * keep)) for keep in kept]
             for states in self._states:
                 for i in range(len(states)):
-                    keep, fresh = steps[i]
+                    keep, fresh = self._steps[i]
                     states[i] = keep * states[i] + fresh * gauss(0.0, 1.0)
         self._now_us = now_us
         for k in range(len(microstrains)):
             microstrains[k] += self._sigma * sum(self._states[k])
-
-    def _over(self, gap_us: int) -> "list[tuple[float, float]]":
-        """Return for each process the part that remains after a gap, and the standard deviation of the new part."""
-        if gap_us != self._gap_us:
-            self._gap_us = gap_us
-            kept = [math.exp(-2e-6 * math.pi * f * gap_us) for f in self.corners_hz]
-            self._steps = [(keep, math.sqrt(1.0 - keep * keep)) for keep in kept]
-        return self._steps
 
 
 class FrontEnd:

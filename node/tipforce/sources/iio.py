@@ -111,7 +111,10 @@ class IioSource(Source):
         if counts is None:
             return None if self.faults else held
         self._read_us, self.faults = now_us, 0
-        faults = self._supply_state(now_us) | self._wire_state(counts, now_us)
+        if self._supply_fault is not None and now_us - self._supply_us >= WATCH_US:
+            self._supply_us = now_us
+            self._supply = SUPPLY if self._supply_fault() else 0
+        faults = self._supply | self._wire_state(counts, now_us)
         return Reading(counts, faults, self._temperature_now(now_us))
 
     def due_us(self, now_us: int) -> int:
@@ -149,9 +152,9 @@ class IioSource(Source):
             if faults:
                 self._fresh = [None] * len(self.parts)  # counts of the other devices are stale when this device returns
             return None
-        found = tuple([count for fresh in self._fresh if fresh is not None for count in fresh])
+        counts = tuple([count for fresh in self._fresh if fresh is not None for count in fresh])
         self._fresh = [None] * len(self.parts)
-        return found
+        return counts
 
     def _ask(self, k: int, now_us: int) -> int:
         """Read device ``k`` into ``_fresh``; return its fault, or 0."""
@@ -188,18 +191,12 @@ class IioSource(Source):
                 broken = WIRE_BREAK
         return broken
 
-    def _supply_state(self, now_us: int) -> int:
-        if self._supply_fault is not None and now_us - self._supply_us >= WATCH_US:
-            self._supply_us = now_us
-            self._supply = SUPPLY if self._supply_fault() else 0
-        return self._supply
-
     def _temperature_now(self, now_us: int) -> int:
         """Return the temperature of the first sensor, read once a second: some converters pause for it."""
         if now_us - self._temperature_us >= TEMPERATURE_US:
             self._temperature_us = now_us
-            temperatures = (part.temperature() for part in self.parts)
-            self._temperature = next((one for one in temperatures if one != UNKNOWN_TEMPERATURE), UNKNOWN_TEMPERATURE)
+            known = (value for part in self.parts if (value := part.temperature()) != UNKNOWN_TEMPERATURE)
+            self._temperature = next(known, UNKNOWN_TEMPERATURE)
         return self._temperature
 
 
@@ -235,7 +232,7 @@ class RemoteDevice:
         context.set_timeout(TIMEOUT_MS)
         device = context.find_device(self._device)
         if device is None:
-            there = ", ".join(str(one.name or one.id) for one in context.devices) or "none"
+            there = ", ".join(str(present.name or present.id) for present in context.devices) or "none"
             raise InputError(f"iio {self.name}: no such device; allowed: {there}")
         inputs = {channel.id: channel for channel in device.channels if not channel.output}
         names = self.channels or tuple(sorted(name for name in inputs if name.startswith("voltage")))
@@ -244,7 +241,7 @@ class RemoteDevice:
             raise InputError(f"iio {self.name}: no channel {missing or 'voltage'}; allowed: {', '.join(inputs)}")
         self.channels = names
         self._open = [inputs[name] for name in names]
-        self._temperature = next((one for name, one in sorted(inputs.items()) if name.startswith("temp")), None)
+        self._temperature = next((inputs[name] for name in sorted(inputs) if name.startswith("temp")), None)
 
     def read(self, _now_us: int) -> tuple[int, ...] | None:
         """Return the counts of all channels. Raises OSError."""

@@ -98,13 +98,11 @@ class BufferedDevice:
         self.close()
         self.path = path = at_same_place(self.path)
         self._write("buffer/enable", "0")
-        types = [(channel, self._enable(channel)) for channel in self._present()]
-        enabled = [(channel, int((path / "scan_elements" / f"in_{channel}_index").read_text()), kind)
-                 for channel, kind in types if kind is not None]  # fmt: skip
-        self._layout = layout_of(enabled, self.channels)
+        self._layout = layout_of(self._enabled(), self.channels)
         with contextlib.suppress(OSError):  # older kernels have only one clock, the time of day
             self._write("current_timestamp_clock", CLOCK)
-        self._monotonic = self._layout.stamp is not None and self._clock() == CLOCK
+        clock = iio_sysfs.text_of(path / "current_timestamp_clock")
+        self._monotonic = self._layout.stamp is not None and clock == CLOCK
         if self._trigger:
             self._write("trigger/current_trigger", self._trigger)
         with contextlib.suppress(OSError):
@@ -115,27 +113,23 @@ class BufferedDevice:
         self._scans.clear()
         self._temperature = iio_sysfs.temperature_channel(path)
 
-    def _present(self) -> list[str]:
-        names = sorted(entry.name[3:-3] for entry in (self.path / "scan_elements").glob("in_*_en"))
+    def _enabled(self) -> list[tuple[str, int, ScanType]]:
+        """Enable the wanted channels of the scan and disable the others; return name, index and type of the former."""
+        elements = self.path / "scan_elements"
+        names = sorted(entry.name[3:-3] for entry in elements.glob("in_*_en"))
         missing = [channel for channel in self.channels if channel not in names]
         if missing:
             raise OSError(2, f"channel {missing[0]} is not in scan_elements")
-        return names
-
-    def _enable(self, channel: str) -> ScanType | None:
-        """Enable or disable a channel of the scan; return its type if it is wanted."""
-        wanted = channel in self.channels or channel == _STAMP
-        self._write(f"scan_elements/in_{channel}_en", "1" if wanted else "0")
-        kind = iio_sysfs.scan_type(self.path, channel) if wanted else None
-        if wanted and (kind is None or kind.storage_bits not in _CODES):
-            raise OSError(22, f"in_{channel}_type has an unknown format")
-        return kind
-
-    def _clock(self) -> str:
-        try:
-            return (self.path / "current_timestamp_clock").read_text().strip()
-        except OSError:
-            return ""
+        enabled = []
+        for channel in names:
+            wanted = channel in self.channels or channel == _STAMP
+            self._write(f"scan_elements/in_{channel}_en", "1" if wanted else "0")
+            if wanted:
+                kind = iio_sysfs.scan_type(self.path, channel)
+                if kind is None or kind.storage_bits not in _CODES:
+                    raise OSError(22, f"in_{channel}_type has an unknown format")
+                enabled.append((channel, int((elements / f"in_{channel}_index").read_text()), kind))
+        return enabled
 
     def _write(self, name: str, text: str) -> None:
         iio_sysfs.write_attribute(self.path / name, text)
@@ -156,18 +150,13 @@ class BufferedDevice:
     def _fetch(self) -> None:
         """Read the kernel's data. An incomplete scan waits for the rest."""
         size = self._layout.size
-        while True:
-            try:
-                data = os.read(self._fd, size * 64)
-            except BlockingIOError:
-                return
-            if not data:
-                return
-            data = self._rest + data
-            whole = len(data) - len(data) % size
-            self._rest = data[whole:]
-            for at in range(0, whole, size):
-                self._take(data[at : at + size])
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(self._fd, size * 64):
+                data = self._rest + data
+                whole = len(data) - len(data) % size
+                self._rest = data[whole:]
+                for at in range(0, whole, size):
+                    self._take(data[at : at + size])
 
     def _take(self, scan: bytes) -> None:
         stamp_us = 0

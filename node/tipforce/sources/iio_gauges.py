@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.sources import iio_buffer, iio_sysfs
-from tipforce.sources.iio import IioSource, Part
+from tipforce.sources.iio import IioSource, Part, RemoteDevice
 from tipforce.sources.iio_buffer import BufferedDevice
 from tipforce.sources.iio_sysfs import Device, PolledDevice
 from tipforce.sources.layout_file import BridgeTable, ChannelScale, converter_of, ends_fit
 
 _LOG = logging.getLogger(__name__)
 _HRTIMER = "tipforce"
+_NO_SCALE = "the driver states no scale"
 
 
 class Place(NamedTuple):
@@ -71,9 +73,20 @@ def open_iio(
             'points = ["K_H", "S_H", "U"] and [bridge] gauge_factor, excitation_volts, gain'
         )
     root = iio_sysfs.ROOT if root is None else root
-    opened = _Parts(capture, root)
-    opened.open(parse_devices(devices), bridge)
-    names, ends = opened.names, opened.ends
+    parts: list[Part] = []
+    channels: list[_Channel] = []
+    # Neighbours in the list that are channels of one local device are read together.
+    for key, group in groupby(parse_devices(devices), lambda at: at if at.uri else iio_sysfs.find(at.device, root)):
+        places = list(group)
+        if isinstance(key, Place):
+            remotes = [RemoteDevice(at.uri, at.device, [at.channel] if at.channel else []) for at in places]
+            parts += remotes
+            channels += [channel for remote in remotes for channel in _remote_channels(remote)]
+        else:
+            names = [name for at in places for name in _names(key, at.channel)]
+            channels += [_local_channel(key, name, bridge) for name in names]
+            parts.append(_part(key, names, capture, root))
+    names, ends = [channel.name for channel in channels], [channel.ends for channel in channels if channel.ends]
     if len(set(names)) != len(names):
         raise InputError(f"--source iio:{devices}: a channel is named twice")
     if len(names) != gauges:
@@ -89,101 +102,62 @@ def open_iio(
             f"--source iio:{devices}: the range of counts is {shown}; all gauges need one range, and the layout file "
             "can state it: [bridge] count_range = [lowest, highest]"
         )
-    converter = converter_of(bridge, opened.scales, names, ends_fit(ends[0]))
+    converter = converter_of(bridge, [channel.scale for channel in channels], names, ends_fit(ends[0]))
     period_us = round(1e6 / capture.timer_hz) if capture.mode != "poll" else 0
-    return IioSource(opened.parts, gauges, converter, ends[0], _supply(bridge, root), period_us)
+    return IioSource(parts, gauges, converter, ends[0], _supply(bridge, root), period_us)
 
 
-class _Parts:
-    """The parts of the source in the order of the gauges; of each channel its scale, name and range of counts."""
+class _Channel(NamedTuple):
+    name: str
+    scale: ChannelScale
+    ends: tuple[int, int] | None
+    """The lowest and the highest count, if the driver states them."""
 
-    def __init__(self, capture: Capture, root: Path) -> None:
-        self._capture, self._root = capture, root
-        self._local: dict[Device, list[str]] = {}
-        """The channels of a local device, until all of its neighbours in the list are known."""
-        self.parts: list[Part] = []
-        self.scales: list[ChannelScale] = []
-        self.names: list[str] = []
-        self.ends: list[tuple[int, int]] = []
 
-    def open(self, places: list[Place], bridge: BridgeTable) -> None:
-        for place in places:
-            if place.uri:
-                self._flush()
-                self._add_remote(place)
-                continue
-            device = iio_sysfs.find(place.device, self._root)
-            if self._local and device not in self._local:
-                self._flush()
-            for channel in _channels(device, place.channel):
-                self._local.setdefault(device, []).append(channel)
-                self.names.append(f"{device.number}/{channel}")
-                self.scales.append(_scale(device.path, channel))
-                kind = iio_sysfs.scan_type(device.path, channel)
-                if kind is not None:
-                    self.ends.append(kind.ends)
-                elif bridge.count_range is None:
-                    raise InputError(
-                        f"{device.number}/{channel}: the driver does not state its range of counts; state it in the "
-                        "layout file: [bridge] count_range = [lowest, highest]"
-                    )
-        self._flush()
+def _part(device: Device, channels: list[str], capture: Capture, root: Path) -> Part:
+    """Open buffered capture; if it is optional and the kernel refuses it, poll and log a warning."""
+    trigger = None if capture.mode == "poll" else _trigger(device, capture, root)
+    if trigger is None:
+        return PolledDevice(device, channels)
+    try:
+        return BufferedDevice(device, channels, trigger)
+    except EnvironmentLackError as error:
+        if capture.mode == "buffer":
+            raise
+        _LOG.warning("%s; it is polled instead", error)
+        return PolledDevice(device, channels)
 
-    def _flush(self) -> None:
-        """Open the selected channels of one device."""
-        for device, channels in self._local.items():
-            self.parts.append(self._part(device, channels))
-        self._local.clear()
 
-    def _part(self, device: Device, channels: list[str]) -> Part:
-        """Open buffered capture; if it is optional and the kernel refuses it, poll and log a warning."""
-        trigger = None if self._capture.mode == "poll" else self._trigger(device)
-        if trigger is None:
-            return PolledDevice(device, channels)
+def _trigger(device: Device, capture: Capture, root: Path) -> str | None:
+    """Return the trigger for buffered capture: the one named, the device's own, or a timer; None for polling."""
+    if capture.trigger:
+        known = iio_buffer.triggers(root)
+        if capture.trigger not in known:
+            raise InputError(f"--trigger {capture.trigger}: no such trigger; there are {', '.join(known) or 'none'}")
+        return capture.trigger
+    own = iio_buffer.own_trigger(device, root)
+    if own is not None:
+        return own
+    try:
+        return iio_buffer.make_hrtimer(_HRTIMER, capture.timer_hz, root, iio_buffer.HRTIMER)
+    except EnvironmentLackError:
+        if capture.mode == "buffer":
+            raise
+        return None
+
+
+def _remote_channels(remote: RemoteDevice) -> Iterator[_Channel]:
+    for k, channel in enumerate(remote.channels):
         try:
-            return BufferedDevice(device, channels, trigger)
-        except EnvironmentLackError as error:
-            if self._capture.mode == "buffer":
-                raise
-            _LOG.warning("%s; it is polled instead", error)
-            return PolledDevice(device, channels)
-
-    def _trigger(self, device: Device) -> str | None:
-        """Return the trigger for buffered capture: the one named, the device's own, or a timer; None for polling."""
-        mode, name, timer_hz = self._capture
-        if name:
-            known = iio_buffer.triggers(self._root)
-            if name not in known:
-                raise InputError(f"--trigger {name}: no such trigger; there are {', '.join(known) or 'none'}")
-            return name
-        own = iio_buffer.own_trigger(device, self._root)
-        if own is not None:
-            return own
-        try:
-            return iio_buffer.make_hrtimer(_HRTIMER, timer_hz, self._root, iio_buffer.HRTIMER)
-        except EnvironmentLackError:
-            if mode == "buffer":
-                raise
-            return None
-
-    def _add_remote(self, place: Place) -> None:
-        from tipforce.sources.iio import RemoteDevice
-
-        remote = RemoteDevice(place.uri, place.device, [place.channel] if place.channel else [])
-        self.parts.append(remote)
-        for k, channel in enumerate(remote.channels):
-            self.names.append(f"{remote.name}/{channel}")
-            try:
-                scale, offset = remote.attribute(k, "scale"), remote.attribute(k, "offset") or 0.0
-                self.scales.append(
-                    ChannelScale(scale, offset, "" if scale is not None else "the driver states no scale")
-                )
-            except OSError as error:
-                why = f"the board does not state its scale ({error.strerror})"
-                self.scales.append(ChannelScale(None, 0.0, why))
+            scale, offset = remote.attribute(k, "scale"), remote.attribute(k, "offset") or 0.0
+            why = "" if scale is not None else _NO_SCALE
+        except OSError as error:
+            scale, offset, why = None, 0.0, f"the board does not state its scale ({error.strerror})"
+        yield _Channel(f"{remote.name}/{channel}", ChannelScale(scale, offset, why), None)
 
 
-def _channels(device: Device, channel: str) -> list[str]:
+def _names(device: Device, channel: str) -> list[str]:
+    """Return the channel that is named, or all voltage channels of a device."""
     present = iio_sysfs.voltage_channels(device.path)
     if channel and channel not in present:
         raise InputError(f"{device}: no channel {channel!r}; it has {', '.join(present) or 'no voltage channel'}")
@@ -192,15 +166,23 @@ def _channels(device: Device, channel: str) -> list[str]:
     return [channel] if channel else present
 
 
-def _scale(path: Path, channel: str) -> ChannelScale:
+def _local_channel(device: Device, channel: str, bridge: BridgeTable) -> _Channel:
+    path, name, kind = device.path, f"{device.number}/{channel}", iio_sysfs.scan_type(device.path, channel)
     try:
         offset = iio_sysfs.attribute(path, channel, "offset") or 0.0
         scale = iio_sysfs.attribute(path, channel, "scale")
+        why = "" if scale is not None else _NO_SCALE
     except PermissionError:
         raise
     except OSError as error:
-        return ChannelScale(None, 0.0, f"the kernel does not state its scale ({error.strerror}: no regulator)")
-    return ChannelScale(scale, offset, "" if scale is not None else "the driver states no scale")
+        offset, scale = 0.0, None
+        why = f"the kernel does not state its scale ({error.strerror}: no regulator)"
+    if kind is None and bridge.count_range is None:
+        raise InputError(
+            f"{name}: the driver does not state its range of counts; state it in the layout file: [bridge] "
+            "count_range = [lowest, highest]"
+        )
+    return _Channel(name, ChannelScale(scale, offset, why), kind.ends if kind else None)
 
 
 def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
@@ -209,7 +191,7 @@ def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
         return None
     (place,) = parse_devices(bridge.supply)
     device = iio_sysfs.find(place.device, root)
-    (channel,) = _channels(device, place.channel)[:1]
+    channel = _names(device, place.channel)[0]
     allowed = bridge.supply_tolerance * bridge.excitation_volts
 
     def off() -> bool:

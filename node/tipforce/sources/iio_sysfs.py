@@ -62,7 +62,7 @@ def devices(root: Path = ROOT) -> list[Device]:
     present = []
     for entry in root.glob("iio:device*"):
         path = Path(os.path.realpath(entry))
-        present.append(Device(entry.name, _text(path / "name"), _text(path / "label"), path.parent.name, path))
+        present.append(Device(entry.name, text_of(path / "name"), text_of(path / "label"), path.parent.name, path))
     return sorted(present, key=lambda device: _natural(device.number))
 
 
@@ -113,7 +113,7 @@ def attribute(path: Path, channel: str, name: str) -> float | None:
 def scan_type(path: Path, channel: str) -> ScanType | None:
     """Return the format of the channel in a scan; None if the driver offers no buffer."""
     for folder in ("scan_elements", "buffer0"):
-        text = _text(path / folder / f"in_{channel}_type")
+        text = text_of(path / folder / f"in_{channel}_type")
         match = _SCAN_TYPE.fullmatch(text)
         if match and match[5] in (None, "1"):
             order, sign, bits, storage, _repeat, shift = match.groups()
@@ -201,6 +201,14 @@ def temperature_of(path: Path, channel: str | None) -> int:
         return UNKNOWN_TEMPERATURE
 
 
+def text_of(file: Path) -> str:
+    """Return the text of a file; empty if it cannot be read."""
+    try:
+        return file.read_text(errors="replace").strip()
+    except OSError:
+        return ""
+
+
 def write_attribute(file: Path, text: str) -> None:
     """Write a file of sysfs, which either has it or not: it is never created. Raises OSError."""
     fd = os.open(file, os.O_WRONLY | os.O_TRUNC)
@@ -220,14 +228,6 @@ def _integer(file: Path) -> int:
         return int(text)
     except ValueError:
         raise OSError(5, f"{file.name} holds no number") from None
-
-
-def _text(file: Path) -> str:
-    """Return the text of a file; empty if it cannot be read."""
-    try:
-        return file.read_text(errors="replace").strip()
-    except OSError:
-        return ""
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -123,11 +123,21 @@ def read_bridge(name_or_path: str) -> BridgeTable | None:
     content = _content(name_or_path)
     try:
         _geometry(content)
-        if content.bridge is not None:
-            _check_bridge(content.bridge)
+        table = content.bridge
+        if table is not None:
+            for name in ("gauge_factor", "excitation_volts", "supply_divider", "supply_tolerance"):
+                _finite(name, getattr(table, name), positive=True)
+            _finite("zero_volts", table.zero_volts)
+            for gain in table.gain if isinstance(table.gain, list) else [table.gain]:
+                if _finite("gain", gain) == 0.0:
+                    raise InputError("[bridge] gain = 0: allowed are numbers other than 0")
+            if table.volts_per_count is not None:
+                _finite("volts_per_count", table.volts_per_count, positive=True)
+            if table.count_range is not None and table.count_range[0] >= table.count_range[1]:
+                raise InputError(f"[bridge] count_range = {list(table.count_range)}: allowed is [lowest, highest]")
     except InputError as error:
         raise InputError(f"layout {name_or_path}: {error}") from None
-    return content.bridge
+    return table
 
 
 def read_layout(name_or_path: str) -> tuple[Geometry, tuple[Gauge, ...]]:
@@ -229,20 +239,6 @@ class ChannelScale(NamedTuple):
     offset_counts: float
     why: str
     """The reason for a missing scale; empty if there is a scale."""
-
-
-def _check_bridge(table: BridgeTable) -> None:
-    """Raises InputError that names a number outside the allowed range."""
-    for name in ("gauge_factor", "excitation_volts", "supply_divider", "supply_tolerance"):
-        _finite(name, getattr(table, name), positive=True)
-    _finite("zero_volts", table.zero_volts)
-    for gain in table.gain if isinstance(table.gain, list) else [table.gain]:
-        if _finite("gain", gain) == 0.0:
-            raise InputError("[bridge] gain = 0: allowed are numbers other than 0")
-    if table.volts_per_count is not None:
-        _finite("volts_per_count", table.volts_per_count, positive=True)
-    if table.count_range is not None and table.count_range[0] >= table.count_range[1]:
-        raise InputError(f"[bridge] count_range = {list(table.count_range)}: allowed is [lowest, highest]")
 
 
 def converter_of(table: BridgeTable, channels: Sequence[ChannelScale], names: Sequence[str], bits: int) -> Converter:

@@ -9,7 +9,6 @@ from tipforce.fingertip.source import Reading, Source, convert
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from random import Random
 
     from canopen_device.core.node import Device
     from canopen_device.core.object_dictionary import Value
@@ -62,11 +61,15 @@ class SimulatedSource(Source):
         if front_end is not None:
             self.converter = front_end.converter
             self.count_max, self.count_min = front_end.count_max, front_end.count_min
-        self._gauss = _generator(seed).gauss if noise_microstrain else _no_noise
+        self._gauss: "Callable[[float, float], float]" = lambda _mean, _deviation: 0.0
+        if noise_microstrain:
+            import random  # imported only if there is noise
+
+            self._gauss = random.Random(seed).gauss
         self._conversion = -1
         self._fault_since_us = 0
         self._last_counts = (0,) * len(self.rows)
-        self._resolved = self.load, _force(self.load)
+        self._resolved = self.load, force_of(self.load)
 
     def set_fault(self, fault: int, gauge: int, magnitude: float, now_us: int) -> None:
         """Inject a fault of 2200h into ``gauge`` (from 1) from now on; fault 0 ends it."""
@@ -82,7 +85,12 @@ class SimulatedSource(Source):
             return None
         self._conversion = conversion
         converted_us = conversion * self.period_us
-        force = self._static_force() if self.forces is None else self.forces(converted_us)
+        if self.forces is not None:
+            force = self.forces(converted_us)
+        else:  # of the present load, resolved once
+            if self._resolved[0] is not self.load:
+                self._resolved = self.load, force_of(self.load)
+            force = self._resolved[1]
         microstrains = self._microstrains(force, now_us)
         temperature = self.temperature
         if self.front_end is None:
@@ -141,12 +149,6 @@ class SimulatedSource(Source):
         if self.load is self._load_by_bus:
             self.load = self._own_load
 
-    def _static_force(self) -> "Forces":
-        """Return F1, F2, F3 of the present load, resolved once."""
-        if self._resolved[0] is not self.load:
-            self._resolved = self.load, _force(self.load)
-        return self._resolved[1]
-
     def _microstrains(self, force: "Forces", now_us: int) -> "list[float]":
         f1, f2, f3 = force
         gauss, noise = self._gauss, self.noise_microstrain
@@ -159,18 +161,8 @@ class SimulatedSource(Source):
         return microstrains
 
 
-def _force(load: "Forces") -> "Forces":
-    """Return F1, F2, F3 of a load P, phi, theta."""
+def force_of(load: "Forces") -> "Forces":
+    """Return F1, F2, F3 in newtons of a load P newtons, phi and theta degrees: equation (16)."""
     P, phi_deg, theta_deg = load
     phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
     return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
-
-
-def _no_noise(_mean: float, _deviation: float) -> float:
-    return 0.0
-
-
-def _generator(seed: int) -> "Random":
-    import random  # imported only if there is noise
-
-    return random.Random(seed)

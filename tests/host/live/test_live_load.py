@@ -13,16 +13,16 @@ pytestmark = pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has 
 @pytest.mark.parametrize("busy", [False, True])
 def test_nothing_is_lost_at_a_steady_rate(busy: bool) -> None:
     load = live.run_load(5000, 1.0, busy=busy)
-    assert (load.received, load.dropped, load.sent) == (5000, 0, 5000)
+    assert (len(load.number), load.dropped, load.sent) == (5000, 0, 5000)
     assert load.in_order
-    assert load.stamps_rise
-    assert 0 <= load.lag_median_ms <= load.lag_p99_ms <= load.lag_max_ms
-    assert load.frames_a_batch >= 1
+    assert (load.lag_ms >= 0.0).all()
+    assert 1 <= load.batches <= 5000
+    assert load.row("alone")[:5] == ["5,000 Hz, alone", "5000", "5000", "0", "yes"]
 
 
 def test_the_way_by_hand_receives_all() -> None:
     load = live.run_struct(1000, 0.5)
-    assert (load.received, load.in_order, load.stamps_rise) == (500, True, True)
+    assert (len(load.number), load.in_order) == (500, True)
 
 
 def test_every_way_takes_every_frame() -> None:

@@ -14,7 +14,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_cylinder, jacobi, modes
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame
-from tipforce_lab.dynamics.sampling import frequency_of_error, quasi_static_error
+from tipforce_lab.dynamics.integrators import frequency_of_error, quasi_static_error
 
 JOINT = RigidBody(1e-9, 0.0, 1e-15)
 

@@ -11,6 +11,8 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from bench.documents import section
+from bench.measure import filled
 
 from tipforce_lab.report import page
 from tipforce_lab.report.run import LeftOut, Report
@@ -154,12 +156,12 @@ def test_files_are_written_and_the_lines_parse(written: list[Path]) -> None:
 
 
 def test_the_document_takes_verdict_and_advice_over(written: list[Path]) -> None:
-    from bench import report_document as document
-
-    text = document.section(json.loads(written[1].read_text(encoding="utf-8").splitlines()[0]))
-    page_text = document.replaced(f"before\n{document.BEGIN}previous figures\n{document.END}after\n", text)
-    assert page_text.startswith(f"before\n{document.BEGIN}A quick run of 2026-01-31")
-    assert page_text.endswith(f"{document.END}after\n")
+    text = section(json.loads(written[1].read_text(encoding="utf-8").splitlines()[0]))
+    page_text = filled("before\n<!-- begin -->\nprevious figures\n<!-- end -->\nafter\n", text)
+    assert page_text.startswith("before\n<!-- begin -->\n\nA quick run of 2026-01-31")
+    assert page_text.endswith("<!-- end -->\nafter\n")
     assert "previous figures" not in page_text
     assert page_text.index("do NOT hold: other.wrong") < page_text.index("| need | method | error | processor time |")
-    assert document.replaced(page_text, text) == page_text
+    assert filled(page_text, text) == page_text
+    with pytest.raises(ValueError, match="2 texts for 1 places"):
+        filled(page_text, text, text)

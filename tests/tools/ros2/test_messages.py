@@ -18,9 +18,9 @@ from tipforce.host.hand.file import read_hand
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
 from tipforce.shipped_files import shipped_folder
+from tipforce_robots.ros2 import bridge as diagnosing
 from tipforce_robots.ros2 import cdr, dds
-from tipforce_robots.ros2 import messages as diagnosing
-from tipforce_robots.ros2.messages import Tip
+from tipforce_robots.ros2.bridge import Tip
 from tipforce_tools.cli.main import command_parser, main
 
 PACKAGE = shipped_folder("ros2") / "tipforce_msgs"

@@ -141,7 +141,8 @@ class Assessment:
     @property
     def disagreement(self) -> float:
         """The largest relative difference of frame and beam theory, over every field of Merit."""
-        return max(_relative(getattr(self.frame, f.name), getattr(self.theory, f.name)) for f in fields(Merit))
+        pairs = [(getattr(self.frame, f.name), getattr(self.theory, f.name)) for f in fields(Merit)]
+        return max(0.0 if a == b else abs(a / b - 1.0) if b and math.isfinite(b) else math.inf for a, b in pairs)
 
     @property
     def agrees(self) -> bool:
@@ -215,9 +216,3 @@ def pareto(entries: Sequence[Assessment], figures: Sequence[Callable[[Assessment
         if not any(all(o <= v * 1.01 for o, v in zip(other, values, strict=True)) for other in others):
             kept.append(entry)
     return kept
-
-
-def _relative(value: float, reference: float) -> float:
-    if value == reference:
-        return 0.0
-    return abs(value / reference - 1.0) if reference and math.isfinite(reference) else math.inf

@@ -81,10 +81,8 @@ def detectable_microstrain(entry: Assessment, noise_microstrain: float) -> list[
     if len(entry.gauges) < 4 or not noise_microstrain > 0.0:
         return []
     A, Sigma = gauge_matrix(entry.geometry, entry.gauges), np.eye(len(entry.gauges)) * noise_microstrain**2 * 1e-12
-    detectable: list[float] = (
-        1e6 * detectable_strain(parity(weighted_inverse(A, Sigma), Sigma), FALSE_ALARM_RATE)
-    ).tolist()
-    return detectable
+    strain = detectable_strain(parity(weighted_inverse(A, Sigma), Sigma), FALSE_ALARM_RATE)
+    return [1e6 * smallest for smallest in strain.tolist()]
 
 
 def record(entry: Assessment, noise_microstrain: float) -> dict[str, object]:

@@ -193,9 +193,9 @@ _COMPARATORS_COLUMNS = {
 
 def _comparators_notes(geometry: Geometry) -> list[str]:
     ranges = []
-    for one in COMPARATORS:
-        low, high = lengths_of_condition(geometry, "I", one.condition)
-        ranges.append(f"{one.condition:g} with M / {low * MM:.2g} mm or M / {high * MM:.0f} mm")
+    for comparator in COMPARATORS:
+        low, high = lengths_of_condition(geometry, "I", comparator.condition)
+        ranges.append(f"{comparator.condition:g} with M / {low * MM:.2g} mm or M / {high * MM:.0f} mm")
     return [
         "The paper prints one number for each comparator, no matrix and no unit. Another unit of the moment changes a "
         "condition number by at most the ratio of the lengths, up or down; the last two columns are these ranges.",

@@ -237,7 +237,6 @@ def groove_directions() -> Figure:
 
 
 def _without_scales(*panels: Axes) -> None:
-    """Prepare axes for a drawing to scale."""
     for axes in panels:
         axes.set_aspect("equal")
         axes.axis("off")

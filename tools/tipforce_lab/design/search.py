@@ -128,7 +128,14 @@ class Problem:
         self._stress = limits.stress_pascals * 1e-6  # N/mm^2
         self._modulus = limits.youngs_modulus_pascals * 1e-6
         self._gap_slopes, self._gap_least = self._gaps()
-        self.bounds = self._bounds()
+        reach, height = 0.5 * limits.envelope_x_m / UNIT_M, limits.envelope_y_m / UNIT_M
+        thin, b, longest = limits.min_thickness_m / UNIT_M, limits.width_m / UNIT_M, max(reach, height)
+        radius = (1e-3 * reach, reach) if limits.radius_m is None else (limits.radius_m / UNIT_M,) * 2
+        dimensions = [
+            (1e-3 * reach, reach), (1e-3 * height, height), radius,
+            (thin, max(thin, longest)), (thin, max(thin, longest)), (0.1 * b if limits.free_width else b, b),
+        ]  # fmt: skip
+        self.bounds = np.array(dimensions + [(0.0, longest)] * len(self.slots))
 
     def rows(self, x: AnyArray) -> AnyArray:
         """Strain matrices (m, n, 3) in microstrain per newton of points (m, 6 + n), lengths in millimetres."""
@@ -177,15 +184,12 @@ class Problem:
     def start(self, rng: np.random.Generator) -> FloatArray:
         """Return a random point, near or inside the limits."""
         limits = self.limits
-        reach = 0.5 * limits.envelope_x_m / UNIT_M
-        height = limits.envelope_y_m / UNIT_M
-        least = limits.min_thickness_m / UNIT_M
-        r = rng.uniform(0.5, 1.0) * min(reach, 0.8 * height)
+        height, least, b = (size / UNIT_M for size in (limits.envelope_y_m, limits.min_thickness_m, limits.width_m))
+        r = rng.uniform(0.5, 1.0) * min(0.5 * limits.envelope_x_m / UNIT_M, 0.8 * height)
         if limits.radius_m is not None:
             r = limits.radius_m / UNIT_M
         a = rng.uniform(0.4, 1.0) * (r - limits.wall_m / UNIT_M)
         d = rng.uniform(0.5, 1.0) * (height - r)
-        b = limits.width_m / UNIT_M
         strength = self._stress * b / limits.load_newtons
         h1 = max(least, math.sqrt((1.5 * a + 3.0 * r) / strength)) * rng.uniform(1.0, 1.3)
         h2 = max(least, math.sqrt(6.0 * (d + r) / strength)) * rng.uniform(1.0, 1.3)
@@ -194,9 +198,8 @@ class Problem:
         for slot in set(self.slots):
             same = [k for k, other in enumerate(self.slots) if other == slot]
             places[same] = np.sort(places[same])
-        x = np.concatenate([[a, d, r, h1, h2, b], places])
-        result: FloatArray = np.clip(x, self.bounds[:, 0], self.bounds[:, 1])
-        return result
+        x: FloatArray = np.clip(np.concatenate([[a, d, r, h1, h2, b], places]), self.bounds[:, 0], self.bounds[:, 1])
+        return x
 
     def _gaps(self) -> tuple[FloatArray, FloatArray]:
         """Return the spacing on each face, x @ slopes (6 + n, k) - least (k,): corner, gauges in order, corner."""
@@ -211,18 +214,6 @@ class Problem:
             slopes += [after - before for before, after in itertools.pairwise((inner, *places, end))]
             least += [0.5 * length + clearance, *[length + clearance] * (len(places) - 1), 0.5 * length + clearance]
         return np.stack(slopes, axis=-1), np.array(least)
-
-    def _bounds(self) -> FloatArray:
-        limits = self.limits
-        reach, height = 0.5 * limits.envelope_x_m / UNIT_M, limits.envelope_y_m / UNIT_M
-        thin, b = limits.min_thickness_m / UNIT_M, limits.width_m / UNIT_M
-        longest = max(reach, height)
-        radius = (1e-3 * reach, reach) if limits.radius_m is None else (limits.radius_m / UNIT_M,) * 2
-        dimensions = [
-            (1e-3 * reach, reach), (1e-3 * height, height), radius,
-            (thin, max(thin, longest)), (thin, max(thin, longest)), (0.1 * b if limits.free_width else b, b),
-        ]  # fmt: skip
-        return np.array(dimensions + [(0.0, longest)] * len(self.slots))
 
 
 Objective = Literal["theta", "noise", "singular", "condition"]
@@ -381,10 +372,13 @@ def trade_off(
     called after each. Raises as search() does.
     """
     goal, condition = score(objective, loads), score("condition", loads)
-    highest, lowest = (condition(_matrix(design, limits))[0] for design in (best, least))
+    begins = [(problem_of(design, limits), design) for design in (best, *others, least)]
+    highest, lowest = (
+        condition(np.asarray(problem.rows(problem.point(design)[np.newaxis])[0], dtype=np.float64))[0]
+        for problem, design in (begins[0], begins[-1])
+    )
     designs: list[Design] = []
-    for design in (best, *others, least):
-        problem = _problem(design, limits)
+    for problem, design in begins:
         x = problem.point(design)
         for step in reversed(TRADE_OFF_STEPS) if design is least else TRADE_OFF_STEPS:
             held = mixed([(1.0, goal), (1.0, _below(condition, highest + step * (lowest - highest)))])
@@ -407,10 +401,6 @@ def _below(part: Score, ceiling: float) -> Score:
     return penalty
 
 
-def _problem(design: Design, limits: Limits) -> Problem:
+def problem_of(design: Design, limits: Limits) -> Problem:
+    """Return the configuration of a design."""
     return Problem([Slot(gauge.beam, gauge.side, gauge.face) for gauge in design.gauges], limits)
-
-
-def _matrix(design: Design, limits: Limits) -> FloatArray:
-    problem = _problem(design, limits)
-    return np.asarray(problem.rows(problem.point(design)[np.newaxis])[0], dtype=np.float64)

@@ -7,6 +7,7 @@ the tables print degrees.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import atan2, cos, degrees, hypot, pi, radians, sin
 from typing import Any, NamedTuple
@@ -192,13 +193,11 @@ FIGURES = ("condition", "thin", "row_equilibrated", "noise_gain_N_per_ue")
 
 def figures(matrix: FloatArray) -> Record:
     """Return FIGURES of a strain matrix (n, 3) but "thin"; infinite if it cannot separate the three forces."""
-    if int(np.linalg.matrix_rank(matrix)) < 3:
-        return dict.fromkeys(("condition", "row_equilibrated", "noise_gain_N_per_ue"), float("inf"))
-    return {
-        "condition": condition_number(matrix),
-        "row_equilibrated": row_equilibrated_condition_number(matrix),
-        "noise_gain_N_per_ue": noise_gain(np.linalg.pinv(matrix)) / 1e6,
-    }
+    values = [float("inf")] * 3
+    if int(np.linalg.matrix_rank(matrix)) == 3:
+        gain = noise_gain(np.linalg.pinv(matrix)) / 1e6
+        values = [condition_number(matrix), row_equilibrated_condition_number(matrix), gain]
+    return dict(zip(("condition", "row_equilibrated", "noise_gain_N_per_ue"), values, strict=True))
 
 
 def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
@@ -210,11 +209,19 @@ def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
     """
     if by not in FIGURES:
         raise InputError(f"rank by {by!r}: allowed are {', '.join(FIGURES)}")
+    names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
     by_mirror: dict[frozenset[frozenset[str]], Record] = {}
-    for points in itertools.combinations(POINTS, 3):
-        pair = frozenset((frozenset(points), frozenset(mirror(points))))
-        if pair not in by_mirror:
-            by_mirror[pair] = _ranked(geometry, points)
+    for chosen in itertools.combinations(POINTS, 3):
+        pair = frozenset((frozenset(chosen), frozenset(mirror(chosen))))
+        if pair in by_mirror:
+            continue
+        case = names.get(frozenset(chosen), "")
+        points = LAYOUTS[case] if case else chosen
+        thin = condition_number(thin_limit_matrix(points))
+        by_mirror[pair] = {
+            "case": case, "gauges": points, "mirror": mirror(points), **figures(strain_matrix(geometry, points)),
+            "thin": thin if thin < 1e12 else float("inf"),  # singular: rounding makes it barely regular
+        }  # fmt: skip
     return sorted(by_mirror.values(), key=lambda row: (round(row[by], 9), row["condition"]))
 
 
@@ -229,20 +236,6 @@ def ties(rows: list[Record], by: str, tolerance: float = 1e-6) -> list[list[Reco
         else:
             groups.append([row])
     return [group for group in groups if len(group) > 1]
-
-
-def _ranked(geometry: Geometry, points: tuple[str, ...]) -> Record:
-    names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
-    case = names.get(frozenset(points), "")
-    points = LAYOUTS[case] if case else points
-    thin = condition_number(thin_limit_matrix(points))
-    return {
-        "case": case,
-        "gauges": points,
-        "mirror": mirror(points),
-        **figures(strain_matrix(geometry, points)),
-        "thin": thin if thin < 1e12 else float("inf"),  # singular: rounding makes it barely regular
-    }
 
 
 class RoundingRange(NamedTuple):
@@ -295,15 +288,29 @@ def nearest_common_shifts(
 ) -> CommonShifts:
     """Return the shifts of K, S, L, R, U, one set for all three cases, that best fit the condition numbers.
 
-    Every combination of `steps` shifts from 0 to largest_shift_m; the largest miss counts. Case I holds K, S and
-    U, case II L, S and U, case III L, R and U, so K and R can be chosen last, each alone.
+    Every combination of `steps` shifts from 0 to largest_shift_m; the largest miss counts.
     """
     grid = np.linspace(0.0, largest_shift_m, steps)
-    shifts = np.stack(np.meshgrid(grid, grid, grid, indexing="ij"), axis=-1)
-    missed = {case: np.abs(np.linalg.cond(shifted_matrix(geometry, case, shifts)) - conditions[case]) for case in CASES}
-    first, third = missed["I"].min(axis=0), missed["III"].min(axis=1)  # [S, U] over K, [L, U] over R
-    worst = np.maximum(missed["II"], np.maximum(first[np.newaxis], third[:, np.newaxis]))  # [L, S, U]
+    points = ("K_H", "S_H", "L", "R", "U")
+    rows = shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
+    chosen, miss = nearest_common({point: rows[:, k] for k, point in enumerate(points)}, conditions)
+    return CommonShifts({point: float(grid[at]) for point, at in chosen.items()}, miss)
+
+
+def nearest_common(rows: Mapping[str, FloatArray], conditions: Mapping[str, float]) -> tuple[dict[str, int], float]:
+    """Return (index of the place of each gauge, largest miss) that best fit the condition numbers of the cases.
+
+    rows: strain per newton (m, 3) of K, S, L, R, U at m places each. Case I holds K, S and U, case II L, S and U, case
+    III L, R and U, so K and R can be chosen last, each alone.
+    """
+    missed = {}
+    for case in CASES:
+        first, second, third = (rows[point] for point in LAYOUTS[case])
+        grids = first[:, None, None], second[None, :, None], third[None, None, :]
+        stacked = np.stack(np.broadcast_arrays(*grids), axis=-2)
+        missed[case] = np.abs(np.linalg.cond(stacked) - conditions[case])
+    one, three = missed["I"].min(axis=0), missed["III"].min(axis=1)  # [S, U] over K, [L, U] over R
+    worst = np.maximum(missed["II"], np.maximum(one[np.newaxis], three[:, np.newaxis]))  # [L, S, U]
     L, S, U = (int(index) for index in np.unravel_index(int(worst.argmin()), worst.shape))
     K, R = int(missed["I"][:, S, U].argmin()), int(missed["III"][L, :, U].argmin())
-    chosen = {"K_H": grid[K], "S_H": grid[S], "L": grid[L], "R": grid[R], "U": grid[U]}
-    return CommonShifts({point: float(value) for point, value in chosen.items()}, float(worst.min()))
+    return {"K_H": K, "S_H": S, "L": L, "R": R, "U": U}, float(worst.min())

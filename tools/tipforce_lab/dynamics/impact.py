@@ -67,6 +67,9 @@ class Assembly:
     def __init__(self, modes: Modes | None, striker: Striker | None = None, slit: SlitStop | None = None) -> None:
         self.modes, self.striker, self.slit = modes, striker, slit
         n = self.n = 0 if modes is None else len(modes.omega_rad_s)
+        heavy = striker is None or math.isinf(striker.mass_kg)
+        self._speed_scale = 1.0 if striker is None or heavy else math.sqrt(striker.mass_kg)
+        self._gap_unit = 1.0 if slit is None else math.sqrt(float(slit.compliance[0, 0]))
         self.overlap, self.speed, self.load, self.rate, self.one = 2 * n, 2 * n + 1, 2 * n + 2, 2 * n + 5, 2 * n + 8
         self.size = 2 * n + 9
         A = np.zeros((self.size, self.size))
@@ -84,7 +87,13 @@ class Assembly:
             rows += self._slit_rows(slit)
         push = np.array([row[0] for row in rows]).reshape(-1, self.size).T
         closure = np.array([row[1] for row in rows]).reshape(-1, self.size)
-        self.system = Switched(A, push, closure, self._compliance())
+        body = 0 if striker is None else 1
+        compliance = np.zeros((len(rows), len(rows)))
+        if striker is not None:
+            compliance[0, 0] = 1.0 / striker.stiffness
+        if slit is not None:
+            compliance[body:, body:] = slit.compliance
+        self.system = Switched(A, push, closure, compliance)
 
     def start(self) -> FloatArray:
         """Return the state at the moment of contact: structure at rest, no load."""
@@ -117,17 +126,6 @@ class Assembly:
             arms, vertical = arms + self.slit.arms_per_newton @ stops, vertical + self.slit.vertical_per_newton @ stops
         return arms, vertical
 
-    @property
-    def _speed_scale(self) -> float:
-        striker = self.striker
-        if striker is None or not math.isfinite(striker.mass_kg):
-            return 1.0
-        return math.sqrt(striker.mass_kg)
-
-    @property
-    def _gap_unit(self) -> float:
-        return 1.0 if self.slit is None else math.sqrt(float(self.slit.compliance[0, 0]))
-
     def _striker_rows(self, A: FloatArray, striker: Striker) -> tuple[FloatArray, FloatArray]:
         """Set the rates of overlap and speed; return (push, closure) of the contact."""
         n, root = self.n, math.sqrt(striker.stiffness)
@@ -151,12 +149,6 @@ class Assembly:
             push[self.n : 2 * self.n] = -closure[: self.n] * self.modes.omega_rad_s
             rows.append((push, closure))
         return rows
-
-    def _compliance(self) -> FloatArray:
-        body = np.zeros((0, 0)) if self.striker is None else np.array([[1.0 / self.striker.stiffness]])
-        stop = np.zeros((0, 0)) if self.slit is None else self.slit.compliance
-        between = np.zeros((len(body), len(stop)))
-        return np.block([[body, between], [between.T, stop]])
 
 
 class Impact(NamedTuple):
@@ -189,7 +181,11 @@ def impact(
     a run that needs too many steps, a Hertzian contact with a slit; EnvironmentLackError for a Hertzian contact
     without scipy.
     """
-    t = _checked_times(times_s, until_s)
+    t = floats("times_s", times_s).reshape(-1)
+    if not 0.0 < until_s < math.inf:
+        raise InputError(f"until_s = {until_s!r}: allowed is a positive finite number")
+    if not ((t >= 0.0) & (t <= until_s)).all() or (np.diff(t) < 0.0).any():
+        raise InputError(f"times: allowed are rising numbers from 0 to until_s, {until_s!r}")
     if striker.exponent != 1.0:
         if slit is not None:
             raise InputError("a Hertzian contact and a slit in one run: allowed is a linear contact with a slit")
@@ -245,15 +241,6 @@ def _impact(assembly: Assembly, state: FloatArray, touches: tuple[Touch, ...], s
     return Impact(touches, arms, vertical, contact, body_speed, assembly.structure(state))
 
 
-def _checked_times(times_s: npt.ArrayLike, until_s: float) -> FloatArray:
-    t = floats("times_s", times_s).reshape(-1)
-    if not 0.0 < until_s < math.inf:
-        raise InputError(f"until_s = {until_s!r}: allowed is a positive finite number")
-    if not ((t >= 0.0) & (t <= until_s)).all() or (np.diff(t) < 0.0).any():
-        raise InputError(f"times: allowed are rising numbers from 0 to until_s, {until_s!r}")
-    return t
-
-
 RELATIVE_TOLERANCE = 1e-13
 _ABSOLUTE = 1e-16
 """Relative to the square root of twice the impact's energy, the scale of the states."""
@@ -299,8 +286,9 @@ class _HertzRun:
         parting.terminal = True  # type: ignore[attr-defined]
         parting.direction = turning.direction = -1.0  # type: ignore[attr-defined]
         solution = solve_ivp(
-            self._rate, (self.time_s, self._until_s), self.state, method="DOP853", events=(parting, turning),
-            rtol=RELATIVE_TOLERANCE, atol=_ABSOLUTE * self._scale, dense_output=True,
+            lambda _, X: self._A @ X + self._push * self._force(X), (self.time_s, self._until_s), self.state,
+            method="DOP853", events=(parting, turning), rtol=RELATIVE_TOLERANCE, atol=_ABSOLUTE * self._scale,
+            dense_output=True,
         )  # fmt: skip
         end_s, parted = float(solution.t[-1]), solution.status == 1
         self._note_until(end_s, solution.sol)
@@ -326,15 +314,10 @@ class _HertzRun:
         if touched:
             self.state[self.assembly.overlap] = 0.0
 
-    def _rate(self, _: float, X: FloatArray) -> FloatArray:
-        rate: FloatArray = self._A @ X + self._push * self._force(X)
-        return rate
-
     def _force(self, X: FloatArray) -> float:
         return self._stiffness * math.pow(max(float(self._overlap @ X), 0.0), 1.5)
 
     def _note_until(self, end_s: float, state_at: Callable[[float], FloatArray]) -> None:
-        """Add the samples up to a time."""
         due = int(np.searchsorted(self._samples, end_s, side="right"))
         for time_s in self._samples[:due]:
             X = state_at(float(time_s))

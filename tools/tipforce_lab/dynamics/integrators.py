@@ -1,4 +1,4 @@
-"""Integrators of other kinds, for comparison only: all other modules use first_order_hold.py.
+"""Integrators of other kinds, for comparison only: all other modules use first_order_hold.py; and the error of none.
 
 All have the same problem, load and times, and return the elastic force (m, 3) at the times (m,). None uses the
 linearity between events; a contact is a force that is 0 while open. Values that grow without bound are returned as
@@ -103,11 +103,16 @@ def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: s
         raise InputError(f"method = {method!r}: allowed is {', '.join(SCIPY_METHODS)}")
     from scipy.integrate import solve_ivp
 
+    def jacobian(_: float, X: FloatArray) -> FloatArray:
+        if problem.push is None or not float(problem.closure @ X) > 0.0:
+            return problem.A
+        return np.add(problem.A, problem.stiffness * np.outer(problem.push, problem.closure))
+
     t = _times(times_s)
-    jacobian = {} if method == "DOP853" else {"jac": lambda _, X: _jacobian(problem, X)}
     solution = solve_ivp(
         lambda time_s, X: problem.rate(load(time_s), X), (t[0], t[-1]), problem.start,
-        method=method, t_eval=t, rtol=rtol, atol=rtol * problem.size, **jacobian,
+        method=method, t_eval=t, rtol=rtol, atol=rtol * problem.size,
+        **({} if method == "DOP853" else {"jac": jacobian}),
     )  # fmt: skip
     elastic = np.full((len(t), 3), np.nan)
     elastic[: solution.y.shape[1]] = solution.y.T @ problem.output.T
@@ -133,13 +138,6 @@ def rk4_stability_limit(damping_ratio: float) -> float:
     roots = np.roots(grows)
     real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 1e-6)]
     return float(real.min())
-
-
-def _jacobian(problem: Problem, X: FloatArray) -> FloatArray:
-    if problem.push is None or not float(problem.closure @ X) > 0.0:
-        return problem.A
-    J: FloatArray = problem.A + problem.stiffness * np.outer(problem.push, problem.closure)
-    return J
 
 
 def _alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, alpha_m: float, alpha_f: float) -> FloatArray:
@@ -255,3 +253,32 @@ def _forced(modes: Modes, wave: Wave, times_s: FloatArray) -> tuple[FloatArray, 
     turning = amplitude * np.exp(2j * math.pi * wave.frequency_hz * times_s[:, np.newaxis])
     z, w = free(modes, State(-static - amplitude.real, np.asarray((ratio * amplitude).imag)), times_s)
     return static + turning.real + z, (1j * ratio * turning).real + w
+
+
+def quasi_static_error(modes: Modes, frequency_hz: npt.ArrayLike) -> FloatArray:
+    """Return the largest error of the elastic force relative to a sinusoidal load, (...).
+
+    Largest over all directions of F: a 2-norm.
+    """
+    ratio = np.asarray(frequency_hz, dtype=np.float64)[..., np.newaxis] / modes.frequency_hz
+    # gain - 1 without the difference of two numbers near 1.
+    squared = ratio * ratio - 2j * modes.damping_ratio * ratio
+    gain = squared / (1.0 - squared)
+    error = (modes.force_shape * gain[..., np.newaxis, :]) @ modes.load_shape
+    largest: FloatArray = np.linalg.norm(error, ord=2, axis=(-2, -1))
+    return largest
+
+
+def frequency_of_error(modes: Modes, error: float) -> float:
+    """Return the lowest frequency in Hz at which quasi_static_error() reaches ``error``, by bisection.
+
+    Raises InputError unless 0 < error <= 0.5: a larger one is near resonance.
+    """
+    if not 0.0 < error <= 0.5:
+        raise InputError(f"error = {error!r}: allowed is above 0, at most 0.5")
+    low, high = 0.0, 0.9 * float(modes.frequency_hz[0])
+    while float(quasi_static_error(modes, high)) < error:
+        high = 0.5 * (high + float(modes.frequency_hz[0]))
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if float(quasi_static_error(modes, middle)) < error else (low, middle)
+    return high

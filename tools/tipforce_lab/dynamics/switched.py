@@ -105,10 +105,14 @@ class March:
         """
         while self.time_s < until_s:
             regime = self._regime()
-            left, (h, k) = until_s - self.time_s, self._step_s(regime)
+            wanted = min(0.3 * (self.time_s - self._disturbed_s), regime.coarsest_s) / regime.finest_s
+            k = math.floor(math.log2(wanted)) if 1.0 < wanted < math.inf else 0
+            left, h = until_s - self.time_s, math.ldexp(regime.finest_s, k)
             last = left <= h
             h = left if last else h
-            after = _moved(regime.A, self.state, h) if last else _stored(regime, k) @ self.state
+            if not last and k not in regime.steps:
+                regime.steps[k] = exponential(regime.A * h)
+            after = _moved(regime.A, self.state, h) if last else regime.steps[k] @ self.state
             event = self._first_event(regime, h, after)
             if event is None:
                 self._note_peaks(regime, h, after)
@@ -144,16 +148,22 @@ class March:
         return tuple(sorted([*self.touches, *self._begun.values()], key=lambda touch: touch.begin_s))
 
     def _regime(self) -> _Regime:
-        regime = self._regimes.get(self._closed)
-        if regime is None:
-            regime = self._regimes[self._closed] = _regime(self.system, self._closed)
+        """Return the linear system of the contacts that are closed now."""
+        if self._closed in self._regimes:
+            return self._regimes[self._closed]
+        system, closed = self.system, list(self._closed)
+        forces = np.zeros_like(system.closure)
+        if closed:
+            forces[closed] = np.linalg.solve(system.compliance[np.ix_(closed, closed)], system.closure[closed])
+        A = system.A + system.push @ forces
+        violation = system.closure - system.compliance @ forces
+        for j in closed:
+            violation[j] = -forces[j] * system.compliance[j, j]
+        poles = np.linalg.eigvals(A)
+        fastest, turning = float(np.abs(poles).max()), float(np.abs(poles.imag).max())
+        finest, coarsest = (_RADIANS_PER_STEP / pole if pole > 0.0 else math.inf for pole in (fastest, turning))
+        regime = self._regimes[self._closed] = _Regime(A, finest, coarsest, {}, forces, violation)
         return regime
-
-    def _step_s(self, regime: _Regime) -> tuple[float, int]:
-        """Return the length of the next step, and k if that is finest_s 2^k."""
-        wanted = min(0.3 * (self.time_s - self._disturbed_s), regime.coarsest_s) / regime.finest_s
-        k = math.floor(math.log2(wanted)) if 1.0 < wanted < math.inf else 0
-        return math.ldexp(regime.finest_s, k), k
 
     def _first_event(self, regime: _Regime, h: float, after: FloatArray) -> tuple[float, int] | None:
         """Return (time from now, contact) of the first change within h."""
@@ -199,27 +209,6 @@ class March:
             self.touches.append(self._begun.pop(contact)._replace(end_s=self.time_s))
         else:
             self.close(contact)
-
-
-def _regime(system: Switched, closed: tuple[int, ...]) -> _Regime:
-    forces = np.zeros_like(system.closure)
-    if closed:
-        S = list(closed)
-        forces[S] = np.linalg.solve(system.compliance[np.ix_(S, S)], system.closure[S])
-    A = system.A + system.push @ forces
-    violation = system.closure - system.compliance @ forces
-    for j in closed:
-        violation[j] = -forces[j] * system.compliance[j, j]
-    poles = np.linalg.eigvals(A)
-    fastest, turning = float(np.abs(poles).max()), float(np.abs(poles.imag).max())
-    finest = _RADIANS_PER_STEP / fastest if fastest > 0.0 else math.inf
-    return _Regime(A, finest, _RADIANS_PER_STEP / turning if turning > 0.0 else math.inf, {}, forces, violation)
-
-
-def _stored(regime: _Regime, k: int) -> FloatArray:
-    if k not in regime.steps:
-        regime.steps[k] = exponential(regime.A * math.ldexp(regime.finest_s, k))
-    return regime.steps[k]
 
 
 def _moved(A: FloatArray, state: FloatArray, tau: float) -> FloatArray:

@@ -112,7 +112,10 @@ def _row(solution: Solution, gauge: Gauge, length_m: float) -> FloatArray:
     outline = solution.model.outline
     spot = nearest_place(outline, gauge, length_m) if isinstance(gauge, str) else gauge
     along, _ = _line(outline, spot)
-    middle = _coordinate(outline, spot)
+    if spot.beam == "H":
+        middle = spot.position_m if spot.side == "right" else -spot.position_m
+    else:
+        middle = -0.5 * outline.geometry.h1_m - spot.position_m
     low, high = _span(outline, spot)
     slack = 1e-9 * outline.geometry.a_m
     if not low - slack <= middle - 0.5 * length_m <= middle + 0.5 * length_m <= high + slack:
@@ -137,12 +140,6 @@ def _line(outline: Outline, gauge: GaugePosition) -> tuple[int, float]:
     if gauge.beam == "H":
         return 0, (-0.5 if gauge.face == "lower" else 0.5) * g.h1_m
     return 1, (-0.5 if gauge.side == "left" else 0.5) * g.h2_m
-
-
-def _coordinate(outline: Outline, gauge: GaugePosition) -> float:
-    if gauge.beam == "H":
-        return gauge.position_m if gauge.side == "right" else -gauge.position_m
-    return -0.5 * outline.geometry.h1_m - gauge.position_m
 
 
 def _span(outline: Outline, gauge: GaugePosition) -> tuple[float, float]:

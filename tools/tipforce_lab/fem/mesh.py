@@ -70,7 +70,7 @@ class Triangles:
 
 
 class Grid(NamedTuple):
-    """Grid lines before the mapping."""
+    """Grid lines before the mapping; in the tip heights are those at x = a."""
 
     xs: FloatArray
     ys: FloatArray
@@ -79,9 +79,7 @@ class Grid(NamedTuple):
 
 def triangulate(outline: Outline, resolution: Resolution) -> Triangles:
     """Return the mesh of an outline. It is symmetric about x = 0, triangle by triangle."""
-    xs = _x_lines(outline, resolution)
-    ys, rows_below_tip = _y_lines(outline, resolution)
-    grid = Grid(xs, ys, rows_below_tip)
+    xs, ys, _ = grid = Grid(_x_lines(outline, resolution), *_y_lines(outline, resolution))
     solid = _solid(outline, grid)
     numbers = np.arange(len(xs) * len(ys)).reshape(len(xs), len(ys))
     low_left, low_right = numbers[:-1, :-1], numbers[1:, :-1]
@@ -114,17 +112,16 @@ def _joined(blocks: Sequence[FloatArray]) -> FloatArray:
 
 
 def _from_corner(corner: float, sign: float, radius: float, reach: float, n: int) -> list[FloatArray]:
-    """Return the blocks from a corner: its rings or its fillet, then the rest up to ``reach``."""
-    edge, far = corner + sign * _patch(radius, reach), corner + sign * reach
+    """Return the blocks from a corner: its rings or its fillet, then the rest up to ``reach``.
+
+    The rings are the whole of a short block, such as half of the slit.
+    """
+    extent = radius if radius > 0.0 else PATCH_M if reach > 2.0 * PATCH_M else reach
+    edge, far = corner + sign * extent, corner + sign * reach
     blocks = [_even(corner, edge, RINGS * n)]
     if edge != far:
         blocks.append(_even(edge, far, n))
     return blocks
-
-
-def _patch(radius: float, reach: float) -> float:
-    """Return the extent of rings or fillet: the whole of a short block, such as half of the slit."""
-    return radius if radius > 0.0 else PATCH_M if reach > 2.0 * PATCH_M else reach
 
 
 def _to_corner(corner: float, sign: float, radius: float, reach: float, n: int) -> list[FloatArray]:

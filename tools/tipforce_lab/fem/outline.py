@@ -18,6 +18,7 @@ from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 
 NEAR_M = 1e-3
 """Length of the blocks next to a corner of a beam: that of a gauge, so that gauges end on nodes of the mesh."""
+_MAY_BE_ZERO = ("leg_below_m", "fixture_depth_m", "fillet_m", "slit_fillet_m")
 
 
 class Corner(NamedTuple):
@@ -73,7 +74,10 @@ class Outline:
     def __post_init__(self) -> None:
         for field in fields(self):
             if field.name != "geometry":
-                self._check_number(field.name, getattr(self, field.name))
+                value, may_be_zero = getattr(self, field.name), field.name in _MAY_BE_ZERO
+                good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+                allowed = "0 or more, finite" if may_be_zero else "a positive finite number in metres"
+                self._check(field.name, good and (value > 0.0 or (may_be_zero and value == 0.0)), allowed)
         g = self.geometry
         near = NEAR_M + self.fillet_m
         self._check("slit_fillet_m", self.slit_fillet_m <= 0.5 * self.slit_m, "at most half of slit_m")
@@ -85,23 +89,10 @@ class Outline:
                 "with their fillets"
             )
         lowest, highest = 0.5 * g.h2_m + near, g.a_m - NEAR_M - self.slit_fillet_m
-        self._check(
-            "fixture_half_width_m",
-            lowest < self.fixture_half_width_m < highest,
-            f"above {lowest!r} and below {highest!r}",
-        )
-        highest = g.d_m - near
-        self._check(
-            "leg_below_m",
-            self.leg_below_m == 0.0 or near < self.leg_below_m < highest,
-            f"0, or above {near!r} and below {highest!r}",
-        )
-
-    def _check_number(self, name: str, value: float) -> None:
-        may_be_zero = name in ("leg_below_m", "fixture_depth_m", "fillet_m", "slit_fillet_m")
-        allowed = "0 or more, finite" if may_be_zero else "a positive finite number in metres"
-        good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-        self._check(name, good and (value > 0.0 or (may_be_zero and value == 0.0)), allowed)
+        fits = lowest < self.fixture_half_width_m < highest
+        self._check("fixture_half_width_m", fits, f"above {lowest!r} and below {highest!r}")
+        fits, highest = self.leg_below_m == 0.0 or near < self.leg_below_m < g.d_m - near, g.d_m - near
+        self._check("leg_below_m", fits, f"0, or above {near!r} and below {highest!r}")
 
     def _check(self, name: str, good: bool, allowed: str) -> None:
         if not good:

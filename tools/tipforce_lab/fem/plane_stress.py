@@ -98,29 +98,20 @@ def solve(model: Model) -> Solution:
     stiffness = _stiffness(basis, model)
     sides = mesh.boundary_facets()
     loads = _loads(model, mesh, basis, sides)
-    clamped = _clamped(model, mesh, basis, sides)
+    bottom = model.outline.foot_m - model.outline.fixture_depth_m  # lines of the mesh there equal this number exactly
+    clamped = basis.get_dofs(sides[(mesh.p[1, mesh.facets[:, sides]] <= bottom).all(axis=0)]).all()
     free = np.setdiff1d(np.arange(basis.N), clamped)
     motion = np.zeros((basis.N, 3))
     # Symmetric positive definite: no pivoting, an ordering for symmetric matrices.
-    factors = splu(
-        stiffness[free][:, free].tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    inner, symmetric = stiffness[free][:, free].tocsc(), {"SymmetricMode": True}
+    factors = splu(inner, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
     motion[free] = factors.solve(loads[free])
     forces = (stiffness[clamped] @ motion) - loads[clamped]
     ends = mesh.facets[:, sides]
     places = (mesh.p[:, ends[0]], mesh.p[:, ends].mean(axis=1), mesh.p[:, ends[1]])
     nodes = (basis.nodal_dofs[:, ends[0]], basis.facet_dofs[:, sides], basis.nodal_dofs[:, ends[1]])
-    return Solution(
-        model,
-        triangles,
-        places,
-        (motion[nodes[0]], motion[nodes[1]], motion[nodes[2]]),
-        _resultant(basis, clamped, forces),
-        len(free),
-    )
+    moved = (motion[nodes[0]], motion[nodes[1]], motion[nodes[2]])
+    return Solution(model, triangles, places, moved, _resultant(basis, clamped, forces), len(free))
 
 
 def _stiffness(basis: Any, model: Model) -> Any:
@@ -134,14 +125,6 @@ def _stiffness(basis: Any, model: Model) -> Any:
         return ddot(first * eye(trace(strain), 2) + 2.0 * mu * strain, sym_grad(v))
 
     return BilinearForm(elasticity).assemble(basis)
-
-
-def _clamped(model: Model, mesh: Any, basis: Any, sides: Any) -> Any:
-    outline = model.outline
-    bottom = outline.foot_m - outline.fixture_depth_m
-    # Lines of the mesh at the bottom equal this number exactly.
-    held = sides[(mesh.p[1, mesh.facets[:, sides]] <= bottom).all(axis=0)]
-    return basis.get_dofs(held).all()
 
 
 def _loads(model: Model, mesh: Any, basis: Any, sides: Any) -> FloatArray:

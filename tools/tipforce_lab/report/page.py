@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -25,30 +25,27 @@ def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]],
     items: list[Item] = [*report.studies, *report.grids, *report.cases, *report.left_out]
     records = [text.head_record(report) | text.conclusions(report), *map(text.record, items)]
     lines = "".join(json_line(record) + "\n" for record in records)
-    paths = []
-    for name, content in (("index.html", html(report)), ("report.jsonl", lines)):
-        paths.append(directory / name)
-        write_file(paths[-1], content, HTML if name.endswith(".html") else JSON_LINES)
-    for study in report.studies:
-        paths.append(directory / f"{study.key}.svg")
-        plots.save(study, paths[-1])
-    return paths
+    write_file(directory / "index.html", html(report), HTML)
+    write_file(directory / "report.jsonl", lines, JSON_LINES)
+    figures = [directory / f"{study.key}.svg" for study in report.studies]
+    for study, path in zip(report.studies, figures, strict=True):
+        plots.save(study, path)
+    return [directory / "index.html", directory / "report.jsonl", *figures]
 
 
 def style() -> str:
     """Return the style sheet of the page, with the colours of the plots for light and dark mode."""
-    light = [*((name, pair[0]) for name, pair in plots.COLOURS.items()), ("grid", plots.GRID), ("band", plots.BAND)]
-    dark = [*((name, pair[1]) for name, pair in plots.COLOURS.items()), ("grid", "#3a4046"), ("band", "#9aa3ab")]
-    rules = "".join(_colour_rules(name, value) for name, value in light)
-    night = "".join(_colour_rules(name, value) for name, value in dark)
+    light, night = (
+        "".join(f".f-{name}{{fill:{value}}}.s-{name}{{stroke:{value}}}" for name, value in colours.items())
+        for colours in (
+            {name: pair[0] for name, pair in plots.COLOURS.items()} | {"grid": plots.GRID, "band": plots.BAND},
+            {name: pair[1] for name, pair in plots.COLOURS.items()} | {"grid": "#3a4046", "band": "#9aa3ab"},
+        )
+    )
     paper = ".f-paper{fill:var(--paper)}.s-paper{stroke:var(--paper)}.label{fill:var(--ink)}"
     sheets = resources.files(__package__)
     always, dark_paper = (sheets.joinpath(name).read_text(encoding="utf-8") for name in ("style.css", "dark.css"))
-    return f"{always}{rules}{paper}\n@media screen and (prefers-color-scheme:dark){{{dark_paper}{night}}}\n"
-
-
-def _colour_rules(name: str, value: str) -> str:
-    return f".f-{name}{{fill:{value}}}.s-{name}{{stroke:{value}}}"
+    return f"{always}{light}{paper}\n@media screen and (prefers-color-scheme:dark){{{dark_paper}{night}}}\n"
 
 
 def html(report: Report) -> str:
@@ -77,6 +74,10 @@ def html(report: Report) -> str:
     return "\n".join([*parts, "</main></body></html>", ""])
 
 
+def _items(texts: Iterable[str]) -> str:
+    return "".join(f"<li>{escape(text)}</li>" for text in texts)
+
+
 _HOW_TO_READ = (
     "Down is more exact, left is faster. Each point is a setting of a method, at the median wall time of its runs, all "
     "warm; the bar across it spans the quartiles. The table has the processor time beside it, which other load on the "
@@ -96,10 +97,9 @@ def _head(report: Report) -> list[str]:
     links += [("cases", "Extreme cases")] if report.cases else []
     links += [("left-out", "Left out")] if report.left_out else []
     entries = "".join(f'<li><a href="#{escape(key)}">{escape(title)}</a></li>' for key, title in links)
-    sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in verdict(report))
     return [
         "<h1>tipforce: error against run time, and extreme cases</h1>",
-        f'<div class="summary"><p>{escape(text.summary(report))}</p><ul>{sentences}</ul></div>',
+        f'<div class="summary"><p>{escape(text.summary(report))}</p><ul>{_items(verdict(report))}</ul></div>',
         *_advice(report),
         f"<nav><h2>Contents</h2><ul>{entries}</ul></nav>",
         f"<details><summary>Run of {escape(text.headline(report))}: machine and versions</summary><dl>{machine}</dl>",
@@ -127,15 +127,13 @@ def _advice(report: Report) -> list[str]:
 
 
 def _study(study: Study) -> str:
-    remarks = "".join(f"<li>{escape(remark)}</li>" for remark in study.remarks)
-    absent = "".join(f"<li>left out: {escape(name)}: {escape(why)}</li>" for name, why in study.left_out.items())
-    points = sum(len(series.points) for series in study.series)
+    items = _items([*study.remarks, *(f"left out: {name}: {why}" for name, why in study.left_out.items())])
+    points, key = sum(len(series.points) for series in study.series), escape(study.key)
     return "\n".join(
         (
-            f'<section class="study" id="{escape(study.key)}"><h3 id="{escape(study.key)}-title">',
-            f"{escape(study.title)}</h3>",
+            f'<section class="study" id="{key}"><h3 id="{key}-title">{escape(study.title)}</h3>',
             f"<figure>{plots.svg(study)}</figure>",
-            f"<ul>{remarks}{absent}</ul>" if remarks or absent else "",
+            f"<ul>{items}</ul>" if items else "",
             f"<details><summary>All {points} points as a table</summary>{_table(study)}</details>",
             f'<p class="reference">Reference: {escape(text.shown_reference(study))}.</p></section>',
         )
@@ -171,7 +169,7 @@ def _grid(grid: Grid) -> str:
             cells.append(f'<td data-name="{escape(name)}" class="{kind}"{note}>{shown}</td>')
         rows.append(f'<tr><th scope="row" class="key">{escape(row.name)}</th>{"".join(cells)}</tr>')
     head = "".join(f'<th scope="col">{escape(name)}</th>' for name in (grid.corner, *grid.methods))
-    remarks = "".join(f"<li>{escape(remark)}</li>" for remark in [*grid.remarks, *text.grid_reasons(grid)])
+    remarks = _items([*grid.remarks, *text.grid_reasons(grid)])
     return "\n".join(
         (
             f'<section id="{escape(grid.key)}"><h2>{escape(grid.title)}</h2><ul>{remarks}</ul>',

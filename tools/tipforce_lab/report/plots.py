@@ -58,16 +58,15 @@ def figure(study: Study) -> Figure:
     """Draw error against time, both logarithmic, with quartiles, the error of the reference, and a legend below."""
     from matplotlib.figure import Figure
 
+    errors = [error for series in study.series for point in series.points for error in (point.error, point.rms_error)]
+    floor = _ZERO_BELOW * min((error for error in errors if error and math.isfinite(error)), default=1.0)
     lines = len(study.series) + 1  # and the band
     drawn = Figure(figsize=(_WIDTH_INCH, _AXES_INCH + _LEGEND_LINE_INCH * lines))
     axes = drawn.subplots()
     axes.set(xscale="log", yscale="log", xlabel=f"time, {study.work_unit}", ylabel=_folded(study.error_unit))
-    floor = _floor(study)
     for number in range(len(study.series)):
         _draw_series(axes, study, number, floor)
-    _widen(axes)
-    _draw_reference(axes, study)
-    _draw_zero(axes, study, floor)
+    _frame(axes, study, floor if 0.0 in errors else None)
     drawn.legend(loc="outside lower left", ncols=1, fontsize=9.5, handlelength=3.2, labelspacing=0.35)
     return drawn
 
@@ -78,12 +77,6 @@ def _folded(text: str) -> str:
         return text
     middle = min((match.start() for match in re.finditer(" ", text)), key=lambda at: abs(at - len(text) / 2))
     return f"{text[:middle]}\n{text[middle + 1 :]}"
-
-
-def _floor(study: Study) -> float:
-    """Return the position of an error of zero."""
-    errors = [error for series in study.series for point in series.points for error in (point.error, point.rms_error)]
-    return _ZERO_BELOW * min((error for error in errors if error and math.isfinite(error)), default=1.0)
 
 
 def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
@@ -116,61 +109,45 @@ def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
             axes.plot(at[:1], [point.rms_error], "_", color=colour, markersize=5)
 
 
-def _widen(axes: Axes) -> None:
-    """Show at least two decades on each axis: a shorter log axis has almost no labels."""
-    for low_high, set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
-        low, high = low_high
+def _frame(axes: Axes, study: Study, zero: float | None) -> None:
+    """Show at least two decades on each axis, because a shorter log axis has almost no labels; a band up to the error
+    of the reference, unless that is too far below the points; and a line for errors of zero, if there are any."""
+    for (low, high), set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
         short = 2.0 - math.log10(high / low)
         if short > 0.0:
             set_limits(low * 10 ** (-short / 2), high * 10 ** (short / 2))
-
-
-def _draw_reference(axes: Axes, study: Study) -> None:
-    """Draw a band up to the error of the reference, unless that is too far below the points."""
-    own = study.reference_error
-    low, high = axes.get_ylim()
-    if own < low / 1e3:
-        return
-    bottom = min(low, own / 3.0)
-    axes.axhspan(bottom / 10.0, own, color=BAND, alpha=0.35, linewidth=0, label="error of the reference")
-    axes.set_ylim(bottom, high)
-
-
-def _draw_zero(axes: Axes, study: Study, floor: float) -> None:
-    if any(point.error == 0.0 for series in study.series for point in series.points):
-        axes.axhline(floor, color=BAND, linewidth=0.8)
-        axes.annotate("0", (1.0, floor), xycoords=("axes fraction", "data"), fontsize=8, va="bottom", ha="right")
+    own, (low, high) = study.reference_error, axes.get_ylim()
+    if own >= low / 1e3:
+        bottom = min(low, own / 3.0)
+        axes.axhspan(bottom / 10.0, own, color=BAND, alpha=0.35, linewidth=0, label="error of the reference")
+        axes.set_ylim(bottom, high)
+    if zero is not None:
+        axes.axhline(zero, color=BAND, linewidth=0.8)
+        axes.annotate("0", (1.0, zero), xycoords=("axes fraction", "data"), fontsize=8, va="bottom", ha="right")
 
 
 def svg(study: Study) -> str:
-    """Return the plot as an <svg> element; identifiers contain the study's key, so that a page can hold many."""
+    """Return the plot as an <svg> element without file header; identifiers contain the study's key, so that a page can
+    hold many, and attributes replace styles, which a strict CSP forbids."""
     with plotting():
-        drawn = figure(study)
-        out = io.StringIO()
+        drawn, out, key = figure(study), io.StringIO(), study.key
         drawn.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
-    return _inlined(out.getvalue(), study.key)
+    text = out.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<style.*?</style>", "", text[text.index("<svg") :], flags=re.S)
+    head, body = text.split(">", 1)
+    box = re.search(r'viewBox="[^"]*"', head)
+    assert box is not None
+    body = re.sub(r'\sstyle="([^"]*)"', _attributes, body).replace("xlink:href=", "href=")
+    for pattern, renamed in ((r'id="([^"]*)"', rf'id="{key}-\1"'), (r'href="#([^"]*)"', rf'href="#{key}-\1"'),
+                             (r"url\(#([^)]*)\)", rf"url(#{key}-\1)"), (r"\n\s*", "\n")):  # fmt: skip
+        body = re.sub(pattern, renamed, body)
+    return f'<svg {box[0]} role="img" aria-labelledby="{key}-title">{body}'
 
 
 def save(study: Study, path: Path) -> None:
     """Write the plot to a file, .svg or .png. Raises InputError if it cannot be written."""
     with plotting():
         save_figure(figure(study), path, transparent=False, facecolor=PAPER)
-
-
-def _inlined(text: str, key: str) -> str:
-    """Return the SVG without its file header, with attributes instead of styles, which a strict CSP forbids."""
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<style.*?</style>", "", text, flags=re.DOTALL)
-    head, body = text.split(">", 1)
-    box = re.search(r'viewBox="[^"]*"', head)
-    assert box is not None
-    body = re.sub(r'\sstyle="([^"]*)"', _attributes, body)
-    body = body.replace("xlink:href=", "href=")
-    body = re.sub(r'id="([^"]*)"', rf'id="{key}-\1"', body)
-    body = re.sub(r'href="#([^"]*)"', rf'href="#{key}-\1"', body)
-    body = re.sub(r"url\(#([^)]*)\)", rf"url(#{key}-\1)", body)
-    body = re.sub(r"\n\s*", "\n", body)
-    return f'<svg {box[0]} role="img" aria-labelledby="{key}-title">{body}'
 
 
 def _attributes(style: re.Match[str]) -> str:

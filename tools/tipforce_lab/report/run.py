@@ -99,8 +99,8 @@ class Run:
     def __init__(self, selection: Selection, effort: Effort, date: str) -> None:
         keys, self._cases = selection
         self.report = Report(date, effort, machine())
-        found = {key: self._guarded(key, partial(importlib.import_module, STUDIES[key][0])) for key in keys}
-        self._modules = {key: module for key, module in found.items() if module is not None}
+        modules = {key: self._guarded(key, partial(importlib.import_module, STUDIES[key][0])) for key in keys}
+        self._modules = {key: module for key, module in modules.items() if module is not None}
         self.steps = sum(int(module.STEPS) for module in self._modules.values()) + len(self._cases)
 
     def items(self, advance: Advance) -> Iterator[Item]:
@@ -125,7 +125,19 @@ class Run:
         try:
             return work()
         except ModuleNotFoundError as error:
-            lack = LeftOut(key, *_lack_of_module(error))
+            name = (error.name or "").split(".")[0]
+            own = name in ("tipforce", "tipforce_lab")
+            hint = (
+                f'"tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all'
+                if name in _EXTRAS
+                else '"tipforce[report]"'
+            )
+            lacks = (
+                f"not part of this installation ({error.name})"
+                if own
+                else f"{name} is not installed: pip install {hint}"
+            )
+            lack = LeftOut(key, lacks, own)
         except TipforceError as error:
             lack = LeftOut(key, str(error), not isinstance(error, EnvironmentLackError))
         except Exception as error:  # a fault in one study must not end the others
@@ -136,17 +148,6 @@ class Run:
         return None
 
 
-def _lack_of_module(error: ModuleNotFoundError) -> tuple[str, bool]:
-    """Return the reason, and whether it is a failure."""
-    name = (error.name or "").split(".")[0]
-    if name in ("tipforce", "tipforce_lab"):
-        return f"not part of this installation ({error.name})", True
-    hint = 'pip install "tipforce[report]"'
-    if name in _EXTRAS:
-        hint = f'pip install "tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all'
-    return f"{name} is not installed: {hint}", False
-
-
 def machine() -> dict[str, str]:
     """Return what the times depend on: processor, system, versions."""
     import os
@@ -154,25 +155,20 @@ def machine() -> dict[str, str]:
 
     from tipforce.dictionary.table import SOFTWARE_VERSION
 
+    try:  # platform.processor() is often empty on Linux
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
+            name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        name = platform.processor() or platform.machine()
     facts = {
-        "processor": f"{_processor()}, {os.cpu_count()} threads",
+        "processor": f"{name}, {os.cpu_count()} threads",
         "system": f"{platform.system()} {platform.machine()}",
         "Python": f"{platform.python_implementation()} {platform.python_version()}",
         "tipforce": SOFTWARE_VERSION,
     }
-    for name in _VERSIONS:
+    for package in _VERSIONS:
         try:
-            facts[name] = version(name)
+            facts[package] = version(package)
         except PackageNotFoundError:
-            facts[name] = "not installed"
+            facts[package] = "not installed"
     return facts
-
-
-def _processor() -> str:
-    """Return the name in /proc/cpuinfo if present: platform.processor() is often empty on Linux."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
-            names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    except OSError:
-        names = []
-    return names[0] if names else platform.processor() or platform.machine()

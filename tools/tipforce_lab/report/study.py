@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from statistics import median, quantiles
@@ -59,6 +59,14 @@ class Series:
     points: tuple[Point, ...]
 
 
+def series_of(points: Iterable[tuple[str, Point]]) -> tuple[Series, ...]:
+    """Return a series for each method of (method, point), in order."""
+    by_method: dict[str, list[Point]] = {}
+    for method, point in points:
+        by_method.setdefault(method, []).append(point)
+    return tuple(Series(method, tuple(of_method)) for method, of_method in by_method.items())
+
+
 @dataclass(frozen=True, slots=True)
 class Need:
     """What somebody wants to do, and the error that is small enough for it."""
@@ -108,13 +116,17 @@ class Study:
         return min(good, key=lambda pair: pair[1].timing.work_seconds, default=None)
 
 
-def timed(work: Callable[[], object], effort: Effort, units: int = 1, at_least_s: float = 0.02) -> Timing:
+def timed(work: Callable[[], object], effort: Effort, units: float = 1, at_least_s: float = 0.02) -> Timing:
     """Time ``work``, which does ``units`` units of work: several runs, each long enough for the clock."""
     return timed_together([work], effort, units, at_least_s)[0]
 
 
 def timed_together(
-    works: Sequence[Callable[[], object]], effort: Effort, units: int = 1, at_least_s: float = 0.02, warm: bool = False
+    works: Sequence[Callable[[], object]],
+    effort: Effort,
+    units: float = 1,
+    at_least_s: float = 0.02,
+    warm: bool = False,
 ) -> list[Timing]:
     """Time several methods against each other: each run calls all of them in turn, so that a change of the machine's
     speed or load meets all alike.
@@ -146,15 +158,12 @@ def _repeats(work: Callable[[], object], at_least_s: float, warm: bool) -> int:
     if not warm:
         work()
     repeats = 1
-    while True:
-        elapsed_s, _ = _elapsed(work, repeats)
-        if elapsed_s >= at_least_s:
-            return repeats
+    while (elapsed_s := _elapsed(work, repeats)[0]) < at_least_s:
         repeats = max(repeats * 2, int(repeats * at_least_s / max(elapsed_s, 1e-9)))
+    return repeats
 
 
 def _elapsed(work: Callable[[], object], repeats: int) -> tuple[float, float]:
-    """Return wall time and processor time, seconds."""
     started, started_cpu = time.perf_counter_ns(), time.process_time_ns()
     for _ in range(repeats):
         work()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -11,15 +12,20 @@ from tipforce_lab.report.study import Case, Counted, Grid, Need, Outcome, Study
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
-
+    from rich.text import Text
 
 ADVICE_HEADS = ("need", "method", "error", "processor time")
 
 
 def verdict(report: Report) -> list[str]:
     """Return sentences: what held, what did not, how the references were checked."""
-    sentences = [_cases(report)] if report.cases else []
+    sentences, failed = [], [case.key for case in report.cases if not case.held]
+    if failed:
+        sentences.append(
+            f"{len(failed)} of {len(report.cases)} claims on extreme input do NOT hold: {', '.join(failed)}."
+        )
+    elif report.cases:
+        sentences.append(f"All {len(report.cases)} claims on extreme input hold.")
     sentences += [_grid(grid) for grid in report.grids]
     checked = [study.check_difference for study in report.studies if study.check_difference is not None]
     if checked:
@@ -47,13 +53,6 @@ def _advice(study: Study, need: Need) -> tuple[str, str, str, str]:
     unit = study.work_unit.replace("s per", "per").split(" (")[0]
     shown = f"{shown_time(point.timing.work_seconds)} {unit}"
     return need.text, method, shown_advised_error(point.error, need.unit), shown
-
-
-def _cases(report: Report) -> str:
-    failed = [case.key for case in report.cases if not case.held]
-    if failed:
-        return f"{len(failed)} of {len(report.cases)} claims on extreme input do NOT hold: {', '.join(failed)}."
-    return f"All {len(report.cases)} claims on extreme input hold."
 
 
 def _grid(grid: Grid) -> str:
@@ -132,42 +131,72 @@ def print_report(console: Console, report: Report) -> None:
     console.print(", ".join(f"{name} {value}" for name, value in report.machine.items()))
     for sentence in verdict(report):
         console.print(sentence)
-    _print_advice(console, advice(report))
+    if choices := advice(report):
+        columns: dict[str, dict[str, Any]] = {name: {} for name in ADVICE_HEADS}
+        columns["error"] = _NUMBER
+        _print_table(console, "Which method for which need", columns, (cells for _, *cells in choices))
     for study in report.studies:
-        _print_study(console, study)
+        _print_table(console, f"{study.title} ({study.key})", *study_table(study))
+        console.print(f"reference: {shown_reference(study)}")
+        _print_items(console, [*study.remarks, *(f"left out: {name}: {why}" for name, why in study.left_out.items())])
     for grid in report.grids:
-        _print_grid(console, grid)
+        rows = (
+            [row.name, *(
+                _marked(shown_counts(cell), over and not reason)
+                for cell, reason, over in zip(row.cells, row.reasons, row.over, strict=True)
+            )]
+            for row in grid.rows
+        )  # fmt: skip
+        _print_table(console, grid.title, {name: {} for name in (grid.corner, *grid.methods)}, rows)
+        _print_items(console, [*grid.remarks, *grid_reasons(grid)])
     if report.cases:
-        _print_cases(console, report.cases)
+        title = "Extreme cases, as the tests of this version recorded them"
+        _print_table(console, title, _CASE_COLUMNS, map(_case_row, report.cases), show_lines=True)
     for lack in report.left_out:
         console.print("left out", style="bold", end="")
         console.print(f" {lack.key}: {lack.reason}")
     console.print(summary(report))
 
 
-def _table(title: str, **options: Any) -> Table:
+def _print_table(
+    console: Console, title: str, columns: Mapping[str, Mapping[str, Any]], rows: Iterable[Sequence[str | Text]],
+    **options: Any,
+) -> None:  # fmt: skip
+    """Print an empty line and a table; ``columns``: rich's options by heading."""
     from rich.table import Table
 
-    return Table(title=title, title_justify="left", **options)
-
-
-def _print_study(console: Console, study: Study) -> None:
-    table = _table(f"{study.title} ({study.key})")
-    columns, rows = study_table(study)
-    for head, options in columns.items():
-        table.add_column(head, **options)
+    table = Table(title=title, title_justify="left", **options)
+    for head, column in columns.items():
+        table.add_column(head, **column)
     for row in rows:
         table.add_row(*row)
     console.print()
     console.print(table)
-    console.print(f"reference: {shown_reference(study)}")
-    for remark in study.remarks:
-        console.print(f"- {remark}")
-    for method, reason in study.left_out.items():
-        console.print(f"- left out: {method}: {reason}")
 
 
-_NUMBER = {"justify": "right"}
+def _print_items(console: Console, items: Iterable[str]) -> None:
+    for item in items:
+        console.print(f"- {item}")
+
+
+def _marked(text: str, bad: bool) -> str | Text:
+    from rich.text import Text
+
+    return Text(text, "bold red") if bad else text
+
+
+def _case_row(case: Case) -> list[str | Text]:
+    outcome = _marked(case.outcome if case.held else f"NOT {case.outcome}", not case.held)
+    return [case.key, outcome, f"{case.situation}: {case.claim}", case.figures]
+
+
+_CASE_COLUMNS: dict[str, dict[str, Any]] = {
+    "case": {"overflow": "fold", "ratio": 2},
+    "outcome": {"no_wrap": True},
+    "situation: claim": {"ratio": 4},
+    "seen": {"overflow": "fold", "ratio": 3},
+}
+_NUMBER: dict[str, Any] = {"justify": "right"}
 _TIME = {**_NUMBER, "no_wrap": True}
 
 
@@ -193,41 +222,10 @@ def study_table(study: Study) -> tuple[dict[str, dict[str, Any]], list[list[str]
                 f"{shown_time(timing.first_quartile_s)} - {shown_time(timing.third_quartile_s)}",
                 "" if timing.cpu_seconds is None else shown_time(timing.cpu_seconds), str(timing.runs),
             ])  # fmt: skip
-    optional = [k for k, head in enumerate(columns) if head in ("root mean square", "processor")]
-    empty = [k for k in optional if not any(row[k] for row in rows)]
-    kept = [k for k in range(len(columns)) if k not in empty]
+    optional = ("root mean square", "processor")
+    kept = [k for k, head in enumerate(columns) if head not in optional or any(row[k] for row in rows)]
     heads = list(columns)
     return {heads[k]: columns[heads[k]] for k in kept}, [[row[k] for k in kept] for row in rows]
-
-
-def _print_advice(console: Console, choices: list[tuple[str, ...]]) -> None:
-    if not choices:
-        return
-    table = _table("Which method for which need")
-    for name in ADVICE_HEADS:
-        table.add_column(name, justify="right" if name == "error" else "left")
-    for _, *cells in choices:
-        table.add_row(*cells)
-    console.print()
-    console.print(table)
-
-
-def _print_grid(console: Console, grid: Grid) -> None:
-    from rich.text import Text
-
-    table = _table(grid.title)
-    for name in (grid.corner, *grid.methods):
-        table.add_column(name)
-    for row in grid.rows:
-        cells: list[str | Text] = []
-        for cell, reason, over in zip(row.cells, row.reasons, row.over, strict=True):
-            counts = shown_counts(cell)
-            cells.append(Text(counts, "bold red") if over and not reason else counts)
-        table.add_row(row.name, *cells)
-    console.print()
-    console.print(table)
-    for remark in [*grid.remarks, *grid_reasons(grid)]:
-        console.print(f"- {remark}")
 
 
 def grid_reasons(grid: Grid) -> list[str]:
@@ -237,21 +235,6 @@ def grid_reasons(grid: Grid) -> list[str]:
         for reason in filter(None, row.reasons):
             rows_by_reason.setdefault(reason, {})[row.name] = None
     return [f"{'; '.join(names)}: {reason}" for reason, names in rows_by_reason.items()]
-
-
-def _print_cases(console: Console, cases: list[Case]) -> None:
-    from rich.text import Text
-
-    table = _table("Extreme cases, as the tests of this version recorded them", show_lines=True)
-    table.add_column("case", overflow="fold", ratio=2)
-    table.add_column("outcome", no_wrap=True)
-    table.add_column("situation: claim", ratio=4)
-    table.add_column("seen", overflow="fold", ratio=3)
-    for case in cases:
-        outcome = case.outcome if case.held else Text(f"NOT {case.outcome}", "bold red")
-        table.add_row(case.key, outcome, f"{case.situation}: {case.claim}", case.figures)
-    console.print()
-    console.print(table)
 
 
 def head_record(report: Report) -> dict[str, Any]:

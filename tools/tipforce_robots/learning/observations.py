@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.decoding.log import Log
 from tipforce.samples.record import Contact
@@ -25,12 +26,15 @@ if TYPE_CHECKING:
     from gymnasium import spaces
 
     from tipforce_robots.mujoco.twin import TwinSample
-FloatArray = npt.NDArray[np.float64]
+
 Observation = dict[str, npt.NDArray[np.float32] | npt.NDArray[np.int8]]
 """``values``, ``uncertainties`` and ``valid``."""
 LARGEST = np.array([32.767, pi, pi], dtype=np.float32)
 """Of P, as INTEGER16 in mN on the bus, and of the angles; of their uncertainties as well."""
 _LEAST = np.array([0.0, -pi, -pi], dtype=np.float32)
+_VALUES = ("P_newtons", "phi_deg", "theta_deg")
+_UNCERTAINTIES = ("u_P_newtons", "u_phi_deg", "u_theta_deg")
+_GAP_PERIODS = 1.5  # between two samples of a window: more is a gap
 
 
 def observation_space(fingers: int) -> spaces.Dict:
@@ -56,9 +60,8 @@ def observation_space(fingers: int) -> spaces.Dict:
 def observation(row: Mapping[str, Contact] | Mapping[str, TwinSample]) -> Observation:
     """Return one row of fingers, in its order: a ``HandRow``, or what ``Fingertips.read`` returned."""
     contacts = [tip if isinstance(tip, Contact) else tip.contact for tip in row.values()]
-    values = [(tip.P_newtons, tip.phi_deg, tip.theta_deg) for tip in contacts]
-    uncertainties = [(tip.u_P_newtons, tip.u_phi_deg, tip.u_theta_deg) for tip in contacts]
-    return masked(np.array(values), np.array(uncertainties))
+    columns = ([[getattr(tip, name) for name in names] for tip in contacts] for names in (_VALUES, _UNCERTAINTIES))
+    return masked(*map(np.array, columns))
 
 
 def masked(values: FloatArray, uncertainties: FloatArray) -> Observation:
@@ -71,9 +74,6 @@ def masked(values: FloatArray, uncertainties: FloatArray) -> Observation:
         known = valid & (u >= 0.0) & (u <= LARGEST)
     known_values[~valid] = 0.0
     return {"values": known_values, "uncertainties": np.where(known, u, LARGEST), "valid": valid.astype(np.int8)}
-
-
-_GAP_PERIODS = 1.5  # between two samples of a window: more is a gap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,22 +135,10 @@ def recorded_observations(log: Log, node_ids: Sequence[int] | None = None) -> Ob
         node = log[node_id]
         if not len(node):
             continue
-        nearest = _nearest(node.t_s, t_s)
+        nearest = np.searchsorted(0.5 * (node.t_s[1:] + node.t_s[:-1]), t_s)  # changes midway between two samples
         near = np.abs(node.t_s[nearest] - t_s) <= half_period_s
         at = nearest[near]
         for array, names in ((values, _VALUES), (uncertainties, _UNCERTAINTIES)):
             array[near, k] = np.stack([getattr(node, name)[at] for name in names], axis=-1)
     arrays = masked(values, uncertainties)
     return Observations(t_s, **arrays)  # type: ignore[arg-type]
-
-
-_VALUES = ("P_newtons", "phi_deg", "theta_deg")
-_UNCERTAINTIES = ("u_P_newtons", "u_phi_deg", "u_theta_deg")
-
-
-def _nearest(times_s: FloatArray, wanted_s: FloatArray) -> npt.NDArray[np.intp]:
-    after = np.clip(np.searchsorted(times_s, wanted_s), 1, max(1, len(times_s) - 1))
-    if len(times_s) == 1:
-        return np.zeros(len(wanted_s), dtype=np.intp)
-    earlier = wanted_s - times_s[after - 1] <= times_s[after] - wanted_s
-    return after - earlier

@@ -5,7 +5,7 @@ from canopen_device.lazy import lazy
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tipforce_robots.mujoco.grasp_env import GraspEnv as GraspEnv
-    from tipforce_robots.mujoco.mjcf import fingertip_mjcf as fingertip_mjcf
+    from tipforce_robots.mujoco.models import fingertip_mjcf as fingertip_mjcf
     from tipforce_robots.mujoco.models import grasp_model as grasp_model
     from tipforce_robots.mujoco.models import hand_model as hand_model
     from tipforce_robots.mujoco.serving import TwinNodes as TwinNodes
@@ -17,8 +17,7 @@ _NAMES = {
     "twin": ("Fingertips", "Load", "TwinSample"),
     "grasp_env": ("GraspEnv",),
     "serving": ("TwinNodes",),
-    "mjcf": ("fingertip_mjcf",),
-    "models": ("grasp_model", "hand_model"),
+    "models": ("fingertip_mjcf", "grasp_model", "hand_model"),
 }
 if not TYPE_CHECKING:
     __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

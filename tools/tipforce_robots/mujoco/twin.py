@@ -44,48 +44,6 @@ Wrench = tuple[float, float, float, float, float, float, float, int]
 """Force and moment about the site, world axes, the sum of the magnitudes of the contact forces, and their number."""
 
 
-class TipContacts:
-    """The contacts of fingers with ``sites``, in this order. Raises InputError as ``Fingertips`` does."""
-
-    def __init__(self, model: mujoco.MjModel, sites: Mapping[str, str]) -> None:
-        self._model = model
-        self.sites = [_site(model, finger, site) for finger, site in sites.items()]
-        self._owners = _owners(model, list(sites), self.sites)
-        self._force = np.zeros(6)
-
-    def check(self, data: mujoco.MjData) -> None:
-        """Raise InputError for data of another model."""
-        sizes, own = (len(data.geom_xpos), len(data.site_xpos)), (self._model.ngeom, self._model.nsite)
-        if sizes != own:
-            raise InputError(f"data of {sizes[0]} geoms and {sizes[1]} sites: the model of the fingertips has {own}")
-
-    def wrenches(self, data: mujoco.MjData) -> list[Wrench | None]:
-        """Return the wrench on each finger; None for one without a contact.
-
-        Torque of a contact (``condim`` 4 and 6) counts. A contact of two fingers loads both, with opposite signs.
-        """
-        wrenches: list[Wrench | None] = [None] * len(self.sites)
-        count = data.ncon
-        if not count:
-            return wrenches
-        contacts, owners = data.contact, self._owners
-        model, buffer, contact_force = self._model, self._force, mujoco.mj_contactForce
-        geoms, frames, positions = contacts.geom.tolist(), contacts.frame.tolist(), contacts.pos.tolist()
-        for k in range(count):
-            geom_1, geom_2 = geoms[k]
-            one, two = owners[geom_1], owners[geom_2]
-            if one == two:
-                continue
-            contact_force(model, data, k, buffer)
-            force, frame, position = buffer.tolist(), frames[k], positions[k]
-            if two >= 0:  # the frame's x points from geom 1 to geom 2; the force is that on geom 2
-                wrenches[two] = _added(wrenches[two], data.site_xpos[self.sites[two]].tolist(), force, frame, position)
-            if one >= 0:
-                force = [-component for component in force]
-                wrenches[one] = _added(wrenches[one], data.site_xpos[self.sites[one]].tolist(), force, frame, position)
-        return wrenches
-
-
 def _added(
     before: Wrench | None, origin: list[float], force: list[float], frame: list[float], position: list[float]
 ) -> Wrench:
@@ -108,38 +66,8 @@ def _added(
     return gx + fx, gy + fy, gz + fz, nx + mx, ny + my, nz + mz, total + size, count + 1
 
 
-def _site(model: mujoco.MjModel, finger: str, site: str) -> int:
-    number: int = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
-    if number < 0:
-        names = [model.site(k).name for k in range(model.nsite)]
-        raise InputError(f"finger {finger}: site {site!r}: allowed are {', '.join(filter(None, names)) or 'none'}")
-    return number
-
-
-def _owners(model: mujoco.MjModel, fingers: list[str], sites: list[int]) -> list[int]:
-    """Return by geom the finger whose tip it is, -1 for none: the geoms of the site's body and of those below it."""
-    tips: dict[int, int] = {}
-    for finger, site in enumerate(sites):
-        body = int(model.site_bodyid[site])
-        if body == 0:
-            raise InputError(f"finger {fingers[finger]}: its site is on the world: allowed is one on a body of the tip")
-        other = tips.setdefault(body, finger)
-        if other != finger:
-            raise InputError(f"fingers {fingers[other]} and {fingers[finger]}: allowed is one finger for each body")
-    owners = []
-    for geom_body in model.geom_bodyid.tolist():
-        body = geom_body
-        while body and body not in tips:
-            body = int(model.body_parentid[body])
-        owners.append(tips.get(body, -1))
-    for finger, name in enumerate(fingers):
-        if finger not in owners:
-            raise InputError(f"finger {name}: the body of its site has no geom: allowed is one that can be touched")
-    return [*owners, -1]  # of a contact with a flex, whose geom is -1
-
-
 class Load:
-    """The load on one tip at one time step; vectors (3,) are along x, y and z of the site (``mjcf.py``).
+    """The load on one tip at one time step; vectors (3,) are along x, y and z of the site (``models.py``).
 
     ``F_newtons`` are F1, F2, F3, equation (16) of the paper: all that the gauges see.
     """
@@ -306,7 +234,8 @@ class Fingertips:
         if self._calibration.gauges != len(self._rows):
             raise InputError(f"calibration of {self._calibration.gauges} gauges: the layout has {len(self._rows)}")
         self.node_ids = _node_ids(list(sites), node_ids)
-        self._contacts = TipContacts(model, sites)
+        self._model, self._force = model, np.zeros(6)
+        self._sites, self._owners = _tips(model, sites)
         self.reset(seed)
 
     def reset(self, seed: int = 0) -> None:
@@ -323,7 +252,6 @@ class Fingertips:
                 self._rows, self._noise_microstrain, seed=1000 * seed + node_id, forces=self._forces(k)
             )
             self.devices.append(self._node(node_id, source))
-        self._fingertips = [_application(device) for device in self.devices]
 
     def read(self, data: mujoco.MjData) -> dict[str, TwinSample]:
         """Take a sample of each finger, as at a SYNC; call it after ``mj_step``.
@@ -335,7 +263,8 @@ class Fingertips:
         loads, t_s, samples = self._present(), 1e-6 * now_us, {}
         for k, (name, node_id) in enumerate(self.node_ids.items()):
             self.devices[k].now_us = now_us
-            fingertip = self._fingertips[k]
+            fingertip = self.devices[k].application
+            assert isinstance(fingertip, Fingertip)
             fingertip.on_sync(now_us, 0)
             samples[name] = TwinSample(name, node_id, t_s, fingertip.sample, loads[k])
         return samples
@@ -347,8 +276,9 @@ class Fingertips:
 
     def at(self, data: mujoco.MjData) -> int:
         """Let the nodes read ``data`` as it is now; return its time in microseconds. Raises as ``read`` does."""
-        if data is not self._data:
-            self._contacts.check(data)
+        sizes, own = (len(data.geom_xpos), len(data.site_xpos)), (self._model.ngeom, self._model.nsite)
+        if data is not self._data and sizes != own:
+            raise InputError(f"data of {sizes[0]} geoms and {sizes[1]} sites: the model of the fingertips has {own}")
         try:
             now_us: int = round(1e6 * data.time)
         except (ValueError, OverflowError):
@@ -365,9 +295,33 @@ class Fingertips:
             axes, r_m, rows = self._data.site_xmat, FABRICATED.r_m, self._rows
             self._loads = [
                 Load(_NO_TURN, _NO_LOAD, r_m, rows) if wrench is None else Load(axes[site].tolist(), wrench, r_m, rows)
-                for site, wrench in zip(self._contacts.sites, self._contacts.wrenches(self._data), strict=True)
+                for site, wrench in zip(self._sites, self._wrenches(self._data), strict=True)
             ]
         return self._loads
+
+    def _wrenches(self, data: mujoco.MjData) -> list[Wrench | None]:
+        """Return the wrench on each finger; None for one without a contact.
+
+        Torque of a contact (``condim`` 4 and 6) counts. A contact of two fingers loads both, with opposite signs.
+        """
+        wrenches: list[Wrench | None] = [None] * len(self._sites)
+        count = data.ncon
+        if not count:
+            return wrenches
+        contacts, owners, sites = data.contact, self._owners, self._sites
+        model, buffer, contact_force = self._model, self._force, mujoco.mj_contactForce
+        geoms, frames, positions = contacts.geom.tolist(), contacts.frame.tolist(), contacts.pos.tolist()
+        for k in range(count):
+            geom_1, geom_2 = geoms[k]
+            if owners[geom_1] == owners[geom_2]:
+                continue
+            contact_force(model, data, k, buffer)
+            on_2 = buffer.tolist()  # the frame's x points from geom 1 to geom 2
+            for tip, force in ((owners[geom_2], on_2), (owners[geom_1], [-component for component in on_2])):
+                if tip >= 0:
+                    origin = data.site_xpos[sites[tip]].tolist()
+                    wrenches[tip] = _added(wrenches[tip], origin, force, frames[k], positions[k])
+        return wrenches
 
     def _forces(self, k: int) -> Callable[[int], Vector]:
         """The source's function: F1, F2, F3 of finger ``k`` in the present state, whenever its conversion began."""
@@ -383,9 +337,33 @@ class Fingertips:
         return device
 
 
-def _application(device: Device) -> Fingertip:
-    assert isinstance(device.application, Fingertip)
-    return device.application
+def _tips(model: mujoco.MjModel, sites: Mapping[str, str]) -> tuple[list[int], list[int]]:
+    """Return the number of each finger's site; and by geom the finger whose tip it is, -1 for none.
+
+    The tip is the geoms of the site's body and of those below it.
+    """
+    numbers, tips = list[int](), dict[int, str]()
+    for finger, site in sites.items():
+        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
+        if number < 0:
+            names = ", ".join(filter(None, (model.site(k).name for k in range(model.nsite))))
+            raise InputError(f"finger {finger}: site {site!r}: allowed are {names or 'none'}")
+        body = int(model.site_bodyid[number])
+        if body == 0:
+            raise InputError(f"finger {finger}: its site is on the world: allowed is one on a body of the tip")
+        if tips.setdefault(body, finger) != finger:
+            raise InputError(f"fingers {tips[body]} and {finger}: allowed is one finger for each body")
+        numbers.append(number)
+    order, owners = list(sites), []
+    for geom_body in model.geom_bodyid.tolist():
+        body = geom_body
+        while body and body not in tips:
+            body = int(model.body_parentid[body])
+        owners.append(order.index(tips[body]) if body else -1)
+    for k, finger in enumerate(order):
+        if k not in owners:
+            raise InputError(f"finger {finger}: the body of its site has no geom: allowed is one that can be touched")
+    return numbers, [*owners, -1]  # of a contact with a flex, whose geom is -1
 
 
 def _node_ids(fingers: list[str], chosen: Mapping[str, int] | None) -> dict[str, int]:

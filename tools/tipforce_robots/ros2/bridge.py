@@ -1,19 +1,27 @@
-"""Publish a feed: wrench and contact of each fingertip at each SYNC, diagnostics once a second and at each event."""
+"""Samples of one fingertip as messages, wrench and contact of each, and the state of the hand as diagnostics; and the
+bridge that publishes them from a feed: at each SYNC, diagnostics once a second and at each event.
+
+The frame ``<finger>_tip`` has its origin at the centre of the tip: x is the direction of F3 and y of F1 (docs/
+mechanics.md), z is normal to the plane of the beams, right-handed. So the force is P (cos phi, sin phi, 0), and the
+torque about the origin r P sin(phi - theta) = r F2, around z.
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError, TipforceError
+from tipforce.samples import reasons
 from tipforce.samples.columns import Block
+from tipforce.samples.reasons import Status
 from tipforce_robots.ros2 import cdr
-from tipforce_robots.ros2 import messages as diagnosing
-from tipforce_robots.ros2.bus_file import ros_name
 from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, EMPTY, FINGERTIP, WRENCH
-from tipforce_robots.ros2.messages import Tip
 
 if TYPE_CHECKING:
     from tipforce.host.hand.events import Event
@@ -23,6 +31,116 @@ if TYPE_CHECKING:
 
 PERIOD_NS = 1_000_000_000
 _TAKE_S = 0.02
+OK, WARN, ERROR, STALE = range(4)
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
+
+_LEVELS = {
+    "emcy": ERROR, "heartbeat_lost": ERROR, "failed": ERROR, "bus_down": ERROR, "refused": ERROR, "babbling": ERROR,
+    "callback_failed": ERROR, "duplicate": ERROR, "boot_up": WARN, "changed": WARN, "accepted": WARN, "restored": WARN,
+}  # fmt: skip
+
+
+class Tip:
+    """One fingertip: its samples as messages, and what those of a period say as diagnostics of ``name``."""
+
+    def __init__(self, name: str, node_id: int, frame_id: str, tip_radius_m: float) -> None:
+        self.name, self.node_id, self.hardware_id = name, node_id, f"node {node_id}"
+        self.wrenches = 0
+        """Messages so far."""
+        self._radius_m = tip_radius_m
+        torque = {"wrench.force.z": 0.0, "wrench.torque.x": 0.0, "wrench.torque.y": 0.0}
+        self._wrench = cdr.Layout(WRENCH, {"header.frame_id": frame_id, **torque})
+        constants = {"header.frame_id": frame_id, "node_id": node_id}
+        self._contact = cache(lambda gauges: cdr.Layout(CONTACT, constants, {"microstrain": gauges}))
+        self._begin_period()
+
+    def _begin_period(self) -> None:
+        self._counts = {"samples": 0, "without force": 0, "wrenches": 0}
+        self._unknown = self._doubtful = 0
+        self._last: Block | None = None
+
+    def messages(self, samples: Block, numbers: npt.NDArray[np.int64]) -> Iterator[tuple[str, int, bytes]]:
+        """Yield kind, stamp and content of the messages of this period's samples: contacts first, then wrenches.
+
+        ``numbers`` (k,) of the samples, -1 for none. There is a wrench where P, phi and theta are all known.
+        """
+        if not len(samples):
+            return
+        known = np.flatnonzero(np.isfinite(samples.contact).all(axis=1))
+        self._judge(samples, len(known))
+        rows = self._wrench.rows(len(known))
+        P, (phi, theta) = samples.contact[known, 0], np.radians(samples.contact[known, 1:]).T
+        cdr.set_stamps(rows, samples.t_ns[known])
+        rows["wrench.force.x"], rows["wrench.force.y"] = P * np.cos(phi), P * np.sin(phi)
+        rows["wrench.torque.z"] = self._radius_m * P * np.sin(phi - theta)
+        for t_ns, message in zip(samples.t_ns.tolist(), self._contacts(samples, numbers), strict=True):
+            yield CONTACT, t_ns, message
+        for t_ns, message in zip(samples.t_ns[known].tolist(), cdr.split(rows), strict=True):
+            yield WRENCH, t_ns, message
+
+    def _contacts(self, samples: Block, numbers: npt.NDArray[np.int64]) -> list[bytes]:
+        rows = self._contact(samples.gauges.shape[1]).rows(len(samples))
+        cdr.set_stamps(rows, samples.t_ns)
+        rows["number"], rows["status"], rows["microstrain"] = numbers, samples.status, samples.gauges
+        for values, suffix in ((samples.contact, ""), (samples.u, "_uncertainty")):
+            rows["force" + suffix] = values[:, 0]
+            rows["direction" + suffix], rows["angle" + suffix] = np.radians(values[:, 1]), np.radians(values[:, 2])
+        return cdr.split(rows)
+
+    def _judge(self, samples: Block, wrenches: int) -> None:
+        known = np.isfinite(samples.contact[:, 0])
+        counts = self._counts
+        counts["samples"] += int(np.count_nonzero(samples.status & np.uint16(Status.NO_ANSWER) == 0))
+        counts["without force"] += int(np.count_nonzero(~known))
+        counts["wrenches"] += wrenches
+        self.wrenches += wrenches
+        self._unknown |= int(np.bitwise_or.reduce(samples.status[~known], initial=0))
+        if not known.all():  # a bit that should be set and is not
+            calibrated = samples.status[~known] & np.uint16(Status.CALIBRATED)
+            self._unknown &= 0xFFFF if calibrated.all() else ~int(Status.CALIBRATED)
+        self._doubtful |= int(np.bitwise_or.reduce(samples.status[known], initial=0))
+        self._last = samples
+
+    def status(self, state: str) -> dict[str, Any]:
+        """Return the DiagnosticStatus of the period and begin the next one; ``state`` is the NMT state, if known."""
+        values, last, without = {"NMT state": state, **self._counts}, self._last, self._counts["without force"]
+        if last is None:
+            level, message = STALE, "no sample"
+        else:
+            values["force, N"] = f"{last.contact[-1, 0]:.3f}"
+            values["status"] = f"{int(last.status[-1]):04X}h"
+            if without:
+                why = reasons.why(self._unknown, force_known=False, angles_known=False)
+                level, message = ERROR, f"{why} ({without} of {max(self._counts['samples'], without)} samples)"
+            elif doubts := reasons.doubts(self._doubtful):
+                level, message = WARN, ", ".join(doubts)
+            else:
+                level, message = OK, "contact" if int(last.status[-1]) & Status.CONTACT else "no contact"
+        self._begin_period()
+        return diagnostic(self.name, self.hardware_id, level, message, values)
+
+
+def diagnostic(name: str, hardware_id: str, level: int, message: str, values: Mapping[str, object]) -> dict[str, Any]:
+    """Return a DiagnosticStatus; empty values are left out."""
+    pairs = [{"key": key, "value": str(value)} for key, value in values.items() if value != ""]
+    return {"level": level, "name": name, "message": message, "hardware_id": hardware_id, "values": pairs}
+
+
+def of_event(name: str, hardware_id: str, kind: str, text: str, **values: str) -> dict[str, Any]:
+    """Return the DiagnosticStatus of an event of a hand or a log."""
+    message = f"{kind.replace('_', ' ')}: {text}"
+    return diagnostic(name, hardware_id, _LEVELS.get(kind, OK), message, {"event": kind, **values})
+
+
+def array(t_ns: int, status: list[dict[str, Any]]) -> bytes:
+    """Serialise a DiagnosticArray."""
+    return cdr.encode(DIAGNOSTICS, {"header": {"stamp": cdr.stamp(t_ns), "frame_id": ""}, "status": status})
+
+
+def ros_name(name: str, node_id: int) -> str:
+    """Return a name that ROS 2 takes for a node: letters, digits and underscores, a letter first."""
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return plain if plain[:1].isalpha() else f"finger_{node_id}{'_' if plain else ''}{plain}"
 
 
 class PublishedTip(Tip):
@@ -117,24 +235,24 @@ class Bridge:
 
     def _tare(self, tip: PublishedTip) -> dict[str, Any]:
         try:
-            level, message = diagnosing.OK, f"tared: {self._feed.tare(tip.node_id)}"
+            level, message = OK, f"tared: {self._feed.tare(tip.node_id)}"
         except TipforceError as error:
-            level, message = diagnosing.ERROR, f"not tared: {error}"
-        return diagnosing.diagnostic(tip.name, tip.hardware_id, level, message, {"event": "tare"})
+            level, message = ERROR, f"not tared: {error}"
+        return diagnostic(tip.name, tip.hardware_id, level, message, {"event": "tare"})
 
     def _bus(self) -> dict[str, Any]:
         lost, self._overrun = self._feed.overrun - self._overrun, self._feed.overrun
-        level, message = (diagnosing.OK, "SYNC") if self._period_rows else (diagnosing.ERROR, "no SYNC, no rows")
+        level, message = (OK, "SYNC") if self._period_rows else (ERROR, "no SYNC, no rows")
         if lost:
-            level, message = max(level, diagnosing.WARN), f"{message}; {lost} batches lost: this process is too slow"
+            level, message = max(level, WARN), f"{message}; {lost} batches lost: this process is too slow"
         name = diagnostics_name(self._prefix, "bus")
-        return diagnosing.diagnostic(name, "", level, message, {"rows": self._period_rows})
+        return diagnostic(name, "", level, message, {"rows": self._period_rows})
 
     def _of_event(self, event: Event) -> dict[str, Any]:
         tip = self.tips.get(event.node_id)
         name = tip.name if tip else diagnostics_name(self._prefix, f"node {event.node_id}" if event.node_id else "bus")
         code = f"{event.code:04X}h" if event.kind == "emcy" else ""
-        return diagnosing.of_event(name, tip.hardware_id if tip else "", event.kind, event.text, code=code)
+        return of_event(name, tip.hardware_id if tip else "", event.kind, event.text, code=code)
 
     def _send(self, now_ns: int, status: list[dict[str, Any]]) -> None:
-        self._diagnostics.publish(diagnosing.array(now_ns, status), now_ns)
+        self._diagnostics.publish(array(now_ns, status), now_ns)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.dictionary.eds import eds_text, file_name, lely_dialect
 from tipforce.errors import InputError
 from tipforce.output_file import BUS_CONFIGURATION, EDS, Kind, write_files
+from tipforce_robots.ros2.bridge import ros_name
 
 if TYPE_CHECKING:
     from tipforce.host.hand.file import HandFile
@@ -52,9 +52,3 @@ def write_ros2_bus(hand: HandFile, folder: Path) -> list[Path]:
         name, beat_ms = ros_name(finger.name, finger.node_id), hand.hand.heartbeat_ms
         text += _FINGER.format(name=name, node_id=finger.node_id, eds=json.dumps(eds), heartbeat_ms=beat_ms)
     return write_files(folder, files | {"bus.yml": (text, BUS_CONFIGURATION)})
-
-
-def ros_name(name: str, node_id: int) -> str:
-    """Return a name that ROS 2 takes for a node: letters, digits and underscores, a letter first."""
-    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
-    return plain if plain[:1].isalpha() else f"finger_{node_id}{'_' if plain else ''}{plain}"

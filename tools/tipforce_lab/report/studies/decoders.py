@@ -13,7 +13,7 @@ import numpy as np
 
 from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.frames.frame_array import FrameArray, frame_array
+from tipforce.host.frames.frame_array import frame_array
 from tipforce_lab.report.study import Effort, Need, Point, Series, Study, timed
 
 NODE_ID, GAUGES, UNKNOWN = 5, 3, -0x8000
@@ -34,7 +34,9 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     message = next(m for m in tpdo_messages(GAUGES) if m.name == "Contact")
     data = _frames(np.random.default_rng([effort.seed, 2]), BATCHES[-1])
     frames = frame_array((k, message.cob_id_base + NODE_ID, frame) for k, frame in enumerate(data))
-    error, shown = judge(_ours(frames), data, message)
+    (samples,) = Decoder(GAUGES, [NODE_ID]).decode(frames).values()
+    columns = [map(_known, samples.columns[name].tolist()) for name in MEASURED]
+    error, shown = judge(list(zip(*columns, strict=True)), data, message)
     unknown_shown, points = {OURS: shown}, []
     for size in BATCHES:
         batch, decoder = frames[:size], Decoder(GAUGES, [NODE_ID])
@@ -83,12 +85,6 @@ def judge(rows: Rows, data: list[bytes], message: Message) -> tuple[float, int]:
                 assert value is not None
                 worst = max(worst, abs(Fraction(value) * divisor - raw))
     return float(worst), shown
-
-
-def _ours(frames: FrameArray) -> Rows:
-    (samples,) = Decoder(GAUGES, [NODE_ID]).decode(frames).values()
-    columns = [samples.columns[name].tolist() for name in MEASURED]
-    return [tuple(_known(value) for value in row) for row in zip(*columns, strict=True)]
 
 
 def _known(value: object) -> float | None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import binascii
 import json
 import shutil
-import struct
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -193,7 +192,6 @@ def _normalised(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _shifted(value: IntArray, bits: int) -> IntArray:
-    """Return value / 2^bits, rounded to the nearest."""
     return (value + (1 << bits - 1)) >> bits if bits else value
 
 
@@ -247,25 +245,19 @@ def on_the_node(given: Contacts, form: str) -> Method:
     gain, counts = LSB_MICROSTRAIN, given.counts.tolist()
 
     def work() -> Estimate:
-        found = []
+        rows = []
         for row in counts:
             F1, F2, F3 = active.force(active.C, [gain * c for c in row])
             P, _phi, theta, _miss = scalar.contact(F1, F2, F3, PULL)
-            found.append((P, theta * scalar.DEGREES))
-        P_column, theta_column = np.array(found).T
+            rows.append((P, theta * scalar.DEGREES))
+        P_column, theta_column = np.array(rows).T
+        if form == "REAL32":
+            return P_column.astype(np.float32).astype(np.float64), theta_column.astype(np.float32).astype(np.float64)
+        if form == "INTEGER16":
+            return np.rint(P_column * 1000.0) / 1000.0, np.rint(theta_column * 100.0) / 100.0
         return P_column, theta_column
 
-    return {"inside": work, "REAL32": lambda: _as_real32(work()), "INTEGER16": lambda: _as_integer16(work())}[form]
-
-
-def _as_real32(estimate: Estimate) -> Estimate:
-    P, theta = estimate
-    return P.astype(np.float32).astype(np.float64), theta.astype(np.float32).astype(np.float64)
-
-
-def _as_integer16(estimate: Estimate) -> Estimate:
-    P, theta = estimate
-    return np.rint(P * 1000.0) / 1000.0, np.rint(theta * 100.0) / 100.0
+    return work
 
 
 def in_integers(given: Contacts, form: Format) -> Method:
@@ -302,22 +294,16 @@ _SHOWN = 'print("out", binascii.hexlify(b"".join([struct.pack("<2d", f[0], f[2])
 
 def on_micropython(given: Contacts, effort: Effort) -> tuple[Estimate, Timing]:
     """Return the node's scalar estimator on MicroPython, REAL32 C, doubles. Raises EnvironmentLackError without it."""
-    counts = given.counts
+    counts, runs = given.counts, effort.pick(3, 7)
     repeats = max(1, 2000 // len(counts))  # its clock has a resolution of 1 ms, and a sample takes about 30 us
     files = {
         "/scalar.py": Path(scalar.__file__).read_text(encoding="utf-8"),
-        "/C": _base64(np.float32(given.C).astype("<f4").tobytes()),
-        "/counts": _base64(counts.astype("<i4").tobytes()),
+        "/C": binascii.b2a_base64(np.float32(given.C).astype("<f4").tobytes()).decode(),
+        "/counts": binascii.b2a_base64(counts.astype("<i4").tobytes()).decode(),
     }
-    runs = effort.pick(3, 7)
     program = _ON_MICROPYTHON.replace("LSB", repr(LSB_MICROSTRAIN))
     lines = run_micropython(files, [program, "work()", *[_TIMED.replace("REPEATS", str(repeats))] * runs, _SHOWN])
     seconds = [float(line[3:]) * 1e-3 / (repeats * len(counts)) for line in lines if line.startswith("ms ")]
     (shown,) = [line[4:] for line in lines if line.startswith("out ")]
-    raw = binascii.unhexlify(shown)
-    P, theta_rad = np.array(struct.unpack(f"<{len(raw) // 8}d", raw)).reshape(-1, 2).T
+    P, theta_rad = np.frombuffer(binascii.unhexlify(shown), "<f8").reshape(-1, 2).T
     return (P, np.degrees(theta_rad)), quartiles(seconds)
-
-
-def _base64(data: bytes) -> str:
-    return binascii.b2a_base64(data, newline=False).decode()

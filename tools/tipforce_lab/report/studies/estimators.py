@@ -18,7 +18,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_lab.report.studies import estimator_methods as methods
 from tipforce_lab.report.studies.estimator_methods import COUNT_BITS, LSB_MICROSTRAIN, RANGE_MICROSTRAIN, Contacts
-from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, timed
+from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, series_of, timed
 
 CASE = "III"
 _FILLED = 0.98  # of the converter's range, at most
@@ -60,8 +60,6 @@ STEPS = 2 * (sum(map(len, _METHODS.values())) + 1)
 
 
 class _Result(NamedTuple):
-    """One setting of one method."""
-
     estimate: methods.Estimate
     timing: Timing
 
@@ -138,12 +136,12 @@ def _run(
 
 
 def _series(results: dict[_Setting, _Result], error: Callable[[methods.Estimate], FloatArray]) -> tuple[Series, ...]:
-    points: dict[str, list[Point]] = {}
+    points = []
     for (method, setting), result in results.items():
         off = error(result.estimate)
-        point = Point(setting, float(np.abs(off).max()), result.timing, float(np.sqrt(np.mean(off**2))))
-        points.setdefault(method, []).append(point)
-    return tuple(Series(method, tuple(of_method)) for method, of_method in points.items())
+        rms = float(np.sqrt(np.mean(off**2)))
+        points.append((method, Point(setting, float(np.abs(off).max()), result.timing, rms)))
+    return series_of(points)
 
 
 def _worst(series: tuple[Series, ...]) -> dict[_Setting, float]:
@@ -236,7 +234,11 @@ def contacts(
     if corners:
         counts = np.concatenate((counts, _corners(C)))
     exact = [_exact(C, row) for row in counts.tolist()]
-    return Contacts(C, counts, [contact[0] for contact in exact], [contact[1] for contact in exact], _full_scale(A))
+    # The largest strain of a gauge per newton: that for F2 = P or F2 = -P at the best phi.
+    at, sine = np.meshgrid(np.linspace(-np.pi, np.pi, 721), np.linspace(-1.0, 1.0, 3))
+    largest = np.abs(np.stack((np.sin(at), sine, np.cos(at)), axis=-1) @ A.T).max()
+    P_exact, theta_exact = map(list, zip(*exact, strict=True))
+    return Contacts(C, counts, P_exact, theta_exact, float(RANGE_MICROSTRAIN * 1e-6 / largest))
 
 
 def _corners(C: FloatArray) -> IntArray:
@@ -246,13 +248,6 @@ def _corners(C: FloatArray) -> IntArray:
     possible = np.abs(F[:, 1]) < 0.99 * np.hypot(F[:, 0], F[:, 2])
     corners: IntArray = signs[possible] * round(_FILLED * 2 ** (COUNT_BITS - 1))
     return corners
-
-
-def _full_scale(A: FloatArray) -> float:
-    """Search the largest strain of a gauge per newton: that for F2 = P or F2 = -P at the best phi."""
-    phi, sine = np.meshgrid(np.linspace(-np.pi, np.pi, 721), np.linspace(-1.0, 1.0, 3))
-    F = np.stack((np.sin(phi), sine, np.cos(phi)), axis=-1)
-    return float(RANGE_MICROSTRAIN * 1e-6 / np.abs(F @ A.T).max())
 
 
 def _exact(C: FloatArray, counts: list[int]) -> tuple[Decimal, Decimal]:

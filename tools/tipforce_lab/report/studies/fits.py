@@ -13,7 +13,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration, linear_fit
 from tipforce.sensor.calibration.simulation import paper_grooves, true_matrix, unseen_forces
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, quartiles, timed
+from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, quartiles, series_of, timed
 
 LOADS = (6, 12, 25, 50, 100, 200)
 NOISE_STRAIN, OFFSET_STRAIN, OUTLIER_STRAIN = 1e-6, 30e-6, 200e-6
@@ -26,8 +26,6 @@ _MANY = 25
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rig:
-    """One simulated calibration."""
-
     readings: Readings
     A: FloatArray
     offset_strain: FloatArray
@@ -43,7 +41,7 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
 
 
 def _study(effort: Effort, advance: Callable[[], None], share: float) -> Study:
-    points: dict[str, list[Point]] = {method: [] for method in _METHODS}
+    points: list[tuple[str, Point]] = []
     refused: dict[str, str] = {}
     repeats = effort.pick(8, 100)
     for loads in LOADS:
@@ -55,8 +53,10 @@ def _study(effort: Effort, advance: Callable[[], None], share: float) -> Study:
                 refused[f"{method}, {loads} loads"] = f"refused: {error}"
                 continue
             timing = _timing(fit, rigs, effort)
-            points[method].append(Point(f"{loads} loads", float(np.sqrt(np.mean(np.square(errors)))), timing))
+            rms = float(np.sqrt(np.mean(np.square(errors))))
+            points.append((method, Point(f"{loads} loads", rms, timing)))
         advance()
+    series = series_of(sorted(points, key=lambda point: list(_METHODS).index(point[0])))
     what = f"{share:.0%} of the readings off by {OUTLIER_STRAIN * 1e6:g} microstrain" if share else "no outliers"
     return Study(
         key="fits-outliers" if share else "fits",
@@ -69,9 +69,9 @@ def _study(effort: Effort, advance: Callable[[], None], share: float) -> Study:
             f"every three loads, noise {NOISE_STRAIN * 1e6:g} and offset {OFFSET_STRAIN * 1e6:g} microstrain, {what}"
         ),
         reference_error=1e-15,
-        series=tuple(Series(method, tuple(of_method)) for method, of_method in points.items() if of_method),
+        series=series,
         left_out=refused,
-        remarks=tuple(_remarks(points)),
+        remarks=tuple(_remarks(series)),
         needs=(Need(f"calibrate, {'some readings wrong' if share else 'clean readings'}, to 0.02 N", 0.02, "N"),),
     )
 
@@ -95,17 +95,14 @@ def _rig(rng: np.random.Generator, loads: int, share: float) -> _Rig:
 
 
 def _linear(readings: Readings) -> Fitted:
-    return linear_fit(readings.strain, _forces(readings)), np.zeros(readings.strain.shape[1])
+    F = force_vector(readings.P_newtons, readings.phi_rad, readings.theta_rad)
+    return linear_fit(readings.strain, F), np.zeros(readings.strain.shape[1])
 
 
 def _affine(readings: Readings) -> Fitted:
-    F = _forces(readings)
+    F = force_vector(readings.P_newtons, readings.phi_rad, readings.theta_rad)
     coefficients, *_ = np.linalg.lstsq(np.column_stack((F, np.ones(len(F)))), readings.strain, rcond=None)
     return np.linalg.pinv(coefficients[:3].T), coefficients[3]
-
-
-def _forces(readings: Readings) -> FloatArray:
-    return force_vector(readings.P_newtons, readings.phi_rad, readings.theta_rad)
 
 
 def _full(readings: Readings) -> Fitted:
@@ -130,10 +127,10 @@ def _timing(fit: Callable[[Readings], Fitted], rigs: list[_Rig], effort: Effort)
     return quartiles(each)
 
 
-def _remarks(points: dict[str, list[Point]]) -> list[str]:
+def _remarks(series: tuple[Series, ...]) -> list[str]:
     remarks = []
-    for method, fitted_points in points.items():
-        many = {int(point.setting.split()[0]): point.error for point in fitted_points}
+    for method, points in ((fitted.method, fitted.points) for fitted in series):
+        many = {int(point.setting.split()[0]): point.error for point in points}
         many = {loads: error for loads, error in many.items() if loads >= _MANY}
         if len(many) < 2:
             continue

@@ -95,10 +95,11 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Grid]:
         counts_by_fault = {fault: [Counted() for _ in METHODS] for fault in FAULTS}
         for finger in range(effort.pick(1, 2)):
             with tempfile.TemporaryDirectory(prefix="tipforce-report-") as folder:
-                seed = effort.seed + 100 * finger + gauges
-                for fault, counts in _of_finger(Path(folder), gauges, seed, effort.pick(4, 8)):
-                    both = zip(counts_by_fault[fault], counts, strict=True)
-                    counts_by_fault[fault] = [before + now for before, now in both]
+                rng = np.random.default_rng([effort.seed + 100 * finger + gauges, gauges])
+                calibration = calibrated(Path(folder), gauges, rng)  # once, by the command
+                for fault, before in counts_by_fault.items():
+                    counts = _counts(Path(folder), _scene(fault, gauges, effort.pick(4, 8), rng), calibration)
+                    before[:] = [a + b for a, b in zip(before, counts, strict=True)]
         rows += [_row(fault, gauges, tuple(counts)) for fault, counts in counts_by_fault.items()]
         advance()
     return [
@@ -133,14 +134,6 @@ def _remarks(rows: list[GridRow]) -> tuple[str, ...]:
         f"Fingers without a fault are shown as ok in {100.0 * clean.ok / max(clean.rows, 1):.1f} % of the rows.",
         "tipforce read, hand and view show the node's values; the exported C judges as the node (tests/export_c).",
     )
-
-
-def _of_finger(folder: Path, gauges: int, seed: int, seconds: float) -> Iterator[tuple[str, list[Counted]]]:
-    """Yield (fault, counts of each method) of one finger, calibrated once by the command."""
-    rng = np.random.default_rng([seed, gauges])
-    calibration = calibrated(folder, gauges, rng)
-    for fault in FAULTS:
-        yield fault, _counts(folder, _scene(fault, gauges, seconds, rng), calibration)
 
 
 def calibrated(folder: Path, gauges: int, rng: np.random.Generator) -> Calibration:

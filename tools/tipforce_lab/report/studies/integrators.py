@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -17,7 +17,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Striker, impact
 from tipforce_lab.dynamics.integrators import Load, Problem, Wave, no_load
-from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, timed_together
+from tipforce_lab.report.study import Effort, Need, Point, Series, Study, series_of, timed_together
 
 _SAMPLES = 40
 _FORCE = np.array([1.0, 0.5, -0.3])
@@ -30,6 +30,9 @@ _FIXED: dict[str, Callable[[Problem, Load, FloatArray], FloatArray]] = {
     "Newmark": integrators.newmark,
     "generalised-alpha 0.8": integrators.generalised_alpha,
 }
+_SUBSTEPS: dict[bool, tuple[int, ...]] = {True: (1, 4, 16), False: (1, 2, 4, 8, 16, 32, 64, 128)}
+_TOLERANCES: dict[bool, tuple[float, ...]] = {True: (1e-4, 1e-7), False: (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)}
+"""By ``Effort.quick``."""
 Run = Callable[[], FloatArray]
 
 
@@ -136,9 +139,11 @@ class _Job:
 
 
 def _study(task: Task, effort: Effort) -> Study:
-    jobs = _exact(task, effort)
-    for name in _FIXED:
-        jobs += [_job(task, name, _setting(task, n), partial(_fixed, task, name, n)) for n in _substeps(effort)]
+    jobs, steps = _exact(task, effort), _SUBSTEPS[effort.quick]
+    for name, method in _FIXED.items():
+        for n in steps:
+            run = partial(_fixed, task, method, n)
+            jobs.append(_job(task, name, _setting(task, n), run))
     left_out, check, difference = {}, "", None
     try:
         from tipforce_lab.report.studies import integrator_check
@@ -149,10 +154,13 @@ def _study(task: Task, effort: Effort) -> Study:
         difference = relative(checked(task), task.wanted)
         for name in integrators.SCIPY_METHODS:
             jobs += _adaptive(task, effort, name)
-    series = _timed(task, effort, jobs)
+    at_least_s = 0.004 if effort.quick else 0.02
+    timings = timed_together([job.run for job in jobs], effort, task.duration_s, at_least_s, warm=True)
+    points = [Point(job.setting, job.error, timing) for job, timing in zip(jobs, timings, strict=True)]
+    series = series_of(zip((job.method for job in jobs), points, strict=True))
     return Study(
         task.key, task.title, "largest error of the elastic force over its largest value", "s per simulated second",
-        task.reference, task.reference_error, tuple(series), left_out, tuple(_remarks(task, series)),
+        task.reference, task.reference_error, series, left_out, tuple(_remarks(task, series)),
         (Need(f"{task.need}, to {100.0 * _ENOUGH:g} %", _ENOUGH),), check, difference,
     )  # fmt: skip
 
@@ -160,17 +168,16 @@ def _study(task: Task, effort: Effort) -> Study:
 def _exact(task: Task, effort: Effort) -> list[_Job]:
     """Return the jobs of the product's own method. The events are the reference: their error is that of it."""
     if isinstance(task.load, Wave):
-        return [_job(task, "held step (exact)", _setting(task, n), partial(_held, task, n)) for n in _substeps(effort)]
-    job = _job(task, "events (exact)", "the reference", partial(_events, task))
+        return [
+            _job(task, "held step (exact)", _setting(task, n), partial(_held, task, n)) for n in _SUBSTEPS[effort.quick]
+        ]
+    run = partial(impact, task.problem.modes, _STRIKER, task.duration_s, task.times_s)
+    job = _job(task, "events (exact)", "the reference", lambda: run().elastic_newtons)
     return [replace(job, error=max(job.error, task.reference_error))]
 
 
 def _job(task: Task, method: str, setting: str, run: Run) -> _Job:
     return _Job(method, setting, run, relative(run(), task.wanted))
-
-
-def _events(task: Task) -> FloatArray:
-    return impact(task.problem.modes, _STRIKER, task.duration_s, task.times_s).elastic_newtons
 
 
 def _held(task: Task, substeps: int) -> FloatArray:
@@ -179,53 +186,27 @@ def _held(task: Task, substeps: int) -> FloatArray:
     return respond(task.problem.modes, loads, task.duration_s / (_SAMPLES * substeps)).elastic_newtons[::substeps]
 
 
-def _fixed(task: Task, name: str, substeps: int) -> FloatArray:
-    return _FIXED[name](task.problem, task.load, task.times(substeps))[::substeps]
+def _fixed(task: Task, method: Callable[[Problem, Load, FloatArray], FloatArray], substeps: int) -> FloatArray:
+    return method(task.problem, task.load, task.times(substeps))[::substeps]
 
 
 def _adaptive(task: Task, effort: Effort, name: str) -> list[_Job]:
     """Return the jobs of a method by tolerance, up to the first one that takes long."""
     jobs = []
-    for rtol in _tolerances(effort):
-        started = time.process_time_ns()
+    for rtol in _TOLERANCES[effort.quick]:
+        started = time.process_time()
         run = partial(integrators.scipy_method, task.problem, task.load, task.times_s, name, rtol)
         jobs.append(_job(task, name, f"rtol {rtol:g}", run))
-        if (time.process_time_ns() - started) * 1e-9 > (0.05 if effort.quick else 0.5):
+        if time.process_time() - started > (0.05 if effort.quick else 0.5):
             break  # the next tolerance takes several times as long
     return jobs
-
-
-def _timed(task: Task, effort: Effort, jobs: list[_Job]) -> list[Series]:
-    """Time all settings of all methods together, and return a series per method."""
-    timings = timed_together([job.run for job in jobs], effort, at_least_s=0.004 if effort.quick else 0.02, warm=True)
-    points: dict[str, list[Point]] = {}
-    for job, timing in zip(jobs, timings, strict=True):
-        point = Point(job.setting, job.error, _per_second(timing, task.duration_s))
-        points.setdefault(job.method, []).append(point)
-    return [Series(method, tuple(of_method)) for method, of_method in points.items()]
-
-
-def _per_second(timing: Timing, duration_s: float) -> Timing:
-    assert timing.cpu_seconds is not None
-    return replace(
-        timing, seconds=timing.seconds / duration_s, first_quartile_s=timing.first_quartile_s / duration_s,
-        third_quartile_s=timing.third_quartile_s / duration_s, cpu_seconds=timing.cpu_seconds / duration_s,
-    )  # fmt: skip
-
-
-def _substeps(effort: Effort) -> tuple[int, ...]:
-    return (1, 4, 16) if effort.quick else (1, 2, 4, 8, 16, 32, 64, 128)
-
-
-def _tolerances(effort: Effort) -> tuple[float, ...]:
-    return (1e-4, 1e-7) if effort.quick else (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
 
 
 def _setting(task: Task, substeps: int) -> str:
     return f"step {1e6 * task.duration_s / _SAMPLES / substeps:.4g} us"
 
 
-def _remarks(task: Task, series: list[Series]) -> list[str]:
+def _remarks(task: Task, series: Sequence[Series]) -> list[str]:
     problem = task.problem
     contact = 0.0 if problem.push is None else problem.stiffness * np.outer(problem.push, problem.closure)
     poles = np.linalg.eigvals(problem.A + contact)

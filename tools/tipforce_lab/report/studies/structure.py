@@ -17,7 +17,7 @@ from tipforce_lab.fem import gauges as fem
 from tipforce_lab.fem.mesh import GRADING, Resolution
 from tipforce_lab.fem.outline import STATED
 from tipforce_lab.fem.plane_stress import Model, solve
-from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, timed
+from tipforce_lab.report.study import Effort, Need, Point, Study, Timing, series_of, timed
 
 GAUGES = ("L", "R", "K_H", "S_H", "U")
 """The gauges of the three cases: the rows of the strain matrix."""
@@ -31,8 +31,6 @@ _UNIFORM, _GRADED = "FE, uniform meshes", "FE, graded meshes"
 
 @dataclass(frozen=True, slots=True)
 class _Result:
-    """One setting of one model."""
-
     setting: str
     matrix: FloatArray
     timing: Timing
@@ -112,11 +110,11 @@ def _study(
     key: str, error_unit: str, reference: str, own_error: float, results: _Results, error: _Error,
     needs: tuple[Need, ...],
 ) -> Study:  # fmt: skip
-    series = tuple(
-        Series(method, tuple(Point(result.setting, error(result.matrix), result.timing) for result in points))
-        for method, points in results.items()
-    )
-    errors = {one.method: one.points[-1].error for one in series}
+    series = series_of(
+        (method, Point(result.setting, error(result.matrix), result.timing))
+        for method, of_method in results.items() for result in of_method
+    )  # fmt: skip
+    errors = {model.method: model.points[-1].error for model in series}
     best = min((method for method in errors if not method.startswith("FE")), key=lambda method: errors[method])
     remarks = (
         f"With as many unknowns ({results[_GRADED][-1].setting}) the graded mesh has an error of "
@@ -152,6 +150,5 @@ def _beam_models() -> dict[str, Callable[[], FloatArray]]:
 
 
 def _finite_elements(cells: int, grading: float) -> tuple[FloatArray, int]:
-    """Return the strain matrix and the number of unknowns."""
     solution = solve(Model(resolution=Resolution(cells, grading)))
     return fem.strain_matrix(solution, GAUGES), solution.unknowns

@@ -1,0 +1,239 @@
+"""The documents that are made: every command with its flags and the exit codes, from the parsers; the results of every
+conformance case against a node on vcan0, and their counts; verdict and recommendations of a finished report.
+
+    python -m bench.documents commands                            docs/commands.md (`make generate`)
+    tipforce vcan -- python -m bench.documents cases > build/conformance.md
+    python -m bench.documents conformance build/conformance.md    its counts in docs/conformance.md
+    python -m bench.documents report                              of `make report`, in docs/report.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import html
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from bench.measure import ROOT, TIPFORCE, arguments, fill_page, table
+
+from canopen_conformance.case import all_cases
+from tipforce_tools import fingertip_cases
+from tipforce_tools.cli import actions, bus_flags, common
+from tipforce_tools.cli.main import COMMANDS, EXIT_TEXTS, command_parser
+
+PATH = ROOT / "docs" / "commands.md"
+_HEAD = """\
+# Commands
+
+This page is generated from the parsers (`make generate`). `tipforce COMMAND --help` prints the same with examples. Data
+goes to stdout, everything else to stderr. A wrong command line is one line on stderr and exit code 2.
+
+Node-ids are written `10` or `0x0A`, sets of them `1,2,5-9`. Shell completion: `tipforce completion`.
+
+## Exit codes
+
+| code | meaning |
+|---|---|
+"""
+_MEANINGS = {
+    0: "ok; also where the reader of a pipe (`head`) closes it",
+    1: "a check that was asked for failed (`demo`, `run`, `verify`, `conformance`, `doctor`, ...), or an output failed",
+    2: "usage: a flag, a value or an input file is wrong, or this machine lacks something (the line names it)",
+    5: "no response from a node",
+    9: "permission",
+    11: "a node aborted an SDO transfer",
+    12: "a device refused",
+    130: "interrupted (Ctrl-C)",
+}
+_COMMON = {"bus arguments": "bus", "SDO": "SDO", "output": "output"}
+
+
+def page() -> str:
+    """The text of the page."""
+    assert list(_MEANINGS) == list(EXIT_TEXTS)
+    parts = [_HEAD, *(f"| {code} | {text} |\n" for code, text in _MEANINGS.items()), "\n## Common flags\n"]
+    shared = argparse.ArgumentParser(add_help=False)
+    common.add_sdo_arguments(shared)
+    for title, name in _COMMON.items():
+        parts += [f"\n**{name[0].upper()}{name[1:]} flags**\n", _table(_groups(shared)[title])]
+    for path, parser in _parsers():
+        parts += _section(path, parser, _groups(shared))
+    return "".join(parts)
+
+
+def _parsers() -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    for name in COMMANDS:
+        parser = command_parser(name)
+        table = next((action.choices for action in parser._actions if isinstance(action.choices, Mapping)), None)
+        if table is None:
+            yield name, parser
+        for action in table or ():
+            yield f"{name} {action}", actions.action_parser(name, action, table or {})
+
+
+def _section(path: str, parser: argparse.ArgumentParser, shared: Mapping[str, list[argparse.Action]]) -> Iterator[str]:
+    groups = _groups(parser)
+    whole = [title for title in _COMMON if _dests(groups.get(title, [])) == _dests(shared[title])]
+    own = [action for title, flags in groups.items() if title not in whole for action in flags]
+    summary = " ".join((parser.description or "").split())
+    yield f"\n## tipforce {path}\n\n{_escaped(summary)}\n"
+    yield _table(own)
+    if whole:
+        yield f"\nAlso the [common flags](#common-flags): {', '.join(_COMMON[title] for title in whole)}.\n"
+
+
+def _groups(parser: argparse.ArgumentParser) -> dict[str, list[argparse.Action]]:
+    flags: dict[str, list[argparse.Action]] = {}
+    for group in parser._action_groups:
+        kept = [action for action in group._group_actions if action.help != argparse.SUPPRESS and action.dest != "help"]
+        flags.setdefault(group.title or "", []).extend(kept)
+    return flags
+
+
+def _dests(flags: list[argparse.Action]) -> list[str]:
+    return [action.dest for action in flags]
+
+
+def _table(flags: list[argparse.Action]) -> str:
+    rows = "".join(f"| {_words(action)} | {_escaped(_help(action))} |\n" for action in flags)
+    return f"\n| argument | meaning |\n|---|---|\n{rows}" if rows else ""
+
+
+def _words(action: argparse.Action) -> str:
+    if not action.option_strings:
+        value = action.metavar if isinstance(action.metavar, str) else _choices(action) or action.dest.upper()
+        return _code(value)
+    flags = ", ".join(map(_code, action.option_strings))
+    if action.nargs == 0:
+        return flags
+    metavar = " ".join(action.metavar) if isinstance(action.metavar, tuple) else action.metavar
+    return f"{flags} {_code(metavar or _choices(action) or action.dest.upper())}"
+
+
+def _choices(action: argparse.Action) -> str:
+    return "|".join(map(str, action.choices or ()))
+
+
+def _help(action: argparse.Action) -> str:
+    # Plug-ins of python-can would add interfaces of this machine.
+    interfaces = isinstance(action.choices, bus_flags.Interfaces)
+    choices = bus_flags.BUILT_IN_INTERFACES if interfaces else tuple(action.choices or ())
+    words = {**vars(action), "choices": ", ".join(map(str, choices)), "prog": "tipforce"}
+    return " ".join(((action.help or "") % words).split())
+
+
+def _code(text: str) -> str:
+    # In a table, Markdown's own code cannot hold a vertical bar on every renderer.
+    return f"`{text}`" if "|" not in text else f"<code>{html.escape(text).replace('|', '&#124;')}</code>"
+
+
+def _escaped(text: str) -> str:
+    """Text outside of code, in which Markdown's characters are plain."""
+    parts = text.split("`")
+    parts[::2] = (re.sub(r"([\\|\[\]*<])", r"\\\1", part) for part in parts[::2])
+    return "`".join(parts)
+
+
+INTERFACE, NODE_ID = "vcan0", 5
+_ON_BUS = ("--node-id", str(NODE_ID), "-i", "socketcan", "-c", INTERFACE, "-q")
+_START_S = 20
+GROUPS = {
+    "CiA 301 7.2.2": "PDO", "CiA 301 7.2.4": "SDO", "CiA 301 7.2.5": "SYNC", "CiA 301 7.2.6": "TIME",
+    "CiA 301 7.2.7": "EMCY", "CiA 301 7.2.8": "NMT, heartbeat, node guarding", "CiA 301 7.3.2": "services by NMT state",
+    "CiA 301 7.3.3": "pre-defined connection set", "CiA 301 7.3.5": "restricted CAN-IDs",
+    "CiA 301 7.4": "data types and dummy entries", "CiA 301 7.5.2": "objects 1000h to 1FFFh",
+    "CiA 302-2": "NMT start-up",
+    "CiA 305 6": "LSS", "CiA 404": "analogue inputs of the fingertip", "tipforce": "the fingertip's own objects",
+}  # fmt: skip
+"""The beginnings of clauses, and what they are about."""
+
+
+def summary(rows: list[tuple[str, str]]) -> str:
+    """A table by clause; ``rows`` are the clause and the verdict of each case. Raises ValueError if a case failed."""
+    if {verdict for _clause, verdict in rows} - {"pass", "not applicable"}:
+        raise ValueError("a case failed")
+    lines = []
+    for start, about in GROUPS.items():
+        verdicts = [verdict for clause, verdict in rows if next(g for g in GROUPS if clause.startswith(g)) == start]
+        lines.append([start, about, *map(str, (len(verdicts), *map(verdicts.count, ("pass", "not applicable"))))])
+    return table(["clauses", "about", "cases", "passed", "not applicable"], lines)
+
+
+@contextmanager
+def running_node(store: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """`tipforce node` on vcan0, which has booted."""
+    import can
+
+    with can.Bus(interface="socketcan", channel=INTERFACE) as bus:
+        words = [*TIPFORCE, "node", *_ON_BUS, "--store", str(store), "--noise", "0"]
+        process = subprocess.Popen(words)
+        try:
+            deadline = time.monotonic() + _START_S
+            while (message := bus.recv(1.0)) is None or message.arbitration_id != 0x700 + NODE_ID:
+                if process.poll() is not None or time.monotonic() > deadline:
+                    raise RuntimeError("the node did not boot")
+            yield process
+        finally:
+            process.terminate()
+            process.wait(10)
+
+
+def run_on_vcan(folder: Path) -> list[dict[str, str]]:
+    """Every case by the command line against a running node: its JSON records."""
+    with running_node(folder / "store.json"):
+        words = [*TIPFORCE, "conformance", *_ON_BUS, "--persistent", "--json"]
+        done = subprocess.run(words, stdout=subprocess.PIPE, check=False)
+    if done.returncode not in (0, 1):
+        raise RuntimeError(f"tipforce conformance ended with {done.returncode}")
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def section(head: dict[str, Any]) -> str:
+    """Markdown of the first record of report.jsonl."""
+    machine = ", ".join(f"{name} {value}" for name, value in head["machine"].items())
+    effort = "quick" if head["quick"] else "full"
+    parts = [f"A {effort} run of {head['date']}, seed {head['seed']}: {machine}."]
+    parts.append("\n".join(f"- {sentence}" for sentence in head["verdict"]))
+    if head["advice"]:
+        parts.append(table(["need", "method", "error", "processor time"], head["advice"]))
+    return "\n\n".join(parts)
+
+
+def main() -> int:
+    parser = arguments(__doc__)
+    parser.add_argument("what", choices=("commands", "cases", "conformance", "report"))
+    parser.add_argument("list", nargs="?", type=Path, help="conformance: the list by case")
+    args = parser.parse_args()
+    if args.what == "commands":
+        if PATH.read_text() != page():
+            PATH.write_text(page())
+            print(PATH)
+    elif args.what == "cases":
+        # A root that is read-only (User-mode Linux) still has memory.
+        with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as folder:
+            records = run_on_vcan(Path(folder))
+        if len(records) != len(all_cases(fingertip_cases)):
+            raise RuntimeError(f"{len(records)} results")
+        for record in records:
+            cells = record["clause"], record["case"], record["title"].replace("|", "\\|"), record["verdict"]
+            print(f"| {' | '.join(cells)} |")
+    elif args.what == "conformance":
+        rows = [line.strip("| \n").split(" | ") for line in args.list.read_text(encoding="utf-8").splitlines()]
+        fill_page("conformance", summary([(row[0], row[-1]) for row in rows]))
+    else:
+        lines = (ROOT / "build" / "report" / "report.jsonl").read_text(encoding="utf-8").splitlines()
+        fill_page("report", section(json.loads(lines[0])))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
