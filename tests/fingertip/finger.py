@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from canopen_device.core.node import Device
-from canopen_device.testing import Conversation, MemoryStore
+from canopen_device.testing import Conversation
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Source
 from tipforce.sources.simulated import SimulatedSource
@@ -143,7 +143,7 @@ def finger(
     calibrated: bool | bytes = True,
     load: Load = (0.0, 0.0, 0.0),
     noise_microstrain: float = 0.0,
-    store: MemoryStore | None = None,
+    store: Any = None,
     offset_microstrain: Sequence[float] | None = None,
     source: Source | None = None,
     emcy: bool = False,
@@ -152,7 +152,7 @@ def finger(
     if source is None:
         source = SimulatedSource(strain_per_newton(n), noise_microstrain, offset_microstrain, seed=7)
         source.load = load
-    hooks: dict[str, Any] = {} if store is None else {"save": store.save, "load": store.load}
+    hooks = {} if store is None else {"save": store.save, "load": store.load}
     talk = Finger(fingertip_node(NODE_ID, source, n, serial=4711, **hooks), source, emcy)
     if calibrated:
         assert talk.stage(calibrated if isinstance(calibrated, bytes) else record(n)) == 0
