@@ -38,9 +38,11 @@ def cases() -> list[Case]:
         Case("calibration.cut_store", "a stored calibration of every length from 0 to one byte short", "flagged",
              "the node starts uncalibrated and never with a part", _cut_store),
         Case("calibration.huge", "C of 3.4e38 N per strain, the largest REAL32", "refused",
-             "commit refuses with 06090031h; the active calibration stays", _huge),
+             "commit refuses with 06090031h; the active calibration stays",
+             lambda: _sized(3.4e38, codes.TOO_HIGH)),
         Case("calibration.tiny", "C of 1e-44 N per strain, a denormal REAL32", "refused",
-             "commit refuses with 06090032h; the active calibration stays", _tiny),
+             "commit refuses with 06090032h; the active calibration stays",
+             lambda: _sized(1e-44, codes.TOO_LOW)),
         Case("calibration.tare_huge", "a tare at 32 N, then 0.5 N less; with offsets of 3000 microstrain",
              "bounded", "the rest is right within one count (1 mN); F is computed in double precision", _tare_huge),
         Case("calibration.tare_saturated", "a tare while a gauge is saturated, or while the sample is stale", "refused",
@@ -209,14 +211,6 @@ def _sized(newtons_per_strain: float, code: int) -> Observed:
     abort = finger.stage(rig.record(C=C)) or finger.commit()
     held = abort == code and finger.calibration() == before and finger.sync().contact[0] == 1000
     return Observed(held, f"{abort:08X}h, active CRC {before[1]:08X}h stays")
-
-
-def _huge() -> Observed:
-    return _sized(3.4e38, codes.TOO_HIGH)
-
-
-def _tiny() -> Observed:
-    return _sized(1e-44, codes.TOO_LOW)
 
 
 def _tare_huge() -> Observed:
