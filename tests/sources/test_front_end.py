@@ -240,7 +240,7 @@ def test_the_node_shows_the_temperature_of_the_front_end() -> None:
     talk = behind(FrontEnd(temperature=[(0.0, 20.0), (10.0, 120.0)]))
     talk.sync()
     assert talk.get("h", 0x2122) == 3000 + 1  # at 1.001 s
-    assert [type(part) for part in talk.source.front_end.parts] == []  # type: ignore[union-attr]
+    assert [type(part) for part in talk.source.front_end.parts] == []
 
 
 @pytest.mark.parametrize(
