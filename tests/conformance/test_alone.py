@@ -1,8 +1,6 @@
 """canopen_conformance copied alone, beside python-can: it needs nothing else of this installation."""
 
-import importlib.metadata
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -13,6 +11,7 @@ import pytest
 import canopen_conformance
 from canopen_conformance.__main__ import main
 from canopen_conformance.case import all_cases
+from device.test_alone import link_packages
 
 # A device in a thread, and the command line in the main thread, on one virtual bus.
 ON_A_BUS = """
@@ -40,24 +39,13 @@ sys.exit(code)
 """
 
 
-def distributions(name: str) -> set[str]:
-    """The distribution and those that it requires, without extras."""
-    required = [text for text in importlib.metadata.requires(name) or [] if "extra ==" not in text]
-    names = {re.split(r"[^\w.-]", text)[0] for text in required if "win32" not in text and "Windows" not in text}
-    return {name}.union(*(distributions(other) for other in names))
-
-
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the package and python-can."""
     folder = tmp_path_factory.mktemp("alone")
     shutil.copytree(Path(canopen_conformance.__file__).parent, folder / "canopen_conformance")
     shutil.copy(Path(__file__).with_name("minimal.py"), folder)
-    for name in distributions("python-can"):
-        distribution = importlib.metadata.distribution(name)
-        for top in {Path(file).parts[0] for file in distribution.files or [] if ".." not in Path(file).parts}:
-            if top != "__pycache__":
-                (folder / top).symlink_to(Path(str(distribution.locate_file(top))))
+    link_packages(folder, "python-can")
     return folder
 
 

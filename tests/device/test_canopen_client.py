@@ -162,7 +162,9 @@ def test_nmt(client: Client) -> None:
 def test_pdo_read_remap_save(client: Client) -> None:
     client.node.tpdo.read()
     first = client.node.tpdo[1]
-    assert [variable.index for variable in first.map] == [0x7130] * 3 + [0x2120, 0x2121]
+    assert (first.enabled, first.cob_id) == (True, 0x185)
+    places = [(0x7130, 1), (0x7130, 2), (0x7130, 3), (0x2120, 0), (0x2121, 0)]
+    assert [(variable.index, variable.subindex) for variable in first.map] == places
     first.clear()
     first.add_variable(0x2121)
     first.add_variable(0x6130, 7)
@@ -175,8 +177,10 @@ def test_pdo_read_remap_save(client: Client) -> None:
         client.network.sync.transmit()
         client.bus.pass_time(2000)
     assert heard == [2, 4]
-    assert client.device.od.integer(0x1A00, 2) == 0x61300720
+    assert [client.device.od.integer(0x1A00, sub) for sub in range(3)] == [2, 0x21210008, 0x61300720]
+    assert client.device.od.integer(0x1800, 1) == 0x40000185, "valid again"
     client.node.rpdo.read()
+    assert not client.node.rpdo[1].enabled
     client.node.rpdo[1].enabled = True
     client.node.rpdo[1].save()
     client.node.rpdo[1]["Command"].raw = 3

@@ -58,7 +58,7 @@ def test_an_active_calibration_that_changes_without_a_commit_is_noticed(monkeypa
         return 0
 
     monkeypatch.setattr(Calibration, "_write_record", write)
-    failures = [fuzz.rounds(1, range(k, k + 1), measure=False)[2] for k in range(4)]
+    failures = (fuzz.rounds(1, range(k, k + 1), measure=False)[2] for k in range(4))
     assert any("changed without a commit" in failure for failure in failures)
 
 

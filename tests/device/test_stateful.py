@@ -11,7 +11,7 @@ from canopen_device.core.sdo_block import crc16
 from canopen_device.testing import Conversation
 from device.tiny import booted
 
-FEW = settings(derandomize=True, max_examples=120, stateful_step_count=40, deadline=None)
+FEW = settings(derandomize=True, max_examples=40, stateful_step_count=40, deadline=None)
 TIMEOUT_US = 1_000_000
 LENGTHS = {0x2000: 1, 0x2001: 2, 0x2002: 4, 0x2006: 9, 0x2009: 4}  # 2005h takes any length
 WRITABLE = (0x2000, 0x2001, 0x2002, 0x2005, 0x2006)

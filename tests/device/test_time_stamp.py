@@ -2,8 +2,6 @@
 
 import struct
 
-import pytest
-
 from device.tiny import serving
 
 DAY_MS = 86_400_000
@@ -18,13 +16,6 @@ def test_network_time_is_known_after_a_time_message_and_runs_on() -> None:
     talk.advance(2_500_000)
     assert talk.device.time.unix_ms() == 5123 * DAY_MS + 3734
     talk.say("")
-
-
-@pytest.mark.parametrize("data", [b"", bytes(5), bytes(7), struct.pack("<IH", DAY_MS, 0)])
-def test_what_is_no_time_of_day_is_passed_over(data: bytes) -> None:
-    talk = serving()
-    talk.step([(0x100, data)])
-    assert talk.device.time.unix_ms() is None
 
 
 def test_consuming_is_switched_off_and_moved() -> None:

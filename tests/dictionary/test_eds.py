@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from canopen_device import types
+from canopen_device.eds import read_eds
 from canopen_device.eds.sections import parse
-from dictionary.eds_faults import eds_faults
 from tipforce.dictionary import table
 from tipforce.dictionary.eds import access_text, dcf_text, eds_text
 from tipforce.dictionary.entries import Entry, entries, objects
@@ -31,9 +31,8 @@ def _import(text: str, folder: Path, node_id: int | None = NODE_ID, suffix: str 
 
 @pytest.mark.parametrize(("n", "simulated"), ALL)
 def test_canopen_reads_what_the_table_says(n: int, simulated: bool, tmp_path: Path) -> None:
-    text = eds_text(n, simulated)
-    assert eds_faults(text) == []
-    od = _import(text, tmp_path)
+    od = _import(eds_text(n, simulated), tmp_path)
+    assert read_eds(tmp_path / "node.eds", NODE_ID).warnings == []
     assert sorted(od.indices) == [found.index for found in objects(n, simulated)]
     for found in objects(n, simulated):
         entry = od[found.index]
@@ -82,17 +81,6 @@ def test_device_information(tmp_path: Path) -> None:
     assert information.allowed_baudrates == {k * 1000 for k in (10, 20, 50, 125, 250, 500, 800, 1000)}
 
 
-def test_the_text_is_plain_and_always_the_same() -> None:
-    text = eds_text(4)
-    assert text == eds_text(4)
-    assert text.isascii()
-    assert "\r" not in text
-    assert text.endswith("\n")
-    assert not text.endswith("\n\n")
-    assert not any(line != line.strip() for line in text.splitlines())
-    assert "=$NODEID+0x40000180\n" in text
-
-
 def test_commands_are_not_downloaded_and_what_is_write_only_not_scanned() -> None:
     eds = parse(eds_text(3, True))
 
@@ -129,7 +117,7 @@ def test_dcf(tmp_path: Path) -> None:
     assert text.count("ParameterValue=") == len(VALUES)
     assert "NodeName=TIP07\n" in text
     assert "LastEDS=tipforce-3.eds\n" in text
-    assert eds_faults(text) == []
+    assert read_eds(tmp_path / "node.dcf").warnings == []
 
 
 def test_dcf_of_every_default(tmp_path: Path) -> None:

@@ -102,16 +102,6 @@ def test_lines_without_a_bus(
 
 
 def test_each_kind_of_line_is_run_somewhere() -> None:
-    assert set(PAGES) >= {
-        "calibration.md",
-        "compare.md",
-        "decode.md",
-        "mechanics.md",
-        "scenes.md",
-        "simulate.md",
-        "tools.md",
-    }
-    assert len(PAGES["decode.md"]) == 5
     assert sum(map(len, PAGES.values())) >= 20
 
 

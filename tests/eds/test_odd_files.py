@@ -248,7 +248,7 @@ def test_what_is_no_eds_is_refused(content: bytes, tmp_path: Path) -> None:
 
 
 def test_damaged_files_never_raise_anything_else(tmp_path: Path) -> None:
-    """Lines removed, doubled, changed, 150 times: a description whose device works, or InputError."""
+    """Lines removed, doubled, changed, 60 times: a description whose device works, or InputError."""
     rng = random.Random(17)
     compact = "[2100]\nParameterName=G\nObjectType=8\nDataType=6\nAccessType=rw\nCompactSubObj=4\n[2100Value]\n1=7\n"
     content = text(
@@ -260,7 +260,7 @@ def test_damaged_files_never_raise_anything_else(tmp_path: Path) -> None:
         info=INFO + "NrOfTXPDO=3\nCompactPDO=0x1F\n",
     )  # fmt: skip
     loaded = 0
-    for _ in range(150):
+    for _ in range(60):
         lines = content.splitlines()
         for _ in range(rng.randrange(1, 12)):
             k = rng.randrange(len(lines))
@@ -292,4 +292,4 @@ def test_damaged_files_never_raise_anything_else(tmp_path: Path) -> None:
             talk.now_us += 5000
             talk.sent.clear()
         talk.step([(0, b"\x81\x05")])
-    assert loaded > 100
+    assert loaded > 40

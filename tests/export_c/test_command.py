@@ -9,7 +9,7 @@ from pathlib import Path
 import canopen
 import pytest
 
-from dictionary.eds_faults import eds_faults
+from canopen_device.eds import read_eds
 from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.table import CONVERTER_24
 from tipforce.host.configuration.configuration_file import read_configuration
@@ -63,7 +63,7 @@ def test_export_dcf(export: Export, tmp_path: Path) -> None:
     settings, dcf = tmp_path / "settings.toml", tmp_path / "node.dcf"
     settings.write_text(SETTINGS)
     assert export("dcf", "--node-id", 5, "--settings", settings, "-o", dcf)[0] == 0
-    assert eds_faults(dcf.read_text()) == []
+    assert read_eds(dcf).warnings == []
     # Back to the same configuration, by canopen's own reader, and from the DCF to a DCF.
     wanted = read_configuration(settings, 5)
     assert read_configuration(dcf, 5) == wanted

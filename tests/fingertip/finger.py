@@ -1,23 +1,28 @@
 """A fingertip node with a simulated source whose numbers are easy: 100 microstrain per newton, so one count is 1 mN."""
 
 import binascii
+import math
 import struct
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from canopen_device.core.node import Device
-from canopen_device.testing import Conversation, MemoryStore
+from canopen_device.testing import Conversation
 from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.source import Source
 from tipforce.sources.simulated import SimulatedSource
 
+NODE_ID = 5
 COMMIT, OPEN, ZERO, TARA = 0x74696D63, 0x6E65706F, 0x6F72657A, 0x61726174
 SAVE, LOAD = 0x65766173, 0x64616F6C
 UNKNOWN = -0x8000
 CONTACT, CALIBRATED, SATURATED, STALE, UNRESOLVED, MISSES, OUTSIDE, FAULT = (1 << bit for bit in range(8))
 PUSH = (1.0, 175.0, 10.0)  # P, phi, theta: within the friction cone of a push, theta in the middle of the pad
 PERIOD_US = 500
+_PDOS = (0x180 + NODE_ID, 0x280 + NODE_ID)
 
 Matrix = Sequence[Sequence[float]]
+Load = tuple[float, float, float]
 
 
 def strain_per_newton(n: int = 3) -> list[list[float]]:
@@ -31,6 +36,12 @@ def matrix(n: int = 3) -> list[list[float]]:
     return [[value / sum(map(bool, row)) for value in row] for row in C]
 
 
+def forces(load: Load) -> Load:
+    """F1, F2, F3 of a load P, phi, theta (degrees)."""
+    P, phi, delta = load[0], math.radians(load[1]), math.radians(load[1] - load[2])
+    return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
+
+
 def packing(n: int = 3) -> str:
     """The calibration record as docs/objects.md gives it, written a second time."""
     return f"<{3 * n}f{n}fIIfB{n * (n + 1) // 2}f5fB5f{n}f{n}f2f"
@@ -42,6 +53,7 @@ def record(
     offsets: Sequence[float] | None = None,
     serial: int = 1,
     noise_strain: float = 9e-8,
+    variance: Sequence[float] | None = None,
     tip: Sequence[float] = (0.015, -60.0, 60.0, 0.05, 0.02, 0),
     validity: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
     converter_limit: float = 0.0,
@@ -51,10 +63,11 @@ def record(
 ) -> bytes:
     """A complete record; ``tip`` is 2110h, ``validity`` 2112h. Noise below one count: a source without is not frozen.
 
-    The fields of version 2 are those of a calibration that does not know them.
+    ``variance`` is the upper triangle of the gauges' covariance, in place of ``noise_strain``. The fields of version 2
+    are those of a calibration that does not know them.
     """
     rows = C if C is not None else matrix(n)
-    variance = [noise_strain**2 if i == k else 0.0 for i in range(n) for k in range(i, n)]
+    variance = variance or [noise_strain**2 if i == k else 0.0 for i in range(n) for k in range(i, n)]
     values = [value for row in rows for value in row] + list(offsets or [0.0] * n)
     values += [serial, 20240131, 23.0, 255, *variance, *tip[:5], int(tip[5]), *validity]
     values += [converter_limit] * n + [offset_per_K] * n + [gain_per_K, redundancy_limit]
@@ -65,7 +78,9 @@ class Pdos(NamedTuple):
     """TPDO1 and TPDO2 of one SYNC."""
 
     gauges: tuple[int, ...]
+    """SG1, SG2, SG3, 0.1 microstrain."""
     contact: tuple[int, ...]
+    """P in mN, phi and theta in 0.01 degree."""
     status: int
     counter: int
 
@@ -73,12 +88,12 @@ class Pdos(NamedTuple):
 class Finger(Conversation):
     """A conversation with a fingertip in OPERATIONAL that sends no heartbeat."""
 
-    def __init__(self, device: Device, source: SimulatedSource) -> None:
-        super().__init__(device, now_us=1_000_000)
+    def __init__(self, device: Device, source: Any = None, emcy: bool = False) -> None:
+        super().__init__(device, now_us=1_000_000, emcy=emcy)
         self.source = source
-        self.say("< 705#00")
+        assert self.sent.pop(0) == (0x700 + NODE_ID, b"\0")
         assert self.put("H", 0x1017, 0, 0) == 0
-        self.say("> 000#0105")
+        self.nmt(1)
 
     def frames(self, after_us: int = 1000, data: bytes = b"") -> dict[int, bytes]:
         """What a SYNC after some time brings, by COB-ID."""
@@ -88,24 +103,35 @@ class Finger(Conversation):
 
     def sync(self, after_us: int = 1000) -> Pdos:
         """A SYNC after some time; both TPDOs must carry the same status and counter."""
-        sent = self.frames(after_us)
-        assert sorted(sent) == [0x185, 0x285]
-        one, two = (struct.unpack("<hhhBB", sent[can_id]) for can_id in (0x185, 0x285))
+        self.now_us += after_us
+        sent = dict(self.step([(0x80, b"")]))
+        self.sent = [frame for frame in self.sent if frame[0] not in _PDOS]
+        one, two = (struct.unpack("<hhhBB", sent[can_id]) for can_id in _PDOS)
         assert one[3:] == two[3:]
         return Pdos(one[:3], two[:3], one[3], one[4])
 
-    def stage(self, data: bytes, crc: int | None = None) -> None:
-        """Write the staged record and its expected CRC."""
-        assert self.download(0x2141, 0, data) == 0
-        assert self.put("I", 0x2103, 1, binascii.crc32(data) if crc is None else crc) == 0
+    def emcy(self) -> list[int]:
+        """The codes of the EMCY messages since the last call, of a conversation that shows them."""
+        found = [data for can_id, data in self.sent if can_id == 0x80 + NODE_ID]
+        self.sent = [frame for frame in self.sent if frame[0] != 0x80 + NODE_ID]
+        return [struct.unpack_from("<H", data)[0] for data in found]
+
+    def break_gauge(self, fault: int, gauge: int = 1, magnitude: float = 0.0) -> None:
+        """A fault of 2200h, without the object."""
+        self.source.set_fault(fault, gauge, magnitude, self.now_us)
+
+    def stage(self, data: bytes, crc: int | None = None) -> int:
+        """Write the staged record and its expected CRC: 0 or the abort code."""
+        expected = binascii.crc32(data) if crc is None else crc
+        return self.download(0x2141, 0, data) or self.put("I", 0x2103, 1, expected)
 
     def commit(self, signature: int = COMMIT) -> int:
         """2104h: 0 or the abort code."""
         return self.put("I", 0x2104, 0, signature)
 
-    def calibration(self) -> tuple[bytes | int, float, float]:
+    def calibration(self) -> tuple[bytes | int, int, int]:
         """Active record, its CRC, generation."""
-        return self.upload(0x2140), self.get("I", 0x2103, 3), self.get("I", 0x2103, 4)
+        return self.upload(0x2140), int(self.get("I", 0x2103, 3)), int(self.get("I", 0x2103, 4))
 
     def channels(self, n: int = 3) -> list[float]:
         """6130h of all channels."""
@@ -115,17 +141,20 @@ class Finger(Conversation):
 def finger(
     n: int = 3,
     calibrated: bool | bytes = True,
-    load: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    load: Load = (0.0, 0.0, 0.0),
     noise_microstrain: float = 0.0,
-    store: MemoryStore | None = None,
+    store: Any = None,
     offset_microstrain: Sequence[float] | None = None,
+    source: Source | None = None,
+    emcy: bool = False,
 ) -> Finger:
-    """A simulated fingertip; ``calibrated`` may be the record to commit."""
-    source = SimulatedSource(strain_per_newton(n), noise_microstrain, offset_microstrain, seed=7)
-    source.load = load
+    """A simulated fingertip, or one with a source; ``calibrated`` may be the record to commit."""
+    if source is None:
+        source = SimulatedSource(strain_per_newton(n), noise_microstrain, offset_microstrain, seed=7)
+        source.load = load
     hooks = {} if store is None else {"save": store.save, "load": store.load}
-    talk = Finger(fingertip_node(5, source, n, serial=4711, **hooks), source)  # type: ignore[arg-type]
+    talk = Finger(fingertip_node(NODE_ID, source, n, serial=4711, **hooks), source, emcy)
     if calibrated:
-        talk.stage(calibrated if isinstance(calibrated, bytes) else record(n))
+        assert talk.stage(calibrated if isinstance(calibrated, bytes) else record(n)) == 0
         assert talk.commit() == 0
     return talk

@@ -1,22 +1,19 @@
 """Channel objects of CiA 404: three forms of one value, scaling, saturation, units."""
 
-import math
 import random
 import struct
 
 import pytest
 
 from canopen_device.testing import MemoryStore
-from fingertip.finger import FAULT, PUSH, SATURATED, SAVE, Finger, finger, record
+from fingertip.finger import FAULT, PUSH, SAVE, Finger, finger, forces, record
 
 SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
 
 
 def test_channels_of_three_gauges() -> None:
     talk = finger(load=PUSH)
-    P, phi, theta = PUSH[0], math.radians(PUSH[1]), math.radians(PUSH[2])
-    F = (P * math.sin(phi), P * math.sin(phi - theta), P * math.cos(phi))
-    expected = [*(100.0 * f for f in F), *F, P, *PUSH[1:]]
+    expected = [*(100.0 * f for f in forces(PUSH)), *forces(PUSH), *PUSH]
     tolerance = [0.051] * 3 + [0.51e-3] * 3 + [0.6e-3, 0.05, 0.1]  # half a count, and what it makes of the angles
     for found, wanted, within in zip(talk.channels(), expected, tolerance, strict=True):
         assert found == pytest.approx(wanted, abs=within)
@@ -69,22 +66,6 @@ def test_flat_scaling_never_raises() -> None:
         pdos = talk.sync()
     assert pdos.status & FAULT  # the other two are frozen: no noise where 100 counts of it are expected
     assert talk.put("f", 0x6123, 1, 1000.0) == 0
-
-
-@pytest.mark.parametrize(("sign", "end", "status"), [(1, 32767, 3), (-1, -32767, 5)])
-def test_saturated_gauge_reads_the_end_of_the_range(sign: int, end: int, status: int) -> None:
-    talk = finger(load=PUSH)
-    talk.source.offset_microstrain[1] = sign * 5000.0
-    pdos = talk.sync()
-    assert pdos.gauges[1] == end
-    assert pdos.status & (SATURATED | FAULT) == SATURATED
-    assert pdos.contact == (-0x8000,) * 3
-    assert math.isnan(talk.get("f", 0x6130, 2))
-    assert talk.get("i", 0x9130, 2) == sign * 0x7FFFFFFF
-    assert [talk.get("B", 0x6150, sub) for sub in range(1, 10)] == [0, status, 0] + [1] * 6
-    assert talk.get("H", 0x2124) == 0b10
-    # The others still read.
-    assert pdos.gauges[0] == pytest.approx(1000 * math.sin(math.radians(PUSH[1])), abs=1)
 
 
 @pytest.mark.parametrize(("gain", "end", "status"), [(10.0, 32767, 3), (-10.0, -32767, 5)])

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from canopen_device.testing import MemoryStore
-from fingertip.finger import COMMIT, PUSH, SAVE, STALE, TARA, ZERO, Finger, finger, matrix, record
+from fingertip.finger import COMMIT, PUSH, SAVE, STALE, TARA, ZERO, Finger, finger, forces, matrix, record
 
 REFUSED = 0x08000022
 TARE, CLEAR, ZERO_GAUGES = 1, 2, 3
@@ -114,8 +114,7 @@ def test_tare_takes_the_present_force_as_zero(how: str) -> None:
     pdos = talk.sync()
     assert pdos.contact[0] == 0
     assert pdos.contact[1:] == (-0x8000, -0x8000)  # no contact, no direction
-    F = (math.sin(math.radians(175)), math.sin(math.radians(165)), math.cos(math.radians(175)))
-    assert tare(talk)[:3] == pytest.approx(F, abs=1e-3)
+    assert tare(talk)[:3] == pytest.approx(forces(PUSH), abs=1e-3)
     assert talk.sync().gauges[2] == pytest.approx(-996, abs=1)  # gauges are not tared
     assert talk.put("H", 0x2130, 0, CLEAR) == 0
     assert talk.sync().contact[0] == pytest.approx(1000, abs=1)

@@ -22,13 +22,6 @@ def redundant(n: int = 6, model: float = 0.0, **changes: object) -> Finger:
     return talk
 
 
-def with_emcy(talk: Finger) -> Finger:
-    """From now on EMCYs are among what was sent."""
-    talk.take()
-    talk._hidden = None
-    return talk
-
-
 def magnitude(sent: dict[int, bytes]) -> int:
     """7130h P of TPDO2, 1 mN."""
     return int(struct.unpack("<h", sent[0x285][:2])[0])
@@ -49,7 +42,7 @@ def test_gauges_that_agree() -> None:
 
 def test_two_gauges_of_a_pair_cannot_be_told_apart() -> None:
     """Gauges 1 and 4 see F1 alone: which one drifts cannot be known, so nothing is shown."""
-    talk = with_emcy(redundant(6))
+    talk = redundant(6, emcy=True)
     drift(talk, 3, 50.0)
     sent = talk.frames()
     assert sent[0x285][6] == CALIBRATED | FAULT
@@ -133,7 +126,7 @@ def test_beyond_the_calibrated_force_the_values_stay_and_the_model_part_grows() 
 
 
 def test_overload_hides_the_force_until_it_is_5_percent_below() -> None:
-    talk = with_emcy(finger(calibrated=validity(), load=(4.1, *PUSH[1:])))
+    talk = finger(calibrated=validity(), load=(4.1, *PUSH[1:]), emcy=True)
     sent = talk.frames()
     assert sent[0x285] == bytes.fromhex("008000800080") + bytes((CALIBRATED | SATURATED, sent[0x185][7]))
     assert sent[0x85] == bytes.fromhex("205021") + struct.pack("<HHx", 15, 0)
@@ -148,7 +141,7 @@ def test_overload_hides_the_force_until_it_is_5_percent_below() -> None:
 
 
 def test_temperature_outside_of_the_calibration() -> None:
-    talk = with_emcy(finger(calibrated=validity(), load=PUSH))
+    talk = finger(calibrated=validity(), load=PUSH, emcy=True)
     talk.frames()
     talk.source.temperature = 3100
     sent = talk.frames()

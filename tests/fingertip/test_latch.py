@@ -10,7 +10,6 @@ from fingertip.finger import (
     CALIBRATED,
     CONTACT,
     FAULT,
-    MISSES,
     OUTSIDE,
     PUSH,
     SATURATED,
@@ -93,16 +92,6 @@ def test_status_bits_and_what_they_make_unknown(
     assert UNKNOWN not in pdos.gauges
 
 
-def test_line_of_action_that_misses_the_tip_hides_theta_alone() -> None:
-    talk = finger()
-    talk.source.offset_microstrain[:] = [0.0, 150.0, -100.0]  # |F2| = 1.5 N where P = hypot(F1, F3) = 1 N
-    pdos = talk.sync()
-    assert pdos.status & (MISSES | CONTACT | CALIBRATED) == MISSES | CONTACT | CALIBRATED
-    assert pdos.contact[2] == UNKNOWN
-    assert pdos.contact[0] == pytest.approx(1250, abs=2)
-    assert pdos.contact[1] == pytest.approx(18000, abs=1)
-
-
 def test_theta_unresolved_hides_theta_alone() -> None:
     # Noise of 1 N makes the angle worthless, not the force.
     talk = finger(calibrated=record(noise_strain=1e-4), load=NORMAL)
@@ -169,13 +158,6 @@ def test_uncertainty_is_that_of_the_sensor_model(load: tuple[float, float, float
     P, phi, theta, _miss = scalar.contact(F[0], F[1], F[2], bool(pull))
     for sub, value in ((7, P), (8, math.degrees(phi)), (9, math.degrees(theta))):
         assert talk.get("f", 0x6130, sub) == pytest.approx(value, rel=1e-5, abs=1e-4)
-
-
-def test_uncertainty_beyond_its_object_is_held_below_the_unknown_mark() -> None:
-    talk = finger(calibrated=record(noise_strain=1.0), load=NORMAL)
-    talk.sync()
-    assert talk.get("f", 0x2107, 1) == pytest.approx(1e4, rel=1e-5)
-    assert talk.get("H", 0x2123) == 0xFFFE
 
 
 def test_uncertainty_and_real32_values_may_be_mapped() -> None:

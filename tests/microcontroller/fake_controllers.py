@@ -9,7 +9,7 @@ class FakeBus:
     def __init__(self) -> None:
         self.coming: "list[tuple[int, bytes]]" = []  # SocketCAN can_id
         self.sent: "list[tuple[int, bytes]]" = []
-        self.state = 0  # 0 active, 1 warning, 2 passive, 3 off
+        self.error = 0  # 0 active, 1 warning, 2 passive, 3 off
         self.overrun = False
         self.room = 1 << 30  # frames that the bus takes before it is blocked
         self.restarts = 0
@@ -17,11 +17,20 @@ class FakeBus:
 
     def out(self, can_id: int, data: bytes) -> bool:
         """Send a frame, if the bus takes one."""
-        if not self.room or self.state == 3:
+        if not self.room or self.error == 3:
             return False
         self.room -= 1
         self.sent.append((can_id, bytes(data)))
         return True
+
+    def state(self) -> int:
+        """The error state, as ``machine.CAN`` and ``pyb.CAN`` count it."""
+        return self.error + 1
+
+    def restart(self) -> None:
+        """Leave bus-off."""
+        self.restarts += 1
+        self.error = 0
 
 
 class FakeMachineCan(FakeBus):
@@ -61,32 +70,9 @@ class FakeMachineCan(FakeBus):
 
     def send(self, can_id: int, data: bytes, _flags: int = 0) -> "int | None":
         """A buffer's number, None without room."""
-        if self.state == 3:
+        if self.error == 3:
             raise OSError(5)
         return 0 if self.out(can_id, data) else None
-
-    # `state` is the method of machine.CAN, and of the fakes' base the number.
-    def restart(self) -> None:
-        """Leave bus-off."""
-        self.restarts += 1
-        self.state = 0
-
-
-class MachineCanView:
-    """``machine.CAN`` over a FakeMachineCan: ``state()`` is a method there."""
-
-    STATE_STOPPED, STATE_ACTIVE, STATE_WARNING, STATE_PASSIVE, STATE_BUS_OFF = 0, 1, 2, 3, 4
-    FLAG_RTR, FLAG_EXT_ID = 1, 2
-    RECV_ERR_FULL, RECV_ERR_OVERRUN = 1, 2
-
-    def __init__(self, bus: FakeMachineCan) -> None:
-        self._bus = bus
-        self.init, self.deinit, self.set_filters = bus.init, bus.deinit, bus.set_filters
-        self.recv, self.send, self.restart = bus.recv, bus.send, bus.restart
-
-    def state(self) -> int:
-        """The error state."""
-        return self._bus.state + 1
 
 
 class FakePybCan(FakeBus):
@@ -140,27 +126,6 @@ class FakePybCan(FakeBus):
         if not self.out(can_id, data):
             raise OSError(116)
 
-    def restart(self) -> None:
-        """Leave bus-off."""
-        self.restarts += 1
-        self.state = 0
-
-
-class PybCanView:
-    """``pyb.CAN`` over a FakePybCan: ``state()`` is a method there."""
-
-    NORMAL, MASK16 = 0, 1
-    ERROR_ACTIVE, ERROR_WARNING, ERROR_PASSIVE, BUS_OFF = 1, 2, 3, 4
-
-    def __init__(self, bus: FakePybCan) -> None:
-        self._bus = bus
-        self.init, self.setfilter, self.any, self.recv = bus.init, bus.setfilter, bus.any, bus.recv
-        self.info, self.send, self.restart = bus.info, bus.send, bus.restart
-
-    def state(self) -> int:
-        """The error state."""
-        return self._bus.state + 1
-
 
 class FakeMcp2515(FakeBus):
     """An MCP2515 with SPI and chip select; frames come into its two buffers one after the other."""
@@ -203,7 +168,7 @@ class FakeMcp2515(FakeBus):
         if command == 0x03:
             address = self._in[1] + k
             if address == 0x2D:
-                return self.registers[0x2D] & 0xC0 | self.EFLG[self.state] | (0x40 if self.overrun else 0)
+                return self.registers[0x2D] & 0xC0 | self.EFLG[self.error] | (0x40 if self.overrun else 0)
             return self.registers[address]
         if command == 0xA0:
             return self.registers[0x2C] & 3 | (4 if self.registers[0x30] & 8 else 0)
@@ -268,7 +233,7 @@ class FakeMcp2515(FakeBus):
             if before & 0xE0 == 0x80 and not self.registers[0x0E] & 0xE0:
                 self.bit_rates.append(self.bit_rate())
                 self.restarts += 1
-                self.state = 0
+                self.error = 0
 
     def bit_rate(self) -> int:
         """Bits a second of CNF1 to CNF3; AssertionError for a timing that the data sheet forbids."""

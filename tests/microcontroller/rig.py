@@ -46,9 +46,9 @@ def controller(kind: str) -> "tuple[Any, Any]":
         return Mcp2515(mcp, mcp.cs, BIT_RATE), mcp
     if kind == "machine":
         machine = fake_controllers.FakeMachineCan()
-        return MachineCan(fake_controllers.MachineCanView(machine), BIT_RATE), machine
+        return MachineCan(machine, BIT_RATE), machine
     pyb = fake_controllers.FakePybCan()
-    return PybCan(fake_controllers.PybCanView(pyb), BIT_RATE), pyb
+    return PybCan(pyb, BIT_RATE), pyb
 
 
 class Rig:
@@ -82,7 +82,7 @@ class Rig:
                     signal[0] = int(counts)
             elif word[0] == "!":
                 self._happen(word[1:])
-            elif self.bus.state != 3:  # a controller that is off hears nothing
+            elif self.bus.error != 3:  # a controller that is off hears nothing
                 can_id, data = word.split("#")
                 self.bus.coming.append((int(can_id, 16), binascii.unhexlify(data)))
         wait_us = self.firmware.poll()
@@ -93,7 +93,7 @@ class Rig:
 
     def _happen(self, what: str) -> None:
         if what in STATES:
-            self.bus.state = STATES.index(what)
+            self.bus.error = STATES.index(what)
         elif what == "overrun":
             self.bus.overrun = True
         else:  # "silent" and "speaking": the converters

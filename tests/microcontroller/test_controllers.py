@@ -59,7 +59,7 @@ def test_pyb_sends_one_at_a_time() -> None:
 
 def test_pyb_of_old_firmware() -> None:
     bus = fake_controllers.FakePybCan(old=True)
-    port = PybCan(fake_controllers.PybCanView(bus), 250000)
+    port = PybCan(bus, 250000)
     bus.coming += [(0x123, b"\1"), (0x40000705, b"")]
     assert port.receive() == [(0x123, b"\1"), (0x40000705, b"")]
     assert bus.bit_rates == [250000]
@@ -76,12 +76,12 @@ def test_a_full_queue_is_told(pair: tuple[Any, Any]) -> None:
 def test_states_become_error_frames(pair: tuple[Any, Any]) -> None:
     port, bus = pair
     for state, expected in ((1, 0x0C), (2, 0x30), (1, 0x0C), (0, 0x40)):
-        bus.state = state
+        bus.error = state
         assert port.receive() == [(ERROR | 4, bytes((0, expected)) + bytes(6))]
         assert port.receive() == []
     bus.room = 0
     port.send(0x181, b"")
-    bus.state = 3
+    bus.error = 3
     assert port.receive() == [(ERROR | 0x40, bytes(8))]
     port.send(0x181, b"")
     assert not port.busy()  # a frame of before would be stale
@@ -127,7 +127,7 @@ def test_no_mcp2515() -> None:
 
 def firmware_on(clock: fakes.FakeClock, slots: fakes.MemorySlots) -> tuple[Firmware, fake_controllers.FakeMachineCan]:
     bus = fake_controllers.FakeMachineCan()
-    port = MachineCan(fake_controllers.MachineCanView(bus), 125000)
+    port = MachineCan(bus, 125000)
     fake = fakes.FakeAds1220(clock, [5])
     chips = [rig.chip("ads1220", clock, [k])[0] for k in range(3)]
     assert fake.registers[0] == 0

@@ -51,7 +51,7 @@ def SPI(number, baudrate, polarity, phase):
 
 def CAN(number, bitrate):
     buses.append(machine_can)
-    return fake_controllers.MachineCanView(machine_can)
+    return machine_can
 
 def unique_id():
     return b'\\1\\2\\3'
@@ -75,7 +75,7 @@ from microcontroller import fake_controllers
 
 def CAN(number):
     machine.buses.append(machine.pyb_can)
-    return fake_controllers.PybCanView(machine.pyb_can)
+    return machine.pyb_can
 """
 RUN = """
 import machine

@@ -13,12 +13,10 @@ from pathlib import Path
 import pytest
 
 from canopen_device.running.store import FileStore
-from fingertip.finger import Finger
-from running.store_child import ROWS, record
-from tipforce.fingertip.node import fingertip_node
-from tipforce.sources.simulated import SimulatedSource
+from fingertip.finger import Finger, finger
+from running.store_child import record
 
-KILLS = 200
+KILLS = int(os.environ.get("TIPFORCE_KILLS", "50"))
 AT_ONCE = 2
 LONGEST_US = 6000  # a few cycles of commit and store
 CHILD = Path(__file__).with_name("store_child.py")
@@ -28,8 +26,7 @@ Parent = subprocess.Popen[str]  # of the children that are killed: store_child.p
 
 def restarted(path: Path) -> Finger:
     """The node after a power cycle, on what the disk holds."""
-    store, source = FileStore(path), SimulatedSource(ROWS)
-    return Finger(fingertip_node(5, source, save=store.save, load=store.load), source)
+    return finger(calibrated=False, store=FileStore(path))
 
 
 def survive(parent: Parent, path: Path, first: int, wait_us: int) -> tuple[int, int]:

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dictionary.eds_faults import eds_faults
 from fingertip.finger import FAULT, PUSH, SATURATED, UNKNOWN, Finger, record, strain_per_newton
 from tipforce.dictionary import table
 from tipforce.dictionary.eds import eds_text, file_name
@@ -139,7 +138,6 @@ def test_a_24_bit_reading_beyond_32767_is_not_taken_for_the_end_of_16() -> None:
 @pytest.mark.parametrize("converter", [table.CONVERTER_24, (16, 2.5)])
 def test_the_eds_follows_the_converter(converter: tuple[int, float]) -> None:
     text = eds_text(3, True, converter)
-    assert eds_faults(text) == []
     assert f"FileName={file_name(3, True, bits=converter[0])}" in text
     assert ("[7100]" in text, "[9100]" in text) == (converter[0] == 16, True)
     assert f"DefaultValue={1000.0 * converter[1]}" in text
@@ -242,7 +240,7 @@ def test_the_node_shows_the_temperature_of_the_front_end() -> None:
     talk = behind(FrontEnd(temperature=[(0.0, 20.0), (10.0, 120.0)]))
     talk.sync()
     assert talk.get("h", 0x2122) == 3000 + 1  # at 1.001 s
-    assert [type(part) for part in talk.source.front_end.parts] == []  # type: ignore[union-attr]
+    assert [type(part) for part in talk.source.front_end.parts] == []
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 
 from canopen_device.core import codes, communication
 from canopen_device.testing import MemoryStore
-from stability import rig
+from fingertip import finger as rig
 from stability.case import Case, Observed
 from tipforce.dictionary import indices, table, table_objects
 from tipforce.fingertip.node import fingertip_node
@@ -38,9 +38,11 @@ def cases() -> list[Case]:
         Case("calibration.cut_store", "a stored calibration of every length from 0 to one byte short", "flagged",
              "the node starts uncalibrated and never with a part", _cut_store),
         Case("calibration.huge", "C of 3.4e38 N per strain, the largest REAL32", "refused",
-             "commit refuses with 06090031h; the active calibration stays", _huge),
+             "commit refuses with 06090031h; the active calibration stays",
+             lambda: _sized(3.4e38, codes.TOO_HIGH)),
         Case("calibration.tiny", "C of 1e-44 N per strain, a denormal REAL32", "refused",
-             "commit refuses with 06090032h; the active calibration stays", _tiny),
+             "commit refuses with 06090032h; the active calibration stays",
+             lambda: _sized(1e-44, codes.TOO_LOW)),
         Case("calibration.tare_huge", "a tare at 32 N, then 0.5 N less; with offsets of 3000 microstrain",
              "bounded", "the rest is right within one count (1 mN); F is computed in double precision", _tare_huge),
         Case("calibration.tare_saturated", "a tare while a gauge is saturated, or while the sample is stale", "refused",
@@ -54,14 +56,14 @@ def cases() -> list[Case]:
     ]  # fmt: skip
 
 
-def _refused(finger: rig.Talk, record: bytes, code: int) -> bool:
+def _refused(finger: rig.Finger, record: bytes, code: int) -> bool:
     """Check that a record is refused at commit with a code, and the active one is unchanged."""
-    before = finger.active()
-    return finger.stage(record) == 0 and finger.commit() == code and finger.active() == before
+    before = finger.calibration()
+    return finger.stage(record) == 0 and finger.commit() == code and finger.calibration() == before
 
 
 def _not_finite() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     shown, count, held = finger.sync(), 0, True
     for index, sub, kind in table_objects.staged(3):
         if kind != "f":
@@ -70,8 +72,8 @@ def _not_finite() -> Observed:
             finger.stage(rig.record())
             held &= finger.put("f", index, sub, value) == 0
             held &= finger.put("I", indices.CALIBRATION_CHECK, 1, finger.get("I", indices.CALIBRATION_CHECK, 2)) == 0
-            before = finger.active()
-            held &= finger.commit() == codes.INVALID_VALUE and finger.active() == before
+            before = finger.calibration()
+            held &= finger.commit() == codes.INVALID_VALUE and finger.calibration() == before
             count += 1
     after = finger.sync()
     return Observed(held and after[:3] == shown[:3], f"{count} records refused, P stays {after.contact[0]} mN")
@@ -88,7 +90,7 @@ def _conditioned(kappa: float) -> list[list[float]]:
 def _condition() -> Observed:
     verdicts = []
     for kappa in (10.0, 1e3, 9.9e3, 1.01e4, 1e6):
-        finger = rig.simulated()
+        finger = rig.finger()
         record = rig.record(C=_conditioned(kappa))
         verdicts.append((finger.stage(record) or finger.commit()) == 0)
         if not verdicts[-1] and not _refused(finger, record, codes.TOO_HIGH):
@@ -96,7 +98,7 @@ def _condition() -> Observed:
     # Beyond 1e7 REAL32 cannot represent a rotated matrix, but a graded one exactly.
     exact = []
     for tiny in (2.0**-20, 2.0**-46, 0.0):
-        finger = rig.simulated()
+        finger = rig.finger()
         refused = _refused(finger, rig.record(C=[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4 * tiny]]), codes.TOO_HIGH)
         exact.append(refused and finger.get("f", indices.CALIBRATION_FACTS, 5) == (1.0 / tiny if tiny else math.inf))
     held = verdicts == [True, True, True, False, False] and all(exact)
@@ -107,11 +109,13 @@ def _impossible() -> Observed:
     c = 1e-14
     triples = {
         "negative": (-c, 0, 0, c, 0, c),
+        "negative, denormal": (c, 0, 0, c, 0, -1e-45),
         "correlation 5": (c, 5 * c, 0, c, 0, c),
+        "correlation 1.1": (c, 1.1 * c, 0, c, 0, c),
         "three of -0.9": (c, -0.9 * c, -0.9 * c, c, -0.9 * c, c),
         "0 with covariance": (0, c, 0, c, 0, c),
     }
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     records = {name: rig.record(variance=noise) for name, noise in triples.items()}
     refused = {name: _refused(finger, record, codes.INVALID_VALUE) for name, record in records.items()}
     after, u_P = finger.sync(), finger.get("f", indices.UNCERTAINTY, 1)
@@ -123,14 +127,15 @@ def _impossible() -> Observed:
 
 def _possible() -> Observed:
     rng = np.random.default_rng(11)
-    records = [(0.0,) * 6, (1e-14,) * 6, (1e-30, 0, 0, 1e-14, 0, 1e-6), (2e-14, -2e-14, 1e-14, 2e-14, -1e-14, 5e-15)]
+    records = [(0.0,) * 6, (1e-14,) * 6, (1e-30, 0, 0, 1e-14, 0, 1e-6), (1e-38, 0, 0, 1e-14, 0, 1e30)]
+    records += [(2e-14, -2e-14, 1e-14, 2e-14, -1e-14, 5e-15), (1e-14, -1e-14, 0, 1e-14, 0, 1e-14)]
     for rank in (1, 2, 3):
         for _ in range(20):
             B = 1e-7 * rng.standard_normal((3, rank)) * 10.0 ** rng.uniform(-3.0, 3.0, (3, 1))
             records.append(tuple((B @ B.T)[np.triu_indices(3)].tolist()))
     accepted = 0
     for noise in records:
-        finger = rig.simulated()
+        finger = rig.finger()
         accepted += (finger.stage(rig.record(variance=noise)) or finger.commit()) == 0
     return Observed(accepted == len(records), f"{accepted} of {len(records)} accepted, ranks 0 to 3")
 
@@ -143,35 +148,35 @@ def _flipped(data: bytes) -> Iterable[bytes]:
 
 
 def _flipped_in_transit() -> Observed:
-    finger, record = rig.simulated(load=rig.PUSH), rig.record(tip=(0.015, -60.0, 60.0, 0.05, 0.02, 1))
-    before, crc, refused, total = finger.active(), binascii.crc32(record), 0, 0
+    finger, record = rig.finger(load=rig.PUSH), rig.record(tip=(0.015, -60.0, 60.0, 0.05, 0.02, 1))
+    before, crc, refused, total = finger.calibration(), binascii.crc32(record), 0, 0
     for spoilt in _flipped(record):
         total += 1
         # A load sense that is neither 0 nor 1 is refused at once.
         staged = finger.stage(spoilt, crc)
         refused += staged == codes.INVALID_VALUE or (staged == 0 and finger.commit() == codes.INCOMPATIBLE)
-    held = refused == total == 1264 and finger.active() == before
-    return Observed(held, f"{refused} of {total} refused, active CRC {before[0]:08X}h stays")
+    held = refused == total == 1264 and finger.calibration() == before
+    return Observed(held, f"{refused} of {total} refused, active CRC {before[1]:08X}h stays")
 
 
 def _stored() -> MemoryStore:
     memory = MemoryStore()
-    finger = rig.simulated(memory=memory)
+    finger = rig.finger(store=memory)
     finger.put("I", communication.STORE_PARAMETERS, _GROUP, codes.SIGNATURE_SAVE)
     return memory
 
 
-def _started(memory: MemoryStore) -> rig.Talk:
+def _started(memory: MemoryStore) -> rig.Finger:
     source = SimulatedSource(rig.strain_per_newton())
     source.load = rig.PUSH
-    return rig.Talk(fingertip_node(rig.NODE_ID, source, save=memory.save, load=memory.load), keep=True)
+    return rig.Finger(fingertip_node(rig.NODE_ID, source, save=memory.save, load=memory.load), source, emcy=True)
 
 
-def _uncalibrated(finger: rig.Talk) -> bool:
+def _uncalibrated(finger: rig.Finger) -> bool:
     codes = finger.emcy()
     found = finger.sync()
     unknown = not found.status & scalar.CALIBRATED and found.contact == (rig.UNKNOWN,) * 3
-    return unknown and codes == [table.EMCY_CALIBRATION_INVALID] and finger.active()[0] == 0
+    return unknown and codes == [table.EMCY_CALIBRATION_INVALID] and finger.calibration()[1] == 0
 
 
 def _flipped_in_store() -> Observed:
@@ -200,25 +205,17 @@ def _cut_store() -> Observed:
 
 
 def _sized(newtons_per_strain: float, code: int) -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
-    before = finger.active()
+    finger = rig.finger(load=rig.PUSH)
+    before = finger.calibration()
     C = [[newtons_per_strain if i == k else 0.0 for k in range(3)] for i in range(3)]
     abort = finger.stage(rig.record(C=C)) or finger.commit()
-    held = abort == code and finger.active() == before and finger.sync().contact[0] == 1000
-    return Observed(held, f"{abort:08X}h, active CRC {before[0]:08X}h stays")
-
-
-def _huge() -> Observed:
-    return _sized(3.4e38, codes.TOO_HIGH)
-
-
-def _tiny() -> Observed:
-    return _sized(1e-44, codes.TOO_LOW)
+    held = abort == code and finger.calibration() == before and finger.sync().contact[0] == 1000
+    return Observed(held, f"{abort:08X}h, active CRC {before[1]:08X}h stays")
 
 
 def _tare_huge() -> Observed:
     offsets = [0.0, 0.0, 3000e-6]
-    finger = rig.simulated(calibration=rig.record(offsets=offsets))
+    finger = rig.finger(calibrated=rig.record(offsets=offsets))
     finger.source.offset_microstrain = [1e6 * offset for offset in offsets]
     worst = 0.0
     for P in (1.0, 2.0):
@@ -233,7 +230,7 @@ def _tare_huge() -> Observed:
 
 
 def _tare_saturated() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     finger.sync()
     held = finger.put("I", indices.AUTOTARE, 4, table.SIGNATURE_TARA) == 0
     before = [finger.get("f", indices.TARE, sub) for sub in (1, 2, 3)]
@@ -250,7 +247,7 @@ def _tare_saturated() -> Observed:
 
 
 def _points_equal() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     before, aborts = finger.sync(), []
     forms = (
         indices.SCALING_2_FIELD,
@@ -265,7 +262,7 @@ def _points_equal() -> Observed:
 
 
 def _denormal() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     taken = finger.put("f", indices.SCALING_2_FIELD, 1, 1.4e-45) == 0
     found = finger.sync()
     statuses = [finger.get("B", indices.CHANNEL_STATUS, sub) for sub in (1, 7)]
@@ -275,10 +272,10 @@ def _denormal() -> Observed:
 
 
 def _locked() -> Observed:
-    finger = rig.simulated()
-    before = finger.active()
+    finger = rig.finger()
+    before = finger.calibration()
     finger.put("B", indices.CALIBRATION_GUARD, 2, 1)
     aborts = [finger.put("f", indices.CALIBRATION_MATRIX, 1, 1.0), finger.stage(rig.record(offsets=[1.0, 0.0, 0.0]))]
     aborts += [finger.commit(), finger.put("B", indices.CALIBRATION_GUARD, 2, 0)]
-    held = aborts == [codes.DEVICE_STATE] * 4 and finger.active() == before
+    held = aborts == [codes.DEVICE_STATE] * 4 and finger.calibration() == before
     return Observed(held, ", ".join(f"{abort:08X}h" for abort in aborts))

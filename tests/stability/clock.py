@@ -10,7 +10,7 @@ import numpy as np
 
 from canopen_device.core import codes, communication
 from canopen_device.core.node import Device
-from stability import rig
+from fingertip import finger as rig
 from stability.case import Case, Observed
 from tipforce.dictionary import indices
 from tipforce.host.configuration.measurements import time_faults
@@ -65,7 +65,7 @@ def cases() -> list[Case]:
 
 
 def _counter() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     counters = [finger.sync().counter for _ in range(1000)]
     kept = [c for k, c in enumerate(counters) if not any(start <= k < start + 8 for start in range(100, 1000, 200))]
     whole, lost = decoder.unwrap_counter(counters), decoder.lost_samples(kept)
@@ -87,7 +87,7 @@ def _full_turn() -> Observed:
 
 
 def _high_resolution() -> Observed:
-    finger = rig.simulated()
+    finger = rig.finger()
     finger.put("I", communication.HIGH_RESOLUTION_TIME, 0, 0xFFFFFFFF)
     seen = []
     for after in (0, 1, 2**32 - 2, 1, 1):
@@ -100,7 +100,7 @@ def _high_resolution() -> Observed:
 def _long_run() -> Observed:
     held, beats = True, []
     for turn in (2**31, 2**32, 2**53):
-        finger = rig.simulated(load=rig.PUSH)
+        finger = rig.finger(load=rig.PUSH)
         finger.now_us = turn - 50_000
         finger.step()
         finger.put("H", communication.PRODUCER_HEARTBEAT, 0, 10)
@@ -128,7 +128,7 @@ def _time_of_day() -> Observed:
     epoch, off = datetime.datetime(1970, 1, 1), []
     for when in (datetime.datetime(2038, 1, 19, 3, 14, 7), datetime.datetime(2106, 2, 7, 6, 28, 15),
                  datetime.datetime(2163, 6, 6, 23, 59, 59)):  # fmt: skip
-        finger = rig.simulated()
+        finger = rig.finger()
         finger.step([(codes.TIME_COB_ID, _time(when))])
         finger.now_us += 2_000_000
         finger.step()
@@ -139,7 +139,7 @@ def _time_of_day() -> Observed:
 
 
 def _impossible_time() -> Observed:
-    finger = rig.simulated()
+    finger = rig.finger()
     never = _network_ms(finger.device)
     finger.step([(codes.TIME_COB_ID, _time(datetime.datetime(2024, 2, 29, 12)))])
     before = _network_ms(finger.device)
@@ -196,7 +196,7 @@ def _rows_backwards() -> Observed:
 
 
 def _live_backwards() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     finger.put("H", communication.PRODUCER_HEARTBEAT, 0, 100)
     finger.sync()
     finger.source.load = (2.0, *rig.PUSH[1:])
@@ -224,7 +224,7 @@ def _live_backwards() -> Observed:
 
 
 def _slept() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     finger.put("H", communication.PRODUCER_HEARTBEAT, 0, 100)
     finger.sync()
     finger.source.load = (2.0, *rig.PUSH[1:])
@@ -238,7 +238,7 @@ def _slept() -> Observed:
 
 
 def _twice_rate() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     finger.sync()
     found = [finger.sync(250) for _ in range(200)]
     stale = [bool(one.status & scalar.STALE) for one in found]
@@ -254,7 +254,7 @@ def _twice_rate() -> Observed:
 
 
 def _burst() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     finger.sync()
     found = [finger.sync(1000 if k == 0 else 0) for k in range(100)]
     stale = [bool(one.status & scalar.STALE) for one in found]
@@ -264,7 +264,7 @@ def _burst() -> Observed:
 
 
 def _period() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     aborts = [finger.put("I", indices.SAMPLE_PERIOD_US, 1, value) for value in (0, 1, 99, 1_000_001, 2**32 - 1)]
     kept = finger.get("I", indices.SAMPLE_PERIOD_US, 1)
     held = aborts == [codes.TOO_LOW] * 3 + [codes.TOO_HIGH] * 2 and kept == 500 and finger.source.period_us == 500

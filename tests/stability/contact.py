@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from stability import rig
+from fingertip import finger as rig
 from stability.case import Case, Observed
 from tipforce.sensor.contact import estimate, scalar
 from tipforce.sensor.contact.estimate import force_vector
@@ -50,7 +50,7 @@ def cases() -> list[Case]:
 
 def _no_load() -> Observed:
     found = estimate.contacts(np.zeros(3), pull=False)
-    node = rig.simulated().sync()
+    node = rig.finger().sync()
     angles_unknown = bool(np.isnan(found.phi_rad) and np.isnan(found.theta_rad))
     held = float(found.P_newtons) == 0.0 and angles_unknown and node.contact == (0, rig.UNKNOWN, rig.UNKNOWN)
     return Observed(held, f"P = {float(found.P_newtons):g} N, phi {found.phi_rad}, node {node.contact}")
@@ -154,7 +154,7 @@ def _oblique() -> Observed:
 
 
 def _misses() -> Observed:
-    finger = rig.simulated()
+    finger = rig.finger()
     finger.source.forces = lambda _now_us: (0.6, 1.5, -0.8)
     found = finger.sync()
     P, phi, theta = found.contact
@@ -180,7 +180,7 @@ def _angle_wrap() -> Observed:
     inside = all(bool(((a > -math.pi) & (a <= math.pi)).all()) for a in (found.phi_rad, found.theta_rad))
     off = max(float(np.abs(np.sin(found.phi_rad[:-2] - phi)).max()),
               float(np.abs(np.sin(found.theta_rad[:-2] - theta)).max()))  # fmt: skip
-    shown = [rig.simulated(load=(1.0, angle, 10.0)).sync().contact[1] for angle in (180.0, 179.9999, -179.9999)]
+    shown = [rig.finger(load=(1.0, angle, 10.0)).sync().contact[1] for angle in (180.0, 179.9999, -179.9999)]
     held = inside and off <= 1e-14 and shown == [18000] * 3
     return Observed(held, f"inside: {inside}, off by {off:.1e} radian, node shows {shown}")
 

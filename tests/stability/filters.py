@@ -10,11 +10,10 @@ from functools import partial
 import numpy as np
 
 from canopen_device.core import codes
-from stability import rig
+from fingertip import finger as rig
 from stability.case import Case, Observed
 from tipforce.dictionary import indices
 from tipforce.fingertip import filters
-from tipforce.fingertip.node import fingertip_node
 from tipforce.sensor.contact import scalar
 from tipforce.sources.front_end import Bridge, FrontEnd
 from tipforce.sources.simulated import SILENT, SimulatedSource
@@ -55,8 +54,8 @@ def cases() -> list[Case]:
     ]  # fmt: skip
 
 
-def _filtered(kind: int, constant: int, **arguments: object) -> rig.SimulatedTalk:
-    finger = rig.simulated(**arguments)  # type: ignore[arg-type]
+def _filtered(kind: int, constant: int, **arguments: object) -> rig.Finger:
+    finger = rig.finger(**arguments)  # type: ignore[arg-type]
     abort = finger.put("H", indices.FILTER_CONSTANT, 1, constant) or finger.put("B", indices.FILTER_TYPE, 1, kind)
     if abort:
         raise ValueError(f"{abort:08X}h")
@@ -75,14 +74,14 @@ def _constants() -> Observed:
 
 
 def _constant_1() -> Observed:
-    def run(finger: rig.SimulatedTalk) -> list[rig.Sync]:
+    def run(finger: rig.Finger) -> list[rig.Pdos]:
         found = []
         for k in range(50):
             finger.source.load = (0.1 * k, *rig.PUSH[1:])
             found.append(finger.sync())
         return found
 
-    plain = run(rig.simulated())
+    plain = run(rig.finger())
     same = [run(_filtered(kind, 1)) == plain for kind in (_MOVING, _REPEATING, _FIRST_ORDER)]
     return Observed(all(same), f"{sum(same)} of 3 types give the same 50 samples")
 
@@ -164,9 +163,7 @@ def _silence() -> Observed:
 
 def _noise() -> Observed:
     source = SimulatedSource(rig.strain_per_newton(), front_end=FrontEnd(white_noise=1e6, seed=21))
-    finger = rig.Talk(fingertip_node(rig.NODE_ID, source))
-    if finger.stage(rig.record()) or finger.commit():
-        return Observed(False, "the calibration was refused")
+    finger = rig.finger(source=source)
     found = [finger.sync() for _ in range(400)]
     flagged = [bool(one.status & scalar.SATURATED) for one in found]
     held = all(flag == (max(map(abs, one.gauges)) == 32767) for flag, one in zip(flagged, found, strict=True))
@@ -202,7 +199,7 @@ def _not_finite() -> Observed:
         for value in (math.nan, math.inf, -math.inf, 1e300, -1e300):
             (count,) = front_end.counts([value], 0)
             ends.append(count in (front_end.count_min, front_end.count_max) and (count > 0) == (not value < 0.0))
-    finger = rig.simulated()
+    finger = rig.finger()
     seen = []
     for value in (math.nan, math.inf, -math.inf):
         finger.source.forces = lambda _now, value=value: (value, 0.0, -1.0)

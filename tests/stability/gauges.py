@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stability import rig
+from fingertip import finger as rig
 from stability.case import Case, Observed
 from tipforce.dictionary import indices, table
 from tipforce.fingertip.source import Reading, Source
@@ -67,9 +67,9 @@ class Fixed(Source):
         return Reading(self.counts, 0, 2300)
 
 
-def _noisy(load: rig.Load = rig.PUSH) -> rig.SimulatedTalk:
+def _noisy(load: rig.Load = rig.PUSH) -> rig.Finger:
     variance = [_NOISE if i == k else 0.0 for i in range(3) for k in range(i, 3)]
-    finger = rig.simulated(3, load, rig.record(variance=variance), noise_microstrain=0.3)
+    finger = rig.finger(3, rig.record(variance=variance), load, noise_microstrain=0.3, emcy=True)
     finger.sync()
     return finger
 
@@ -77,7 +77,7 @@ def _noisy(load: rig.Load = rig.PUSH) -> rig.SimulatedTalk:
 def _saturated() -> Observed:
     figures, held = [], True
     for sign, six in ((1, 3), (-1, 5)):
-        finger = rig.simulated()
+        finger = rig.finger(emcy=True)
         finger.source.forces = lambda _now, sign=sign: (sign * 40.0, 0.1, -0.9)
         found = finger.sync()
         status, codes = finger.get("B", indices.CHANNEL_STATUS, 1), finger.emcy()
@@ -89,7 +89,7 @@ def _saturated() -> Observed:
 
 
 def _open() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH, emcy=True)
     finger.sync()
     finger.break_gauge(simulated.OPEN, 2)
     found = finger.sync()
@@ -113,7 +113,7 @@ def _stuck() -> Observed:
 
 
 def _stuck_without_noise() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH)
     finger.sync()
     finger.break_gauge(simulated.STUCK, 1)
     finger.source.load = (3.0, *rig.PUSH[1:])
@@ -128,7 +128,7 @@ def _stuck_without_noise() -> Observed:
 
 
 def _silent() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH, emcy=True)
     finger.sync()
     finger.break_gauge(simulated.SILENT)
     first = finger.sync()
@@ -147,8 +147,8 @@ def _counts(load: rig.Load, n: int, lost: Sequence[int]) -> list[int]:
     return [32767 if k in lost else round(value) for k, value in enumerate(exact)]
 
 
-def _eight(lost: Sequence[int]) -> tuple[rig.Talk, rig.Sync]:
-    finger = rig.with_source(Fixed(_counts(rig.PUSH, 8, lost)), 8)
+def _eight(lost: Sequence[int]) -> tuple[rig.Finger, rig.Pdos]:
+    finger = rig.finger(8, source=Fixed(_counts(rig.PUSH, 8, lost)))
     return finger, finger.sync()
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from stability import rig
+from fingertip import finger as rig
 from stability.case import Case, Observed
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
@@ -79,7 +79,7 @@ def _enormous() -> Observed:
 def _node_enormous() -> Observed:
     sigma = 100.0 * 1e-4  # strain: 100 N
     variance = [sigma**2 if i == k else 0.0 for i in range(3) for k in range(i, 3)]
-    finger = rig.simulated(load=rig.PUSH, calibration=rig.record(variance=variance))
+    finger = rig.finger(load=rig.PUSH, calibrated=rig.record(variance=variance))
     found, u_P = finger.sync(), finger.get("f", indices.UNCERTAINTY, 1)
     flagged = bool(found.status & scalar.THETA_UNRESOLVED) and found.contact[2] == rig.UNKNOWN
     held = flagged and abs(u_P / 100.0 - 1.0) < 1e-5 and finger.get("H", indices.U_P) == 65534

@@ -9,7 +9,7 @@ import warnings
 import numpy as np
 
 from canopen_device.core import codes, communication, emcy
-from stability import rig
+from fingertip import finger as rig
 from stability.case import Case, Observed
 from tipforce.dictionary import indices, table
 from tipforce.dictionary.entries import entries
@@ -66,7 +66,7 @@ def cases() -> list[Case]:
 
 
 def _not_finite() -> Observed:
-    finger = rig.simulated()
+    finger = rig.finger()
     tried = refused = 0
     for (index, sub), row in entries(3, True).items():
         if row.type != "f" or row.access != "rw" or index in _STAGED:
@@ -82,7 +82,7 @@ def _not_finite() -> Observed:
 
 
 def _denormal() -> Observed:
-    finger = rig.simulated()
+    finger = rig.finger()
     kept = 0
     for power in range(-149, -125):
         data = struct.pack("<f", 2.0**power)
@@ -92,11 +92,11 @@ def _denormal() -> Observed:
 
 
 def _overflow() -> Observed:
-    finger = rig.simulated()
+    finger = rig.finger()
     taken = finger.put("f", indices.SPAN_END, 1, 3.4e38) == finger.put("f", indices.PROCESS_OFFSET, 1, 3.4e38) == 0
     finger.sync()
     strain, F1 = finger.get("f", indices.PROCESS_VALUE, 1), finger.get("f", indices.PROCESS_VALUE, 4)
-    big = rig.simulated(calibration=rig.record(C=[[9e6 if i == k else 0.0 for k in range(3)] for i in range(3)]))
+    big = rig.finger(calibrated=rig.record(C=[[9e6 if i == k else 0.0 for k in range(3)] for i in range(3)]))
     big.put("f", indices.SPAN_END, 1, 3.4e38)
     big.put("f", indices.PROCESS_OFFSET, 1, 3.4e38)
     big.sync()
@@ -111,7 +111,7 @@ def _overflow() -> Observed:
 
 def _integer16() -> Observed:
     C = [[5e4 if i == k else 0.0 for k in range(3)] for i in range(3)]
-    finger = rig.simulated(calibration=rig.record(C=C))
+    finger = rig.finger(calibrated=rig.record(C=C))
     held, seen = True, []
     for F1 in (32.766, 33.0, 45.0, -32.766, -33.0, -45.0):
         finger.source.forces = lambda _now, F1=F1: (0.2 * F1, 0.0, -0.2)
@@ -185,7 +185,7 @@ def _short() -> Observed:
 
 
 def _short_rpdo() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH, emcy=True)
     finger.put("I", communication.RPDO, 1, _RPDO_COB_ID)
     finger.sync()
     finger.step([(_RPDO_COB_ID, b"")])
@@ -198,20 +198,20 @@ def _short_rpdo() -> Observed:
 
 
 def _no_data() -> Observed:
-    finger = rig.simulated(load=rig.PUSH)
+    finger = rig.finger(load=rig.PUSH, emcy=True)
     finger.put("I", communication.RPDO, 1, _RPDO_COB_ID)
     finger.put("I", communication.CONSUMER_HEARTBEAT, 1, _WATCHED << 16 | 100)
-    before, active = finger.sync(), finger.active()
+    before, active = finger.sync(), finger.calibration()
     finger.emcy()
     answers = finger.step([(can_id, b"") for can_id in _IDENTIFIERS])
     after = finger.sync()
-    held = after[:3] == before[:3] and after.counter == before.counter + 1 and finger.active() == active
+    held = after[:3] == before[:3] and after.counter == before.counter + 1 and finger.calibration() == active
     held &= all(can_id == codes.EMCY_BASE + rig.NODE_ID for can_id, _ in answers)  # EMCY of the RPDO's length
     return Observed(held, f"{len(_IDENTIFIERS)} identifiers, answers: {[hex(can_id) for can_id, _ in answers]}")
 
 
 def _same_cob_id() -> Observed:
-    finger = rig.simulated()
+    finger = rig.finger(emcy=True)
     for _ in range(3):
         finger.step([(_GAUGES_COB_ID, bytes(8))])
     codes, decoder, said = finger.emcy(), decode.Decoder(), ""
@@ -235,8 +235,8 @@ def _foreign() -> Observed:
 
 def _noise() -> Observed:
     rng = np.random.default_rng(14)
-    finger = rig.simulated(load=rig.PUSH)
-    active = finger.active()
+    finger = rig.finger(load=rig.PUSH)
+    active = finger.calibration()
     ids, lengths = rng.integers(1, codes.STANDARD_MASK + 1, 20000), rng.integers(0, 9, 20000)
     data = rng.integers(0, 256, (20000, 8), dtype=np.uint8)
     frames = [(int(i), bytes(row[:n])) for i, n, row in zip(ids, lengths, data, strict=True)]
@@ -245,8 +245,8 @@ def _noise() -> Observed:
         finger.now_us += 1000
         finger.step(frames[start : start + 100])
     samples = decode.Decoder().decode(frame_array((0, can_id, row) for can_id, row in frames))
-    finger.step([(codes.NMT_COB_ID, rig.OPERATIONAL)])
+    finger.nmt(codes.NMT_START)
     finger.take()
     found = finger.sync()
-    held = finger.active() == active and found.contact[0] == 1000
+    held = finger.calibration() == active and found.contact[0] == 1000
     return Observed(held, f"{len(frames)} frames, {len(samples)} messages decoded, P still {found.contact[0]} mN")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fingertip.finger import PUSH, Finger
-from fingertip.test_judgement import drift, redundant, with_emcy
+from fingertip.test_judgement import drift, redundant
 from tipforce.fingertip.application import Fingertip
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.decoder import Decoder
@@ -48,7 +48,7 @@ def followed(talk: Finger, health: Health, decoder: Decoder, syncs: int) -> int:
 
 def test_the_host_follows_emcy_and_tpdo4() -> None:
     for with_tpdo4 in (False, True):
-        talk = with_emcy(redundant(GAUGES))
+        talk = redundant(GAUGES, emcy=True)
         if with_tpdo4:
             assert talk.put("I", 0x1803, 1, 0x40000485) == 0
         health, decoder = Health(), Decoder(GAUGES)
@@ -88,7 +88,7 @@ def test_emcy_of_other_errors_tells_nothing() -> None:
 
 def logged(path: Path, with_tpdo4: bool, skipped: tuple[int, ...] = ()) -> list[int]:
     """A log of a node with a gauge that drifts between the 30th and the 60th SYNC; 2124h of each SYNC."""
-    talk = with_emcy(redundant(GAUGES))
+    talk = redundant(GAUGES, emcy=True)
     if with_tpdo4:
         assert talk.put("I", 0x1803, 1, 0x40000485) == 0
         talk.take()

@@ -127,6 +127,7 @@ class Page:
     def __init__(self, server: ViewServer, **options: Any) -> None:
         port = server.guard.port
         usual: dict[str, Any] = {"origin": f"http://127.0.0.1:{port}", "open_timeout": WAIT_S, "ping_interval": None}
+        usual |= {"close_timeout": 1.0}  # a flooded connection is not closed in good order
         self._connecting = connect(
             f"ws://127.0.0.1:{port}/live", compression=None, max_size=None, max_queue=1, **(usual | options)
         )

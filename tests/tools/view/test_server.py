@@ -51,14 +51,13 @@ def test_the_page_needs_nothing_that_its_policy_forbids() -> None:
             assert b"eval(" not in content
 
 
-@pytest.mark.parametrize(
-    "path",
-    ["/../command.py", "/..%2fcommand.py", "/static/../command.py", "//etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",
-     "/main.js/../../command.py", "/./main.js", "/etc/passwd", "/main.js%00.html", "\\..\\command.py"],
-)  # fmt: skip
-def test_no_other_file_can_be_named(path: str) -> None:
+def test_no_other_file_can_be_named() -> None:
     with serving(MovingSource()) as server:
-        assert get(server, path)[0] == 404
+        for path in (
+            "/../command.py", "/..%2fcommand.py", "/static/../command.py", "//etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",
+            "/main.js/../../command.py", "/./main.js", "/etc/passwd", "/main.js%00.html", "\\..\\command.py",
+        ):  # fmt: skip
+            assert get(server, path)[0] == 404, path
 
 
 def handshake(server: ViewServer, **options: Any) -> int:
@@ -120,23 +119,23 @@ def test_a_token_opens_the_page_once_and_becomes_a_cookie() -> None:
             assert page.ask("setup")["title"] == "test hand"
 
 
-@pytest.mark.parametrize(
-    "message",
-    [
-        "", "{", "[]", "\udcff".encode("utf-8", "surrogatepass"), '{"do": "at"}', '{"do": "nothing"}', '{"id": 1}',
-        '{"do": "at", "t": "x"}', '{"do": "at", "t": -1}', '{"do": "at", "t": 1e999}',
-        '{"do": "history", "start": 0, "end": 1e12, "bin": 1}', '{"do": "history", "start": 500, "end": 1, "bin": 1}',
-        '{"do": "history", "start": 0, "end": 1, "bin": 1e99}', '{"do": "stream", "bin": 0}',
-        '{"do": "stream", "start": 1, "speed": 0}', '{"do": "setup", "more": 1}', '{"do": "tare", "node_id": "1"}',
-        '{"do": "tare", "node_id": null}', '{"do": "tare", "node_id": 1.5}',
-    ],
-)  # fmt: skip
-def test_wrong_requests_are_refused(message: str | bytes) -> None:
+WRONG = [
+    "", "{", "[]", "\udcff".encode("utf-8", "surrogatepass"), '{"do": "at"}', '{"do": "nothing"}', '{"id": 1}',
+    '{"do": "at", "t": "x"}', '{"do": "at", "t": -1}', '{"do": "at", "t": 1e999}',
+    '{"do": "history", "start": 0, "end": 1e12, "bin": 1}', '{"do": "history", "start": 500, "end": 1, "bin": 1}',
+    '{"do": "history", "start": 0, "end": 1, "bin": 1e99}', '{"do": "stream", "bin": 0}',
+    '{"do": "stream", "start": 1, "speed": 0}', '{"do": "setup", "more": 1}', '{"do": "tare", "node_id": "1"}',
+    '{"do": "tare", "node_id": null}', '{"do": "tare", "node_id": 1.5}',
+]  # fmt: skip
+
+
+def test_wrong_requests_are_refused() -> None:
     source = MovingSource()
     with serving(source, allow_writes=True) as server, Page(server) as page:
-        page.socket.send(message)
-        assert page.receive()["error"]
-        assert page.ask("setup")["title"] == "test hand"  # the page goes on
+        for message in WRONG:
+            page.socket.send(message)
+            assert page.receive()["error"], message
+            assert page.ask("setup")["title"] == "test hand"  # the page goes on
     assert source.tared == []
 
 
