@@ -1,6 +1,6 @@
 """A whole hand over loopback sockets: what is lost, late or mixed at full rate, how regular the SYNC is, what it costs.
 
-    python -m bench.hand    5 fingers at 1 kHz, 15 at 400 Hz, 600 s each; docs/hand-performance.md
+    python -m bench.hand    5 fingers at 1 kHz, 15 at 400 Hz, 600 s each; build/bench/hand-performance.md
 
 The host is a real Hand with the receiver of SocketCAN; see loopback.py for the bus.
 """
@@ -186,7 +186,7 @@ def main() -> int:
         realtime=", both with SCHED_FIFO in place of hardware" if args.realtime else "",
         rows=table(HEADER, map(row, outcomes)), jitter=table(JITTER_HEADER, map(jitter_row, outcomes)),
     )  # fmt: skip
-    write_page("hand-performance", page, page)
+    write_page("hand-performance", page)
     return 0 if not any(outcome.statistics.tally.mixed.any() for outcome in outcomes) else 1
 
 

@@ -1,6 +1,6 @@
 """Measure the live receive path beside canopen's PDO path and python-can, over loopback sockets.
 
-    python -m bench.live    about five minutes, and writes docs/live-performance.md
+    python -m bench.live    about five minutes, and writes build/bench/live-performance.md
 
 Frames are ``struct can_frame`` in datagrams between connected UDP sockets on 127.0.0.1; what reads them is the code
 that reads SocketCAN, options and time stamps included. Costs are CPU time and come from one run in which the ways take
@@ -353,8 +353,7 @@ def report() -> str:
 
 def main() -> None:
     arguments(__doc__).parse_args()
-    text = report()
-    write_page("live-performance", text, text)
+    write_page("live-performance", report())
 
 
 if __name__ == "__main__":

@@ -199,10 +199,8 @@ def save_plot(figure: Any, path: str) -> None:
     figure.savefig(path, dpi=110, metadata={"Date": None} if path.endswith(".svg") else None)
 
 
-def write_page(name: str, full: str, summary: str | None = None) -> None:
-    """Write build/bench/NAME.md, and its summary in docs; print the full page."""
+def write_page(name: str, text: str) -> None:
+    """Write build/bench/NAME.md and print it. docs/performance.md has the figures that a reader needs."""
     (ROOT / "build" / "bench").mkdir(parents=True, exist_ok=True)
-    (ROOT / "build" / "bench" / f"{name}.md").write_text(full, encoding="utf-8")
-    if summary is not None:
-        (ROOT / "docs" / f"{name}.md").write_text(summary, encoding="utf-8")
-    print(full, end="")
+    (ROOT / "build" / "bench" / f"{name}.md").write_text(text, encoding="utf-8")
+    print(text, end="")
