@@ -6,7 +6,9 @@ the object reference as Markdown, every object and the PDOs byte by byte.
 
 from __future__ import annotations
 
+import itertools
 import sys
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -91,30 +93,31 @@ _AREAS = (
 _INTRODUCTION = """\
 # Object reference
 
-Generated from `node/tipforce/dictionary/table_objects.py` by `make generate`: change that, not this file.
+Generated from `node/tipforce/dictionary/table_objects.py` by `make generate`, for a node with {n} gauges.
 
-For a node with {n} gauges; 2200h and 2201h are there on a simulated node only, 1F50h, 1F51h, 1F56h and 1F57h on
-firmware with program slots only. A dotted name and its
-sub-index (`calibration.matrix:3`) works wherever an index does. Sub-indices and sizes are decimal. PDO says
-into which direction an entry may be mapped (T or R); *staged* entries form the calibration record, in this
-order; a *state* is never stored; a change of a *counted* entry counts in 2126h. The numbers 6xxxh, 7xxxh and 9xxxh
-of the profile area are one value as REAL32, INTEGER16 and INTEGER32. Everything is little-endian. Sub-index 0 of an
-array or record without a row for it is the highest sub-index supported (UNSIGNED8, const).
-
-Unknown is 0x8000 in INTEGER16, 0x80000000 in INTEGER32, 0xFFFF in UNSIGNED16 and NaN in REAL32."""
-_HEAD = (
-    "| index | sub | name | dotted name | type | access | PDO | default | limits | unit | notes |\n"
-    "|---|---|---|---|---|---|---|---|---|---|---|"
-)
+- A dotted name and its sub-index (`calibration.matrix:3`) works wherever an index does. Sub-indices and sizes are
+  decimal, everything is little-endian. 2200h and 2201h are on a simulated node only, 1F50h to 1F57h on firmware with
+  program slots only.
+- Notes: *T* or *R*, the direction in which an entry may be mapped; *staged*, part of the calibration record, in this
+  order; *state*, never stored; *counted*, a change counts in 2126h.
+- A value of the profile area is 6xxxh as REAL32 and, where a note names it, 7xxxh as INTEGER16 and 9xxxh as INTEGER32:
+  the same in the resolution of 6132h (field values: counts), with `_int16` or `_int32` after its dotted name.
+- Unknown is 0x8000 in INTEGER16, 0x80000000 in INTEGER32, 0xFFFF in UNSIGNED16 and NaN in REAL32.
+- Sub-index 0 of an array or record without a row is the highest sub-index (UNSIGNED8, const)."""
+_HEAD = ("index", "name", "dotted name", "type", "default", "notes")
 
 
 def reference_markdown(n: int = 3) -> str:
     """The reference for ``n`` gauges, with the objects of a simulated node. Raises InputError outside 3..8."""
     declared = objects(n, True, programs=True)
+    views = {each.index for each in declared if each.entries[-1].flags & table.VIEW}
     parts = [_INTRODUCTION.format(n=n), _channels(n)]
     for title, first, last in _AREAS:
-        lines = [line for o in declared if first <= o.index <= last for line in _object(o)]
-        parts.append("\n".join([f"## {title}", "", _HEAD, *lines]))
+        lines = [
+            line for o in declared if first <= o.index <= last and o.index not in views for line in _object(o, views)
+        ]
+        folded = f'<details markdown="1" open>\n<summary>{len(lines)} entries</summary>\n\n{_table(_HEAD, lines)}\n\n</details>'
+        parts.append(f"## {title}\n\n{folded}")
     parts.append(_status_bits(n))
     parts += [_pdo(message) for message in signals.tpdo_messages(n) + signals.rpdo_messages()]
     return "\n\n".join(parts) + "\n"
@@ -134,9 +137,8 @@ def _channels(n: int) -> str:
     return f"## Channels of the profile area\n\n{_table(head, lines)}"
 
 
-def _object(each: Object) -> list[str]:
-    """One line for each run of sub-indices that differ in name and default alone."""
-    lines = [] if each.code == table.VAR else [f"| {each.index:04X}h | | **{each.name}** | | | | | | | | |"]
+def _object(each: Object, views: Collection[int]) -> list[tuple[object, ...]]:
+    """One line for each run of sub-indices that differ in name and default alone; those of a record carry its name."""
     runs: list[list[Entry[Any]]] = []
     for entry in each.entries:
         if entry.title == "Highest sub-index supported":
@@ -145,22 +147,18 @@ def _object(each: Object) -> list[str]:
             runs[-1].append(entry)
         else:
             runs.append([entry])
-    return lines + [_line(each, run) for run in runs]
+    title = "" if each.code == table.VAR else f"**{each.name}**: "
+    return [_line(title * (run is runs[0]), run, views) for run in runs]
 
 
-def _line(each: Object, run: list[Entry[Any]]) -> str:
+def _line(title: str, run: list[Entry[Any]], views: Collection[int]) -> tuple[object, ...]:
     first, last = run[0], run[-1]
     sub = str(first.sub) if first is last else f"{first.sub}..{last.sub}"
-    dotted = f"`{first.stem}`" if first.stem else ""
-    if first.is_counted:
-        dotted = f"`{first.stem}:{sub}`" if first is last else f"`{first.stem}:SUB`"
-    index = f"{first.index:04X}h" if each.code == table.VAR else ""
-    name = first.title if first is last else _run_names(run)
-    cells = (
-        index, sub, name, dotted, types.data_type(first.type).name, first.access, _pdo_cell(first),
-        _defaults(run), _limits(first), first.unit, _notes(first),
-    )  # fmt: skip
-    return "| " + " | ".join(cells) + " |"
+    place = f"{first.index:04X}h" + (f":{sub}" if sub != "0" or title else "")
+    shown = first.stem + (":SUB" if first is not last else f":{sub}" if first.is_counted else "")
+    name = title + (first.title if first is last else _run_names(run))
+    kind = f"{types.data_type(first.type).name} {first.access}"
+    return place, name, f"`{shown}`" if shown else "", kind, _defaults(run), _notes(first, views)
 
 
 def _run_names(run: list[Entry[Any]]) -> str:
@@ -184,18 +182,17 @@ def _limits(entry: Entry[Any]) -> str:
     return f"{low} to {high}"
 
 
-def _pdo_cell(entry: Entry[Any]) -> str:
-    return ("T" if entry.flags & table.TPDO else "") + ("R" if entry.flags & table.RPDO else "")
-
-
-def _notes(entry: Entry[Any]) -> str:
-    notes = (
+def _notes(entry: Entry[Any], views: Collection[int]) -> str:
+    flags = (
+        (table.TPDO, "T"),
+        (table.RPDO, "R"),
         (table.STAGED, "staged"),
         (table.NOT_STORED, "state"),
-        (table.VIEW, "view of 6xxxh"),
         (table.COUNTED, "counted"),
     )
-    return ", ".join(text for flag, text in notes if entry.flags & flag)
+    forms = [entry.index + form for form in (table.INT16_FORM, table.INT32_FORM)] if entry.index >= 0x6000 else []
+    notes = [_limits(entry), entry.unit, *(text for flag, text in flags if entry.flags & flag)]
+    return ", ".join(filter(None, [*notes, *(f"{index:04X}h" for index in forms if index in views)]))
 
 
 def _status_bits(n: int) -> str:
@@ -215,19 +212,25 @@ def _pdo(message: signals.Message) -> str:
     facts = f"COB-ID {cob_id}, {state}, transmission type {message.transmission_type}{timer}, " + (
         f"{message.length_bytes} bytes."
     )
-    head = ("byte", "bit", "signal", "type", "resolution", "unit", "minimum", "maximum", "unknown (raw)", "object")
-    return f"{title}\n\n{facts}\n\n{_table(head, [_signal_line(s) for s in message.signals])}"
+    head = ("byte", "signal", "type", "resolution", "minimum", "maximum", "unknown", "object")
+    return f"{title}\n\n{facts}\n\n{_table(head, list(_signal_lines(message.signals)))}"
 
 
-def _signal_line(signal: signals.Signal) -> tuple[object, ...]:
-    first, last = signal.start_bit // 8, (signal.start_bit + signal.bits - 1) // 8
-    byte = str(first) if first == last else f"{first}..{last}"
-    bit = str(signal.start_bit % 8) if signal.bits % 8 else ""
-    kind = "bit" if signal.bits == 1 else f"{'I' if signal.signed else 'U'}{signal.bits}"
-    unknown = "" if signal.unknown is None else signal.unknown
-    place = f"{signal.index:04X}h:{signal.sub}"
-    measured = (signal.scale, signal.unit, signal.minimum, signal.maximum) if signal.bits > 1 else ("", "", "", "")
-    return (byte, bit, f"`{signal.name}`", kind, *measured, unknown, place)
+def _signal_lines(mapped: Sequence[signals.Signal]) -> Iterator[tuple[object, ...]]:
+    """A line for each signal; the bits of one object, whose meanings the tables above have, share one."""
+    for (index, sub), group in itertools.groupby(mapped, lambda signal: (signal.index, signal.sub)):
+        run = list(group)
+        first, last = run[0].start_bit // 8, (run[-1].start_bit + run[-1].bits - 1) // 8
+        byte = str(first) if first == last else f"{first}..{last}"
+        place = f"{index:04X}h:{sub}"
+        for signal in run:
+            if signal.bits == 1:
+                yield byte, ", ".join(f"`{bit.name}`" for bit in run), "bits", "", "", "", "", place
+                break
+            kind = f"{'I' if signal.signed else 'U'}{signal.bits}"
+            unknown = "" if signal.unknown is None else signal.unknown
+            measured = (f"{signal.scale} {signal.unit}".strip(), signal.minimum, signal.maximum, unknown)
+            yield byte, f"`{signal.name}`", kind, *measured, place
 
 
 def generated_files() -> dict[str, str]:
