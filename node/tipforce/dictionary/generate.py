@@ -116,8 +116,8 @@ def reference_markdown(n: int = 3) -> str:
         lines = [
             line for o in declared if first <= o.index <= last and o.index not in views for line in _object(o, views)
         ]
-        folded = f'<details markdown="1" open>\n<summary>{len(lines)} entries</summary>\n\n{_table(_HEAD, lines)}\n\n</details>'
-        parts.append(f"## {title}\n\n{folded}")
+        start = f'<details markdown="1" open>\n<summary>{len(lines)} entries</summary>'
+        parts += [f"## {title}", start, _table(_HEAD, lines), "</details>"]
     parts.append(_status_bits(n))
     parts += [_pdo(message) for message in signals.tpdo_messages(n) + signals.rpdo_messages()]
     return "\n\n".join(parts) + "\n"
