@@ -37,20 +37,13 @@ _HEAD = """\
 # Conformance
 
 `tipforce conformance --node-id N` checks a CANopen device on a bus with raw frames, case by case, and prints a report
-by clause; `--list` shows the cases, `--case PATTERN` chooses, `--persistent` allows those that store parameters or
-change the node-id. A required frame is awaited for 200 ms (an SDO response 1 s, a boot-up 5 s), a forbidden one for
-30 ms; `--tolerance` is the permitted error of measured times.
+by clause. `python -m canopen_conformance`, which needs python-can and the standard library alone, does the same without
+the cases of a fingertip; the folder `tools/canopen_conformance` works when it is copied to another project.
 
-The suite is the import package `canopen_conformance`. It needs python-can and the standard library alone, so the folder
-`tools/canopen_conformance` copied to another project works there: `python -m canopen_conformance --help`. The command
-`tipforce conformance` adds the cases of a fingertip, which apply to no other device.
-
-A case is "not applicable", never passed, if
-
-- an object that it needs does not exist, or the device may refuse what it writes as its precondition,
-- it is a fingertip's and the product code (1018h:2) is another one,
-- it stores parameters or changes the node-id, and `--persistent` is not given,
-- it needs error frames of the CAN controller, which no bus carries.
+A required frame is awaited for 200 ms (an SDO response 1 s, a boot-up 5 s), a forbidden one for 30 ms; `--tolerance` is
+the permitted error of measured times. A case is "not applicable", never passed, if an object that it needs does not
+exist or the device may refuse its precondition, if it is a fingertip's and the product code (1018h:2) is another one,
+if it stores parameters and `--persistent` is not given, or if it needs error frames of the CAN controller.
 
 The tests run every case against the device core in one process, with a simulated clock, and on a real vcan. Results of
 `tipforce node` on a vcan, by clause:
@@ -59,8 +52,8 @@ The tests run every case against the device core in one process, with a simulate
 |---|---|---|---|---|
 """
 _END = f"""
-`{LIST_COMMAND}` lists them by case.
-This page: `{COMMAND}`
+`{LIST_COMMAND}` lists them by case;
+`{COMMAND}` writes this page.
 """
 
 
