@@ -43,7 +43,8 @@ report: bootstrap-report ## run the extreme cases, write build/report/index.html
 	.venv/bin/tipforce report -o build/report
 
 docs: bootstrap-docs ## build the documentation site: build/site/index.html
-	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 REPOSITORY_URL="$${REPOSITORY_URL-$$(git remote get-url origin 2>/dev/null | grep ^https:)}" \
+		$(PYTHON) -m mkdocs build --strict
 
 long: bootstrap-test ## run every long check at full size, and write the reports; about two hours
 	tests/wheel.sh

@@ -1,6 +1,6 @@
 """Decoding logs: ours beside cantools, python-can, asammdf and a floor in C, on the same logs in one run.
 
-`python -m bench.decode` writes build/bench/decode-performance.md and its summary in docs. The methods take
+`python -m bench.decode` writes build/bench/decode-performance.md. The methods take
 turns, each in a process of its own. Times are the processor's: other work on the machine disturbs them less. Slow
 methods get the first part of a log. asammdf has an environment of its own, for python-can imports it where it is:
 `--asammdf` makes build/bench-venv (once). `--check`: every value of a million frames against cantools.
@@ -297,8 +297,7 @@ def main() -> int:
         memory = logs.peaks(10_000_000)
     on = f"\n{machine('numpy', 'cantools', 'python-can', 'pyarrow')}. +- is the largest deviation from the median.\n\n"
     last = "\n## Memory, 10 million frames\n\n" + "".join(f"{line}\n" for line in memory)
-    note = "\nThe other logs are in build/bench/decode-performance.md.\n"
-    write_page("decode-performance", _HEAD + on + "\n".join(parts) + last, _HEAD + on + parts[-1] + last + note)
+    write_page("decode-performance", _HEAD + on + "\n".join(parts) + last)
     return 0
 
 

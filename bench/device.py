@@ -4,7 +4,7 @@
     python -m bench.device costs           inside one process
     python -m bench.device latency cpu     over loopback sockets
 
-docs/device-performance.md holds the figures and what they mean.
+docs/performance.md holds the figures and what they mean.
 """
 
 from __future__ import annotations

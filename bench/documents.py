@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from bench.measure import ROOT, TIPFORCE, arguments, fill_page, table
+from bench.measure import ROOT, TIPFORCE, arguments, table
 
 from canopen_conformance.case import all_cases
 from tipforce_tools import fingertip_cases
@@ -141,6 +141,21 @@ def _escaped(text: str) -> str:
     parts = text.split("`")
     parts[::2] = (re.sub(r"([\\|\[\]*<])", r"\\\1", part) for part in parts[::2])
     return "`".join(parts)
+
+
+def filled(document: str, text: str) -> str:
+    """The document with this text between its marks. Raises ValueError where it has none."""
+    parts = re.split(r"(?<=<!-- begin -->\n).*?(?=<!-- end -->\n)", document, flags=re.DOTALL)
+    if len(parts) != 2:
+        raise ValueError(f"{len(parts) - 1} places for one text")
+    return f"{parts[0]}\n{text}\n\n{parts[1]}"
+
+
+def fill_page(name: str, text: str) -> None:
+    """Write the text to its place in docs/NAME.md, and print it."""
+    path = ROOT / "docs" / f"{name}.md"
+    path.write_text(filled(path.read_text(encoding="utf-8"), text), encoding="utf-8")
+    print(text)
 
 
 INTERFACE, NODE_ID = "vcan0", 5

@@ -1,6 +1,6 @@
 """A whole hand over loopback sockets: what is lost, late or mixed at full rate, how regular the SYNC is, what it costs.
 
-    python -m bench.hand    5 fingers at 1 kHz, 15 at 400 Hz, 600 s each; docs/hand-performance.md
+    python -m bench.hand    5 fingers at 1 kHz, 15 at 400 Hz, 600 s each; build/bench/hand-performance.md
 
 The host is a real Hand with the receiver of SocketCAN; see loopback.py for the bus.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from bench.loopback import LoopbackLink, may_hurry
-from bench.measure import Meter, arguments, fill_page, machine, table
+from bench.measure import Meter, arguments, machine, table, write_page
 
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
@@ -146,8 +146,8 @@ def main() -> int:
         print(*outcomes[-1].events[:10], sep="\n", flush=True)
     options = " --realtime" if args.realtime else ""
     written = f"Written by `python -m bench.hand{options}` on: {on}."
-    fill_page("hand-performance", written, table(HEADER, map(row, outcomes)),
-              table(JITTER_HEADER, map(jitter_row, outcomes)))  # fmt: skip
+    tables = table(HEADER, map(row, outcomes)), table(JITTER_HEADER, map(jitter_row, outcomes))
+    write_page("hand-performance", "\n\n".join([written, *tables]) + "\n")
     return 0 if not any(outcome.statistics.tally.mixed.any() for outcome in outcomes) else 1
 
 

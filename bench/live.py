@@ -1,6 +1,6 @@
 """Measure the live receive path beside canopen's PDO path and python-can, over loopback sockets.
 
-    python -m bench.live    about five minutes, and writes docs/live-performance.md
+    python -m bench.live    about five minutes, and writes build/bench/live-performance.md
 
 Frames are ``struct can_frame`` in datagrams between connected UDP sockets on 127.0.0.1; what reads them is the code
 that reads SocketCAN, options and time stamps included. Costs are CPU time and come from one run in which the ways take
@@ -33,7 +33,7 @@ from bench.loopback import (
     sending,
     struct_contact,
 )
-from bench.measure import Meter, arguments, background, cpu_us, fill_page, in_turns, machine, table
+from bench.measure import Meter, arguments, background, cpu_us, in_turns, machine, table, write_page
 
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.host.decoding.decoder import Decoder
@@ -273,12 +273,14 @@ def main() -> None:
             loads.append(run().row(name))
     shares = log_shares(LOGGER_HZ, SECONDS)
     loggers = "; ".join(f"{name} {share:.1%} of a core, {frames} frames" for name, (share, frames) in shares.items())
-    fill_page(
-        "live-performance", f"Written by `python -m bench.live` on: {on}.",
+    parts = (
+        f"Written by `python -m bench.live` on: {on}.",
         table(["way", "microseconds a frame", "smallest to largest", "times the first"], cost_rows(figures)),
-        f"{table(LOAD_HEADER, loads)}\n\nRecording {LOGGER_HZ:,} frames a second for {SECONDS:g} s to a file in "
-        f"candump's log format, one after the other: {loggers}.",
-    )  # fmt: skip
+        table(LOAD_HEADER, loads),
+        f"Recording {LOGGER_HZ:,} frames a second for {SECONDS:g} s to a file in candump's log format, one after the "
+        f"other: {loggers}.",
+    )
+    write_page("live-performance", "\n\n".join(parts) + "\n")
 
 
 if __name__ == "__main__":

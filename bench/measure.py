@@ -6,7 +6,6 @@ import argparse
 import json
 import os
 import platform
-import re
 import resource
 import statistics
 import subprocess
@@ -214,25 +213,8 @@ def save_plot(figure: Any, path: str) -> None:
     figure.savefig(path, dpi=110, metadata={"Date": None} if path.endswith(".svg") else None)
 
 
-def filled(document: str, *texts: str) -> str:
-    """The document with these texts between its marks, in order. Raises ValueError where it has not as many."""
-    parts = re.split(r"(?<=<!-- begin -->\n).*?(?=<!-- end -->\n)", document, flags=re.DOTALL)
-    if len(parts) != len(texts) + 1:
-        raise ValueError(f"{len(texts)} texts for {len(parts) - 1} places")
-    return parts[0] + "".join(f"\n{text}\n\n{part}" for text, part in zip(texts, parts[1:], strict=True))
-
-
-def fill_page(name: str, *texts: str) -> None:
-    """Write the texts to their places in docs/NAME.md, and print them."""
-    path = ROOT / "docs" / f"{name}.md"
-    path.write_text(filled(path.read_text(encoding="utf-8"), *texts), encoding="utf-8")
-    print(*texts, sep="\n\n")
-
-
-def write_page(name: str, full: str, summary: str | None = None) -> None:
-    """Write build/bench/NAME.md, and its summary in docs; print the full page."""
+def write_page(name: str, text: str) -> None:
+    """Write build/bench/NAME.md and print it. docs/performance.md has the figures that a reader needs."""
     (ROOT / "build" / "bench").mkdir(parents=True, exist_ok=True)
-    (ROOT / "build" / "bench" / f"{name}.md").write_text(full, encoding="utf-8")
-    if summary is not None:
-        (ROOT / "docs" / f"{name}.md").write_text(summary, encoding="utf-8")
-    print(full, end="")
+    (ROOT / "build" / "bench" / f"{name}.md").write_text(text, encoding="utf-8")
+    print(text, end="")

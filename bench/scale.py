@@ -168,8 +168,7 @@ def main() -> None:
         (folder / "parts").mkdir()
         parts += [workers(folder / "run.log", ROUNDS), serial_part(folder / "run.log")]
         parts += [many_parts(folder / "parts", PARTS), slice_of_month(folder / "month")]
-    page = "\n\n".join(parts) + "\n"
-    write_page("scale-performance", page, page if args.frames >= FULL_FRAMES else None)
+    write_page("scale-performance", "\n\n".join(parts) + "\n")
 
 
 if __name__ == "__main__":

@@ -4,8 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from bench.documents import summary
-from bench.measure import filled
+from bench.documents import filled, summary
 
 from canopen_conformance.case import Case
 from canopen_conformance.run import PASS

@@ -6,9 +6,13 @@ import contextlib
 import functools
 import itertools
 import math
+import os
+import pty
+import select
 import struct
 import threading
 import time
+import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -52,8 +56,15 @@ def setup(page: str) -> Callable[[Callable[[], Iterator[Names]]], Setup]:
     return register
 
 
-@setup("tools.md")
-def log_of_one_finger() -> Iterator[Names]:
+@setup("decode.md")
+def logs_of_fingers() -> Iterator[Names]:
+    """run.log of one finger, and two days of two fingers."""
+    write_log_of_one_finger()
+    write_two_days_of_two_fingers()
+    yield {}
+
+
+def write_log_of_one_finger() -> None:
     """Node 5 at 100 Hz for 1 s: 1.5 N until 0.6 s, then no contact; samples 40 to 42 are missing, heartbeats twice."""
     lines = [f"({1_700_000_000 + t:.6f}) can0 705#05" for t in (0.001, 0.501)]
     for k in range(100):
@@ -63,7 +74,26 @@ def log_of_one_finger() -> Iterator[Names]:
         if not 40 <= k < 43:
             lines.append(f"({t + 0.0002:.6f}) can0 285#{struct.pack('<hhhBB', *contact, k).hex().upper()}")
     Path("run.log").write_text("\n".join(sorted(lines)) + "\n")
-    yield {}
+
+
+def write_two_days_of_two_fingers() -> None:
+    """Logs of nodes 1 and 2 on two days, at 10 Hz for 30 s: grips of 2 s, a drift of SG1, lost samples, a boot-up."""
+    for day in range(2):
+        lines = []
+        for k in range(300):
+            t = 1_700_000_000 + 86_400 * day + k / 10
+            lines.append(f"({t:.6f}) can0 080#")
+            for node in (1, 2):
+                touched = k % 100 < 20 * node
+                if (day, node) == (1, 2) and k in (50, 51):
+                    continue
+                contact = (1000 * node + k, 9000, 4500, 0x03) if touched else (0, -32768, -32768, 0x02)
+                gauges = (300 * node if touched else 20 * day * node, 10, -10, contact[3])
+                for base, words in ((0x180, gauges), (0x280, contact)):
+                    data = struct.pack("<hhhBB", *words, (k + 300 * day) % 256).hex().upper()
+                    lines.append(f"({t + 0.0001 * node:.6f}) can0 {base + node:03X}#{data}")
+        lines.append(f"({t + 1:.6f}) can0 702#00")
+        Path(f"day-{day + 1}.log").write_text("\n".join(lines) + "\n")
 
 
 @contextlib.contextmanager
@@ -81,6 +111,59 @@ def fingers_on_default_bus(*node_ids: int) -> Iterator[None]:
     """Calibrated simulated fingers under 2 N on a bus of this process, which is python-can's default meanwhile."""
     with default_bus() as bus, tipforce.simulated_hand(node_ids, dict.fromkeys(node_ids, (2.0, 90.0, 45.0)), **bus):
         yield
+
+
+class SerialAdapter:
+    """A USB adapter with the slcan protocol (Lawicel): a pseudo-terminal on one side, a bus on the other."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self.bus = bus
+        self.master, self.terminal = pty.openpty()
+        tty.setraw(self.terminal)
+        self.path = os.ttyname(self.terminal)
+        self.is_open = False
+        self.stopped = threading.Event()
+        self.thread = threading.Thread(target=self._work)
+        self.thread.start()
+
+    def _work(self) -> None:
+        received = b""
+        while not self.stopped.is_set():
+            if select.select([self.master], [], [], 0.001)[0]:
+                *commands, received = (received + os.read(self.master, 4096)).split(b"\r")
+                for command in commands:
+                    self._command(command.decode())
+            while (message := self.bus.recv(0)) is not None:
+                if self.is_open:
+                    line = f"t{message.arbitration_id:03X}{message.dlc}{message.data.hex().upper()}\r"
+                    os.write(self.master, line.encode())
+
+    def _command(self, command: str) -> None:
+        if command[:1] in ("O", "C"):
+            self.is_open = command == "O"
+        elif command[:1] == "t":
+            data = bytes.fromhex(command[5:])
+            self.bus.send(can.Message(arbitration_id=int(command[1:4], 16), data=data, is_extended_id=False))
+
+    def close(self) -> None:
+        """End it."""
+        self.stopped.set()
+        self.thread.join()
+        self.bus.shutdown()
+        os.close(self.master)
+        os.close(self.terminal)
+
+
+@setup("adapter.md")
+def finger_behind_a_serial_adapter() -> Iterator[Names]:
+    """Node 5 under 2 N, behind /dev/ttyACM0."""
+    pytest.importorskip("serial")
+    with default_bus() as bus, tipforce.simulated_hand([5], {5: (2.0, 90.0, 45.0)}, **bus):
+        adapter, terminal = SerialAdapter(can.Bus(**bus)), Terminal()
+        try:
+            yield {"shell": lambda line: terminal(line.replace("/dev/ttyACM0", adapter.path))}
+        finally:
+            adapter.close()
 
 
 @setup("hand.md")
@@ -234,7 +317,7 @@ def node_byte_by_byte() -> Iterator[Names]:
     yield {"shell": node, "source": node.source, "send_segments": node.send_segments}
 
 
-@setup("recipes.md")
+@setup("python.md")
 def finger_and_files() -> Iterator[Names]:
     """Node 5 under 2 N at phi = 90, theta = 45 degrees, and a table of loads with an offset of 12 microstrain."""
     A, rng = strain_matrix(FABRICATED, "I"), np.random.default_rng(1)
@@ -253,26 +336,4 @@ def lamp_of_the_page() -> Iterator[Names]:
     """The EDS that the page shows."""
     page = (Path(__file__).parents[2] / "docs" / "simulate.md").read_text(encoding="utf-8")
     Path("lamp.eds").write_text(page.split("```ini\n")[1].split("```")[0])
-    yield {}
-
-
-@setup("scale.md")
-def two_days_of_two_fingers() -> Iterator[Names]:
-    """Logs of nodes 1 and 2 on two days, at 10 Hz for 30 s: grips of 2 s, a drift of SG1, lost samples, a boot-up."""
-    for day in range(2):
-        lines = []
-        for k in range(300):
-            t = 1_700_000_000 + 86_400 * day + k / 10
-            lines.append(f"({t:.6f}) can0 080#")
-            for node in (1, 2):
-                touched = k % 100 < 20 * node
-                if (day, node) == (1, 2) and k in (50, 51):
-                    continue
-                contact = (1000 * node + k, 9000, 4500, 0x03) if touched else (0, -32768, -32768, 0x02)
-                gauges = (300 * node if touched else 20 * day * node, 10, -10, contact[3])
-                for base, words in ((0x180, gauges), (0x280, contact)):
-                    data = struct.pack("<hhhBB", *words, (k + 300 * day) % 256).hex().upper()
-                    lines.append(f"({t + 0.0001 * node:.6f}) can0 {base + node:03X}#{data}")
-        lines.append(f"({t + 1:.6f}) can0 702#00")
-        Path(f"day-{day + 1}.log").write_text("\n".join(lines) + "\n")
     yield {}

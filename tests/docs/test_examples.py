@@ -17,19 +17,18 @@ from docs.test_workflows import check_command
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(path for folder in (".", "docs", "dbc", "eds") for path in (ROOT / folder).glob("*.md"))
 MUST_HAVE_EXAMPLES = {
+    "adapter.md",
     "calibration.md",
     "decode.md",
     "finite-elements.md",
     "hand.md",
     "hardware.md",
-    "learning.md",
     "mechanics.md",
     "mujoco.md",
     "protocol.md",
-    "recipes.md",
+    "python.md",
     "scenes.md",
     "simulate.md",
-    "tools.md",
 }
 every_document = pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 

@@ -23,16 +23,17 @@ LOG = """\
 (1700000000.001120) can0 285#3011282394110304
 (1700000000.001240) can0 286#0500008000801204
 """
+PAGE = (DOCS / "python.md").read_text()
 DATA_FRAMES = {
     re.search(r"import (\w+)", block)[1]: block  # type: ignore[index]
-    for block in re.findall(r"```python\n(import .*?)```", (DOCS / "recipes.md").read_text(), re.DOTALL)
+    for block in re.findall(r"```python\n(import (?:pandas|polars)\n.*?)```", PAGE, re.DOTALL)
 }
 
 
 def test_a_recipe_for_each_package() -> None:
     assert list(DATA_FRAMES) == ["pandas", "polars"]
     for name, code in DATA_FRAMES.items():
-        compile(code, f"recipes.md, {name}", "exec")
+        compile(code, f"python.md, {name}", "exec")
 
 
 @pytest.mark.parametrize("name", DATA_FRAMES)

@@ -1,10 +1,10 @@
-"""The firmware loop of docs/micropython.md runs on MicroPython as it is printed there."""
+"""The firmware loop of docs/firmware.md runs on MicroPython as it is printed there."""
 
 from pathlib import Path
 
 from micropython import engine
 
-DOCUMENT = Path(__file__).parents[2] / "docs/micropython.md"
+DOCUMENT = Path(__file__).parents[2] / "docs/firmware.md"
 BOARD = """
 import firmware
 

@@ -11,8 +11,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
-from bench.documents import section
-from bench.measure import filled
+from bench.documents import filled, section
 
 from tipforce_lab.report import page
 from tipforce_lab.report.run import LeftOut, Report
@@ -163,5 +162,5 @@ def test_the_document_takes_verdict_and_advice_over(written: list[Path]) -> None
     assert "previous figures" not in page_text
     assert page_text.index("do NOT hold: other.wrong") < page_text.index("| need | method | error | processor time |")
     assert filled(page_text, text) == page_text
-    with pytest.raises(ValueError, match="2 texts for 1 places"):
-        filled(page_text, text, text)
+    with pytest.raises(ValueError, match="0 places for one text"):
+        filled("a page without marks", text)

@@ -1,4 +1,4 @@
-"""The five programs of docs/first-reading.md run as they stand: short, and with public names only."""
+"""The five programs of docs/python.md run as they stand: short, and with public names only."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import pytest
 
 import tipforce
 
-PAGE = Path(__file__).parents[2] / "docs" / "first-reading.md"
-PROGRAMS = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.S)
+PAGE = Path(__file__).parents[2] / "docs" / "python.md"
+BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.S)
+PROGRAMS = [block for block in BLOCKS if "import tipforce\n" in block]
 LOAD = (4.4, 90.0, 45.0)
 LOG = "(1700000000.000120) can0 285#2E1129239A110303\n(1700000000.001120) can0 285#3011282394110305\n"
 
