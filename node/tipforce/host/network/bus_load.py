@@ -1,4 +1,4 @@
-"""Bus load: the calculated budget of a hand, and the bits of received frames (ISO 11898-1, 10.5)."""
+"""Bus load: the calculated budget of a hand, and the least and most bits of received frames (ISO 11898-1, 10.5)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canopen_device.can_frame import AFTER_CRC, least_bits, most_bits
-from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
+from canopen_device.can_frame import least_bits, most_bits
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
@@ -18,8 +18,6 @@ from tipforce.host.frames.frame_array import FrameArray
 DEFAULT_BIT_RATE = 1_000_000
 LIMIT = 0.8
 """Share of the bit rate with worst-case stuffing: above it the lowest priority may miss a SYNC period."""
-
-_CRC_POLYNOMIAL = 0x4599
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,71 +138,6 @@ class LoadMeter:
         recent = [batch for batch in self._batches.copy() if batch[0] >= now_s - self._window_s]
         bits = self._bit_rate * self._window_s
         return sum(least for _, least, _ in recent) / bits, sum(most for _, _, most in recent) / bits
-
-
-def exact_bits(frames: FrameArray) -> npt.NDArray[np.int64]:
-    """Return the bits of each FRAME (n,) on the wire, stuff bits and intermission included; 0 for error frames.
-
-    A SocketCAN error frame reports an error and was not on the wire.
-    """
-    bits, length = _bit_matrix(frames)
-    count = length + AFTER_CRC + _stuff_bits(bits, length)
-    count[(frames["can_id"] & ERROR_FLAG) != 0] = 0
-    return count
-
-
-def _bit_matrix(frames: FrameArray) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
-    """Return start of frame to the CRC's end as bits (n, 118), and the number of bits of each frame (n,)."""
-    can_id = frames["can_id"].astype(np.int64)
-    extended, remote = (can_id & EXTENDED_FLAG) != 0, (can_id & REMOTE_FLAG) != 0
-    data_bytes = np.where(remote, 0, frames["length"]).astype(np.int64)
-    n = len(frames)
-    bits = np.zeros((n, 118), dtype=np.uint8)
-    rtr, control = remote.astype(np.int64), np.minimum(frames["length"], 8).astype(np.int64)
-    # Standard: SOF, 11 bits, RTR, IDE, r0, DLC. Extended: SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, DLC.
-    header = np.where(
-        extended,
-        ((can_id >> 18 & STANDARD_MASK) << 27 | 0b11 << 25 | (can_id & 0x3FFFF) << 7 | rtr << 6 | control),
-        ((can_id & STANDARD_MASK) << 7 | rtr << 6 | control),
-    )
-    start = np.where(extended, 39, 19)
-    columns = np.arange(118)
-    shift = start[:, None] - 1 - columns
-    inside = shift >= 0
-    bits[inside] = (header[:, None] >> np.where(inside, shift, 0) & 1)[inside].astype(np.uint8)
-    payload = np.unpackbits(frames["data"], axis=1)
-    for width in (19, 39):
-        rows = np.flatnonzero(start == width)
-        bits[rows[:, None], width + np.arange(64)] = payload[rows]
-    before_crc = start + 8 * data_bytes
-    bits[columns >= before_crc[:, None]] = 0
-    crc = _crc15(bits, before_crc)
-    place = before_crc[:, None] + np.arange(15)
-    bits[np.arange(n)[:, None], place] = (crc[:, None] >> (14 - np.arange(15)) & 1).astype(np.uint8)
-    return bits, before_crc + 15
-
-
-def _crc15(bits: npt.NDArray[np.uint8], length: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    crc = np.zeros(len(bits), dtype=np.int64)
-    for k in range(int(length.max(initial=0))):
-        mixed = (crc << 1) ^ np.where((crc >> 14 & 1) ^ bits[:, k], _CRC_POLYNOMIAL, 0)
-        crc = np.where(k < length, mixed & 0x7FFF, crc)
-    return crc
-
-
-def _stuff_bits(bits: npt.NDArray[np.uint8], length: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Count stuff bits: after five equal bits the opposite one, which counts for the next five."""
-    stuffed = np.zeros(len(bits), dtype=np.int64)
-    last = np.full(len(bits), 2, dtype=np.uint8)
-    run = np.zeros(len(bits), dtype=np.int64)
-    for k in range(int(length.max(initial=0))):
-        run = np.where(bits[:, k] == last, run + 1, 1)
-        last = bits[:, k]
-        full = (run == 5) & (k < length)
-        stuffed += full
-        last = np.where(full, 1 - last, last).astype(np.uint8)
-        run = np.where(full, 1, run)
-    return stuffed
 
 
 def budget_lines(budget: Budget) -> list[str]:
