@@ -37,7 +37,7 @@ _HEAD = """\
 This page is generated from the parsers (`make generate`). `tipforce COMMAND --help` prints the same with examples. Data
 goes to stdout, everything else to stderr. A wrong command line is one line on stderr and exit code 2.
 
-Node-ids are written `10` or `0x0A`, sets of them `1,2,5-9`. Shell completion: `tipforce completion`.
+Node-ids are written `10` or `0x0A`, sets of them `1,2,5-9`. Shell completion: `tipforce --completion`.
 
 ## Exit codes
 

@@ -14,7 +14,7 @@ cd "$folder/empty"
 PATH="$folder/venv/bin:$PATH"
 tipforce demo | tail -n 1
 tipforce run grasp -q | tail -n 1
-tipforce scene explain grasp | tail -n 1
+tipforce run grasp --explain | tail -n 1
 tipforce run static -q -o static.log >/dev/null
 tipforce decode static.log --dbc tipforce --signals P -q | tail -n 1
 tipforce view grasp --port 0 -q >url &

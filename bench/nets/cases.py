@@ -6,9 +6,10 @@ from pathlib import Path
 
 SEQUENCES, SEQUENCES_IN_CASE = 10_000, 500
 COMMANDS = (
-    "demo node run simulate scene|explain scan read sdo hand nmt lss firmware config calibrate|fit calibrate|apply "
-    "calibrate|guide calibrate|verify tare estimate budget dump decode dataset log replay plot monitor view ros2 load "
-    "design|table design|sweep design|optimise report conformance export completion doctor vcan"
+    "demo node run simulate scan read sdo hand nmt lss firmware|show firmware|install config calibrate|fit "
+    "calibrate|apply calibrate|guide calibrate|verify calibrate|budget tare estimate dump decode "
+    "dataset|show dataset|verify dataset|compact dataset|sql log replay plot monitor view ros2 "
+    "design|table design|sweep design|optimise report conformance export doctor vcan"
 )
 LAYOUTS = {
     "remapped": "--dcf in/made/remapped-5.dcf",

@@ -1,6 +1,6 @@
 """What a scene does not name is not built, not computed, not sent, not imported; and every scene does what it says.
 
-Each scene of scenes/ runs in a Python of its own, and what `tipforce scene explain` tells is held against it.
+Each scene of scenes/ runs in a Python of its own, and what `tipforce run --explain` tells is held against it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`tipforce budget`: its table, its JSON, its plot, and what it says to wrong words."""
+"""`tipforce calibrate budget`: its table, its JSON, its plot, and what it says to wrong words."""
 
 import importlib.util
 import json
@@ -25,7 +25,7 @@ CASE_II = Calibration(weighted_inverse(A, np.eye(3)), np.zeros(3), 4e-12 * np.ey
 
 
 def records(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, dict[str, Any]]:
-    assert main(["budget", *words, "--json"]) == 0
+    assert main(["calibrate", "budget", *words, "--json"]) == 0
     return {record["cause"]: record for record in map(json.loads, capsys.readouterr().out.splitlines())}
 
 
@@ -82,29 +82,29 @@ def test_five_gauges_of_which_only_the_calibration_is_known(capsys: pytest.Captu
     calibration = Calibration(weighted_inverse(five, np.eye(5)), np.zeros(5), 1e-12 * np.eye(5))
     path = str(tmp_path / "cal.toml")
     write_calibration(path, calibration)
-    assert main(["budget", path, "--noise", "1"]) == 0
+    assert main(["calibrate", "budget", path, "--noise", "1"]) == 0
     captured = capsys.readouterr()
     assert "no row for off-axis load: the positions of the gauges are unknown" in captured.err
     assert "off-axis" not in captured.out
     layout = tmp_path / "five.toml"
     layout.write_text('points = ["K_H", "S_H", "U", "L", "T"]\n')
     assert "off-axis load" in records(capsys, path, "--layout", str(layout))
-    assert main(["budget", path, "--layout", "I"]) == 2
+    assert main(["calibrate", "budget", path, "--layout", "I"]) == 2
     assert "it has 3 gauges, the calibration 5" in capsys.readouterr().err
     flat = replace(calibration, C=np.full((3, 5), 1e4))
     write_calibration(path, flat)
-    assert main(["budget", path]) == 2
+    assert main(["calibrate", "budget", path]) == 2
     assert "matrix: rank below 3" in capsys.readouterr().err
 
 
 def test_text_tells_where_first_order_does_not_hold(printed: Printed) -> None:
-    captured = printed(0, ["budget", "--load", "1", "--phi", "0", "--theta", "91"])
+    captured = printed(0, ["calibrate", "budget", "--load", "1", "--phi", "0", "--theta", "91"])
     lines = captured.out.splitlines()
     assert lines[0].split() == ["cause", "u(P)", "N", "share", "u(phi)", "deg", "share", "u(theta)", "deg", "share"]
     assert lines[-1].startswith("total")
     assert len(lines) == 1 + len(CAUSES)
     assert "first order does not hold for theta at 1 of 1 loads" in captured.err
-    captured = printed(0, ["budget", "-q"])
+    captured = printed(0, ["calibrate", "budget", "-q"])
     assert captured.err == ""
     assert captured.out.splitlines()[0].split().count("max") == 3
 
@@ -113,6 +113,8 @@ def test_text_tells_where_first_order_does_not_hold(printed: Printed) -> None:
 @pytest.mark.parametrize(("name", "head"), [("b.png", b"\x89PNG"), ("b.svg", b"<?xml")])
 def test_plot(printed: Printed, tmp_path: Path, name: str, head: bytes) -> None:
     path = tmp_path / name
-    assert main(["budget", "-o", str(path)]) == 0
+    assert main(["calibrate", "budget", "-o", str(path)]) == 0
     assert path.read_bytes().startswith(head)
-    assert "does not exist; create it first" in printed(2, ["budget", "-o", str(tmp_path / "no" / name)]).err
+    assert (
+        "does not exist; create it first" in printed(2, ["calibrate", "budget", "-o", str(tmp_path / "no" / name)]).err
+    )

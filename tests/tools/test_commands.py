@@ -88,6 +88,8 @@ def test_scan_as_json(tipforce: Tipforce) -> None:
         ("0x2100:03 ", "0.0"),
         ("0x1017 0 d", "14 00"),
         ("heartbeat.producer_ms", "20"),
+        ("P", "nan"),
+        ("SG2", "0.0"),
     ],
 )
 def test_sdo_read(tipforce: Tipforce, words: str, shown: str) -> None:

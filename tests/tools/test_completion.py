@@ -1,9 +1,8 @@
-"""`tipforce completion`: each shell, itself, completes every command, action, flag and value."""
+"""`tipforce --completion`: each shell, itself, completes every command, action, flag and value."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import pty
 import select
@@ -14,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tipforce_tools.cli.completion import SHELLS, script
 from tipforce_tools.cli.main import COMMANDS
-from tipforce_tools.completion import SHELLS, script
 from tools.command_lines import LINES, PARSERS
 from tools.rig import Printed
 
@@ -52,14 +51,14 @@ def bash(tmp_path: Path, *typed: str) -> list[list[str]]:
 
 def test_the_parsers_are_those_of_every_command_and_action() -> None:
     assert LINES["tipforce"] == list(COMMANDS)
-    assert LINES["tipforce calibrate"] == ["fit", "apply", "guide", "verify"]
+    assert LINES["tipforce calibrate"] == ["fit", "apply", "guide", "verify", "budget"]
     assert all(flags(parser)[:2] == ["-h", "--help"] for parser in PARSERS.values())
 
 
 def test_bash_completes_every_command(tmp_path: Path) -> None:
     ((*completed,),) = bash(tmp_path, "tipforce ")
     assert set(completed) == set(COMMANDS)
-    assert set(bash(tmp_path, "tipforce -")[0]) == {"-h", "--help", "-V", "--version"}
+    assert set(bash(tmp_path, "tipforce -")[0]) == {"-h", "--help", "-V", "--version", "--help-bus", "--completion"}
     found = bash(tmp_path, *(f"tipforce {name}" for name in COMMANDS))
     assert all(name in completed for name, completed in zip(COMMANDS, found, strict=True))
 
@@ -108,7 +107,8 @@ COMPLETIONS = [
         ("tipforce export eds ", ""),
         ("tipforce node --layout I", "I II III"),
         ("tipforce scan --wait ", ""),
-        ("tipforce nothing -", "-h --help -V --version"),
+        ("tipforce nothing -", "-h --help -V --version --help-bus --completion"),
+        ("tipforce --completion ", "bash zsh fish"),
     ],
 )
 def test_bash_completes(tmp_path: Path, typed: str, completed: str) -> None:
@@ -118,8 +118,8 @@ def test_bash_completes(tmp_path: Path, typed: str, completed: str) -> None:
 @pytest.mark.parametrize(
     "typed",
     [
-        "config apply 5 r", "estimate r", "budget r", "dump r", "replay r", "monitor r", "plot r", "plot run.log r",
-        "calibrate fit r", "calibrate apply r", "log -o r", "plot x.log -o r", "node --store r",
+        "config apply 5 r", "estimate r", "calibrate budget r", "dump r", "replay r", "monitor r", "plot r",
+        "plot run.log r", "calibrate fit r", "calibrate apply r", "log -o r", "plot x.log -o r", "node --store r",
         "plot x --calibration r",
     ],
 )  # fmt: skip
@@ -194,7 +194,7 @@ def test_fish_completes(tmp_path: Path) -> None:
     (tmp_path / "tipforce.fish").write_text(SCRIPTS["fish"])
     (tmp_path / "run.log").touch()
     lines = [
-        ("tipforce ", " ".join(COMMANDS)), ("tipforce calibrate ", "apply fit guide verify"),
+        ("tipforce ", " ".join(COMMANDS)), ("tipforce calibrate ", "apply budget fit guide verify"),
         ("tipforce plot x.log -o r", "run.log"), ("tipforce plot x.log r", "run.log"),
         ("tipforce sdo read 5 heartbeat.consumer:", " ".join(f"heartbeat.consumer:{k}" for k in range(1, 5))),
         ("tipforce node --layout II", "II III"), *COMPLETIONS,
@@ -214,5 +214,9 @@ def test_fish_completes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("shell", SHELLS)
 def test_the_command_prints_it(shell: str, printed: Printed) -> None:
-    assert printed(0, ["completion", shell]) == (SCRIPTS[shell], "")
-    assert json.loads(printed(0, ["completion", shell, "--json"]).out) == {"shell": shell, "script": SCRIPTS[shell]}
+    assert printed(0, ["--completion", shell]) == printed(0, [f"--completion={shell}"]) == (SCRIPTS[shell], "")
+
+
+def test_an_unknown_shell_is_refused(printed: Printed) -> None:
+    for words in (["--completion"], ["--completion", "tcsh"]):
+        assert "allowed are bash, zsh, fish" in printed(2, words).err

@@ -73,6 +73,22 @@ def test_log_ends_after_seconds(tmp_path: Path, printed: Printed) -> None:
     assert json.loads(out)["seconds"] >= 0.05
 
 
+@pytest.mark.parametrize("command", ["log -o {}.log --seconds 0.3", "dump -n 3", "monitor --once 0.3"])
+def test_sync_is_sent_while_a_command_listens(command: str, tmp_path: Path, printed: Printed) -> None:
+    """On a bus where no other device sends it; each also receives what it sends."""
+    words = [*command.format(tmp_path / "v").split(), "-i", "virtual", "-c", f"sync {command}"]
+    out = printed(0, [*words, "--sync", "100"]).out
+    if command.startswith("log"):
+        out = (tmp_path / "v.log").read_text()
+        assert out.count(" 080#\n") > 10
+    assert "080" in out or float(out.partition("SYNC ")[2].split()[0]) > 50
+
+
+@pytest.mark.parametrize("command", ["dump", "monitor", "view"])
+def test_sync_needs_a_bus(command: str, log: Path, printed: Printed) -> None:
+    assert "is no bus to listen to" in printed(2, [command, str(log), "--sync", "100"]).err
+
+
 def test_a_run_that_was_too_short_to_judge_does_not_pass(scene: Path, printed: Printed) -> None:
     last = printed(0, ["run", str(scene), "-q", "--duration", "0.05"]).out.splitlines()[-1]
     assert last == "NOT JUDGED: 0 of 2 expectations hold, 0 do not, 2 not judged (the run was too short)"
@@ -139,7 +155,7 @@ def test_a_number_is_never_cut(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "words", ["scene explain scenes/grasp.toml", "design table 1", "design table fig9 --repeats 2"]
+    "words", ["run scenes/grasp.toml --explain", "design table 1", "design table fig9 --repeats 2"]
 )
 def test_no_word_of_a_table_is_cut_in_eighty_columns(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is too long for its column goes on in the next line: a key is there to be copied."""
@@ -150,5 +166,5 @@ def test_no_word_of_a_table_is_cut_in_eighty_columns(words: str, monkeypatch: py
     told = stream.getvalue()
     assert max(map(len, told.splitlines())) <= 80
     assert "\u2026" not in told
-    if words.startswith("scene"):
+    if words.startswith("run"):
         assert "noise.one_over_f_microstrain" in re.sub(r"\s+", "", told)

@@ -66,13 +66,11 @@ def test_version(flag: str, printed: Printed) -> None:
 
 # Commands that do something when nothing more is said.
 RUN_ALONE = [
-    "budget",
     "decode",
     "demo",
     "doctor",
     "dump",
     "export",
-    "load",
     "log",
     "monitor",
     "report",
@@ -105,7 +103,7 @@ def test_the_bare_command_imports_nothing_heavy(words: tuple[str, ...]) -> None:
         ("decode -q run.log -o run.csv", ("can", "canopen", "cantools", "pyarrow", "rich", "scipy", "dask", "mcap")),
         ("design table 1", ("matplotlib",)),
         ("report --quick --only decoders", ("matplotlib", "scipy", "skfem")),
-        ("scene explain full --json", ("numpy", "can", "matplotlib", "random")),
+        ("run full --explain --json", ("numpy", "can", "matplotlib", "random")),
         *(
             (f"run {scene} --json", ("can", "matplotlib", "random", "scipy", "rich", "canopen"))
             for scene in ("static", "tap")
@@ -232,7 +230,9 @@ def test_numbers_with_a_minus_are_values_not_flags(run_command: Run) -> None:
     assert seen == [["-1.5e-3", "-1,0,0", "-.5"]]
 
 
-@pytest.mark.parametrize("name", ["calibrate", "design", "scene", "sdo", "lss", "config", "hand", "nmt", "export"])
+@pytest.mark.parametrize(
+    "name", ["calibrate", "dataset", "design", "firmware", "sdo", "lss", "config", "hand", "nmt", "export"]
+)
 def test_a_missing_action_is_one_line_with_all_of_them(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     choice = command_parser(name).choice
     assert len(choice) >= 1

@@ -1,4 +1,4 @@
-"""nmt, lss, tare and load, run in this process against nodes on the in-process bus."""
+"""nmt, lss and tare, run in this process against nodes on the in-process bus."""
 
 from __future__ import annotations
 
@@ -174,38 +174,3 @@ def test_tare_shows_and_clears(tipforce: Tipforce, bench: tuple[Bus, str]) -> No
     assert record["node_id"] == 5
     assert tipforce("tare", "5", "--show")[1].startswith("   5 (0x05)  F1 ")
     assert "no tare" in tipforce("tare", "5", "--clear")[1]
-
-
-# --- load -----------------------------------------------------------------------------------------------------------
-
-
-def test_a_hand_that_fits_and_one_that_does_not(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["load", "--nodes", "5", "--rate", "500", "--pdos", "gauges,contact"]) == 0
-    out = capsys.readouterr().out
-    assert re.search(r"together +57\.9 % +70\.3 %", out)
-    assert "gauges + contact         5 nodes up to 569 Hz; at 500 Hz up to 5 nodes" in out
-    assert main(["load", "--nodes", "5", "--rate", "1000", "--pdos", "gauges,contact", "--json"]) == 1
-    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert main(["load", "--nodes", "1-5", "--rate", "500", "--pdos", "gauges,contact"]) == 0
-    assert capsys.readouterr().out == out
-    assert main(["load", "--nodes", "5", "--rate", "1500", "--pdos", "gauges,contact"]) == 1
-    assert "it does not fit: " in capsys.readouterr().out
-    assert [r["frame"] for r in records] == ["SYNC", "Gauges", "Contact", "heartbeat", "together"]
-    assert records[-1]["most_load"] == pytest.approx(1.405, abs=1e-3)
-
-
-def test_the_load_of_a_live_bus(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
-    code, out, err = tipforce("load", "--seconds", "0.5", "--json")
-    records = [json.loads(line) for line in out.splitlines()]
-    assert code == 0
-    assert "assumed bit rate: 1000000 bit/s" in err
-    of_id = {r["can_id"]: r for r in records[:-1]}
-    together = records[-1]
-    counts = {can_id: r["per_second"] * together["seconds"] for can_id, r in of_id.items()}
-    assert set(counts) == {0x705, 0x706}
-    assert all(count == pytest.approx(round(count)) and round(count) >= 1 for count in counts.values())
-    assert together["frames_per_second"] * together["seconds"] == pytest.approx(sum(counts.values()))
-    bits = {can_id: r["bits_per_second"] / r["per_second"] for can_id, r in of_id.items()}
-    assert all(55 <= of_frame <= 66 for of_frame in bits.values())  # one byte of data: 55 bits, and stuff bits
-    assert together["load"] == pytest.approx(sum(r["bits_per_second"] for r in of_id.values()) / 1e6)
-    del bench

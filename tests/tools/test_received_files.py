@@ -206,7 +206,7 @@ def test_interfaces_of_a_log_name_no_file(received: Path, name: str) -> None:
         decode(log, "-o", output)
     decode("x.mcap", "-o", "mcap/")
     for folder in ("data", "mcap"):
-        main(["dataset", folder, "--compact", "-q"])
+        main(["dataset", "compact", folder, "-q"])
     main(["replay", str(log), "-i", "virtual", "--speed", "inf"])
 
 
@@ -258,12 +258,12 @@ def manifest_file(data: Path) -> Path:
 def use(data: Path, capfd: pytest.CaptureFixture[str]) -> set[int]:
     """Run every command on a dataset; return the exit codes."""
     log = data.parent / "run.log"
-    codes = {main(["dataset", str(data), *words]) for words in ([], ["--verify"], ["--compact"])}
-    codes.add(main(["dataset", str(data), "--sql", "select * from samples, events"]))
+    codes = {main(["dataset", action, str(data)]) for action in ("show", "verify", "compact")}
+    codes.add(main(["dataset", "sql", str(data), "select * from samples, events"]))
     codes |= {decode(data, "-o", "x.csv"), decode(log, "-j", 1, "-o", f"{data}/")}
     with log.open("a") as stream:
         stream.write("".join(line.replace("(170000", "(170001") + "\n" for line in log_lines(20, (1,))))
-    codes |= {decode(log, "-j", 1, "-o", f"{data}/"), main(["dataset", str(data), "--compact"])}
+    codes |= {decode(log, "-j", 1, "-o", f"{data}/"), main(["dataset", "compact", str(data)])}
     told = capfd.readouterr()
     assert MARK not in told.out + told.err
     assert "Traceback" not in told.err
@@ -307,7 +307,7 @@ def test_a_manifest_names_no_file_outside(
 
 
 def used_and_refused(received: Path, capfd: pytest.CaptureFixture[str]) -> set[int]:
-    assert main(["dataset", "data"]) == 2
+    assert main(["dataset", "show", "data"]) == 2
     lines = capfd.readouterr().err.splitlines()
     assert len(lines) == 1
     assert "data/_tipforce/manifest-" in lines[0]
@@ -363,5 +363,5 @@ def test_marks_of_runs_remove_nothing_but_what_a_run_wrote(
         (data / "_tipforce" / mark).touch()
     assert decode(received / "run.log", "-j", 1, "-o", f"{data}/") == 0
     assert all(path.read_text() == "kept" for path in kept)
-    assert main(["dataset", str(data), "--verify"]) == 0
+    assert main(["dataset", "verify", str(data)]) == 0
     capfd.readouterr()

@@ -1,4 +1,4 @@
-"""`tipforce run` and `tipforce scene explain`: tables, JSON lines, exit codes, what is loaded."""
+"""`tipforce run` and `tipforce run --explain`: tables, JSON lines, exit codes, what is loaded."""
 
 from __future__ import annotations
 
@@ -65,12 +65,12 @@ def test_a_bus_that_cannot_carry_it_is_told(printed: Printed, tmp_path: Path) ->
     text = (SCENES / "static.toml").read_text().replace("sync_hz", "bit_rate = 50000\nsync_hz")
     (tmp_path / "scene.toml").write_text(text)
     assert "too much for a bus of 50000 bit/s: 316 % load" in printed(0, ["run", str(tmp_path / "scene.toml")]).err
-    assert "(it does not fit)" in printed(0, ["scene", "explain", str(tmp_path / "scene.toml")]).out
+    assert "(it does not fit)" in printed(0, ["run", "--explain", str(tmp_path / "scene.toml")]).out
 
 
 def test_explain_prints_every_part_and_identifier(printed: Printed) -> None:
     path = SCENES / "dying-gauge.toml"
-    out = printed(0, ["scene", "explain", str(path)]).out
+    out = printed(0, ["run", "--explain", str(path)]).out
     scene = read_scene(path)
     for part in parts(scene):
         assert part.name in out
@@ -82,7 +82,7 @@ def test_explain_prints_every_part_and_identifier(printed: Printed) -> None:
 
 def test_explain_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     path = SCENES / "tap.toml"
-    assert main(["scene", "explain", str(path), "--json"]) == 0
+    assert main(["run", "--explain", str(path), "--json"]) == 0
     found = records(capsys)
     told = {record["part"]: record for record in found if "part" in record}
     assert told["dynamics"]["built"]
@@ -110,13 +110,13 @@ def test_a_shipped_scene_is_found_by_name(
     for name in ("static", "static.toml"):
         assert main(["run", name, "--json", "-q"]) == 0
         assert records(capsys)[-1]["ok"]
-    assert main(["scene", "explain", "static", "--json"]) == 0
+    assert main(["run", "--explain", "static", "--json"]) == 0
     assert capsys.readouterr().out
     (tmp_path / "static.toml").write_text("[[")
     assert main(["run", "static.toml"]) == 2
     assert "scene static.toml: " in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [("run",), ("scene", "explain"), ("view",)])
+@pytest.mark.parametrize("words", [("run",), ("run", "--explain"), ("view",)])
 def test_a_name_that_is_no_scene_lists_the_shipped_ones(words: tuple[str, ...], printed: Printed) -> None:
     assert printed(2, [*words, "grsp"]).err == f"tipforce: grsp: no such file; by name ship {', '.join(SHIPPED)}\n"

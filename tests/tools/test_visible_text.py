@@ -80,9 +80,9 @@ NODE = f"{BUS} --timeout 0.2 --retries 1"
 CASES: dict[str, list[str]] = {
     "demo": ["demo HOSTILE"],
     "node": ["node --node-id 5 --layout layout.toml " + BUS, "node --node-id 5 --layout NAME " + BUS],
-    "run": ["run scene.toml", "run markup.toml --color always", "run keys.toml", "run NAME"],
+    "run": ["run scene.toml", "run markup.toml --color always", "run keys.toml", "run NAME",
+            *(f"run {name} --explain" for name in ("markup.toml", "keys.toml", "NAME"))],
     "simulate": [f"simulate {name} {BUS}" for name in ("machine.toml", "values.toml", "keys.toml", "NAME --node-id 5")],
-    "scene": ["scene explain markup.toml", "scene explain keys.toml", "scene explain NAME"],
     "scan": ["scan --wait 0.2 " + NODE, "scan --json --wait 0.2 " + NODE],
     "read": ["read 5 -n 1 " + NODE],
     "sdo": [
@@ -94,24 +94,24 @@ CASES: dict[str, list[str]] = {
              "hand run hand.toml --seconds 0.3 " + BUS],
     "nmt": ["nmt start HOSTILE " + BUS],
     "lss": ["lss assign HOSTILE " + BUS],
-    "firmware": ["firmware 5 " + NODE, "firmware 6 " + NODE, "firmware 6 --json " + NODE, "firmware 5 NAME " + NODE],
+    "firmware": [f"firmware {words} {NODE}" for words in ("show 5", "show 6", "show 6 --json", "install 5 NAME")],
     "config": [
         "config show 5 --all " + NODE, "config show 6 --eds any.eds " + NODE, "config apply 5 keys.toml " + NODE,
         "config show 5 --all --json " + NODE,
     ],
     "calibrate": [f"calibrate {words}" for words in (
-        "fit data.csv", "fit NAME", "verify keys.toml --node 5 " + NODE, "apply NAME --node 5 " + NODE)],
+        "fit data.csv", "fit NAME", "verify keys.toml --node 5 " + NODE, "apply NAME --node 5 " + NODE,
+        "budget keys.toml", "budget NAME", "budget cal.toml --layout layout.toml")],
     "tare": ["tare HOSTILE " + BUS],
     "estimate": ["estimate cal.toml readings.csv", "estimate keys.toml readings.csv", "estimate cal.toml NAME"],
-    "budget": ["budget keys.toml", "budget NAME", "budget cal.toml --layout layout.toml"],
     "dump": ["dump run.log", "dump comment.log --decode", "dump run.log --json", "dump NAME"],
     "decode": [
         "decode run.log", "decode run.log lines.pcapng", "decode run.log lines.pcapng --format jsonl",
         "decode run.log lines.pcapng --summary", "decode comment.log --strict", "decode noise.asc", "decode NAME.log",
         "decode --eds 5=any.eds run.log", "decode NAME",
     ],
-    "dataset": ["dataset data", "dataset data --json", "dataset NAME", "dataset data --sql SELECT",
-                "dataset data --json --sql SELECT"],
+    "dataset": ["dataset show data", "dataset show data --json", "dataset show NAME", "dataset sql data SELECT",
+                "dataset sql data --json SELECT"],
     "log": ["log -o none/NAME " + BUS],
     "replay": ["replay NAME " + BUS],
     "plot": ["plot run.log --bus HOSTILE -o x.svg", "plot NAME -o x.svg", "plot noise.asc -o x.svg"],
@@ -119,15 +119,13 @@ CASES: dict[str, list[str]] = {
                 "monitor NAME"],
     "view": ["view NAME", "view keys.toml", "view noise.asc"],
     "ros2": ["ros2 two.toml", "ros2 NAME"],
-    "load": ["load HOSTILE", "load two.toml"],
     "design": ["design sweep HOSTILE", "design sweep h2 --layout layout.toml", "design HOSTILE"],
     "report": ["report HOSTILE"],
     "conformance": ["conformance --node-id 6 --case HOSTILE " + BUS],
     "export": ["export eds --eds NAME", "export dcf --node-id 5 --settings keys.toml",
                "export ros2 --hand two.toml -o o"],
-    "completion": ["completion HOSTILE"],
     "doctor": ["doctor --listen HOSTILE"],
-    "vcan": ["vcan --HOSTILE"],
+    "vcan": ["vcan --HOSTILE", "--completion HOSTILE"],
 }  # fmt: skip
 
 

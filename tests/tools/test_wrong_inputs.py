@@ -137,7 +137,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("estimate cal.toml two.csv", 2, "allowed are SG1 to SGn without a gap, n = 3 to 8"),
     ("estimate cal.toml readings.csv -o readings.csv", 2, "is also an input; choose another name"),
     ("estimate cal.toml none.csv", 2, "none.csv: No such file"),
-    ("budget cal.toml --phi 10", 2, "one load needs both"),
+    ("calibrate budget cal.toml --phi 10", 2, "one load needs both"),
     ("design sweep h2 --layout layout.toml", 2, "layout"),
     ("export dcf", 2, "add it, for example --node-id 5"),
     ("export c", 2, "name a folder"),
@@ -152,8 +152,8 @@ WRONG: list[tuple[str, int, str]] = [
     ("view run.log --port 70000", 2, "--port 70000: allowed are 0"),
     ("doctor --listen -1", 2, "'-1': allowed are 0 to 3600 s"),
     ("design optimise --seed -1", 2, "allowed are whole numbers from 0"),
-    ("budget --load 1e300", 2, "--load: '1e300': allowed is 1e-09 to 1e+09 N"),
-    ("budget --noise 1e300", 2, "--noise: '1e300': allowed is 0 to 1e+09"),
+    ("calibrate budget --load 1e300", 2, "--load: '1e300': allowed is 1e-09 to 1e+09 N"),
+    ("calibrate budget --noise 1e300", 2, "--noise: '1e300': allowed is 0 to 1e+09"),
     ("export c -o run.log", 2, "is a file; name a directory"),
     ("export ros2 --hand one.toml -o taken", 2, "the existing file is not a bus.yml of ros2_canopen"),
     ("dump ,181:7FF -", 2, "no channel"),
@@ -245,7 +245,7 @@ WRONG: list[tuple[str, int, str]] = [
     *(
         (command, 2, "rank below 3")
         for command in (
-            "budget zero.toml",
+            "calibrate budget zero.toml",
             "hand check zero-hand.toml",
             "run zero-scene.toml",
             "decode run.log --calibration zero.toml",
@@ -254,7 +254,7 @@ WRONG: list[tuple[str, int, str]] = [
     ),
     ("run static -o none/x.log", 2, "none does not exist; create it first"),
     ("run node.toml", 2, "node: no such key; did you mean nodes?"),
-    ("scene explain node.toml", 2, "node: no such key; did you mean nodes?"),
+    ("run node.toml --explain", 2, "node: no such key; did you mean nodes?"),
     ("run static.toml -o static.toml", 2, "static.toml: the existing file is not a candump log"),
     ("export eds -o cal.toml", 2, "cal.toml: the existing file is not an EDS or DCF"),
     ("export eds -o .", 2, "is a directory; name a file"),
@@ -330,13 +330,9 @@ WRONG: list[tuple[str, int, str]] = [
             ("--host --uml", "not allowed with"),
         )
     ),
-    *(
-        (words, 2, NO_BUS)
-        for words in ("scan", "sdo read 5 0x1017 0 u16", "dump", "log", "load -q", "node --node-id 5", "view")
-    ),
+    *((words, 2, NO_BUS) for words in ("scan", "sdo read 5 0x1017 0 u16", "dump", "log", "node --node-id 5", "view")),
     ("scan --wait nan -i virtual -c x", 2, "--wait: 'nan': allowed is 0 s or more"),
     ("scan --wait inf -i virtual -c x", 2, "--wait: 'inf': allowed is 0 s or more"),
-    ("load --nodes x --rate 100", 2, "--nodes: 'x': allowed are whole numbers from 1"),
     ("log vcan0 -n 0", 2, "-n: '0': allowed are whole numbers from 1"),
     ("log vcan0 --seconds -1", 2, "--seconds: '-1': allowed are seconds, more than 0"),
     ("dump vcan0 -T 1.5", 2, "-T: '1.5': allowed are whole numbers from 1"),
@@ -391,14 +387,14 @@ WRONG: list[tuple[str, int, str]] = [
             ("--yield 500 --max-stress 200", "not allowed with argument"),
         )
     ),
-    ("budget --noise -1", 2, "--noise: '-1': allowed is 0 to 1e+09"),
-    ("budget --gravity nan", 2, "--gravity: 'nan'"),
-    ("budget --load 0", 2, "--load: '0': allowed is 1e-09 to 1e+09 N"),
-    ("budget --phi 1e9 --theta 0", 2, "--phi: '1e9': allowed are degrees from -360 to 360"),
-    ("budget -o b.txt", 2, "figure b.txt: allowed are the suffixes .svg, .png"),
-    ("budget --layout IV", 2, "layout 'IV'"),
-    ("budget nothing.toml", 2, "calibration nothing.toml"),
-    ("budget nothing.toml --uncalibrated", 2, "--uncalibrated"),
+    ("calibrate budget --noise -1", 2, "--noise: '-1': allowed is 0 to 1e+09"),
+    ("calibrate budget --gravity nan", 2, "--gravity: 'nan'"),
+    ("calibrate budget --load 0", 2, "--load: '0': allowed is 1e-09 to 1e+09 N"),
+    ("calibrate budget --phi 1e9 --theta 0", 2, "--phi: '1e9': allowed are degrees from -360 to 360"),
+    ("calibrate budget -o b.txt", 2, "figure b.txt: allowed are the suffixes .svg, .png"),
+    ("calibrate budget --layout IV", 2, "layout 'IV'"),
+    ("calibrate budget nothing.toml", 2, "calibration nothing.toml"),
+    ("calibrate budget nothing.toml --uncalibrated", 2, "--uncalibrated"),
     ("conformance --node-id 5 --case nosuch", 2, "matches no case"),
     ("conformance --node-id 5 --tolerance -1", 2, "--tolerance -1"),
     # damaged logs, and logs of other devices

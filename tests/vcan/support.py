@@ -40,7 +40,7 @@ _context.set_forkserver_preload(
         "canopen_device.running.ports", "tipforce.sensor.structure.strain",
         *(f"tipforce_tools.cli.{name}" for name in ("main", "bus_flags", "service")), "tipforce.sources.layout_file",
         "tipforce_tools.node",
-        *(f"tipforce_tools.network.{name}" for name in ("load", "nodes", "config", "hand", "sdo")),
+        *(f"tipforce_tools.network.{name}" for name in ("nodes", "config", "hand", "sdo")),
         "tipforce_tools.calibrate.fit",
         "tipforce_tools.dump.command", "tipforce_tools.dump.session", "tipforce_tools.log", "tipforce_tools.replay",
         "tipforce.host.live.receiver", "tipforce.host.live.send",

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Self, TypeAlias
 from tipforce.errors import EnvironmentLackError, InputError, WriteError
 from tipforce.output_file import check_output
 from tipforce_tools.cli import common
-from tipforce_tools.cli.listening import StopSignals, counted, open_targets
+from tipforce_tools.cli.listening import StopSignals, add_sync_argument, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-T", dest="timeout_ms", type=common.count, metavar="MS", help="end after MS without a frame")
     parser.add_argument("--seconds", type=common.seconds, metavar="S", help="end after S seconds")
     parser.add_argument("-D", dest="stay", action="store_true", help="continue when an interface goes down")
+    add_sync_argument(parser)
     parser.add_argument("--rotate-size", type=_bytes, metavar="SIZE", help="a new file after SIZE bytes: 500K 100M 1G")
     parser.add_argument("--rotate-time", type=common.seconds, metavar="S", help="a new file after S seconds")
     common.add_bus_arguments(parser)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import bus_options
-from tipforce_tools.cli.listening import commissioned, counted, listening
+from tipforce_tools.cli.listening import add_sync_argument, check_sync, commissioned, counted, listening
 
 if TYPE_CHECKING:
     from tipforce.watching.feeds import Feed
@@ -52,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--gauges", type=int, default=3, metavar="N", help="bus or log: of each finger, 3 to 8 (default 3)"
     )
+    add_sync_argument(parser)
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="log: times recorded speed (default 1)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this time")
     common.add_bus_arguments(parser)
@@ -89,6 +90,7 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
     if not args.speed > 0:
         raise InputError(f"--speed {args.speed:g}: allowed is more than 0, or inf")
+    check_sync(args, None if args.no_bring_up else args.source)
     if args.no_bring_up and not _is_hand(args):
         raise InputError("--no-bring-up: needs a hand file")
     if args.allow_tare and (not _is_hand(args) or args.no_bring_up):

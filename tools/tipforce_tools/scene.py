@@ -1,4 +1,4 @@
-"""`tipforce run SCENE`: run a scene file and print results; `tipforce scene explain SCENE`: what it builds, and why."""
+"""`tipforce run SCENE`: run a scene file and print results; with `--explain`: what it builds, and why."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from tipforce_tools.cli import common
+from tipforce_tools.cli.bus_flags import add_bus_name_arguments
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tipforce.scene.registry import Identifier
     from tipforce.scene.results import Check, FingerResult
     from tipforce.scene.run import Options, Outcome
@@ -18,12 +21,13 @@ _KEYS = ("P_N", "phi_deg", "theta_deg")
 _DIGITS = (3, 2, 2)
 
 
-def add_run_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce run`. Three bus flags are defined here: only runs on a bus import python-can."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce run`."""
     parser.epilog = (
         "Time is simulated, without a bus and without waiting, unless the scene has a [bus] or a bus flag is given.\n"
         "Exit code 1: an expectation of the scene ([[expect]]) did not hold.\n"
         "  tipforce run grasp\n"
+        "  tipforce run grasp --explain\n"
         "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
     )
     parser.add_argument(
@@ -32,23 +36,28 @@ def add_run_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
     parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")
     parser.add_argument("-o", "--log", metavar="LOG", help="write every frame to this file, as candump -L does")
-    group = parser.add_argument_group("bus (in real time)")
-    group.add_argument("-i", "--interface", help="python-can interface: socketcan, virtual, ...")
-    group.add_argument("-c", "--channel", help="for example vcan0")
-    group.add_argument("-b", "--bitrate", type=int, metavar="BIT/S", help="if the interface sets it")
-    group.add_argument("--realtime", action="store_true", help="without -i and -c: on a bus inside this process")
+    parser.add_argument(
+        "--explain", action="store_true", help="run nothing: list what the scene builds, what it leaves out, and why"
+    )
+    parser.add_argument("--cost", action="store_true", help="--explain: also measure each part's run and import time")
+    parser.add_argument("--realtime", action="store_true", help="without -i and -c: on a bus inside this process")
+    add_bus_name_arguments(parser)
     common.add_output_arguments(parser)
 
 
-def run_run(args: argparse.Namespace) -> int:
-    """Run the scene; return 0, or 1 if an expectation did not hold."""
-    from tipforce.scene.reader import read_scene
-    from tipforce.scene.registry import bus_load
-    from tipforce.scene.run import run_scene
+def run(args: argparse.Namespace) -> int:
+    """Run or explain the scene; return 0, or 1 if an expectation did not hold."""
     from tipforce.shipped_files import file_or_shipped
 
     path = file_or_shipped(args.scene, "scenes")
+    from tipforce.scene.reader import read_scene
+    from tipforce.scene.registry import bus_load
+
     scene = read_scene(path)
+    if args.explain:
+        return _explain(args, path, scene)
+    from tipforce.scene.run import run_scene
+
     options = _options(args)
     if bus_load(scene)[0] > 1.0:
         common.note(
@@ -75,9 +84,8 @@ def _options(args: argparse.Namespace) -> Options:
     from tipforce.scene.run import Options
     from tipforce.scene.schema import Bus
 
-    named = any(value is not None for value in (args.interface, args.channel, args.bitrate))
-    bus = Bus(interface=args.interface, channel=args.channel, bitrate=args.bitrate) if named else None
-    return Options(args.duration, args.seed, args.log, bus, args.realtime)
+    bus = common.bus_options(args)
+    return Options(args.duration, args.seed, args.log, Bus(**bus) if bus else None, args.realtime)
 
 
 def _print_fingers(args: argparse.Namespace, title: str, outcome: Outcome) -> None:
@@ -157,27 +165,15 @@ def _finger_record(finger: FingerResult) -> dict[str, object]:
     return {**record, "slit_closed": finger.slit_closed, "missing": finger.missing, "emcy": finger.emcy}
 
 
-# --- scene explain --------------------------------------------------------------------------------------------------
+# --- run --explain ----------------------------------------------------------------------------------------------------
 
 _SHOWN_MODULES = 8
 _COSTS = ("us_per_sample", "ms_per_run", "import_ms")
 
 
-def add_explain_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce scene explain`."""
-    parser.add_argument("scene", metavar="SCENE", help="a TOML file, or the name of a shipped scene: grasp")
-    parser.add_argument("--cost", action="store_true", help="measure the run time and import time of each part")
-    common.add_output_arguments(parser)
-
-
-def run_explain(args: argparse.Namespace) -> int:
-    """Explain; 0."""
-    from tipforce.scene.reader import read_scene
+def _explain(args: argparse.Namespace, path: Path, scene: Scene) -> int:
     from tipforce.scene.registry import bus_load, identifiers, parts
-    from tipforce.shipped_files import file_or_shipped
 
-    path = file_or_shipped(args.scene, "scenes")
-    scene = read_scene(path)
     costs: dict[str, Any] = {}
     if args.cost:
         from tipforce_lab.scene_cost import part_costs

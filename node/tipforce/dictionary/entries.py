@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 
 from canopen_device import types
-from tipforce.dictionary import table, table_objects
+from tipforce.dictionary import indices, table, table_objects
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
@@ -190,6 +190,9 @@ def _named(text: str, known: Entries, n: int) -> Entry[Any]:
     name = re.sub(r"[.:](\d+)$", lambda m: f":{int(m[1])}", text)
     if name in by_name:
         return by_name[name]
+    for sub, channel in enumerate(table.channels(n), 1):
+        if channel[0] == text:
+            return known[indices.PROCESS_VALUE, sub]
     stem = name.partition(":")[0]
     subs = [entry.sub for entry in known.values() if entry.is_counted and entry.stem == stem]
     if subs:

@@ -1,6 +1,6 @@
 """The parts of a scene: the key that names each, why it is left out, its modules, and the frames that a run sends.
 
-``parts`` is the one list: a run builds what it names, `tipforce scene explain` prints it, the costs are measured by it.
+``parts`` is the one list: a run builds what it names, `tipforce run --explain` prints it, the costs are measured by it.
 """
 
 from __future__ import annotations

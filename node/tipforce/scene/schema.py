@@ -226,7 +226,7 @@ class Scene(_Table, frozen=True, kw_only=True):
     sync_hz: Annotated[float, Meta(gt=0.0, le=10_000.0)] | None = None
     """Without it there is no SYNC."""
     bit_rate: Literal[1_000_000, 800_000, 500_000, 250_000, 125_000, 50_000, 20_000, 10_000] = 1_000_000
-    """For the bus load in `scene explain`."""
+    """For the bus load in `run --explain`."""
     seed: Annotated[int, Meta(ge=0)] = 1
     loads: tuple[Load, ...] = ()
     noise: Noise | None = None

@@ -1,4 +1,4 @@
-"""Bits on the wire: the bounds, and the exact count against a bit-by-bit model of a CAN controller."""
+"""Bits on the wire, and the budget of a hand."""
 
 from __future__ import annotations
 
@@ -11,38 +11,10 @@ from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.network.bus_load import (
     LoadMeter,
-    exact_bits,
     hand_budget,
     highest_rate_hz,
     range_of_bits,
 )  # fmt: skip
-
-
-def wire_bits(can_id: int, data: bytes) -> int:
-    """A frame as a controller sends it, one bit after the other."""
-    extended, remote = bool(can_id & 0x80000000), bool(can_id & 0x40000000)
-    body = "" if remote else "".join(f"{byte:08b}" for byte in data)
-    dlc, rtr = f"{len(data):04b}", "1" if remote else "0"
-    if extended:
-        number = f"{can_id & 0x1FFFFFFF:029b}"
-        text = "0" + number[:11] + "11" + number[11:] + rtr + "00" + dlc + body
-    else:
-        text = "0" + f"{can_id & 0x7FF:011b}" + rtr + "00" + dlc + body
-    crc = 0
-    for bit in text:
-        crc = (crc << 1 ^ (0x4599 if int(bit) ^ crc >> 14 else 0)) & 0x7FFF
-    text += f"{crc:015b}"
-    sent = ""
-    for bit in text:
-        sent += bit
-        if len(sent) >= 5 and sent[-5:] == bit * 5 and _run(sent) == 5:
-            sent += "1" if bit == "0" else "0"
-    return len(sent) + 13
-
-
-def _run(sent: str) -> int:
-    return len(sent) - len(sent.rstrip(sent[-1]))
-
 
 identifiers = st.one_of(
     st.integers(0, 0x7FF),
@@ -50,25 +22,11 @@ identifiers = st.one_of(
     st.integers(0, 0x1FFFFFFF).map(lambda n: n | 0x80000000),
     st.integers(0, 0x1FFFFFFF).map(lambda n: n | 0xC0000000),
 )
-payloads = st.one_of(st.binary(max_size=8), st.integers(0, 8).map(bytes), st.integers(0, 8).map(lambda n: b"\xff" * n))
-
-
-@given(st.lists(st.tuples(identifiers, payloads), max_size=20))
-def test_exact_bits_are_those_of_a_controller(frames: list[tuple[int, bytes]]) -> None:
-    array = frame_array([(0, can_id, data) for can_id, data in frames])
-    found = exact_bits(array).tolist()
-    assert found == [wire_bits(can_id, data) for can_id, data in frames]
-    for bits, (can_id, data) in zip(found, frames, strict=True):
-        size = 0 if can_id & 0x40000000 else len(data)
-        extended = bool(can_id & 0x80000000)
-        assert least_bits(size, extended) <= bits <= most_bits(size, extended)
 
 
 def test_the_figures_of_the_standard() -> None:
     assert [least_bits(8), most_bits(8), least_bits(0), most_bits(0)] == [111, 135, 47, 55]
     assert [least_bits(8, True), most_bits(8, True)] == [131, 160]
-    assert exact_bits(frame_array([(0, 0x20000004, bytes(8))])).tolist() == [0]
-    assert len(exact_bits(frame_array([]))) == 0
 
 
 def test_five_fingers_at_a_kilohertz() -> None:
@@ -103,7 +61,6 @@ def test_the_fast_range_is_that_of_each_frame(frames: list[tuple[int, bytes]]) -
     least, most = range_of_bits(array)
     real = [(0 if i & 0x40000000 else len(data), bool(i & 0x80000000)) for i, data in frames if not i & 0x20000000]
     assert (least, most) == (sum(least_bits(*one) for one in real), sum(most_bits(*one) for one in real))
-    assert least <= exact_bits(array).sum() <= most
 
 
 def test_the_meter_looks_at_the_last_second() -> None:

@@ -41,7 +41,8 @@ def written(tmp_path: Path, content: bytes) -> str:
 
 
 def command(channel: str, *words: str) -> int:
-    return main(["firmware", str(NODE_ID), *words, "-i", "virtual", "-c", channel])
+    action = "install" if words else "show"
+    return main(["firmware", action, str(NODE_ID), *words, "-i", "virtual", "-c", channel])
 
 
 def test_progress_and_the_program_that_the_node_confirms() -> None:

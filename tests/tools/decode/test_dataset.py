@@ -94,27 +94,27 @@ def test_readers(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture
 def test_what_it_holds(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     log, data = write_log(tmp_path / "run.log", [*lines, "bad"]), tmp_path / "data"
     assert decode(log, "-o", f"{data}/") == 0
-    assert main(["dataset", str(data), "--verify"]) == 0
+    assert main(["dataset", "verify", str(data)]) == 0
     out = capsys.readouterr().out
     assert "vcan0 node 5 (0x05):" in out
     assert "1 bad lines" in out
-    assert main(["dataset", str(data), "--sql", "select count(*) as n from samples where node = 5", "--json"]) == 0
+    assert main(["dataset", "sql", str(data), "select count(*) as n from samples where node = 5", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"n": len(tipforce.read_log(log)[5].t_s)}
-    assert main(["dataset", str(data), "--sql", "select 1 from nothing"]) == 2
+    assert main(["dataset", "sql", str(data), "select 1 from nothing"]) == 2
     assert "nothing" in capsys.readouterr().err
     rows = rows_of_dataset(data)
-    assert main(["dataset", str(data), "--compact"]) == 0
+    assert main(["dataset", "compact", str(data)]) == 0
     assert len(opened(str(data))[1].parts) == 2
     assert len(globbed(data)) == 4
     assert rows_of_dataset(data) == rows
     assert globbed(data) == {file.path for file in opened(str(data))[1].files()}
     file = data / next(iter(globbed(data)))
     file.write_bytes(file.read_bytes()[:-9] + b"x" + file.read_bytes()[-8:])
-    assert main(["dataset", str(data)]) == 0
-    assert main(["dataset", str(data), "--verify"]) == 1
+    assert main(["dataset", "show", str(data)]) == 0
+    assert main(["dataset", "verify", str(data)]) == 1
     assert "differs" in capsys.readouterr().out
     file.unlink()
-    assert main(["dataset", str(data)]) == 1
+    assert main(["dataset", "show", str(data)]) == 1
 
 
 def test_two_writers(tmp_path: Path, lines: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -171,7 +171,7 @@ def test_behind_a_url(tmp_path: Path, lines: list[str]) -> None:
         assert decode(log, "-j", 1, "-o", url) == 0
     one, other = tipforce.read_log(log), tipforce.read_log(url)
     assert [other[node].counter.tolist() for node in one] == [one[node].counter.tolist() for node in one]
-    assert main(["dataset", url, "--verify", "--json"]) == 0
+    assert main(["dataset", "verify", url, "--json"]) == 0
     assert not Path("memory:").exists()
     files = pytest.importorskip("fsspec").filesystem("memory")
     files.pipe_file(f"/logs-{tmp_path.name}/run.log", log.read_bytes())
@@ -255,13 +255,13 @@ def test_two_calibrations(tmp_path: Path, lines: list[str], capsys: pytest.Captu
     for data, steps in ((tmp_path / "one", [logs]), (tmp_path / "two", [logs[:1], logs])):
         for names in steps:
             assert decode(*names, "-j", 2, "-o", f"{data}/") == 0
-        assert main(["dataset", str(data), "--json"]) == 0
+        assert main(["dataset", "show", str(data), "--json"]) == 0
         found = json.loads(capsys.readouterr().out)["calibrations"]
         assert [(one["node"], one["crc"]) for one in found] == [(5, 0x11223344), (5, 0x12345678)]
-    assert main(["dataset", str(data)]) == 0
+    assert main(["dataset", "show", str(data)]) == 0
     assert "vcan0 node 5: rows of 2 calibrations: 0x11223344 from 2023-11-14T22:13:20" in capsys.readouterr().out
     query = """select code, count(*) as n from samples asof join (select t_s as since, node, code from events where
                event = 'calibration') told on samples.node = told.node and samples.t_s >= since group by code"""
-    assert main(["dataset", str(data), "--json", "--sql", query]) == 0
+    assert main(["dataset", "sql", str(data), "--json", query]) == 0
     rows = {row["code"]: row["n"] for row in map(json.loads, capsys.readouterr().out.splitlines())}
     assert rows.keys() == {"0x11223344", "0x12345678"}

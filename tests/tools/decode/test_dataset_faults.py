@@ -51,17 +51,17 @@ def test_removed_and_truncated_files_are_written_again(
     of_second = [part for part in manifest.parts if part.source == manifest.sources[1].id]
     (data / of_second[0].files[0].path).unlink()
     os.truncate(data / of_second[-1].files[-1].path, 50)
-    for words in (["dataset", f"{data}", "--sql", "select 1"], ["decode", "-q", f"{data}"]):
+    for words in (["dataset", "sql", f"{data}", "select 1"], ["decode", "-q", f"{data}"]):
         capsys.readouterr()
         assert main(words) == 1
         found = capsys.readouterr().err.splitlines()
         assert "missing or damaged" in found[0]
         assert "writes them again" in found[0]
         assert len(found) == 1
-    assert main(["dataset", f"{data}"]) == 1  # sizes show it, too
+    assert main(["dataset", "show", f"{data}"]) == 1  # sizes show it, too
     assert decode(days[1], "-j", 1, "-o", f"{data}/") == 0
     check(data, *days)
-    assert main(["dataset", f"{data}", "--verify"]) == 0
+    assert main(["dataset", "verify", f"{data}"]) == 0
 
 
 @pytest.mark.parametrize("command", ["decode", "dataset"])
@@ -104,14 +104,14 @@ def test_compaction_beside_another_writer(tmp_path: Path, lines: list[str], monk
         monkeypatch.setattr(dataset_files, "commit", commit)
 
     meanwhile("decode", "-q", log, "-j", 1, "-o", f"{data}/")
-    assert main(["dataset", str(data), "--compact", "-q"]) == 0  # both are done
+    assert main(["dataset", "compact", str(data), "-q"]) == 0  # both are done
     check(data, log)
     assert decode(log, "-j", 1, "-o", f"{data}/") == 0
     write_log(log, [*lines, *(line.replace("(170000", "(170001") for line in lines)])
     monkeypatch.setattr(session, "_DATASET_PIECE_BYTES", 30_000)
     assert decode(log, "-j", 1, "-o", f"{data}/") == 0
-    meanwhile("dataset", data, "--compact", "-q")
-    assert main(["dataset", str(data), "--compact", "-q"]) == 1  # the same parts: one of them
+    meanwhile("dataset", "compact", data, "-q")
+    assert main(["dataset", "compact", str(data), "-q"]) == 1  # the same parts: one of them
     check(data, log)
 
 
@@ -133,7 +133,7 @@ def check_apart(data: Path, logs: list[Path]) -> None:
     """As ``check``, for logs that were added one by one."""
     assert rows_of_dataset(data) == sorted(row for log in logs for row in rows_of_logs(log))
     assert globbed(data) == {file.path for file in opened(str(data))[1].files()}
-    assert main(["dataset", f"{data}", "--verify"]) == 0
+    assert main(["dataset", "verify", f"{data}"]) == 0
 
 
 def test_logs_of_a_day_are_compacted(tmp_path: Path, hours: list[Path], lines: list[str]) -> None:
@@ -142,7 +142,7 @@ def test_logs_of_a_day_are_compacted(tmp_path: Path, hours: list[Path], lines: l
     assert len(globbed(data)) == 4  # of each node one, and the last part of the last log
     assert len(list((data / "events").iterdir())) == 1
     before = opened(str(data))[1].generation
-    assert main(["dataset", f"{data}", "--compact", "-q"]) == 0
+    assert main(["dataset", "compact", f"{data}", "-q"]) == 0
     assert opened(str(data))[1].generation == before
     for hour in (0, 3, 4):  # a log that grows leaves the files that it shares
         moved = [line.replace("(1700000", f"({1_700_000 + hour}") for line in lines]
@@ -150,7 +150,7 @@ def test_logs_of_a_day_are_compacted(tmp_path: Path, hours: list[Path], lines: l
             log.write("".join(line + "\n" for line in moved[200 * (hour + 1) - 1 : 200 * (hour + 1) + 200]))
         assert decode(*hours[hour : hour + 1], "-j", 1, "-o", f"{data}/") == 0
         check_apart(data, hours)
-    assert main(["dataset", f"{data}", "--compact", "-q"]) == 0
+    assert main(["dataset", "compact", f"{data}", "-q"]) == 0
     check_apart(data, hours)
     assert len(globbed(data)) == 4
 
@@ -162,7 +162,7 @@ def test_a_file_of_several_logs_is_repaired_log_by_log(
     shared = max(opened(str(data))[1].files(), key=lambda file: file.rows)
     (data / shared.path).unlink()
     for hour, log in enumerate(hours):
-        assert main(["dataset", f"{data}"]) == 1
+        assert main(["dataset", "show", f"{data}"]) == 1
         assert decode(log, "-j", 1, "-o", f"{data}/") == 0
         listed = {file.path for file in opened(str(data))[1].files()}
         assert globbed(data) == listed - ({shared.path} if hour < 4 else set())
@@ -243,7 +243,7 @@ def test_manifests(tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixtu
     data = tmp_path / "data"
     (data / FOLDER).mkdir(parents=True)
     (data / FOLDER / "manifest-0000000004.json").write_text(text)
-    assert main(["dataset", str(data)]) == decode(days[0], "-o", f"{data}/") == 2
+    assert main(["dataset", "show", str(data)]) == decode(days[0], "-o", f"{data}/") == 2
     found = capsys.readouterr().err.splitlines()
     assert len(found) == 2
     assert all(says in line for line in found)

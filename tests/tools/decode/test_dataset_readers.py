@@ -133,7 +133,7 @@ def test_compaction_gives_all_files_the_same_columns(two_logs: Path, capsys: pyt
     assert rows_of_dataset(data) == sorted(row for log in logs for row in rows_of_logs(log))
     other = [line.replace("(170000", "(170020") for line in log_lines(100, (1, 5))]
     assert decode(write_log(two_logs / "3.log", other), "-j", 1, "-o", f"{data}/") == 0  # the last one stays
-    assert main(["dataset", str(data), "--compact", "-q"]) == 0
+    assert main(["dataset", "compact", str(data), "-q"]) == 0
     files = [file.path for file in opened(str(data))[1].files()]
     assert set(files) == globbed(data)
     assert len(files) == 6
@@ -141,5 +141,5 @@ def test_compaction_gives_all_files_the_same_columns(two_logs: Path, capsys: pyt
     sizes = Counter(str(dict(row)["node"]) for row in rows_of_dataset(data))
     for read in READERS:
         assert [(str(node), count) for node, count, _ in read(data / "rows")] == sorted(sizes.items()), read
-    assert main(["dataset", str(data), "--verify"]) == 0
+    assert main(["dataset", "verify", str(data)]) == 0
     capsys.readouterr()

@@ -94,7 +94,7 @@ def test_what_is_not_of_the_dataset_is_refused(
     ):
         query = query.replace(name, str(path))
     for words in ([], ["--json"]):
-        assert main(["dataset", "data", *words, "--sql", query]) == 2
+        assert main(["dataset", "sql", "data", *words, query]) == 2
         out, err = capsys.readouterr()
         assert out == ""
         assert err.startswith("tipforce: --sql: ")
@@ -119,19 +119,19 @@ QUERIES = {
 
 @pytest.mark.parametrize("query", QUERIES)
 def test_what_a_query_may_do(query: str, dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dataset", f"{dataset}/data", "--json", "--sql", query]) == 0
+    assert main(["dataset", "sql", f"{dataset}/data", "--json", query]) == 0
     assert json.loads(capsys.readouterr().out) == QUERIES[query]
-    assert main(["dataset", f"{dataset}/data", "--sql", query]) == 0
+    assert main(["dataset", "sql", f"{dataset}/data", query]) == 0
 
 
 def test_rows_keep_their_order_and_are_printed_in_parts(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
     query = "select range as n from range(25000) order by n desc"
-    assert main(["dataset", f"{dataset}/data", "--json", "--sql", query]) == 0
+    assert main(["dataset", "sql", f"{dataset}/data", "--json", query]) == 0
     assert [json.loads(line)["n"] for line in capsys.readouterr().out.splitlines()] == list(range(24999, -1, -1))
 
 
 def test_unrestricted(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["dataset", f"{dataset}/data", "--json", "--unrestricted", "--sql"]
+    words = ["dataset", "sql", f"{dataset}/data", "--json", "--unrestricted"]
     assert main([*words, f"select b from read_csv('{dataset}/secret.csv')"]) == 0
     assert json.loads(capsys.readouterr().out) == {"b": "SECRET"}
     assert main([*words, f"copy (select 1 as a) to '{dataset}/new.csv'"]) == 0

@@ -241,7 +241,7 @@ _FIGURE_9_NOTES = [
     "0 for theta below 90 degrees and at 180 above, y-grooves at phi = 90.",
     "theta is worst where the rope pulls most tangentially: u(theta) goes with 1 / |cos(phi - theta)|. y-grooves above "
     "90 degrees (F1 = P with F2 < 0) are extrapolated: no calibration load is like them, and all errors grow.",
-    "Left out: load directions that are not exact, offsets, drift, gauge factors; `tipforce budget` adds them up.",
+    "Left out: load directions that are not exact, offsets, drift, gauge factors: `tipforce calibrate budget`.",
 ]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import re
 from collections.abc import Callable, Mapping
 from typing import NoReturn
 
@@ -30,6 +31,10 @@ def run_place(place: str, args: argparse.Namespace) -> int:
     return functions(place)[1](args)
 
 
+SHARED = {"bus arguments": "bus", "SDO": "SDO", "output": "output"}
+"""Groups of flags that many commands have: one page, `tipforce --help-bus`, lists them, and each help their names."""
+
+
 class CommandParser(argparse.ArgumentParser):
     """A parser of one command line; its errors are one line, which for a missing action lists the actions."""
 
@@ -39,14 +44,71 @@ class CommandParser(argparse.ArgumentParser):
 
     def __init__(self, prog: str, description: str) -> None:
         # Descriptions and epilogs keep their line breaks: they contain examples and tables.
-        super().__init__(prog, description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+        super().__init__(prog, description=description, formatter_class=_Formatter)
 
     def error(self, message: str) -> NoReturn:
-        """Print one line, with the command that lists the options; exit with code 2."""
+        """Print one line, with what was probably meant, or the command that lists the options; exit with code 2."""
         required = message.partition("the following arguments are required: ")[2].lower()
+        wrong = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)|unrecognized arguments: ([^ =]+)", message)
         if self.choice and required.split(", ")[0] == self.choice_name:
             message = f"which {self.choice_name}? {', '.join(self.choice)}"
+        elif wrong:
+            import difflib
+
+            known = wrong[2].replace("'", "").split(", ") if wrong[2] else list(self._option_string_actions)
+            if near := difflib.get_close_matches(wrong[1] or wrong[3] or "", known, 2):
+                message = f"{message}; did you mean {' or '.join(near)}?"
         self.exit(2, f"{self.prog}: error: {visible(message)}; see `{self.prog} --help`\n")
+
+    def format_usage(self) -> str:
+        """Return the line of usage, which lists the positional words."""
+        formatter = _Formatter(f"{self.prog} [options]")
+        formatter.add_usage(None, [action for action in self._actions if not action.option_strings], [])
+        return formatter.format_help()
+
+    def format_help(self) -> str:
+        """Return the help; its last line names the shared flags."""
+        formatter = _Formatter(self.prog)
+        formatter.add_usage(self.usage or self.format_usage()[7:], [], [])
+        formatter.add_text(self.description)
+        shared: list[str] = []
+        for group in self._action_groups:
+            if group.title in SHARED:
+                shared += [action.option_strings[0] for action in group._group_actions]
+                continue
+            formatter.start_section(group.title)
+            formatter.add_text(group.description)
+            formatter.add_arguments(action for action in group._group_actions if action.dest != "help")
+            formatter.end_section()
+        formatter.add_text(self.epilog)
+        formatter.add_text(f"also {' '.join(shared)}: see `tipforce --help-bus`" if shared else None)
+        return formatter.format_help()
+
+
+class _Formatter(argparse.RawDescriptionHelpFormatter):
+    """As Python 3.13 prints flags: `-o, --output FILE`, the value once."""
+
+    def __init__(self, prog: str) -> None:
+        super().__init__(prog, max_help_position=28)
+
+    def _format_action_invocation(self, action: argparse.Action) -> str:
+        if not action.option_strings or action.nargs == 0:
+            return super()._format_action_invocation(action)
+        value = self._format_args(action, self._get_default_metavar_for_optional(action))
+        return f"{', '.join(action.option_strings)} {value}"
+
+
+def shared_help() -> str:
+    """Return the help of the flags that commands share: `tipforce --help-bus`."""
+    parser = argparse.ArgumentParser("tipforce COMMAND", add_help=False)
+    common.add_sdo_arguments(parser)
+    formatter = _Formatter(parser.prog)
+    for group in parser._action_groups:
+        formatter.start_section(group.title)
+        formatter.add_text(group.description)
+        formatter.add_arguments(group._group_actions)
+        formatter.end_section()
+    return formatter.format_help()
 
 
 def lines(summaries: Mapping[str, str]) -> str:

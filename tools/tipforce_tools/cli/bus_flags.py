@@ -71,8 +71,8 @@ class _PythonCanAction(argparse.Action):
             action(parser, namespace, values, option_string)
 
 
-def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add -i -c -b --fd --data-bitrate --timing --bus-kwargs; flags not given stay unset, as with python-can."""
+def add_bus_name_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Add -c -i -b, which name a bus; flags not given stay unset, as with python-can."""
     group = parser.add_argument_group(
         "bus arguments", "those of python-can; defaults from CAN_INTERFACE, CAN_CHANNEL, CAN_BITRATE, or ~/.canrc"
     )
@@ -86,6 +86,12 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
         "-b", "--bitrate", type=int, default=unset, metavar="BIT/S",
         help="if the interface sets it; for SocketCAN use `ip link`",
     )  # fmt: skip
+    return group
+
+
+def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add -i -c -b --fd --data-bitrate --timing --bus-kwargs."""
+    group, unset = add_bus_name_arguments(parser), argparse.SUPPRESS
     group.add_argument("--fd", default=unset, action="store_true", help="CAN FD")
     group.add_argument("--data-bitrate", type=int, default=unset, metavar="BIT/S", help="of the CAN FD data phase")
     group.add_argument(

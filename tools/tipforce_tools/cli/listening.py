@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import signal
 import time
 from argparse import Namespace
@@ -9,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Self
 
-from tipforce.errors import EnvironmentLackError
+from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import bus_options
 
@@ -20,10 +21,51 @@ if TYPE_CHECKING:
 
     from tipforce.host.frames.frame_array import FrameArray
     from tipforce.host.hand.hand import Hand
-    from tipforce.host.live.receiver import ReceiverGroup
+    from tipforce.host.live.receiver import ReceiverGroup, Selection
     from tipforce.watching.feeds import FrameFeed, HandFeed
     from tipforce.watching.watcher import Fallback
     from tipforce_tools.dump.targets import Target
+
+
+_sync_hz = common.number_within(0.0, 10_000.0, "is above 0 up to 10000 Hz", over=True)
+
+
+def add_sync_argument(parser: argparse.ArgumentParser) -> None:
+    """`--sync HZ`, of all that listen to a bus."""
+    parser.add_argument(
+        "--sync", type=_sync_hz, metavar="HZ", help="bus: also send SYNCs, where no other device sends them"
+    )
+
+
+def check_sync(args: Namespace, source: object) -> None:
+    """Raise InputError for --sync with a source that is no bus."""
+    if args.sync is not None and source is not None:
+        raise InputError(f"--sync: {source} is no bus to listen to; leave the flag out")
+
+
+def _group(
+    args: Namespace, buses: Sequence[dict[str, Any]], selections: Sequence[Selection | None], tick_s: float
+) -> ReceiverGroup:
+    """Listen to each bus for its selection; with --sync send SYNCs on each until the group is closed."""
+    from tipforce.host.live.receive import open_receiver
+    from tipforce.host.live.receiver import ReceiverGroup
+
+    with ExitStack() as opened:
+        receivers = [
+            opened.enter_context(open_receiver(options, selection, tick_s=tick_s))
+            for options, selection in zip(buses, selections, strict=True)
+        ]
+        sync_hz = getattr(args, "sync", None)
+        stops: list[Callable[[], None]] = []
+        for options in buses if sync_hz else ():
+            from tipforce.host.hand.link import kernel_sync
+            from tipforce.host.network.open_bus import open_bus
+
+            bus = opened.enter_context(open_bus(**options))
+            kernel_sync(bus, 1.0 / sync_hz, [b""])
+            stops.append(bus.shutdown)
+        opened.pop_all()
+    return ReceiverGroup(receivers, tick_s=tick_s, at_end=stops)
 
 
 def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | None = None) -> ReceiverGroup:
@@ -33,19 +75,12 @@ def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | 
 
     Raises EnvironmentLackError if a bus cannot be opened, after closing the others.
     """
-    from tipforce.host.live.receive import open_receiver
-    from tipforce.host.live.receiver import TICK_S, ReceiverGroup, Selection
+    from tipforce.host.live.receiver import TICK_S, Selection
 
     options = resolved_options(args, named=bool(targets))
-    tick = TICK_S if tick_s is None else tick_s
-    with ExitStack() as opened:
-        chosen = [({**options, "channel": target.channel}, target.selection) for target in targets]
-        receivers = [
-            opened.enter_context(open_receiver(of_bus, selection, tick_s=tick))
-            for of_bus, selection in chosen or [(options, Selection())]
-        ]
-        opened.pop_all()
-    return ReceiverGroup(receivers, tick_s=tick)
+    buses = [{**options, "channel": target.channel} for target in targets] or [options]
+    selections = [target.selection for target in targets] or [Selection()]
+    return _group(args, buses, selections, TICK_S if tick_s is None else tick_s)
 
 
 def frames_heard(
@@ -81,8 +116,7 @@ def listening(
     Without a hand file --nodes and --gauges apply. Raises as ``open_targets`` does.
     """
     from tipforce.host.hand.file import read_hand
-    from tipforce.host.live.receive import open_receiver
-    from tipforce.host.live.receiver import ReceiverGroup
+    from tipforce.host.live.receiver import TICK_S
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE
     from tipforce.watching.feeds import FrameFeed
     from tipforce.watching.frame_sources import BusSource
@@ -95,7 +129,7 @@ def listening(
         file = read_hand(hand_file)
         options, gauges, maker = {**file.bus, **bus_options(args)}, file.finger[0].gauges, finger_maker(())
         fingers = hand_fingers(file, fallback)
-    source = BusSource(ReceiverGroup([open_receiver(options)]))
+    source = BusSource(_group(args, [options], [None], TICK_S))
     feed = FrameFeed(source, maker, gauges, fingers, int(options.get("bitrate") or DEFAULT_BIT_RATE))
     return feed, str(options.get("channel") or options.get("interface") or "bus")
 

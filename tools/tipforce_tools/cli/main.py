@@ -24,14 +24,20 @@ from tipforce_tools.cli.output import visible_streams
 if TYPE_CHECKING:
     from tipforce_tools.cli.actions import Actions, CommandParser
 
-CALIBRATE = {
+_CALIBRATE = {
     "fit": ("tipforce_tools.calibrate.fit:fit", "fit a calibration to readings under known loads"),
-    "apply": ("tipforce_tools.calibrate.fit:transfer", "write a calibration file to a node, verify and store it"),
+    "apply": ("tipforce_tools.calibrate.fit:apply", "write a calibration file to a node, verify and store it"),
     "guide": ("tipforce_tools.calibrate.guide", "calibrate a node weight by weight and store the result; resumable"),
-    "verify": ("tipforce_tools.calibrate.fit:transfer", "compare a calibration file with that of a node"),
+    "verify": ("tipforce_tools.calibrate.fit:verify", "compare a calibration file with that of a node"),
+    "budget": ("tipforce_tools.calibrate.budget", "compute the error budget of P, phi and theta by cause"),
 }
-SCENE = {"explain": ("tipforce_tools.scene:explain", "list what a scene builds, what it leaves out, and why")}
-DESIGN = {
+_DATASET = {
+    "show": ("tipforce_tools.dataset.command:show", "print what a dataset holds"),
+    "verify": ("tipforce_tools.dataset.command:verify", "compare the SHA-256 of each file"),
+    "compact": ("tipforce_tools.dataset.command:compact", "join the files of a day; all get the same columns"),
+    "sql": ("tipforce_tools.dataset.sql", "query a dataset with DuckDB"),
+}
+_DESIGN = {
     "table": (
         "tipforce_tools.design.tables:table",
         "recompute the paper's tables and figures, beside the printed values",
@@ -42,47 +48,55 @@ DESIGN = {
     ),
     "optimise": ("tipforce_tools.design.optimise", "search better dimensions and gauge positions"),
 }
-
-# name -> (place, or the actions with a place each: ``actions.Actions``; one line of help)
-COMMANDS: dict[str, tuple[str | Actions, str]] = {
-    "demo": ("tipforce_tools.demo.command", "calibrate, store, load, decode and compare simulated nodes; no hardware"),
-    "node": ("tipforce_tools.node", "run one fingertip node on a CAN bus"),
-    "run": ("tipforce_tools.scene:run", "run a scene: nodes, loads, faults and a recording, defined in a TOML file"),
-    "simulate": ("tipforce_tools.simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
-    "scene": (SCENE, "explain what a scene builds, what it leaves out, and why"),
-    "scan": ("tipforce_tools.network.nodes:scan", "list the nodes on the bus"),
-    "read": ("tipforce_tools.network.nodes:read", "read the contact of fingers, with its uncertainty"),
-    "sdo": ("tipforce_tools.network.sdo", "read or write one object of a node, or read all objects"),
-    "hand": ("tipforce_tools.network.hand", "commission and run a hand defined in a TOML file"),
-    "nmt": ("tipforce_tools.network.nodes:nmt", "start, stop or reset nodes, and wait for their heartbeats"),
-    "lss": ("tipforce_tools.network.nodes:lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
-    "firmware": (
-        "tipforce_tools.network.nodes:firmware",
-        "install a program on nodes with program slots, or show its version",
-    ),
-    "config": ("tipforce_tools.network.config", "show, apply, compare or save the settings of a node (TOML or DCF)"),
-    "calibrate": (CALIBRATE, "fit a calibration, write it to a node, verify it"),
-    "tare": ("tipforce_tools.network.nodes:tare", "set the present force as zero, show the tare, or clear it"),
-    "estimate": ("tipforce_tools.estimate", "compute contact from gauge readings, with standard uncertainties"),
-    "budget": ("tipforce_tools.budget", "compute the error budget of P, phi and theta by cause"),
-    "dump": ("tipforce_tools.dump.command", "print frames as candump does; with --decode also their contact values"),
-    "decode": ("tipforce_tools.decode.command", "convert logs to contact: text, CSV, JSON lines, Parquet, MCAP"),
-    "dataset": ("tipforce_tools.dataset.command", "show, check, compact and query a dataset of `tipforce decode`"),
-    "log": ("tipforce_tools.log", "record frames to a file that canplayer and Wireshark read"),
-    "replay": ("tipforce_tools.replay", "send the frames of a log with their recorded timing"),
-    "plot": ("tipforce_tools.plot.command", "plot the contact, gauges and faults of a log"),
-    "monitor": ("tipforce_tools.monitor.command", "show a live table of the nodes on a bus or in a log"),
-    "view": ("tipforce_tools.view.command", "serve a web page with the force on each fingertip, live or from a log"),
-    "ros2": ("tipforce_tools.ros2", "publish forces, contacts and diagnostics as ROS 2 topics, without ROS"),
-    "load": ("tipforce_tools.network.load", "measure the load of a bus, or compute that of a planned hand"),
-    "design": (DESIGN, "recompute the paper's tables, sweep and optimise the structure"),
-    "report": ("tipforce_tools.report", "measure error against run time, and check extreme cases"),
-    "conformance": ("tipforce_tools.conformance", "test a CANopen device against the CiA standards, by clause"),
-    "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the object dictionary"),
-    "completion": ("tipforce_tools.completion", "print a shell's TAB completion script for all commands"),
-    "doctor": ("tipforce_tools.doctor.command", "find what this machine lacks for a working bus, with next steps"),
-    "vcan": ("tipforce_tools.vcan.command", "run a command where vcan interfaces exist"),
+_FIRMWARE = {
+    "show": ("tipforce_tools.network.nodes:firmware_show", "print the program of each node, and why an update failed"),
+    "install": ("tipforce_tools.network.nodes:firmware_install", "install a program on nodes with program slots"),
 }
+
+# group -> name -> (place, or the actions with a place each: ``actions.Actions``; one line of help)
+GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
+    "try": {
+        "demo": ("tipforce_tools.demo.command", "calibrate, load and compare simulated nodes; needs no hardware"),
+        "run": ("tipforce_tools.scene", "run a scene: nodes, loads, faults and a recording in TOML"),
+        "vcan": ("tipforce_tools.vcan.command", "run a command where vcan interfaces exist"),
+    },
+    "bus": {
+        "scan": ("tipforce_tools.network.nodes:scan", "list the nodes on the bus"),
+        "read": ("tipforce_tools.network.nodes:read", "read the contact of fingers, with its uncertainty"),
+        "monitor": ("tipforce_tools.monitor.command", "show a live table of the nodes on a bus or in a log"),
+        "sdo": ("tipforce_tools.network.sdo", "read or write one object of a node, or read all objects"),
+        "nmt": ("tipforce_tools.network.nodes:nmt", "start, stop or reset nodes, and wait for their heartbeats"),
+        "lss": ("tipforce_tools.network.nodes:lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
+        "config": ("tipforce_tools.network.config", "show, apply, compare or save the settings of a node"),
+        "tare": ("tipforce_tools.network.nodes:tare", "set the present force as zero, show the tare, or clear it"),
+        "firmware": (_FIRMWARE, "show or install the program of nodes with program slots"),
+    },
+    "finger and hand": {
+        "calibrate": (_CALIBRATE, "fit a calibration, write it to a node, verify it, budget its error"),
+        "estimate": ("tipforce_tools.estimate", "compute contact from gauge readings, with its uncertainty"),
+        "hand": ("tipforce_tools.network.hand", "check, commission and run a hand defined in TOML"),
+        "view": ("tipforce_tools.view.command", "serve a web page with the force on each fingertip"),
+        "ros2": ("tipforce_tools.ros2", "publish forces and contacts as ROS 2 topics, without ROS"),
+        "node": ("tipforce_tools.node", "run one fingertip node on a CAN bus"),
+    },
+    "logs": {
+        "dump": ("tipforce_tools.dump.command", "print frames as candump does, with --decode their meaning"),
+        "log": ("tipforce_tools.log", "record frames to a file that canplayer and Wireshark read"),
+        "replay": ("tipforce_tools.replay", "send the frames of a log with their recorded timing"),
+        "decode": ("tipforce_tools.decode.command", "convert logs to contact: CSV, JSON lines, Parquet, MCAP"),
+        "dataset": (_DATASET, "show, verify, compact and query a dataset of `tipforce decode`"),
+        "plot": ("tipforce_tools.plot.command", "plot the contact, gauges and faults of a log"),
+    },
+    "develop": {
+        "simulate": ("tipforce_tools.simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
+        "conformance": ("tipforce_tools.conformance", "test a CANopen device against the CiA standards, by clause"),
+        "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
+        "design": (_DESIGN, "recompute the paper's tables, sweep and optimise the structure"),
+        "report": ("tipforce_tools.report", "measure error against run time, and check extreme cases"),
+        "doctor": ("tipforce_tools.doctor.command", "find what this machine lacks for a working bus"),
+    },
+}
+COMMANDS = {name: entry for commands in GROUPS.values() for name, entry in commands.items()}
 
 EXIT_CODES: dict[type[TipforceError], int] = {
     LogError: 1,
@@ -106,14 +120,11 @@ EXIT_TEXTS = {
     INTERRUPTED: "interrupted",
 }
 
+TOP_FLAGS = ("--help", "--help-bus", "--completion", "--version")
 USAGE = """usage: tipforce COMMAND [options]
-
-The CANopen stack for fingertip force sensors.
-
-commands:
 {commands}
 
-`tipforce COMMAND --help` lists the options of a command. Data goes to stdout, everything else to stderr.
+COMMAND --help: its options; --help-bus: those that commands share; --completion bash|zsh|fish; --version
 exit codes: {codes}
 """
 
@@ -152,29 +163,41 @@ def _open_closed_streams() -> None:
 
 
 def _answer(words: list[str]) -> int:
-    if not words or words[0] in ("-h", "--help", "help"):
+    first = words[0] if words else ""
+    if first in ("", "-h", "--help", "help"):
         width = max(map(len, COMMANDS))
-        lines = (f"  {name:{width}}  {summary}" for name, (_, summary) in COMMANDS.items())
+        lines = [""]
+        for group, commands in GROUPS.items():
+            lines += [f"{group}:", *(f"  {name:{width}}  {summary}" for name, (_, summary) in commands.items())]
         codes = ", ".join(f"{code} {text}" for code, text in EXIT_TEXTS.items())
         print(USAGE.format(commands="\n".join(lines), codes=codes), end="")
         return 0 if words else 2
-    if words[0] in ("-V", "--version"):
+    if first in ("-V", "--version"):
         from tipforce.dictionary.table import SOFTWARE_VERSION
 
         print(f"tipforce {SOFTWARE_VERSION}")
-        return 0
-    try:
-        return _run(words[0], words[1:])
-    except SystemExit:
-        sys.stdout.flush()  # argparse's help: detect a closed pipe here, not when Python exits
-        raise
+    elif first == "--help-bus":
+        from tipforce_tools.cli.actions import shared_help
+
+        print(shared_help(), end="")
+    elif first.partition("=")[0] == "--completion":
+        from tipforce_tools.cli.completion import script
+
+        print(script(first.partition("=")[2] or "".join(words[1:2])), end="")
+    else:
+        try:
+            return _run(first, words[1:])
+        except SystemExit:
+            sys.stdout.flush()  # argparse's help: detect a closed pipe here, not when Python exits
+            raise
+    return 0
 
 
 def _run(name: str, words: list[str]) -> int:
     if name not in COMMANDS:
         import difflib
 
-        near = difflib.get_close_matches(name, COMMANDS, 3)
+        near = difflib.get_close_matches(name, COMMANDS if name[:1] != "-" else TOP_FLAGS, 3)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
     from tipforce_tools.cli.actions import run_action, run_place

@@ -1,4 +1,4 @@
-"""`tipforce dataset DIR`: what it holds by its manifest, which files are not as the manifest says, and queries."""
+"""`tipforce dataset show|verify|compact DIR`: what it holds, and which files are not as its manifest says."""
 
 from __future__ import annotations
 
@@ -15,61 +15,50 @@ from tipforce_tools.cli.listening import counted
 if TYPE_CHECKING:
     from tipforce.host.dataset.manifest import Manifest
 
-DESCRIPTION = """\
-Show what a dataset of `tipforce decode -o DIR/` holds, check it, compact it, or query it with SQL.
-"""
 EPILOG = """\
-DIR: a directory, or a URL that fsspec opens. The views of --sql: samples (hand, date, node and all columns of the
-rows), events (t_s, channel, node, event, code, text), parts and logs of the manifest. Only files that a query needs
-are read. A query is one SELECT: without --unrestricted it opens no other file, and has 2 GiB of memory.
-exit codes: 0 ok, 1 a file is missing or damaged, 2 usage
-
-  tipforce dataset data/
-  tipforce dataset data/ --verify
-  tipforce dataset data/ --compact
-  tipforce dataset data/ --sql "select node, max(P_N) from samples where date = '2026-05-17' group by node"
+DIR: a directory, or a URL that fsspec opens. Exit code 1: a file is missing or damaged.
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce dataset` to `parser`."""
-    parser.description = DESCRIPTION
+def add_show_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `tipforce dataset show`, and of verify and compact."""
     parser.epilog = EPILOG
     parser.add_argument("directory", metavar="DIR", help="of `tipforce decode -o DIR/`")
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument("--verify", action="store_true", help="compare the SHA-256 of each file")
-    group.add_argument("--compact", action="store_true", help="join the files of a day; all get the same columns")
-    group.add_argument("--sql", metavar="QUERY", help="query it with DuckDB")
-    parser.add_argument(
-        "--unrestricted", action="store_true", help="--sql: also other statements, files, the network, and all memory"
-    )
     common.add_output_arguments(parser)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Show, check, compact or query. Raises InputError, EnvironmentLackError without DuckDB or pyarrow."""
+add_verify_arguments = add_compact_arguments = add_show_arguments
+
+
+def run_show(args: argparse.Namespace, *, hashes: bool = False) -> int:
+    """Print the content: 0, or 1 if a file is missing or has another size, with ``hashes`` also another content."""
     from tipforce.host.dataset.reader import opened, wrong_files
 
-    if args.sql is not None:
-        from tipforce_tools.dataset.sql import query
-
-        return query(args, *opened(args.directory))
     store, manifest = opened(args.directory)
-    if args.compact:
-        from tipforce_tools.decode.dataset_files import compact
-
-        files = len(manifest.files())
-        manifest = compact(store)
-        common.note(args, f"{store.name}: {files} files are {len(manifest.files())} now")
-        return 0
-    wrong = wrong_files(store, manifest, hashes=args.verify)
+    wrong = wrong_files(store, manifest, hashes=hashes)
     if args.json:
         common.print_json(record(store, manifest, wrong))
     else:
         print("\n".join(lines(store, manifest, wrong)))
-        if args.verify and not wrong:
+        if hashes and not wrong:
             print(f"{len(manifest.files())} files are as they were written")
     return 1 if wrong else 0
+
+
+def run_verify(args: argparse.Namespace) -> int:
+    """Compare the hash of each file."""
+    return run_show(args, hashes=True)
+
+
+def run_compact(args: argparse.Namespace) -> int:
+    """Join the files of a day: 0. Raises InputError, EnvironmentLackError without pyarrow."""
+    from tipforce.host.dataset.reader import opened
+    from tipforce_tools.decode.dataset_files import compact
+
+    store, manifest = opened(args.directory)
+    files = len(manifest.files())
+    common.note(args, f"{store.name}: {files} files are {len(compact(store).files())} now")
+    return 0
 
 
 _MB = 1_000_000

@@ -1,4 +1,4 @@
-"""Query a dataset with DuckDB: views of its samples, events, parts and logs, over the files that its manifest lists.
+"""`tipforce dataset sql DIR QUERY`, with DuckDB: views of samples, events, parts and logs, over the manifest's files.
 
 A query reads these files and nothing else: it is one SELECT (COPY could write what a query may open), DuckDB opens no
 other file, loads no extension, sees no variable of Python and no setting can be changed, and its memory is limited.
@@ -6,17 +6,18 @@ other file, loads no extension, sees no variable of Python and no setting can be
 
 from __future__ import annotations
 
-from argparse import Namespace
+import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.host.dataset.manifest import Manifest
-from tipforce.host.dataset.reader import damaged, wrong_files
-from tipforce.host.dataset.store import Store
 from tipforce_tools.cli import common
+
+if TYPE_CHECKING:
+    from tipforce.host.dataset.manifest import Manifest
+    from tipforce.host.dataset.store import Store
 
 MEMORY_MIB = 2048
 """Of tables, sorts and groups; the process may have as much again, for texts and lists that DuckDB does not count."""
@@ -35,12 +36,31 @@ _PLAIN = {
 """Types whose values JSON has; the others become texts in DuckDB, within its memory."""
 
 
-def query(args: Namespace, store: Store, manifest: Manifest) -> int:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `tipforce dataset sql`."""
+    parser.epilog = (
+        "DIR: a directory, or a URL that fsspec opens. Views: samples (hand, date, node and all columns of the rows),\n"
+        "events (t_s, channel, node, event, code, text), parts and logs of the manifest. Only files that a\n"
+        "query needs are read. A query is one SELECT: without --unrestricted it opens no other file, and has 2 GiB.\n\n"
+        "  tipforce dataset sql data/ \"select node, max(P_N) from samples where date = '2026-05-17' group by node\""
+    )
+    parser.add_argument("directory", metavar="DIR", help="of `tipforce decode -o DIR/`")
+    parser.add_argument("sql", metavar="QUERY")
+    parser.add_argument(
+        "--unrestricted", action="store_true", help="also other statements, files, the network, and all memory"
+    )
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
     """Print the rows of a query; return 0. Raises InputError for a wrong one, EnvironmentLackError without DuckDB."""
+    from tipforce.host.dataset.reader import damaged, opened, wrong_files
+
+    store, manifest = opened(args.directory)
     try:
         import duckdb
     except ImportError:
-        raise EnvironmentLackError("--sql needs DuckDB: `pip install 'tipforce[sql]'`") from None
+        raise EnvironmentLackError("dataset sql needs DuckDB: `pip install 'tipforce[sql]'`") from None
     connection = duckdb.connect()
     try:
         views(connection, store, manifest)
@@ -56,7 +76,7 @@ def query(args: Namespace, store: Store, manifest: Manifest) -> int:
     except (duckdb.Error, MemoryError) as error:
         if wrong := wrong_files(store, manifest, hashes=False):
             raise damaged(store, next(iter(wrong))) from error
-        raise InputError(f"--sql: {_reason(duckdb, error)}") from error
+        raise InputError(f"query: {_reason(duckdb, error)}") from error
     return 0
 
 
@@ -77,7 +97,7 @@ def _select(duckdb: Any, connection: Any, text: str) -> str:
     except ValueError:  # a statement that DuckDB has and its Python package does not name
         refused = True
     if refused:
-        raise InputError("--sql: allowed is one SELECT; --unrestricted allows every statement")
+        raise InputError("query: allowed is one SELECT; --unrestricted allows every statement")
     return str(statements[0].query).strip().rstrip(";")
 
 
@@ -101,7 +121,7 @@ def _limited_memory(limited: bool) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (before, most))
 
 
-def _print(connection: Any, text: str, args: Namespace) -> None:
+def _print(connection: Any, text: str, args: argparse.Namespace) -> None:
     if not args.json:
         found = connection.sql(text)
         if found is not None:

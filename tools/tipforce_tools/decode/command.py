@@ -29,7 +29,7 @@ more than 256 interfaces, 2 usage
   candump -L can0 | tipforce decode - --format jsonl | jq .P_N
   tipforce decode run.log --follow -o data/                  fill it while the log is recorded
   tipforce decode 'logs/*.log' --scheduler tcp://10.0.0.1:8786 -o data/
-  tipforce dataset data/ --sql "select node, max(P_N) from samples group by node"
+  tipforce dataset sql data/ "select node, max(P_N) from samples group by node"
 """
 
 

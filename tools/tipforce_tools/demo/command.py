@@ -36,7 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--spoil", action="store_true", help="corrupt one element of each calibration matrix: the demo must fail"
     )
-    parser.add_argument("--view", action="store_true", help="instead, serve a web page with a moving simulated hand")
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument("--table", action="store_true", help="print the table of estimates and true loads (default)")
+    shown.add_argument("--view", action="store_true", help="instead, serve a web page with a moving simulated hand")
     add_page_arguments(parser)
     add_output_arguments(parser)
 

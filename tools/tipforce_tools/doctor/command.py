@@ -101,7 +101,7 @@ def configuration_check(flags: Mapping[str, Any]) -> Check:
 
 def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
     """Open the bus, listen, and yield the findings. An unnamed bus is not opened."""
-    from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, exact_bits
+    from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
     from tipforce.host.network.open_bus import open_bus
     from tipforce_tools.cli.listening import frames_heard
 
@@ -116,9 +116,9 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
         yield Check("traffic", "note", f"opened; no frames for {listen_s:.3g} s", step)
         return
     rate = int(options.get("bitrate") or DEFAULT_BIT_RATE)
-    load = float(exact_bits(frames).sum()) / listen_s / rate
-    finding = f"{len(frames) / listen_s:.0f} frames/s, load {100 * load:.1f} % of {rate} bit/s"
-    step = "a lower SYNC rate or fewer PDOs: `tipforce load --help`" if load > _LOADED else ""
+    least, most = (bits / listen_s / rate for bits in range_of_bits(frames))
+    finding = f"{len(frames) / listen_s:.0f} frames/s, load {100 * least:.0f} to {100 * most:.0f} % of {rate} bit/s"
+    step = "a lower SYNC rate or fewer PDOs: `tipforce hand check` computes them" if most > _LOADED else ""
     yield Check("traffic", "note" if step else "ok", finding, step)
     yield from heard(frames)
 

@@ -4,6 +4,7 @@ import argparse
 
 from tipforce_tools.cli import common
 from tipforce_tools.cli.eds_flag import add_eds_argument
+from tipforce_tools.cli.listening import add_sync_argument
 
 DESCRIPTION = """\
 Print frames byte for byte as candump does; with --decode, add what they mean: NMT, SYNC, EMCY, SDO with the names of
@@ -57,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--decode", action="store_true", help="add the meaning of each frame")
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
     add_eds_argument(parser)
+    add_sync_argument(parser)
     parser.add_argument("--strict", action="store_true", help="text: exit with 1 at the first bad line")
     common.add_bus_arguments(parser)
 

@@ -32,7 +32,7 @@ from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
 from tipforce_tools.cli import common
 from tipforce_tools.cli.eds_flag import eds_files
-from tipforce_tools.cli.listening import counted
+from tipforce_tools.cli.listening import check_sync, counted
 from tipforce_tools.dump.targets import STDIN, Target, select, split_targets
 
 if TYPE_CHECKING:
@@ -127,6 +127,7 @@ def dump(args: Namespace) -> int:
     if args.log and (args.errors or args.ascii) and not args.json:
         raise InputError(f"-L and -{'e' if args.errors else 'a'}: the log format has no field for text; leave one out")
     source, targets = split_targets(args.targets)
+    check_sync(args, source)
     session = Session(args, targets)
     if source is not None:
         return _dump_text(args, source, targets, session)

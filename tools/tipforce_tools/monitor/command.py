@@ -5,11 +5,12 @@ import math
 
 from tipforce_tools.cli import common
 from tipforce_tools.cli.eds_flag import add_eds_argument
+from tipforce_tools.cli.listening import add_sync_argument
 
 DESCRIPTION = """\
 Show the active nodes, one row each: samples per second, their regularity, the age of the last one, contact, status,
 NMT state, the last EMCY and lost samples. A value not received for half a second (or three of its periods) is marked
-STALE, and one that the node does not know is marked unknown, with the reason. The command sends nothing.
+STALE, and one that the node does not know is marked unknown, with the reason. Without --sync the command sends nothing.
 """
 EPILOG = """\
 CHANNEL[,FILTER...] as for `tipforce dump`. Keys: q or Ctrl-C ends. If stdout is not a terminal, a plain table is
@@ -45,6 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--speed", type=_speed, default=math.inf, metavar="X", help="log: times recorded speed (default: no waiting)"
     )
     parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
+    add_sync_argument(parser)
     add_eds_argument(parser)
     common.add_bus_arguments(parser)
 

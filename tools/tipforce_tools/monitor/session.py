@@ -20,7 +20,7 @@ from tipforce_tools.cli import common
 from tipforce_tools.cli.common import shown_id
 from tipforce_tools.cli.eds_flag import eds_files
 from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
-from tipforce_tools.cli.listening import StopSignals, counted, open_targets
+from tipforce_tools.cli.listening import StopSignals, check_sync, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
 from tipforce_tools.dump.targets import STDIN, Target, split_targets
 from tipforce_tools.monitor.state import QUANTITIES, BusView, Monitor, NodeView, Reading
@@ -43,6 +43,7 @@ Show = Callable[[Monitor, int | None], None]
 def monitor(args: Namespace) -> int:
     """Show the nodes until the source ends, q, a signal, or --once; return 0, or 130 after a signal."""
     log_name, targets = split_targets(args.targets)
+    check_sync(args, log_name)
     watched = Monitor(args.gauges, args.nodes, eds_files(args.eds or ()))
     screen = sys.stdout.isatty() and not args.json and args.once is None
     interval_s = args.interval or (_SCREEN_S if screen else _LINE_S)

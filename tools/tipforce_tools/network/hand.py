@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     file = read_hand(args.file)
     if args.action == "check":
         return _check(args, file)
-    _warn_of_load(args, file)
+    _note_load(args, file)
     if file.hand.store:
         common.confirm(args, f"{args.file}: store = true replaces the stored parameters of the fingers")
     return _up(args)
@@ -92,12 +92,15 @@ def _check(args: argparse.Namespace, file: HandFile) -> int:
              "calibration": finger.calibration, "crc32": crc},
             f"{common.shown_id(finger.node_id):>11}  {finger.name:10} {serial:17} {settings} settings, {own}",
         )  # fmt: skip
-    _warn_of_load(args, file)
+    _note_load(args, file)
     return 0
 
 
-def _warn_of_load(args: argparse.Namespace, file: HandFile) -> None:
-    """Warn of a load above 80 % of the bit rate with worst-case stuffing, and name what would fit."""
+def _note_load(args: argparse.Namespace, file: HandFile) -> None:
+    """Print the bus load; warn of one above 80 % of the bit rate with worst-case stuffing.
+
+    Of such a load, and for `hand check`, print also the load of each kind of frame, and what would fit.
+    """
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LIMIT, budget_lines, hand_budget, what_fits
 
     if not file.hand.sync_hz:
@@ -107,12 +110,13 @@ def _warn_of_load(args: argparse.Namespace, file: HandFile) -> None:
     pdos = list(file.messages)
     budget = hand_budget(count, file.hand.sync_hz, pdos, gauges, bit_rate, 1e-3 * file.hand.heartbeat_ms)
     share = f"{100 * budget.least_load:.0f} to {100 * budget.most_load:.0f} % of {bit_rate} bit/s"
-    if budget.most_load <= LIMIT:
-        common.note(args, f"bus load {share}")
-        return
-    common.note(args, f"warning: {count} fingers at {file.hand.sync_hz:g} Hz take {share}: rows will be late or lost")
-    common.note(args, "\n".join([*budget_lines(budget), f"what fits under {100 * LIMIT:.0f} %:"]))
-    common.note(args, "\n".join(what_fits(count, file.hand.sync_hz, pdos, gauges, bit_rate, LIMIT)))
+    fits = budget.most_load <= LIMIT
+    warning = f"warning: {count} fingers at {file.hand.sync_hz:g} Hz take {share}: rows will be late or lost"
+    lines = [f"bus load {share}" if fits else warning]
+    if args.action == "check" or not fits:
+        lines += [*budget_lines(budget), f"what fits under {100 * LIMIT:.0f} %:"]
+        lines += what_fits(count, file.hand.sync_hz, pdos, gauges, bit_rate, LIMIT)
+    common.note(args, "\n".join(lines))
 
 
 def _up(args: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
+    from tipforce.host.network.firmware import NodeProgram
     from tipforce.host.network.lss import LssAddress, LssMaster
 
 _CONTACT = ("P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg")
@@ -292,23 +293,37 @@ def _print_lss(args: argparse.Namespace, address: LssAddress, node_id: int | Non
     common.print_record(args, {**asdict(address), "node_id": node_id, "stored": stored}, f"{address}{given}")
 
 
-def add_firmware_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce firmware`."""
+def add_firmware_show_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce firmware show`."""
+    _add_ids(parser)
+    common.add_sdo_arguments(parser)
+
+
+def run_firmware_show(args: argparse.Namespace) -> int:
+    """Print the version of each node, and why its last update failed: 0. Raises NoResponseError and RefusedError."""
+    from tipforce.host.network.firmware import node_program
+
+    with common.open_connection(args) as connection:
+        for node_id in args.ids:
+            program = node_program(connection.sdo(node_id))
+            _print_program(args, node_id, program, program.version)
+    return 0
+
+
+def add_firmware_install_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce firmware install`."""
     parser.epilog = (
-        "Without FILE the command shows the version of each node, and why its last update failed.\n"
-        "With FILE it installs the image on one node after the other. The node enters pre-operational and receives\n"
-        "the image in blocks with CRC into the slot that does not run. It checks product, CRC-32 and signature, and\n"
-        "restarts with the image. After five seconds of communication it confirms the program. Otherwise, and after a\n"
-        "power cut at any time before, it runs the previous program. `tipforce nmt start` starts measurement again.\n\n"
+        "Installs on one node after the other. The node enters pre-operational and receives the image in blocks with\n"
+        "CRC into the slot that does not run. It checks product, CRC-32 and signature, and restarts with the image.\n"
+        "After five seconds of communication it confirms the program. Otherwise, and after a power cut at any time\n"
+        "before, it runs the previous program. `tipforce nmt start` starts measurement again.\n\n"
         "An image for another product, with a wrong signature, or older than the installed program (without\n"
         "--allow-downgrade) is refused with exit code 12, as is every image by a node without program slots. The\n"
         "nodes after it are not touched. Exit code 2: the file is no image, or damaged; 5: a node does not respond.\n\n"
-        "  tipforce firmware 1-5 -i socketcan -c can0\n"
-        "  tipforce firmware 1-5 program.bin -i socketcan -c can0\n"
-        "  tipforce firmware 5 older.bin --allow-downgrade --yes -i socketcan -c can0"
+        "  tipforce firmware install 1-5 program.bin -i socketcan -c can0"
     )
     _add_ids(parser)
-    parser.add_argument("file", nargs="?", metavar="FILE", help="program image; none: show the versions")
+    parser.add_argument("file", metavar="FILE", help="program image")
     parser.add_argument(
         "--allow-downgrade", action="store_true", help="install an image that is older than the program"
     )
@@ -317,27 +332,26 @@ def add_firmware_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(timeout=3.0)  # a node checks the complete image before it responds to the last block
 
 
-def run_firmware(args: argparse.Namespace) -> int:
-    """Show or install. Raises InputError for the file, RefusedError and NoResponseError of a node."""
+def run_firmware_install(args: argparse.Namespace) -> int:
+    """Install: 0. Raises InputError for the file, RefusedError and NoResponseError of a node."""
     from tipforce.host.network.firmware import Firmware, install, node_program
 
-    firmware = Firmware.read(args.file) if args.file else None
+    firmware = Firmware.read(args.file)
     with common.open_connection(args) as connection:
-        if firmware is not None:
-            nodes = ", ".join(map(common.shown_id, args.ids))
-            common.confirm(args, f"node {nodes}: this replaces the program by {firmware.header.version_text()}")
+        nodes = ", ".join(map(common.shown_id, args.ids))
+        common.confirm(args, f"node {nodes}: this replaces the program by {firmware.header.version_text()}")
         for node_id in args.ids:
-            program = before = node_program(connection.sdo(node_id))
-            if firmware is not None:
-                with common.progress(args, common.shown_node(node_id), len(firmware.content), absolute=True) as arrived:
-                    program = install(
-                        connection, node_id, firmware, allow_downgrade=args.allow_downgrade, progress=arrived
-                    )
-            record = {
-                "node_id": node_id, "version": program.version, "identification": f"0x{program.identification:08X}",
-            } | ({} if firmware is None else {"version_before": before.version})  # fmt: skip
-            change = program.version if firmware is None else f"{before.version} -> {program.version}"
-            reason = f"  last update: {program.reason}" if program.reason else ""
-            line = f"{common.shown_id(node_id):>11}  {change}  0x{program.identification:08X}{reason}"
-            common.print_record(args, record | {"reason": program.reason}, line)
+            before = node_program(connection.sdo(node_id))
+            with common.progress(args, common.shown_node(node_id), len(firmware.content), absolute=True) as arrived:
+                program = install(connection, node_id, firmware, allow_downgrade=args.allow_downgrade, progress=arrived)
+            change = f"{before.version} -> {program.version}"
+            _print_program(args, node_id, program, change, version_before=before.version)
     return 0
+
+
+def _print_program(args: argparse.Namespace, node_id: int, program: NodeProgram, change: str, **further: str) -> None:
+    identification = f"0x{program.identification:08X}"
+    record = {"node_id": node_id, "version": program.version, "identification": identification, **further}
+    reason = f"  last update: {program.reason}" if program.reason else ""
+    line = f"{common.shown_id(node_id):>11}  {change}  {identification}{reason}"
+    common.print_record(args, record | {"reason": program.reason}, line)

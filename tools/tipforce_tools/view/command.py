@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import bus_options
-from tipforce_tools.cli.listening import commissioned, listening
+from tipforce_tools.cli.listening import add_sync_argument, check_sync, commissioned, listening
 
 if TYPE_CHECKING:
     from tipforce_tools.view.guard import Guard
@@ -24,7 +24,6 @@ _MOST_SECONDS = 1e9
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce view`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "  tipforce view hand.toml                   commission the hand, and show it\n"
         "  tipforce view -i socketcan -c can0        listen only: show all fingers on the bus\n"
@@ -43,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="show only these: 1,2,5-9")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of each finger, 3 to 8 (default 3)")
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout of fingers that do not report it")
+    add_sync_argument(parser)
     group = parser.add_argument_group("log or scene")
     group.add_argument(
         "--from", dest="start_s", type=float, default=0.0, metavar="S", help="start, seconds from its beginning"
@@ -75,6 +75,7 @@ def _source(args: argparse.Namespace) -> Iterator[Source]:
         raise InputError("--no-bring-up: needs a hand file")
     fallback = (args.layout, *read_layout(args.layout)) if args.layout else None
     maker = finger_maker(args.nodes, fallback)
+    check_sync(args, None if args.no_bring_up else path)
     if path is None or args.no_bring_up:
         feed, channel = listening(args, path, fallback)
         title = f"{path.name} on {channel}" if path else channel

@@ -148,7 +148,7 @@ def damage_named(store: Store, *paths: str) -> Iterator[None]:
 def damaged(store: Store, reason: object) -> LogError:
     """Return the error of a file that is not as it was written, with the next step."""
     return LogError(
-        f"{store.name}: a file is missing or damaged ({reason}); `tipforce dataset {store.name} --verify` lists such "
+        f"{store.name}: a file is missing or damaged ({reason}); `tipforce dataset verify {store.name}` lists such "
         "files: remove them, then `tipforce decode` with their logs writes them again"
     )
 

@@ -10,7 +10,7 @@ import select
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import ClassVar, Protocol, Self
@@ -156,16 +156,21 @@ _WAITING_BLOCKS = 64  # of all receivers; further frames wait in the buses thems
 
 
 class ReceiverGroup(Receiver):
-    """Receive from all of ``receivers``, and take ownership of them. A context manager."""
+    """Receive from all of ``receivers``, and take ownership of them. A context manager.
 
-    def __init__(self, receivers: Sequence[Receiver], *, tick_s: float = TICK_S) -> None:
+    ``at_end``: called when it is closed.
+    """
+
+    def __init__(
+        self, receivers: Sequence[Receiver], *, tick_s: float = TICK_S, at_end: Sequence[Callable[[], None]] = ()
+    ) -> None:
         self._receivers = tuple(receivers)
         self._names: dict[str, int] = {}
         self._tick_s = tick_s
         self._next_s = 0.0
         self._closing = ExitStack()
-        for receiver in self._receivers:
-            self._closing.callback(receiver.close)
+        for close in (*(receiver.close for receiver in self._receivers), *at_end):
+            self._closing.callback(close)
         self._poll: select.poll | None = None
         self._arrived: queue.Queue[CandumpBlock | Exception] = queue.Queue(_WAITING_BLOCKS)
         self._failure: Exception | None = None

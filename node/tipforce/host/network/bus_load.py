@@ -1,4 +1,4 @@
-"""Bus load: the calculated budget of a hand, and the bits of received frames (ISO 11898-1, 10.5)."""
+"""Bus load: the calculated budget of a hand, and the least and most bits of received frames (ISO 11898-1, 10.5)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from canopen_device.can_frame import AFTER_CRC, least_bits, most_bits
-from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
+from canopen_device.can_frame import least_bits, most_bits
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
@@ -18,8 +18,6 @@ from tipforce.host.frames.frame_array import FrameArray
 DEFAULT_BIT_RATE = 1_000_000
 LIMIT = 0.8
 """Share of the bit rate with worst-case stuffing: above it the lowest priority may miss a SYNC period."""
-
-_CRC_BITS, _CRC_POLYNOMIAL = 15, 0x4599
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,36 +138,6 @@ class LoadMeter:
         recent = [batch for batch in self._batches.copy() if batch[0] >= now_s - self._window_s]
         bits = self._bit_rate * self._window_s
         return sum(least for _, least, _ in recent) / bits, sum(most for _, _, most in recent) / bits
-
-
-def exact_bits(frames: FrameArray) -> npt.NDArray[np.int64]:
-    """Return the bits of each FRAME (n,) on the wire, stuff bits and intermission included; 0 for error frames.
-
-    A SocketCAN error frame reports an error and was not on the wire. After five equal bits the opposite one is stuffed,
-    which counts for the next five.
-    """
-    can_id, length = frames["can_id"].astype(np.int64), frames["length"].astype(np.int64)
-    extended, remote = (can_id & EXTENDED_FLAG) != 0, (can_id & REMOTE_FLAG) != 0
-    control = remote.astype(np.int64) << 6 | np.minimum(length, 8)
-    # Standard: SOF, 11 bits, RTR, IDE, r0, DLC. Extended: SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, DLC.
-    long_header = (can_id >> 18 & STANDARD_MASK) << 27 | 0b11 << 25 | (can_id & 0x3FFFF) << 7 | control
-    header = np.where(extended, long_header, (can_id & STANDARD_MASK) << 7 | control)
-    start = np.where(extended, 39, 19)
-    before_crc = start + np.where(remote, 0, 8 * length)
-    payload, every = np.unpackbits(frames["data"], axis=1), np.arange(len(frames))
-    crc, run, stuffed = np.zeros((3, len(frames)), dtype=np.int64)
-    last = np.full(len(frames), 2)
-    for k in range(int(before_crc.max(initial=0)) + _CRC_BITS):
-        sent = np.where(k < start, header >> np.maximum(start - 1 - k, 0), payload[every, np.clip(k - start, 0, 63)])
-        in_crc = np.clip(before_crc + _CRC_BITS - 1 - k, 0, _CRC_BITS - 1)
-        bit = np.where(k < before_crc, sent, crc >> in_crc) & 1
-        mixed = (crc << 1) ^ np.where((crc >> _CRC_BITS - 1 & 1) ^ bit, _CRC_POLYNOMIAL, 0)
-        crc = np.where(k < before_crc, mixed & 0x7FFF, crc)
-        run = np.where(bit == last, run + 1, 1)
-        full = (run == 5) & (k < before_crc + _CRC_BITS)
-        stuffed += full
-        last, run = np.where(full, 1 - bit, bit), np.where(full, 1, run)
-    return np.where((can_id & ERROR_FLAG) != 0, 0, before_crc + _CRC_BITS + AFTER_CRC + stuffed)
 
 
 def budget_lines(budget: Budget) -> list[str]:

@@ -1,4 +1,4 @@
-"""`tipforce budget`: the error budget of P, phi, theta by cause, as a table, JSON lines and a plot."""
+"""`tipforce calibrate budget`: the error budget of P, phi, theta by cause, as a table, JSON lines and a plot."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ section 4.1, with as many tares. Without CAL.toml: the paper's case I (or --layo
 in a calibration; this table shows its effect.
 One load: --phi and --theta. Default: loads over the whole pad, every 5 degrees of theta, up to 45 degrees to either
 side of the surface normal; the table then shows the root mean square and the maximum.
-  tipforce budget finger.toml --load 2 --phi -80 --theta 100
-  tipforce budget --layout II --gravity 1 -o budget.png"""
+  tipforce calibrate budget finger.toml --load 2 --phi -80 --theta 100
+  tipforce calibrate budget --layout II --gravity 1 -o budget.png"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of `tipforce budget`."""
+    """Add the flags of `tipforce calibrate budget`."""
     parser.epilog = _EPILOG
     parser.add_argument("file", nargs="?", metavar="CAL.toml")
     parser.add_argument("--layout", metavar="NAME|FILE", help="gauge layout: I, II, III or a layout file")
