@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray, floats
+from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
 
@@ -146,7 +146,7 @@ class Deviations(NamedTuple):
 
 def forces(F1: FloatArray, F2: FloatArray, F3: FloatArray) -> Forces:
     """Return what contact and uncertainty are computed from, of forces in newtons."""
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         a1, a2, a3 = np.abs(F1), np.abs(F2), np.abs(F3)
         unit = _power_of_two(np.frexp(np.maximum(np.maximum(a1, a2), a3))[1])
         down = 1.0 / unit
@@ -222,7 +222,7 @@ def curvature_columns(F: Forces, P_newtons: FloatArray, u: Deviations) -> tuple[
     """Return curvature() of P, phi and theta, of contacts with F1 or F3."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         cosine = F.cosine / F.hypotenuse
-        bias = np.where(u.P > 0.0, u.phi * u.phi * P_newtons / u.P, np.where(u.phi > 0.0, np.inf, 0.0))
+        bias = np.where(u.P > 0.0, u.phi * u.phi * P_newtons / u.P, np.where(u.phi == 0.0, 0.0, np.inf))
         bend = np.where(u.sine > 0.0, u.sine / (cosine * cosine), 0.0)
         swing = u.P / P_newtons
         return np.maximum(bias, bend), swing, np.maximum(bend, swing)
@@ -234,18 +234,22 @@ def status_columns(
     misses: BoolArray,
     limits: Limits | tuple[float, float, float, float],
     was_present: bool,
-) -> npt.NDArray[np.int64]:
-    """Return bits 0, 4, 5, 6 of samples in time order; resolved: theta is, by its uncertainty."""
+    counts: BoolArray | bool = True,
+) -> IntArray:
+    """Return bits 0, 4, 5, 6 of samples in time order; resolved: theta is, by its uncertainty.
+
+    A sample that does not count leaves contact as it was.
+    """
     on, off, theta_min_deg, theta_max_deg = limits
     P, theta = contact.P_newtons, contact.theta_rad
     loaded = off <= P
-    present = held(on <= P, ~loaded, was_present)
+    present = held((on <= P) & counts, ~loaded & counts, was_present)
     resolved = resolved & loaded & np.isfinite(theta)
     past_start_deg = theta * scalar.DEGREES - theta_min_deg + scalar.PAD_SLACK_DEG
     with np.errstate(invalid="ignore"):
         past_start_deg = past_start_deg - 360.0 * np.floor(past_start_deg / 360.0)
         outside = past_start_deg > theta_max_deg - theta_min_deg + 2.0 * scalar.PAD_SLACK_DEG
-    bits: npt.NDArray[np.int64] = (
+    bits: IntArray = (
         present * scalar.CONTACT_PRESENT
         + ~resolved * scalar.THETA_UNRESOLVED
         + misses * scalar.MISSES_TIP

@@ -8,6 +8,10 @@ equation (16) of the paper.
 
 from math import asin, atan2, frexp, ldexp, pi, sqrt
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    Scaled = tuple[tuple[float, float, float, float, float, float], int]
+
 NAN = float("nan")
 TWO_PI = 2.0 * pi
 DEGREES = 180.0 / pi
@@ -88,12 +92,22 @@ def uncertainty(
     tangential contact the first order grows without bound, while the real spread of theta stays near SNR **
     -0.5. No load, or F1 = F3 = 0: u_P for the worst direction, the angles NaN. NaN or infinity in: all NaN.
     """
-    state = _prepare(F1, F2, F3, cov)
+    return deviations(F1, F2, F3, scaled_covariance(cov), pull)[:3]
+
+
+def deviations(
+    F1: float, F2: float, F3: float, covariance: "Scaled | None", pull: bool
+) -> tuple[float, float, float, float, float]:
+    """Return uncertainty(), the standard uncertainty of F2 / P to first order, and |cos(delta)|.
+
+    covariance: of scaled_covariance().
+    """
+    state = _prepare(F1, F2, F3, covariance)
     if state is None:
-        return NAN, NAN, NAN
+        return NAN, NAN, NAN, NAN, NAN
     f1, f2, f3, hypotenuse, cosine, K, exponent, half = state
     if hypotenuse == 0.0:
-        return _times_power(_worst_deviation(K), half), NAN, NAN
+        return _times_power(_worst_deviation(K), half), NAN, NAN, NAN, NAN
     n1, n3 = f1 / hypotenuse, f3 / hypotenuse
     u_P = _deviation(K, n1, 0.0, n3)
     P = max(hypotenuse, 0.5 * (hypotenuse + abs(f2)))
@@ -101,7 +115,8 @@ def uncertainty(
     # Gradients of phi and of F2 / P, times P.
     g1, g3 = -x * n1, -x * n3
     step = _times_power(_deviation(K, g1, 1.0, g3) / P, half - exponent)
-    slope = finite_slope(abs(x), cosine / hypotenuse, step)
+    cosine /= hypotenuse
+    slope = finite_slope(abs(x), cosine, step)
     if not pull:
         slope = -slope
     u_phi = _deviation(K, n3, 0.0, -n1) / P
@@ -110,6 +125,8 @@ def uncertainty(
         _times_power(u_P, half),
         _times_power(u_phi, half - exponent),
         _times_power(u_theta, half - exponent),
+        step,
+        cosine,
     )
 
 
@@ -117,7 +134,7 @@ def magnitude_uncertainty(
     F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float]
 ) -> float:
     """Return u_P of uncertainty() alone, bit for bit, for a third of the work: the angles cost the rest."""
-    state = _prepare(F1, F2, F3, cov)
+    state = _prepare(F1, F2, F3, scaled_covariance(cov))
     if state is None:
         return NAN
     f1, _, f3, hypotenuse, _, K, _, half = state
@@ -147,7 +164,7 @@ def miss_uncertainty(F1: float, F2: float, F3: float, cov: tuple[float, float, f
     Needed only where contact() returns a miss above zero. F1 = F3 = 0: the largest value that any direction
     and correlation can give. NaN or infinity in: NaN.
     """
-    state = _prepare(F1, F2, F3, cov)
+    state = _prepare(F1, F2, F3, scaled_covariance(cov))
     if state is None:
         return NAN
     f1, f2, f3, hypotenuse, _, K, _, half = state
@@ -225,24 +242,13 @@ def unknown(status: int, rank_left_is_3: bool = False) -> int:
     return bits
 
 
-def _prepare(
-    F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float]
-) -> tuple[float, float, float, float, float, tuple[float, float, float, float, float, float], int, int] | None:
-    """Return (f1, f2, f3, hypotenuse, cosine, K, exponent, half), scaled by powers of two; None for NaN.
-
-    F = f 2^exponent, cov = K 2^(2 half): neither squares of forces nor covariances over- or underflow.
-    """
-    check = (F1 - F1) + (F2 - F2) + (F3 - F3)
+def scaled_covariance(cov: tuple[float, float, float, float, float, float]) -> "Scaled | None":
+    """Return (K, half) with cov = K 2^(2 half): variances at most 1. None for NaN and infinity."""
+    check = 0.0
     for value in cov:
         check += value - value
     if check != 0.0:
         return None
-    exponent = frexp(max(abs(F1), abs(F2), abs(F3)))[1]
-    f1, f2, f3 = ldexp(F1, -exponent), ldexp(F2, -exponent), ldexp(F3, -exponent)
-    a1, a2, a3 = abs(f1), abs(f2), abs(f3)
-    large, small = (a1, a3) if a1 > a3 else (a3, a1)
-    hypotenuse = sqrt(large * large + small * small)
-    cosine = sqrt(max(0.0, (large - a2) * (large + a2) + small * small))
     half = (frexp(max(cov[0], cov[3], cov[5], 0.0))[1] + 1) // 2
     k11, k12, k13, k22, k23, k33 = cov
     down = -2 * half
@@ -254,6 +260,25 @@ def _prepare(
         ldexp(k23, down),
         ldexp(k33, down),
     )
+    return K, half
+
+
+def _prepare(
+    F1: float, F2: float, F3: float, covariance: "Scaled | None"
+) -> tuple[float, float, float, float, float, tuple[float, float, float, float, float, float], int, int] | None:
+    """Return (f1, f2, f3, hypotenuse, cosine, K, exponent, half) with F = f 2^exponent; None for NaN.
+
+    Scaled by powers of two, neither squares of forces nor covariances over- or underflow.
+    """
+    if covariance is None or (F1 - F1) + (F2 - F2) + (F3 - F3) != 0.0:
+        return None
+    K, half = covariance
+    exponent = frexp(max(abs(F1), abs(F2), abs(F3)))[1]
+    f1, f2, f3 = ldexp(F1, -exponent), ldexp(F2, -exponent), ldexp(F3, -exponent)
+    a1, a2, a3 = abs(f1), abs(f2), abs(f3)
+    large, small = (a1, a3) if a1 > a3 else (a3, a1)
+    hypotenuse = sqrt(large * large + small * small)
+    cosine = sqrt(max(0.0, (large - a2) * (large + a2) + small * small))
     return f1, f2, f3, hypotenuse, cosine, K, exponent, half
 
 
