@@ -12,7 +12,7 @@ import numpy.typing as npt
 from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
 from tipforce.fingertip.application import FROZEN_READINGS
-from tipforce.fingertip.judgement import Judgement
+from tipforce.fingertip.judgement import RELEASE, Judgement
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import LARGEST_MICROSTRAIN
 from tipforce.host.decoding import judged
@@ -26,6 +26,7 @@ from tipforce.sensor.contact import scalar
 if TYPE_CHECKING:
     from tipforce.samples.record import Contact
 
+    Force = tuple[float, float, float]
     Values = tuple[float, float, float, float, float, float]
 
 BLOCK = 4096
@@ -37,6 +38,8 @@ _FLAGS = (
     (scalar.FRONT_END_FAULT, reasons.CONTRADICTION | reasons.FROZEN),
 )
 """Bits of ``Status`` that a node would set, and why."""
+_FLAGGED = sum(why for _, why in _FLAGS)
+_NO_PHI, _NO_THETA = scalar.UNKNOWN_PHI, scalar.UNKNOWN_THETA
 _NO_FORCE, _NOTHING = (scalar.NAN,) * 3, (scalar.NAN,) * 6
 
 
@@ -116,11 +119,21 @@ class Estimator:
         if converter_limit_strain is not None:
             limits = np.minimum(limits, converter_limit_strain)
         self._limits: list[float] = limits.tolist() if np.isfinite(limits).any() else []
-        self._unranged = 0 if active.forces[0] > 0.0 else reasons.UNRANGED
-        self._own = calibration.parameter_covariance is not None
+        calibrated, overload = active.forces
+        self._unranged = 0 if calibrated > 0.0 else reasons.UNRANGED
+        self._calibrated_newtons = calibrated if calibrated > 0.0 else np.inf
+        self._overload_newtons = overload if overload > 0.0 else np.inf
+        self._release_newtons = RELEASE * self._overload_newtons
+        # Microstrain of each gauge beyond which no structure survives; without use where the overload is known.
+        limit = judged.LARGEST_STRAIN
+        offsets = [] if overload > 0.0 else active.offsets
+        self._bounds = [(1e6 * (offset - limit), 1e6 * (offset + limit)) for offset in offsets]
+        self._has_own = calibration.parameter_covariance is not None
+        ranged, redundant = any(active.range_degC), self.gauges > 3 and active.redundancy > 0.0
+        self._is_judged = self._has_own or active.model > 0.0 or active.compensated() or ranged or redundant
         solver = active.solver(0)
         assert solver is not None
-        self._covariance, self._scaled = solver[1], scalar.scaled_covariance(solver[1])
+        self._K, self._scaled_K = solver[1], scalar.scaled_covariance(solver[1])
         self._status_of: dict[int, Status] = {}
         from tipforce.samples.record import Contact  # which imports this package
 
@@ -157,8 +170,8 @@ class Estimator:
         microstrain, makes all unknown. In a table, a gauge that stands still for longer than its noise allows counts
         as lost; one reading does not show it. Raises InputError for other shapes and types.
         """
-        before, n = Before(was_present, was_overloaded), self.gauges
-        if type(microstrain) in {list, tuple} and all(type(value) is float for value in microstrain):  # type: ignore[union-attr]
+        n = self.gauges
+        if type(microstrain) in {list, tuple} and set(map(type, microstrain)) == {float}:  # type: ignore[arg-type]
             row: Sequence[float] | None = microstrain  # type: ignore[assignment]
         else:
             readings = floats("microstrain", microstrain)
@@ -168,7 +181,7 @@ class Estimator:
             if type(degC) is not float:
                 degC = float(_temperatures(degC, ()))
             bits = lost if isinstance(lost, int) else int(_bits(lost, ()))
-            return self._contact(row, degC, bits, before)
+            return self._contact(row, degC, bits, was_present, was_overloaded)
         if row is not None or readings.shape[1:] != (n,):
             raise InputError(f"microstrain has the shape {np.shape(microstrain)}: allowed are (k, {n}) and ({n},)")
         shape = (len(readings),)
@@ -179,7 +192,7 @@ class Estimator:
             _bits(lost, shape) if np.any(lost) else None,
             frozen_gauges(self._calibration, strain),
         )
-        contacts, status, _ = self.rows(given, before, out)
+        contacts, status, _ = self.rows(given, Before(was_present, was_overloaded), out)
         contacts.status[:] = (status | _shown(status)) & 0xFFFF
         return contacts
 
@@ -252,46 +265,48 @@ class Estimator:
             resolved[rows] = model.is_resolved(of_rows.P, of_rows.theta)
         return resolved
 
-    def _contact(self, microstrain: Sequence[float], degC: float, lost: int, before: Before) -> Contact:
+    def _contact(
+        self, microstrain: Sequence[float], degC: float, lost: int, was_present: bool, was_overloaded: bool
+    ) -> Contact:
         """One reading."""
-        most = LARGEST_MICROSTRAIN
+        most, active = LARGEST_MICROSTRAIN, self._active
         readings = [value if -most <= value <= most else scalar.NAN for value in microstrain]
         for k, limit in enumerate(self._limits):
             if abs(1e-6 * readings[k]) >= limit:
                 lost |= 1 << k
-        F, K, scaled, status = self._force(readings, degC, lost, before.overloaded)
-        values: Values = _NOTHING
-        if not status & reasons.NO_ESTIMATE:
-            status, values = self._values(F, K, scaled, status | self._unranged, before.present)
-        for flag, why in _FLAGS:
-            if status & why:
-                status |= flag
+        K, scaled_K, status = self._K, self._scaled_K, 0
+        if lost or self._is_judged:
+            F, K, status = self._judged_force(readings, degC, lost, was_overloaded)
+            scaled_K = scalar.scaled_covariance(K)
+        else:
+            F = active.force(active.C, readings)
+            for value, (low, high) in zip(readings, self._bounds):  # noqa: B905 - none where 2112h:2 is known
+                if value < low or value > high:
+                    status |= reasons.OVERLOAD
+        status, values = self._values(F, K, scaled_K, status, was_present, was_overloaded)
+        if status & _FLAGGED:
+            for flag, why in _FLAGS:
+                if status & why:
+                    status |= flag
         status = status & 0xFFFF | scalar.CALIBRATED
         if status not in self._status_of:
             self._status_of[status] = Status(status)
         return self._contact_type(0, scalar.NAN, -1, *values, self._status_of[status], tuple(microstrain))
 
-    def _force(
+    def _judged_force(
         self, readings: list[float], degC: float, lost: int, was_overloaded: bool
-    ) -> tuple[tuple[float, float, float], Values, scalar.Scaled | None, int]:
-        """(force, covariance, the same scaled, status before any contact is known), judged by the node's own code."""
-        active = self._active
-        K, scaled, faults, left = self._covariance, self._scaled, 0, lost
-        if lost or active.checked or self._own:
-            if lost:  # a gauge left out may read anything
-                readings = [0.0 if lost >> k & 1 else value for k, value in enumerate(readings)]
-            judgement = Judgement(active, readings, lost, degC, was_overloaded)
-            faults, left, strains = judgement.bits, lost | judgement.left_out, judgement.strains
-            F, K = judgement.force or _NO_FORCE, judgement.covariance()
-            if self._own and judgement.force is not None:
-                own = self.judge.of_parameters(left, *F)
-                K = K[0] + own[0], K[1] + own[1], K[2] + own[2], K[3] + own[3], K[4] + own[4], K[5] + own[5]
-            scaled = scalar.scaled_covariance(K)
-        else:
-            F = active.force(active.C, readings)
-            strains = [1e-6 * value - offset for value, offset in zip(readings, active.offsets, strict=True)]
-        if not active.forces[1] > 0.0:
-            for k, strain in enumerate(strains):
+    ) -> tuple[Force, Values, int]:
+        """(force, covariance, status before any contact is known), by the node's own code."""
+        if lost:  # a gauge left out may read anything
+            readings = [0.0 if lost >> k & 1 else value for k, value in enumerate(readings)]
+        judgement = Judgement(self._active, readings, lost, degC, was_overloaded)
+        left, faults = lost | judgement.left_out, judgement.bits
+        F, K = judgement.force or _NO_FORCE, judgement.covariance()
+        if self._has_own and judgement.force is not None:
+            own = self.judge.of_parameters(left, *F)
+            K = K[0] + own[0], K[1] + own[1], K[2] + own[2], K[3] + own[3], K[4] + own[4], K[5] + own[5]
+        if self._bounds:
+            for k, strain in enumerate(judgement.strains):
                 if abs(strain) > judged.LARGEST_STRAIN and not left >> k & 1:
                     faults |= reasons.OVERLOAD
         status = faults & (reasons.BEYOND_CALIBRATED | reasons.TEMPERATURE | reasons.OVERLOAD)
@@ -300,29 +315,46 @@ class Estimator:
             status |= faults & reasons.CONTRADICTION or (scalar.SATURATED if lost else 0)
         elif left:
             status |= reasons.LEFT_OUT
-        return F, K, scaled, status
+        return F, K, status
 
     def _values(
-        self, F: tuple[float, float, float], K: Values, scaled: scalar.Scaled | None, status: int, was_present: bool
+        self,
+        F: Force,
+        K: Values,
+        scaled_K: scalar.ScaledCovariance | None,
+        status: int,
+        was_present: bool,
+        was_overloaded: bool,
     ) -> tuple[int, Values]:
-        """(status, values) of a force that counts."""
+        """(status, values) of a force."""
         (F1, F2, F3), pull, limits = F, self._active.pull, self._active.limits
-        P, phi, theta, miss = scalar.contact(F1, F2, F3, pull)
+        force = scalar.scaled_force(F1, F2, F3)
+        P, phi, theta, miss = scalar.contact_of(force, pull)
+        if self._calibrated_newtons < P:
+            status |= reasons.BEYOND_CALIBRATED
+        if self._release_newtons < P and (was_overloaded or self._overload_newtons < P):
+            status |= reasons.OVERLOAD
+        if status & reasons.NO_ESTIMATE:
+            return status, _NOTHING
+        status |= self._unranged
         u_P = u_phi = u_theta = u_sine = cosine = 0.0
         if self._uncertainty or not (limits[1] <= P and scalar.clearly_resolved(P, F2, K)):
-            u_P, u_phi, u_theta, u_sine, cosine = scalar.deviations(F1, F2, F3, scaled, pull)
+            u_P, u_phi, u_theta, u_sine, cosine = scalar.deviations(force, scaled_K, pull)
         u_miss = scalar.miss_uncertainty(F1, F2, F3, K) if miss > 0.0 else 0.0
         status |= scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, limits, was_present)
         unknown = scalar.unknown(status & 0xFF | scalar.CALIBRATED)
-        no_phi, no_theta = unknown & scalar.UNKNOWN_PHI, unknown & scalar.UNKNOWN_THETA
-        phi = scalar.NAN if no_phi else phi * scalar.DEGREES
-        theta = scalar.NAN if no_theta else theta * scalar.DEGREES
-        if not self._uncertainty:
-            return status, (P, phi, theta, *_NO_FORCE)
-        if u_P - u_P == 0.0 and not _first_order_holds(P, u_P, u_phi, u_sine, cosine, not no_phi):
-            status |= reasons.BEYOND_FIRST_ORDER
-        u_phi = scalar.NAN if no_phi else u_phi * scalar.DEGREES
-        u_theta = scalar.NAN if no_theta else u_theta * scalar.DEGREES
+        if self._uncertainty:
+            if u_P - u_P == 0.0 and not _first_order_holds(P, u_P, u_phi, u_sine, cosine, not unknown & _NO_PHI):
+                status |= reasons.BEYOND_FIRST_ORDER
+        else:
+            u_P = u_phi = u_theta = scalar.NAN
+        phi, theta = phi * scalar.DEGREES, theta * scalar.DEGREES
+        u_phi, u_theta = u_phi * scalar.DEGREES, u_theta * scalar.DEGREES
+        if unknown:
+            if unknown & _NO_PHI:
+                phi = u_phi = scalar.NAN
+            if unknown & _NO_THETA:
+                theta = u_theta = scalar.NAN
         return status, (P, phi, theta, u_P, u_phi, u_theta)
 
 
