@@ -46,8 +46,9 @@ if TYPE_CHECKING:
     from tipforce.errors import SdoAbortError as SdoAbortError
     from tipforce.errors import TipforceError as TipforceError
     from tipforce.host.configuration.calibration import Calibration as Calibration
-    from tipforce.host.decoding.estimates import Contacts as Contacts
-    from tipforce.host.decoding.estimates import estimate as estimate
+    from tipforce.host.decoding.estimator import Contacts as Contacts
+    from tipforce.host.decoding.estimator import Estimator as Estimator
+    from tipforce.host.decoding.estimator import estimate as estimate
     from tipforce.host.decoding.log import Log as Log
     from tipforce.host.decoding.log import NodeLog as NodeLog
     from tipforce.host.decoding.log import read_log as read_log
@@ -69,7 +70,7 @@ _NAMES = {
     "host.network.bus": ("open:open_connection", "Bus"),
     "host.network.finger": ("Finger",),
     "samples.record": ("Contact",),
-    "host.decoding.estimates": ("Contacts", "estimate"),
+    "host.decoding.estimator": ("Contacts", "Estimator", "estimate"),
     "samples.reasons": ("Status",),
     "host.hand.hand": ("Hand",),
     "host.hand.rows": ("HandRow",),

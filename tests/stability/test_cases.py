@@ -75,13 +75,12 @@ def _times(factor: float) -> Any:
     return lambda right: lambda *arguments, **named: factor * right(*arguments, **named)
 
 
-def _naive_triangle(_right: Any) -> Any:
-    def triangle(f: Any) -> Any:
-        a1, a2, a3 = np.moveaxis(np.abs(f), -1, 0)
-        hypotenuse = np.sqrt(a1 * a1 + a3 * a3)
+def _naive_triangle(right: Any) -> Any:
+    def triangle(*F: Any) -> Any:
+        scaled = right(*F)
+        a2, hypotenuse = np.abs(scaled.f2), scaled.hypotenuse
         squared = hypotenuse * hypotenuse - a2 * a2
-        excess = np.maximum(a2 - hypotenuse, 0.0)
-        return hypotenuse, np.sqrt(np.maximum(squared, 0.0)), excess
+        return scaled._replace(cosine=np.sqrt(np.maximum(squared, 0.0)), excess=np.maximum(a2 - hypotenuse, 0.0))
 
     return triangle
 
@@ -150,8 +149,8 @@ def _truncating(right: Any) -> Any:
 
 # The case that must notice, the place and name of an attribute, and its fault: from the right one to the wrong one.
 FAULTS: tuple[tuple[str, Any, str, Any], ...] = (
-    ("contact.nearly_tangential", estimate, "_triangle", _naive_triangle),
-    ("contact.magnitudes", estimate, "_scaled", lambda _right: lambda F: (F, np.zeros(F.shape[:-1], dtype=np.int64))),
+    ("contact.nearly_tangential", estimate, "forces", _naive_triangle),
+    ("contact.magnitudes", estimate, "_power_of_two", lambda _right: lambda exponent, *_most: 0.0 * exponent + 1.0),
     ("contact.angle_wrap", estimate, "_wrapped", lambda _right: lambda angle: angle),
     ("contact.node_agrees", scalar, "sqrt", _times(1.0 + 1e-14)),
     ("uncertainty.tangential", estimate, "_finite_slope",

@@ -13,7 +13,7 @@ import pytest
 
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
-from tipforce.host.decoding import estimates as estimate_rows
+from tipforce.host.decoding import estimator
 from tipforce.sensor.calibration.simulation import Faults, simulate
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -230,7 +230,7 @@ def test_chunks_carry_the_hysteresis(
     loads = np.abs(rng.normal(size=200)) * 0.05
     text = "SG1,SG2,SG3\n" + "\n".join(microstrain(float(P), 30.0, 50.0) for P in loads)
     whole, _ = estimated(calibration, text, capsys)
-    monkeypatch.setattr(estimate_rows, "CHUNK", 7)
+    monkeypatch.setattr(estimator, "BLOCK", 7)
     parts, _ = estimated(calibration, text, capsys)
     assert parts == whole
     assert {"no_contact" in row["status"].split() for row in whole} == {True, False}

@@ -23,31 +23,31 @@ _OVERLOAD = 1 << table.FAULT_OVERLOAD
 class Judgement:
     """One sample judged. ``bits``: of 2124h, 12 to 15; ``left_out``: the bit of the gauge that contradicts the others;
     ``solver`` and ``force``: matrix and covariance without it, and F1, F2, F3 in newtons before any tare; both None
-    where the gauges left have no rank 3, or contradict each other.
+    where the gauges left have no rank 3, or contradict each other; ``strains``: offsets and temperature taken off.
     """
 
     __slots__ = (
-        "_active", "_extra", "_faults", "_kelvin", "_lost", "_strains", "bits", "force", "left_out", "solver",
+        "_active", "_extra", "_faults", "_kelvin", "_lost", "bits", "force", "left_out", "solver", "strains",
     )  # fmt: skip
 
     def __init__(
-        self, active: "Active", microstrains: "list[float]", lost: int, temperature: int, overloaded: bool
+        self, active: "Active", microstrains: "list[float]", lost: int, temperature_degC: float, overloaded: bool
     ) -> None:
-        """``microstrains`` as 6130h, ``lost`` the gauges left out already, ``temperature`` as 2122h."""
+        """``microstrains`` as 6130h, ``lost`` the gauges left out already, ``temperature_degC``: NaN where unknown."""
         self._active = active
         self.bits = self.left_out = 0
         self.force: "tuple[float, float, float] | None" = None
-        known_kelvin, self._kelvin, outside = difference(active, temperature)
+        known_kelvin, self._kelvin, outside = difference(active, temperature_degC)
         if outside:
             self.bits = _TEMPERATURE
-        self._strains = strains(active, microstrains, known_kelvin)
+        self.strains = strains(active, microstrains, known_kelvin)
         self._lost = lost
         self._faults: "list[tuple[float, float]]" = []
         self._extra: "list[float] | None" = None
         self.solver = active.solver(lost)
         if self.solver is None:
             return
-        if active.redundancy > 0.0 and len(self._strains) > 3:
+        if active.redundancy > 0.0 and len(self.strains) > 3:
             self._judge_gauges(lost)
         if self.solver is not None:
             self._judge_force(overloaded, known_kelvin)
@@ -60,8 +60,8 @@ class Judgement:
             return
         model = active.model
         if model > 0.0:
-            self._extra = [(model * s) * (model * s) for s in self._strains]
-        bits, faults = _judged(check, self._strains, self._extra)
+            self._extra = [(model * s) * (model * s) for s in self.strains]
+        bits, faults = _judged(check, self.strains, self._extra)
         if bits < 0:
             self._faults = faults
             return
@@ -71,7 +71,7 @@ class Judgement:
         rest = active.check(lost | gauge) if gauge else None
         solver = None if rest is None else active.solver(lost | gauge)
         if solver is not None and rest is not None:
-            bits, faults = _judged(rest, self._strains, self._extra)
+            bits, faults = _judged(rest, self.strains, self._extra)
             if bits >= 0:
                 solver = None
         self.solver = solver
@@ -82,7 +82,7 @@ class Judgement:
     def _judge_force(self, overloaded: bool, known_kelvin: float) -> None:
         active, solver = self._active, self.solver
         assert solver is not None
-        f1, f2, f3 = [dot(row, self._strains) for row in solver[0]]
+        f1, f2, f3 = [dot(row, self.strains) for row in solver[0]]
         gain = 1.0 + active.gain_per_kelvin * known_kelvin
         self.force = f1 / gain, f2 / gain, f3 / gain
         calibrated, overload = active.forces
@@ -103,8 +103,8 @@ class Judgement:
         if model > 0.0:
             if self.bits & _BEYOND:  # what is not linear grows with the force, relative to it
                 model *= magnitude(force) / active.forces[0]
-            for k in range(len(self._strains)):
-                size = model * self._strains[k]
+            for k in range(len(self.strains)):
+                size = model * self.strains[k]
                 found = _with(found, size * matrix[0][k], size * matrix[1][k], size * matrix[2][k])
         if self._kelvin > 0.0:
             moved = [active.gain_per_kelvin * f for f in force]
@@ -120,17 +120,17 @@ class Judgement:
         return found
 
 
-def difference(active: "Active", temperature: int) -> "tuple[float, float, bool]":
-    """(kelvin from the reference that are compensated, kelvin of uncertainty left, bit 14); temperature as 2122h.
+def difference(active: "Active", temperature_degC: float) -> "tuple[float, float, bool]":
+    """(kelvin from the reference that are compensated, kelvin of uncertainty left, bit 14); NaN: not known.
 
     A temperature that is not known where it is needed is that of the calibrated range, which counts as uniform; one
     outside of the range is compensated, and its distance from the range left as uncertainty.
     """
     low, high = active.range_degC
     ranged = low != 0.0 or high != 0.0
-    if temperature != table.UNKNOWN_I16:
-        kelvin = 0.01 * temperature - active.reference_degC
-        beyond = max(low - 0.01 * temperature, 0.01 * temperature - high, 0.0) if ranged else 0.0
+    if temperature_degC - temperature_degC == 0.0:
+        kelvin = temperature_degC - active.reference_degC
+        beyond = max(low - temperature_degC, temperature_degC - high, 0.0) if ranged else 0.0
         if 1.0 + active.gain_per_kelvin * kelvin > 0.0:
             return (kelvin if active.compensated() else 0.0), beyond, beyond > 0.0
     if not active.compensated():

@@ -106,7 +106,8 @@ class Sample:
         if active is not None and active.checked and reading is not None and not faults & _ALL_GAUGES:
             from .judgement import Judgement  # a calibration of which nothing is known does without
 
-            self.judgement = Judgement(active, self.microstrains, self.lost, reading.temperature, was_overloaded)
+            degC = NAN if reading.temperature == table.UNKNOWN_I16 else 0.01 * reading.temperature
+            self.judgement = Judgement(active, self.microstrains, self.lost, degC, was_overloaded)
             self.lost |= self.judgement.left_out
             self.solver = self.judgement.solver
             faults |= self.judgement.bits

@@ -15,10 +15,10 @@ from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.judgement import Judgement
 from tipforce.fingertip.sample import Sample
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import judged
 from tipforce.host.decoding.contact_columns import ContactColumns
-from tipforce.host.decoding.estimates import Before, estimate, estimated, following
+from tipforce.host.decoding.estimator import Before, Estimator, estimate
+from tipforce.host.decoding.judged import Readings
 from tipforce.host.decoding.sample_table import Table, computed
 from tipforce.samples.reasons import Status
 from tipforce.sensor.contact import scalar
@@ -72,23 +72,18 @@ def strains(samples: list[Sample]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any
 def test_the_verdicts_of_node_and_host_are_equal(n: int) -> None:
     calibration, samples = recorded(n)
     microstrain, temperature = strains(samples)
-    data = Measurements(
-        np.arange(len(samples)), microstrain * 1e-6, None, None, None, None, temperature, None, None, (), ()
-    )
-    found = estimated(calibration, data, slice(None), None, None, Before())
+    given = Readings(microstrain * 1e-6, temperature)
+    found, _, _ = Estimator(calibration).rows(given, Before())
     lost = np.array([sum(1 << k for k, over in enumerate(s.overloads) if over) for s in samples])
-    judge = judged.Judge(calibration)
-    V = judge.compensated(microstrain * 1e-6, temperature) - calibration.offset_strain
-    verdicts = judge.judge(V, temperature, lost, False)
+    verdicts = judged.Judge(calibration).judge(given._replace(lost=lost), False)
     node = np.array([s.faults & BITS for s in samples])
-    known = np.isfinite(verdicts.F_newtons).all(axis=1)
+    known = np.isfinite(verdicts.F_newtons).all(axis=0)
     np.testing.assert_array_equal(verdicts.faults[known], node[known])
     np.testing.assert_array_equal(verdicts.faults[~known] & 0xF000, node[~known] & 0xF000)
     np.testing.assert_array_equal(known, [s.solver is not None for s in samples])
     for k in np.flatnonzero(known):
-        np.testing.assert_allclose(verdicts.F_newtons[k], samples[k].force(), atol=1e-12)
-        upper = verdicts.covariance[k][np.triu_indices(3)]
-        np.testing.assert_allclose(upper, samples[k].covariance(), rtol=1e-7, atol=1e-15)
+        np.testing.assert_allclose(verdicts.F_newtons[:, k], samples[k].force(), atol=1e-12)
+        np.testing.assert_allclose(verdicts.covariance[:, k], samples[k].covariance(), rtol=1e-7, atol=1e-15)
     shown = ~(np.array([s.unknown() for s in samples]) & scalar.UNKNOWN_FORCE).astype(bool)
     np.testing.assert_array_equal(np.isfinite(found.values[:, 0]), shown)
     np.testing.assert_allclose(found.values[shown, 0], [s.contact()[0] for s in np.array(samples)[shown]], rtol=1e-12)
@@ -151,15 +146,13 @@ def test_rows_in_parts_are_rows_at_once() -> None:
     """The hysteresis of contact and of overload goes over the border of two parts."""
     calibration, samples = recorded(5)
     microstrain, temperature = strains(samples)
-    data = Measurements(
-        np.arange(len(samples)), microstrain * 1e-6, None, None, None, None, temperature, None, None, (), ()
-    )
-    whole = estimated(calibration, data, slice(None), None, None, Before()).status
+    estimator = Estimator(calibration)
+    _, whole, _ = estimator.rows(Readings(microstrain * 1e-6, temperature), Before())
     before, parts = Before(), []
     for start in range(0, len(samples), 37):
-        found = estimated(calibration, data, slice(start, start + 37), None, None, before)
-        before = following(found, before)
-        parts.append(found.status)
+        part = slice(start, start + 37)
+        _, status, before = estimator.rows(Readings(microstrain[part] * 1e-6, temperature[part]), before)
+        parts.append(status)
     np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 
@@ -167,14 +160,14 @@ def test_four_gauges_isolate_nothing_not_even_a_gauge_that_no_force_moves() -> N
     C = np.hstack((1e4 * np.eye(3), np.zeros((3, 1))))
     calibration = Calibration(C, np.zeros(4), 1e-12 * np.eye(4), redundancy_limit=24.0)
     microstrain = np.array([[100.0, 0.0, 0.0, 0.0], [100.0, 0.0, 0.0, 50.0]])
-    found = judged.Judge(calibration).judge(1e-6 * microstrain, None, np.zeros(2, dtype=np.int64), False)
+    found = judged.Judge(calibration).judge(Readings(1e-6 * microstrain), False)
     assert found.faults.tolist() == [0, 1 << 12]
-    assert np.isfinite(found.F_newtons).all(axis=1).tolist() == [True, False]
+    assert np.isfinite(found.F_newtons).all(axis=0).tolist() == [True, False]
     talk = finger(4, calibrated=calibration.record(), load=PUSH)
     application = talk.device.application
     assert isinstance(application, Fingertip)
     active = application.calibration.active
     assert active is not None
     for row, force in zip(microstrain.tolist(), (True, False), strict=True):
-        one = Judgement(active, row, 0, -0x8000, False)
+        one = Judgement(active, row, 0, math.nan, False)
         assert (one.force is not None, one.left_out) == (force, 0)

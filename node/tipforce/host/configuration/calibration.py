@@ -245,15 +245,19 @@ class Calibration:
         """Covariance of F from gauge noise, C Sigma C^T, (3, 3), N^2."""
         return self.C @ self.covariance_strain2 @ self.C.T
 
-    def record(self) -> bytes:
-        """The record of the node (docs/objects.md). Raises InputError for a value that its field cannot hold."""
-        values: list[int | float] = []
+    def numbers(self) -> list[float]:
+        """The numbers of a record in its order, in double precision."""
+        values: list[float] = []
         for of in RECORD:
             value = getattr(self, of.name)
             triangle = stated(of).shape == ("n", "n")
             values += (value[np.triu_indices(self.gauges)] if triangle else np.ravel(value)).tolist()
+        return values
+
+    def record(self) -> bytes:
+        """The record of the node (docs/objects.md). Raises InputError for a value that its field cannot hold."""
         content = bytearray()
-        for (index, sub, kind), number in zip(table_objects.staged(self.gauges), values, strict=True):
+        for (index, sub, kind), number in zip(table_objects.staged(self.gauges), self.numbers(), strict=True):
             try:
                 content += types.encode(kind, number)
             except InputError as error:

@@ -11,10 +11,10 @@ import numpy.typing as npt
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.measurements import Measurements
-from tipforce.host.decoding import estimates as estimate_rows
 from tipforce.host.decoding import judged
+from tipforce.host.decoding.estimator import Before, Estimator
 from tipforce.host.decoding.health import lost_gauges
+from tipforce.host.decoding.judged import Readings
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, Values, computed, flag, in_order, missing_of
 from tipforce.samples import reasons
 
@@ -52,9 +52,9 @@ class ContactColumns:
     """Fills the contact of each sample that has all its gauges; nodes without a calibration keep what they sent."""
 
     def __init__(self, calibrations: Mapping[int | None, Calibration], asked: tuple[str, ...] | None) -> None:
-        self._calibrations = calibrations
+        self._estimators = {node: Estimator(calibration) for node, calibration in calibrations.items()}
         self._asked = asked
-        self._before: dict[int, estimate_rows.Before] = {}
+        self._before: dict[int, Before] = {}
         self._first_ns: dict[int, int] = {}
         self._temperature_degC: dict[int, float] = {}
 
@@ -73,19 +73,19 @@ class ContactColumns:
         absent = {name: rows for name, rows in table.absent.items() if name not in {c.name for c in COLUMNS}}
         for key in np.unique(table.key).tolist():
             node = key & ((1 << NODE_BITS) - 1)
-            fingertip = self._calibrations.get(node, self._calibrations.get(None))
-            if fingertip is not None:
-                self._fill(fingertip, key, np.flatnonzero(table.key == key), table, values)
+            estimator = self._estimators.get(node, self._estimators.get(None))
+            if estimator is not None:
+                self._fill(estimator, key, np.flatnonzero(table.key == key), table, values)
         shown = [c for c in columns.values() if self._asked is None or c.signal in self._asked]
         ordered = in_order(shown, self._asked)
         return replace(table, columns=ordered, values={c.name: values[c.name] for c in ordered}, absent=absent)
 
     def _fill(
-        self, tip: Calibration, key: int, rows: npt.NDArray[np.intp], table: Table, values: dict[str, Values]
+        self, estimator: Estimator, key: int, rows: npt.NDArray[np.intp], table: Table, values: dict[str, Values]
     ) -> None:
         for column in COLUMNS:
             values[column.name][rows] = missing_of(column, len(rows))
-        names = [f"SG{k + 1}_ue" for k in range(tip.gauges)]
+        names = [f"SG{k + 1}_ue" for k in range(estimator.gauges)]
         if not set(names) <= set(table.values):
             return
         strain = np.stack([table.values[name][rows] for name in names], axis=-1) * 1e-6
@@ -98,21 +98,18 @@ class ContactColumns:
         if "saturated" in table.values:
             # A gauge that the node left out and whose reading does not show why: which one, TPDO4 or EMCY told, or
             # nothing did.
-            good &= (table.values["saturated"][rows] != 1) | (lost != 0) | self._shown(tip, strain)
+            good &= (table.values["saturated"][rows] != 1) | (lost != 0) | _shown(estimator, strain)
         rows, strain, temperature, lost = rows[good], strain[good], temperature[good], lost[good]
         if not len(rows):
             return
-        data = Measurements(table.t_ns[rows], strain, None, None, None, None, temperature, None, None, (), ())
-        before = self._before.get(key, estimate_rows.Before())
-        lost = lost | judged.at_end(1e6 * strain)
         first_ns = self._first_ns.setdefault(key, int(table.t_ns[rows[0]]))  # a log does not say when the node tared
         age_s = np.asarray(table.t_ns[rows] - first_ns, dtype=np.float64) * 1e-9
-        found = estimate_rows.estimated(tip, data, slice(None), None, None, before, lost, age_s=age_s)
-        for column, column_values in zip(VALUES, found.values.T, strict=True):
+        given = Readings(strain, temperature, lost | judged.at_end(1e6 * strain), age_s=age_s)
+        contacts, status, self._before[key] = estimator.rows(given, self._before.get(key, Before()))
+        for column, column_values in zip(VALUES, contacts.values.T, strict=True):
             values[column.name][rows] = column_values
         for name, bit in FLAGS.items():
-            values[name][rows] = found.status & bit != 0
-        self._before[key] = estimate_rows.following(found, before)
+            values[name][rows] = status & bit != 0
 
     def _temperature(self, key: int, rows: npt.NDArray[np.intp], table: Table) -> FloatArray:
         """The temperature of each sample as the node sent it last, degC; NaN before it did."""
@@ -123,12 +120,12 @@ class ContactColumns:
             self._temperature_degC[key] = float(found[-1])
         return found
 
-    def _shown(self, tip: Calibration, strain: FloatArray) -> BoolArray:
-        """Samples whose readings show by themselves which gauge is left out."""
-        judge = judged.Judge(tip)
-        found = judge.judge(strain - tip.offset_strain, None, judged.at_end(1e6 * strain), False)
-        seen: BoolArray = (found.faults & judged.GAUGES) != 0
-        return seen
+
+def _shown(estimator: Estimator, strain: FloatArray) -> BoolArray:
+    """Samples whose readings show by themselves which gauge is left out."""
+    verdict = estimator.judge.judge(Readings(strain, lost=judged.at_end(1e6 * strain)), False)
+    seen: BoolArray = (verdict.faults & judged.GAUGES) != 0
+    return seen
 
 
 def signals_needed(

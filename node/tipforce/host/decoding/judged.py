@@ -1,260 +1,282 @@
 """Recorded strains judged as the node judges its samples (fingertip.judgement): faults of 2124h, gauges left out.
 
-What is worked out once for each set of gauges is the node's own code; what is done for each sample is numpy.
+What is worked out once for each set of gauges is the node's own code; what is done for each sample is numpy, operation
+by operation as in the node, on columns: one array of samples for each gauge, force and element of a covariance.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.dictionary import table
-from tipforce.fingertip.judgement import RELEASE, UNSTATED_KELVIN
+from tipforce.fingertip.calibration import Active
+from tipforce.fingertip.judgement import RELEASE, difference
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples.reasons import BEYOND_CALIBRATED, CONTRADICTION, OVERLOAD, TEMPERATURE
-from tipforce.sensor.contact import scalar_redundancy
+from tipforce.sensor.contact.estimate import held
+from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE, NO_FAULT, explained
 
 GAUGES = (1 << table.FAULT_NO_DATA) - 1
 LARGEST_STRAIN = 0.03
 """Largest strain of a gauge where 2112h:2 is not known: foil gauges break at 0.03 to 0.05, and each material of
 ``tipforce_lab.design.other_bodies`` has yielded before. A larger one is an overload. On the wire 0.0033 is the end."""
 _END_MICROSTRAIN = 3276.65  # a gauge at the end of its converter reads 32767 x 0.1 microstrain
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+Column = Any  # a number, or an array (m,) of samples
+Rows = Any  # indices (k,) of samples, or a slice
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
+class Readings(NamedTuple):
+    """m readings of n gauges in time order, and what else is known of each; None: nothing."""
+
+    strain: FloatArray
+    """(m, n); NaN makes a sample unknown."""
+    temperature_degC: FloatArray | None = None
+    """(m,), NaN where it is unknown."""
+    lost: IntArray | None = None
+    """(m,), bits of gauges that have failed."""
+    frozen: IntArray | None = None
+    """(m,), bits of those that stand still."""
+    unloaded: BoolArray | None = None
+    """(m,): a tare, of which no contact is estimated."""
+    offset_strain: FloatArray | None = None
+    """(m, n), in place of the calibration's."""
+    variance_factor: FloatArray | None = None
+    """(m,), by how much readings vary more than one reading's noise (averaged rows, tares)."""
+    age_s: FloatArray | None = None
+    """(m,), of the tare."""
+    pull: BoolArray | None = None
+    """(m,) load sense, in place of the calibration's."""
+
+    def part(self, rows: slice) -> Readings:
+        """Some rows."""
+        columns: list[Any] = [None if column is None else column[rows] for column in self]
+        return Readings(*columns)
+
+
+class Judged(NamedTuple):
     """m samples judged."""
 
     F_newtons: FloatArray
-    """(m, 3); NaN where the gauges left have no rank 3, or contradict each other."""
-    matrix: FloatArray
-    """(m, 3, n): C without the gauges left out."""
+    """(3, m); NaN where the gauges left have no rank 3, or contradict each other."""
     covariance: FloatArray
-    """(m, 3, 3), N^2: gauge noise, model, temperature, and what a fault below the limit can do."""
+    """(6, m), elements 11, 12, 13, 22, 23, 33, N^2: gauge noise, model, temperature, what a fault below the limit can
+    do, the calibration's own and the age of the tare."""
     faults: IntArray
     """(m,): as 2124h: the gauges left out, and bits 12 to 15."""
-
-
-class Check(NamedTuple):
-    """What the gauges kept are checked by."""
-
-    W: FloatArray
-    """(d, n): directions in which no force moves the gauges, of variance 1."""
-    shown: BoolArray
-    """(n,): gauges whose fault shows."""
-    alarm: float
-    """Chi-square of a contradiction."""
-    exclusion: float
-    """Chi-square that a gauge at fault may leave."""
-
-
-class _Faults(NamedTuple):
-    chi_square: FloatArray  # (m,)
-    explained: FloatArray  # (m, n): of chi-square, by the best-fitting fault of each gauge
-    visible: FloatArray  # (m, n): chi-square per strain^2 of such a fault
-
-
-class _Work(NamedTuple):
-    """m samples while they are judged: what is given, and what is found in place."""
-
-    V: FloatArray  # (m, n)
-    extra: FloatArray  # (m, n), strain^2 beside the noise
-    factor: FloatArray  # (m,), of the noise's variance
-    left: IntArray  # (m,), bits of the gauges left out
-    doubts: FloatArray  # (m, 3, 3), N^2
-    known: BoolArray  # (m,), the force
-    faults: IntArray  # (m,)
-
-    def found(self, check: Check, rows: npt.NDArray[np.intp]) -> _Faults:
-        """Chi-square of some rows; what a gauge that is not kept reads has no weight, as long as it is finite."""
-        V = np.where(check.W.any(axis=0), self.V[rows], 0.0)
-        return _faults(check.W, check.shown, V, self.extra[rows], self.factor[rows])
 
 
 class Judge:
     """Judges samples by one calibration; what it worked out for gauges left out it keeps."""
 
-    def __init__(self, calibration: Calibration) -> None:
-        self._calibration = calibration
-        n = calibration.gauges
-        self._C = calibration.C.tolist()
-        self._noise = calibration.covariance_strain2[np.triu_indices(n)].tolist()
-        self._variance = np.diagonal(calibration.covariance_strain2)
-        self._solvers: dict[int, tuple[FloatArray, FloatArray] | None] = {0: (calibration.C, calibration.covariance_F)}
-        self._checks: dict[int, Check | None] = {}
+    def __init__(self, calibration: Calibration, offset_known: bool = False) -> None:
+        """``offset_known``: by tares, so that the calibration's own offset adds no uncertainty."""
+        self.calibration, self._offset_known = calibration, offset_known
+        self.active = Active(b"", calibration.numbers(), calibration.gauges)
+        self._parameters: dict[int, list[list[float]]] = {}
 
     def compensated(self, strain: FloatArray, temperature_degC: FloatArray | None) -> FloatArray:
         """Strain (m, n) without what temperature (m,) adds to the offsets where it is known (2114h)."""
-        kelvin, _, _ = self._difference(temperature_degC, len(strain))
-        found: FloatArray = strain - kelvin[:, np.newaxis] * self._calibration.offset_temperature_strain_per_K
-        return found
+        kelvin = np.atleast_1d(self._differences(temperature_degC)[0])
+        added: FloatArray = kelvin[:, np.newaxis] * self.calibration.offset_temperature_strain_per_K
+        return strain - added
 
-    def judge(
-        self,
-        V: FloatArray,
-        temperature_degC: FloatArray | None,
-        lost: IntArray,
-        was_overloaded: bool,
-        variance_factor: FloatArray | float = 1.0,
-    ) -> Judged:
-        """Judge strain without offsets and ``compensated``, (m, n), in time order.
+    def judge(self, reading: Readings, was_overloaded: bool) -> Judged:
+        """Judge samples without the gauges ``lost`` and ``frozen``; ``was_overloaded``: the one before."""
+        active, (m, n) = self.active, reading.strain.shape
+        kelvin, unknown_kelvin, outside = self._differences(reading.temperature_degC)
+        V = reading.strain.T.copy()
+        V -= self.calibration.offset_strain[:, np.newaxis] if reading.offset_strain is None else reading.offset_strain.T
+        if active.per_kelvin is not None:
+            V -= kelvin * self.calibration.offset_temperature_strain_per_K[:, np.newaxis]
+        lost = np.zeros(m, dtype=np.int64)
+        for bits in (reading.lost, reading.frozen):
+            if bits is not None:
+                lost |= bits
+        drift, age_s = self.calibration.tare_drift_strain_per_s, reading.age_s
+        work = _Work(
+            V, kelvin, unknown_kelvin, 1.0 if reading.variance_factor is None else reading.variance_factor,
+            np.square(drift * age_s) if age_s is not None and drift > 0.0 else None,
+            lost.copy(), np.full((3, m), np.nan), np.full((6, m), np.nan),
+            np.broadcast_to(np.where(outside, TEMPERATURE, 0), m).copy(),
+        )  # fmt: skip
+        if lost.any():
+            for mask in np.unique(lost).tolist():
+                self._judge_gauges(mask, np.flatnonzero(lost == mask), work)
+        else:
+            self._judge_gauges(0, slice(None), work)
+        faults = work.faults
+        known = np.isfinite(work.F).all(axis=0)
+        faults |= np.where(known, work.left, 0)
+        if active.forces[1] > 0.0:
+            P = magnitude(work.F)
+            overloaded = held(active.forces[1] < P, ~(RELEASE * active.forces[1] < P), was_overloaded)
+            faults |= np.where(overloaded, OVERLOAD, 0)
+        elif V.size and not np.abs(V).max() <= LARGEST_STRAIN:
+            kept = (work.left >> np.arange(n)[:, np.newaxis] & 1) == 0
+            faults |= np.where((kept & (np.abs(V) > LARGEST_STRAIN)).any(axis=0), OVERLOAD, 0)
+        return Judged(work.F, work.covariance, faults)
 
-        lost: (m,), bits of the gauges that are left out already; variance_factor: (m,), by how much readings vary
-        more than one reading's noise (averaged rows, tares). NaN in a gauge makes its sample unknown.
-        """
-        m, n = V.shape
-        _, kelvin, outside = self._difference(temperature_degC, m)
-        factor = np.broadcast_to(np.asarray(variance_factor, dtype=np.float64), (m,))
-        faults = np.where(outside, TEMPERATURE, 0).astype(np.int64)
-        extra = np.square(self._calibration.model_uncertainty * V)
-        known = np.zeros(m, dtype=np.bool_)
-        work = _Work(V, extra, factor, lost.astype(np.int64), np.zeros((m, 3, 3)), known, faults)
-        for mask in np.unique(lost).tolist():
-            rows = np.flatnonzero(lost == mask)
-            known[rows] = self._solver(mask) is not None
-            self._judge_gauges(mask, rows, work)
-        left = work.left
-        matrix, covariance = np.full((m, 3, n), np.nan), np.full((m, 3, 3), np.nan)
-        for mask in np.unique(left[known]).tolist():
-            rows = np.flatnonzero(known & (left == mask))
-            solver = self._solver(mask)
-            assert solver is not None
-            matrix[rows], covariance[rows] = solver[0], solver[1] * factor[rows, np.newaxis, np.newaxis]
-        gain = 1.0 + self._calibration.gain_temperature_per_K * self._difference(temperature_degC, m)[0]
-        with np.errstate(invalid="ignore"):
-            used = np.where(matrix == 0.0, 0.0, matrix * V[:, np.newaxis, :])  # a gauge left out may read anything
-        F = used.sum(axis=2) / gain[:, np.newaxis]
-        faults |= np.where(known, left, 0)
-        faults |= self._forces(F, was_overloaded)
-        if not self._calibration.overload_force_newtons > 0.0:
-            kept = (left[:, np.newaxis] >> np.arange(n) & 1) == 0
-            faults |= np.where((kept & (np.abs(V) > LARGEST_STRAIN)).any(axis=1), OVERLOAD, 0)
-        covariance += self._added(F, V, matrix, kelvin, work.doubts, faults)
-        return Judged(F, matrix, covariance, faults)
-
-    # --- gauges ---------------------------------------------------------------------------------------------
-
-    def _judge_gauges(self, mask: int, rows: npt.NDArray[np.intp], work: _Work) -> None:
-        """Bit 12, the gauge left out and what it costs, of rows that have the same gauges."""
-        check, solver = self._check(mask), self._solver(mask)
-        if check is None or solver is None:
+    def _judge_gauges(self, mask: int, rows: Rows, work: _Work, alone: bool = False) -> None:
+        """Bit 12, force and covariance of rows with the same gauges; ``alone``: one is left out for it already."""
+        active = self.active
+        solver, check = active.solver(mask), active.check(mask)
+        if solver is None or (alone and check is None):
             return
-        found = work.found(check, rows)
-        with np.errstate(invalid="ignore"):
-            contradict = ~(found.chi_square <= check.alarm)
-            explains = found.visible > 0.0
-            explains &= found.chi_square[:, np.newaxis] - found.explained <= check.exclusion
-        self._doubt(solver[0], work, found, rows, ~contradict)
-        work.faults[rows[contradict]] |= CONTRADICTION
-        work.known[rows[contradict]] = False
-        if len(check.W) == 1:
-            return  # of four gauges the three that would be left cannot be checked
-        alone = contradict & (explains.sum(axis=1) == 1) & np.isfinite(found.chi_square)
-        for gauge in np.unique(explains[alone].argmax(axis=1)).tolist():
-            self._leave_out(mask | 1 << gauge, rows[alone & (explains.argmax(axis=1) == gauge)], work)
+        V, noise = work.V[:, rows], _part(work.noise, rows)
+        if mask:  # a gauge left out may read anything
+            V = np.where((mask >> np.arange(len(V)) & 1)[:, np.newaxis] == 0, V, 0.0)
+        faults: list[tuple[Column, Column]] = []
+        if check is not None:
+            W, shown, alarm, exclusion = check
+            plain = active.model == 0.0 and np.ndim(noise) == 0
+            with np.errstate(invalid="ignore", over="ignore"):
+                extra = None if plain else list(np.square(active.model * V))
+                chi_square, faults = explained(W, shown, list(V), extra, noise, np.sqrt)
+                agree = chi_square <= alarm
+                explains = [
+                    c is not None and chi_square - f[0] <= exclusion for c, f in zip(shown, faults, strict=True)
+                ]
+            if not agree.all():
+                rows = np.arange(work.V.shape[1])[rows]
+                if not alone:
+                    work.faults[rows[~agree]] |= CONTRADICTION
+                    if len(W) > 1:  # of four gauges the three that would be left cannot be checked
+                        self._leave_out(mask, explains, rows, ~agree & np.isfinite(chi_square), work)
+                rows, V, noise = rows[agree], V[:, agree], _part(noise, agree)
+                faults = [(_part(by_fault, agree), _part(visible, agree)) for by_fault, visible in faults]
+        work.left[rows] = mask
+        gain = 1.0 + active.gain_per_kelvin * _part(work.kelvin, rows)
+        F = [_dot(row, V) / gain for row in solver[0]]
+        work.F[:, rows] = F
+        if active.forces[0] > 0.0:
+            work.faults[rows] |= np.where(active.forces[0] < magnitude(F), BEYOND_CALIBRATED, 0)
+        for place, element in enumerate(self._covariance(mask, F, V, noise, faults, rows, work)):
+            work.covariance[place, rows] = element
 
-    def _leave_out(self, mask: int, rows: npt.NDArray[np.intp], work: _Work) -> None:
-        solver, check = self._solver(mask), self._check(mask)
-        if solver is None or check is None:
-            return
-        found = work.found(check, rows)
-        agree = found.chi_square <= check.alarm
-        self._doubt(solver[0], work, found, rows, agree)
-        work.left[rows[agree]] = mask
-        work.known[rows[agree]] = True
-
-    def _doubt(
-        self, matrix: FloatArray, work: _Work, found: _Faults, rows: npt.NDArray[np.intp], agree: BoolArray
+    def _leave_out(
+        self, mask: int, explains: list[BoolArray | bool], rows: Rows, contradict: BoolArray, work: _Work
     ) -> None:
-        """What a fault below the limit can do to the force of the rows that agree."""
-        work.doubts[rows[agree]] = _doubt(matrix, self._variance, found, agree, work.factor[rows[agree]])
+        """Judge those rows again that one gauge alone explains, without it."""
+        alone = contradict & (sum(np.asarray(one, dtype=np.int64) for one in explains) == 1)
+        for gauge, of_fault in enumerate(explains):
+            of_gauge = rows[alone & of_fault]
+            if len(of_gauge):
+                self._judge_gauges(mask | 1 << gauge, of_gauge, work, alone=True)
 
-    def _solver(self, mask: int) -> tuple[FloatArray, FloatArray] | None:
-        if mask not in self._solvers:
-            gauges = [k for k in range(self._calibration.gauges) if mask >> k & 1]
-            found = None
-            if self._calibration.gauges > 3:
-                found = scalar_redundancy.leave_out(self._C, self._noise, gauges)
-            self._solvers[mask] = None if found is None else (np.array(found[0]), _square(found[1]))
-        return self._solvers[mask]
-
-    def _check(self, mask: int) -> Check | None:
-        if mask not in self._checks:
-            self._checks[mask] = self._find_check(mask)
-        return self._checks[mask]
-
-    def _find_check(self, mask: int) -> Check | None:
-        limit, n = self._calibration.redundancy_limit, self._calibration.gauges
-        kept = [k for k in range(n) if not mask >> k & 1]
-        if not limit > 0.0 or len(kept) < 4:
-            return None
-        W = scalar_redundancy.directions(self._C, self._noise, kept)
-        if W is None:
-            return None
-        shown = np.array([column is not None for column in scalar_redundancy.columns(W, self._noise)])
-        alarm = limit if len(kept) == n else scalar_redundancy.same_rate(limit, n - 3, len(W))
-        exclusion = scalar_redundancy.same_rate(limit, n - 3, len(W) - 1)
-        return Check(np.array(W), shown, alarm, exclusion)
-
-    # --- force and temperature ------------------------------------------------------------------------------
-
-    def _forces(self, F: FloatArray, was_overloaded: bool) -> IntArray:
-        """Bits 13 and 15; an overload ends below RELEASE of the overload force."""
-        P = magnitude(F)
-        calibrated, overload = self._calibration.calibrated_force_newtons, self._calibration.overload_force_newtons
-        bits = np.zeros(len(F), dtype=np.int64)
-        with np.errstate(invalid="ignore"):
-            if calibrated > 0.0:
-                bits |= np.where(calibrated < P, BEYOND_CALIBRATED, 0)
-            if overload > 0.0:
-                on, off = overload < P, ~(RELEASE * overload < P)
-                last = np.maximum.accumulate(np.where(on | off, np.arange(len(P)), -1))
-                bits |= np.where(np.where(last >= 0, on[last], was_overloaded), OVERLOAD, 0)
-        return bits
-
-    def _difference(self, temperature_degC: FloatArray | None, m: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """(kelvin compensated, kelvin of uncertainty left, bit 14) of each sample, as judgement.difference()."""
-        one = self._calibration
-        needed = bool(one.offset_temperature_strain_per_K.any()) or one.gain_temperature_per_K != 0.0
-        low, high = one.temperature_min_degC, one.temperature_max_degC
-        ranged, T = low != 0.0 or high != 0.0, np.full(m, np.nan)
-        if temperature_degC is not None:
-            T = temperature_degC
-        kelvin = T - one.reference_temperature_degC
-        told = np.isfinite(T) & (1.0 + one.gain_temperature_per_K * np.where(np.isfinite(T), kelvin, 0.0) > 0.0)
-        beyond = np.where(told, np.maximum(np.maximum(low - T, T - high), 0.0), 0.0) if ranged else np.zeros(m)
-        a, b = low - one.reference_temperature_degC, high - one.reference_temperature_degC
-        rms = float(np.sqrt((a * a + a * b + b * b) / 3.0)) if ranged else UNSTATED_KELVIN
-        left = np.where(told, beyond, rms if needed else 0.0)
-        return np.where(told & needed, kelvin, 0.0), left, np.where(told, beyond > 0.0, needed)
-
-    def _added(
+    def _covariance(
         self,
-        F: FloatArray,
+        mask: int,
+        F: list[FloatArray],
         V: FloatArray,
-        matrix: FloatArray,
-        kelvin: FloatArray,
-        doubts: FloatArray,
-        faults: IntArray,
-    ) -> FloatArray:
-        """What model, temperature and a possible fault add to the covariance of F, (m, 3, 3)."""
-        one = self._calibration
-        found = doubts
-        if one.model_uncertainty > 0.0:
-            model = np.full(len(F), one.model_uncertainty)
-            beyond = (faults & BEYOND_CALIBRATED) != 0
-            model[beyond] *= magnitude(F[beyond]) / (one.calibrated_force_newtons or 1.0)
-            moved = matrix * np.where(np.isfinite(V), V, 0.0)[:, np.newaxis, :] * model[:, np.newaxis, np.newaxis]
-            found = found + moved @ moved.transpose(0, 2, 1)
-        if kelvin.any():
-            per_kelvin = one.gain_temperature_per_K * F + matrix @ one.offset_temperature_strain_per_K
-            warm = kelvin[:, np.newaxis] * per_kelvin
-            found = found + warm[:, :, np.newaxis] * warm[:, np.newaxis, :]
-        return found
+        noise: Column,
+        faults: list[tuple[Column, Column]],
+        rows: Rows,
+        work: _Work,
+    ) -> list[Column]:
+        active, solver = self.active, self.active.solver(mask)
+        assert solver is not None
+        matrix = solver[0]
+        K: list[Column] = [element * noise for element in solver[1]]
+        if active.model > 0.0:
+            model: Column = active.model
+            beyond = (work.faults[rows] & BEYOND_CALIBRATED) != 0
+            if beyond.any():  # what is not linear grows with the force, relative to it
+                model = np.where(beyond, model * (magnitude(F) / active.forces[0]), model)
+            for k, strain in enumerate(V):
+                size = model * strain
+                K = _with(K, [size * row[k] for row in matrix])
+        if np.any(work.unknown_kelvin):
+            kelvin = _part(work.unknown_kelvin, rows)
+            moved: list[Column] = [active.gain_per_kelvin * f for f in F]
+            if active.per_kelvin is not None:
+                moved = [m + _dot(row, active.per_kelvin) for m, row in zip(moved, matrix, strict=True)]
+            K = _with(K, [kelvin * m for m in moved])
+        if faults:
+            K = [k + d for k, d in zip(K, self._doubt(matrix, faults, noise), strict=True)]
+        if self.calibration.parameter_covariance is not None:
+            K = [k + p for k, p in zip(K, self.of_parameters(mask, *F), strict=True)]
+        if work.drifted is not None:
+            drifted = work.drifted[rows]
+            K = [k + drifted * _dot(matrix[i], matrix[j]) for k, (i, j) in zip(K, _PAIRS, strict=True)]
+        return K
+
+    def _doubt(self, matrix: list[list[float]], faults: list[tuple[Column, Column]], noise: Column) -> list[Column]:
+        """scalar_redundancy.doubt() of samples: six columns, N^2."""
+        variances = np.diagonal(self.calibration.covariance_strain2).tolist()
+        shown = [
+            (visible * variance) * noise >= LEAST_SHARE
+            for (_, visible), variance in zip(faults, variances, strict=True)
+        ]
+        most: Column = 0.0
+        for seen, (by_fault, _) in zip(shown, faults, strict=True):
+            most = np.maximum(most, np.where(seen, by_fault, 0.0))
+        sizes = [np.where(seen, by_fault, -np.inf) for seen, (by_fault, _) in zip(shown, faults, strict=True)]
+        likelihoods = [np.exp(0.5 * (size - most)) for size in sizes]
+        total = NO_FAULT * np.exp(-0.5 * most) + sum(likelihoods)
+        added: list[Column] = [0.0] * 6
+        for k, (seen, (by_fault, visible)) in enumerate(zip(shown, faults, strict=True)):
+            if np.any(seen):
+                squared = np.where(seen, likelihoods[k] / total * by_fault / visible, 0.0)
+                added = [a + squared * matrix[i][k] * matrix[j][k] for a, (i, j) in zip(added, _PAIRS, strict=True)]
+        return added
+
+    def of_parameters(self, mask: int, F1: Column, F2: Column, F3: Column) -> list[Column]:
+        """The calibration's own part of the covariance of F, six elements, N^2: covariance_of_estimate()."""
+        if mask not in self._parameters:
+            self._parameters[mask] = self._of_products(mask)
+        products = (F1 * F1, F1 * F2, F1 * F3, F2 * F2, F2 * F3, F3 * F3, F1, F2, F3, 1.0)
+        return [_dot(row, products) for row in self._parameters[mask]]
+
+    def _of_products(self, mask: int) -> list[list[float]]:
+        """What each product of two of (F1, F2, F3, 1) adds to the six elements."""
+        solver, blocks = self.active.solver(mask), self.calibration.parameter_covariance
+        assert solver is not None
+        assert blocks is not None
+        kernel = np.einsum("ak,kilj,bl->abij", solver[0], blocks, solver[0])
+        kernel = kernel + np.swapaxes(kernel, 2, 3)
+        kernel = 0.5 * (kernel + np.swapaxes(kernel, 0, 1))
+        kernel[:, :, range(4), range(4)] *= 0.5
+        if self._offset_known:
+            kernel[:, :, 3] = kernel[:, :, :, 3] = 0.0
+        order = (*_PAIRS, (0, 3), (1, 3), (2, 3), (3, 3))
+        return [[float(kernel[a, b, i, j]) for i, j in order] for a, b in _PAIRS]
+
+    def _differences(self, temperature_degC: FloatArray | None) -> tuple[Column, Column, Column]:
+        """judgement.difference() of each sample."""
+        active = self.active
+        unknown = difference(active, float("nan"))
+        if temperature_degC is None:
+            return unknown
+        low, high = active.range_degC
+        kelvin = temperature_degC - active.reference_degC
+        known = np.isfinite(temperature_degC) & (1.0 + active.gain_per_kelvin * kelvin > 0.0)
+        beyond = np.zeros(len(kelvin))
+        if low != 0.0 or high != 0.0:
+            beyond = np.maximum(np.maximum(low - temperature_degC, temperature_degC - high), 0.0)
+        return (
+            np.where(known, kelvin if active.compensated() else 0.0, unknown[0]),
+            np.where(known, beyond, unknown[1]),
+            np.where(known, beyond > 0.0, unknown[2]),
+        )
+
+
+class _Work(NamedTuple):
+    """Samples while they are judged."""
+
+    V: FloatArray  # (n, m), offsets and temperature taken off
+    kelvin: Column  # that are compensated
+    unknown_kelvin: Column
+    noise: Column  # of a reading, in variance, over that of one reading
+    drifted: FloatArray | None  # (m,), strain^2 of each gauge since the tare
+    left: IntArray  # (m,), bits of the gauges left out
+    F: FloatArray  # (3, m)
+    covariance: FloatArray  # (6, m)
+    faults: IntArray  # (m,)
 
 
 def at_end(microstrain: FloatArray) -> IntArray:
@@ -272,43 +294,21 @@ def last_known(values: FloatArray, before: float = float("nan")) -> FloatArray:
     return found
 
 
-def magnitude(F: FloatArray) -> FloatArray:
-    """P as contacts() gives it, without the angles: F (..., 3)."""
-    hypotenuse = np.sqrt(F[..., 0] * F[..., 0] + F[..., 2] * F[..., 2])
-    larger: FloatArray = np.maximum(hypotenuse, 0.5 * (hypotenuse + np.abs(F[..., 1])))
+def magnitude(F: FloatArray | list[FloatArray]) -> FloatArray:
+    """P as contacts() gives it, without the angles: F1, F2, F3."""
+    hypotenuse = np.sqrt(F[0] * F[0] + F[2] * F[2])
+    larger: FloatArray = np.maximum(hypotenuse, 0.5 * (hypotenuse + np.abs(F[1])))
     return larger
 
 
-def _faults(W: FloatArray, shown: BoolArray, V: FloatArray, extra: FloatArray, factor: FloatArray) -> _Faults:
-    """scalar_redundancy.judge() for m samples."""
-    p = V @ W.T
-    m, n = V.shape
-    columns = np.broadcast_to(W, (m, *W.shape))
-    M = factor[:, np.newaxis, np.newaxis] * np.eye(len(W))
-    if extra.any():
-        M = M + np.einsum("ak,mk,bk->mab", W, np.where(np.isfinite(extra), extra, 0.0), W)
-    root = np.linalg.cholesky(M)
-    q = np.linalg.solve(root, p[:, :, np.newaxis])[:, :, 0]
-    s = np.linalg.solve(root, columns)
-    chi_square = np.square(q).sum(axis=1)
-    visible = np.where(shown, np.square(s).sum(axis=1), 0.0)
-    along = np.einsum("mak,ma->mk", s, q)
-    explained = np.divide(along * along, visible, out=np.zeros((m, n)), where=visible > 0.0)
-    return _Faults(chi_square, explained, visible)
+def _part(column: Column, rows: npt.NDArray[Any]) -> Column:
+    return column[rows] if np.ndim(column) else column
 
 
-def _doubt(matrix: FloatArray, variance: FloatArray, found: _Faults, rows: BoolArray, factor: FloatArray) -> FloatArray:
-    """scalar_redundancy.doubt() for m samples: (m, 3, 3), N^2."""
-    explained, visible = found.explained[rows], found.visible[rows]
-    shown = visible * variance * factor[:, np.newaxis] >= scalar_redundancy.LEAST_SHARE
-    most = np.where(shown, explained, 0.0).max(axis=1, keepdims=True)
-    likelihood = np.exp(0.5 * np.where(shown, explained - most, -np.inf))
-    total = scalar_redundancy.NO_FAULT * np.exp(-0.5 * most) + likelihood.sum(axis=1, keepdims=True)
-    squared = np.divide(likelihood / total * explained, visible, out=np.zeros_like(visible), where=shown)
-    added: FloatArray = (matrix * squared[:, np.newaxis, :]) @ matrix.T
-    return added
+def _with(K: list[Column], f: list[Column]) -> list[Column]:
+    """The covariance with f f^T added."""
+    return [k + f[i] * f[j] for k, (i, j) in zip(K, _PAIRS, strict=True)]
 
 
-def _square(upper: tuple[float, float, float, float, float, float]) -> FloatArray:
-    k11, k12, k13, k22, k23, k33 = upper
-    return np.array([[k11, k12, k13], [k12, k22, k23], [k13, k23, k33]])
+def _dot(a: Any, b: Any) -> Column:
+    return sum(x * y for x, y in zip(a, b, strict=True))

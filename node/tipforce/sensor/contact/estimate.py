@@ -1,12 +1,14 @@
 """Contacts of many samples: strain to force to contact, uncertainty, status, and where first order holds.
 
-The formulas of scalar.py for numpy arrays.
+The formulas of scalar.py, operation by operation, for columns: F1, F2, F3 and the six different elements of the
+covariance of F, each an array of the same shape (or a number). The public functions have them in one array.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -93,6 +95,169 @@ class Limits(NamedTuple):
     theta_max_deg: float
 
 
+class Forces(NamedTuple):
+    """Forces as columns, divided by a power of two so that their squares stay in range."""
+
+    F1: FloatArray
+    """Newtons; NaN where a component is not finite, and never -0.0, which would turn arctan2 to -pi."""
+    F3: FloatArray
+    f1: FloatArray
+    """F1 / unit; f2 and f3 likewise."""
+    f2: FloatArray
+    f3: FloatArray
+    unit: FloatArray
+    hypotenuse: FloatArray
+    """Of f1 and f3."""
+    cosine: FloatArray
+    """hypotenuse |cos(delta)|, as in scalar.contact()."""
+    excess: FloatArray
+    """|f2| - hypotenuse, or zero."""
+
+    def take(self, rows: npt.NDArray[Any]) -> Forces:
+        """Some rows of forces (m,)."""
+        return Forces(*(column[rows] for column in self))
+
+
+class Covariance(NamedTuple):
+    """Covariances of F divided by root^2, a power of four; NaN in k11 where one is unusable."""
+
+    k11: FloatArray
+    k12: FloatArray
+    k13: FloatArray
+    k22: FloatArray
+    k23: FloatArray
+    k33: FloatArray
+    root: FloatArray
+
+    def take(self, rows: npt.NDArray[Any]) -> Covariance:
+        """Those of some rows; one for all rows stays."""
+        return Covariance(*(column[rows] if np.ndim(column) else column for column in self))
+
+
+class Deviations(NamedTuple):
+    """Standard uncertainties as columns."""
+
+    P: FloatArray
+    phi: FloatArray
+    theta: FloatArray
+    sine: FloatArray
+    """Of F2 / P, to first order."""
+
+
+def forces(F1: FloatArray, F2: FloatArray, F3: FloatArray) -> Forces:
+    """Return what contact and uncertainty are computed from, of forces in newtons."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        a1, a2, a3 = np.abs(F1), np.abs(F2), np.abs(F3)
+        unit = _power_of_two(np.frexp(np.maximum(np.maximum(a1, a2), a3))[1])
+        down = 1.0 / unit
+        a1, a2, a3 = a1 * down, a2 * down, a3 * down
+        total = a1 + a2 + a3
+        nothing = total - total  # 0.0, or NaN
+        large, small = np.maximum(a1, a3), np.minimum(a1, a3)
+        across = small * small + nothing
+        hypotenuse = np.sqrt(large * large + across)
+        cosine_squared = (large - a2) * (large + a2) + across
+        excess = np.maximum(-cosine_squared, 0.0)
+        if excess.any():
+            excess = excess / np.where(excess > 0.0, a2 + hypotenuse, 1.0)
+        cosine = np.sqrt(np.maximum(cosine_squared, 0.0))
+        return Forces(F1 + nothing, F3, F1 * down, F2 * down + nothing, F3 * down, unit, hypotenuse, cosine, excess)
+
+
+def covariances(elements: Sequence[FloatArray | float]) -> Covariance:
+    """Return the covariances with elements 11, 12, 13, 22, 23, 33, N^2; not finite, or a variance below 0: NaN."""
+    k11, _, _, k22, _, k33 = elements
+    with np.errstate(invalid="ignore", over="ignore"):
+        largest = np.maximum(np.maximum(np.maximum(k11, k22), k33), 0.0)
+        half = (np.frexp(largest)[1] + 1) // 2
+        root = _power_of_two(half, 500)
+        down = _power_of_two(-2 * half)
+        k11, k12, k13, k22, k23, k33 = (np.asarray(element * down) for element in elements)
+        total = k11 + k12 + k13 + k22 + k23 + k33
+        nothing = np.where(np.minimum(np.minimum(k11, k22), k33) < 0.0, np.nan, total - total)
+    return Covariance(k11 + nothing, k12, k13, k22, k23, k33, root)
+
+
+def contact_columns(F: Forces, sense: FloatArray | float) -> Contact:
+    """Return the contacts; sense: 1.0 for a pull, -1.0 for a push."""
+    with np.errstate(over="ignore"):
+        P, miss = (F.hypotenuse + 0.5 * F.excess) * F.unit, F.excess * F.unit
+    phi, delta = _wrapped(np.arctan2(F.F1, F.F3)), _wrapped(np.arctan2(F.f2, sense * F.cosine))
+    undirected = (F.F1 == 0.0) & (F.F3 == 0.0)
+    if undirected.any():
+        phi, delta = np.where(undirected, np.nan, (phi, delta))
+    return Contact(P, phi, _wrapped(phi - delta), delta, miss)
+
+
+def deviation_columns(F: Forces, K: Covariance, sense: FloatArray | float) -> Deviations:
+    """Return the standard uncertainties of the contacts, as scalar.uncertainty()."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        n1, n3 = F.f1 / F.hypotenuse, F.f3 / F.hypotenuse
+        P = np.maximum(F.hypotenuse, 0.5 * (F.hypotenuse + np.abs(F.f2)))
+        x = np.minimum(np.maximum(F.f2 / F.hypotenuse, -1.0), 1.0)
+        g1, g3 = -x * n1, -x * n3
+        down = 1.0 / F.unit
+        u_sine = _deviation(K, g1, 1.0, g3) / P * K.root * down
+        slope = sense * _finite_slope(np.abs(x), F.cosine / F.hypotenuse, u_sine)
+        u_P = _deviation(K, n1, 0.0, n3)
+        zero = F.hypotenuse == 0.0
+        if zero.any():
+            u_P = np.where(zero, _worst_deviation(K), u_P)
+        u_phi = _deviation(K, n3, 0.0, -n1) / P * K.root * down
+        u_theta = _deviation(K, n3 - slope * g1, -slope, -n1 - slope * g3) / P * K.root * down
+        return Deviations(u_P * K.root, u_phi, u_theta, u_sine)
+
+
+def miss_deviation(F: Forces, K: Covariance) -> FloatArray:
+    """Return the standard uncertainties of |F2| - hypot(F1, F3), as scalar.miss_uncertainty()."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        sign = np.where(F.f2 < 0.0, -1.0, 1.0)
+        u = _deviation(K, -F.f1 / F.hypotenuse, sign, -F.f3 / F.hypotenuse)
+        bound = _worst_deviation(K) + np.sqrt(np.maximum(K.k22, 0.0))
+        result: FloatArray = np.where(F.hypotenuse == 0.0, bound, u) * K.root
+        return result
+
+
+def curvature_columns(F: Forces, P_newtons: FloatArray, u: Deviations) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return curvature() of P, phi and theta, of contacts with F1 or F3."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        cosine = F.cosine / F.hypotenuse
+        bias = np.where(u.P > 0.0, u.phi * u.phi * P_newtons / u.P, np.where(u.phi == 0.0, 0.0, np.inf))
+        bend = np.where(u.sine > 0.0, u.sine / (cosine * cosine), 0.0)
+        swing = u.P / P_newtons
+        return np.maximum(bias, bend), swing, np.maximum(bend, swing)
+
+
+def status_columns(
+    contact: Contact,
+    resolved: BoolArray,
+    misses: BoolArray,
+    limits: Limits | tuple[float, float, float, float],
+    was_present: bool,
+    counts: BoolArray | bool = True,
+) -> IntArray:
+    """Return bits 0, 4, 5, 6 of samples in time order; resolved: theta is, by its uncertainty.
+
+    A sample that does not count leaves contact as it was.
+    """
+    on, off, theta_min_deg, theta_max_deg = limits
+    P, theta = contact.P_newtons, contact.theta_rad
+    loaded = off <= P
+    present = held((on <= P) & counts, ~loaded & counts, was_present)
+    resolved = resolved & loaded & np.isfinite(theta)
+    past_start_deg = theta * scalar.DEGREES - theta_min_deg + scalar.PAD_SLACK_DEG
+    with np.errstate(invalid="ignore"):
+        past_start_deg = past_start_deg - 360.0 * np.floor(past_start_deg / 360.0)
+        outside = past_start_deg > theta_max_deg - theta_min_deg + 2.0 * scalar.PAD_SLACK_DEG
+    bits: IntArray = (
+        present * scalar.CONTACT_PRESENT
+        + ~resolved * scalar.THETA_UNRESOLVED
+        + misses * scalar.MISSES_TIP
+        + (outside & present & resolved & ~misses) * scalar.OUTSIDE_PAD
+    )
+    return bits
+
+
 def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
     """Return the contacts of forces F of shape (..., 3), newtons: the inverse of equation (16).
 
@@ -100,26 +265,7 @@ def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
     from 1e-300 to 1e300 N keep full precision. P = (hypot + |F2|) / 2 where the line of action misses the
     tip. Raises InputError where the last axis is not 3; numbers that are not finite give NaN, never an error.
     """
-    F, finite = _forces(F_newtons)
-    f, exponent = _scaled(F)
-    hypotenuse, cosine, excess = _triangle(f)
-    # One factor less than the exponent, twice: the largest floats would overflow in 2 ** exponent.
-    unit = np.ldexp(1.0, exponent - 1)
-    with np.errstate(over="ignore"):
-        P = (2.0 * hypotenuse + excess) * unit
-        miss = 2.0 * excess * unit
-    # Adding zero turns -0.0 into 0.0, which keeps arctan2 away from -pi.
-    phi = _wrapped(np.arctan2(F[..., 0] + 0.0, F[..., 2]))
-    delta = _wrapped(np.arctan2(f[..., 1] + 0.0, cosine if pull else -cosine))
-    theta = _wrapped(phi - delta)
-    directed = finite & ((F[..., 0] != 0.0) | (F[..., 2] != 0.0))
-    return Contact(
-        P_newtons=np.where(finite, P, np.nan),
-        phi_rad=np.where(directed, phi, np.nan),
-        theta_rad=np.where(directed, theta, np.nan),
-        delta_rad=np.where(directed, delta, np.nan),
-        miss_newtons=np.where(finite, miss, np.nan),
-    )
+    return contact_columns(_forces(F_newtons), 1.0 if pull else -1.0)
 
 
 def estimate(
@@ -147,26 +293,8 @@ def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike
     correction that scalar.uncertainty() describes. F1 = F3 = 0: u_P for the worst direction, the angles NaN.
     Numbers that are not finite, and variances below zero, give NaN. Raises InputError for other shapes.
     """
-    F, finite = _forces(F_newtons)
-    covariance, known = _covariances(covariance_F, F)
-    f, exponent = _scaled(F)
-    hypotenuse, cosine, _ = _triangle(f)
-    K, half = _scaled_covariance(covariance)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        n1, n3 = f[..., 0] / hypotenuse, f[..., 2] / hypotenuse
-        zero, one = np.zeros_like(n1), np.ones_like(n1)
-        P = np.maximum(hypotenuse, 0.5 * (hypotenuse + np.abs(f[..., 1])))
-        x = np.clip(f[..., 1] / hypotenuse, -1.0, 1.0)
-        g1, g3 = -x * n1, -x * n3
-        step = _times_power(_deviation(K, g1, one, g3) / P, half - exponent)
-        slope = _finite_slope(np.abs(x), cosine / hypotenuse, step) * (1.0 if pull else -1.0)
-        u_P = np.where(hypotenuse == 0.0, _worst_deviation(K), _deviation(K, n1, zero, n3))
-        u_phi = _deviation(K, n3, zero, -n1) / P
-        u_theta = _deviation(K, n3 - slope * g1, -slope, -n1 - slope * g3) / P
-        angles = [_times_power(u, half - exponent) for u in (u_phi, u_theta)]
-        result = np.stack([_times_power(u_P, half), *angles], axis=-1)
-    result[~(finite & known)] = np.nan
-    return result
+    u = deviation_columns(_forces(F_newtons), _covariances(covariance_F, F_newtons), 1.0 if pull else -1.0)
+    return np.stack(u[:3], axis=-1)
 
 
 def miss_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArray:
@@ -175,17 +303,7 @@ def miss_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) ->
     F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), N^2. F1 = F3 = 0: the largest value that any direction
     and correlation can give. Numbers that are not finite give NaN. Raises InputError for other shapes.
     """
-    F, finite = _forces(F_newtons)
-    covariance, known = _covariances(covariance_F, F)
-    f, _ = _scaled(F)
-    hypotenuse, _, _ = _triangle(f)
-    K, half = _scaled_covariance(covariance)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        sign = np.where(f[..., 1] < 0.0, -1.0, 1.0)
-        u = _deviation(K, -f[..., 0] / hypotenuse, sign, -f[..., 2] / hypotenuse)
-        bound = _worst_deviation(K) + np.sqrt(np.maximum(K[..., 1, 1], 0.0))
-        u = _times_power(np.where(hypotenuse == 0.0, bound, u), half)
-    return np.where(finite & known, u, np.nan)
+    return miss_deviation(_forces(F_newtons), _covariances(covariance_F, F_newtons))
 
 
 def status(
@@ -202,67 +320,59 @@ def status(
     Raises InputError for other shapes, for limits that are NaN, a contact-off above contact-on, or a pad
     whose minimum is above its maximum.
     """
-    _check_limits(limits)
-    P, theta = contact.P_newtons, contact.theta_rad
+    check_limits(limits)
+    P = contact.P_newtons
     u, u_miss = floats("uncertainties", uncertainties), floats("u_miss_newtons", u_miss_newtons)
     if P.ndim != 1 or u.shape not in {(3,), (P.size, 3)} or u_miss.shape not in {(), P.shape}:
         raise InputError(
             f"contact {P.shape}, uncertainties {u.shape}, u_miss_newtons {u_miss.shape}: "
             "allowed are (n,), (n, 3) or (3,), (n,) or a scalar"
         )
-    present = _hysteresis(P, limits, was_present)
-    with np.errstate(invalid="ignore"):
-        resolved = (u[..., 0] >= 0.0) & (u[..., 2] * scalar.DEGREES <= scalar.THETA_RESOLVED_DEG)
-        resolved = resolved & ~(limits.contact_off_newtons > P) & np.isfinite(theta)
-        misses = contact.miss_newtons > scalar.MISS_COVERAGE_FACTOR * u_miss + scalar.MISS_FLOOR * P
-        past_start_deg = (theta * scalar.DEGREES - limits.theta_min_deg + scalar.PAD_SLACK_DEG) % 360.0
-        outside = past_start_deg > limits.theta_max_deg - limits.theta_min_deg + 2.0 * scalar.PAD_SLACK_DEG
-    outside &= present & resolved & ~misses
-    bits = (
-        present * scalar.CONTACT_PRESENT
-        + ~resolved * scalar.THETA_UNRESOLVED
-        + misses * scalar.MISSES_TIP
-        + outside * scalar.OUTSIDE_PAD
-    )
-    result: StatusArray = bits.astype(np.uint8)
-    return result
+    misses = contact.miss_newtons > scalar.MISS_COVERAGE_FACTOR * u_miss + scalar.MISS_FLOOR * P
+    return status_columns(contact, is_resolved(u[..., 0], u[..., 2]), misses, limits, was_present).astype(np.uint8)
 
 
-def _forces(F_newtons: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:
-    """Return F with the rows that are not finite set to zero, and which rows are finite."""
+def is_resolved(u_P_newtons: FloatArray, u_theta_rad: FloatArray) -> BoolArray:
+    """Return whether the uncertainties, (...), leave theta resolved; not where one is NaN."""
+    return (u_P_newtons >= 0.0) & (u_theta_rad * scalar.DEGREES <= scalar.THETA_RESOLVED_DEG)
+
+
+def check_limits(limits: Limits | tuple[float, float, float, float]) -> None:
+    """Raise InputError for limits that no sample can be compared with."""
+    on, off, theta_min_deg, theta_max_deg = limits
+    if not off <= on:
+        raise InputError(f"contact_off_newtons = {off!r}: allowed is at most contact_on_newtons = {on!r}")
+    if not theta_min_deg <= theta_max_deg:
+        raise InputError(f"theta_min_deg = {theta_min_deg!r}: allowed is at most theta_max_deg = {theta_max_deg!r}")
+
+
+def held(on: BoolArray, off: BoolArray, before: bool) -> BoolArray:
+    """Return a state over time, (m,): that of the last sample that switched it on or off, ``before`` the first."""
+    switched = on | off
+    if switched.all():
+        return on
+    last = np.maximum.accumulate(np.where(switched, np.arange(on.size), -1))
+    return np.where(last >= 0, on[last], before)
+
+
+def _forces(F_newtons: npt.ArrayLike) -> Forces:
     F = floats("F", F_newtons)
     if F.ndim < 1 or F.shape[-1] != 3:
         raise InputError(f"F has the shape {F.shape}: allowed is (..., 3), newtons")
-    finite: BoolArray = np.asarray(np.isfinite(F).all(axis=-1))
-    return np.where(finite[..., np.newaxis], F, 0.0), finite
+    return forces(F[..., 0], F[..., 1], F[..., 2])
 
 
-def _covariances(covariance_F: npt.ArrayLike, F: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the covariances with the unusable ones (not finite, a variance below zero) set to zero, and the usable."""
-    covariance = floats("covariance_F", covariance_F)
-    if covariance.shape not in {(3, 3), (*F.shape, 3)}:
-        raise InputError(f"covariance_F has the shape {covariance.shape}: allowed is (3, 3) or {(*F.shape, 3)}")
-    with np.errstate(invalid="ignore"):
-        variances = np.diagonal(covariance, axis1=-2, axis2=-1) >= 0.0
-    known: BoolArray = np.asarray(np.isfinite(covariance).all(axis=(-2, -1)) & variances.all(axis=-1))
-    return np.where(known[..., np.newaxis, np.newaxis], covariance, 0.0), known
+def _covariances(covariance_F: npt.ArrayLike, F_newtons: npt.ArrayLike) -> Covariance:
+    K, shape = floats("covariance_F", covariance_F), np.shape(F_newtons)
+    if K.shape not in {(3, 3), (*shape, 3)}:
+        raise InputError(f"covariance_F has the shape {K.shape}: allowed is (3, 3) or {(*shape, 3)}")
+    return covariances([K[..., i, j] for i in range(3) for j in range(i, 3)])
 
 
-def _scaled(F: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return (f, exponent) with F = f 2^exponent and the largest |f| in [0.5, 1): squares stay in range."""
-    exponent = np.frexp(np.abs(F).max(axis=-1))[1].astype(np.int64)
-    return np.ldexp(F, -exponent[..., np.newaxis]), exponent
-
-
-def _triangle(f: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return (hypotenuse, hypotenuse times |cos(delta)|, |F2| - hypotenuse or zero), as in scalar.contact()."""
-    a1, a2, a3 = np.moveaxis(np.abs(f), -1, 0)
-    large, small = np.maximum(a1, a3), np.minimum(a1, a3)
-    hypotenuse = np.sqrt(large * large + small * small)
-    cosine_squared = (large - a2) * (large + a2) + small * small
-    total = a2 + hypotenuse
-    excess = np.maximum(-cosine_squared, 0.0) / np.where(total > 0.0, total, 1.0)
-    return hypotenuse, np.sqrt(np.maximum(cosine_squared, 0.0)), excess
+def _power_of_two(exponent: npt.NDArray[np.integer[Any]], most: int = 1000) -> FloatArray:
+    """2^exponent, of ``most`` in size: then its inverse is exact, too, and what is scaled by it far from any border."""
+    power: FloatArray = np.ldexp(1.0, np.minimum(np.maximum(exponent, -most), most))
+    return power
 
 
 def _wrapped(angle_rad: FloatArray) -> FloatArray:
@@ -271,27 +381,18 @@ def _wrapped(angle_rad: FloatArray) -> FloatArray:
     return np.where(down <= -np.pi, down + scalar.TWO_PI, down)
 
 
-def _scaled_covariance(covariance: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return (K, half) with covariance = K 2^(2 half) and variances at most 1."""
-    variances = np.diagonal(covariance, axis1=-2, axis2=-1)
-    half = (np.frexp(np.maximum(variances.max(axis=-1), 0.0))[1].astype(np.int64) + 1) // 2
-    return np.ldexp(covariance, -2 * half[..., np.newaxis, np.newaxis]), half
-
-
-def _deviation(K: FloatArray, g1: FloatArray, g2: FloatArray, g3: FloatArray) -> FloatArray:
+def _deviation(K: Covariance, g1: FloatArray, g2: FloatArray | float, g3: FloatArray) -> FloatArray:
     """Return sqrt(g K g), as in scalar.py."""
     variance = (
-        g1 * (K[..., 0, 0] * g1 + 2.0 * (K[..., 0, 1] * g2 + K[..., 0, 2] * g3))
-        + g2 * (K[..., 1, 1] * g2 + 2.0 * K[..., 1, 2] * g3)
-        + g3 * K[..., 2, 2] * g3
+        g1 * (K.k11 * g1 + 2.0 * (K.k12 * g2 + K.k13 * g3)) + g2 * (K.k22 * g2 + 2.0 * K.k23 * g3) + g3 * K.k33 * g3
     )
     return np.sqrt(np.maximum(variance, 0.0))
 
 
-def _worst_deviation(K: FloatArray) -> FloatArray:
-    difference = 0.5 * (K[..., 0, 0] - K[..., 2, 2])
-    radius = np.sqrt(difference * difference + K[..., 0, 2] ** 2)
-    return np.sqrt(np.maximum(0.5 * (K[..., 0, 0] + K[..., 2, 2]) + radius, 0.0))
+def _worst_deviation(K: Covariance) -> FloatArray:
+    difference = 0.5 * (K.k11 - K.k33)
+    radius = np.sqrt(difference * difference + K.k13 * K.k13)
+    return np.sqrt(np.maximum(0.5 * (K.k11 + K.k33) + radius, 0.0))
 
 
 def _finite_slope(x: FloatArray, cosine: FloatArray, step: FloatArray) -> FloatArray:
@@ -299,39 +400,16 @@ def _finite_slope(x: FloatArray, cosine: FloatArray, step: FloatArray) -> FloatA
     inward = _arc(x, cosine, -np.minimum(step, 1.0 + x))
     outward = _arc(x, cosine, np.minimum(step, cosine * cosine / (1.0 + x)))
     chords = np.sqrt(0.5 * (inward * inward + outward * outward)) / step
-    known = 1.0 / np.maximum(cosine, scalar.SMALLEST_COSINE)
-    return np.where(step < scalar.SMALLEST_STEP, known, chords)
+    known = step < scalar.SMALLEST_STEP
+    return np.where(known, 1.0 / np.maximum(cosine, scalar.SMALLEST_COSINE), chords) if known.any() else chords
 
 
 def _arc(x: FloatArray, cosine: FloatArray, step: FloatArray) -> FloatArray:
-    other = np.sqrt(np.maximum(cosine * cosine - step * (2.0 * x + step), 0.0))
+    span = 2.0 * x + step
+    other = np.sqrt(np.maximum(cosine * cosine - step * span, 0.0))
     total = cosine + other
-    ratio = (2.0 * x + step) / np.where(total > 0.0, total, np.inf)
+    ratio = span / np.where(total > 0.0, total, np.inf)
     return 2.0 * np.arcsin(np.minimum(0.5 * np.abs(step) * np.sqrt(1.0 + ratio * ratio), 1.0))
-
-
-def _times_power(value: FloatArray, exponent: IntArray) -> FloatArray:
-    """Return value 2^exponent in two steps, infinite where it overflows."""
-    first = exponent // 2
-    result: FloatArray = value * np.ldexp(1.0, first) * np.ldexp(1.0, exponent - first)
-    return result
-
-
-def _check_limits(limits: Limits) -> None:
-    on, off, theta_min_deg, theta_max_deg = limits
-    if not off <= on:
-        raise InputError(f"contact_off_newtons = {off!r}: allowed is at most contact_on_newtons = {on!r}")
-    if not theta_min_deg <= theta_max_deg:
-        raise InputError(f"theta_min_deg = {theta_min_deg!r}: allowed is at most theta_max_deg = {theta_max_deg!r}")
-
-
-def _hysteresis(P_newtons: FloatArray, limits: Limits, was_present: bool) -> BoolArray:
-    """Return contact over time: each sample has the state of the last one that switched it on or off."""
-    with np.errstate(invalid="ignore"):
-        on = P_newtons >= limits.contact_on_newtons
-        off = ~(P_newtons >= limits.contact_off_newtons)
-    last = np.maximum.accumulate(np.where(on | off, np.arange(P_newtons.size), -1))
-    return np.where(last >= 0, on[last], was_present)
 
 
 CURVATURE_LIMIT = 0.25
@@ -357,21 +435,11 @@ def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArr
     The load sense has no effect. F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises
     InputError for other shapes.
     """
-    F = floats("F", F_newtons)
-    u = standard_uncertainties(F, covariance_F, pull=True)
-    found = contacts(F, pull=True)
-    P, u_P, u_phi = found.P_newtons, u[..., 0], u[..., 1]
-    cosine = np.where(found.miss_newtons > 0.0, 0.0, np.maximum(np.cos(found.delta_rad), 0.0))
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        u_x = _sine_uncertainty(F / P[..., np.newaxis], covariance_F) / P
-        bias = np.where(u_P > 0.0, u_phi * u_phi * P / u_P, np.where(u_phi > 0.0, np.inf, 0.0))
-        swing = u_P / P
-        bend = np.where(u_x > 0.0, u_x / (cosine * cosine), 0.0)
-        ratios: FloatArray = np.stack([np.maximum(bias, bend), swing, np.maximum(bend, swing)], axis=-1)
-    known = np.isfinite(u[..., 0])
-    directed = np.isfinite(found.phi_rad)
-    ratios = np.where(directed[..., np.newaxis], ratios, np.inf)
-    return np.where(known[..., np.newaxis], ratios, np.nan)
+    F = _forces(F_newtons)
+    u = deviation_columns(F, _covariances(covariance_F, F_newtons), 1.0)
+    ratios = np.stack(curvature_columns(F, contact_columns(F, 1.0).P_newtons, u), axis=-1)
+    directed = ((F.F1 != 0.0) | (F.F3 != 0.0))[..., np.newaxis]
+    return np.where(np.isfinite(u.P)[..., np.newaxis], np.where(directed, ratios, np.inf), np.nan)
 
 
 def first_order_holds(
@@ -387,14 +455,3 @@ def first_order_holds(
     with np.errstate(invalid="ignore"):
         holds: BoolArray = np.asarray(curvature(F_newtons, covariance_F) <= limit)
     return holds
-
-
-def _sine_uncertainty(f: FloatArray, covariance_F: npt.ArrayLike) -> FloatArray:
-    """Return P times the standard uncertainty of F2 / P for unit forces f; covariance in N^2."""
-    hypotenuse = np.hypot(f[..., 0], f[..., 2])
-    x = np.clip(f[..., 1] / hypotenuse, -1.0, 1.0)
-    gradient = np.stack([-x * f[..., 0] / hypotenuse, np.ones_like(x), -x * f[..., 2] / hypotenuse], axis=-1)
-    covariance = floats("covariance_F", covariance_F)
-    variance = np.einsum("...i,...ij,...j->...", gradient, covariance, gradient)
-    result: FloatArray = np.sqrt(np.maximum(variance, 0.0))
-    return result

@@ -8,6 +8,11 @@ equation (16) of the paper.
 
 from math import asin, atan2, frexp, ldexp, pi, sqrt
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    ScaledForce = tuple[float, float, float, float, float, float, float, int]
+    ScaledCovariance = tuple[tuple[float, float, float, float, float, float], int]
+
 NAN = float("nan")
 TWO_PI = 2.0 * pi
 DEGREES = 180.0 / pi
@@ -48,21 +53,20 @@ def contact(F1: float, F2: float, F3: float, pull: bool) -> tuple[float, float, 
     as tangential and P = (hypot + |F2|) / 2. No load: P = 0, phi and theta NaN. F1 = F3 = 0: phi and theta
     NaN. Loads from 1e-300 to 1e300 N keep full precision; a P beyond the largest float is infinite.
     """
-    if (F1 - F1) + (F2 - F2) + (F3 - F3) != 0.0:  # true for NaN and infinity only
+    return contact_of(scaled_force(F1, F2, F3), pull)
+
+
+def contact_of(force: "ScaledForce | None", pull: bool) -> tuple[float, float, float, float]:
+    """Return contact() of a scaled_force()."""
+    if force is None:
         return NAN, NAN, NAN, NAN
-    a1, a2, a3 = abs(F1), abs(F2), abs(F3)
-    exponent = frexp(max(a1, a2, a3))[1]
-    a1, a2, a3 = ldexp(a1, -exponent), ldexp(a2, -exponent), ldexp(a3, -exponent)
-    large, small = (a1, a3) if a1 > a3 else (a3, a1)
+    F1, F3, _f1, f2, _f3, hypotenuse, cosine_squared, exponent = force
     # One factor less than the exponent: the largest floats would overflow in 2 ** exponent.
     unit = ldexp(1.0, exponent - 1)
-    hypotenuse = sqrt(large * large + small * small)
-    # P^2 - F2^2 in factors: no digit is lost where small is tiny, half of the digits at most elsewhere.
-    cosine_squared = (large - a2) * (large + a2) + small * small
     if cosine_squared >= 0.0:
         P, miss, cosine = 2.0 * hypotenuse * unit, 0.0, sqrt(cosine_squared)
     else:
-        excess = -cosine_squared / (a2 + hypotenuse)
+        excess = -cosine_squared / (abs(f2) + hypotenuse)
         P, miss, cosine = (2.0 * hypotenuse + excess) * unit, 2.0 * excess * unit, 0.0
     if F1 == 0.0 and F3 == 0.0:
         return P, NAN, NAN, miss
@@ -70,7 +74,7 @@ def contact(F1: float, F2: float, F3: float, pull: bool) -> tuple[float, float, 
     phi = atan2(F1 + 0.0, F3)
     if phi <= -pi:
         phi = pi
-    theta = phi - atan2(ldexp(F2, -exponent), cosine if pull else -cosine)
+    theta = phi - atan2(f2, cosine if pull else -cosine)
     if theta > pi:
         theta -= TWO_PI
     elif theta <= -pi:
@@ -88,12 +92,22 @@ def uncertainty(
     tangential contact the first order grows without bound, while the real spread of theta stays near SNR **
     -0.5. No load, or F1 = F3 = 0: u_P for the worst direction, the angles NaN. NaN or infinity in: all NaN.
     """
-    state = _prepare(F1, F2, F3, cov)
-    if state is None:
-        return NAN, NAN, NAN
-    f1, f2, f3, hypotenuse, cosine, K, exponent, half = state
+    return deviations(scaled_force(F1, F2, F3), scaled_covariance(cov), pull)[:3]
+
+
+def deviations(
+    force: "ScaledForce | None", covariance: "ScaledCovariance | None", pull: bool
+) -> tuple[float, float, float, float, float]:
+    """Return uncertainty(), the standard uncertainty of F2 / P to first order, and |cos(delta)|.
+
+    force, covariance: of scaled_force() and scaled_covariance().
+    """
+    if force is None or covariance is None:
+        return NAN, NAN, NAN, NAN, NAN
+    _F1, _F3, f1, f2, f3, hypotenuse, cosine_squared, exponent = force
+    K, half = covariance
     if hypotenuse == 0.0:
-        return _times_power(_worst_deviation(K), half), NAN, NAN
+        return _times_power(_worst_deviation(K), half), NAN, NAN, NAN, NAN
     n1, n3 = f1 / hypotenuse, f3 / hypotenuse
     u_P = _deviation(K, n1, 0.0, n3)
     P = max(hypotenuse, 0.5 * (hypotenuse + abs(f2)))
@@ -101,7 +115,8 @@ def uncertainty(
     # Gradients of phi and of F2 / P, times P.
     g1, g3 = -x * n1, -x * n3
     step = _times_power(_deviation(K, g1, 1.0, g3) / P, half - exponent)
-    slope = finite_slope(abs(x), cosine / hypotenuse, step)
+    cosine = sqrt(max(0.0, cosine_squared)) / hypotenuse
+    slope = finite_slope(abs(x), cosine, step)
     if not pull:
         slope = -slope
     u_phi = _deviation(K, n3, 0.0, -n1) / P
@@ -110,6 +125,8 @@ def uncertainty(
         _times_power(u_P, half),
         _times_power(u_phi, half - exponent),
         _times_power(u_theta, half - exponent),
+        step,
+        cosine,
     )
 
 
@@ -117,10 +134,11 @@ def magnitude_uncertainty(
     F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float]
 ) -> float:
     """Return u_P of uncertainty() alone, bit for bit, for a third of the work: the angles cost the rest."""
-    state = _prepare(F1, F2, F3, cov)
-    if state is None:
+    force, covariance = scaled_force(F1, F2, F3), scaled_covariance(cov)
+    if force is None or covariance is None:
         return NAN
-    f1, _, f3, hypotenuse, _, K, _, half = state
+    _F1, _F3, f1, _f2, f3, hypotenuse, _cosine_squared, _exponent = force
+    K, half = covariance
     if hypotenuse == 0.0:
         return _times_power(_worst_deviation(K), half)
     return _times_power(_deviation(K, f1 / hypotenuse, 0.0, f3 / hypotenuse), half)
@@ -147,10 +165,11 @@ def miss_uncertainty(F1: float, F2: float, F3: float, cov: tuple[float, float, f
     Needed only where contact() returns a miss above zero. F1 = F3 = 0: the largest value that any direction
     and correlation can give. NaN or infinity in: NaN.
     """
-    state = _prepare(F1, F2, F3, cov)
-    if state is None:
+    force, covariance = scaled_force(F1, F2, F3), scaled_covariance(cov)
+    if force is None or covariance is None:
         return NAN
-    f1, f2, f3, hypotenuse, _, K, _, half = state
+    _F1, _F3, f1, f2, f3, hypotenuse, _cosine_squared, _exponent = force
+    K, half = covariance
     if hypotenuse == 0.0:
         return _times_power(_worst_deviation(K) + sqrt(max(0.0, K[3])), half)
     sign = -1.0 if f2 < 0.0 else 1.0
@@ -225,24 +244,29 @@ def unknown(status: int, rank_left_is_3: bool = False) -> int:
     return bits
 
 
-def _prepare(
-    F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float]
-) -> tuple[float, float, float, float, float, tuple[float, float, float, float, float, float], int, int] | None:
-    """Return (f1, f2, f3, hypotenuse, cosine, K, exponent, half), scaled by powers of two; None for NaN.
+def scaled_force(F1: float, F2: float, F3: float) -> "ScaledForce | None":
+    """Return (F1, F3, f1, f2, f3, hypotenuse, cosine squared, exponent) with F = f 2^exponent; None for NaN, infinity.
 
-    F = f 2^exponent, cov = K 2^(2 half): neither squares of forces nor covariances over- or underflow.
+    Scaled by a power of two, squares neither over- nor underflow; hypotenuse is that of f1 and f3.
     """
-    check = (F1 - F1) + (F2 - F2) + (F3 - F3)
-    for value in cov:
-        check += value - value
-    if check != 0.0:
+    if (F1 - F1) + (F2 - F2) + (F3 - F3) != 0.0:  # true for NaN and infinity only
         return None
     exponent = frexp(max(abs(F1), abs(F2), abs(F3)))[1]
     f1, f2, f3 = ldexp(F1, -exponent), ldexp(F2, -exponent), ldexp(F3, -exponent)
     a1, a2, a3 = abs(f1), abs(f2), abs(f3)
     large, small = (a1, a3) if a1 > a3 else (a3, a1)
     hypotenuse = sqrt(large * large + small * small)
-    cosine = sqrt(max(0.0, (large - a2) * (large + a2) + small * small))
+    # P^2 - F2^2 in factors: no digit is lost where small is tiny, half of the digits at most elsewhere.
+    return F1, F3, f1, f2, f3, hypotenuse, (large - a2) * (large + a2) + small * small, exponent
+
+
+def scaled_covariance(cov: tuple[float, float, float, float, float, float]) -> "ScaledCovariance | None":
+    """Return (K, half) with cov = K 2^(2 half): variances at most 1. None for NaN and infinity."""
+    check = 0.0
+    for value in cov:
+        check += value - value
+    if check != 0.0:
+        return None
     half = (frexp(max(cov[0], cov[3], cov[5], 0.0))[1] + 1) // 2
     k11, k12, k13, k22, k23, k33 = cov
     down = -2 * half
@@ -254,7 +278,7 @@ def _prepare(
         ldexp(k23, down),
         ldexp(k33, down),
     )
-    return f1, f2, f3, hypotenuse, cosine, K, exponent, half
+    return K, half
 
 
 def _deviation(K: tuple[float, float, float, float, float, float], g1: float, g2: float, g3: float) -> float:

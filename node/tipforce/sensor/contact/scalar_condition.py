@@ -5,6 +5,9 @@ from math import sqrt
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import Any
+
+    Number = Any  # a number, or a column of samples
 
 _SWEEPS = 30
 _CONVERGED = 1e-15
@@ -59,7 +62,7 @@ def _sweep(work: "list[list[float]]") -> bool:
     return turned
 
 
-def dot(a: "Sequence[float]", b: "Sequence[float]") -> float:
+def dot(a: "Sequence[Number]", b: "Sequence[Number]") -> "Number":
     """The sum of products."""
     total = 0.0
     for i in range(len(a)):

@@ -16,9 +16,10 @@ from .scalar_condition import condition_number, dot, square
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     Directions = list[list[float]]
+    from .scalar_condition import Number
 
 
 CONDITION_LIMIT = 1e4  # of the matrix of the gauges left, 2-norm, as 2105h:1: beyond it they have no rank 3
@@ -212,30 +213,44 @@ def judge(
     best-fitting fault leaves no more than ``exclusion`` of; of that fault, the chi-square it explains and the
     chi-square per strain^2 are returned, zeros for a gauge that is not shown. NaN in: chi-square NaN, bits 0.
     """
-    p = [dot(row, strains) for row in W]
-    root = None if extra is None else _root(W, extra)
-    q = p if root is None else _forward(root, p)
-    chi_square = dot(q, q)
-    faults: list[tuple[float, float]] = []
+    chi_square, faults = explained(W, shown, strains, extra)
     bits = 0
     for k in range(len(strains)):
-        column = shown[k]
-        if column is None:
-            faults.append((0.0, 0.0))
-            continue
-        s = column if root is None else _forward(root, column)
-        visible = dot(s, s)
-        along = dot(s, q)
-        explained = along * along / visible
-        faults.append((explained, visible))
         # With one direction nothing is left but rounding, and every gauge explains all.
-        if len(W) == 1 or chi_square - explained <= exclusion:
+        if shown[k] is not None and (len(W) == 1 or chi_square - faults[k][0] <= exclusion):
             bits |= 1 << k
     if chi_square <= alarm:
         return chi_square, -1, faults
     if chi_square - chi_square != 0.0:  # NaN or infinity
         return chi_square, 0, faults
     return chi_square, bits, faults
+
+
+def explained(
+    W: "Directions",
+    shown: "list[list[float] | None]",
+    strains: "Sequence[Number]",
+    extra: "Sequence[Number] | None",
+    noise: "float | Number" = 1.0,
+    square_root: "Callable[[Number], Number]" = sqrt,
+) -> "tuple[Number, list[tuple[Number, Number]]]":
+    """Return (chi-square, (what of it the best-fitting fault explains, chi-square per strain^2) of each gauge).
+
+    Arguments as of ``judge``; noise: by how much the gauges' noise is larger in variance. With numpy's square root, the
+    strain of each gauge may be a column of samples, and so are the results.
+    """
+    p = [dot(row, strains) for row in W]
+    root = None if extra is None else _root(W, extra, noise, square_root)
+    q = p if root is None else _forward(root, p)
+    faults = []
+    for column in shown:
+        if column is None:
+            faults.append((0.0, 0.0))
+            continue
+        s = column if root is None else _forward(root, column)
+        visible, along = dot(s, s), dot(s, q)
+        faults.append((along * along / visible, visible))
+    return dot(q, q), faults
 
 
 def doubt(
@@ -269,21 +284,23 @@ def doubt(
     return k11, k12, k13, k22, k23, k33
 
 
-def _root(W: "Directions", extra: "Sequence[float]") -> "list[list[float]]":
-    """The lower Cholesky factor of M = I + W diag(extra) W^T."""
+def _root(
+    W: "Directions", extra: "Sequence[Number]", noise: "float | Number", square_root: "Callable[[Number], Number]"
+) -> "list[list[Number]]":
+    """The lower Cholesky factor of M = noise I + W diag(extra) W^T."""
     d = len(W)
     L = [[0.0] * d for _ in range(d)]
     for i in range(d):
         scaled = [x * e for x, e in zip(W[i], extra)]  # noqa: B905
         for j in range(i + 1):
             total = dot(scaled, W[j]) - dot(L[i][:j], L[j][:j])
-            L[i][j] = sqrt(1.0 + total) if i == j else total / L[j][j]
+            L[i][j] = square_root(noise + total) if i == j else total / L[j][j]
     return L
 
 
-def _forward(L: "list[list[float]]", b: "list[float]") -> "list[float]":
+def _forward(L: "list[list[Number]]", b: "Sequence[Number]") -> "list[Number]":
     """x with L x = b."""
-    x: list[float] = []
+    x: list[Number] = []
     for i in range(len(b)):
         x.append((b[i] - dot(L[i][:i], x)) / L[i][i])
     return x

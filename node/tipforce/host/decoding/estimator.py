@@ -1,0 +1,483 @@
+"""Contact, standard uncertainties and status of gauge readings, by a calibration that is prepared once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
+from tipforce.errors import InputError
+from tipforce.fingertip.application import FROZEN_READINGS
+from tipforce.fingertip.judgement import RELEASE, Judgement
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.measurements import LARGEST_MICROSTRAIN
+from tipforce.host.decoding import judged
+from tipforce.host.decoding.health import lost_gauges
+from tipforce.host.decoding.judged import Judge, Judged, Readings
+from tipforce.samples import reasons
+from tipforce.samples.reasons import Status
+from tipforce.sensor.contact import estimate as model
+from tipforce.sensor.contact import scalar
+
+if TYPE_CHECKING:
+    from tipforce.samples.record import Contact
+
+    Force = tuple[float, float, float]
+    Values = tuple[float, float, float, float, float, float]
+
+BLOCK = 4096
+"""Samples at a time: their columns stay in the processor's cache."""
+_UNKNOWN = np.array([scalar.unknown(status | scalar.CALIBRATED) for status in range(256)])
+"""What a status byte makes unknown."""
+_FLAGS = (
+    (scalar.SATURATED, reasons.LEFT_OUT | reasons.OVERLOAD),
+    (scalar.FRONT_END_FAULT, reasons.CONTRADICTION | reasons.FROZEN),
+)
+"""Bits of ``Status`` that a node would set, and why."""
+_FLAGGED = sum(why for _, why in _FLAGS)
+_NO_PHI, _NO_THETA = scalar.UNKNOWN_PHI, scalar.UNKNOWN_THETA
+_NO_FORCE, _NOTHING = (scalar.NAN,) * 3, (scalar.NAN,) * 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contacts:
+    """k samples of one finger; NaN stands for unknown. Uncertainties are standard uncertainties (1 sigma)."""
+
+    P_newtons: FloatArray
+    """(k,) force magnitude."""
+    phi_deg: FloatArray
+    """(k,) force direction, (-180, 180]."""
+    theta_deg: FloatArray
+    """(k,) contact angle."""
+    u_P_newtons: FloatArray
+    u_phi_deg: FloatArray
+    u_theta_deg: FloatArray
+    status: npt.NDArray[np.integer[Any]]
+    """(k,) bits of ``Status``, uint16."""
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    @staticmethod
+    def empty(k: int) -> Contacts:
+        """Room for k samples: ``out`` of an ``Estimator``."""
+        P, phi, theta, u_P, u_phi, u_theta = (np.empty(k) for _ in range(6))
+        return Contacts(P, phi, theta, u_P, u_phi, u_theta, np.empty(k, dtype=np.uint16))
+
+    @property
+    def values(self) -> FloatArray:
+        """(k, 6) the values and their uncertainties, in this order."""
+        return np.stack([getattr(self, name) for name in _VALUES], axis=-1)
+
+    def has(self, status: Status) -> npt.NDArray[np.bool_]:
+        """(k,) the samples with any of these bits."""
+        has_bit: npt.NDArray[np.bool_] = (self.status & np.uint16(status)) != 0
+        return has_bit
+
+
+_VALUES = Contacts.__slots__[:6]
+
+
+class Before(NamedTuple):
+    """What the sample before leaves for its successor."""
+
+    present: bool = False
+    overloaded: bool = False
+
+
+class Estimator:
+    """A calibration prepared for many readings: a call does arithmetic only.
+
+    ``estimator(gauges)`` gives the ``Contact`` of one reading (n,) of n gauges in microstrain, in pure Python, or the
+    ``Contacts`` of k readings (k, n) in time order. Both are those of ``estimate``. Forces are newtons, angles degrees.
+    Sources: equations (1) and (16) of the paper; docs/uncertainty.md.
+    """
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        *,
+        uncertainty: bool = True,
+        converter_limit_strain: float | None = None,
+        offset_known: bool = False,
+    ) -> None:
+        """``uncertainty`` False: u_P, u_phi and u_theta are NaN, and BEYOND_FIRST_ORDER, which judges them, is not set.
+
+        ``converter_limit_strain``: beside the calibration's own (2113h). ``offset_known``: the offsets are those of
+        tares, and the calibration's own adds no uncertainty. Raises InputError for contact limits out of order.
+        """
+        self.judge = Judge(calibration, offset_known)
+        self.gauges = calibration.gauges
+        self._calibration, self._uncertainty = calibration, uncertainty
+        self._active = active = self.judge.active
+        model.check_limits(active.limits)
+        limits = np.where(calibration.converter_limit_strain > 0.0, calibration.converter_limit_strain, np.inf)
+        if converter_limit_strain is not None:
+            limits = np.minimum(limits, converter_limit_strain)
+        self._limits: list[float] = limits.tolist() if np.isfinite(limits).any() else []
+        calibrated, overload = active.forces
+        self._unranged = 0 if calibrated > 0.0 else reasons.UNRANGED
+        self._calibrated_newtons = calibrated if calibrated > 0.0 else np.inf
+        self._overload_newtons = overload if overload > 0.0 else np.inf
+        self._release_newtons = RELEASE * self._overload_newtons
+        # Microstrain of each gauge beyond which no structure survives; without use where the overload is known.
+        limit = judged.LARGEST_STRAIN
+        offsets = [] if overload > 0.0 else active.offsets
+        self._bounds = [(1e6 * (offset - limit), 1e6 * (offset + limit)) for offset in offsets]
+        self._has_own = calibration.parameter_covariance is not None
+        ranged, redundant = any(active.range_degC), self.gauges > 3 and active.redundancy > 0.0
+        self._is_judged = self._has_own or active.model > 0.0 or active.compensated() or ranged or redundant
+        solver = active.solver(0)
+        assert solver is not None
+        self._K, self._scaled_K = solver[1], scalar.scaled_covariance(solver[1])
+        self._status_of: dict[int, Status] = {}
+        from tipforce.samples.record import Contact  # which imports this package
+
+        self._contact_type = Contact
+
+    @overload
+    def __call__(
+        self, microstrain: Sequence[float], *, temperature_degC: float | None = None, lost: int = 0,
+        was_present: bool = False, was_overloaded: bool = False,
+    ) -> Contact: ...  # fmt: skip
+
+    @overload
+    def __call__(
+        self, microstrain: npt.NDArray[Any] | Sequence[Sequence[float]], *,
+        temperature_degC: npt.ArrayLike | None = None, lost: npt.ArrayLike = 0,
+        was_present: bool = False, was_overloaded: bool = False, out: Contacts | None = None,
+    ) -> Any: ...  # fmt: skip
+
+    def __call__(
+        self,
+        microstrain: npt.ArrayLike,
+        *,
+        temperature_degC: npt.ArrayLike | None = None,
+        lost: npt.ArrayLike = 0,
+        was_present: bool = False,
+        was_overloaded: bool = False,
+        out: Contacts | None = None,
+    ) -> Contact | Contacts:
+        """Return the ``Contact`` of one reading (n,), or the ``Contacts`` of k readings (k, n), microstrain.
+
+        ``temperature_degC``: one number or (k,), NaN or None where it is not known. ``lost``: bits of gauges that
+        something else says have failed, one integer or (k,). ``was_present``, ``was_overloaded``: of the sample before
+        the first. ``out``: ``Contacts.empty(k)``, to be filled and returned. A reading that is not finite, or over 1e6
+        microstrain, makes all unknown. In a table, a gauge that stands still for longer than its noise allows counts
+        as lost; one reading does not show it. Raises InputError for other shapes and types.
+        """
+        n = self.gauges
+        if type(microstrain) in {list, tuple} and set(map(type, microstrain)) == {float}:  # type: ignore[arg-type]
+            row: Sequence[float] | None = microstrain  # type: ignore[assignment]
+        else:
+            readings = floats("microstrain", microstrain)
+            row = readings.tolist() if readings.ndim == 1 else None
+        if row is not None and len(row) == n and out is None:
+            degC = scalar.NAN if temperature_degC is None else temperature_degC
+            if type(degC) is not float:
+                degC = float(_temperatures(degC, ()))
+            bits = lost if isinstance(lost, int) else int(_bits(lost, ()))
+            return self._contact(row, degC, bits, was_present, was_overloaded)
+        if row is not None or readings.shape[1:] != (n,):
+            raise InputError(f"microstrain has the shape {np.shape(microstrain)}: allowed are (k, {n}) and ({n},)")
+        shape = (len(readings),)
+        strain = np.where(np.abs(readings) <= LARGEST_MICROSTRAIN, readings, np.nan) * 1e-6
+        given = Readings(
+            strain,
+            None if temperature_degC is None else _temperatures(temperature_degC, shape),
+            _bits(lost, shape) if np.any(lost) else None,
+            frozen_gauges(self._calibration, strain),
+        )
+        contacts, status, _ = self.rows(given, Before(was_present, was_overloaded), out)
+        contacts.status[:] = (status | _shown(status)) & 0xFFFF
+        return contacts
+
+    def rows(self, given: Readings, before: Before, out: Contacts | None = None) -> tuple[Contacts, IntArray, Before]:
+        """Return the contacts of readings, their status, and what the last one leaves for its successor.
+
+        The status (k,) says by ``reasons.FROZEN``, ``TARE``, ``LEFT_OUT``, ... why a value is unknown or doubtful.
+        """
+        k = len(given.strain)
+        contacts, status = Contacts.empty(k) if out is None else out, np.zeros(k, dtype=np.int64)
+        columns = [getattr(contacts, name) for name in Contacts.__slots__]
+        if any(not isinstance(column, np.ndarray) or column.shape != (k,) for column in columns):
+            raise InputError(f"out: allowed is Contacts.empty({k})")
+        for start in range(0, k, BLOCK):
+            rows = slice(start, start + BLOCK)
+            values, status[rows] = self._block(given.part(rows), before)
+            for column, value in zip(columns, values, strict=False):
+                column[rows] = value
+            before = _following(status[rows], before)
+        return contacts, status, before
+
+    def _block(self, given: Readings, before: Before) -> tuple[list[FloatArray], IntArray]:
+        """([P, phi, theta, u_P, u_phi, u_theta], status) of some rows."""
+        if self._limits:
+            with np.errstate(invalid="ignore"):
+                reached = (np.abs(given.strain) >= self._limits) @ (1 << np.arange(len(self._limits)))
+            given = given._replace(lost=reached if given.lost is None else reached | given.lost)
+        verdict = self.judge.judge(given, before.overloaded)
+        F, K = model.forces(*verdict.F_newtons), model.covariances(list(verdict.covariance))
+        sense = np.where(self._active.pull if given.pull is None else given.pull, 1.0, -1.0)
+        contact = model.contact_columns(F, sense)
+        status = _judged_status(verdict, given)
+        counts = (status & reasons.NO_ESTIMATE) == 0
+        misses = np.zeros(len(status), dtype=np.bool_)
+        rows = np.flatnonzero(contact.miss_newtons > 0.0)
+        if len(rows):
+            noise = scalar.MISS_COVERAGE_FACTOR * model.miss_deviation(F.take(rows), K.take(rows))
+            misses[rows] = contact.miss_newtons[rows] > noise + scalar.MISS_FLOOR * contact.P_newtons[rows]
+        u = model.deviation_columns(F, K, sense) if self._uncertainty else None
+        resolved = self._resolved(verdict, contact, F, K, sense) if u is None else model.is_resolved(u.P, u.theta)
+        bits = model.status_columns(contact, resolved, misses, self._active.limits, before.present, counts)
+        status |= np.where(counts, bits | self._unranged, 0)
+        unknown = np.where(counts, _UNKNOWN[status & 0xFF], 0xFF)
+        hidden = [(unknown & bit) != 0 for bit in (scalar.UNKNOWN_FORCE, scalar.UNKNOWN_PHI, scalar.UNKNOWN_THETA)]
+        units = (1.0, scalar.DEGREES, scalar.DEGREES)
+        columns = [contact.P_newtons, contact.phi_rad, contact.theta_rad, *(() if u is None else u[:3])]
+        values = [
+            np.where(of, np.nan, value * unit) for value, of, unit in zip(columns, hidden * 2, units * 2, strict=False)
+        ]
+        if u is None:
+            return values + [np.full(len(status), np.nan)] * 3, status
+        for shown, bend in zip(values[3:], model.curvature_columns(F, contact.P_newtons, u), strict=True):
+            beyond = np.isfinite(shown) & ~(bend <= model.CURVATURE_LIMIT)
+            status |= np.where(beyond, reasons.BEYOND_FIRST_ORDER, 0)
+        return values, status
+
+    def _resolved(
+        self, verdict: Judged, contact: model.Contact, F: model.Forces, K: model.Covariance, sense: FloatArray
+    ) -> BoolArray:
+        """Whether theta is; as on the node, few contacts need their uncertainty for that (scalar.clearly_resolved)."""
+        P, trace = contact.P_newtons, verdict.covariance[0] + verdict.covariance[3] + verdict.covariance[5]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            u = np.sqrt(trace) / P
+            end = np.abs(verdict.F_newtons[1]) / P + scalar.ROOT_2 * u
+            bound = u * (1.0 + scalar.ROOT_2 / np.sqrt(1.0 - end * end))
+        resolved: BoolArray = (trace > scalar.SMALLEST_STEP) & (end < 1.0) & (bound < scalar.CLEARLY_RESOLVED)
+        rows = np.flatnonzero(~resolved & (self._active.limits[1] <= P))
+        if len(rows):
+            of_rows = model.deviation_columns(F.take(rows), K.take(rows), sense[rows] if sense.ndim else sense)
+            resolved[rows] = model.is_resolved(of_rows.P, of_rows.theta)
+        return resolved
+
+    def _contact(
+        self, microstrain: Sequence[float], degC: float, lost: int, was_present: bool, was_overloaded: bool
+    ) -> Contact:
+        """One reading."""
+        most, active = LARGEST_MICROSTRAIN, self._active
+        readings = [value if -most <= value <= most else scalar.NAN for value in microstrain]
+        for k, limit in enumerate(self._limits):
+            if abs(1e-6 * readings[k]) >= limit:
+                lost |= 1 << k
+        K, scaled_K, status = self._K, self._scaled_K, 0
+        if lost or self._is_judged:
+            F, K, status = self._judged_force(readings, degC, lost, was_overloaded)
+            scaled_K = scalar.scaled_covariance(K)
+        else:
+            F = active.force(active.C, readings)
+            for value, (low, high) in zip(readings, self._bounds):  # noqa: B905 - none where 2112h:2 is known
+                if value < low or value > high:
+                    status |= reasons.OVERLOAD
+        status, values = self._values(F, K, scaled_K, status, was_present, was_overloaded)
+        if status & _FLAGGED:
+            for flag, why in _FLAGS:
+                if status & why:
+                    status |= flag
+        status = status & 0xFFFF | scalar.CALIBRATED
+        if status not in self._status_of:
+            self._status_of[status] = Status(status)
+        return self._contact_type(0, scalar.NAN, -1, *values, self._status_of[status], tuple(microstrain))
+
+    def _judged_force(
+        self, readings: list[float], degC: float, lost: int, was_overloaded: bool
+    ) -> tuple[Force, Values, int]:
+        """(force, covariance, status before any contact is known), by the node's own code."""
+        if lost:  # a gauge left out may read anything
+            readings = [0.0 if lost >> k & 1 else value for k, value in enumerate(readings)]
+        judgement = Judgement(self._active, readings, lost, degC, was_overloaded)
+        left, faults = lost | judgement.left_out, judgement.bits
+        F, K = judgement.force or _NO_FORCE, judgement.covariance()
+        if self._has_own and judgement.force is not None:
+            own = self.judge.of_parameters(left, *F)
+            K = K[0] + own[0], K[1] + own[1], K[2] + own[2], K[3] + own[3], K[4] + own[4], K[5] + own[5]
+        if self._bounds:
+            for k, strain in enumerate(judgement.strains):
+                if abs(strain) > judged.LARGEST_STRAIN and not left >> k & 1:
+                    faults |= reasons.OVERLOAD
+        status = faults & (reasons.BEYOND_CALIBRATED | reasons.TEMPERATURE | reasons.OVERLOAD)
+        F1, F2, F3 = F
+        if (F1 - F1) + (F2 - F2) + (F3 - F3) != 0.0:  # NaN or infinity
+            status |= faults & reasons.CONTRADICTION or (scalar.SATURATED if lost else 0)
+        elif left:
+            status |= reasons.LEFT_OUT
+        return F, K, status
+
+    def _values(
+        self,
+        F: Force,
+        K: Values,
+        scaled_K: scalar.ScaledCovariance | None,
+        status: int,
+        was_present: bool,
+        was_overloaded: bool,
+    ) -> tuple[int, Values]:
+        """(status, values) of a force."""
+        (F1, F2, F3), pull, limits = F, self._active.pull, self._active.limits
+        force = scalar.scaled_force(F1, F2, F3)
+        P, phi, theta, miss = scalar.contact_of(force, pull)
+        if self._calibrated_newtons < P:
+            status |= reasons.BEYOND_CALIBRATED
+        if self._release_newtons < P and (was_overloaded or self._overload_newtons < P):
+            status |= reasons.OVERLOAD
+        if status & reasons.NO_ESTIMATE:
+            return status, _NOTHING
+        status |= self._unranged
+        u_P = u_phi = u_theta = u_sine = cosine = 0.0
+        if self._uncertainty or not (limits[1] <= P and scalar.clearly_resolved(P, F2, K)):
+            u_P, u_phi, u_theta, u_sine, cosine = scalar.deviations(force, scaled_K, pull)
+        u_miss = scalar.miss_uncertainty(F1, F2, F3, K) if miss > 0.0 else 0.0
+        status |= scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, limits, was_present)
+        unknown = scalar.unknown(status & 0xFF | scalar.CALIBRATED)
+        if self._uncertainty:
+            if u_P - u_P == 0.0 and not _first_order_holds(P, u_P, u_phi, u_sine, cosine, not unknown & _NO_PHI):
+                status |= reasons.BEYOND_FIRST_ORDER
+        else:
+            u_P = u_phi = u_theta = scalar.NAN
+        phi, theta = phi * scalar.DEGREES, theta * scalar.DEGREES
+        u_phi, u_theta = u_phi * scalar.DEGREES, u_theta * scalar.DEGREES
+        if unknown:
+            if unknown & _NO_PHI:
+                phi = u_phi = scalar.NAN
+            if unknown & _NO_THETA:
+                theta = u_theta = scalar.NAN
+        return status, (P, phi, theta, u_P, u_phi, u_theta)
+
+
+def _first_order_holds(P: float, u_P: float, u_phi: float, u_sine: float, cosine: float, phi_known: bool) -> bool:
+    """Whether curvature() of what is known is small, as model.curvature_columns()."""
+    infinity, limit = float("inf"), model.CURVATURE_LIMIT
+    bias = u_phi * u_phi * P / u_P if u_P > 0.0 else 0.0 if u_phi == 0.0 else infinity
+    squared = cosine * cosine
+    bend = 0.0 if not u_sine > 0.0 else u_sine / squared if squared > 0.0 else infinity
+    return bias <= limit and bend <= limit and (not phi_known or u_P / P <= limit)
+
+
+def estimate(
+    calibration: Calibration,
+    microstrain: npt.ArrayLike,
+    *,
+    temperature_degC: npt.ArrayLike | None = None,
+    lost: npt.ArrayLike | None = None,
+    was_present: bool = False,
+) -> Contacts:
+    """Contact, standard uncertainties and status of gauge readings, as `tipforce estimate` gives them.
+
+    microstrain: (k, n) of n gauges in time order, or (n,) for one reading. ``temperature_degC``: (k,) or one number,
+    NaN or None where it is not known. ``lost``: (k,), bits of gauges that something else says have failed.
+    ``was_present``: contact before the first. A reading that is not finite, or over 1e6 microstrain, makes all unknown;
+    a gauge that stands still for longer than its noise allows counts as lost. For many calls, or single readings,
+    prepare an ``Estimator``. Raises InputError for other shapes.
+    """
+    readings = np.atleast_2d(floats("microstrain", microstrain))
+    given = 0 if lost is None else lost
+    contacts: Contacts = Estimator(calibration)(
+        readings, temperature_degC=temperature_degC, lost=given, was_present=was_present
+    )
+    return contacts
+
+
+def of_samples(
+    calibration: Calibration,
+    columns: Mapping[str, npt.NDArray[Any]],
+    microstrain: FloatArray,
+    status: npt.NDArray[np.uint16],
+    rows: npt.NDArray[np.intp],
+    temperature_degC: FloatArray | None = None,
+    was_present: bool = False,
+) -> tuple[Contacts, BoolArray]:
+    """Contact of some ``rows`` of a node's samples, and which hold: where the node left a gauge out, it must be known.
+
+    ``columns``, ``microstrain`` (k, n), ``status`` and ``temperature_degC`` (k,) are those of all samples.
+    """
+    missing = lost_gauges(columns, microstrain.shape)[rows] | judged.at_end(microstrain[rows])
+    temperature = None if temperature_degC is None else temperature_degC[rows]
+    contacts = estimate(
+        calibration, microstrain[rows], temperature_degC=temperature, lost=missing, was_present=was_present
+    )
+    return contacts, (status[rows] & np.uint16(Status.SATURATED) == 0) | contacts.has(Status.SATURATED)
+
+
+def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArray | None = None) -> IntArray | None:
+    """Bits of the gauges that repeat one reading more often than their noise allows, (m,); None: none does.
+
+    strain: (m, n) in time order, all of a table; weight: (m,), readings that a row averages. The smallest step in the
+    table is its resolution: a gauge with less noise may repeat itself. All rows of a run are marked, the first ones
+    too, which a node cannot know yet. At an end of the converter a gauge is saturated, not frozen.
+    """
+    if len(strain) <= FROZEN_READINGS:
+        return None
+    steps = np.abs(np.diff(strain, axis=0))
+    still = steps == 0.0
+    repeating = np.flatnonzero(np.count_nonzero(still, axis=0) >= FROZEN_READINGS)
+    resolution = steps.min(where=steps > 0.0, initial=np.inf) if len(repeating) else np.inf
+    noise = np.sqrt(np.diagonal(calibration.covariance_strain2) / (1.0 if weight is None else weight.max()))
+    bits = np.zeros(len(strain), dtype=np.int64)
+    for gauge in repeating[noise[repeating] >= resolution * (1.0 - 1e-6)].tolist():
+        run = np.concatenate(([0], np.cumsum(~still[:, gauge])))
+        bits |= np.where(np.bincount(run)[run] > FROZEN_READINGS, 1 << gauge, 0)
+    return bits & ~judged.at_end(1e6 * strain) if bits.any() else None
+
+
+def _following(status: IntArray, before: Before) -> Before:
+    """What the last sample leaves for the next; rows without a force leave contact as it was."""
+    counted = np.flatnonzero((status & reasons.NO_ESTIMATE) == 0)
+    present = bool(status[counted[-1]] & scalar.CONTACT_PRESENT) if len(counted) else before.present
+    return Before(present, bool(status[-1] & reasons.OVERLOAD) if len(status) else before.overloaded)
+
+
+def _judged_status(verdict: Judged, given: Readings) -> IntArray:
+    """The bits that are known before any contact is."""
+    faults, known = verdict.faults, np.isfinite(verdict.F_newtons).all(axis=0)
+    status = faults & (reasons.BEYOND_CALIBRATED | reasons.TEMPERATURE | reasons.OVERLOAD)
+    if not known.all():
+        contradict = ~known & ((faults & reasons.CONTRADICTION) != 0)
+        status |= np.where(contradict, reasons.CONTRADICTION, 0)
+        lost = ~known & ~contradict
+        if given.frozen is not None:
+            status |= np.where(lost & (given.frozen != 0), reasons.FROZEN, 0)
+        if given.lost is not None:
+            of_lost = lost & (given.lost != 0)
+            status = np.where(of_lost, status & ~reasons.FROZEN | scalar.SATURATED, status)
+    status |= np.where(known & ((faults & judged.GAUGES) != 0), reasons.LEFT_OUT, 0)
+    return status if given.unloaded is None else np.where(given.unloaded, reasons.TARE, status)
+
+
+def _shown(status: IntArray) -> IntArray:
+    """The bits that a node would set beside those of ``rows``."""
+    bits: IntArray = np.full(len(status), scalar.CALIBRATED)
+    for flag, why in _FLAGS:
+        bits |= np.where(status & why, flag, 0)
+    return bits
+
+
+def _temperatures(values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    return _broadcast("temperature_degC", floats("temperature_degC", values), shape)
+
+
+def _bits(values: npt.ArrayLike, shape: tuple[int, ...]) -> IntArray:
+    lost = _broadcast("lost", np.asarray(values), shape)
+    if not np.issubdtype(lost.dtype, np.integer):
+        raise InputError(f"lost has the type {lost.dtype}: allowed are integers, bits of gauges")
+    return lost
+
+
+def _broadcast(name: str, values: npt.NDArray[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    if values.shape not in {(), shape}:
+        allowed = f"are one number and {shape}" if shape else "is one number"
+        raise InputError(f"{name} has the shape {values.shape}: allowed {allowed}")
+    return np.broadcast_to(values, shape)
