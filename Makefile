@@ -84,7 +84,8 @@ generate: bootstrap-test ## write the committed files generated from the object 
 	@$(PYTHON) -m bench.command_document
 
 clean: ## remove .venv, caches and build results
-	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache node/tipforce/_core.*.so
+	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find node -name '_core.*' ! -name '*.c' -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 bootstrap-%:
