@@ -1,14 +1,19 @@
-/* The compiled core: candump text to FRAME records.
+/* The compiled core: candump text to FRAME records, and the PDOs of one latch to rows.
 
-   It is the fast body of Python functions that do the same (host/logs/candump.py): a line that is
-   not of the plain forms below is left to them, so that they alone judge odd lines. Without this
-   module everything works, slower. Limited API of Python 3.11: one build for all later versions. */
+   These are the fast bodies of Python functions that do the same. `parse` leaves lines that are not of
+   the plain forms below to host/logs/candump.py, which alone judges them; `join` is join_here of
+   host/decoding/sample_rule.py. Without this module everything works, slower. Limited API of Python
+   3.11: one build for all later versions. */
 
 #define PY_SSIZE_T_CLEAN
 #define Py_LIMITED_API 0x030B0000
 #include <Python.h>
 #include <stdint.h>
 #include <string.h>
+
+#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
+#error "FRAME is little-endian"
+#endif
 
 typedef unsigned char Byte;
 
@@ -19,11 +24,6 @@ static const uint32_t STANDARD_MASK = 0x7FF, EXTENDED_MASK = 0x1FFFFFFF;
 static const uint32_t ERROR_FLAG = 0x20000000, EXTENDED_FLAG = 0x80000000;
 
 static Byte HEX[256]; /* by character: its value, or NOT_HEX */
-
-static void put(Byte *to, uint64_t value, int bytes) {
-    for (int k = 0; k < bytes; k++)
-        to[k] = (Byte)(value >> 8 * k);
-}
 
 /* --- candump text ----------------------------------------------------------------------------- */
 
@@ -169,8 +169,8 @@ static int read_line(Text *text, const Byte *p, const Byte *end, Byte *frame) {
     }
     if (p != end || length != told || length < 0)
         return 0;
-    put(frame, t_ns, 8);
-    put(frame + 8, can_id, 4);
+    memcpy(frame, &t_ns, 8);
+    memcpy(frame + 8, &can_id, 4);
     frame[12] = (Byte)length;
     frame[13] = (Byte)text->recent;
     frame[14] = (Byte)sent;
@@ -244,10 +244,212 @@ done:
     return found;
 }
 
+/* --- rows of samples -------------------------------------------------------------------------- */
+
+enum { NO_COUNTER = -1, ORDER = 0, ROW, FIRST, COUNTER, HELD, HELD_NUMBER, COLUMNS, MESSAGES = 256 };
+
+typedef struct { /* SLOT of sample_rule.py: a message of a node */
+    uint32_t sender;
+    int16_t shift, mask; /* of the counter, shift -1 for none */
+    Byte message, length, cyclic, used;
+    uint16_t key;
+    Byte spare[2];
+} Slot;
+
+typedef struct { /* the last row of a sender, and its last frame that follows SYNC */
+    int64_t row, t_ns, number;
+    int known, counter, message;
+    Byte events[MESSAGES / 8]; /* the other messages in the row */
+} Last;
+
+typedef struct { /* a decoded frame: its index and slot, and the decoded frame with which its row begins */
+    int64_t frame, number, start;
+    uint32_t slot;
+    int counter;
+} Decoded;
+
+typedef struct {
+    const Byte *frames;
+    const uint32_t *slots;
+    const Slot *layouts;
+    const int64_t *held_number;
+    int64_t *work[COLUMNS], *ends, *short_frames;
+    Py_ssize_t count, kinds, senders, held;
+    int64_t number, gap_ns, gap_frames;
+} Join;
+
+static int64_t time_of(const Byte *frame) {
+    int64_t t_ns;
+    memcpy(&t_ns, frame, sizeof t_ns);
+    return t_ns;
+}
+
+static int near(int64_t a, int64_t b, int64_t gap) {
+    uint64_t distance = a > b ? (uint64_t)a - (uint64_t)b : (uint64_t)b - (uint64_t)a;
+    return distance <= (uint64_t)gap;
+}
+
+/* Return the row of a frame that would begin the row `row`: SampleRule.row of sample_rule.py. */
+static int64_t row_of(const Join *job, Last *last, const Slot *slot, int counter, int64_t t_ns, int64_t number,
+                      int64_t row) {
+    Byte *events = &last->events[slot->message / 8], event = (Byte)(1 << slot->message % 8);
+    int joins = last->known && counter == last->counter && near(t_ns, last->t_ns, job->gap_ns) &&
+                number - last->number <= job->gap_frames;
+    if (counter == NO_COUNTER)
+        return row;
+    if (!slot->cyclic) {
+        if (!joins || *events & event)
+            return row;
+        *events |= event;
+        return last->row;
+    }
+    if (!joins || slot->message <= last->message) {
+        last->row = row;
+        memset(last->events, 0, sizeof last->events);
+    }
+    last->known = 1;
+    last->counter = counter;
+    last->message = slot->message;
+    last->t_ns = t_ns;
+    last->number = number;
+    return last->row;
+}
+
+/* Give each frame that can be decoded its row; return how many there are, -1 for a slot out of range. */
+static Py_ssize_t give_rows(Join *job, Last *last, Decoded *decoded) {
+    Py_ssize_t found = 0;
+    for (Py_ssize_t k = 0; k < job->count; k++) {
+        const Byte *frame = job->frames + k * FRAME_BYTES;
+        uint32_t kind = job->slots[k];
+        if (kind >= (uint32_t)job->kinds || job->layouts[kind].sender >= (uint32_t)job->senders)
+            return -1;
+        const Slot *slot = &job->layouts[kind];
+        if (!kind)
+            continue;
+        if (frame[12] < slot->length) {
+            job->short_frames[kind]++;
+            continue;
+        }
+        if (!slot->used)
+            continue;
+        uint64_t word;
+        memcpy(&word, frame + 16, sizeof word);
+        int64_t number = found < job->held ? job->held_number[found] : job->number++;
+        int counter = NO_COUNTER;
+        if (slot->shift >= 0 && slot->shift < 64)
+            counter = (int)(word >> slot->shift & (uint64_t)slot->mask);
+        int64_t start = row_of(job, &last[slot->sender], slot, counter, time_of(frame), number, found);
+        decoded[found++] = (Decoded){k, number, start, kind, counter};
+    }
+    return found;
+}
+
+/* Store the rows that no later frame can join: those before the first open one. */
+static Py_ssize_t store_rows(Join *job, const Last *last, const Decoded *decoded, Py_ssize_t found, int is_last,
+                             Py_ssize_t *held) {
+    int64_t end = found, rows = 0, sum = 0;
+    for (Py_ssize_t k = 0; !is_last && found && k < job->senders; k++) {
+        const Decoded *newest = &decoded[found - 1];
+        int64_t now = time_of(job->frames + newest->frame * FRAME_BYTES);
+        if (last[k].known && (now <= last[k].t_ns || near(now, last[k].t_ns, job->gap_ns)) &&
+            newest->number - last[k].number < job->gap_frames && last[k].row < end)
+            end = last[k].row;
+    }
+    int64_t *row = job->work[HELD]; /* of each decoded frame that begins one; the held frames follow at the end */
+    for (Py_ssize_t k = 0; k < found; k++) {
+        if (decoded[k].start == k && k < end) {
+            job->work[FIRST][rows] = decoded[k].frame;
+            job->work[COUNTER][rows] = decoded[k].counter;
+            row[k] = rows++;
+        }
+        job->ends[decoded[k].slot] += decoded[k].start < end;
+    }
+    for (Py_ssize_t k = 0; k < job->kinds; k++) { /* the place of a slot's first frame, which grows to its end */
+        int64_t frames = job->ends[k];
+        job->ends[k] = sum;
+        sum += frames;
+    }
+    for (Py_ssize_t k = 0; k < found; k++)
+        if (decoded[k].start < end) {
+            int64_t place = job->ends[decoded[k].slot]++;
+            job->work[ORDER][place] = decoded[k].frame;
+            job->work[ROW][place] = row[decoded[k].start];
+        }
+    *held = 0;
+    for (Py_ssize_t k = 0; k < found; k++)
+        if (decoded[k].start >= end) {
+            job->work[HELD_NUMBER][*held] = decoded[k].number;
+            job->work[HELD][(*held)++] = decoded[k].frame;
+        }
+    return rows;
+}
+
+PyDoc_STRVAR(join_doc,
+"join(frames, slots, layouts, held_number, number, senders, gap_ns, gap_frames, last, work, ends, short)\n"
+"-> (rows, held, number): see join_here of host/decoding/sample_rule.py.");
+
+static PyObject *join(PyObject *module, PyObject *args) {
+    Py_buffer frames, slots, layouts, held_number, work, ends, short_frames;
+    Join job;
+    long long number, gap_ns, gap_frames;
+    int is_last;
+    PyObject *result = NULL;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*y*y*LnLLpw*w*w*", &frames, &slots, &layouts, &held_number, &number, &job.senders,
+                          &gap_ns, &gap_frames, &is_last, &work, &ends, &short_frames))
+        return NULL;
+    job.frames = frames.buf;
+    job.slots = slots.buf;
+    job.layouts = layouts.buf;
+    job.held_number = held_number.buf;
+    job.ends = ends.buf;
+    job.short_frames = short_frames.buf;
+    job.count = frames.len / FRAME_BYTES;
+    job.kinds = layouts.len / (Py_ssize_t)sizeof(Slot);
+    job.held = held_number.len / 8;
+    job.number = number;
+    job.gap_ns = gap_ns;
+    job.gap_frames = gap_frames;
+    for (int k = 0; k < COLUMNS; k++)
+        job.work[k] = (int64_t *)work.buf + k * job.count;
+    Last *last = NULL;
+    Decoded *decoded = NULL;
+    if (slots.len != job.count * 4 || work.len != job.count * 8 * COLUMNS || ends.len != job.kinds * 8 ||
+        short_frames.len != ends.len || job.senders < 0 || job.senders > 1 << 16 || gap_ns < 0) {
+        PyErr_SetString(PyExc_ValueError, "join: arguments");
+        goto done;
+    }
+    last = PyMem_Calloc((size_t)job.senders + 1, sizeof *last);
+    decoded = PyMem_Malloc(((size_t)job.count + 1) * sizeof *decoded);
+    if (!last || !decoded) {
+        PyErr_NoMemory();
+        goto done;
+    }
+    Py_ssize_t found = give_rows(&job, last, decoded), held = 0;
+    if (found < 0) {
+        PyErr_SetString(PyExc_ValueError, "join: slots");
+        goto done;
+    }
+    Py_ssize_t rows = store_rows(&job, last, decoded, found, is_last, &held);
+    result = Py_BuildValue("nnL", rows, held, (long long)job.number);
+done:
+    PyMem_Free(last);
+    PyMem_Free(decoded);
+    PyBuffer_Release(&frames);
+    PyBuffer_Release(&slots);
+    PyBuffer_Release(&layouts);
+    PyBuffer_Release(&held_number);
+    PyBuffer_Release(&work);
+    PyBuffer_Release(&ends);
+    PyBuffer_Release(&short_frames);
+    return result;
+}
+
 /* --- module ----------------------------------------------------------------------------------- */
 
 static PyMethodDef METHODS[] = {
     {"parse", parse, METH_VARARGS, parse_doc},
+    {"join", join, METH_VARARGS, join_doc},
     {NULL, NULL, 0, NULL},
 };
 
@@ -260,7 +462,7 @@ PyMODINIT_FUNC PyInit__core(void) {
         HEX[(Byte)"0123456789ABCDEF"[k]] = (Byte)k;
     }
     PyObject *module = PyModule_Create(&MODULE);
-    if (module && PyModule_AddIntConstant(module, "INTERFACE", 1) < 0) {
+    if (module && PyModule_AddIntConstant(module, "INTERFACE", 2) < 0) {
         Py_DECREF(module);
         return NULL;
     }
