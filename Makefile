@@ -86,6 +86,7 @@ generate: bootstrap-test ## write the committed files generated from the object 
 
 clean: ## remove .venv, caches and build results
 	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find node -name '_core.*' ! -name '*.c' -delete
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 bootstrap-%:

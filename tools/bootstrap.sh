@@ -66,7 +66,7 @@ make_venv() {
 }
 
 # The stamp holds the folder: scripts in a moved checkout point to the old path.
-fresh() { [ -f "$1" ] && [ ! pyproject.toml -nt "$1" ] && [ "$(<"$1")" = "$PWD" ] && [ -x .venv/bin/python ]; }
+fresh() { [ -f "$1" ] && [ ! pyproject.toml -nt "$1" ] && [ ! node/tipforce/_core.c -nt "$1" ] && [ "$(<"$1")" = "$PWD" ] && [ -x .venv/bin/python ]; }
 
 install_project() {
     local stamp=.venv/stamp-$1 wanted

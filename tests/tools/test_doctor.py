@@ -124,6 +124,15 @@ def test_missing_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "science" in checks["extras"].next_step
 
 
+def test_a_missing_core_is_named_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tipforce_tools.doctor import machine as software
+
+    monkeypatch.setattr(software, "core", None)
+    (check,) = [check for check in software_checks() if check.topic == "core"]
+    assert check.state == "note"
+    assert "pip install --force-reinstall" in check.next_step
+
+
 def test_faults_that_are_heard_are_named() -> None:
     frames = np.zeros(2, dtype=FRAME)
     frames["can_id"], frames["length"] = (0x085, 0x087), 8

@@ -1,11 +1,4 @@
-"""The PDOs of one latch become a sample of their node: the one rule for a finger, a page and a log.
-
-A node sends the PDOs of one SYNC in their order and with the counter of one latched sample. So a PDO that follows SYNC
-continues the node's sample if the counter is the same, the PDO a later one and the gap small. An event-driven PDO
-carries the counter of the last latch: it joins the node's last sample if that has the same counter, and no PDO of its
-kind yet. Every other PDO is a sample of its own. The rule uses only pairs of frames, so the samples do not depend on
-how frames are cut into calls.
-"""
+"""The samples of live frames, as soon as they are complete: the PDOs of a latch by ``SampleRule``."""
 
 from __future__ import annotations
 
@@ -18,23 +11,21 @@ import numpy.typing as npt
 from canopen_device.core import codes
 from tipforce.dictionary.signals import Message
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.counters import LAST_CYCLIC_TYPE
 from tipforce.host.decoding.health import NAMES, Health
-from tipforce.host.decoding.sample_merger import GAP_FRAMES, GAP_NS
+from tipforce.host.decoding.sample_rule import SampleRule, follows_sync
 from tipforce.samples.record import Column, Pdo, Samples
 
 _FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
 
 
 class _Sample:
-    """The PDOs of a sample so far, as raw words."""
+    """The PDOs of a sample so far, as raw words; ``row`` is its number."""
 
-    __slots__ = ("counter", "ended", "faults", "frame", "node_id", "number", "t_ns", "time_ns", "words")
+    __slots__ = ("counter", "ended", "faults", "node_id", "row", "time_ns", "words")
 
-    def __init__(self, node_id: int, t_ns: int, counter: int) -> None:
-        self.node_id, self.time_ns, self.counter = node_id, t_ns, counter
+    def __init__(self, row: int, node_id: int, t_ns: int, counter: int) -> None:
+        self.row, self.node_id, self.time_ns, self.counter = row, node_id, t_ns, counter
         self.words: dict[Pdo, int] = {}
-        self.t_ns, self.frame, self.number = t_ns, 0, 0  # of its last PDO that follows SYNC
         self.faults = 0
         self.ended = False
 
@@ -55,7 +46,7 @@ class Assembler:
         self._needed, self._gauges, self._calibrations = frozenset(needed), gauges, calibrations
         self._latest: dict[int, _Sample] = {}  # by node-id, of PDOs that follow SYNC
         self._complete: list[_Sample] = []
-        self._frames = 0
+        self._rule, self._frames = SampleRule(), 0
         self._health = Health()
         self.services = {
             base + node_id: (node_id, base)
@@ -80,8 +71,8 @@ class Assembler:
                 self.service(can_id, t_ns, word.to_bytes(8, "little")[:length])
         now_ns = last_ns if now_ns is None else now_ns
         if now_ns is not None and not self._needed:
-            for sample in self._latest.values():
-                if now_ns - sample.t_ns > GAP_NS or self._frames - sample.frame >= GAP_FRAMES:
+            for node_id, sample in self._latest.items():
+                if not self._rule.is_open(node_id, now_ns, self._frames):
                     self._end(sample)
         return self._take()
 
@@ -96,30 +87,21 @@ class Assembler:
         if pdo.fault_mask:
             self._health.pdo(node_id, t_ns, word >> pdo.fault_shift & pdo.fault_mask)
         counter = word >> pdo.counter_shift & 0xFF if pdo.counter_shift >= 0 else -1
-        cyclic = counter >= 0 and 1 <= pdo.message.transmission_type <= LAST_CYCLIC_TYPE
-        last = self._latest.get(node_id)
-        sample = last if last is not None and self._joins(last, pdo, counter, cyclic, t_ns) else None
-        if sample is None:
-            sample = _Sample(node_id, t_ns, counter)
-            if cyclic:
-                if last is not None:
-                    self._end(last)
-                self._latest[node_id] = sample
+        cyclic = counter >= 0 and follows_sync(pdo.message)
+        number, last = pdo.message.number, self._latest.get(node_id)
+        row = self._rule.row(node_id, number, counter, cyclic, t_ns, self._frames, self._frames)
+        sample = last if last is not None and row == last.row else _Sample(row, node_id, t_ns, counter)
+        if cyclic and sample is not last:
+            if last is not None:
+                self._end(last)
+            self._latest[node_id] = sample
         if not sample.ended:
             sample.words[pdo], sample.faults = word, self._health.now(node_id)[0]
-        if cyclic:
-            sample.t_ns, sample.frame, sample.number = t_ns, self._frames, pdo.message.number
         if self._needed and not sample.ended and self._has_needed(sample):
             sample.time_ns = t_ns
             self._end(sample)
         elif not cyclic and sample is not last:
             self._end(sample)
-
-    def _joins(self, last: _Sample, pdo: Pdo, counter: int, cyclic: bool, t_ns: int) -> bool:
-        """Return whether a PDO is of the node's last sample."""
-        near = abs(t_ns - last.t_ns) <= GAP_NS and self._frames - last.frame <= GAP_FRAMES
-        later = pdo.message.number > last.number if cyclic else pdo not in last.words
-        return counter == last.counter and near and later
 
     def _has_needed(self, sample: _Sample) -> bool:
         return self._needed <= {pdo.message.name for pdo in sample.words}

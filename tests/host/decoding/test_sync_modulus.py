@@ -65,7 +65,7 @@ def test_blocks_of_any_size(name: str, size: int) -> None:
     for start in range(0, len(frames), size):
         for part in modulus.parts(frames[start : start + size]):
             for samples in decoder.decode(part).values():
-                tally.add("", samples, modulus.modulus)
+                tally.add_samples(samples, modulus.modulus)
     assert tally.lost() == {("", 5): lost}
 
 

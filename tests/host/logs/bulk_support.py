@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.logs.candump import BadLineError, CandumpParser
-from tipforce.host.logs.candump_rows import CandumpBulk
-from tipforce.host.logs.lines import PADDING_BYTES
+from tipforce.host.logs.candump import BadLineError, CandumpParser, CandumpText
 
 
 @dataclass(frozen=True)
@@ -60,17 +58,17 @@ def line_by_line(text: bytes, *, strict: bool = False, deltas: bool = False) -> 
 def in_bulk(blocks: list[bytes], *, strict: bool = False, deltas: bool = False) -> Answer:
     """What the bulk reader says of a text in blocks of whole lines."""
     parser = CandumpParser(strict=strict, deltas=deltas)
-    bulk = CandumpBulk(parser)
-    found, error = [], ""
+    bulk = CandumpText(parser)
+    found: list[FrameArray] = []
+    error = ""
     for block in blocks:
         # What stands around a block must not matter: here it looks like more of the same.
-        around = (b"9" * 7 + b"#") * (PADDING_BYTES // 8)
-        text = np.frombuffer(around + block + around, dtype=np.uint8)
+        around = b"9999999#" * 32
+        text = bytearray(around + block + around)
         try:
-            found.append(bulk.parse(text, PADDING_BYTES, PADDING_BYTES + len(block)))
+            found += bulk.parse(text, len(around), len(around) + len(block))
         except BadLineError as caught:
-            found.append(caught.block.frames)
             error = str(caught)
             break
-    frames: FrameArray = np.concatenate(found)
-    return _answer(frames, bulk.names, parser, bulk.timed, error)
+    frames: FrameArray = np.concatenate([*found, bulk.take()])
+    return _answer(frames, list(parser.names), parser, bulk.timed, error)

@@ -18,6 +18,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tipforce.core import core, how_to_build
 from tipforce.errors import InputError, WriteError
 from tipforce.host.dataset.reader import tables_of_logs
 from tipforce.host.dataset.store import is_dataset, is_url
@@ -46,6 +47,7 @@ _PIECE_BYTES = 16_000_000  # of a large log: several results fit in memory
 _FOLLOW_S = 2.0  # between looks at a growing log
 _FOLLOWED_BYTES = 16_000_000  # of a part that is written again while its log grows
 _DATASET_PIECE_BYTES = 64_000_000  # a file per node of some megabytes
+_MANY_FRAMES = 100_000  # from there on a missing core costs a second
 _JOINED = ("csv", "jsonl", "parquet")
 """Formats whose parts can be written apart."""
 
@@ -216,6 +218,8 @@ class _Run:
         args, told, summary = self._args, self.told, self.summary
         for line in summaries.notes_lines(told):
             common.note(args, line)
+        if core is None and sum(notes.frames for notes in told.notes) > _MANY_FRAMES:
+            common.note(args, f"slow, without the compiled core: {how_to_build()}")
         if told.unseen and not args.calibration:
             common.note(args, reasons.not_seen(node for _, node in told.unseen))
         if complete and not summary.samples and told.notes:

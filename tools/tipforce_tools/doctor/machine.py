@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from tipforce.core import core, how_to_build
 from tipforce.errors import TipforceError
 
 if TYPE_CHECKING:
@@ -269,6 +270,9 @@ def software_checks() -> Iterator[Check]:
     """Yield checks of versions, extras and related tools."""
     base = ", ".join(f"{name} {_version(name)}" for name in BASE)
     yield Check("software", "ok", f"tipforce {_version('tipforce')}, Python {platform.python_version()}, {base}")
+    built = core is not None
+    finding = "compiled" if built else "not compiled: logs are read more slowly"
+    yield Check("core", "ok" if built else "note", finding, "" if built else how_to_build())
     missing = [extra for extra, names in EXTRAS.items() if any(_version(name) == "missing" for name in names)]
     yield _lacks("extras", "not installed", missing, f'pip install "tipforce[{",".join(missing)}]"', "all installed")
     absent = [name for name in PEERS if shutil.which(name) is None]

@@ -116,7 +116,7 @@ class Session:
         parts = self._modulus.cuts(frames)
         for part in self._modulus.parts(frames):
             for samples in (self._counted.decode(part) if parts else decoded).values():
-                self.tally.add("", samples, self._modulus.modulus)
+                self.tally.add_samples(samples, self._modulus.modulus)
 
 
 def dump(args: Namespace) -> int:

@@ -188,7 +188,7 @@ class BusMonitor:
         for part in self._modulus.parts(frames):
             decoded = self._decoder.decode(part)
             for (node_id, name), samples in decoded.items():
-                self._tally.add("", samples, self._modulus.modulus)
+                self._tally.add_samples(samples, self._modulus.modulus)
                 self._duplicates.samples(samples, part, self._modulus.modulus)
                 self._nodes[node_id].take(name, samples)
             self._health.take(part, decoded.values())

@@ -12,22 +12,14 @@ import numpy.typing as npt
 from tipforce.arrays import IntArray
 from tipforce.host.decoding.decoder import Samples, lost_samples, unwrap_counter
 from tipforce.host.decoding.health_rows import with_channel
+from tipforce.host.decoding.sample_rule import COUNTER, follows_sync
 from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
 from tipforce.host.decoding.sync_modulus import SAMPLES
 
-COUNTER = "counter"
-LAST_CYCLIC_TYPE = 240
-"""CiA 301, table 72: up to this type a PDO follows SYNC."""
-_ALL = slice(None)
 Place = tuple[str, int, str]
 """Channel, node-id, message name."""
 TallyRow = tuple[str, int, str, int, int | None, int | None, int | None, int, int]
 """A place and the fields of its MessageCount."""
-
-
-def is_cyclic(samples: Samples) -> bool:
-    """Return whether the PDO follows SYNC and has a counter: each sample is due."""
-    return COUNTER in samples.columns and 1 <= samples.message.transmission_type <= LAST_CYCLIC_TYPE
 
 
 @dataclass(slots=True)
@@ -76,12 +68,15 @@ class Tally:
     messages: dict[Place, MessageCount] = field(default_factory=dict)
     short: dict[Place, int] = field(default_factory=dict)
 
-    def add(self, channel: str, samples: Samples, modulus: int, kept: npt.NDArray[np.bool_] | slice = _ALL) -> None:
-        """Count the ``kept`` of some samples; ``modulus`` of their counters: see ``SyncModulus``."""
-        place = channel, samples.node_id, samples.message.name
-        count = self.messages.setdefault(place, MessageCount())
-        counter = samples.columns[COUNTER][kept] if is_cyclic(samples) else None
-        count.add(len(samples.row[kept]), counter, modulus)
+    def add(self, place: Place, frames: int, counter: npt.NDArray[Any] | None, modulus: int) -> None:
+        """Count frames and their counters, of ``modulus`` (``SyncModulus``); None if these cannot show losses."""
+        self.messages.setdefault(place, MessageCount()).add(frames, counter, modulus)
+
+    def add_samples(self, samples: Samples, modulus: int) -> None:
+        """Count the samples of a bus."""
+        cyclic = COUNTER in samples.columns and follows_sync(samples.message)
+        place = "", samples.node_id, samples.message.name
+        self.add(place, len(samples.row), samples.columns[COUNTER] if cyclic else None, modulus)
 
     def append(self, other: Tally) -> None:
         """Add the counts of the next part."""

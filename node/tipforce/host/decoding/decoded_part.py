@@ -21,7 +21,8 @@ from tipforce.host.decoding.duplicates import services
 from tipforce.host.decoding.health_rows import Change, HealthChanges
 from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading, Source
 from tipforce.host.decoding.recording import Recording, State
-from tipforce.host.decoding.sample_merger import GAP_FRAMES, GAP_NS, OpenRows, SampleMerger
+from tipforce.host.decoding.sample_merger import OpenRows, SampleMerger
+from tipforce.host.decoding.sample_rule import GAP_FRAMES, GAP_NS
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.frames.frame_array import FrameArray
 

@@ -179,7 +179,7 @@ class Decoder:
         ``signals`` names the wanted signals; nothing else is computed, and messages without any of them are omitted.
         Remote and error frames and unknown identifiers are ignored. Raises InputError for a name that no message has.
         """
-        plan = self._plan(signals)
+        plan = self.plan(signals)
         if not len(frames):
             return {}
         return self._decode_few(frames, plan) if len(frames) <= FEW else self._decode_many(frames, plan)
@@ -244,7 +244,8 @@ class Decoder:
             self.malformed[key] = self.malformed.get(key, 0) + int(counts[number])
         slot[short] = _NO_SLOT
 
-    def _plan(self, signals: Iterable[str] | None) -> Plan:
+    def plan(self, signals: Iterable[str] | None) -> Plan:
+        """Return the slots of the present layouts, for ``signals`` as of ``decode``. Raises InputError as that."""
         wanted = None if signals is None else frozenset(signals)
         if wanted not in self._plans:
             if len(self._plans) > 64:  # a caller with new signals in each call must not fill the memory

@@ -104,18 +104,7 @@ class SocketLink(Link):
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
         """See Link; the kernel sends them (CAN_BCM). Raises EnvironmentLackError."""
-        messages = [can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=number) for number in data]
-        try:
-            task = self._bus.send_periodic(messages, period_s)
-        except (can.CanError, OSError) as error:
-            text = f"SYNC by the kernel's broadcast manager: {error}; `modprobe can-bcm`"
-            raise EnvironmentLackError(text) from error
-
-        def stop() -> None:
-            with suppress(can.CanError, OSError):  # a removed interface has removed its tasks too
-                task.stop()
-
-        return stop
+        return kernel_sync(self._bus, period_s, data)
 
     @property
     def dropped(self) -> int:
@@ -136,6 +125,24 @@ def open_link(options: Mapping[str, Any]) -> Link:
 def sync_data(first: int, overflow: int = LARGEST) -> list[bytes]:
     """Return the data of SYNCs to send in turn: numbers from ``first`` up to ``overflow`` and on from 1; 0: without."""
     return [bytes(((first + k - 1) % overflow + 1,)) for k in range(overflow)] if first else [b""]
+
+
+def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
+    """Send SYNCs with ``data`` in turn by CAN_BCM on python-can's SocketCAN bus, until the returned function is called.
+
+    Raises EnvironmentLackError.
+    """
+    messages = [can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=number) for number in data]
+    try:
+        task = bus.send_periodic(messages, period_s)
+    except (can.CanError, OSError) as error:
+        raise EnvironmentLackError(f"SYNC by the kernel's broadcast manager: {error}; `modprobe can-bcm`") from error
+
+    def stop() -> None:
+        with suppress(can.CanError, OSError):  # a removed interface has removed its tasks too
+            task.stop()
+
+    return stop
 
 
 class ThreadSync:

@@ -16,6 +16,7 @@ from itertools import islice
 import numpy as np
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
+from tipforce.core import core
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, SENT, FrameArray
 from tipforce.host.frames.frame_block import (
@@ -28,8 +29,8 @@ from tipforce.host.frames.frame_block import (
 )
 
 __all__ = [
-    "BLOCK_LINES", "EXPECTED", "BadLine", "BadLineError", "CandumpBlock", "CandumpParser", "read_candump",
-    "text_blocks",
+    "BLOCK_LINES", "EXPECTED", "BadLine", "BadLineError", "CandumpBlock", "CandumpParser", "CandumpText",
+    "read_candump", "text_blocks",
 ]  # fmt: skip
 
 EXPECTED = {
@@ -44,6 +45,7 @@ EXPECTED = {
 
 BLOCK_LINES = 8192
 _CHUNK_BYTES = 1 << 18
+_ROOM_BYTES = 65_536 * FRAME.itemsize
 _LAST_NS = (1 << 63) - 1  # in the year 2262
 _MAX_KEPT = 100
 _SHOWN_CHARACTERS = 80
@@ -103,6 +105,7 @@ class CandumpParser:
     fd_frames: int = 0
     dropped: int = 0
     _names: dict[str, int] = field(default_factory=dict)
+    _spaced: bytes = b""  # the names, each followed by a space
     _dates: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -229,12 +232,72 @@ class CandumpParser:
             if len(self._names) >= MAX_CHANNELS:
                 raise ValueError("interface")
             number = self._names[name] = len(self._names)
+            self._spaced += name.encode("utf-8", "surrogatepass") + b" "
         return number
+
+    def plain(self, text: bytearray, begin: int, end: int, room: bytearray, count: int) -> tuple[int, int, bool]:
+        """Store the frames of plain lines, up to the first line for ``frame``: see ``parse`` of the compiled core.
+
+        Return the place behind the last line, the number of frames in ``room``, and whether all lines had a time.
+        Without the core no line is plain.
+        """
+        if core is None:
+            return begin, count, True
+        date, seconds = next(iter(self._dates.items()), ("", 0))
+        if not 0 <= seconds <= _LAST_NS // 1_000_000_000:
+            date, seconds = "", 0
+        place, count, lines, self.last_ns, timed = core.parse(
+            text, begin, end, room, count, self._spaced, self.last_ns, self.deltas, date.encode(), seconds
+        )
+        self.line_number += lines
+        return place, count, timed != 0
 
     def _note(self, bad: BadLine) -> None:
         self.bad[bad.reason] = self.bad.get(bad.reason, 0) + 1
         if len(self.bad_lines) < _MAX_KEPT:
             self.bad_lines.append(bad)
+
+
+class CandumpText:
+    """The frames of text in blocks of whole lines, gathered in larger ones. ``timed``: all had a timestamp."""
+
+    def __init__(self, parser: CandumpParser) -> None:
+        self.parser = parser
+        self.timed = True
+        self.count = 0
+        """Frames gathered since the last block."""
+        self._room = bytearray(_ROOM_BYTES)
+
+    def parse(self, text: bytearray, begin: int, end: int) -> Iterator[FrameArray]:
+        """Read the lines ``text[begin:end]``, and yield blocks that are full.
+
+        Raises BadLineError with no frames if the parser is strict; ``take`` returns those before the bad line.
+        """
+        parser = self.parser
+        while begin < end:
+            if self.count * FRAME.itemsize == _ROOM_BYTES:
+                yield self.take()
+            begin, self.count, timed = parser.plain(text, begin, end, self._room, self.count)
+            self.timed &= timed
+            if begin == end or self.count * FRAME.itemsize == _ROOM_BYTES:
+                continue
+            line_end = text.find(b"\n", begin, end)
+            line_end = end if line_end < 0 else line_end
+            content = parser.frame(parser.line_number + 1, text[begin:line_end].decode("utf-8", "replace"))
+            begin = line_end + 1
+            if isinstance(content, FdFrame):
+                self.timed &= content.t_ns >= 0
+            elif content is not None:
+                place = self.count * FRAME.itemsize
+                self._room[place : place + FRAME.itemsize], timed = content
+                self.timed &= timed
+                self.count += 1
+
+    def take(self) -> FrameArray:
+        """Return the gathered frames."""
+        frames: FrameArray = np.frombuffer(self._room, dtype=FRAME, count=self.count)
+        self._room, self.count = bytearray(_ROOM_BYTES), 0
+        return frames
 
 
 def read_candump(

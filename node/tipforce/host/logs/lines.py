@@ -82,15 +82,10 @@ BLOCK_ROWS = 8192
 BLOCK_BYTES = 1 << 19
 """Small enough that a block and its results stay in the processor's cache; also the longest line."""
 
-PADDING_BYTES = 256
-"""Memory before and after the lines of a block, so that a reader may read past them."""
-
 TOO_LONG = "not a candump line"
 _POLL_S = 0.05
 _BOM = b"\xef\xbb\xbf"
 _KEPT_BYTES = 1 << 24
-
-Text = npt.NDArray[np.uint8]
 
 
 def row_blocks(path: Path, rows: Iterator[bytes], notes: LogNotes) -> Iterator[FrameArray]:
@@ -123,10 +118,10 @@ def open_file(path: Path) -> FileIO:
 
 
 class LineBlocks:
-    """Yield blocks of whole lines as (text, begin, end): the lines are ``text[begin:end]``, uint8.
+    """Yield blocks of whole lines as (text, begin, end): the lines are ``text[begin:end]``.
 
-    PADDING_BYTES before and after them may be read too. The memory is reused for the next block. The last line
-    may lack its line end. A line of more than BLOCK_BYTES, and truncated packed data, are noted as bad.
+    The memory is reused for the next block. The last line may lack its line end. A line of more than BLOCK_BYTES, and
+    truncated packed data, are noted as bad.
     ``source`` None is stdin: it returns available data at once. ``follow`` waits for more at the end of a
     file, and restarts a file that has become shorter. ``live``: a consumer waits for each block. ``part`` of a
     plain file: from its first byte to after its last (None: the end), both at line starts, as ``line_borders``
@@ -160,8 +155,7 @@ class LineBlocks:
         # Allocated and freed once, so that the C library keeps memory freed later, up to twice as much. Otherwise each
         # block's arrays are returned to the system and mapped again, which doubles the time. It is never written.
         np.empty(_KEPT_BYTES, dtype=np.uint8)
-        self._storage = bytearray(PADDING_BYTES + BLOCK_BYTES + PADDING_BYTES)
-        self._text: Text = np.frombuffer(self._storage, dtype=np.uint8)
+        self._storage = bytearray(BLOCK_BYTES)
 
     def close(self) -> None:
         """Close the file."""
@@ -175,43 +169,40 @@ class LineBlocks:
         except (OSError, ValueError):
             return 0
 
-    def __iter__(self) -> Iterator[tuple[Text, int, int]]:
+    def __iter__(self) -> Iterator[tuple[bytearray, int, int]]:
         storage = self._storage
-        begin = filled = PADDING_BYTES
+        filled = 0
         skipping, first = False, not self._start
         while count := self._read(filled):
             end = storage.rfind(b"\n", filled, filled + count) + 1
             filled += count
             if not end:
-                if filled == PADDING_BYTES + BLOCK_BYTES:
-                    skipping, filled = True, PADDING_BYTES
+                if filled == BLOCK_BYTES:
+                    skipping, filled = True, 0
                 continue
+            begin = self._mark_bytes() if first else 0
             if skipping:
-                begin = storage.index(b"\n", PADDING_BYTES) + 1
+                begin = storage.index(b"\n") + 1
                 self._too_long()
-            elif first:
-                begin = self._behind_mark()
             if begin < end:
-                yield self._text, begin, end
-            storage[PADDING_BYTES : PADDING_BYTES + filled - end] = storage[end:filled]
-            filled -= end - PADDING_BYTES
-            begin = PADDING_BYTES
+                yield storage, begin, end
+            storage[: filled - end] = storage[end:filled]
+            filled -= end
             skipping = first = False
         if skipping:
             self._too_long()
-        elif filled > PADDING_BYTES and not self._broken:
-            begin = self._behind_mark() if first else PADDING_BYTES
-            yield self._text, begin, filled
+        elif filled and not self._broken:
+            yield storage, self._mark_bytes() if first else 0, filled
 
-    def _behind_mark(self) -> int:
-        """Return the start of the text in the first block: after a byte order mark."""
-        return PADDING_BYTES + (len(_BOM) if self._storage.startswith(_BOM, PADDING_BYTES) else 0)
+    def _mark_bytes(self) -> int:
+        """Return the length of a byte order mark at the start of the text."""
+        return len(_BOM) if self._storage.startswith(_BOM) else 0
 
     def _read(self, filled: int) -> int:
         """Append to the first ``filled`` bytes; 0 at the end."""
         with memoryview(self._storage) as view:
             while True:
-                limit = PADDING_BYTES + BLOCK_BYTES
+                limit = BLOCK_BYTES
                 if self._end is not None:
                     limit = min(limit, filled + self._end - self._file.tell())
                 try:

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce.host.logs.candump import BadLine, BadLineError, CandumpParser
-from tipforce.host.logs.candump_rows import CandumpBulk
+from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.logs.candump import BadLine, BadLineError, CandumpParser, CandumpText
 from tipforce.host.logs.lines import DROPPED, FD, LineBlocks, LogNotes, open_file
 from tipforce.host.logs.unpacking import first_bytes
 
@@ -19,7 +18,6 @@ MESSAGE_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")
 """Formats that python-can reads; each may be followed by .gz."""
 
 _BLOCK_FRAMES = 40_000  # decoding a block costs about as much per node as a thousand frames
-_ROOM_FRAMES = 65_536
 MCAP_MAGIC = b"\x89MCAP"
 _PCAP_STARTS = (b"\xa1\xb2\xc3\xd4", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\x4d\x3c\xb2\xa1", b"\x0a\x0d\x0d\x0a")
 
@@ -98,33 +96,33 @@ class LogReader(LogNotes):
 
     def _text_blocks(self, lines: LineBlocks, deltas: bool) -> Iterator[FrameArray]:
         parser = CandumpParser(strict=self.strict, deltas=deltas)
-        bulk = CandumpBulk(parser)
-        self.channels = bulk.names
-        gathered = _Gathered()
+        gathered = CandumpText(parser)
         error: InputError | None = None
         try:
             for text, begin, end in lines:
                 parser.line_number += lines.left_out
                 lines.left_out = 0
-                yield from gathered.add(bulk.parse(text, begin, end, gathered.room))
-                self.timed = bulk.timed
-                self._take_counts(parser)
+                for block in gathered.parse(text, begin, end):
+                    self._take_notes(gathered)
+                    yield block
+                self._take_notes(gathered)
                 if lines.live or gathered.count >= _BLOCK_FRAMES:
                     yield gathered.take()
         except InputError as bad:  # strict: return the frames before it first
             error = bad
             if isinstance(bad, BadLineError):
                 self.first_bad_line = bad.bad
-                yield from gathered.add(bad.block.frames)
-        self.timed = bulk.timed
-        self._take_counts(parser)
+        self._take_notes(gathered)
         self.lines = parser.line_number + lines.left_out
         yield gathered.take()
         if error is not None:
             raise error
 
-    def _take_counts(self, parser: CandumpParser) -> None:
-        """Move the parser's counts to the notes."""
+    def _take_notes(self, gathered: CandumpText) -> None:
+        """Move the parser's counts to the notes, and copy what else it says."""
+        parser = gathered.parser
+        self.channels[:] = parser.names
+        self.timed = gathered.timed
         self.skip(FD, parser.fd_frames)
         self.skip(DROPPED, parser.dropped)
         parser.fd_frames = parser.dropped = 0
@@ -150,35 +148,6 @@ class LogReader(LogNotes):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-class _Gathered:
-    """Frames of several blocks of text in one array: ``room`` is its free part, ``count`` the frames in it."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._frames: FrameArray = np.empty(_ROOM_FRAMES, dtype=FRAME)
-
-    @property
-    def room(self) -> FrameArray:
-        """Free part of the array, for the next frames."""
-        return self._frames[self.count :]
-
-    def add(self, frames: FrameArray) -> Iterator[FrameArray]:
-        """Add frames that were written in ``room``, or elsewhere; yield blocks that had to make space."""
-        if frames.base is not self._frames:
-            if len(frames) > len(self.room):
-                yield self.take()
-                yield frames
-                return
-            self.room[: len(frames)] = frames
-        self.count += len(frames)
-
-    def take(self) -> FrameArray:
-        """Return the collected frames; the next ones go to a new array."""
-        frames, self.count = self._frames[: self.count], 0
-        self._frames = np.empty(_ROOM_FRAMES, dtype=FRAME)
-        return frames
 
 
 open_log = LogReader

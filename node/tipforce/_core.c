@@ -1,0 +1,470 @@
+/* The compiled core: candump text to FRAME records, and the PDOs of one latch to rows.
+
+   These are the fast bodies of Python functions that do the same. `parse` leaves lines that are not of
+   the plain forms below to host/logs/candump.py, which alone judges them; `join` is join_here of
+   host/decoding/sample_rule.py. Without this module everything works, slower. Limited API of Python
+   3.11: one build for all later versions. */
+
+#define PY_SSIZE_T_CLEAN
+#define Py_LIMITED_API 0x030B0000
+#include <Python.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
+#error "FRAME is little-endian"
+#endif
+
+typedef unsigned char Byte;
+
+enum { FRAME_BYTES = 24, DATA_BYTES = 8, CHANNELS = 256, DATE_BYTES = 19, NOT_HEX = 16 };
+
+static const uint64_t SECOND_NS = 1000000000u;
+static const uint32_t STANDARD_MASK = 0x7FF, EXTENDED_MASK = 0x1FFFFFFF;
+static const uint32_t ERROR_FLAG = 0x20000000, EXTENDED_FLAG = 0x80000000;
+
+static Byte HEX[256]; /* by character: its value, or NOT_HEX */
+
+/* --- candump text ----------------------------------------------------------------------------- */
+
+typedef struct {
+    const Byte *names[CHANNELS + 1]; /* of the channels, each followed by a space; the last is their end */
+    int channels, recent;
+    const Byte *date; /* the one date that is known, and its time */
+    uint64_t date_s;
+    uint64_t last_ns; /* of the last line with a time */
+    int deltas, timed;
+} Text;
+
+static const Byte *behind_spaces(const Byte *p, const Byte *end) {
+    while (p < end && *p == ' ')
+        p++;
+    return p;
+}
+
+/* Read decimal digits, `most` at most; return what is behind them. */
+static const Byte *decimal(const Byte *p, const Byte *end, int most, uint64_t *value) {
+    uint64_t sum = 0;
+    for (; most && p < end && *p >= '0' && *p <= '9'; p++, most--)
+        sum = 10 * sum + (*p - '0');
+    *value = sum;
+    return p;
+}
+
+/* Read "(seconds.fraction)"; return what is behind it, NULL for any other stamp. */
+static const Byte *read_stamp(const Text *text, const Byte *p, const Byte *end, uint64_t *t_ns) {
+    uint64_t seconds, fraction;
+    int is_date = text->date && end - p > DATE_BYTES && !memcmp(p + 1, text->date, DATE_BYTES);
+    const Byte *start = p + 1;
+    p = is_date ? start + DATE_BYTES : decimal(start, end, 10, &seconds);
+    if (is_date)
+        seconds = text->date_s;
+    if (p == start || p >= end || *p != '.')
+        return NULL;
+    start = p + 1;
+    p = decimal(start, end, 9, &fraction);
+    if (p - start == 6)
+        fraction *= 1000;
+    else if (p - start != 9 || is_date)
+        return NULL;
+    *t_ns = seconds * SECOND_NS + fraction; /* below 1e19: fits */
+    if (*t_ns > INT64_MAX || p >= end || *p != ')')
+        return NULL;
+    if (text->deltas)
+        *t_ns += text->last_ns;
+    return *t_ns > INT64_MAX ? NULL : p + 1;
+}
+
+/* Read a channel's name and the spaces behind it; return what is behind them, NULL for another name. */
+static const Byte *read_name(Text *text, const Byte *p, const Byte *end) {
+    for (int tried = -1; tried < text->channels; tried++) {
+        int k = tried < 0 ? text->recent : tried;
+        if (k < text->channels) {
+            Py_ssize_t size = text->names[k + 1] - text->names[k];
+            if (size <= end - p && !memcmp(p, text->names[k], (size_t)size)) {
+                text->recent = k;
+                return behind_spaces(p + size, end);
+            }
+        }
+    }
+    return NULL;
+}
+
+/* Read an identifier of 3 or 8 digits; return what is behind it, NULL for any other. */
+static const Byte *read_identifier(const Byte *p, const Byte *end, uint32_t *can_id) {
+    const Byte *start = p;
+    uint32_t id = 0;
+    for (; p < end && p - start < 9 && HEX[*p] != NOT_HEX; p++)
+        id = id << 4 | HEX[*p];
+    if (p - start == 3 && id <= STANDARD_MASK)
+        *can_id = id;
+    else if (p - start == 8 && id <= (ERROR_FLAG | EXTENDED_MASK))
+        *can_id = id & ERROR_FLAG ? id : id | EXTENDED_FLAG;
+    else
+        return NULL;
+    return p;
+}
+
+/* Read pairs of digits, `gap` spaces between them; return how many, -1 for more than eight or half a pair. */
+static int read_data(const Byte **at, const Byte *end, int gap, Byte *data) {
+    const Byte *p = *at;
+    int count = 0;
+    while (end - p >= 2 && HEX[p[0]] != NOT_HEX) {
+        if (count == DATA_BYTES || HEX[p[1]] == NOT_HEX)
+            return -1;
+        data[count++] = (Byte)(HEX[p[0]] << 4 | HEX[p[1]]);
+        p += 2;
+        if (gap && p < end && *p++ != ' ')
+            return -1;
+    }
+    *at = p;
+    return count;
+}
+
+/* Store the frame of a line; return 0, and store nothing, for a line that the Python parser has to judge. */
+static int read_line(Text *text, const Byte *p, const Byte *end, Byte *frame) {
+    while (end > p && (end[-1] == ' ' || end[-1] == '\r'))
+        end--;
+    int indented = p < end && *p == ' ', timed = 0, sent = 0, way = 0, length, told;
+    uint64_t t_ns = 0;
+    uint32_t can_id;
+    Byte data[DATA_BYTES] = {0};
+    p = behind_spaces(p, end);
+    if (p < end && *p == '(') {
+        const Byte *stamp = read_stamp(text, p, end, &t_ns);
+        if (!stamp || stamp == end || *stamp != ' ')
+            return 0;
+        p = behind_spaces(stamp, end);
+        timed = 1;
+    }
+    if (!(p = read_name(text, p, end)))
+        return 0;
+    if (end - p > 7 && (*p == 'R' || *p == 'T')) { /* candump -x */
+        if (p[1] != 'X' || memcmp(p + 2, " - - ", 5))
+            return 0;
+        way = 1;
+        sent = *p == 'T';
+        p = behind_spaces(p + 7, end);
+    }
+    if (!(p = read_identifier(p, end, &can_id)) || p == end)
+        return 0;
+    if (*p == '#' && timed && !indented && !way) { /* the log format */
+        p++;
+        length = told = read_data(&p, end, 0, data);
+        if (p < end && *p == ' ') { /* python-can's R or T */
+            p = behind_spaces(p, end);
+            sent = p < end && *p == 'T';
+            if (p < end && (*p == 'R' || *p == 'T'))
+                p++;
+        }
+    } else { /* the screen format */
+        if (*p != ' ')
+            return 0;
+        p = behind_spaces(p, end);
+        if (end - p < 3 || p[0] != '[' || p[1] < '0' || p[1] > '8' || p[2] != ']')
+            return 0;
+        told = p[1] - '0';
+        p = behind_spaces(p + 3, end);
+        length = read_data(&p, end, 1, data);
+    }
+    if (p != end || length != told || length < 0)
+        return 0;
+    memcpy(frame, &t_ns, 8);
+    memcpy(frame + 8, &can_id, 4);
+    frame[12] = (Byte)length;
+    frame[13] = (Byte)text->recent;
+    frame[14] = (Byte)sent;
+    frame[15] = 0;
+    memcpy(frame + 16, data, DATA_BYTES);
+    if (timed)
+        text->last_ns = t_ns;
+    else
+        text->timed = 0;
+    return 1;
+}
+
+/* Set the channels from their names, each followed by a space; return 0 if there are too many. */
+static int set_names(Text *text, const Byte *names, Py_ssize_t size) {
+    const Byte *end = names + size;
+    text->channels = text->recent = 0;
+    text->names[0] = names;
+    while (names < end && (names = memchr(names, ' ', (size_t)(end - names)))) {
+        if (text->channels == CHANNELS)
+            return 0;
+        text->names[++text->channels] = ++names;
+    }
+    return 1;
+}
+
+PyDoc_STRVAR(parse_doc,
+"parse(text, begin, end, room, count, names, last_ns, deltas, date, date_s) -> (place, count, lines, last_ns, timed)\n\n"
+"Store the frames of the lines text[begin:end] in ``room``, FRAME (n,), behind the first ``count``, up to the first\n"
+"line that is not plain, or until ``room`` is full. Return the place behind the last line read, the frames in ``room``,\n"
+"the number of lines, the time of the last one, and whether all had a time. ``names``: of the channels, each followed\n"
+"by a space; ``date``: the one that is known, or empty, and its seconds since 1970.");
+
+static PyObject *parse(PyObject *module, PyObject *args) {
+    Py_buffer text, room, names, date;
+    Py_ssize_t begin, end, count;
+    unsigned long long last_ns, date_s;
+    Text state = {.timed = 1};
+    PyObject *found = NULL;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*nnw*ny*Kpy*K", &text, &begin, &end, &room, &count, &names, &last_ns, &state.deltas,
+                          &date, &date_s))
+        return NULL;
+    Py_ssize_t most = room.len / FRAME_BYTES, lines = 0;
+    if (begin < 0 || end < begin || end > text.len || count < 0 || count > most ||
+        (date.len && date.len != DATE_BYTES) || last_ns > INT64_MAX || date_s > 10 * SECOND_NS ||
+        !set_names(&state, names.buf, names.len)) {
+        PyErr_SetString(PyExc_ValueError, "parse: arguments");
+        goto done;
+    }
+    state.date = date.len ? date.buf : NULL;
+    state.date_s = date_s;
+    state.last_ns = last_ns;
+    const Byte *start = text.buf, *p = start + begin, *last = start + end;
+    Byte *frames = room.buf;
+    Py_BEGIN_ALLOW_THREADS
+    while (p < last && count < most) {
+        const Byte *line_end = memchr(p, '\n', (size_t)(last - p));
+        if (!read_line(&state, p, line_end ? line_end : last, frames + count * FRAME_BYTES))
+            break;
+        count++;
+        lines++;
+        p = line_end ? line_end + 1 : last;
+    }
+    Py_END_ALLOW_THREADS
+    found = Py_BuildValue("nnnKi", (Py_ssize_t)(p - start), count, lines, (unsigned long long)state.last_ns, state.timed);
+done:
+    PyBuffer_Release(&text);
+    PyBuffer_Release(&room);
+    PyBuffer_Release(&names);
+    PyBuffer_Release(&date);
+    return found;
+}
+
+/* --- rows of samples -------------------------------------------------------------------------- */
+
+enum { NO_COUNTER = -1, ORDER = 0, ROW, FIRST, COUNTER, HELD, HELD_NUMBER, COLUMNS, MESSAGES = 256 };
+
+typedef struct { /* SLOT of sample_rule.py: a message of a node */
+    uint32_t sender;
+    int16_t shift, mask; /* of the counter, shift -1 for none */
+    Byte message, length, cyclic, used;
+    uint16_t key;
+    Byte spare[2];
+} Slot;
+
+typedef struct { /* the last row of a sender, and its last frame that follows SYNC */
+    int64_t row, t_ns, number;
+    int known, counter, message;
+    Byte events[MESSAGES / 8]; /* the other messages in the row */
+} Last;
+
+typedef struct { /* a decoded frame: its index and slot, and the decoded frame with which its row begins */
+    int64_t frame, number, start;
+    uint32_t slot;
+    int counter;
+} Decoded;
+
+typedef struct {
+    const Byte *frames;
+    const uint32_t *slots;
+    const Slot *layouts;
+    const int64_t *held_number;
+    int64_t *work[COLUMNS], *ends, *short_frames;
+    Py_ssize_t count, kinds, senders, held;
+    int64_t number, gap_ns, gap_frames;
+} Join;
+
+static int64_t time_of(const Byte *frame) {
+    int64_t t_ns;
+    memcpy(&t_ns, frame, sizeof t_ns);
+    return t_ns;
+}
+
+static int near(int64_t a, int64_t b, int64_t gap) {
+    uint64_t distance = a > b ? (uint64_t)a - (uint64_t)b : (uint64_t)b - (uint64_t)a;
+    return distance <= (uint64_t)gap;
+}
+
+/* Return the row of a frame that would begin the row `row`: SampleRule.row of sample_rule.py. */
+static int64_t row_of(const Join *job, Last *last, const Slot *slot, int counter, int64_t t_ns, int64_t number,
+                      int64_t row) {
+    Byte *events = &last->events[slot->message / 8], event = (Byte)(1 << slot->message % 8);
+    int joins = last->known && counter == last->counter && near(t_ns, last->t_ns, job->gap_ns) &&
+                number - last->number <= job->gap_frames;
+    if (counter == NO_COUNTER)
+        return row;
+    if (!slot->cyclic) {
+        if (!joins || *events & event)
+            return row;
+        *events |= event;
+        return last->row;
+    }
+    if (!joins || slot->message <= last->message) {
+        last->row = row;
+        memset(last->events, 0, sizeof last->events);
+    }
+    last->known = 1;
+    last->counter = counter;
+    last->message = slot->message;
+    last->t_ns = t_ns;
+    last->number = number;
+    return last->row;
+}
+
+/* Give each frame that can be decoded its row; return how many there are, -1 for a slot out of range. */
+static Py_ssize_t give_rows(Join *job, Last *last, Decoded *decoded) {
+    Py_ssize_t found = 0;
+    for (Py_ssize_t k = 0; k < job->count; k++) {
+        const Byte *frame = job->frames + k * FRAME_BYTES;
+        uint32_t kind = job->slots[k];
+        if (kind >= (uint32_t)job->kinds || job->layouts[kind].sender >= (uint32_t)job->senders)
+            return -1;
+        const Slot *slot = &job->layouts[kind];
+        if (!kind)
+            continue;
+        if (frame[12] < slot->length) {
+            job->short_frames[kind]++;
+            continue;
+        }
+        if (!slot->used)
+            continue;
+        uint64_t word;
+        memcpy(&word, frame + 16, sizeof word);
+        int64_t number = found < job->held ? job->held_number[found] : job->number++;
+        int counter = NO_COUNTER;
+        if (slot->shift >= 0 && slot->shift < 64)
+            counter = (int)(word >> slot->shift & (uint64_t)slot->mask);
+        int64_t start = row_of(job, &last[slot->sender], slot, counter, time_of(frame), number, found);
+        decoded[found++] = (Decoded){k, number, start, kind, counter};
+    }
+    return found;
+}
+
+/* Store the rows that no later frame can join: those before the first open one. */
+static Py_ssize_t store_rows(Join *job, const Last *last, const Decoded *decoded, Py_ssize_t found, int is_last,
+                             Py_ssize_t *held) {
+    int64_t end = found, rows = 0, sum = 0;
+    for (Py_ssize_t k = 0; !is_last && found && k < job->senders; k++) {
+        const Decoded *newest = &decoded[found - 1];
+        int64_t now = time_of(job->frames + newest->frame * FRAME_BYTES);
+        if (last[k].known && (now <= last[k].t_ns || near(now, last[k].t_ns, job->gap_ns)) &&
+            newest->number - last[k].number < job->gap_frames && last[k].row < end)
+            end = last[k].row;
+    }
+    int64_t *row = job->work[HELD]; /* of each decoded frame that begins one; the held frames follow at the end */
+    for (Py_ssize_t k = 0; k < found; k++) {
+        if (decoded[k].start == k && k < end) {
+            job->work[FIRST][rows] = decoded[k].frame;
+            job->work[COUNTER][rows] = decoded[k].counter;
+            row[k] = rows++;
+        }
+        job->ends[decoded[k].slot] += decoded[k].start < end;
+    }
+    for (Py_ssize_t k = 0; k < job->kinds; k++) { /* the place of a slot's first frame, which grows to its end */
+        int64_t frames = job->ends[k];
+        job->ends[k] = sum;
+        sum += frames;
+    }
+    for (Py_ssize_t k = 0; k < found; k++)
+        if (decoded[k].start < end) {
+            int64_t place = job->ends[decoded[k].slot]++;
+            job->work[ORDER][place] = decoded[k].frame;
+            job->work[ROW][place] = row[decoded[k].start];
+        }
+    *held = 0;
+    for (Py_ssize_t k = 0; k < found; k++)
+        if (decoded[k].start >= end) {
+            job->work[HELD_NUMBER][*held] = decoded[k].number;
+            job->work[HELD][(*held)++] = decoded[k].frame;
+        }
+    return rows;
+}
+
+PyDoc_STRVAR(join_doc,
+"join(frames, slots, layouts, held_number, number, senders, gap_ns, gap_frames, last, work, ends, short)\n"
+"-> (rows, held, number): see join_here of host/decoding/sample_rule.py.");
+
+static PyObject *join(PyObject *module, PyObject *args) {
+    Py_buffer frames, slots, layouts, held_number, work, ends, short_frames;
+    Join job;
+    long long number, gap_ns, gap_frames;
+    int is_last;
+    PyObject *result = NULL;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*y*y*LnLLpw*w*w*", &frames, &slots, &layouts, &held_number, &number, &job.senders,
+                          &gap_ns, &gap_frames, &is_last, &work, &ends, &short_frames))
+        return NULL;
+    job.frames = frames.buf;
+    job.slots = slots.buf;
+    job.layouts = layouts.buf;
+    job.held_number = held_number.buf;
+    job.ends = ends.buf;
+    job.short_frames = short_frames.buf;
+    job.count = frames.len / FRAME_BYTES;
+    job.kinds = layouts.len / (Py_ssize_t)sizeof(Slot);
+    job.held = held_number.len / 8;
+    job.number = number;
+    job.gap_ns = gap_ns;
+    job.gap_frames = gap_frames;
+    for (int k = 0; k < COLUMNS; k++)
+        job.work[k] = (int64_t *)work.buf + k * job.count;
+    Last *last = NULL;
+    Decoded *decoded = NULL;
+    if (slots.len != job.count * 4 || work.len != job.count * 8 * COLUMNS || ends.len != job.kinds * 8 ||
+        short_frames.len != ends.len || job.senders < 0 || job.senders > 1 << 16 || gap_ns < 0) {
+        PyErr_SetString(PyExc_ValueError, "join: arguments");
+        goto done;
+    }
+    last = PyMem_Calloc((size_t)job.senders + 1, sizeof *last);
+    decoded = PyMem_Malloc(((size_t)job.count + 1) * sizeof *decoded);
+    if (!last || !decoded) {
+        PyErr_NoMemory();
+        goto done;
+    }
+    Py_ssize_t found = give_rows(&job, last, decoded), held = 0;
+    if (found < 0) {
+        PyErr_SetString(PyExc_ValueError, "join: slots");
+        goto done;
+    }
+    Py_ssize_t rows = store_rows(&job, last, decoded, found, is_last, &held);
+    result = Py_BuildValue("nnL", rows, held, (long long)job.number);
+done:
+    PyMem_Free(last);
+    PyMem_Free(decoded);
+    PyBuffer_Release(&frames);
+    PyBuffer_Release(&slots);
+    PyBuffer_Release(&layouts);
+    PyBuffer_Release(&held_number);
+    PyBuffer_Release(&work);
+    PyBuffer_Release(&ends);
+    PyBuffer_Release(&short_frames);
+    return result;
+}
+
+/* --- module ----------------------------------------------------------------------------------- */
+
+static PyMethodDef METHODS[] = {
+    {"parse", parse, METH_VARARGS, parse_doc},
+    {"join", join, METH_VARARGS, join_doc},
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_core", NULL, -1, METHODS, NULL, NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit__core(void) {
+    memset(HEX, NOT_HEX, sizeof HEX);
+    for (int k = 0; k < 16; k++) {
+        HEX[(Byte)"0123456789abcdef"[k]] = (Byte)k;
+        HEX[(Byte)"0123456789ABCDEF"[k]] = (Byte)k;
+    }
+    PyObject *module = PyModule_Create(&MODULE);
+    if (module && PyModule_AddIntConstant(module, "INTERFACE", 2) < 0) {
+        Py_DECREF(module);
+        return NULL;
+    }
+    return module;
+}

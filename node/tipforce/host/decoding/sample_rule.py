@@ -1,0 +1,186 @@
+"""The PDOs of one latch become a sample of their node: the one rule for a finger, a page and a log.
+
+A node sends the PDOs of one SYNC in their order and with the counter of one latched sample. So a PDO that follows SYNC
+continues the node's sample if the counter is the same, the PDO a later one and the gap small. An event-driven PDO
+carries the counter of the last latch: it joins the node's last sample if that has the same counter, and no PDO of its
+kind yet. Every other PDO is a sample of its own. The rule uses only pairs of frames, so the samples do not depend on
+how frames are cut into calls.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.core import core
+from tipforce.dictionary.signals import Message
+from tipforce.host.decoding.columns import is_plain
+from tipforce.host.decoding.sample_table import NO_COUNTER
+from tipforce.host.frames.frame_array import FrameArray
+
+COUNTER = "counter"
+LAST_CYCLIC_TYPE = 240
+"""CiA 301, table 72: up to this type a PDO follows SYNC."""
+GAP_NS = 200_000_000
+"""PDOs of a node further apart belong to different samples: 15 nodes with 4 PDOs at 50 kbit/s fit in this time."""
+GAP_FRAMES = 8192
+"""The same in decoded frames, which also works for logs without times."""
+
+SLOT = np.dtype([
+    ("sender", "<u4"), ("shift", "<i2"), ("mask", "<i2"), ("message", "u1"), ("length", "u1"), ("cyclic", "u1"),
+    ("used", "u1"), ("key", "<u2"), ("spare", "V2"),
+])  # fmt: skip
+"""A message of a node. ``sender``: number of the node among all; ``shift`` and ``mask``: of the counter, shift -1 for
+none; ``message``: ascending in the order in which a node sends its PDOs; ``length``: the least of a frame in bytes;
+``cyclic``: it follows SYNC; ``used``: 0 if it is left out; ``key``: channel and node."""
+
+_MOST_COUNTER_BITS = 15
+_FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
+Ints = npt.NDArray[np.int64]
+
+
+def counter_place(message: Message) -> tuple[int, int]:
+    """Return (start bit, mask) of the counter; (-1, 0) for a message without one, or where it is no plain number."""
+    for signal in message.signals:
+        if signal.name == COUNTER and is_plain(signal) and not (signal.signed or signal.real):
+            return (signal.start_bit, (1 << signal.bits) - 1) if signal.bits <= _MOST_COUNTER_BITS else (-1, 0)
+    return -1, 0
+
+
+def follows_sync(message: Message) -> bool:
+    """Return whether a PDO follows SYNC."""
+    return 1 <= message.transmission_type <= LAST_CYCLIC_TYPE
+
+
+class _Last:
+    """The last row of a node, and its last frame that follows SYNC."""
+
+    __slots__ = ("counter", "events", "message", "number", "row", "t_ns")
+
+    def __init__(self, row: int, counter: int) -> None:
+        self.row, self.counter = row, counter
+        self.t_ns = self.number = self.message = 0
+        self.events: set[int] = set()
+
+
+class SampleRule:
+    """Give each PDO its row. ``last``: by sender its last row that follows SYNC."""
+
+    def __init__(self) -> None:
+        self.last: dict[int, _Last] = {}
+
+    def row(self, sender: int, message: int, counter: int, cyclic: bool, t_ns: int, number: int, row: int) -> int:
+        """Return the row of a frame, which may begin ``row``; ``number`` counts the decoded frames."""
+        last = self.last.get(sender)
+        joins = (
+            last is not None
+            and counter == last.counter
+            and abs(t_ns - last.t_ns) <= GAP_NS
+            and number - last.number <= GAP_FRAMES
+        )
+        if counter == NO_COUNTER:
+            return row
+        if not cyclic:
+            if last is None or not joins or message in last.events:
+                return row
+            last.events.add(message)
+            return last.row
+        if last is None or not joins or message <= last.message:
+            last = self.last[sender] = _Last(row, counter)
+        last.message, last.t_ns, last.number = message, t_ns, number
+        return last.row
+
+    def is_open(self, sender: int, t_ns: int, number: int) -> bool:
+        """Return whether a later frame may join the last row of a sender; time and number are the present ones."""
+        last = self.last[sender]
+        return t_ns - last.t_ns <= GAP_NS and number - last.number < GAP_FRAMES
+
+
+class Joined(NamedTuple):
+    """The rows that no later frame can join, in the order of their first frames, and the frames of the others.
+
+    ``order`` (k,): indices of the frames in the rows, slot by slot; ``ends`` (m,): of each slot in it. ``row`` (k,):
+    the row of each. ``first`` (r,): index of the first frame of each row; ``counter`` (r,): of that. ``held`` (h,):
+    indices of the frames for the next call, and their numbers. ``number``: of the next decoded frame. ``short`` (m,):
+    frames by slot that were too short.
+    """
+
+    order: Ints
+    row: Ints
+    ends: list[int]
+    first: Ints
+    counter: Ints
+    held: Ints
+    held_number: Ints
+    number: int
+    short: Ints
+
+
+def join(
+    frames: FrameArray, slots: npt.NDArray[np.uint32], layouts: npt.NDArray[np.void], held_number: Ints, number: int,
+    *, last: bool,
+) -> Joined:  # fmt: skip
+    """Join frames, FRAME (n,), whose messages are ``slots`` (n,) of ``layouts``, SLOT (m,), 0 for none.
+
+    ``held_number`` (h,) are the numbers of the first decoded frames, ``number`` that of the next one; ``last``: all
+    rows are complete.
+    """
+    frames = np.ascontiguousarray(frames)
+    work = np.empty((6, len(frames)), dtype=np.int64)
+    ends, short = np.zeros((2, len(layouts)), dtype=np.int64)
+    body = join_here if core is None else core.join
+    senders = int(layouts["sender"].max(initial=0)) + 1
+    rows, held, number = body(
+        frames, slots, layouts, held_number, number, senders, GAP_NS, GAP_FRAMES, last, work, ends, short
+    )
+    order, row, first, counter, kept, numbers = work
+    count = int(ends[-1])
+    return Joined(
+        order[:count], row[:count], ends.tolist(), first[:rows], counter[:rows], kept[:held], numbers[:held], number,
+        short,
+    )  # fmt: skip
+
+
+def join_here(
+    frames: FrameArray, slots: npt.NDArray[np.uint32], layouts: npt.NDArray[np.void], held_number: Ints, number: int,
+    senders: int, gap_ns: int, gap_frames: int, last: bool, work: Ints, ends: Ints, short: Ints,
+) -> tuple[int, int, int]:  # fmt: skip
+    """Do as ``join`` of the compiled core: fill the rows of ``work`` as ``Joined`` has them; return the lengths."""
+    del senders, gap_ns, gap_frames
+    rule, of_slot, numbers = SampleRule(), layouts.tolist(), held_number.tolist()
+    found: list[tuple[int, int, int, int, int]] = []  # frame, slot, number, counter, the frame that begins its row
+    now_ns = 0
+    for index, (slot, (t_ns, _, length, word)) in enumerate(
+        zip(slots.tolist(), _FIELDS.iter_unpack(frames.tobytes()), strict=True)
+    ):
+        sender, shift, mask, message, least, cyclic, used, _, _ = of_slot[slot]
+        if slot and length < least:
+            short[slot] += 1
+        elif slot and used:
+            if len(found) < len(numbers):
+                mine = numbers[len(found)]
+            else:
+                mine, number = number, number + 1
+            counter = word >> shift & mask if shift >= 0 else NO_COUNTER
+            start = rule.row(sender, message, counter, bool(cyclic), t_ns, mine, len(found))
+            found.append((index, slot, mine, counter, start))
+            now_ns = t_ns
+    end = len(found)
+    if found and not last:
+        rows = (one.row for sender, one in rule.last.items() if rule.is_open(sender, now_ns, found[-1][2]))
+        end = min(rows, default=end)
+    firsts = [place for place, one in enumerate(found[:end]) if one[4] == place]
+    row_of = {place: row for row, place in enumerate(firsts)}
+    kept = sorted((one for one in found if one[4] < end), key=lambda one: one[1])
+    held = [one for one in found if one[4] >= end]
+    ends[:] = np.cumsum(np.bincount([one[1] for one in kept], minlength=len(ends)))
+    columns: list[list[Any]] = [
+        [one[0] for one in kept], [row_of[one[4]] for one in kept], [found[place][0] for place in firsts],
+        [found[place][3] for place in firsts], [one[0] for one in held], [one[2] for one in held],
+    ]  # fmt: skip
+    for target, column in zip(work, columns, strict=True):
+        target[: len(column)] = column
+    return len(firsts), len(held), number
