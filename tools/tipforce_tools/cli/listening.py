@@ -55,9 +55,11 @@ def _group(
             opened.enter_context(open_receiver(options, selection, tick_s=tick_s))
             for options, selection in zip(buses, selections, strict=True)
         ]
-        sync_hz = getattr(args, "sync", None)
+        sync_hz: float | None = getattr(args, "sync", None)
         stops: list[Callable[[], None]] = []
-        for options in buses if sync_hz else ():
+        for options in buses:
+            if not sync_hz:
+                break
             from tipforce.host.hand.link import kernel_sync
             from tipforce.host.network.open_bus import open_bus
 
