@@ -57,15 +57,14 @@ def _group(
         ]
         sync_hz: float | None = getattr(args, "sync", None)
         stops: list[Callable[[], None]] = []
-        for options in buses:
-            if not sync_hz:
-                break
+        if sync_hz:
             from tipforce.host.hand.link import kernel_sync
             from tipforce.host.network.open_bus import open_bus
 
-            bus = opened.enter_context(open_bus(**options))
-            kernel_sync(bus, 1.0 / sync_hz, [b""])
-            stops.append(bus.shutdown)
+            for options in buses:
+                bus = opened.enter_context(open_bus(**options))
+                kernel_sync(bus, 1.0 / sync_hz, [b""])
+                stops.append(bus.shutdown)
         opened.pop_all()
     return ReceiverGroup(receivers, tick_s=tick_s, at_end=stops)
 
