@@ -59,6 +59,7 @@ _FEATURES = ("Granularity", "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported")
 _KEYS = {key.xdd: name for name, key in KEYS.items() if key.xdd}
 _VALUES = {
     "defaultValue": "defaultValue", "actualValue": "actualValue", "minValue": "lowLimit", "maxValue": "highLimit",
+    **dict.fromkeys(_TYPES, "dataType"),
 }  # fmt: skip
 _FLAGS = {"true": "1", "false": "0"}
 _DIGITS = re.compile(r"[0-9A-Fa-f]+")
@@ -244,10 +245,9 @@ class _Reader:
             self._parameter = self._parameters.setdefault(given.get("uniqueID", ""), {})
             self._parameter["accessType"] = _ACCESS.get(given.get("access", ""), given.get("access", ""))
         elif self._parameter is not None:
-            if name in _TYPES:
-                self._parameter.setdefault("dataType", f"{_TYPES[name]:04X}")
-            elif name in _VALUES:
-                self._parameter.setdefault(_VALUES[name], given.get("value", ""))
+            if name in _VALUES:
+                text = f"{_TYPES[name]:04X}" if name in _TYPES else given.get("value", "")
+                self._parameter.setdefault(_VALUES[name], text)
         elif name == "dummy":
             key, _, used = given.get("entry", "").partition("=")
             self._dummies[key] = used
