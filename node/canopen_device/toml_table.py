@@ -69,7 +69,8 @@ def convert(kind: type[T], content: object, place: str, finite: bool = True) -> 
         if name in content:
             values[field.name] = _value(field.type, content[name], _at(place, name), finite)
         elif name in missing:
-            raise InputError(f"{_at(place, name)} is missing; {_expected(field.type)}")
+            expected = _choices(field.type).removeprefix("; ") or "it has no default"
+            raise InputError(f"{_at(place, name)} is missing; {expected}")
     return kind(**values)
 
 
@@ -83,25 +84,21 @@ def _value(kind: Any, content: object, place: str, finite: bool) -> Any:
         return convert(structs[0], content, place, finite)
     plain = [option for option in _options(get_args(kind)[0]) if option not in structs]
     if not isinstance(content, list):
-        told = "allowed is a list" if plain else f"write [[{place.rpartition(': ')[2]}]]"
-        raise InputError(f"{place} is {_shown(content)}: {told}")
+        form = "allowed is a list" if plain else f"write [[{place.rpartition(': ')[2]}]]"
+        raise InputError(f"{place} is {_shown(content)}: {form}")
     return tuple(
         _leaf(get_args(kind)[0], item, at, finite)
         if plain and not isinstance(item, Mapping)
         else convert(_tagged(structs, item, at), item, at, finite)
-        for item, at in _numbered(content, place)
+        for item, at in [(item, f"{place}[{number}]") for number, item in enumerate(content, 1)]
     )
-
-
-def _numbered(items: list[object], place: str) -> list[tuple[object, str]]:
-    return [(item, f"{place}[{number}]") for number, item in enumerate(items, 1)]
 
 
 def _structs(kind: Any) -> tuple[list[type[msgspec.Struct]], bool]:
     """Return the structs in a field's type, and whether it holds many; none for a plain value."""
     if get_origin(kind) is tuple:
         return _structs(get_args(kind)[0])[0], True
-    return [one for one in _options(kind) if isinstance(one, type) and issubclass(one, msgspec.Struct)], False
+    return [part for part in _options(kind) if isinstance(part, type) and issubclass(part, msgspec.Struct)], False
 
 
 def _options(kind: Any) -> tuple[Any, ...]:
@@ -113,12 +110,12 @@ def _tagged(structs: list[type[msgspec.Struct]], item: object, place: str) -> ty
     tags = {str(struct.__struct_config__.tag): struct for struct in structs}
     if len(structs) == 1 and structs[0].__struct_config__.tag is None:
         return structs[0]
-    found = item.get("kind") if isinstance(item, Mapping) else None
-    if found is None:
+    named = item.get("kind") if isinstance(item, Mapping) else None
+    if named is None:
         raise InputError(f"{_at(place, 'kind')} is missing; allowed: {', '.join(tags)}")
-    if str(found) not in tags:
-        raise InputError(f"{_at(place, 'kind')} is {_shown(found)}; {_suggestion(str(found), tags)}")
-    return tags[str(found)]
+    if str(named) not in tags:
+        raise InputError(f"{_at(place, 'kind')} is {_shown(named)}; {_suggestion(str(named), tags)}")
+    return tags[str(named)]
 
 
 def _leaf(kind: Any, content: object, place: str, finite: bool) -> Any:
@@ -130,16 +127,10 @@ def _leaf(kind: Any, content: object, place: str, finite: bool) -> Any:
     try:
         return msgspec.convert(content, kind, builtin_types=_DATES)
     except msgspec.ValidationError as error:
-        told = _QUOTED.sub(_in_toml, str(error)).replace(" - at $", " at ")
-        raise InputError(f"{place} is {_shown(content)}: {told[0].lower()}{told[1:]}{_choices(kind)}") from None
-
-
-_QUOTED = re.compile(r"`([^`]*)`")
-
-
-def _in_toml(types_named: re.Match[str]) -> str:
-    """Convert msgspec's "object" to "table" and remove "null", which TOML does not have."""
-    return types_named[1].replace("object", "table").replace(" | null", "")
+        # TOML has tables for msgspec's objects, and no null.
+        text = re.sub(r"`([^`]*)`", lambda m: m[1].replace("object", "table").replace(" | null", ""), str(error))
+        text = text.replace(" - at $", " at ")
+        raise InputError(f"{place} is {_shown(content)}: {text[0].lower()}{text[1:]}{_choices(kind)}") from None
 
 
 def _finite(content: object) -> bool:
@@ -152,12 +143,7 @@ def _choices(kind: Any) -> str:
     """Return the allowed words, if there is a list of them."""
     if get_origin(kind) is typing.Literal:
         return f"; allowed: {', '.join(map(str, get_args(kind)))}"
-    return next((found for found in map(_choices, get_args(kind)) if found), "")
-
-
-def _expected(kind: Any) -> str:
-    choices = _choices(kind)
-    return choices[2:] if choices else "it has no default"
+    return next(filter(None, map(_choices, get_args(kind))), "")
 
 
 def _suggestion(word: str, known: Mapping[str, object]) -> str:

@@ -19,6 +19,10 @@ from canopen_device.visible_text import visible
 Value: TypeAlias = int | float | str | bytes
 
 _REAL32_MAXIMUM: Final = 3.4028234663852886e38
+_WORDS: Final = {"true": 1, "false": 0}
+_FORMS: Final = {  # how a person writes a value, by its Python type
+    int: "a number as 10 or 0x0A", float: "a number, nan or inf", bytes: "hex bytes, for example 'DE AD 01'",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,18 +83,16 @@ LETTER_OF_CODE: Final = {t.code: t.letter for t in TYPES.values()}
 
 def data_type(letter: str) -> DataType:
     """The type behind a letter of the table. Raises InputError for an unknown letter."""
-    found = TYPES.get(letter)
-    if found is None:
+    if letter not in TYPES:
         raise InputError(f"type letter {letter!r}: allowed are {', '.join(TYPES)}")
-    return found
+    return TYPES[letter]
 
 
 def letter_of_word(word: str) -> str:
     """The letter for a CiA 309-3 data type word such as ``u16``. Raises InputError for an unknown word."""
-    found = LETTER_OF_WORD.get(word.lower())
-    if found is None:
+    if word.lower() not in LETTER_OF_WORD:
         raise InputError(f"data type {word!r}: allowed are {', '.join(LETTER_OF_WORD)} (CiA 309-3)")
-    return found
+    return LETTER_OF_WORD[word.lower()]
 
 
 def encode(letter: str, value: Value) -> bytes:
@@ -139,20 +141,19 @@ def parse_value(letter: str, text: str) -> Value:
     """
     kind = data_type(letter)
     stripped = text.strip()
-    if kind.python is int:
-        return _checked_integer(kind, _integer_from(kind, stripped))
-    if kind.python is float:
-        try:
-            return _checked_real(kind, float(stripped))
-        except ValueError:
-            raise InputError(f"{text!r} is not {kind.name}: write a number, nan or inf") from None
     if kind.python is str:
         encode(letter, text)
         return text
     try:
+        if kind.python is int:
+            word = _WORDS.get(stripped.lower()) if letter == "?" else None
+            number = int(stripped, 10 if stripped.lstrip("+-").isdigit() else 0) if word is None else word
+            return _checked_integer(kind, number)
+        if kind.python is float:
+            return _checked_real(kind, float(stripped))
         return bytes.fromhex(stripped.removeprefix("0x").replace(":", " "))
     except ValueError:
-        raise InputError(f"{text!r} is not {kind.name}: write hex bytes, for example 'DE AD 01'") from None
+        raise InputError(f"{text!r} is not {kind.name}: write {_FORMS[kind.python]}") from None
 
 
 def format_value(letter: str, value: Value) -> str:
@@ -169,21 +170,9 @@ def format_value(letter: str, value: Value) -> str:
     return str(value)
 
 
-def _integer_from(kind: DataType, text: str) -> int:
-    words = {"true": 1, "false": 0} if kind.letter == "?" else {}
-    try:
-        return words.get(text.lower()) or int(text, 10 if text.lstrip("+-").isdigit() else 0)
-    except ValueError:
-        if text.lower() in words:
-            return 0
-        raise InputError(f"{text!r} is not {kind.name}: write a number as 10 or 0x0A") from None
-
-
 def _checked_integer(kind: DataType, value: object) -> int:
-    limits = kind.limits
-    if limits is None:
-        raise AssertionError(kind.name)
-    low, high = limits
+    assert kind.limits is not None
+    low, high = kind.limits
     try:
         number = operator.index(value)  # type: ignore[arg-type]  # the TypeError is the check
     except TypeError:
@@ -200,9 +189,8 @@ def _checked_real(kind: DataType, value: Value) -> float:
     try:
         struct.pack("<" + kind.letter, number)
     except OverflowError:
-        raise InputError(
-            f"{number!r} does not fit {kind.name}: allowed are -{_REAL32_MAXIMUM!r} to {_REAL32_MAXIMUM!r}"
-        ) from None
+        limits = f"-{_REAL32_MAXIMUM!r} to {_REAL32_MAXIMUM!r}"
+        raise InputError(f"{number!r} does not fit {kind.name}: allowed are {limits}") from None
     return number
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from canopen_device.eds.description import Description
-from canopen_device.eds.sections import EdsFile, Section, decoded, parse
+from canopen_device.eds.sections import EdsFile, decoded, parse
 from canopen_device.types import Value, format_value
 
 _COMMISSIONING = "devicecomissioning"  # this is the spelling of CiA 306
@@ -35,23 +35,18 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
     _list_objects(file, without)
     lines: list[str] = []
     replaced = {id(part["value"]) for index, part in file.lists.items() if index in lists and "value" in part}
-    numbers = {id(part): index for index, part in file.objects.items() if index in lists}
+    listed = {id(part): lists[index] for index, part in file.objects.items() if index in lists}
     for part in sections.values():
         if id(part) not in replaced:
-            lines += [*part.text_lines(), *_list_lines(part, lists.get(numbers.get(id(part), -1)))]
+            lines += part.text_lines()
+        if id(part) in listed:  # the list of the values of a compact object stands behind its section
+            texts = [f"{sub}={text}" for sub, text in sorted(listed[id(part)].items())]
+            lines += [f"[{part.name}Value]", f"NrOfEntries={len(texts)}", *texts, ""]
     lines += [line for index in sorted(without) for line in _object_lines(described, index, values)]
     commissioning = ["[DeviceComissioning]", f"NodeID={described.node_id}", f"NodeName={described.node_name}"]
     if described.bit_rate is not None:
         commissioning.append(f"Baudrate={described.bit_rate // 1000}")
     return "\n".join([*lines, *commissioning, "CANopenManager=0", ""])
-
-
-def _list_lines(section: Section, values: Mapping[int, str] | None) -> list[str]:
-    """Return the list of the values of a compact object, which stands behind its section."""
-    if values is None:
-        return []
-    texts = (f"{sub}={text}" for sub, text in sorted(values.items()))
-    return [f"[{section.name}Value]", f"NrOfEntries={len(values)}", *texts, ""]
 
 
 def _list_objects(file: EdsFile, indices: Iterable[int]) -> None:
@@ -84,7 +79,6 @@ def _text(described: Description, index: int, sub: int, value: Value) -> str:
     entry = described.entry(index, sub)
     if entry is None:
         raise AssertionError((index, sub))
-    number = value if isinstance(value, int) else None
-    if number is not None and entry.has_node_id and number & _NODE_ID_BITS == described.node_id:
-        return f"$NODEID+0x{number - described.node_id:X}"
+    if isinstance(value, int) and entry.has_node_id and value & _NODE_ID_BITS == described.node_id:
+        return f"$NODEID+0x{value - described.node_id:X}"
     return format_value(entry.letter, value)

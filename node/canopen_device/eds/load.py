@@ -60,7 +60,12 @@ def device_of(description: Description, save: Save | None = None, load: Load | N
     if stored_eds is not None and set(stored_eds.entries) == {0}:
         od.readers[communication.STORED_EDS] = lambda _sub: description.content
     stored = _dcf_settings(description, od)
-    device = Device(od, save, _with_stored(load, stored))
+
+    def load_or_stored(group: str) -> bytes | None:
+        data = None if load is None else load(group)
+        return stored.get(group) if data is None else data
+
+    device = Device(od, save, load_or_stored if stored else load)
     device.storage.add_range(
         MANUFACTURER, "manufacturer", communication.FIRST_MANUFACTURER, communication.LAST_MANUFACTURER
     )
@@ -126,8 +131,6 @@ def _core_entry(entry: Entry, node_id: int) -> tuple[str, str, int, CoreValue, i
 def _dcf_settings(description: Description, od: ObjectDictionary) -> dict[str, bytes]:
     """Return the ParameterValues as groups of stored parameters."""
     given = [entry for entry in description.entries() if entry.value is not None]
-    if not given:
-        return {}
     for entry in given:
         if entry.access not in (READ_ONLY, CONSTANT) and entry.value is not None:
             od.values[entry.index << 8 | entry.sub] = core_value(entry.letter, entry.value)
@@ -136,15 +139,4 @@ def _dcf_settings(description: Description, od: ObjectDictionary) -> dict[str, b
         ("application", communication.FIRST_PROFILE, communication.LAST_PROFILE),
         ("manufacturer", communication.FIRST_MANUFACTURER, communication.LAST_MANUFACTURER),
     )
-    return {name: with_crc(pack_settings(od, first, last)) for name, first, last in groups}
-
-
-def _with_stored(load: Load | None, stored: dict[str, bytes]) -> Load | None:
-    if not stored:
-        return load
-
-    def found(group: str) -> bytes | None:
-        data = None if load is None else load(group)
-        return stored.get(group) if data is None else data
-
-    return found
+    return {name: with_crc(pack_settings(od, first, last)) for name, first, last in groups if given}

@@ -53,17 +53,21 @@ class _Reader:
             if self._index >= communication.FIRST and code != eds.NULL:
                 self._own.say("ObjectType", "a type definition has no value; left out")
             return None
-        name = read_key(self._own, "ParameterName") if self._section is not None else None
-        if not name:
-            name = f"{self._index:04X}h"
-            if self._section is not None:
-                self._own.say("ParameterName", f"called {name!r}")
+        name = f"{self._index:04X}h"
+        if self._section is not None:
+            name = self._name(self._section, name)
         made = Object(self._index, name, code, self._own.line)
         if code in (eds.VAR, eds.DOMAIN):
             made.entries[0] = self._into.take(self._entry(0, self._own, name, code == eds.DOMAIN))
         else:
             self._read_list(made)
         return made if made.entries else None
+
+    def _name(self, section: Section, default: str) -> str:
+        name: str = read_key(section, "ParameterName")
+        if not name:
+            section.say("ParameterName", f"called {default!r}")
+        return name or default
 
     def _code(self) -> int:
         section = self._section
@@ -99,10 +103,7 @@ class _Reader:
         if self._compact:
             self._read_compact(made, self._own, self._compact)
         for sub, section in sorted(self._subs.items()):
-            name = read_key(section, "ParameterName")
-            if not name:
-                name = f"{made.name} {sub}"
-                section.say("ParameterName", f"called {name!r}")
+            name = self._name(section, f"{made.name} {sub}")
             code = read_key(section, "ObjectType") if section.get("ObjectType") else eds.VAR
             if code not in (eds.VAR, eds.DOMAIN):
                 section.say("ObjectType", "a sub-index is a VAR; read as one")
@@ -125,28 +126,24 @@ class _Reader:
             entry.denotation = listed.get("denotation", {}).get(sub) or ""
             text = listed.get("value", {}).get(sub)
             if text is not None:
-                self._apply_listed(entry, lists["value"], text)
+                value, has_node_id, remark = values.typed(entry.type, text, self._into.node_id)
+                if remark:
+                    lists["value"].say(str(sub), remark)
+                if self._into.is_dcf:
+                    entry.value = value
+                else:
+                    entry.default, entry.has_node_id, entry.has_default = value, has_node_id, True
             made.entries[sub] = entry
         for part in lists.values():
             self._check_list(part, count)
-        access, default = "ro", count  # CiA 306-1; where CiA 301 has it writable, it is as the entries are
+        zero = Entry(self._index, 0, "Number of entries", "B", "ro", count, line=section.line, has_default=False)
+        # CiA 306-1; where CiA 301 has it writable, it is as the entries are.
         if self._index == communication.ERROR_HISTORY:
-            access, default = "rw", 0
+            zero.access, zero.default = "rw", 0
         elif standard.is_mapping(self._index):
-            access = "rw" if made.entries[1].access.startswith("rw") else "ro"
-            default = max((sub for sub, entry in made.entries.items() if entry.initial), default=0)
-        made.entries[0] = Entry(
-            self._index, 0, "Number of entries", "B", access, default, line=section.line, has_default=False
-        )
-
-    def _apply_listed(self, entry: Entry, section: Section, text: str) -> None:
-        value, has_node_id, remark = values.typed(entry.type, text, self._into.node_id)
-        if remark:
-            section.say(str(entry.sub), remark)
-        if self._into.is_dcf:
-            entry.value = value
-        else:
-            entry.default, entry.has_node_id, entry.has_default = value, has_node_id, True
+            zero.access = "rw" if made.entries[1].access.startswith("rw") else "ro"
+            zero.default = max((sub for sub, entry in made.entries.items() if entry.initial), default=0)
+        made.entries[0] = zero
 
     def _check_list(self, section: Section, count: int) -> None:
         listed = [(key, sub) for key in section.keys if (sub := _sub_of(key)) is not None]
@@ -208,13 +205,13 @@ class _Reader:
             how = f"{TYPES[letter].name} of CiA 301" if expected else f"{TYPES[letter].name}, its bytes as they come"
             section.say("DataType", f"{wrong}; read as {how}")
         elif expected is not None and (
-            (standard.is_needed_integer(self._index, sub) and not _is_unsigned(letter))
+            (expected not in "sD" and not _is_unsigned(letter))  # the services of the device compute with it
             or (sub == 0 and letter != expected and standard.is_mapping(self._index))  # the device counts to it
             or (self._index == communication.STORED_EDS and TYPES[letter].size is not None)
         ):
             section.say("DataType", f"CiA 301 has {TYPES[expected].name}; read as it")
             return expected
-        elif expected not in (None, letter) and standard.is_needed_integer(self._index, sub):
+        elif expected is not None and expected != letter and expected not in "sD":
             section.say("DataType", f"CiA 301 has {TYPES[expected].name}; the type stays")
         return letter
 
@@ -247,16 +244,13 @@ class _Reader:
         if section.get("ParameterValue") and self._into.is_dcf:
             entry.value, _ = self._value(entry, section, "ParameterValue")
         for key in ("UploadFile", "DownloadFile"):
-            name = section.get(key)
-            if not name:
-                continue
-            if entry.type.python is bytes:
+            name, content = section.get(key), None
+            wrong = f"only a DOMAIN has a file, not {entry.type.name}; not read"
+            if name and entry.type.python is bytes:
                 content, wrong = file_content(self._into.path, name)
-                entry.value = entry.value if content is None else content
-            else:
-                wrong = f"only a DOMAIN has a file, not {entry.type.name}; not read"
-            if wrong:
+            if name and wrong:
                 section.say(key, wrong)
+            entry.value = entry.value if content is None else content
 
     def _value(self, entry: Entry, section: Section, key: str) -> tuple[Value, bool]:
         value, has_node_id, remark = values.typed(entry.type, section.get(key) or "", self._into.node_id)
@@ -267,7 +261,7 @@ class _Reader:
     def _read_limits(self, entry: Entry, section: Section) -> None:
         if entry.type.python not in (int, float):
             return
-        low, high = self._limit(entry, section, "LowLimit"), self._limit(entry, section, "HighLimit")
+        low, high = (self._limit(entry, section, key) for key in ("LowLimit", "HighLimit"))
         if low is not None and high is not None and (low > high or low == high == 0):
             why = "above HighLimit" if low > high else "HighLimit, too, is 0: no other value were allowed"
             section.say("LowLimit", f"{why}; neither limit applies")
@@ -305,8 +299,8 @@ def file_content(path: Path, name: str) -> tuple[bytes | None, str]:
 
 
 def _is_unsigned(letter: str) -> bool:
-    kind = TYPES[letter]
-    return kind.python is int and kind.limits is not None and kind.limits[0] == 0 and letter != "?"
+    limits = TYPES[letter].limits
+    return limits is not None and limits[0] == 0 and letter != "?"
 
 
 def _sub_of(key: str) -> int | None:

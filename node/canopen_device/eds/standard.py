@@ -27,7 +27,6 @@ _MANDATORY = {  # the names of objects, and of the entries of a record
     at.IDENTITY: ["Identity", "Highest sub-index supported", "Vendor-ID", "Product code", "Revision number"],
 }  # fmt: skip
 _LAST_SDO = at.SDO_SERVER | 0xFF
-_TEXT_OR_DATA = ("s", "D")
 
 
 def standard_letter(index: int, sub: int) -> str | None:
@@ -46,12 +45,6 @@ def standard_letter(index: int, sub: int) -> str | None:
 def is_mapping(index: int) -> bool:
     """Return whether an object is the mapping of a PDO."""
     return at.RPDO_MAPPING <= index <= at.LAST_RPDO_MAPPING or at.TPDO_MAPPING <= index <= at.LAST_TPDO_MAPPING
-
-
-def is_needed_integer(index: int, sub: int) -> bool:
-    """Return whether the services of the device compute with an entry: it must be an unsigned integer."""
-    letter = standard_letter(index, sub)
-    return letter is not None and letter not in _TEXT_OR_DATA
 
 
 def add_mandatory(eds: Description) -> None:

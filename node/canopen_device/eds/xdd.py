@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from canopen_device.core import communication
 from canopen_device.core.object_dictionary import RPDO, TPDO
-from canopen_device.eds.description import Description, Entry, Object
+from canopen_device.eds.description import DOMAIN, VAR, Description, Entry, Object
 from canopen_device.eds.sections import KEYS, MOST_LINES, EdsFile, Findings, Section, add_key, open_section
+from canopen_device.eds.standard import COUNTS
 from canopen_device.errors import InputError
 from canopen_device.types import Value
 
@@ -43,7 +44,7 @@ _FUNCTION = """\
       </co:DeviceFunction>
 """
 _DATE = "2026-01-01"  # the text is the same at each run
-_LIST = {"mandatoryObjects": 0, "optionalObjects": 1, "manufacturerObjects": 2}
+
 _KBIT = 1000
 _ACCESS = {
     "read": "ro", "write": "wo", "readWrite": "rw", "const": "const", "readWriteInput": "rwr",
@@ -56,7 +57,10 @@ _TYPES = {
 _IDENTITY = ("VendorName", "VendorNumber", "ProductName", "ProductNumber", "OrderCode")
 _FEATURES = ("Granularity", "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported")
 _KEYS = {key.xdd: name for name, key in KEYS.items() if key.xdd}
-_LIMITS = {"minValue": "lowLimit", "maxValue": "highLimit"}
+_VALUES = {
+    "defaultValue": "defaultValue", "actualValue": "actualValue", "minValue": "lowLimit", "maxValue": "highLimit",
+    **dict.fromkeys(_TYPES, "dataType"),
+}  # fmt: skip
 _FLAGS = {"true": "1", "false": "0"}
 _DIGITS = re.compile(r"[0-9A-Fa-f]+")
 _HEXADECIMAL = ("dataType", "objFlags")
@@ -99,10 +103,11 @@ def xdd_text(described: Description, creator: str = "canopen_device") -> str:
 
 def _identity(described: Description) -> list[str]:
     identity = [described.entry(communication.IDENTITY, sub) for sub in (1, 2)]
-    vendor, product = (f"0x{int(one.default):08X}" if one is not None else "" for one in identity)
+    vendor, product = (f"0x{int(entry.default):08X}" if entry is not None else "" for entry in identity)
+    texts = described.vendor_name, vendor, described.product_name, product
     lines = ["      <co:DeviceIdentity>\n"]
-    for key, text in zip(_IDENTITY, (described.vendor_name, vendor, described.product_name, product), strict=False):
-        lines.append(f"        <co:{KEYS[key].xdd}>{_escaped(text)}</co:{KEYS[key].xdd}>\n")
+    for key, text in zip(_IDENTITY, texts, strict=False):
+        lines.append(f"        <co:{KEYS[key].xdd}>{quoteattr(text)[1:-1]}</co:{KEYS[key].xdd}>\n")
     return [*lines, "      </co:DeviceIdentity>\n"]
 
 
@@ -116,28 +121,22 @@ def _dummies(described: Description) -> list[str]:
     return [f"        <dummyUsage>\n{entries}        </dummyUsage>\n"]
 
 
-def _escaped(text: str) -> str:
-    return quoteattr(text)[1:-1]
-
-
 def _objects(described: Description) -> list[str]:
-    groups = [0, 0, 0]
-    for index in described.objects:
-        own = communication.FIRST_MANUFACTURER <= index <= communication.LAST_MANUFACTURER
-        groups[0 if index in communication.MANDATORY else 2 if own else 1] += 1
-    counts = " ".join(f'{name}="{groups[number]}"' for name, number in _LIST.items())
+    counts = " ".join(
+        f'{name[0].lower()}{name[1:]}="{len(indices)}"' for name, indices in _lists(described.objects).items()
+    )
     lines = [f"        <co:CANopenObjectList {counts}>\n"]
-    for _, one in sorted(described.objects.items()):
-        lines += _object(one, described.node_id)
+    for _, part in sorted(described.objects.items()):
+        lines += _object(part, described.node_id)
     return [*lines, "        </co:CANopenObjectList>\n"]
 
 
-def _object(one: Object, node_id: int) -> list[str]:
-    head = f'          <CANopenObject index="{one.index:04X}" name={quoteattr(one.name)} objectType="{one.code}"'
-    if set(one.entries) == {0} and one.entries[0].sub == 0 and one.code in (2, 7):
-        return [f"{head}{_attributes(one.entries[0], node_id)}/>\n"]
-    lines = [f'{head} subNumber="{len(one.entries)}">\n']
-    for sub, entry in sorted(one.entries.items()):
+def _object(part: Object, node_id: int) -> list[str]:
+    head = f'          <CANopenObject index="{part.index:04X}" name={quoteattr(part.name)} objectType="{part.code}"'
+    if set(part.entries) == {0} and part.code in (DOMAIN, VAR):
+        return [f"{head}{_attributes(part.entries[0], node_id)}/>\n"]
+    lines = [f'{head} subNumber="{len(part.entries)}">\n']
+    for sub, entry in sorted(part.entries.items()):
         head = f'subIndex="{sub:02X}" name={quoteattr(entry.name)} objectType="7"'
         lines.append(f"            <CANopenSubObject {head}{_attributes(entry, node_id)}/>\n")
     return [*lines, "          </CANopenObject>\n"]
@@ -166,13 +165,8 @@ def _value(entry: Entry, value: Value | None, node_id: int) -> str | None:
 
 def _transport(described: Description) -> list[str]:
     rates = described.bit_rates or (1_000_000,)
-    pdos = [
-        sum(first <= index <= last for index in described.objects)
-        for first, last in (
-            (communication.RPDO, communication.LAST_RPDO), (communication.TPDO, communication.LAST_TPDO)
-        )
-    ]  # fmt: skip
-    features = f'granularity="8" nrOfRxPDO="{pdos[0]}" nrOfTxPDO="{pdos[1]}" bootUpSlave="true"'
+    rpdos, tpdos = (sum(first <= index <= last for index in described.objects) for _, first, last, _ in COUNTS)
+    features = f'granularity="8" nrOfRxPDO="{rpdos}" nrOfTxPDO="{tpdos}" bootUpSlave="true"'
     lss = str(described.lss).lower()
     return [
         "      <TransportLayers>\n        <PhysicalLayer>\n",
@@ -226,7 +220,7 @@ class _Reader:
     def _error(self, what: str) -> InputError:
         return InputError(f"{self._path}:{self.parser.CurrentLineNumber}: {what}")
 
-    def _check_limits(self, given: Attributes) -> None:
+    def _checked(self, given: Attributes) -> dict[str, str]:
         self._depth += 1
         self._elements += 1
         if self._depth > DEEPEST:
@@ -235,10 +229,10 @@ class _Reader:
             raise self._error(f"more than {MOST_LINES} elements, which is the limit")
         if len(given) > MOST_ATTRIBUTES:
             raise self._error(f"an element with {len(given)} attributes; allowed are {MOST_ATTRIBUTES}")
+        return {key: " ".join(value.splitlines()).strip() for key, value in given.items()}
 
     def _start(self, tag: str, given: dict[str, str]) -> None:
-        self._check_limits(given)
-        given = {key: " ".join(value.splitlines()).strip() for key, value in given.items()}
+        given = self._checked(given)
         name = tag.rpartition(":")[2]
         self._text = "" if _KEYS.get(name) in _IDENTITY else None
         line = self.parser.CurrentLineNumber
@@ -251,7 +245,9 @@ class _Reader:
             self._parameter = self._parameters.setdefault(given.get("uniqueID", ""), {})
             self._parameter["accessType"] = _ACCESS.get(given.get("access", ""), given.get("access", ""))
         elif self._parameter is not None:
-            self._start_in_parameter(name, given, self._parameter)
+            if name in _VALUES:
+                text = f"{_TYPES[name]:04X}" if name in _TYPES else given.get("value", "")
+                self._parameter.setdefault(_VALUES[name], text)
         elif name == "dummy":
             key, _, used = given.get("entry", "").partition("=")
             self._dummies[key] = used
@@ -261,12 +257,6 @@ class _Reader:
             self._info |= {_KEYS[k]: _FLAGS.get(v, v) for k, v in given.items() if _KEYS.get(k) in _FEATURES}
         elif name == "deviceCommissioning":
             self._commissioning = _commissioning(given)
-
-    def _start_in_parameter(self, name: str, given: Attributes, parameter: dict[str, str]) -> None:
-        if name in ("defaultValue", "actualValue", *_LIMITS):
-            parameter.setdefault(_LIMITS.get(name, name), given.get("value", ""))
-        elif name in _TYPES:
-            parameter.setdefault("dataType", f"{_TYPES[name]:04X}")
 
     def _characters(self, text: str) -> None:
         if self._text is not None:
@@ -297,8 +287,9 @@ class _Reader:
             if reference is not None and reference not in self._parameters:
                 file.add(line, f"[{name}] uniqueIDRef={reference}: no such parameter; read without")
             _section(file, name, _keys({**self._parameters.get(reference or "", {}), **given}), line)
-        for name, indices in _lists(file):
-            _section(file, name, {"SupportedObjects": str(len(indices)), **_numbered(indices)})
+        for name, indices in _lists(file.objects).items():
+            numbered = {str(number): f"0x{index:04X}" for number, index in enumerate(indices, 1)}
+            _section(file, name, {"SupportedObjects": str(len(indices)), **numbered})
         return file
 
 
@@ -334,14 +325,10 @@ def _commissioning(given: Attributes) -> dict[str, str]:
     return keys
 
 
-def _lists(file: EdsFile) -> list[tuple[str, list[int]]]:
+def _lists(objects: Iterable[int]) -> dict[str, list[int]]:
     own = range(communication.FIRST_MANUFACTURER, communication.LAST_MANUFACTURER + 1)
     groups: dict[str, list[int]] = {"MandatoryObjects": [], "OptionalObjects": [], "ManufacturerObjects": []}
-    for index in sorted(file.objects):
+    for index in sorted(objects):
         name = "MandatoryObjects" if index in communication.MANDATORY else "OptionalObjects"
         groups["ManufacturerObjects" if index in own else name].append(index)
-    return list(groups.items())
-
-
-def _numbered(indices: list[int]) -> dict[str, str]:
-    return {str(number): f"0x{index:04X}" for number, index in enumerate(indices, 1)}
+    return groups

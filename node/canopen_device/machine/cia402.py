@@ -31,8 +31,8 @@ _MOVING = (ENABLED, QUICK_STOP, FAULT_REACTION)
 # Controlword bits.
 _SWITCH_ON, _VOLTAGE, _NO_QUICK_STOP, _ENABLE, _START, _AT_ONCE, _RELATIVE, _RESET, _HALT = (1 << k for k in range(9))
 # Statusword bits beyond the state.
-_VOLTAGE_ON, _REMOTE, _REACHED, _LIMIT, _MODE_BIT, _ERROR = 1 << 4, 1 << 9, 1 << 10, 1 << 11, 1 << 12, 1 << 13
-_STAY_IN_QUICK_STOP = (5, 6, 7, 8)
+_VOLTAGE_ON, _REMOTE, _REACHED, _LIMIT, _MODE_BIT = 1 << 4, 1 << 9, 1 << 10, 1 << 11, 1 << 12
+
 _CURRENT_POSITION = (35, 37)  # homing methods that move nothing
 _DEFAULTS = {
     PROFILE_VELOCITY: 10_000, PROFILE_ACCELERATION: 100_000, PROFILE_DECELERATION: 100_000,
@@ -56,17 +56,13 @@ class Drive(DeviceApplication):
 
     def _restart(self) -> None:
         self.state = SWITCH_ON_DISABLED
-        self.position = self.velocity = 0.0
-        self._target = 0.0
-        self._next: tuple[float, bool] | None = None  # a set-point that waits for the end of the present one
-        self._control = 0
-        self._acknowledged = self._homed = self._homing = False
-        self._code = 0
-        self._limited = False
+        self.position = self.velocity = self._target = 0.0
+        self._next: float | None = None  # a set-point that waits for the end of the present one
+        self._control = self._code = 0
+        self._acknowledged = self._homed = self._homing = self._limited = False
 
     def on_reset(self) -> None:
         """Start at position 0, in SWITCH ON DISABLED."""
-        self._code = 0
         self._restart()
         self._publish()
 
@@ -86,9 +82,13 @@ class Drive(DeviceApplication):
             self._command(value)
             self._publish()
         elif entry.index == MODE and isinstance(value, int):
-            if value not in _MODES or not self._supported(value):
+            modes = int(self._get(SUPPORTED_MODES))
+            if value not in _MODES or (value and modes and not modes >> (value - 1) & 1):
                 return INVALID_VALUE
-            self._switch_mode(value)
+            if value != self._mode():
+                self._target, self._next = self.position, None
+                self._acknowledged = self._homed = self._homing = False
+            self._put(MODE_SHOWN, value)
             self._publish()
         return 0
 
@@ -99,8 +99,7 @@ class Drive(DeviceApplication):
             self._move(mode, dt_s)
         if self.velocity == 0.0 and self.state == FAULT_REACTION:
             self.state = FAULT
-        stays = self._get(QUICK_STOP_OPTION, 2) in _STAY_IN_QUICK_STOP
-        if self.velocity == 0.0 and self.state == QUICK_STOP and not stays:
+        if self.velocity == 0.0 and self.state == QUICK_STOP and not self._stays():
             self.state = SWITCH_ON_DISABLED
         if self.state not in _MOVING:
             self.velocity = 0.0
@@ -126,27 +125,24 @@ class Drive(DeviceApplication):
                 self._acknowledged = False
             self._set_point(word, rising)
 
+    def _stays(self) -> bool:
+        """Return whether the drive stays in QUICK STOP ACTIVE when it stands still (605Ah)."""
+        return self._get(QUICK_STOP_OPTION, 2) in (5, 6, 7, 8)
+
     def _after(self, word: int) -> int:
         """Return the state that a controlword leads to."""
         state = self.state
         if not word & _VOLTAGE:
             return SWITCH_ON_DISABLED
         if not word & _NO_QUICK_STOP:
-            return {ENABLED: QUICK_STOP, QUICK_STOP: QUICK_STOP}.get(state, SWITCH_ON_DISABLED)
+            return QUICK_STOP if state in (ENABLED, QUICK_STOP) else SWITCH_ON_DISABLED
         if state == QUICK_STOP:
-            enables = word & _ENABLE and word & _SWITCH_ON
-            return ENABLED if enables and self._get(QUICK_STOP_OPTION, 2) in _STAY_IN_QUICK_STOP else QUICK_STOP
+            return ENABLED if word & _ENABLE and word & _SWITCH_ON and self._stays() else QUICK_STOP
         if not word & _SWITCH_ON:
             return READY
         if state == SWITCH_ON_DISABLED:
             return state
         return ENABLED if word & _ENABLE else SWITCHED_ON
-
-    def _switch_mode(self, mode: int) -> None:
-        if mode != self._mode():
-            self._target, self._next = self.position, None
-            self._acknowledged = self._homed = self._homing = False
-        self._put(MODE_SHOWN, mode)
 
     def _set_point(self, word: int, rising: int) -> None:
         """Handle bit 4: a new set-point, or the start of homing."""
@@ -158,7 +154,7 @@ class Drive(DeviceApplication):
                 if word & _AT_ONCE or self._arrived():
                     self._target, self._next = target, None
                 else:
-                    self._next = (target, True)
+                    self._next = target
                 self._acknowledged = True
             elif not word & _START:
                 self._acknowledged = self._next is not None
@@ -183,7 +179,7 @@ class Drive(DeviceApplication):
         elif mode == PROFILE_POSITION:
             self._approach(self._target, self._get(PROFILE_VELOCITY), dt_s)
             if self._next is not None and self._arrived():
-                self._target, self._next = self._next[0], None
+                self._target, self._next = self._next, None
                 self._acknowledged = bool(self._control & _START)
         elif self._homing:
             self._approach(0.0, self._get(HOMING_SPEED, self._get(PROFILE_VELOCITY)), dt_s)
@@ -231,12 +227,8 @@ class Drive(DeviceApplication):
         """Set the objects that a master reads."""
         self._put(POSITION, round(self.position))
         self._put(VELOCITY, round(self.velocity))
-        word = self.state | _REMOTE | _VOLTAGE_ON
-        if self._limited:
-            word |= _LIMIT
-        if self.state == ENABLED:
-            word |= self._mode_bits(self._mode())
-        self._put(STATUS, word)
+        word = self.state | _REMOTE | _VOLTAGE_ON | (_LIMIT if self._limited else 0)
+        self._put(STATUS, word | (self._mode_bits(self._mode()) if self.state == ENABLED else 0))
 
     def _mode_bits(self, mode: int) -> int:
         if mode == PROFILE_POSITION:
@@ -252,15 +244,11 @@ class Drive(DeviceApplication):
     def _mode(self) -> int:
         return int(self._get(MODE_SHOWN))
 
-    def _supported(self, mode: int) -> bool:
-        modes = int(self._get(SUPPORTED_MODES))
-        return mode == 0 or not modes or bool(modes >> (mode - 1) & 1)
-
     def _get(self, key: int | tuple[int, int], default: float = 0.0) -> float:
         """Return a number; where the EDS has no such object, or 0 in one that must not be 0, a default."""
         index, sub = key if isinstance(key, tuple) else (key, 0)
-        found = self.device.description.objects.get(index)
-        entry = None if found is None else found.entries.get(1 if sub == 0 and 1 in found.entries else sub)
+        described = self.device.description
+        entry = (None if sub else described.entry(index, 1)) or described.entry(index, sub)
         value = default if entry is None else self.device.value(entry)
         number = float(value) if isinstance(value, int | float) and math.isfinite(value) else default
         return number or float(_DEFAULTS.get(index, 0))

@@ -140,11 +140,12 @@ class SimulatedDevice:
     def set_value(self, entry: Entry, value: Value) -> None:
         """Set the value of an entry, read-only ones too. Raises InputError for a value that is not of its type."""
         try:
-            types.encode(entry.letter, value) if entry.letter not in "s" else None
+            if entry.letter != "s":  # a text outside ASCII is held as Latin-1
+                types.encode(entry.letter, value)
+            elif not isinstance(value, str):
+                raise InputError(f"{value!r} is not VISIBLE_STRING: allowed is text")
         except InputError as error:
             raise InputError(f"{entry.place} {entry.name!r}: {error}") from None
-        if entry.letter == "s" and not isinstance(value, str):
-            raise InputError(f"{entry.place} {entry.name!r}: {value!r} is not VISIBLE_STRING: allowed is text")
         key, now = entry.index << 8 | entry.sub, core_value(entry.letter, value)
         if self.core.od.values[key] != now:
             self.core.od.values[key] = now
@@ -197,15 +198,11 @@ class _Bridge(Application):
         self._drivers = drivers
         self.live = frozenset(driver.entry.index for driver in drivers)
         self._last_us = 0
-        self._period_us = self._shortest()
-        self.due_us = 0 if self._period_us else codes.NEVER_US
-
-    def _shortest(self) -> int:
-        application = self._device.application
-        periods = [driver.signal.period_s for driver in self._drivers]
-        if type(application).step is not DeviceApplication.step:
-            periods.append(application.period_s)
-        return max(100, int(1e6 * min(periods))) if periods else 0
+        periods = [driver.signal.period_s for driver in drivers]
+        if type(device.application).step is not DeviceApplication.step:
+            periods.append(device.application.period_s)
+        self._period_us = max(100, int(1e6 * min(periods))) if periods else 0
+        self.due_us = 0 if periods else codes.NEVER_US
 
     def on_reset(self, now_us: int) -> None:
         self._last_us = now_us
@@ -226,8 +223,7 @@ class _Bridge(Application):
         self.due_us = now_us + self._period_us
 
     def _advance(self, now_us: int) -> None:
-        for driver in self._drivers:
-            driver.apply()
+        self.refresh(now_us)
         dt_s, self._last_us = (now_us - self._last_us) * 1e-6, now_us
         if self._period_us and dt_s > 0.0:
             self._device.application.step(dt_s)

@@ -118,10 +118,10 @@ def checked(kind: str, parameters: dict[str, float]) -> dict[str, float]:
     if unknown:
         allowed = ", ".join(PARAMETERS[kind]) or "none"
         raise InputError(f"fault {kind}: parameter {min(unknown)!r}; allowed: {allowed}")
-    found = {**PARAMETERS[kind], **parameters}
-    if kind == SLOW and not 0.0 < found["delay_s"] < 3600.0:
-        raise InputError(f"fault slow: delay_s {found['delay_s']}: allowed is above 0, below 3600")
-    if kind == EMCY and not (1 <= found["code"] <= 0xFFFF and 0 <= found["register"] <= 0xFF):
-        shown = f"code {found['code']}, register {found['register']}"
+    complete = {**PARAMETERS[kind], **parameters}
+    if kind == SLOW and not 0.0 < complete["delay_s"] < 3600.0:
+        raise InputError(f"fault slow: delay_s {complete['delay_s']}: allowed is above 0, below 3600")
+    if kind == EMCY and not (1 <= complete["code"] <= 0xFFFF and 0 <= complete["register"] <= 0xFF):
+        shown = f"code {complete['code']}, register {complete['register']}"
         raise InputError(f"fault emcy: {shown}: allowed are 1 to 0xFFFF, 0 to 0xFF")
-    return found
+    return complete

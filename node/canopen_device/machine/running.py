@@ -6,7 +6,7 @@ import itertools
 import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from canopen_device.errors import InputError
@@ -91,40 +91,33 @@ def _connection(bus: Any) -> tuple[dict[str, Any], can.BusABC, bool]:
     """Return the keywords of a bus, a connection for the devices, and whether to close it."""
     from canopen_device.running.open_bus import open_bus
 
+    connected, options = None, {}
     if bus is None:
-        options: dict[str, Any] = {
-            "interface": "virtual",
-            "channel": f"simulated-device-{os.getpid()}-{next(_numbers)}",
-        }
-        return options, open_bus(options), True
-    if isinstance(bus, str):
+        options = {"interface": "virtual", "channel": f"simulated-device-{os.getpid()}-{next(_numbers)}"}
+    elif isinstance(bus, str):
         options = {"interface": "socketcan", "channel": bus}
-        return options, open_bus(options), True
-    if isinstance(bus, dict):
+    elif isinstance(bus, dict):
         return dict(bus), open_bus(bus), True
-    network = getattr(bus, "network", bus)  # of a host's object that holds the network
-    connected = getattr(network, "bus", network)  # of canopen.Network
-    if not hasattr(connected, "recv"):
-        raise InputError(
-            f"bus {bus!r}: allowed are a can.Bus, a connected canopen.Network, an object with one as `network`, a name"
-        )
-    options = _options_of(connected)
-    if options:
-        return options, open_bus(options), True
-    return {}, connected, False
+    else:
+        network = getattr(bus, "network", bus)  # of a host's object that holds the network
+        connected = getattr(network, "bus", network)  # of canopen.Network
+        if not hasattr(connected, "recv"):
+            allowed = "a can.Bus, a connected canopen.Network, an object with one as `network`, a name"
+            raise InputError(f"bus {bus!r}: allowed are {allowed}")
+        options = _options_of(connected)
+    if connected is not None and not options:
+        return {}, connected, False
+    return options, open_bus(options), True
 
 
 def _options_of(bus: Any) -> dict[str, Any]:
     """Return keywords for a second connection to the channel of ``bus``; empty where only it can reach it."""
-    with suppress(ImportError):
-        from can.interfaces.virtual import VirtualBus
+    from can.interfaces.virtual import VirtualBus
 
-        if isinstance(bus, VirtualBus):
-            return {"interface": "virtual", "channel": bus.channel_id}
-    name = type(bus).__module__
+    if isinstance(bus, VirtualBus):
+        return {"interface": "virtual", "channel": bus.channel_id}
     channel = getattr(bus, "channel", None)
-    if channel is not None and "socketcan" in name:
-        return {"interface": "socketcan", "channel": channel}
-    if channel is not None and "udp_multicast" in name:
-        return {"interface": "udp_multicast", "channel": channel}
+    for interface in ("socketcan", "udp_multicast"):
+        if channel is not None and interface in type(bus).__module__:
+            return {"interface": interface, "channel": channel}
     return {}

@@ -81,11 +81,10 @@ class SocketCanPort:
             time.sleep(_FULL_QUEUE_WAIT_S)
             try:
                 self._socket.send(frame)
-            except OSError as again:
-                error = again
-            else:
                 self._find()
                 return
+            except OSError as again:
+                error = again
         if error.errno in _INTERFACE_LOST:
             self._lose(error)
             return
@@ -124,13 +123,12 @@ class SocketCanPort:
     def _bind_again(self, timeout_s: float) -> None:
         """Bind a new socket after the interface was removed; the old socket lost its filter."""
         try:
-            found = _bound_socket(self._interface)
+            bound = _bound_socket(self._interface)
         except OSError:
             time.sleep(timeout_s)
             return
         self._socket.close()
-        self._socket = found
-        self._bound = True
+        self._socket, self._bound = bound, True
 
     def close(self) -> None:
         """Release the socket."""
@@ -138,14 +136,14 @@ class SocketCanPort:
 
 
 def _bound_socket(interface: str) -> socket.socket:
-    found = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    made = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     try:
-        found.setsockopt(socket.SOL_CAN_RAW, _ERROR_FILTER, _ALL_ERRORS)
-        found.bind((interface,))
+        made.setsockopt(socket.SOL_CAN_RAW, _ERROR_FILTER, _ALL_ERRORS)
+        made.bind((interface,))
     except OSError:
-        found.close()
+        made.close()
         raise
-    return found
+    return made
 
 
 def _has_bit_timing(interface: str) -> bool:

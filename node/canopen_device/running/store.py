@@ -70,12 +70,13 @@ class FileStore:
             newest = _newest(slots)
             groups = dict(newest.groups) if newest is not None else {}
             groups[group] = data.hex()
-            sequence = 1 + max((slot.sequence for slot in slots if slot.sound), default=0)
-            self._replace(self._target(slots), _text(sequence, groups))
+            sequences = {slot.path: slot.sequence if slot.sound else 0 for slot in slots}
+            # The missing slot is replaced, else a damaged one, else the older one.
+            target = min(self._paths, key=lambda path: sequences.get(path, -1))
+            self._replace(target, _text(1 + max(sequences.values(), default=0), groups))
         except OSError as error:
-            self._say(
-                f"{error.strerror}; nothing was changed; stores are rejected (06060000h) until the disk accepts them"
-            )
+            rejected = "stores are rejected (06060000h) until the disk accepts them"
+            self._say(f"{error.strerror}; nothing was changed; {rejected}")
             with contextlib.suppress(OSError):
                 self._temporary.unlink()  # half a file on a full disk is useless
             return False
@@ -92,10 +93,8 @@ class FileStore:
         newest = _newest(slots)
         if newest is None:
             return _DAMAGED if slots else None
-        if group not in newest.groups:
-            return None
         try:
-            return bytes.fromhex(newest.groups[group])
+            return bytes.fromhex(newest.groups[group]) if group in newest.groups else None
         except (TypeError, ValueError):
             return _DAMAGED
 
@@ -104,23 +103,16 @@ class FileStore:
 
         Raises OSError if the disk does not return a file: its content must then not be replaced either.
         """
-        found = []
+        slots = []
         for path in self._paths:
-            try:
-                slot = _parsed(path, path.read_bytes())
-            except FileNotFoundError:
-                continue
-            if not slot.sound:
-                self._say(f"{path.name} is damaged")
-            found.append(slot)
-        if any(slot.sound for slot in found) and not all(slot.sound for slot in found):
+            with contextlib.suppress(FileNotFoundError):
+                slots.append(_parsed(path, path.read_bytes()))
+        damaged = [slot.path.name for slot in slots if not slot.sound]
+        for name in damaged:
+            self._say(f"{name} is damaged")
+        if 0 < len(damaged) < len(slots):
             self._say("the other slot applies: settings are those of the previous or of the last save")
-        return found
-
-    def _target(self, slots: list[_Slot]) -> Path:
-        """Return the path for the next save: the missing slot, else a damaged one, else the older one."""
-        there = {slot.path: slot.sequence if slot.sound else 0 for slot in slots}
-        return min(self._paths, key=lambda path: there.get(path, -1))
+        return slots
 
     def _say(self, trouble: str) -> None:
         if trouble not in self._said:
@@ -144,11 +136,8 @@ class FileStore:
 
 def _newest(slots: list[_Slot]) -> _Slot | None:
     """Return the intact slot that was written last; without one, the slot of which most can be read."""
-    sound = [slot for slot in slots if slot.sound]
-    if sound:
-        return max(sound, key=lambda slot: slot.sequence)
-    readable = [slot for slot in slots if slot.groups]
-    return max(readable, key=lambda slot: len(slot.groups)) if readable else None
+    usable = [slot for slot in slots if slot.sound or slot.groups]
+    return max(usable, key=lambda slot: (slot.sound, slot.sequence if slot.sound else len(slot.groups)), default=None)
 
 
 def _text(sequence: int, groups: dict[str, str]) -> bytes:
@@ -163,12 +152,12 @@ def _crc32(sequence: int, groups: dict[str, str]) -> str:
 
 def _parsed(path: Path, content: bytes) -> _Slot:
     try:
-        found = json.loads(content)
-        if isinstance(found, dict) and found and all(isinstance(text, str) for text in found.values()):
-            return _Slot(path, 0, found, True)  # earlier format without slots: only the groups
-        sequence, groups = found["sequence"], found["groups"]
-        readable = isinstance(groups, dict) and isinstance(sequence, int)
-        sound = readable and found["crc32"] == _crc32(sequence, groups)
+        stored = json.loads(content)
+        if isinstance(stored, dict) and stored and all(isinstance(text, str) for text in stored.values()):
+            return _Slot(path, 0, stored, True)  # earlier format without slots: only the groups
+        sequence, groups = stored["sequence"], stored["groups"]
+        if isinstance(groups, dict) and isinstance(sequence, int):
+            return _Slot(path, sequence, groups, stored["crc32"] == _crc32(sequence, groups))
     except (ValueError, RecursionError, KeyError, TypeError):
-        return _Slot(path, 0, {}, False)
-    return _Slot(path, sequence, groups, sound) if readable else _Slot(path, 0, {}, False)
+        pass
+    return _Slot(path, 0, {}, False)
