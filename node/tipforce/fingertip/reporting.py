@@ -142,8 +142,9 @@ class Reports:
         for bit in range(16):
             raised = self._raised.get(bit)
             error = _error(bit, sample) if faults >> bit & 1 else None
-            if error is None and held and raised is not None and _of_contradiction(bit, raised[1]) and not left:
-                continue  # where another gauge is left out now, that one ends at once
+            if error is None and held and raised is not None and not left:
+                if table.FAULT_CONTRADICTION in (bit, raised[1] >> 8):
+                    continue  # where another gauge is left out now, that one ends at once
             if raised == error:
                 continue
             if raised is not None:
@@ -179,7 +180,3 @@ def _error(bit: int, sample: "Sample") -> "tuple[int, int] | None":
     if bit == table.FAULT_BEYOND_CALIBRATED:
         return None
     return (_BY_BIT[bit][0] if bit in _BY_BIT else table.EMCY_FRONT_END), bit
-
-
-def _of_contradiction(bit: int, detail: int) -> bool:
-    return bit == table.FAULT_CONTRADICTION or detail >> 8 == table.FAULT_CONTRADICTION
