@@ -27,9 +27,8 @@ ALLOWED = {
     "node/canopen_device/core/emcy.py": (EMCY, IDENTIFIER),  # of IDENTIFIER: error classes of linux/can/error.h
     "node/canopen_device/core/sdo_block.py": (COMMUNICATION, EMCY),  # remainders of a polynomial
     "node/tipforce/dictionary/table.py": (OWN_INDEX, IDENTIFIER, WIDE, EMCY),  # of IDENTIFIER: offsets, product options
-    "node/tipforce/dictionary/table_objects.py": (OWN_INDEX, IDENTIFIER),
     "node/tipforce/dictionary/objects.py": (COMMUNICATION, OWN_INDEX),  # generated
-    "node/tipforce/dictionary/indices.py": (OWN_INDEX,),  # generated
+    "node/tipforce/dictionary/indices.py": (OWN_INDEX,),
 }
 INDEPENDENT = "tools/tipforce_tools/fingertip_cases/"
 """The conformance cases state the standard's numbers a second time: a wrong one in ``codes`` must not pass them."""

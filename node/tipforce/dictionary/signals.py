@@ -87,7 +87,14 @@ def mapping_signals(mapping: Iterable[tuple[int, int, int]], n: int = 3) -> tupl
     start = 0
     for index, sub, bits in mapping:
         if index >= FIRST_OBJECT:
-            signals += _signals_of(_mapped_row(index, sub, bits, n), start, n)
+            entry, place = entries(n, True).get((index, sub)), f"mapping of 0x{index:04X}:{sub:02X}"
+            if entry is None:
+                raise InputError(f"{place}: no such object with {n} gauges")
+            if not entry.mappable:
+                raise InputError(f"{place}: {entry.name} can't be mapped into a PDO")
+            if bits != 8 * _size(entry):
+                raise InputError(f"{place}: {bits} bits, allowed is {8 * _size(entry)} ({entry.name})")
+            signals += _signals_of(entry, start, n)
         start += bits
     if start > MAX_BITS:
         raise InputError(f"the mapping has {start} bits, allowed are at most {MAX_BITS}")
@@ -113,18 +120,6 @@ def _messages(kind: str, declared: tuple[table.Pdo, ...], n: int) -> tuple[Messa
 
 def _size(entry: Entry[Any]) -> int:
     return types.data_type(entry.type).size or 0
-
-
-def _mapped_row(index: int, sub: int, bits: int, n: int) -> Entry[Any]:
-    entry = entries(n, True).get((index, sub))
-    place = f"mapping of 0x{index:04X}:{sub:02X}"
-    if entry is None:
-        raise InputError(f"{place}: no such object with {n} gauges")
-    if not entry.mappable:
-        raise InputError(f"{place}: {entry.name} can't be mapped into a PDO")
-    if bits != 8 * _size(entry):
-        raise InputError(f"{place}: {bits} bits, allowed is {8 * _size(entry)} ({entry.name})")
-    return entry
 
 
 def _signals_of(entry: Entry[Any], start: int, n: int) -> list[Signal]:

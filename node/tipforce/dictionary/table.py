@@ -11,6 +11,7 @@ not state its own.
 """
 
 from canopen_device.core import codes, communication, object_dictionary
+from tipforce.dictionary import indices
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # never run: MicroPython has no typing
@@ -129,24 +130,27 @@ def tpdos(n: int) -> "tuple[Pdo, ...]":
 
     The parameter objects 18xxh and 1Axxh and the DBC messages follow from this.
     """
-    status, counter = (0x2120, 0), (0x2121, 0)
-    health = ((0x2122, 0), (0x2123, 0), (0x2124, 0), (0x2126, 0), (communication.ERROR_REGISTER, 0))
+    status, counter = (indices.STATUS, 0), (indices.COUNTER, 0)
+    health = (
+        (indices.TEMPERATURE, 0), (indices.U_P, 0), (indices.FAULTS, 0), (indices.CONFIGURATION_COUNTER, 0),
+        (communication.ERROR_REGISTER, 0),
+    )  # fmt: skip
     declared: list[Pdo] = [
-        (1, "Gauges", codes.TPDO_BASES[0], True, 1, 0, _run(0x7130, 1, 3) + (status, counter)),
-        (2, "Contact", codes.TPDO_BASES[1], True, 1, 0, _run(0x7130, n + 4, n + 6) + (status, counter)),
-        (3, "Force", codes.TPDO_BASES[2], False, 1, 0, _run(0x7130, n + 1, n + 3) + (status, counter)),
+        (1, "Gauges", codes.TPDO_BASES[0], True, 1, 0, _run(1, 3) + (status, counter)),
+        (2, "Contact", codes.TPDO_BASES[1], True, 1, 0, _run(n + 4, n + 6) + (status, counter)),
+        (3, "Force", codes.TPDO_BASES[2], False, 1, 0, _run(n + 1, n + 3) + (status, counter)),
         (4, "Health", codes.TPDO_BASES[3], False, 255, 1000, health),
     ]
     if n > 3:
-        declared.append((5, "Gauges2", 0, False, 1, 0, _run(0x7130, 4, min(n, 6)) + (status, counter)))
+        declared.append((5, "Gauges2", 0, False, 1, 0, _run(4, min(n, 6)) + (status, counter)))
     if n > 6:
-        declared.append((6, "Gauges3", 0, False, 1, 0, _run(0x7130, 7, n) + (status, counter)))
+        declared.append((6, "Gauges3", 0, False, 1, 0, _run(7, n) + (status, counter)))
     return tuple(declared)
 
 
 def rpdos() -> "tuple[Pdo, ...]":
     """RPDO declarations, in the form of ``tpdos``."""
-    return ((1, "Command", codes.RPDO_BASES[0], False, 255, 0, ((0x2130, 0),)),)
+    return ((1, "Command", codes.RPDO_BASES[0], False, 255, 0, ((indices.COMMAND, 0),)),)
 
 
 def product_code(n: int, simulated: bool, converter: "Converter" = CONVERTER_16) -> int:
@@ -157,11 +161,12 @@ def product_code(n: int, simulated: bool, converter: "Converter" = CONVERTER_16)
 
 def mapped_bits(index: int) -> int:
     """Length in bits of an object that the default PDOs map."""
-    return 8 if index in (communication.ERROR_REGISTER, 0x2120, 0x2121, 0x2126) else 16
+    bytes_ = (communication.ERROR_REGISTER, indices.STATUS, indices.COUNTER, indices.CONFIGURATION_COUNTER)
+    return 8 if index in bytes_ else 16
 
 
-def _run(index: int, first: int, last: int) -> "Mapped":
-    return tuple((index, sub) for sub in range(first, last + 1))
+def _run(first: int, last: int) -> "Mapped":
+    return tuple((indices.PROCESS_VALUE + INT16_FORM, sub) for sub in range(first, last + 1))
 
 
 def run(

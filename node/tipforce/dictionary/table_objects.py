@@ -3,6 +3,7 @@
 """
 
 from canopen_device.core import codes, communication
+from tipforce.dictionary import indices
 from tipforce.dictionary.table import (
     ADD_NODE_ID,
     ARRAY,
@@ -261,10 +262,16 @@ def calibration(n: int) -> "tuple[Object, ...]":
     noise = tuple("Covariance SG%d SG%d" % (j, k) for j in range(1, n + 1) for k in range(j, n + 1))
     gauges = tuple("SG%d" % k for k in range(1, n + 1))
     return (
-        array(0x2100, "Calibration matrix C", "calibration.matrix", 3 * n, matrix, REAL32, "rw", STAGED, 0.0, unit="N"),
-        array(0x2101, "Gauge offset", "calibration.offset", n, gauges, REAL32, "rw", STAGED, 0.0, unit="strain"),
+        array(
+            indices.CALIBRATION_MATRIX, "Calibration matrix C", "calibration.matrix", 3 * n, matrix,
+            REAL32, "rw", STAGED, 0.0, unit="N",
+        ),
+        array(
+            indices.CALIBRATION_OFFSET, "Gauge offset", "calibration.offset", n, gauges,
+            REAL32, "rw", STAGED, 0.0, unit="strain",
+        ),
         record(
-            0x2102, "Calibration facts", "calibration",
+            indices.CALIBRATION_FACTS, "Calibration facts", "calibration",
             (1, "Calibration serial", "serial", U32, "rw", STAGED),
             (2, "Calibration date YYYYMMDD", "date", U32, "rw", STAGED),
             (3, "Reference temperature", "reference_temperature", REAL32, "rw", STAGED, 0.0, None, None, "degC"),
@@ -272,29 +279,29 @@ def calibration(n: int) -> "tuple[Object, ...]":
             (5, "Condition number of staged C", "condition_number", REAL32, "ro", 0, 0.0),
         ),
         record(
-            0x2103, "Calibration check", "calibration",
+            indices.CALIBRATION_CHECK, "Calibration check", "calibration",
             (1, "Expected CRC-32 of the staged record", "expected_crc", U32, "rw", NOT_STORED),
             (2, "CRC-32 of the staged record", "staged_crc", U32, "ro"),
             (3, "CRC-32 of the active record", "active_crc", U32, "ro"),
             (4, "Calibration generation", "generation", U32, "ro"),
         ),
-        var(0x2104, "Commit the staged calibration", "calibration.commit", U32, "wo"),
+        var(indices.CALIBRATION_COMMIT, "Commit the staged calibration", "calibration.commit", U32, "wo"),
         record(
-            0x2105, "Calibration guard", "calibration",
+            indices.CALIBRATION_GUARD, "Calibration guard", "calibration",
             (1, "Condition limit", "condition_limit", REAL32, "rw", 0, 1e4, 1.0, 1e30),
             (2, "Write lock", "lock", U8, "rw", NOT_STORED, 0, 0, 1),
             (3, "Unlock", "unlock", U32, "wo"),
         ),
         array(
-            0x2106, "Gauge noise covariance", "calibration.noise", n * (n + 1) // 2, noise,
+            indices.CALIBRATION_NOISE, "Gauge noise covariance", "calibration.noise", n * (n + 1) // 2, noise,
             REAL32, "rw", STAGED, 0.0, unit="strain^2",
         ),
         array(
-            0x2107, "Standard uncertainty", "uncertainty", 3, ("u(P) N", "u(phi) degree", "u(theta) degree"),
-            REAL32, "ro", TPDO, 0.0,
+            indices.UNCERTAINTY, "Standard uncertainty", "uncertainty", 3,
+            ("u(P) N", "u(phi) degree", "u(theta) degree"), REAL32, "ro", TPDO, 0.0,
         ),
         record(
-            0x2110, "Contact settings", "contact",
+            indices.CONTACT_SETTINGS, "Contact settings", "contact",
             (1, "Tip radius", "tip_radius", REAL32, "rw", STAGED, 0.0, None, None, "m"),
             (2, "Theta minimum", "theta_minimum", REAL32, "rw", STAGED, 0.0, None, None, "degree"),
             (3, "Theta maximum", "theta_maximum", REAL32, "rw", STAGED, 0.0, None, None, "degree"),
@@ -303,7 +310,7 @@ def calibration(n: int) -> "tuple[Object, ...]":
             (6, "Load sense (0 push, 1 pull)", "load_sense", U8, "rw", STAGED, 0, 0, 1),
         ),
         record(
-            0x2112, "Calibration validity", "calibration",
+            indices.CALIBRATION_VALIDITY, "Calibration validity", "calibration",
             (1, "Calibrated force (0 not known)", "calibrated_force", REAL32, "rw", STAGED, 0.0, None, None, "N"),
             (2, "Overload force (0 not known)", "overload_force", REAL32, "rw", STAGED, 0.0, None, None, "N"),
             (3, "Lowest temperature", "temperature_minimum", REAL32, "rw", STAGED, 0.0, None, None, "degC"),
@@ -312,18 +319,21 @@ def calibration(n: int) -> "tuple[Object, ...]":
             (5, "Relative model uncertainty of the force", "model_uncertainty", REAL32, "rw", STAGED, 0.0),
         ),
         array(
-            0x2113, "Converter limit (0 span alone)", "calibration.converter_limit", n, gauges,
-            REAL32, "rw", STAGED, 0.0, unit="strain",
+            indices.CALIBRATION_CONVERTER_LIMIT, "Converter limit (0 span alone)", "calibration.converter_limit",
+            n, gauges, REAL32, "rw", STAGED, 0.0, unit="strain",
         ),
         array(
-            0x2114, "Offset against temperature", "calibration.offset_temperature", n, gauges,
-            REAL32, "rw", STAGED, 0.0, unit="strain/K",
+            indices.CALIBRATION_OFFSET_TEMPERATURE, "Offset against temperature", "calibration.offset_temperature",
+            n, gauges, REAL32, "rw", STAGED, 0.0, unit="strain/K",
         ),
         var(
-            0x2115, "Gain of the force against temperature", "calibration.gain_temperature",
-            REAL32, "rw", STAGED, 0.0, unit="1/K",
+            indices.CALIBRATION_GAIN_TEMPERATURE, "Gain of the force against temperature",
+            "calibration.gain_temperature", REAL32, "rw", STAGED, 0.0, unit="1/K",
         ),
-        var(0x2116, "Limit of the redundancy check (0 off)", "calibration.redundancy_limit", REAL32, "rw", STAGED, 0.0),
+        var(
+            indices.CALIBRATION_REDUNDANCY_LIMIT, "Limit of the redundancy check (0 off)",
+            "calibration.redundancy_limit", REAL32, "rw", STAGED, 0.0,
+        ),
     )
 
 
@@ -331,21 +341,24 @@ def live() -> "tuple[Object, ...]":
     """Live values: tare, contact, force and their uncertainty."""
     return (
         record(
-            0x2111, "Tare", "tare",
+            indices.TARE, "Tare", "tare",
             (1, "Applied tare F1", "F1", REAL32, "ro", 0, 0.0, None, None, "N"),
             (2, "Applied tare F2", "F2", REAL32, "ro", 0, 0.0, None, None, "N"),
             (3, "Applied tare F3", "F3", REAL32, "ro", 0, 0.0, None, None, "N"),
             (4, "Age of the tare", "age_s", U32, "ro", 0, 0, None, None, "s"),
         ),
-        var(0x2120, "Status byte", "status", U8, "ro", TPDO),
-        var(0x2121, "Sample counter", "counter", U8, "ro", TPDO),
-        var(0x2122, "Temperature", "temperature", I16, "ro", TPDO, UNKNOWN_I16, unit="0.01 degC"),
-        var(0x2123, "Standard uncertainty of P", "u_P", U16, "ro", TPDO, UNKNOWN_U16, unit="mN"),
-        var(0x2124, "Front-end faults", "faults", U16, "ro", TPDO),
-        var(0x2126, "Configuration counter", "configuration_counter", U8, "ro", TPDO),
-        var(0x2130, "Command", "command", U16, "rw", RPDO | NOT_STORED, 0, 0, COMMAND_ZERO),
-        var(0x2140, "Active calibration record", "calibration.active_record", DOMAIN, "ro"),
-        var(0x2141, "Staged calibration record", "calibration.staged_record", DOMAIN, "rw", NOT_STORED),
+        var(indices.STATUS, "Status byte", "status", U8, "ro", TPDO),
+        var(indices.COUNTER, "Sample counter", "counter", U8, "ro", TPDO),
+        var(indices.TEMPERATURE, "Temperature", "temperature", I16, "ro", TPDO, UNKNOWN_I16, unit="0.01 degC"),
+        var(indices.U_P, "Standard uncertainty of P", "u_P", U16, "ro", TPDO, UNKNOWN_U16, unit="mN"),
+        var(indices.FAULTS, "Front-end faults", "faults", U16, "ro", TPDO),
+        var(indices.CONFIGURATION_COUNTER, "Configuration counter", "configuration_counter", U8, "ro", TPDO),
+        var(indices.COMMAND, "Command", "command", U16, "rw", RPDO | NOT_STORED, 0, 0, COMMAND_ZERO),
+        var(indices.CALIBRATION_ACTIVE_RECORD, "Active calibration record", "calibration.active_record", DOMAIN, "ro"),
+        var(
+            indices.CALIBRATION_STAGED_RECORD, "Staged calibration record", "calibration.staged_record",
+            DOMAIN, "rw", NOT_STORED,
+        ),
     )
 
 
@@ -353,13 +366,13 @@ def simulation(n: int) -> "tuple[Object, ...]":
     """Settings of a simulated node."""
     return (
         record(
-            0x2200, "Simulated fault", "simulation",
+            indices.SIMULATED_FAULT, "Simulated fault", "simulation",
             (1, "Fault", "fault", U16, "rw", NOT_STORED, 0, 0, 5),
             (2, "Gauge", "gauge", U8, "rw", NOT_STORED, 1, 1, n),
             (3, "Magnitude", "magnitude", REAL32, "rw", NOT_STORED, 0.0),
         ),
         record(
-            0x2201, "Simulated load", "simulation",
+            indices.SIMULATED_LOAD, "Simulated load", "simulation",
             (1, "P", "P", REAL32, "rw", NOT_STORED, 0.0, None, None, "N"),
             (2, "phi", "phi", REAL32, "rw", NOT_STORED, 0.0, None, None, "degree"),
             (3, "theta", "theta", REAL32, "rw", NOT_STORED, 0.0, None, None, "degree"),
@@ -377,48 +390,54 @@ def profile(n: int, converter: "Converter") -> "Iterator[Object]":
         return array(index, name, slug, count, symbols[:count], *rest)
 
     yield from (
-        single(0x6110, "AI sensor type", "sensor_type", total, U16, "ro", 0, tuple(c[4] for c in chans)),
-        single(0x6112, "AI operating mode", "operating_mode", total, U8, "rw", COUNTED, 1, 1, 1),
-        single(0x6114, "AI sample period", "sample_period_us", total, U32, "rw", 0, 500, 100, 1000000, "us"),
-        single(0x6125, "AI autozero", "autozero", n, U32, "wo"),
-        single(0x6131, "AI physical unit", "unit", total, U32, "ro", 0, tuple(c[2] for c in chans)),
-        single(0x6132, "AI decimal digits", "decimal_digits", total, U8, "ro", 0, tuple(c[3] for c in chans)),
+        single(indices.SENSOR_TYPE, "AI sensor type", "sensor_type", total, U16, "ro", 0, tuple(c[4] for c in chans)),
+        single(indices.OPERATING_MODE, "AI operating mode", "operating_mode", total, U8, "rw", COUNTED, 1, 1, 1),
+        single(
+            indices.SAMPLE_PERIOD_US, "AI sample period", "sample_period_us", total,
+            U32, "rw", 0, 500, 100, 1000000, "us",
+        ),
+        single(indices.AUTOZERO, "AI autozero", "autozero", n, U32, "wo"),
+        single(indices.UNIT, "AI physical unit", "unit", total, U32, "ro", 0, tuple(c[2] for c in chans)),
+        single(
+            indices.DECIMAL_DIGITS, "AI decimal digits", "decimal_digits", total,
+            U8, "ro", 0, tuple(c[3] for c in chans),
+        ),
         (
-            0x6139, ARRAY, "AI autotare", "autotare",
+            indices.AUTOTARE, ARRAY, "AI autotare", "autotare",
             (
                 run(0, 1, "Highest sub-index supported", "count", U8, "const", 0, n + 1),
                 run(n + 1, 1, "F1, F2, F3", "autotare", U32, "wo"),
             ),
         ),
-        single(0x6150, "AI status", "channel_status", total, U8, "ro", TPDO),
-        single(0x61A0, "AI filter type", "filter_type", n, U8, "rw", COUNTED, 0, 0, 100),
-        single(0x61A1, "AI filter constant", "filter_constant", n, U16, "rw", COUNTED, 1, 1, 65535),
+        single(indices.CHANNEL_STATUS, "AI status", "channel_status", total, U8, "ro", TPDO),
+        single(indices.FILTER_TYPE, "AI filter type", "filter_type", n, U8, "rw", COUNTED, 0, 0, 100),
+        single(indices.FILTER_CONSTANT, "AI filter constant", "filter_constant", n, U16, "rw", COUNTED, 1, 1, 65535),
     )
     zero: "float | tuple[float, ...]" = 0.0
     full: "float | tuple[float, ...]" = 1000.0 * converter[1]
     if len(converter) > 2:
         zero, full = tuple(points[0] for points in converter[2]), tuple(points[1] for points in converter[2])
-    lows, highs = tuple(c[6] for c in chans), tuple(c[7] for c in chans)
+    lows, highs, process = tuple(c[6] for c in chans), tuple(c[7] for c in chans), "unit of 6131h"
     # One value in three forms: REAL32 (6xxxh, the value itself), INTEGER16 and INTEGER32 (views).
-    for offset, name, slug, count, access, default, unit in (
-        (0x100, "field value", "field_value", n, "ro", 0.0, "counts"),
-        (0x120, "scaling 1 field value", "scaling_1_field", n, "rw", zero, "counts"),
-        (0x121, "scaling 1 process value", "scaling_1_process", n, "rw", 0.0, "microstrain"),
-        (0x122, "scaling 2 field value", "scaling_2_field", n, "rw", full, "counts"),
-        (0x123, "scaling 2 process value", "scaling_2_process", n, "rw", 1000.0, "microstrain"),
-        (0x124, "process value offset", "process_offset", n, "rw", 0.0, "microstrain"),
-        (0x130, "process value", "process_value", total, "ro", 0.0, "unit of 6131h"),
-        (0x133, "interrupt delta", "interrupt_delta", total, "rw", 0.0, "unit of 6131h"),
-        (0x134, "interrupt lower limit", "interrupt_lower", total, "rw", lows, "unit of 6131h"),
-        (0x135, "interrupt upper limit", "interrupt_upper", total, "rw", highs, "unit of 6131h"),
-        (0x136, "interrupt hysteresis", "interrupt_hysteresis", total, "rw", 0.0, "unit of 6131h"),
-        (0x148, "span start", "span_start", total, "rw", lows, "unit of 6131h"),
-        (0x149, "span end", "span_end", total, "rw", highs, "unit of 6131h"),
+    for index, name, slug, count, access, default, unit in (
+        (indices.FIELD_VALUE, "field value", "field_value", n, "ro", 0.0, "counts"),
+        (indices.SCALING_1_FIELD, "scaling 1 field value", "scaling_1_field", n, "rw", zero, "counts"),
+        (indices.SCALING_1_PROCESS, "scaling 1 process value", "scaling_1_process", n, "rw", 0.0, "microstrain"),
+        (indices.SCALING_2_FIELD, "scaling 2 field value", "scaling_2_field", n, "rw", full, "counts"),
+        (indices.SCALING_2_PROCESS, "scaling 2 process value", "scaling_2_process", n, "rw", 1000.0, "microstrain"),
+        (indices.PROCESS_OFFSET, "process value offset", "process_offset", n, "rw", 0.0, "microstrain"),
+        (indices.PROCESS_VALUE, "process value", "process_value", total, "ro", 0.0, process),
+        (indices.INTERRUPT_DELTA, "interrupt delta", "interrupt_delta", total, "rw", 0.0, process),
+        (indices.INTERRUPT_LOWER, "interrupt lower limit", "interrupt_lower", total, "rw", lows, process),
+        (indices.INTERRUPT_UPPER, "interrupt upper limit", "interrupt_upper", total, "rw", highs, process),
+        (indices.INTERRUPT_HYSTERESIS, "interrupt hysteresis", "interrupt_hysteresis", total, "rw", 0.0, process),
+        (indices.SPAN_START, "span start", "span_start", total, "rw", lows, process),
+        (indices.SPAN_END, "span end", "span_end", total, "rw", highs, process),
     ):
         flags = TPDO if access == "ro" else 0
         digits = tuple(0 if unit == "counts" else c[3] for c in chans[:count])
         yield array(
-            0x6000 + offset, "AI " + name, slug, count, symbols[:count], REAL32, access,
+            index, "AI " + name, slug, count, symbols[:count], REAL32, access,
             flags if access == "ro" else COUNTED,
             default if isinstance(default, float) else default[:count], unit=unit,
         )
@@ -426,7 +445,7 @@ def profile(n: int, converter: "Converter") -> "Iterator[Object]":
             if kind == I16 and unit == "counts" and converter[0] > 16:
                 continue
             yield array(
-                0x6000 + form + offset, "AI " + name + " " + suffix, slug + "_" + suffix, count, symbols[:count],
+                index + form, "AI " + name + " " + suffix, slug + "_" + suffix, count, symbols[:count],
                 kind, access, flags | VIEW, _scaled(default, digits),
                 unit=unit if unit == "counts" else "resolution of 6132h",
             )

@@ -94,13 +94,13 @@ class Active:
         if lost not in self._solvers:
             if len(self._solvers) >= _MOST_SOLVERS:
                 self._solvers = {0: self._solvers[0]}
-            found = None
+            solver = None
             n = len(self.offsets)
             if n > 3:
                 from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
 
-                found = scalar_redundancy.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
-            self._solvers[lost] = found
+                solver = scalar_redundancy.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
+            self._solvers[lost] = solver
         return self._solvers[lost]
 
     def force(self, matrix: "list[list[float]]", microstrains: "list[float]") -> "tuple[float, float, float]":

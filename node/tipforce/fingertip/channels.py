@@ -119,28 +119,28 @@ class Channels:
 
         def read() -> "list[Value]":
             sample = fingertip.sample
-            found: "list[Value | None]" = []
+            raw: "list[Value | None]" = []
             if sample.reading is None:
-                found += [unknown] * (last - start)
+                raw += [unknown] * (last - start)
             else:
                 values = sample.values if last <= len(sample.values) else sample.find_values(last)
                 for k in range(start, last):
                     scaled = values[k] * per_unit[k]
-                    found.append(round(scaled) if lowest < scaled < highest else None)
-                if None in found or (angles and -_HALF_TURN in found):
-                    found = [self._integer(values[k], k + 1, highest, unknown) for k in range(start, last)]
+                    raw.append(round(scaled) if lowest < scaled < highest else None)
+                if None in raw or (angles and -_HALF_TURN in raw):
+                    raw = [self._integer(values[k], k + 1, highest, unknown) for k in range(start, last)]
             if not whole_mapping:
-                found.append(sample.status())
-                found.append(sample.counter)
-            return found  # type: ignore[return-value]
+                raw.append(sample.status())
+                raw.append(sample.counter)
+            return raw  # type: ignore[return-value]
 
         return read
 
     def _integer(self, value: float, sub: int, highest: int, unknown: int) -> int:
         if value == value:  # noqa: PLR0124 (false for NaN alone)
-            found = self._to_integer(value, self._per_unit[sub - 1], highest)
+            raw = self._to_integer(value, self._per_unit[sub - 1], highest)
             # An angle lies in (-180, 180]: one that rounding brings to -180 is 180.
-            return -found if found == -_HALF_TURN and sub > self._n + 4 else found
+            return -raw if raw == -_HALF_TURN and sub > self._n + 4 else raw
         over = self._overload(sub)
         return highest * over if over else unknown
 

@@ -98,26 +98,26 @@ class Judgement:
         active, solver, force = self._active, self.solver, self.force
         if solver is None or force is None:
             return (scalar.NAN,) * 6
-        matrix, found = solver
+        matrix, covariance = solver
         model = active.model
         if model > 0.0:
             if self.bits & _BEYOND:  # what is not linear grows with the force, relative to it
                 model *= magnitude(force) / active.forces[0]
             for k in range(len(self.strains)):
                 size = model * self.strains[k]
-                found = _with(found, size * matrix[0][k], size * matrix[1][k], size * matrix[2][k])
+                covariance = _with(covariance, size * matrix[0][k], size * matrix[1][k], size * matrix[2][k])
         if self._kelvin > 0.0:
             moved = [active.gain_per_kelvin * f for f in force]
             if active.per_kelvin is not None:
                 moved = [m + dot(row, active.per_kelvin) for m, row in zip(moved, matrix)]  # noqa: B905
-            found = _with(found, self._kelvin * moved[0], self._kelvin * moved[1], self._kelvin * moved[2])
+            covariance = _with(covariance, self._kelvin * moved[0], self._kelvin * moved[1], self._kelvin * moved[2])
         if self._faults:
             from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
 
-            k11, k12, k13, k22, k23, k33 = found
+            k11, k12, k13, k22, k23, k33 = covariance
             d11, d12, d13, d22, d23, d33 = scalar_redundancy.doubt(matrix, active.noise, self._faults)
-            found = k11 + d11, k12 + d12, k13 + d13, k22 + d22, k23 + d23, k33 + d33
-        return found
+            covariance = k11 + d11, k12 + d12, k13 + d13, k22 + d22, k23 + d23, k33 + d33
+        return covariance
 
 
 def difference(active: "Active", temperature_degC: float) -> "tuple[float, float, bool]":
@@ -143,10 +143,10 @@ def difference(active: "Active", temperature_degC: float) -> "tuple[float, float
 
 def strains(active: "Active", microstrains: "list[float]", kelvin: float) -> "list[float]":
     """Gauge strain with the offset and what temperature adds to it taken off."""
-    found = [1e-6 * m - o for m, o in zip(microstrains, active.offsets)]  # noqa: B905 (not in MicroPython)
+    free = [1e-6 * m - o for m, o in zip(microstrains, active.offsets)]  # noqa: B905 (not in MicroPython)
     if active.per_kelvin is not None and kelvin != 0.0:
-        found = [v - kelvin * c for v, c in zip(found, active.per_kelvin)]  # noqa: B905
-    return found
+        free = [v - kelvin * c for v, c in zip(free, active.per_kelvin)]  # noqa: B905
+    return free
 
 
 def magnitude(force: "tuple[float, float, float]") -> float:

@@ -99,7 +99,7 @@ _BY_BIT = {
 class Reports:
     """EMCY and event-driven TPDOs of one node; ``counter`` is 2126h."""
 
-    __slots__ = ("_contradicted_us", "_device", "_next_us", "_told", "counter")
+    __slots__ = ("_contradicted_us", "_device", "_next_us", "_raised", "counter")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
@@ -108,9 +108,9 @@ class Reports:
         device.od.readers[indices.CONFIGURATION_COUNTER] = lambda _sub: self.counter
 
     def reset(self) -> None:
-        """Boot: nothing is told yet, and the counter begins again."""
+        """Boot: no error is raised yet, and the counter begins again."""
         self.counter = 0
-        self._told: "dict[int, tuple[int, int]]" = {}  # bit of 2124h -> (code, detail) of its EMCY
+        self._raised: "dict[int, tuple[int, int]]" = {}  # bit of 2124h -> (code, detail) of its EMCY
         self._contradicted_us = -HOLD_US
         self._next_us = 0
 
@@ -121,7 +121,7 @@ class Reports:
 
     def sampled(self, sample: "Sample", before: int) -> None:
         """A sample was latched; ``before`` is 2124h of the one before."""
-        if sample.faults or self._told:
+        if sample.faults or self._raised:
             self._report(sample)
         if sample.faults != before:
             self._request_faults()
@@ -140,17 +140,18 @@ class Reports:
         held = now_us - self._contradicted_us < HOLD_US
         left = 0 if sample.judgement is None else sample.judgement.left_out
         for bit in range(16):
-            told = self._told.get(bit)
+            raised = self._raised.get(bit)
             error = _error(bit, sample) if faults >> bit & 1 else None
-            if error is None and held and told is not None and _of_contradiction(bit, told[1]) and not left:
-                continue  # where another gauge is left out now, that one ends at once
-            if told == error:
+            if error is None and held and raised is not None and not left:
+                if table.FAULT_CONTRADICTION in (bit, raised[1] >> 8):
+                    continue  # where another gauge is left out now, that one ends at once
+            if raised == error:
                 continue
-            if told is not None:
-                del self._told[bit]
-                self._device.emcy.cure(told[0], told[1])
+            if raised is not None:
+                del self._raised[bit]
+                self._device.emcy.cure(raised[0], raised[1])
             if error is not None:
-                self._told[bit] = error
+                self._raised[bit] = error
                 register = _BY_BIT[bit][1] if bit in _BY_BIT else emcy.PROFILE
                 self._device.emcy.raise_error(error[0], register, error[1])
 
@@ -179,7 +180,3 @@ def _error(bit: int, sample: "Sample") -> "tuple[int, int] | None":
     if bit == table.FAULT_BEYOND_CALIBRATED:
         return None
     return (_BY_BIT[bit][0] if bit in _BY_BIT else table.EMCY_FRONT_END), bit
-
-
-def _of_contradiction(bit: int, detail: int) -> bool:
-    return bit == table.FAULT_CONTRADICTION or detail >> 8 == table.FAULT_CONTRADICTION

@@ -224,28 +224,28 @@ class Sample:
 
         The gauges alone, the forces too, or the contact too: what channel ``sub`` needs and no more.
         """
-        found, n = self.values, len(self.microstrains)
-        if not found:
-            found += self.microstrains
+        values, n = self.values, len(self.microstrains)
+        if not values:
+            values += self.microstrains
             hidden = self.hidden()
             if hidden or any(self.overloads):
                 for k, over in enumerate(self.overloads):
                     if over or hidden:
-                        found[k] = NAN
-        if sub > n and len(found) == n:
-            found += (NAN, NAN, NAN) if self.unknown_early() & scalar.UNKNOWN_FORCE else self.force()
-        if sub > n + 3 and len(found) == n + 3:
+                        values[k] = NAN
+        if sub > n and len(values) == n:
+            values += (NAN, NAN, NAN) if self.unknown_early() & scalar.UNKNOWN_FORCE else self.force()
+        if sub > n + 3 and len(values) == n + 3:
             unknown = self.unknown()
             if unknown & scalar.UNKNOWN_FORCE:
-                found += (NAN, NAN, NAN)
-                return found
+                values += (NAN, NAN, NAN)
+                return values
             P, phi, theta, _miss = self.contact()
-            found += (
+            values += (
                 P,
                 NAN if unknown & scalar.UNKNOWN_PHI else phi * scalar.DEGREES,
                 NAN if unknown & scalar.UNKNOWN_THETA else theta * scalar.DEGREES,
             )
-        return found
+        return values
 
     def _early_status(self) -> int:
         """The bits that are known before any force is: calibrated, saturated, stale, front-end fault."""

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from canopen_device.core.codes import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, NODE_ID_MASK, SYNC_COB_ID, TPDO_BASES
-from tipforce.arrays import FloatArray
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.decoder import Decoder
@@ -20,7 +19,6 @@ from tipforce.host.hand.events import Event, Supervisor
 from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.rows import Collector
 from tipforce.samples.columns import Block
-from tipforce.samples.record import Rows
 from tipforce.sensor.structure.gauges import Gauge
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASE_OF_CODE, LAYOUTS
@@ -135,7 +133,12 @@ class Watcher:
             return [], events
         faults = np.stack([self._faults.at(finger.node_id, rows.sync_ns)[0] for finger in self.fingers], axis=-1)
         calibrations = [finger.calibration for finger in self.fingers]
-        return [rows.block(calibrations, self._gauges, self._health_of(rows), faults)], events
+        u_of_rows = np.full(rows.counter.shape, np.nan) if self._health_u else None
+        if u_of_rows is not None:
+            for k, finger in enumerate(self.fingers):
+                t_ns, u_P = self._health_u.get(finger.node_id, (0, np.nan))
+                u_of_rows[:, k] = np.where(np.abs(rows.sync_ns - t_ns) < HEALTH_YOUNG_NS, u_P, np.nan)
+        return [rows.block(calibrations, self._gauges, u_of_rows, faults)], events
 
     def state(self, node_id: int) -> str:
         """Return the NMT state of a finger by its heartbeat; empty without one."""
@@ -219,12 +222,3 @@ class Watcher:
         syncs = np.zeros(len(places), dtype=FRAME)
         syncs["t_ns"], syncs["can_id"] = frames["t_ns"][places], SYNC_COB_ID
         return np.insert(frames, places, syncs)
-
-    def _health_of(self, rows: Rows) -> FloatArray | None:
-        if not self._health_u:
-            return None
-        u_of_rows = np.full(rows.counter.shape, np.nan)
-        for k, finger in enumerate(self.fingers):
-            t_ns, u_P = self._health_u.get(finger.node_id, (0, np.nan))
-            u_of_rows[:, k] = np.where(np.abs(rows.sync_ns - t_ns) < HEALTH_YOUNG_NS, u_P, np.nan)
-        return u_of_rows

@@ -192,9 +192,9 @@ def select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
             if master.select(address):
                 return address
         else:
-            found = master.fastscan((0, product, table.REVISION))
-            if found is not None:
-                return found
+            unconfigured = master.fastscan((0, product, table.REVISION))
+            if unconfigured is not None:
+                return unconfigured
     return None
 
 

@@ -45,8 +45,8 @@ class Meaning:
 
     def keys(self) -> dict[int, int]:
         """Return the values as ``Trust`` compares them, by ``key_of``; 2126h included."""
-        found = {key_of(entry): int.from_bytes(data, "little") for entry, data in self.values.values()}
-        return found | {key_of(objects.CONFIGURATION_COUNTER): self.counter}
+        keys = {key_of(entry): int.from_bytes(data, "little") for entry, data in self.values.values()}
+        return keys | {key_of(objects.CONFIGURATION_COUNTER): self.counter}
 
 
 @lru_cache
@@ -101,20 +101,18 @@ def read_meaning(sdo: SdoChannel, gauges: int, places: Collection[Place] | None 
     raise RefusedError(f"node {sdo.node_id}: its configuration changes while it is read; stop the other master")
 
 
-def as_wanted(found: Meaning, wanted: Configuration, calibration: Calibration | None) -> bool:
+def as_wanted(present: Meaning, wanted: Configuration, calibration: Calibration | None) -> bool:
     """Return whether the settings read are those ``wanted``, and the calibration is this one (None: any)."""
-    asked = [
-        (entry.encode(value), found.values[place][1])
+    return _has(present, calibration) and all(
+        place not in present.values or entry.encode(value) == present.values[place][1]
         for place, (entry, value) in wanted.items()
-        if place in found.values
-    ]
-    return _has(found, calibration) and all(expected == data for expected, data in asked)
+    )
 
 
 def differences(before: Meaning, after: Meaning) -> list[Difference]:
     """Return the entries whose values differ, and their values."""
     both = [(entry, data, after.values.get(place, (entry, b""))[1]) for place, (entry, data) in before.values.items()]
-    return [one for one in both if one[1] != one[2]]
+    return [(entry, old, new) for entry, old, new in both if old != new]
 
 
 def in_words(changes: list[Difference]) -> str:
@@ -155,9 +153,9 @@ def write_back(
         client.clear_tare()
     objects_changed = {_with_mapping(index) for index, _ in places}
     rest = {
-        place: (one, one.decode(data))
-        for place, (one, data) in before.values.items()
-        if one.access == "rw" and _with_mapping(one.index) in objects_changed
+        place: (entry, entry.decode(data))
+        for place, (entry, data) in before.values.items()
+        if entry.access == "rw" and _with_mapping(entry.index) in objects_changed
     }
     apply_differences(client.sdo, dict(sorted(rest.items())))
 
@@ -167,8 +165,8 @@ def _with_mapping(index: int) -> int:
     return index & ~communication.MAPPING if communication.RPDO <= index <= communication.LAST_TPDO_MAPPING else index
 
 
-def _has(found: Meaning, calibration: Calibration | None) -> bool:
-    entry, data = found.values[_CALIBRATION]
+def _has(present: Meaning, calibration: Calibration | None) -> bool:
+    entry, data = present.values[_CALIBRATION]
     return calibration is None or entry.decode(data) == calibration.crc32()
 
 
@@ -177,7 +175,7 @@ def set_overflow(sdo: SdoChannel, value: int) -> int:
     before = sdo.read(objects.SYNC_COUNTER_OVERFLOW)
     if before != value:
         sdo.write(objects.SYNC_COUNTER_OVERFLOW, value)
-        found = sdo.read(objects.SYNC_COUNTER_OVERFLOW)
-        if found != value:
-            raise RefusedError(f"node {sdo.node_id}: 1019h reads back {found}, written was {value}")
+        present = sdo.read(objects.SYNC_COUNTER_OVERFLOW)
+        if present != value:
+            raise RefusedError(f"node {sdo.node_id}: 1019h reads back {present}, written was {value}")
     return before

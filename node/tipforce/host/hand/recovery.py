@@ -104,8 +104,10 @@ class Recovery:
             client.tare()
             F1, F2, F3 = client.tare_state().force_newtons
             if before is not None:
-                found = self._read(node_id)
-                known = found if only_tare(differences(before, found)) else before  # else another's is to be decided on
+                present = self._read(node_id)
+                known = (
+                    present if only_tare(differences(before, present)) else before
+                )  # else another's is to be decided on
         finally:
             if known is not None:
                 self._show(node_id, known)
@@ -173,15 +175,15 @@ class Recovery:
             wanted = {place: (entry, entry.encode(value)) for place, (entry, value) in self._wanted[node_id].items()}
             part = self._read(node_id, of_values(plan.gauges) - wanted.keys())
             later = known.values.keys() - part.values.keys() - wanted.keys()
-            found = Meaning(part.counter, {**known.values, **wanted, **part.values})
+            present = Meaning(part.counter, {**known.values, **wanted, **part.values})
         else:
-            found = self._read(node_id)
-        if not as_wanted(found, self._wanted[node_id], self._file.calibration(plan)):
+            present = self._read(node_id)
+        if not as_wanted(present, self._wanted[node_id], self._file.calibration(plan)):
             return False
-        changes = differences(found if known is None else known, found)
+        changes = differences(present if known is None else known, present)
         if changes:  # lost at the reset, or stored by another before it
-            return self._decide(node_id, found, changes)
-        self._show(node_id, found, {index << 8 | sub for index, sub in later})
+            return self._decide(node_id, present, changes)
+        self._show(node_id, present, {index << 8 | sub for index, sub in later})
         return True
 
     def _read(self, node_id: int, places: Collection[Place] | None = None) -> Meaning:
@@ -195,29 +197,29 @@ class Recovery:
     def _verify(self, node_id: int) -> bool:
         """Read what may be another's; the collector compares it. If it differs, read all and decide."""
         if self._trust.changed(node_id):
-            found = self._read(node_id)
-            return self._decide(node_id, found, differences(self.meaning[node_id], found))
+            present = self._read(node_id)
+            return self._decide(node_id, present, differences(self.meaning[node_id], present))
         sdo = self._connection().sdo(node_id)
         for key in self._trust.unsure(node_id):
             sdo.upload(key >> 8, key & 0xFF)
         return True
 
-    def _decide(self, node_id: int, found: Meaning, changes: list[Difference]) -> bool:
+    def _decide(self, node_id: int, present: Meaning, changes: list[Difference]) -> bool:
         """Decide by ``foreign_changes`` on what differs from before."""
         policy, known, text = self._file.hand.foreign_changes, self.meaning[node_id], in_words(changes)
         unusable = needed(changes, self._wanted[node_id])
         if not changes or (policy == "accept" and not unusable):
             self._say(node_id, "accepted", f"by another master: {text}" if changes else "all settings are as before")
-            self._show(node_id, found)
+            self._show(node_id, present)
             return True
         if policy == "restore":
             try:
                 client = FingertipClient(self._connection().sdo(node_id))
                 write_back(client, known, changes, self._file.calibration(self._plans[node_id]))
-                found = self._read(node_id)
-                if differences(known, found):
+                present = self._read(node_id)
+                if differences(known, present):
                     return False  # changed again meanwhile
-                self._show(node_id, found)
+                self._show(node_id, present)
                 self._say(node_id, "restored", f"another master had changed {text}")
                 return True
             except RefusedError as error:

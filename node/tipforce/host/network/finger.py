@@ -240,13 +240,13 @@ class Finger(FingertipClient):
             self._reader = None
 
     def _opened(self) -> ContactReader:
-        from tipforce.host.network.finger_samples import open_reader, passive_reader
+        from tipforce.host.network.finger_samples import ContactReader
 
         with self._lock:
-            if self._reader is None and self.passive:
-                self._reader = passive_reader(self._connection, self.node_id, self.default_gauges)
-            elif self._reader is None:
-                self._reader = open_reader(self._connection, self.node_id, self.calibration())
+            if self._reader is None:
+                calibration = None if self.passive else self.calibration()
+                gauges = self.default_gauges if self.passive else 0
+                self._reader = ContactReader(self._connection, self.node_id, calibration, gauges)
             state, now_s = self._connection.heartbeats.state(self.node_id), time.monotonic()
             to_start = not self.passive and state not in (codes.OPERATIONAL, codes.STOPPED)
             if to_start and now_s - self._started_s > _START_AGAIN_S:

@@ -38,21 +38,24 @@ _SETS = (("P", "phi", "theta"), ("F1", "F2", "F3"))
 class ContactReader:
     """Subscribe to the PDOs of one finger and convert each new sample to a Contact.
 
-    ``calibration`` is used for the uncertainties. Raises InputError for a finger whose PDOs carry no contact, no force
-    and not all gauges, each with status and counter.
+    Its PDOs are read over SDO; ``passive_gauges`` over 0: they are the default ones of so many gauges, and nothing is
+    sent. ``calibration`` is used for the uncertainties. Raises as SdoChannel does, and InputError for a finger whose
+    PDOs carry no contact, no force and not all gauges, each with status and counter.
     """
 
-    def __init__(
-        self,
-        connection: Bus,
-        node_id: int,
-        gauges: int,
-        pdos: dict[int, Message],
-        calibration: Calibration | None,
-        passive: bool = False,
-    ) -> None:
-        self._passive = passive
+    def __init__(self, connection: Bus, node_id: int, calibration: Calibration | None, passive_gauges: int = 0) -> None:
+        self._passive, gauges = passive_gauges > 0, passive_gauges
         self._connection, self._node_id = connection, node_id
+        if self._passive:
+            default = tpdo_messages(gauges)
+            pdos = {message.cob_id_base + node_id: message for message in default if message.cob_id_base}
+        else:
+            sdo = connection.sdo(node_id)
+            layout = node_layout(sdo)
+            with suppress(SdoAbortError):
+                connection.sync_overflow = sdo.read(objects.SYNC_COUNTER_OVERFLOW)
+            pdos = {can_id: message for can_id, message in layout_decoder([layout]).messages().values() if can_id}
+            gauges = layout.gauges
         needed = _needed(node_id, gauges, pdos)
         layouts = {can_id: (node_id, message) for can_id, message in pdos.items()}
         self._assembler = Assembler(layouts, needed, gauges, {node_id: calibration})
@@ -171,22 +174,6 @@ class ContactStream(Iterator[Contact], AsyncIterator[Contact]):
     async def __anext__(self) -> Contact:
         """Return the next sample; the event loop runs meanwhile."""
         return await asyncio.to_thread(self.__next__)
-
-
-def open_reader(connection: Bus, node_id: int, calibration: Calibration | None) -> ContactReader:
-    """Return a reader of a node whose PDOs are read over SDO. Raises as SdoChannel does, and InputError."""
-    sdo = connection.sdo(node_id)
-    layout = node_layout(sdo)
-    with suppress(SdoAbortError):
-        connection.sync_overflow = sdo.read(objects.SYNC_COUNTER_OVERFLOW)
-    pdos = {can_id: message for can_id, message in layout_decoder([layout]).messages().values() if can_id}
-    return ContactReader(connection, node_id, layout.gauges, pdos, calibration)
-
-
-def passive_reader(connection: Bus, node_id: int, gauges: int) -> ContactReader:
-    """Return a reader of the default PDOs of a node with ``gauges`` gauges; it sends nothing."""
-    pdos = {message.cob_id_base + node_id: message for message in tpdo_messages(gauges) if message.cob_id_base}
-    return ContactReader(connection, node_id, gauges, pdos, None, passive=True)
 
 
 def _needed(node_id: int, gauges: int, pdos: dict[int, Message]) -> list[str]:
