@@ -14,10 +14,10 @@ bounds how long a lost connection blocks the node's loop.
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+from canopen_device.running.loop import now_us
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.source import Reading, Source
@@ -52,11 +52,6 @@ class Part(Protocol):
 
     def close(self) -> None:
         """Release the device."""
-
-
-def now_us() -> int:
-    """Return microseconds of the monotonic clock."""
-    return time.monotonic_ns() // 1000
 
 
 class IioSource(Source):

@@ -291,8 +291,9 @@ def plot(error_budget: Budget, path: str) -> None:
     Sorted by share of the variance of P; one colour, so that print and any colour vision show the same. Raises
     EnvironmentLackError without matplotlib, and InputError if the file cannot be written.
     """
-    sizes = np.array([np.sqrt(np.mean(row.uncertainties**2, axis=0)) for row in error_budget.rows])
-    total = np.sqrt(np.mean(error_budget.total.uncertainties**2, axis=0))
+    rows = [*error_budget.rows, error_budget.total]
+    *parts, total = (np.sqrt(np.mean(row.uncertainties**2, axis=0)) for row in rows)
+    sizes = np.array(parts)
     order = np.argsort(-sizes[:, 0], kind="stable")
     names = [error_budget.rows[k].cause for k in order] + ["total"]
     with figures.plotting({"font.size": 9.0}):
