@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from tipforce.errors import EnvironmentLackError
 from tipforce.sources import iio_sysfs
-from tipforce.sources.iio_sysfs import Device, ScanType, at_same_place
+from tipforce.sources.iio_sysfs import Device, PolledDevice, ScanType
 
 DEVICE_FILES = Path("/dev")
 HRTIMER = Path("/sys/kernel/config/iio/triggers/hrtimer")
@@ -61,7 +61,7 @@ def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
     return value - (1 << kind.bits) if kind.signed and value >> kind.bits - 1 else value
 
 
-class BufferedDevice:
+class BufferedDevice(PolledDevice):
     """Channels of one device through its buffer. ``trigger`` is its name; empty for a device that needs none.
 
     ``read`` returns the newest scan that is not later than the requested time (if scans carry time stamps of the
@@ -74,20 +74,15 @@ class BufferedDevice:
     def __init__(
         self, device: Device, channels: Sequence[str], trigger: str, device_files: Path = DEVICE_FILES
     ) -> None:
-        self.path = device.path
-        self.name = device.number
-        self.channels = tuple(channels)
-        self._trigger = trigger
-        self._device_files = device_files
+        self._trigger, self._device_files = trigger, device_files
         self._fd = -1
         self._rest = b""
         self._scans: deque[tuple[int, tuple[int, ...]]] = deque(maxlen=_KEPT_SCANS)
         self._stamp_ns = -1
         self._monotonic = False
         self._layout = Layout(0, (), None)
-        self._temperature: str | None = None
         try:
-            self.reopen()
+            super().__init__(device, channels)
         except OSError as error:
             raise EnvironmentLackError(
                 f"iio {device}: buffered capture cannot be set up: {error}; run as root, or use `--capture poll`"
@@ -96,7 +91,8 @@ class BufferedDevice:
     def reopen(self) -> None:
         """Set up and start the capture. Raises OSError while the device is missing."""
         self.close()
-        self.path = path = at_same_place(self.path)
+        super().reopen()
+        path = self.path
         self._write("buffer/enable", "0")
         self._layout = layout_of(self._enabled(), self.channels)
         with contextlib.suppress(OSError):  # older kernels have only one clock, the time of day
@@ -111,7 +107,6 @@ class BufferedDevice:
         self._write("buffer/enable", "1")
         self._rest, self._stamp_ns = b"", -1
         self._scans.clear()
-        self._temperature = iio_sysfs.temperature_channel(path)
 
     def _enabled(self) -> list[tuple[str, int, ScanType]]:
         """Enable the wanted channels of the scan and disable the others; return name, index and type of the former."""
@@ -168,10 +163,6 @@ class BufferedDevice:
                 raise TimestampError(5, f"time stamp {stamp_ns} ns after {before} ns")
             self._stamp_ns, stamp_us = stamp_ns, stamp_ns // 1000
         self._scans.append((stamp_us, tuple([value_of(scan, *place) for place in self._layout.channels])))
-
-    def temperature(self) -> int:
-        """Return the temperature in 0.01 degC, or unknown; some drivers reject the read while the buffer runs."""
-        return iio_sysfs.temperature_of(self.path, self._temperature)
 
     def close(self) -> None:
         """Stop the capture."""
