@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import struct
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +22,6 @@ DEVICE_FILES = Path("/dev")
 HRTIMER = Path("/sys/kernel/config/iio/triggers/hrtimer")
 CLOCK = "monotonic"  # of the time stamps: the node's own clock, independent of the time of day
 _KEPT_SCANS = 1024  # in the kernel, and as many here: a loop that is suspended longer loses the oldest
-_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
 _STAMP = "timestamp"
 
 
@@ -55,9 +53,8 @@ def layout_of(types: Sequence[tuple[str, int, ScanType]], wanted: Sequence[str])
 
 def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
     """Return one channel of a scan: shifted, masked to its bits, sign-extended."""
-    code = (">" if kind.big_endian else "<") + _CODES[kind.storage_bits].upper()
-    stored: int = struct.unpack_from(code, scan, offset)[0]
-    value = stored >> kind.shift & (1 << kind.bits) - 1
+    stored = scan[offset : offset + kind.storage_bits // 8]
+    value = int.from_bytes(stored, "big" if kind.big_endian else "little") >> kind.shift & (1 << kind.bits) - 1
     return value - (1 << kind.bits) if kind.signed and value >> kind.bits - 1 else value
 
 
@@ -121,7 +118,7 @@ class BufferedDevice(PolledDevice):
             self._write(f"scan_elements/in_{channel}_en", "1" if wanted else "0")
             if wanted:
                 kind = iio_sysfs.scan_type(self.path, channel)
-                if kind is None or kind.storage_bits not in _CODES:
+                if kind is None or kind.storage_bits not in (8, 16, 32, 64):
                     raise OSError(22, f"in_{channel}_type has an unknown format")
                 enabled.append((channel, int((elements / f"in_{channel}_index").read_text()), kind))
         return enabled
