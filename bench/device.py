@@ -179,6 +179,9 @@ def _file_works() -> Iterator[tuple[str, str, Callable[[], int]]]:
         ("SDO upload", (0x605, struct.pack("<BHB4x", 0x40, 0x1017, 0))),
         ("SDO download", (0x605, struct.pack("<BHBH2x", 0x2B, 0x1017, 0, 0))), ("SYNC", (0x80, b"")),
     ):  # fmt: skip
+        answers, _ = device.step(3, [frame])
+        if len(answers) != (2 if what == "SYNC" else 1):
+            raise AssertionError(f"{what}: {answers}")
         yield f"EDS of {len(eds.objects)} objects: {what}", "", steps([device], [frame], 3000, 2000)
 
 

@@ -63,17 +63,15 @@ def sizes() -> dict[str, dict[str, int]] | None:
         for source in sorted(folder.glob("*.c")):
             subprocess.run([ARM, *flags, "-c", source.name, "-o", f"{source.stem}.o"], cwd=folder, check=True)
             compiled[source.name] = _text(folder / f"{source.stem}.o")
-        linked = {title: _linked(folder, functions, files) for title, (functions, files) in PROGRAMS.items()}
+        linked = {}
+        for title, (functions, files) in PROGRAMS.items():
+            objects = [f"{Path(name).stem}.o" for name in files]
+            kept = [f"-Wl,--undefined={function}" for function in functions]
+            line = [ARM, *CPU, "-nostartfiles", "-Wl,--gc-sections", f"-Wl,--entry={functions[0]}", *kept]
+            line += ["--specs=nosys.specs", "--specs=nano.specs", *objects, "-lm", "-o", "linked.elf"]
+            subprocess.run(line, cwd=folder, check=True)
+            linked[title] = _text(folder / "linked.elf")
     return {"compiled": compiled, "linked": linked}
-
-
-def _linked(folder: Path, functions: list[str], files: list[str]) -> int:
-    objects = [f"{Path(name).stem}.o" for name in files]
-    kept = [f"-Wl,--undefined={function}" for function in functions]
-    line = [ARM, *CPU, "-nostartfiles", "-Wl,--gc-sections", f"-Wl,--entry={functions[0]}", *kept]
-    line += ["--specs=nosys.specs", "--specs=nano.specs", *objects, "-lm", "-o", "linked.elf"]
-    subprocess.run(line, cwd=folder, check=True)
-    return _text(folder / "linked.elf")
 
 
 def _text(path: Path) -> int:

@@ -168,21 +168,22 @@ def outer_gauges(position_m: float) -> dict[str, GaugePosition]:
     return {"L": GaugePosition("H", "left", position_m), "R": GaugePosition("H", "right", position_m)}
 
 
-def position_variants(solution: Solution) -> Variants:
-    """L and R elsewhere, K, S, U where they fit. Beyond 14.5 mm a part of the gauge is glued under the leg."""
+def gauge_variants(solution: Solution) -> Variants:
+    """L and R elsewhere; K, S and U further from their corners; gauges of other lengths, each beginning at its corner.
+
+    The others are where they fit, 1 mm long. Beyond 14.5 mm a part of the gauge is glued under the leg.
+    """
     places_mm = (15.25, 15.0, 14.75, 14.5, 14.0, 13.5, 13.0)
-    return {f"L, R at {x:g} mm": conditions(solution, outer_gauges(x * 1e-3)) for x in places_mm}
-
-
-def inner_variants(solution: Solution) -> Variants:
-    """K, S and U further from their corners than 0.5 mm."""
-    variants = {}
+    variants = {f"L, R at {x:g} mm": conditions(solution, outer_gauges(x * 1e-3)) for x in places_mm}
     for shift_mm in (0.0, 0.25, 0.5, 1.0):
         moved = {}
         for point, sign in (("K_H", 1.0), ("S_H", 1.0), ("U", -1.0)):
             place = nearest_place(solution.model.outline, point)
             moved[point] = place._replace(position_m=place.position_m + sign * shift_mm * 1e-3)
         variants[f"K, S, U {0.5 + shift_mm:g} mm from the corner"] = conditions(solution, moved)
+    for length_mm in (0.1, 0.25, 0.5, 1e3 * GAUGE_LENGTH_M, 2.0):
+        matrix = strain_matrix(solution, GAUGES, length_mm * 1e-3)
+        variants[f"gauges of {length_mm:g} mm"] = conditions_of_cases(matrix)
     return variants
 
 
@@ -262,11 +263,3 @@ def best_for_measured(solution: Solution, steps: int) -> Miss:
     best, worst = nearest_common(rows, TABLE_3_MEASUREMENT)
     at = tuple(float(1e3 * places[point][best[point]].position_m) for point in GAUGES)
     return Miss(at, conditions_of_cases(np.array([rows[point][best[point]] for point in GAUGES])), worst)
-
-
-def gauge_length_variants(solution: Solution) -> Variants:
-    """Gauges of other lengths, each beginning at its corner; the paper's is 1 mm."""
-    return {
-        f"gauges of {length_mm:g} mm": conditions_of_cases(strain_matrix(solution, GAUGES, length_mm * 1e-3))
-        for length_mm in (0.1, 0.25, 0.5, 1e3 * GAUGE_LENGTH_M, 2.0)
-    }

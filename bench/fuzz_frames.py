@@ -39,6 +39,11 @@ ACTIONS = (
     (0x2105, 3, table.SIGNATURE_OPEN), (0x2105, 3, table.SIGNATURE_OPEN), (0x2104, 0, table.SIGNATURE_COMMIT),
 )  # fmt: skip
 PDO_OBJECTS = (0x1400, 0x1600, *range(0x1800, 0x1804), *range(0x1A00, 0x1A04))
+MAPPED = {
+    0x2130: (16, 0), 0x7100: (16, 3), 0x6100: (32, 3), 0x6150: (8, 9), 0x2107: (32, 3), 0x2120: (8, 0), 0x2121: (8, 0),
+    0x2122: (16, 0), 0x2123: (16, 0), 0x2124: (16, 0), 0x1013: (32, 0),
+}  # fmt: skip
+"""By object: bits of an entry, and its highest sub-index, where they do not follow from the index."""
 MAPPABLE = (0x7130, 0x6130, 0x9130, 0x7100, 0x6100, 0x2107, 0x6150, 0x2120, 0x2121, 0x2122, 0x2123, 0x2124, 0x1013)
 
 
@@ -268,7 +273,9 @@ class Frames:
         self._write(number, 1, struct.pack("<I", cob_id | 0x80000000))
         self._write(mapping, 0, b"\0")
         for sub in range(1, count + 1):
-            word = 0x21300010 if number == 0x1400 else self._well_mapped()
+            index = 0x2130 if number == 0x1400 else self._pick(MAPPABLE)
+            bits, highest = MAPPED.get(index, ({0x7: 16, 0x6: 32, 0x9: 32}.get(index >> 12, 8), 9))
+            word = index << 16 | (1 + self._below(highest) if highest else 0) << 8 | bits
             self._write(mapping, sub, struct.pack("<I", word))
         self._write(mapping, 0, bytes((count,)))
         for sub in (2, 3, 5, 6):
@@ -276,14 +283,6 @@ class Frames:
                 width = "<H" if sub in (3, 5) else "<B"
                 self._write(number, sub, struct.pack(width, self._pdo_number(number, sub) & 0xFF))
         self._write(number, 1, struct.pack("<I", cob_id))
-
-    def _well_mapped(self) -> int:
-        index = self._pick(MAPPABLE)
-        bits = {0x7: 16, 0x6: 32, 0x9: 32}.get(index >> 12, 8)
-        bits = {0x6150: 8, 0x2107: 32, 0x2122: 16, 0x2123: 16, 0x2124: 16, 0x1013: 32}.get(index, bits)
-        highest = {0x7100: 3, 0x6100: 3, 0x2107: 3}.get(index, 9)
-        sub = 0 if index in (0x2120, 0x2121, 0x2122, 0x2123, 0x2124, 0x1013) else 1 + self._below(highest)
-        return index << 16 | sub << 8 | bits
 
     def _act(self) -> None:
         """An action, a simulated load of a likely size, or a fault, or its end."""

@@ -18,24 +18,16 @@ import numpy as np
 from bench.loopback import LoopbackLink, may_hurry
 from bench.measure import Meter, arguments, machine, table, write_page
 
-from tipforce.host.configuration.calibration import Calibration, write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand, Statistics
 from tipforce.host.hand.link import Link
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import calibration_matrix
+from tipforce.scene import beam_calibration
 
 SECONDS = 600.0
 CASES = ((5, 1000.0), (15, 400.0))
 NOISE_MICROSTRAIN = 0.5
-
-
-def calibration() -> Calibration:
-    """That of the simulated fingers."""
-    return Calibration(
-        C=calibration_matrix(FABRICATED, "I"), offset_strain=np.zeros(3), serial=1, date=20260102, layout_code=1,
-        covariance_strain2=np.eye(3) * (NOISE_MICROSTRAIN * 1e-6) ** 2, pull=True,
-    )  # fmt: skip
+CALIBRATION = beam_calibration(pull=True, noise_microstrain=NOISE_MICROSTRAIN)  # of the simulated fingers
 
 
 @contextmanager
@@ -43,7 +35,7 @@ def brought_up(
     folder: Path, names: dict[int, str], plan: HandPlan, bus: dict[str, str] | None = None, link: Link | None = None
 ) -> Iterator[Hand]:
     """A hand of these fingers (name by node-id), calibrated. Raises RuntimeError when a finger does not come up."""
-    write_calibration(folder / "cal.toml", calibration())
+    write_calibration(folder / "cal.toml", CALIBRATION)
     fingers = tuple(FingerPlan(node_id=n, name=name, serial=n, calibration="cal.toml") for n, name in names.items())
     with Hand(HandFile(finger=fingers, hand=plan, bus=bus or {}, folder=str(folder)), link) as hand:
         failed = [str(report) for report in hand.bring_up() if not report.ok]

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from bench.decode import write_log
-from bench.hand import brought_up, calibration
+from bench.hand import CALIBRATION, brought_up
 from bench.loopback import LoopbackLink
 from bench.measure import Meter, arguments, new_svg_figure
 
@@ -72,7 +72,7 @@ def publish(folder: Path) -> tuple[FrameArray, dict[str, Any]]:
     reader = _reader(folder, "f", subprocess.PIPE)
     try:
         with brought_up(folder, names, plan, link=link) as hand:
-            feed = HandFeed(hand, [Finger(n, name, calibration()) for n, name in names.items()])
+            feed = HandFeed(hand, [Finger(n, name, CALIBRATION) for n, name in names.items()])
             bridge = Bridge(feed, RosDomain(0), "/tipforce", False)
             bridge.step()  # makes the topics
             assert reader.stdout is not None

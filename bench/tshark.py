@@ -19,6 +19,7 @@ from pathlib import Path
 import can
 import canopen
 from bench.decode import write_log
+from bench.fuzz import STRAIN_PER_NEWTON
 from bench.measure import ROOT, arguments, background
 
 from canopen_device.running import loop
@@ -30,7 +31,6 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.host.frames.frame_array import frame_array, raw_frame
 from tipforce.sources.simulated import SimulatedSource
 
-STRAIN_PER_NEWTON = [[1e-4, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 1e-4]]
 NODE = 5
 COMPLAINTS = "_ws.malformed || _ws.expert.severity >= 0x600000"
 """Of the dissector: malformed frames, and its own warnings and errors."""

@@ -73,8 +73,11 @@ class McapWriter:
         messages: list[bytes] = [b""] * len(frames)
         places = np.zeros(len(frames), dtype=np.intp)
         for number in occurring(frames["channel"]):
-            chosen = np.flatnonzero(frames["channel"] == number)
-            places[chosen], layout = self._frame_channel(channels[number])
+            chosen, name = np.flatnonzero(frames["channel"] == number), channels[number]
+            if name not in self._frames:
+                layout = cdr.Layout(FRAME, {"header.frame_id": name})
+                self._frames[name] = self.channel(f"/{name}/frames", FRAME), layout
+            places[chosen], layout = self._frames[name]
             for row, message in zip(chosen.tolist(), cdr.split(_frame_rows(frames[chosen], layout)), strict=True):
                 messages[row] = message
         for place, t_ns, message in zip(places.tolist(), frames["t_ns"].tolist(), messages, strict=True):
@@ -128,12 +131,6 @@ class McapWriter:
             contact = self.channel(f"{_PREFIX}/{name}/contact", CONTACT)
             self._tips[key] = name, tip, {WRENCH: wrench, CONTACT: contact}
         return self._tips[key]
-
-    def _frame_channel(self, name: str) -> tuple[int, cdr.Layout]:
-        if name not in self._frames:
-            channel = self.channel(f"/{name}/frames", FRAME)
-            self._frames[name] = channel, cdr.Layout(FRAME, {"header.frame_id": name})
-        return self._frames[name]
 
     def _pictures(self, chunk: Table, samples: Mapping[int, Block]) -> None:
         """Draw the state at every 30th of a second of a chunk.

@@ -140,7 +140,7 @@ def _write_folder(args: argparse.Namespace, converter: Converter) -> int:
         raise InputError(f"--output: `export {args.format}` writes several files; name a folder")
     if args.format == "ros2":
         from tipforce.host.hand.file import read_hand
-        from tipforce_robots.ros2.bus_file import write_ros2_bus
+        from tipforce_robots.ros2.bridge import write_ros2_bus
 
         paths = write_ros2_bus(read_hand(args.hand), Path(args.output))
     else:

@@ -79,18 +79,14 @@ class Finger:
             cob_id = (base + self.node_id if base else 0) | codes.NO_RTR
             self._write(communication.TPDO + number - 1, 1, "<I", cob_id | codes.COB_ID_INVALID)
         for pdo in self.pdos:
-            self._enable(pdo)
+            if pdo.remapped:  # by the procedure of CiA 301, 7.5.2.36: the PDO is invalid before
+                index = communication.TPDO_MAPPING + pdo.number - 1
+                self._write(index, 0, "<B", 0)
+                for k, (mapped, sub, bits) in enumerate(pdo.mapping, 1):
+                    self._write(index, k, "<I", mapped << 16 | sub << 8 | bits)
+                self._write(index, 0, "<B", len(pdo.mapping))
+            self._write(communication.TPDO + pdo.number - 1, 1, "<I", pdo.can_id | codes.NO_RTR)
         return sent
-
-    def _enable(self, pdo: Pdo) -> None:
-        """Write a PDO mapping by the procedure of CiA 301, 7.5.2.36; the PDO is invalid before."""
-        if pdo.remapped:
-            index = communication.TPDO_MAPPING + pdo.number - 1
-            self._write(index, 0, "<B", 0)
-            for k, (mapped, sub, bits) in enumerate(pdo.mapping, 1):
-                self._write(index, k, "<I", mapped << 16 | sub << 8 | bits)
-            self._write(index, 0, "<B", len(pdo.mapping))
-        self._write(communication.TPDO + pdo.number - 1, 1, "<I", pdo.can_id | codes.NO_RTR)
 
     def _write(self, index: int, sub: int, packing: str, value: int) -> None:
         download(self.device, index, sub, struct.pack(packing, value))

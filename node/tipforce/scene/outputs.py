@@ -6,7 +6,6 @@ import csv
 from collections.abc import Mapping, Sequence
 from io import TextIOBase
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,7 +34,12 @@ class Recording:
         self._rows: list[RawFrame] = []
         self._blocks: list[FrameArray] = []
         self._interface = interface
-        self._log = None if log is None else _LogFile(log)
+        self._log: NewFile | None = None
+        if log is not None:
+            from tipforce.host.logs.candump_format import CandumpFormat  # loaded only here
+
+            self._format, self._log = CandumpFormat(log=True), NewFile(log, CANDUMP_LOG)
+            self._file: TextIOBase = self._log.partial.open("w", encoding="ascii", newline="\n")
 
     def add(self, t_us: int, can_id: int, data: bytes) -> None:
         """Record one frame."""
@@ -51,19 +55,25 @@ class Recording:
         return self._blocks[0]
 
     def _flush(self) -> None:
-        if self._rows:
-            block = frame_array(self._rows)
-            self._rows.clear()
-            self._blocks.append(block)
-            if self._log is not None:
-                self._log.write(block, self._interface)
+        if not self._rows:
+            return
+        frames = frame_array(self._rows)
+        self._rows.clear()
+        self._blocks.append(frames)
+        if self._log is not None:
+            from tipforce.host.logs.candump import CandumpBlock
+
+            interface, sent = np.zeros(len(frames), np.uint16), np.zeros(len(frames), np.bool_)
+            try:
+                block = CandumpBlock(frames, interface, (self._interface,), sent)
+                self._file.write("\n".join([*self._format.lines(block), ""]))
+            except OSError as error:
+                raise self._log.failed(error) from error
 
     def __enter__(self) -> Recording:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         # Nothing received is lost.
         complete = kind is None or issubclass(kind, (KeyboardInterrupt, EnvironmentLackError))
         try:
@@ -74,40 +84,19 @@ class Recording:
             raise
         finally:
             if self._log is not None:
-                self._log.close(complete)
+                self._close(self._log, complete)
 
-
-class _LogFile:
-    """A log in the format of candump -L; its formatter is loaded only here."""
-
-    def __init__(self, path: str | Path) -> None:
-        from tipforce.host.logs.candump_format import CandumpFormat
-
-        self._format = CandumpFormat(log=True)
-        self._new = NewFile(path, CANDUMP_LOG)
-        self._file: TextIOBase = self._new.partial.open("w", encoding="ascii", newline="\n")
-
-    def write(self, frames: FrameArray, interface: str) -> None:
-        from tipforce.host.logs.candump import CandumpBlock
-
-        count = len(frames)
-        block = CandumpBlock(frames, np.zeros(count, np.uint16), (interface,), np.zeros(count, np.bool_))
-        try:
-            self._file.write("\n".join([*self._format.lines(block), ""]))
-        except OSError as error:
-            raise self._new.failed(error) from error
-
-    def close(self, complete: bool) -> None:
+    def _close(self, log: NewFile, complete: bool) -> None:
         """Give the complete file its name; remove an incomplete one."""
         try:
             self._file.close()
         except OSError as error:
-            self._new.drop()
-            raise self._new.failed(error) from error
+            log.drop()
+            raise log.failed(error) from error
         if complete:
-            self._new.keep()
+            log.keep()
         else:
-            self._new.drop()
+            log.drop()
 
 
 def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> None:

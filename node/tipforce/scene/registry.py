@@ -13,6 +13,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
+from canopen_device.can_frame import least_bits, most_bits
 from canopen_device.core.codes import HEARTBEAT_BASE, NMT_COB_ID, SYNC_COB_ID
 from tipforce.dictionary import indices, table
 from tipforce.scene import schema
@@ -229,8 +230,7 @@ class Identifier:
     @property
     def bits(self) -> tuple[int, int]:
         """Bits of one frame on the wire, interframe space included: without stuff bits, and with the maximum."""
-        bits = 47 + 8 * self.data_bytes
-        return bits, bits + (33 + 8 * self.data_bytes) // 4
+        return least_bits(self.data_bytes), most_bits(self.data_bytes)
 
 
 def identifiers(scene: schema.Scene) -> list[Identifier]:

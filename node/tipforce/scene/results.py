@@ -120,13 +120,7 @@ def contact_of(
 def applied_at(load: LoadHistory | None, t_s: FloatArray) -> FloatArray:
     """Return LoadHistory.at for many times: (k, 3)."""
     knots = np.array([(0.0, *UNLOADED)] if load is None else load.knots)
-    after = np.searchsorted(knots[:, 0], t_s, side="right")
-    before, after = np.maximum(after - 1, 0), np.minimum(after, len(knots) - 1)
-    gap = knots[after, 0] - knots[before, 0]
-    part = np.where(gap > 0.0, (t_s - knots[before, 0]) / np.where(gap > 0.0, gap, 1.0), 0.0)
-    start = knots[before, 1:]
-    result: FloatArray = start + np.clip(part, 0.0, 1.0)[:, np.newaxis] * (knots[after, 1:] - start)
-    return result
+    return np.stack([np.interp(t_s, knots[:, 0], column) for column in knots[:, 1:].T], axis=-1)
 
 
 def emcy_of(node_id: int, frames: FrameArray) -> list[tuple[float, str]]:

@@ -14,10 +14,10 @@ bounds how long a lost connection blocks the node's loop.
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
+from canopen_device.running.loop import now_us
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.source import Reading, Source
@@ -52,11 +52,6 @@ class Part(Protocol):
 
     def close(self) -> None:
         """Release the device."""
-
-
-def now_us() -> int:
-    """Return microseconds of the monotonic clock."""
-    return time.monotonic_ns() // 1000
 
 
 class IioSource(Source):
@@ -115,7 +110,11 @@ class IioSource(Source):
             self._supply_us = now_us
             self._supply = SUPPLY if self._supply_fault() else 0
         faults = self._supply | self._wire_state(counts, now_us)
-        return Reading(counts, faults, self._temperature_now(now_us))
+        if now_us - self._temperature_us >= TEMPERATURE_US:  # of the first sensor: some converters pause for it
+            self._temperature_us = now_us
+            known = (value for part in self.parts if (value := part.temperature()) != UNKNOWN_TEMPERATURE)
+            self._temperature = next(known, UNKNOWN_TEMPERATURE)
+        return Reading(counts, faults, self._temperature)
 
     def due_us(self, now_us: int) -> int:
         """Return the time of the next conversion, not before the end of the last read: slow reads must not queue up."""
@@ -190,14 +189,6 @@ class IioSource(Source):
             elif now_us - since_us >= WIRE_BREAK_US:
                 broken = WIRE_BREAK
         return broken
-
-    def _temperature_now(self, now_us: int) -> int:
-        """Return the temperature of the first sensor, read once a second: some converters pause for it."""
-        if now_us - self._temperature_us >= TEMPERATURE_US:
-            self._temperature_us = now_us
-            known = (value for part in self.parts if (value := part.temperature()) != UNKNOWN_TEMPERATURE)
-            self._temperature = next(known, UNKNOWN_TEMPERATURE)
-        return self._temperature
 
 
 TIMEOUT_MS = 50

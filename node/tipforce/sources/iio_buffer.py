@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import struct
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,13 +16,12 @@ from typing import NamedTuple
 
 from tipforce.errors import EnvironmentLackError
 from tipforce.sources import iio_sysfs
-from tipforce.sources.iio_sysfs import Device, ScanType, at_same_place
+from tipforce.sources.iio_sysfs import Device, PolledDevice, ScanType
 
 DEVICE_FILES = Path("/dev")
 HRTIMER = Path("/sys/kernel/config/iio/triggers/hrtimer")
 CLOCK = "monotonic"  # of the time stamps: the node's own clock, independent of the time of day
 _KEPT_SCANS = 1024  # in the kernel, and as many here: a loop that is suspended longer loses the oldest
-_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
 _STAMP = "timestamp"
 
 
@@ -55,13 +53,12 @@ def layout_of(types: Sequence[tuple[str, int, ScanType]], wanted: Sequence[str])
 
 def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
     """Return one channel of a scan: shifted, masked to its bits, sign-extended."""
-    code = (">" if kind.big_endian else "<") + _CODES[kind.storage_bits].upper()
-    stored: int = struct.unpack_from(code, scan, offset)[0]
-    value = stored >> kind.shift & (1 << kind.bits) - 1
+    stored = scan[offset : offset + kind.storage_bits // 8]
+    value = int.from_bytes(stored, "big" if kind.big_endian else "little") >> kind.shift & (1 << kind.bits) - 1
     return value - (1 << kind.bits) if kind.signed and value >> kind.bits - 1 else value
 
 
-class BufferedDevice:
+class BufferedDevice(PolledDevice):
     """Channels of one device through its buffer. ``trigger`` is its name; empty for a device that needs none.
 
     ``read`` returns the newest scan that is not later than the requested time (if scans carry time stamps of the
@@ -74,20 +71,15 @@ class BufferedDevice:
     def __init__(
         self, device: Device, channels: Sequence[str], trigger: str, device_files: Path = DEVICE_FILES
     ) -> None:
-        self.path = device.path
-        self.name = device.number
-        self.channels = tuple(channels)
-        self._trigger = trigger
-        self._device_files = device_files
+        self._trigger, self._device_files = trigger, device_files
         self._fd = -1
         self._rest = b""
         self._scans: deque[tuple[int, tuple[int, ...]]] = deque(maxlen=_KEPT_SCANS)
         self._stamp_ns = -1
         self._monotonic = False
         self._layout = Layout(0, (), None)
-        self._temperature: str | None = None
         try:
-            self.reopen()
+            super().__init__(device, channels)
         except OSError as error:
             raise EnvironmentLackError(
                 f"iio {device}: buffered capture cannot be set up: {error}; run as root, or use `--capture poll`"
@@ -96,7 +88,8 @@ class BufferedDevice:
     def reopen(self) -> None:
         """Set up and start the capture. Raises OSError while the device is missing."""
         self.close()
-        self.path = path = at_same_place(self.path)
+        super().reopen()
+        path = self.path
         self._write("buffer/enable", "0")
         self._layout = layout_of(self._enabled(), self.channels)
         with contextlib.suppress(OSError):  # older kernels have only one clock, the time of day
@@ -111,7 +104,6 @@ class BufferedDevice:
         self._write("buffer/enable", "1")
         self._rest, self._stamp_ns = b"", -1
         self._scans.clear()
-        self._temperature = iio_sysfs.temperature_channel(path)
 
     def _enabled(self) -> list[tuple[str, int, ScanType]]:
         """Enable the wanted channels of the scan and disable the others; return name, index and type of the former."""
@@ -126,7 +118,7 @@ class BufferedDevice:
             self._write(f"scan_elements/in_{channel}_en", "1" if wanted else "0")
             if wanted:
                 kind = iio_sysfs.scan_type(self.path, channel)
-                if kind is None or kind.storage_bits not in _CODES:
+                if kind is None or kind.storage_bits not in (8, 16, 32, 64):
                     raise OSError(22, f"in_{channel}_type has an unknown format")
                 enabled.append((channel, int((elements / f"in_{channel}_index").read_text()), kind))
         return enabled
@@ -168,10 +160,6 @@ class BufferedDevice:
                 raise TimestampError(5, f"time stamp {stamp_ns} ns after {before} ns")
             self._stamp_ns, stamp_us = stamp_ns, stamp_ns // 1000
         self._scans.append((stamp_us, tuple([value_of(scan, *place) for place in self._layout.channels])))
-
-    def temperature(self) -> int:
-        """Return the temperature in 0.01 degC, or unknown; some drivers reject the read while the buffer runs."""
-        return iio_sysfs.temperature_of(self.path, self._temperature)
 
     def close(self) -> None:
         """Stop the capture."""

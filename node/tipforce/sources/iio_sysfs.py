@@ -130,11 +130,9 @@ def temperature_channel(path: Path) -> str | None:
 def temperature(path: Path, channel: str) -> int:
     """Return a temperature in 0.01 degC as in 2122h; unknown if INTEGER16 cannot hold it. Raises OSError."""
     try:
-        thousandths = float(_integer(path / f"in_{channel}_input"))
+        return hundredths_degC(float(_integer(path / f"in_{channel}_input")))
     except FileNotFoundError:
-        scale, offset = attribute(path, channel, "scale"), attribute(path, channel, "offset")
-        thousandths = (raw_value(path, channel) + (offset or 0.0)) * (1.0 if scale is None else scale)
-    return hundredths_degC(thousandths)
+        return hundredths_degC(_scaled(path, channel, 1.0))
 
 
 def hundredths_degC(thousandths: float) -> int:
@@ -145,7 +143,12 @@ def hundredths_degC(thousandths: float) -> int:
 
 def millivolts(path: Path, channel: str) -> float:
     """Return the voltage at a channel. Raises OSError, with EINVAL if it has no scale."""
+    return _scaled(path, channel, None)
+
+
+def _scaled(path: Path, channel: str, default: float | None) -> float:
     scale, offset = attribute(path, channel, "scale"), attribute(path, channel, "offset")
+    scale = default if scale is None else scale
     if scale is None:
         raise OSError(22, f"in_{channel}_scale is missing")
     return (raw_value(path, channel) + (offset or 0.0)) * scale
@@ -173,8 +176,11 @@ class PolledDevice:
         return tuple([raw_value(self.path, channel) for channel in self.channels])
 
     def temperature(self) -> int:
-        """Return the temperature in 0.01 degC, or unknown."""
-        return temperature_of(self.path, self._temperature)
+        """Return the temperature in 0.01 degC, or unknown; some drivers reject the read while a buffer runs."""
+        try:
+            return UNKNOWN_TEMPERATURE if self._temperature is None else temperature(self.path, self._temperature)
+        except OSError:
+            return UNKNOWN_TEMPERATURE
 
     def close(self) -> None:
         """Do nothing: no file stays open."""
@@ -191,14 +197,6 @@ def at_same_place(path: Path) -> Path:
     if len(present) != 1:
         raise FileNotFoundError(2, "No such device")
     return present[0]
-
-
-def temperature_of(path: Path, channel: str | None) -> int:
-    """Return ``temperature``, or unknown if it cannot be read."""
-    try:
-        return UNKNOWN_TEMPERATURE if channel is None else temperature(path, channel)
-    except OSError:
-        return UNKNOWN_TEMPERATURE
 
 
 def text_of(file: Path) -> str:

@@ -254,7 +254,16 @@ def converter_of(table: BridgeTable, channels: Sequence[ChannelScale], names: Se
         raise InputError(f"[bridge] gain: {len(gains)} numbers for {len(channels)} gauges")
     points = []
     for channel, gain, name in zip(channels, gains, names, strict=True):
-        volts_per_count = _volts_per_count(table, channel, name)
+        volts_per_count, millivolts = table.volts_per_count, channel.millivolts_per_count
+        if volts_per_count is None:
+            if millivolts is None:
+                raise InputError(
+                    f"{name}: {channel.why}; state the converter's step in the layout file: "
+                    "[bridge] volts_per_count = (reference voltage / number of counts)"
+                )
+            if not (math.isfinite(millivolts) and millivolts > 0.0):
+                raise InputError(f"{name}: scale {millivolts!r}; state [bridge] volts_per_count")
+            volts_per_count = 1e-3 * millivolts
         zero = table.zero_volts / volts_per_count - channel.offset_counts
         points.append((zero, zero + _FULL_MICROSTRAIN * gain * bridge.volts_per_microstrain / volts_per_count))
     per_microstrain = abs(points[0][1] - points[0][0]) / _FULL_MICROSTRAIN
@@ -268,19 +277,6 @@ def ends_fit(ends: tuple[int, int]) -> int:
     while not -(1 << bits - 1) <= ends[0] <= ends[1] < 1 << bits - 1:
         bits += 1
     return bits
-
-
-def _volts_per_count(table: BridgeTable, channel: ChannelScale, name: str) -> float:
-    if table.volts_per_count is not None:
-        return table.volts_per_count
-    if channel.millivolts_per_count is None:
-        raise InputError(
-            f"{name}: {channel.why}; state the converter's step in the layout file: "
-            "[bridge] volts_per_count = (reference voltage / number of counts)"
-        )
-    if not (math.isfinite(channel.millivolts_per_count) and channel.millivolts_per_count > 0.0):
-        raise InputError(f"{name}: scale {channel.millivolts_per_count!r}; state [bridge] volts_per_count")
-    return 1e-3 * channel.millivolts_per_count
 
 
 def _finite(name: str, value: float, positive: bool = False) -> float:

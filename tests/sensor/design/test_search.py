@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.gauges import gauge_matrix
+from tipforce.sensor.structure.gauges import GaugePosition, gauge_matrix
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.limits import slit_closure, worst_stress
@@ -23,7 +23,6 @@ from tipforce_lab.design.search import (
     Limits,
     Objective,
     Problem,
-    Slot,
     configurations,
     improve,
     score,
@@ -36,7 +35,7 @@ FloatArray = npt.NDArray[np.float64]
 NOISE = 0.5
 LOADS = LoadSet()
 LIMITS = Limits()
-CASE_I_SLOTS = (Slot("H", "left"), Slot("H", "right"), Slot("V", "right"))
+CASE_I_SLOTS = (GaugePosition("H", "left", 0.0), GaugePosition("H", "right", 0.0), GaugePosition("V", "right", 0.0))
 
 
 @cache
@@ -61,7 +60,12 @@ def case_I(gauge_length_m: float) -> Assessment:
 
 
 def test_the_search_uses_the_strain_of_table_1() -> None:
-    slots = (Slot("H", "left"), Slot("H", "right", "upper"), Slot("V", "left"), Slot("V", "right"))
+    slots = (
+        GaugePosition("H", "left", 0.0),
+        GaugePosition("H", "right", 0.0, "upper"),
+        GaugePosition("V", "left", 0.0),
+        GaugePosition("V", "right", 0.0),
+    )
     problem, rng = Problem(slots, LIMITS), np.random.default_rng(3)
     for _ in range(20):
         x = problem.start(rng)

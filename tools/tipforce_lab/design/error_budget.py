@@ -106,20 +106,12 @@ class Loads:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Row:
-    """Contribution of one cause to m loads."""
-
-    cause: str
-    uncertainties: FloatArray
-    """(m, 3): standard uncertainties of P (N), phi, theta (rad)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Budget:
-    """The rows, their sum, and the omitted causes."""
+    """Contributions to m loads: standard uncertainties of P (N), phi, theta (rad), (m, 3) each."""
 
-    rows: list[Row]
-    total: Row
+    rows: dict[str, FloatArray]
+    """By cause."""
+    total: FloatArray
     holds: BoolArray
     """(m, 3): first_order_holds() of the total, for P, phi, theta."""
     left_out: dict[str, str]
@@ -158,9 +150,8 @@ def budget(sensor: Sensor, loads: Loads, causes: Causes) -> Budget:
     errors, left_out = elementary_errors(sensor, loads, causes)
     covariances = {cause: E.transpose(1, 2, 0) @ E.transpose(1, 0, 2) for cause, E in errors.items()}
     covariances["total"] = np.asarray(sum(covariances.values()), dtype=np.float64)
-    *rows, total = (
-        Row(cause, standard_uncertainties(F, covariance, pull=sensor.pull)) for cause, covariance in covariances.items()
-    )
+    rows = {cause: standard_uncertainties(F, part, pull=sensor.pull) for cause, part in covariances.items()}
+    total = rows.pop("total")
     return Budget(rows, total, first_order_holds(F, covariances["total"]), left_out)
 
 
@@ -291,10 +282,10 @@ def plot(error_budget: Budget, path: str) -> None:
     Sorted by share of the variance of P; one colour, so that print and any colour vision show the same. Raises
     EnvironmentLackError without matplotlib, and InputError if the file cannot be written.
     """
-    sizes = np.array([np.sqrt(np.mean(row.uncertainties**2, axis=0)) for row in error_budget.rows])
-    total = np.sqrt(np.mean(error_budget.total.uncertainties**2, axis=0))
+    *parts, total = (np.sqrt(np.mean(u**2, axis=0)) for u in (*error_budget.rows.values(), error_budget.total))
+    sizes = np.array(parts)
     order = np.argsort(-sizes[:, 0], kind="stable")
-    names = [error_budget.rows[k].cause for k in order] + ["total"]
+    names = [list(error_budget.rows)[k] for k in order] + ["total"]
     with figures.plotting({"font.size": 9.0}):
         figure = figures.new_figure(9.0, 0.9 + 0.27 * len(names))
         panels = figure.subplots(1, 3, sharey=True)

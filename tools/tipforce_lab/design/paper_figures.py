@@ -114,7 +114,8 @@ def simulate_groove_errors(
     rng = np.random.default_rng(seed)
     grooves = paper_grooves()
     F = force_vector(P_newtons, grooves.phi_rad, grooves.theta_rad)
-    fitted = F[_calibrated(grooves)]
+    low, high = np.radians(CALIBRATION_THETA_DEG)
+    fitted = F[(grooves.theta_rad >= low) & (grooves.theta_rad <= high + 1e-9)]
     errors = np.empty((repeats, len(F), 3))
     for index in range(repeats):
         V = fitted @ A.T + rng.normal(0.0, noise_strain, (len(fitted), 3))
@@ -127,21 +128,12 @@ def simulate_groove_errors(
     return GrooveErrors(grooves, errors, standard_uncertainties(F, covariances, pull=True))
 
 
-def _calibrated(grooves: Grooves) -> npt.NDArray[np.bool_]:
-    low, high = np.radians(CALIBRATION_THETA_DEG)
-    inside: npt.NDArray[np.bool_] = (grooves.theta_rad >= low) & (grooves.theta_rad <= high + 1e-9)
-    return inside
-
-
 def _contact_errors(F: FloatArray, grooves: Grooves, P_newtons: float) -> FloatArray:
     estimated = contacts(F, pull=True)
-    errors = np.stack(
-        (estimated.P_newtons - P_newtons, estimated.phi_rad - grooves.phi_rad, estimated.theta_rad - grooves.theta_rad),
-        axis=-1,
-    )
+    off = estimated.P_newtons - P_newtons, estimated.phi_rad - grooves.phi_rad, estimated.theta_rad - grooves.theta_rad
+    errors: FloatArray = np.stack(off, axis=-1)
     errors[:, 1:] = (errors[:, 1:] + np.pi) % (2.0 * np.pi) - np.pi
-    result: FloatArray = errors
-    return result
+    return errors
 
 
 SHIFTS_MM = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)

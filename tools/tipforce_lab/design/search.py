@@ -82,14 +82,6 @@ class Limits:
         return self.max_stress_pascals
 
 
-class Slot(NamedTuple):
-    """One face of one beam that can carry gauges; the fields of a GaugePosition without the position."""
-
-    beam: Literal["H", "V"]
-    side: Literal["left", "right"]
-    face: Literal["lower", "upper"] = "lower"
-
-
 class Design(NamedTuple):
     """A structure with its gauges, and the minimised value."""
 
@@ -98,8 +90,8 @@ class Design(NamedTuple):
     objective: str
 
 
-def configurations(gauges: int, upper_face: bool = False) -> list[tuple[Slot, ...]]:
-    """Return the distributions of n gauges over the faces, at least one on each beam, mirror images once.
+def configurations(gauges: int, upper_face: bool = False) -> list[tuple[GaugePosition, ...]]:
+    """Return the distributions of n gauges over the faces, at least one on each beam, mirror images once; all at 0.
 
     Raises InputError for fewer than 3 or more than 5 gauges.
     """
@@ -107,8 +99,9 @@ def configurations(gauges: int, upper_face: bool = False) -> list[tuple[Slot, ..
         raise InputError(f"{gauges} gauges: allowed are 3 to 5")
     faces: tuple[Literal["lower", "upper"], ...] = ("lower", "upper") if upper_face else ("lower",)
     sides: tuple[Literal["left", "right"], ...] = ("left", "right")
-    slots = [Slot("H", side, face) for face in faces for side in sides] + [Slot("V", side) for side in sides]
-    sets_of_slots: dict[tuple[Slot, ...], None] = {}
+    slots = [GaugePosition("H", side, 0.0, face) for face in faces for side in sides]
+    slots += [GaugePosition("V", side, 0.0) for side in sides]
+    sets_of_slots: dict[tuple[GaugePosition, ...], None] = {}
     for chosen in itertools.combinations_with_replacement(slots, gauges):
         twin = tuple(sorted(slot._replace(side="left" if slot.side == "right" else "right") for slot in chosen))
         if len({slot.beam for slot in chosen}) == 2 and twin not in sets_of_slots:
@@ -119,7 +112,7 @@ def configurations(gauges: int, upper_face: bool = False) -> list[tuple[Slot, ..
 class Problem:
     """One configuration: variables -> strain matrix and constraints, for many points at once, real or complex."""
 
-    def __init__(self, slots: Sequence[Slot], limits: Limits) -> None:
+    def __init__(self, slots: Sequence[GaugePosition], limits: Limits) -> None:
         self.slots, self.limits = tuple(slots), limits
         self.horizontal = np.array([slot.beam == "H" for slot in slots])
         self.side = np.array([-1.0 if slot.side == "left" else 1.0 for slot in slots])
@@ -172,7 +165,7 @@ class Problem:
         a, d, r, h1, h2, b = (float(value) for value in x[:_DIMENSIONS] * UNIT_M)
         geometry = Geometry(a, d, r, h1, h2, b, self.limits.youngs_modulus_pascals)
         places = zip(self.slots, x[_DIMENSIONS:], strict=True)
-        gauges = (GaugePosition(slot.beam, slot.side, float(s) * UNIT_M, slot.face) for slot, s in places)
+        gauges = (slot._replace(position_m=float(s) * UNIT_M) for slot, s in places)
         return Design(geometry, tuple(gauges), objective)
 
     def point(self, design: Design) -> FloatArray:
@@ -403,4 +396,4 @@ def _below(part: Score, ceiling: float) -> Score:
 
 def problem_of(design: Design, limits: Limits) -> Problem:
     """Return the configuration of a design."""
-    return Problem([Slot(gauge.beam, gauge.side, gauge.face) for gauge in design.gauges], limits)
+    return Problem([gauge._replace(position_m=0.0) for gauge in design.gauges], limits)

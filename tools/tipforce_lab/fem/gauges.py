@@ -33,27 +33,25 @@ class Face(NamedTuple):
 
     def displacement(self, s_m: npt.ArrayLike) -> FloatArray:
         """Return the displacement along the face (..., 3) at s_m (...), which lie on the face."""
-        side, t = self._side(s_m)
-        # Both ends of a side of 1e-9 m nearly agree: the deviation of the middle from their mean is the small term.
-        start, end = self.ends[side], self.ends[side + 1]
-        bulge = self.middles[side] - 0.5 * (start + end)
-        t = t[..., np.newaxis]
-        result: FloatArray = start + t * (end - start) + 4.0 * t * (1.0 - t) * bulge
+        side, t, change, bulge = self._side(s_m)
+        result: FloatArray = self.ends[side] + t * change + 4.0 * t * (1.0 - t) * bulge
         return result
 
     def strain(self, s_m: npt.ArrayLike) -> FloatArray:
         """Return the strain (..., 3) at points s_m (...). It diverges at corners as the mesh is refined."""
-        side, t = self._side(s_m)
-        start, end = self.ends[side], self.ends[side + 1]
-        bulge = self.middles[side] - 0.5 * (start + end)
+        side, t, change, bulge = self._side(s_m)
         length = (self.s_m[side + 1] - self.s_m[side])[..., np.newaxis]
-        result: FloatArray = (end - start + 4.0 * (1.0 - 2.0 * t[..., np.newaxis]) * bulge) / length
+        result: FloatArray = (change + 4.0 * (1.0 - 2.0 * t) * bulge) / length
         return result
 
-    def _side(self, s_m: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    def _side(self, s_m: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
+        """Return the side of each point, the place on it (..., 1), and along it change and bulge of displacement."""
         s = np.asarray(s_m, dtype=np.float64)
         side = np.clip(np.searchsorted(self.s_m, s, side="right") - 1, 0, len(self.s_m) - 2)
-        return side, (s - self.s_m[side]) / (self.s_m[side + 1] - self.s_m[side])
+        t = (s - self.s_m[side]) / (self.s_m[side + 1] - self.s_m[side])
+        # Both ends of a side of 1e-9 m nearly agree: the deviation of the middle from their mean is the small term.
+        start, end = self.ends[side], self.ends[side + 1]
+        return side, t[..., np.newaxis], end - start, self.middles[side] - 0.5 * (start + end)
 
 
 def face(solution: Solution, gauge: GaugePosition) -> Face:

@@ -101,12 +101,6 @@ def triangulate(outline: Outline, resolution: Resolution) -> Triangles:
     return Triangles(points, np.ascontiguousarray(corners.reshape(triangles.shape), dtype=np.int64))
 
 
-def _even(start: float, end: float, cells: int) -> FloatArray:
-    lines = np.linspace(start, end, cells + 1)
-    lines[-1] = end
-    return lines
-
-
 def _joined(blocks: Sequence[FloatArray]) -> FloatArray:
     return np.concatenate([blocks[0], *(block[1:] for block in blocks[1:])])
 
@@ -118,9 +112,9 @@ def _from_corner(corner: float, sign: float, radius: float, reach: float, n: int
     """
     extent = radius if radius > 0.0 else PATCH_M if reach > 2.0 * PATCH_M else reach
     edge, far = corner + sign * extent, corner + sign * reach
-    blocks = [_even(corner, edge, RINGS * n)]
+    blocks = [np.linspace(corner, edge, RINGS * n + 1)]
     if edge != far:
-        blocks.append(_even(edge, far, n))
+        blocks.append(np.linspace(edge, far, n + 1))
     return blocks
 
 
@@ -135,7 +129,7 @@ def _x_lines(outline: Outline, resolution: Resolution) -> FloatArray:
     outer = _to_corner(g.a_m, -1.0, outline.slit_fillet_m, outline.slit_fillet_m + NEAR_M, n)
     right = _joined(
         [
-            _even(0.0, half_h2, RINGS * n),
+            np.linspace(0.0, half_h2, RINGS * n + 1),
             *inner,
             *_middle(float(inner[-1][-1]), float(outer[0][0]), outline.fixture_half_width_m, n),
             *outer,
@@ -148,7 +142,7 @@ def _x_lines(outline: Outline, resolution: Resolution) -> FloatArray:
 def _middle(start: float, end: float, between: float, n: int) -> list[FloatArray]:
     """Return the middle of a beam in two blocks, 6 n cells together, each at least n."""
     share = min(5, max(1, round(6.0 * (between - start) / (end - start))))
-    return [_even(start, between, share * n), _even(between, end, (6 - share) * n)]
+    return [np.linspace(start, between, share * n + 1), np.linspace(between, end, (6 - share) * n + 1)]
 
 
 def _y_lines(outline: Outline, resolution: Resolution) -> tuple[FloatArray, int]:
@@ -170,8 +164,8 @@ def _y_lines(outline: Outline, resolution: Resolution) -> tuple[FloatArray, int]
             *near_foot,
             *_middle(start, end, leg_end, n),
             *near_joint,
-            _even(-half_h1, 0.0, RINGS * n),
-            _even(0.0, half_h1, RINGS * n),
+            np.linspace(-half_h1, 0.0, RINGS * n + 1),
+            np.linspace(0.0, half_h1, RINGS * n + 1),
             *slit_lower,
             *slit_upper,
         ]

@@ -188,22 +188,18 @@ def _cases(cases: list[Case]) -> list[str]:
         areas.setdefault(case.key.split(".")[0], []).append(case)
     parts = []
     for area, of_area in areas.items():
+        rows = []
+        for case in of_area:
+            texts = {"situation": case.situation, "claim": case.claim, "seen": case.figures}
+            cells = "".join(f'<td data-name="{name}" class="seen">{escape(text)}</td>' for name, text in texts.items())
+            kind, outcome = ("held", case.outcome) if case.held else ("broken", f"NOT {case.outcome}")
+            rows.append(
+                f'<tr id="case-{escape(case.key)}"><th scope="row" class="key">{escape(case.key)}</th>'
+                f'<td class="outcome {kind}">{escape(outcome)}</td>{cells}</tr>'
+            )
+        table = _html_table("cases", [""] * 5, ("case", "outcome", "situation", "claim", "seen"), rows)
         broken = sum(not case.held for case in of_area)
-        opened, result = "", f"all {len(of_area)} hold"
-        if broken:
-            opened, result = " open", f"{broken} of {len(of_area)} do NOT hold"
-        parts.append(f"<details{opened}><summary>{escape(area)}: {result}</summary>{_case_table(of_area)}</details>")
+        opened = " open" if broken else ""
+        result = f"{broken} of {len(of_area)} do NOT hold" if broken else f"all {len(of_area)} hold"
+        parts.append(f"<details{opened}><summary>{escape(area)}: {result}</summary>{table}</details>")
     return parts
-
-
-def _case_table(cases: list[Case]) -> str:
-    rows = []
-    for case in cases:
-        texts = {"situation": case.situation, "claim": case.claim, "seen": case.figures}
-        cells = "".join(f'<td data-name="{name}" class="seen">{escape(text)}</td>' for name, text in texts.items())
-        outcome = escape(case.outcome) if case.held else f"NOT {escape(case.outcome)}"
-        rows.append(
-            f'<tr id="case-{escape(case.key)}"><th scope="row" class="key">{escape(case.key)}</th>'
-            f'<td class="outcome {"held" if case.held else "broken"}">{outcome}</td>{cells}</tr>'
-        )
-    return _html_table("cases", [""] * 5, ("case", "outcome", "situation", "claim", "seen"), rows)

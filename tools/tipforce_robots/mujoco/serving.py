@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from math import isfinite
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from canopen_device.core import codes
@@ -100,9 +99,7 @@ class TwinNodes:
     def __enter__(self) -> TwinNodes:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _keep_time(self) -> None:

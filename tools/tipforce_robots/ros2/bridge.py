@@ -1,5 +1,6 @@
-"""Samples of one fingertip as messages, wrench and contact of each, and the state of the hand as diagnostics; and the
-bridge that publishes them from a feed: at each SYNC, diagnostics once a second and at each event.
+"""Samples of one fingertip as ROS 2 messages, and the state of the hand as diagnostics; the bridge that publishes them
+from a feed, diagnostics once a second and at each event; and the file of a hand for ros2_canopen (bus.yml), with the
+EDS files in the dialect of Lely's dcfgen.
 
 The frame ``<finger>_tip`` has its origin at the centre of the tip: x is the direction of F3 and y of F1 (docs/
 mechanics.md), z is normal to the plane of the beams, right-handed. So the force is P (cos phi, sin phi, 0), and the
@@ -8,9 +9,11 @@ torque about the origin r P sin(phi - theta) = r F2, around z.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,6 +28,8 @@ from tipforce_robots.ros2.cdr import CONTACT, DIAGNOSTICS, EMPTY, FINGERTIP, WRE
 
 if TYPE_CHECKING:
     from tipforce.host.hand.events import Event
+    from tipforce.host.hand.file import HandFile
+    from tipforce.output_file import Kind
     from tipforce.watching.feeds import Feed
     from tipforce.watching.watcher import Finger
     from tipforce_robots.ros2.dds import RosDomain, RosSubscription
@@ -256,3 +261,46 @@ class Bridge:
 
     def _send(self, now_ns: int, status: list[dict[str, Any]]) -> None:
         self._diagnostics.publish(array(now_ns, status), now_ns)
+
+
+_MASTER_NODE_ID = 127
+_HEAD = """\
+options:
+  dcf_path: "@BUS_CONFIG_PATH@"
+
+master:
+  node_id: {master}
+  driver: "ros2_canopen::MasterDriver"
+  package: "canopen_master_driver"
+  sync_period: {sync_us}
+"""
+_FINGER = """
+{name}:
+  node_id: {node_id}
+  dcf: {eds}
+  driver: "ros2_canopen::ProxyDriver"
+  package: "canopen_proxy_driver"
+  heartbeat_producer: {heartbeat_ms}
+"""
+
+
+def write_ros2_bus(hand: HandFile, folder: Path) -> list[Path]:
+    """Write bus.yml and an EDS for each number of gauges; return the paths.
+
+    ``sync_period`` is in microseconds; 0: another device sends the SYNC. Raises InputError if the folder cannot be
+    written or holds other files of these names, WriteError, and InputError for a finger with the node-id of the master.
+    """
+    from tipforce.dictionary.eds import eds_text, file_name, lely_dialect
+    from tipforce.output_file import BUS_CONFIGURATION, EDS, write_files
+
+    if _MASTER_NODE_ID in hand.node_ids:
+        raise InputError(f"node-id {_MASTER_NODE_ID}: the master of the bus has it; give the finger another one")
+    sync_hz = hand.hand.sync_hz
+    text = _HEAD.format(master=_MASTER_NODE_ID, sync_us=round(1e6 / sync_hz) if sync_hz else 0)
+    files: dict[str, tuple[str, Kind]] = {}
+    for finger in hand.finger:
+        eds = file_name(finger.gauges)
+        files[eds] = lely_dialect(eds_text(finger.gauges)), EDS
+        name, beat_ms = ros_name(finger.name, finger.node_id), hand.hand.heartbeat_ms
+        text += _FINGER.format(name=name, node_id=finger.node_id, eds=json.dumps(eds), heartbeat_ms=beat_ms)
+    return write_files(folder, files | {"bus.yml": (text, BUS_CONFIGURATION)})

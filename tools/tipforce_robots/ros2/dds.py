@@ -159,22 +159,15 @@ def idl_type(kind: str) -> type[IdlStruct]:
     package, _, name = kind.split("/")
     annotations: dict[str, Any] = {}
     for field in fields_of(kind):
-        one = idl_type(field.kind) if "/" in field.kind else _PRIMITIVES[field.kind]
+        value = idl_type(field.kind) if "/" in field.kind else _PRIMITIVES[field.kind]
         if field.size != 1:
-            one = _SEQUENCE[one] if field.size is None else _ARRAY[one, field.size]
-        annotations[field.name] = one
+            value = _SEQUENCE[value] if field.size is None else _ARRAY[value, field.size]
+        annotations[field.name] = value
     annotations = annotations or {"structure_needs_at_least_one_member": types.uint8}
     return make_idl_struct(f"{name}_", f"{package}.msg.dds_.{name}_", annotations)
 
 
 def _serialised(struct: type[IdlStruct]) -> type[IdlStruct]:
     """Return the type with a ``message`` in place of its fields: bytes that are written as they are."""
-
-    def init(_self: Any) -> None:
-        pass
-
-    def serialize(self: Any, **_options: Any) -> bytes:
-        message: bytes = self.message
-        return message
-
-    return type(struct.__name__, (struct,), {"__init__": init, "serialize": serialize})
+    methods = {"__init__": lambda _self: None, "serialize": lambda self, **_options: self.message}
+    return type(struct.__name__, (struct,), methods)

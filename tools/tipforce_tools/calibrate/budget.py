@@ -186,11 +186,11 @@ def _records(error_budget: Budget) -> list[dict[str, object]]:
 
     records: list[dict[str, object]] = []
     with np.errstate(divide="ignore", invalid="ignore"):
-        whole = np.mean(error_budget.total.uncertainties**2, axis=0)
-        for row in [*error_budget.rows, error_budget.total]:
-            rms = np.sqrt(np.mean(row.uncertainties**2, axis=0))
-            largest, share = row.uncertainties.max(axis=0), 100.0 * rms**2 / whole
-            record: dict[str, object] = {"cause": row.cause}
+        whole = np.mean(error_budget.total**2, axis=0)
+        for cause, uncertainties in {**error_budget.rows, "total": error_budget.total}.items():
+            rms = np.sqrt(np.mean(uncertainties**2, axis=0))
+            largest, share = uncertainties.max(axis=0), 100.0 * rms**2 / whole
+            record: dict[str, object] = {"cause": cause}
             for k, (name, unit, size) in enumerate(_QUANTITIES):
                 record |= {f"u_{name}_{unit}": float(rms[k] * size), f"u_{name}_{unit}_max": float(largest[k] * size)}
                 record[f"share_{name}_percent"] = float(share[k])

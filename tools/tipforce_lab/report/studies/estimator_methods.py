@@ -269,20 +269,20 @@ def in_integers(given: Contacts, form: Format) -> Method:
 _ON_MICROPYTHON = """
 import struct, binascii, time
 import scalar
-def told(path):
+def stored(path):
     with open(path, 'rb') as f:
         return binascii.a2b_base64(f.read())
-C = struct.unpack("<9f", told("/C"))
+C = struct.unpack("<9f", stored("/C"))
 C = [list(C[k:k + 3]) for k in (0, 3, 6)]
-counts = told("/counts")
+counts = stored("/counts")
 counts = [struct.unpack("<3i", counts[k:k + 12]) for k in range(0, len(counts), 12)]
 def work():
-    contact, found, offsets = scalar.contact, [], [0.0, 0.0, 0.0]
+    contact, rows, offsets = scalar.contact, [], [0.0, 0.0, 0.0]
     for row in counts:
         V = [s - o for s, o in zip([1e-6 * (LSB * c) for c in row], offsets)]
         F1, F2, F3 = [sum([c * v for c, v in zip(r, V)]) for r in C]
-        found.append(contact(F1, F2, F3, False))
-    return found
+        rows.append(contact(F1, F2, F3, False))
+    return rows
 """
 _TIMED = """
 started = time.ticks_ms()

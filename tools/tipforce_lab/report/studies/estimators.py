@@ -83,9 +83,9 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
         for (method, setting), result in results.items()
         if method not in (INT32, INT32_TABLE) or setting == "28 iterations"
     }
-    force = _series(for_force, lambda found: errors(found[0], usual.P_newtons) / usual.full_scale_newtons)
-    angle = _series(results, lambda found: errors(found[1], usual.theta_deg, 360.0))
-    near = _series(results_sliding, lambda found: errors(found[1], sliding.theta_deg, 360.0))
+    force = _series(for_force, lambda estimate: errors(estimate[0], usual.P_newtons) / usual.full_scale_newtons)
+    angle = _series(results, lambda estimate: errors(estimate[1], usual.theta_deg, 360.0))
+    near = _series(results_sliding, lambda estimate: errors(estimate[1], sliding.theta_deg, 360.0))
     off = "largest error of theta (degrees)"
     return [
         _study(

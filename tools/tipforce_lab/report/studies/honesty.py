@@ -208,8 +208,8 @@ class _Samples:
     temperature_degC: FloatArray
 
 
-def _recorded(folder: Path, scene: schema.Scene) -> _Samples:
-    """Run the scene's node in simulated time, and keep its sample at each SYNC."""
+def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list[Counted]:
+    """Run the scene's node in simulated time, keep its sample at each SYNC, and count the rows of each method."""
     (finger,) = build(scene, folder)
     application = finger.device.application
     assert isinstance(application, Fingertip)
@@ -227,12 +227,8 @@ def _recorded(folder: Path, scene: schema.Scene) -> _Samples:
     simulate(scene, [finger], scene.duration_s, keep, lambda _t_us: None)
     recorded = np.array(rows)
     status, faults = recorded[:, 3:5].astype(np.int64).T
-    return _Samples(recorded[:, 0], recorded[:, 1:3], status, faults, recorded[:, 6:], recorded[:, 5])
-
-
-def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list[Counted]:
-    samples, load = _recorded(folder, scene), load_of(scene, NODE_ID)
-    true = applied_at(load, samples.t_s)[:, 0]
+    samples = _Samples(recorded[:, 0], recorded[:, 1:3], status, faults, recorded[:, 6:], recorded[:, 5])
+    true = applied_at(load_of(scene, NODE_ID), samples.t_s)[:, 0]
     counts = []
     for P, u, ok in _shown(samples, calibration):
         wrong = ok & ~(np.abs(P - true) <= TOO_FAR * u)
