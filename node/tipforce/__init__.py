@@ -13,7 +13,8 @@
 - a whole hand: ``Hand.open("hand.toml")``, then ``for row in hand.rows(): row["thumb"].P_newtons``
 - a log as arrays: ``read_log("run.log")[5].P_newtons``
 - a calibration: ``Calibration.from_microstrain(C, offset, covariance)``, ``Calibration.read("finger.toml")``,
-  ``fit_calibration(Readings(...))``; ``finger.apply_calibration(calibration)``; ``estimate(calibration, microstrain)``
+  ``fit_calibration(Readings(...))``; ``finger.apply_calibration(calibration)``; ``estimate(calibration, microstrain)``;
+  prepared for many calls: ``estimator = Estimator(calibration)``, then ``estimator(microstrain)``
 - fingers for your own tests: ``simulated_finger(5, load=(4.4, 90, 45))``, ``simulated_hand(5)``
 - any CANopen device from its EDS or DCF: ``device_from_eds("drive.eds", 5)``; on a bus, for tests of a master:
   ``with simulated_device("drive.eds", 5, bus) as drive: drive[0x6064] = 100``

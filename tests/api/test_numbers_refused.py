@@ -126,6 +126,12 @@ ARRAYS: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
         ),
         {"microstrain": [[1.0, 2.0, 3.0]], "temperature_degC": [20.0]},
     ),
+    "Estimator": (
+        lambda microstrain, temperature_degC: tipforce.Estimator(CALIBRATION)(
+            microstrain, temperature_degC=temperature_degC
+        ),
+        {"microstrain": [1.0, 2.0, 3.0], "temperature_degC": 20.0},
+    ),
     "Calibration.from_microstrain": (
         tipforce.Calibration.from_microstrain,
         {"matrix": CALIBRATION.C * 1e-6, "offset": [0.0, 1.0, 2.0], "covariance": SQUARE},

@@ -77,13 +77,14 @@ def test_the_verdicts_of_node_and_host_are_equal(n: int) -> None:
     lost = np.array([sum(1 << k for k, over in enumerate(s.overloads) if over) for s in samples])
     verdicts = judged.Judge(calibration).judge(given._replace(lost=lost), False)
     node = np.array([s.faults & BITS for s in samples])
-    known = np.isfinite(verdicts.F_newtons).all(axis=0)
+    known = judged.is_finite(verdicts.F_newtons)
     np.testing.assert_array_equal(verdicts.faults[known], node[known])
     np.testing.assert_array_equal(verdicts.faults[~known] & 0xF000, node[~known] & 0xF000)
     np.testing.assert_array_equal(known, [s.solver is not None for s in samples])
+    F, covariance = np.array(verdicts.F_newtons), np.array(np.broadcast_arrays(*verdicts.covariance))
     for k in np.flatnonzero(known):
-        np.testing.assert_allclose(verdicts.F_newtons[:, k], samples[k].force(), atol=1e-12)
-        np.testing.assert_allclose(verdicts.covariance[:, k], samples[k].covariance(), rtol=1e-7, atol=1e-15)
+        np.testing.assert_allclose(F[:, k], samples[k].force(), atol=1e-12)
+        np.testing.assert_allclose(covariance[:, k], samples[k].covariance(), rtol=1e-7, atol=1e-15)
     shown = ~(np.array([s.unknown() for s in samples]) & scalar.UNKNOWN_FORCE).astype(bool)
     np.testing.assert_array_equal(np.isfinite(found.values[:, 0]), shown)
     np.testing.assert_allclose(found.values[shown, 0], [s.contact()[0] for s in np.array(samples)[shown]], rtol=1e-12)
@@ -162,7 +163,7 @@ def test_four_gauges_isolate_nothing_not_even_a_gauge_that_no_force_moves() -> N
     microstrain = np.array([[100.0, 0.0, 0.0, 0.0], [100.0, 0.0, 0.0, 50.0]])
     found = judged.Judge(calibration).judge(Readings(1e-6 * microstrain), False)
     assert found.faults.tolist() == [0, 1 << 12]
-    assert np.isfinite(found.F_newtons).all(axis=0).tolist() == [True, False]
+    assert judged.is_finite(found.F_newtons).tolist() == [True, False]
     talk = finger(4, calibrated=calibration.record(), load=PUSH)
     application = talk.device.application
     assert isinstance(application, Fingertip)

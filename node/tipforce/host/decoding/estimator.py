@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 BLOCK = 4096
 """Samples at a time: their columns stay in the processor's cache."""
-_UNKNOWN = np.array([scalar.unknown(status | scalar.CALIBRATED) for status in range(256)])
+_UNKNOWN = np.array([scalar.unknown(status | scalar.CALIBRATED) for status in range(256)], dtype=np.uint8)
 """What a status byte makes unknown."""
 _FLAGS = (
     (scalar.SATURATED, reasons.LEFT_OUT | reasons.OVERLOAD),
@@ -221,7 +221,7 @@ class Estimator:
                 reached = (np.abs(given.strain) >= self._limits) @ (1 << np.arange(len(self._limits)))
             given = given._replace(lost=reached if given.lost is None else reached | given.lost)
         verdict = self.judge.judge(given, before.overloaded)
-        F, K = model.forces(*verdict.F_newtons), model.covariances(list(verdict.covariance))
+        F, K = model.forces(*verdict.F_newtons), model.covariances(verdict.covariance)
         sense = np.where(self._active.pull if given.pull is None else given.pull, 1.0, -1.0)
         contact = model.contact_columns(F, sense)
         status = _judged_status(verdict, given)
@@ -235,18 +235,19 @@ class Estimator:
         resolved = self._resolved(verdict, contact, F, K, sense) if u is None else model.is_resolved(u.P, u.theta)
         bits = model.status_columns(contact, resolved, misses, self._active.limits, before.present, counts)
         status |= np.where(counts, bits | self._unranged, 0)
-        unknown = np.where(counts, _UNKNOWN[status & 0xFF], 0xFF)
-        hidden = [(unknown & bit) != 0 for bit in (scalar.UNKNOWN_FORCE, scalar.UNKNOWN_PHI, scalar.UNKNOWN_THETA)]
-        units = (1.0, scalar.DEGREES, scalar.DEGREES)
-        columns = [contact.P_newtons, contact.phi_rad, contact.theta_rad, *(() if u is None else u[:3])]
-        values = [
-            np.where(of, np.nan, value * unit) for value, of, unit in zip(columns, hidden * 2, units * 2, strict=False)
-        ]
+        values = [contact.P_newtons, contact.phi_rad * scalar.DEGREES, contact.theta_rad * scalar.DEGREES]
+        if u is not None:
+            values += [u.P, u.phi * scalar.DEGREES, u.theta * scalar.DEGREES]
+        unknown = np.where(counts, _UNKNOWN[status & 0xFF], np.uint8(0xFF))
+        if unknown.any():
+            hidden = [(unknown & bit) != 0 for bit in (scalar.UNKNOWN_FORCE, _NO_PHI, _NO_THETA)]
+            values = [np.where(of, np.nan, value) for of, value in zip(hidden * 2, values, strict=False)]
         if u is None:
             return values + [np.full(len(status), np.nan)] * 3, status
+        beyond = np.zeros(len(status), dtype=np.bool_)
         for shown, bend in zip(values[3:], model.curvature_columns(F, contact.P_newtons, u), strict=True):
-            beyond = np.isfinite(shown) & ~(bend <= model.CURVATURE_LIMIT)
-            status |= np.where(beyond, reasons.BEYOND_FIRST_ORDER, 0)
+            beyond |= np.isfinite(shown) & ~(bend <= model.CURVATURE_LIMIT)
+        status |= np.where(beyond, reasons.BEYOND_FIRST_ORDER, 0)
         return values, status
 
     def _resolved(
@@ -421,10 +422,12 @@ def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArr
     """
     if len(strain) <= FROZEN_READINGS:
         return None
-    steps = np.abs(np.diff(strain, axis=0))
-    still = steps == 0.0
+    still = strain[1:] == strain[:-1]
     repeating = np.flatnonzero(np.count_nonzero(still, axis=0) >= FROZEN_READINGS)
-    resolution = steps.min(where=steps > 0.0, initial=np.inf) if len(repeating) else np.inf
+    if not len(repeating):
+        return None
+    steps = np.abs(np.diff(strain, axis=0))
+    resolution = steps.min(where=steps > 0.0, initial=np.inf)
     noise = np.sqrt(np.diagonal(calibration.covariance_strain2) / (1.0 if weight is None else weight.max()))
     bits = np.zeros(len(strain), dtype=np.int64)
     for gauge in repeating[noise[repeating] >= resolution * (1.0 - 1e-6)].tolist():
@@ -442,7 +445,7 @@ def _following(status: IntArray, before: Before) -> Before:
 
 def _judged_status(verdict: Judged, given: Readings) -> IntArray:
     """The bits that are known before any contact is."""
-    faults, known = verdict.faults, np.isfinite(verdict.F_newtons).all(axis=0)
+    faults, known = verdict.faults, judged.is_finite(verdict.F_newtons)
     status = faults & (reasons.BEYOND_CALIBRATED | reasons.TEMPERATURE | reasons.OVERLOAD)
     if not known.all():
         contradict = ~known & ((faults & reasons.CONTRADICTION) != 0)

@@ -61,11 +61,11 @@ class Readings(NamedTuple):
 class Judged(NamedTuple):
     """m samples judged."""
 
-    F_newtons: FloatArray
-    """(3, m); NaN where the gauges left have no rank 3, or contradict each other."""
-    covariance: FloatArray
-    """(6, m), elements 11, 12, 13, 22, 23, 33, N^2: gauge noise, model, temperature, what a fault below the limit can
-    do, the calibration's own and the age of the tare."""
+    F_newtons: list[FloatArray]
+    """Three columns; NaN where the gauges left have no rank 3, or contradict each other."""
+    covariance: list[Column]
+    """Elements 11, 12, 13, 22, 23, 33, N^2, each (m,) or one number: gauge noise, model, temperature, what a fault
+    below the limit can do, the calibration's own and the age of the tare."""
     faults: IntArray
     """(m,): as 2124h: the gauges left out, and bits 12 to 15."""
 
@@ -101,7 +101,7 @@ class Judge:
         work = _Work(
             V, kelvin, unknown_kelvin, 1.0 if reading.variance_factor is None else reading.variance_factor,
             np.square(drift * age_s) if age_s is not None and drift > 0.0 else None,
-            lost.copy(), np.full((3, m), np.nan), np.full((6, m), np.nan),
+            lost.copy(), [np.full(m, np.nan) for _ in range(3)], [np.full(m, np.nan) for _ in range(6)],
             np.broadcast_to(np.where(outside, TEMPERATURE, 0), m).copy(),
         )  # fmt: skip
         if lost.any():
@@ -110,7 +110,7 @@ class Judge:
         else:
             self._judge_gauges(0, slice(None), work)
         faults = work.faults
-        known = np.isfinite(work.F).all(axis=0)
+        known = is_finite(work.F)
         faults |= np.where(known, work.left, 0)
         if active.forces[1] > 0.0:
             P = magnitude(work.F)
@@ -152,11 +152,14 @@ class Judge:
         work.left[rows] = mask
         gain = 1.0 + active.gain_per_kelvin * _part(work.kelvin, rows)
         F = [_dot(row, V) / gain for row in solver[0]]
-        work.F[:, rows] = F
         if active.forces[0] > 0.0:
             work.faults[rows] |= np.where(active.forces[0] < magnitude(F), BEYOND_CALIBRATED, 0)
-        for place, element in enumerate(self._covariance(mask, F, V, noise, faults, rows, work)):
-            work.covariance[place, rows] = element
+        K = self._covariance(mask, F, V, noise, faults, rows, work)
+        if isinstance(rows, slice):  # all of them
+            work.F[:], work.covariance[:] = F, K
+            return
+        for column, element in zip(work.F + work.covariance, F + K, strict=True):
+            column[rows] = element
 
     def _leave_out(
         self, mask: int, explains: list[BoolArray | bool], rows: Rows, contradict: BoolArray, work: _Work
@@ -274,8 +277,8 @@ class _Work(NamedTuple):
     noise: Column  # of a reading, in variance, over that of one reading
     drifted: FloatArray | None  # (m,), strain^2 of each gauge since the tare
     left: IntArray  # (m,), bits of the gauges left out
-    F: FloatArray  # (3, m)
-    covariance: FloatArray  # (6, m)
+    F: list[FloatArray]
+    covariance: list[Column]
     faults: IntArray  # (m,)
 
 
@@ -294,7 +297,13 @@ def last_known(values: FloatArray, before: float = float("nan")) -> FloatArray:
     return found
 
 
-def magnitude(F: FloatArray | list[FloatArray]) -> FloatArray:
+def is_finite(F: list[FloatArray]) -> BoolArray:
+    """Which forces are, (m,)."""
+    finite: BoolArray = np.isfinite(F[0]) & np.isfinite(F[1]) & np.isfinite(F[2])
+    return finite
+
+
+def magnitude(F: list[FloatArray]) -> FloatArray:
     """P as contacts() gives it, without the angles: F1, F2, F3."""
     hypotenuse = np.sqrt(F[0] * F[0] + F[2] * F[2])
     larger: FloatArray = np.maximum(hypotenuse, 0.5 * (hypotenuse + np.abs(F[1])))
@@ -311,4 +320,7 @@ def _with(K: list[Column], f: list[Column]) -> list[Column]:
 
 
 def _dot(a: Any, b: Any) -> Column:
-    return sum(x * y for x, y in zip(a, b, strict=True))
+    total = 0.0
+    for x, y in zip(a, b, strict=True):
+        total = total + x * y
+    return total

@@ -164,8 +164,11 @@ def forces(F1: FloatArray, F2: FloatArray, F3: FloatArray) -> Forces:
         return Forces(F1 + nothing, F3, F1 * down, F2 * down + nothing, F3 * down, unit, hypotenuse, cosine, excess)
 
 
-def covariances(elements: Sequence[FloatArray | float]) -> Covariance:
-    """Return the covariances with elements 11, 12, 13, 22, 23, 33, N^2; not finite, or a variance below 0: NaN."""
+def covariances(elements: Sequence[Any]) -> Covariance:
+    """Return the covariances with elements 11, 12, 13, 22, 23, 33, N^2, columns or numbers.
+
+    Not finite, or a variance below 0: NaN.
+    """
     k11, _, _, k22, _, k33 = elements
     with np.errstate(invalid="ignore", over="ignore"):
         largest = np.maximum(np.maximum(np.maximum(k11, k22), k33), 0.0)
@@ -182,7 +185,7 @@ def contact_columns(F: Forces, sense: FloatArray | float) -> Contact:
     """Return the contacts; sense: 1.0 for a pull, -1.0 for a push."""
     with np.errstate(over="ignore"):
         P, miss = (F.hypotenuse + 0.5 * F.excess) * F.unit, F.excess * F.unit
-    phi, delta = _wrapped(np.arctan2(F.F1, F.F3)), _wrapped(np.arctan2(F.f2, sense * F.cosine))
+    phi, delta = _angle(F.F1, F.F3), _angle(F.f2, sense * F.cosine)
     undirected = (F.F1 == 0.0) & (F.F3 == 0.0)
     if undirected.any():
         phi, delta = np.where(undirected, np.nan, (phi, delta))
@@ -373,6 +376,13 @@ def _power_of_two(exponent: npt.NDArray[np.integer[Any]], most: int = 1000) -> F
     """2^exponent, of ``most`` in size: then its inverse is exact, too, and what is scaled by it far from any border."""
     power: FloatArray = np.ldexp(1.0, np.minimum(np.maximum(exponent, -most), most))
     return power
+
+
+def _angle(y: FloatArray, x: FloatArray) -> FloatArray:
+    """Return arctan2, pi in place of -pi."""
+    angle_rad: FloatArray = np.arctan2(y, x)
+    least = angle_rad <= -np.pi
+    return np.where(least, np.pi, angle_rad) if least.any() else angle_rad
 
 
 def _wrapped(angle_rad: FloatArray) -> FloatArray:
