@@ -10,8 +10,6 @@ from tipforce_tools.cli import common
 from tipforce_tools.cli.bus_flags import add_bus_name_arguments
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from tipforce.scene.registry import Identifier
     from tipforce.scene.results import Check, FingerResult
     from tipforce.scene.run import Options, Outcome
@@ -31,7 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
     )
     parser.add_argument(
-        "scene", metavar="SCENE", help="a TOML file (docs/scenes.md), or the name of a shipped scene: grasp"
+        "scene",
+        type=common.scene_or_file,
+        metavar="SCENE",
+        help="a TOML file, or a shipped scene: grasp",
     )
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
     parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")
@@ -47,15 +48,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run or explain the scene; return 0, or 1 if an expectation did not hold."""
-    from tipforce.shipped_files import file_or_shipped
-
-    path = file_or_shipped(args.scene, "scenes")
     from tipforce.scene.reader import read_scene
     from tipforce.scene.registry import bus_load
 
+    path = args.scene
     scene = read_scene(path)
     if args.explain:
-        return _explain(args, path, scene)
+        return _explain(args, scene)
     from tipforce.scene.run import run_scene
 
     options = _options(args)
@@ -69,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         _print_outcome(outcome)
     else:
-        _print_fingers(args, scene.title or args.scene, outcome)
+        _print_fingers(args, scene.title or path.name, outcome)
         _print_checks(args, outcome)
     frames = sum(outcome.frames_by_id.values())
     common.note(
@@ -171,14 +170,14 @@ _SHOWN_MODULES = 8
 _COSTS = ("us_per_sample", "ms_per_run", "import_ms")
 
 
-def _explain(args: argparse.Namespace, path: Path, scene: Scene) -> int:
+def _explain(args: argparse.Namespace, scene: Scene) -> int:
     from tipforce.scene.registry import bus_load, identifiers, parts
 
     costs: dict[str, Any] = {}
     if args.cost:
         from tipforce_lab.scene_cost import part_costs
 
-        costs = part_costs(scene, path)
+        costs = part_costs(scene, args.scene)
     rows: list[dict[str, Any]] = [
         {
             "part": part.name, "built": part.built, "why": part.why, "modules": list(part.modules),
@@ -221,7 +220,9 @@ def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
         loads = _short(row["modules"]) if row["built"] else ""
         cells.append([row["part"], "built" if row["built"] else "left out", row["why"], *spent, loads])
     headings = ("part", "", "why", *(f">{name}" for name in costs), "loads")
-    common.print_rows(args, f"{args.scene}: parts", headings, cells, [None if row["built"] else "dim" for row in rows])
+    common.print_rows(
+        args, f"{args.scene.name}: parts", headings, cells, [None if row["built"] else "dim" for row in rows]
+    )
 
 
 def _short(modules: list[str]) -> str:

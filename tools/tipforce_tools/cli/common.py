@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import glob
 import math
 import os
 import re
@@ -11,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import repeat
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tipforce.errors import DuplicateNodeError, InputError, TipforceError
@@ -165,6 +167,40 @@ def add_numbers(
     """Add flags of one number each: (name, default, unit, help, parser of the text, which knows what is allowed)."""
     for name, default, unit, text, parse in flags:
         parser.add_argument(name, type=parse, default=default, metavar=unit, help=text)
+
+
+def input_file(kind: str = "") -> Callable[[str], str]:
+    """Return a parser of the name of a file to read, - for stdin; ``kind`` precedes the name in the error.
+
+    It raises InputError for a missing file: before the command imports what reads it.
+    """
+
+    def parse(text: str) -> str:
+        if text != "-" and not os.path.exists(text):
+            raise InputError(f"{kind}{text}: No such file or directory")
+        return text
+
+    return parse
+
+
+def log_file(text: str) -> str:
+    """Parse the name of a log: - is stdin, and a pattern is expanded later. Raises InputError for a missing file."""
+    if text != "-" and not glob.has_magic(text) and "://" not in text and not os.path.exists(text):
+        raise InputError(f"{text}: no such file")
+    return text
+
+
+def target(text: str) -> str:
+    """Parse `vcan0,181:7FF` or the name of a log. Raises InputError for a log that is missing."""
+    path, is_log = text.partition(",")[0], re.search(r"\.(log|txt)$|/", text) is not None
+    return log_file(path) and text if is_log and "," not in text else text
+
+
+def scene_or_file(text: str) -> Path:
+    """Return the file, or the shipped scene of that name. Raises InputError if there is neither."""
+    from tipforce.shipped_files import file_or_shipped
+
+    return Path(input_file()(str(file_or_shipped(text, "scenes"))))
 
 
 def node_id(text: str) -> int:

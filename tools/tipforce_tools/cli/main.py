@@ -197,7 +197,7 @@ def _run(name: str, words: list[str]) -> int:
     if name not in COMMANDS:
         import difflib
 
-        near = difflib.get_close_matches(name, COMMANDS if name[:1] != "-" else TOP_FLAGS, 3)
+        near = difflib.get_close_matches(name, [*COMMANDS, *TOP_FLAGS], 3, cutoff=0.7)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
     from tipforce_tools.cli.actions import run_action, run_place
