@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument(
-        "log", type=common.input_file(), metavar="LOG", help="a log file, or - for candump text on stdin"
+        "log", type=common.InputFile(), metavar="LOG", help="a log file, or - for candump text on stdin"
     )
     parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times recorded speed (inf: no waiting)")

@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source",
         nargs="?",
-        type=common.input_file(),
+        type=common.InputFile(),
         metavar="HAND.toml|LOG",
         help="a hand file, or a log (default: listen to the bus)",
     )

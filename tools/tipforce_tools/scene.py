@@ -10,6 +10,8 @@ from tipforce_tools.cli import common
 from tipforce_tools.cli.bus_flags import add_bus_name_arguments
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tipforce.scene.registry import Identifier
     from tipforce.scene.results import Check, FingerResult
     from tipforce.scene.run import Options, Outcome
@@ -30,7 +32,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "scene",
-        type=common.scene_or_file,
         metavar="SCENE",
         help="a TOML file, or a shipped scene: grasp",
     )
@@ -51,10 +52,10 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.scene.reader import read_scene
     from tipforce.scene.registry import bus_load
 
-    path = args.scene
+    path = common.scene_or_file(args.scene)
     scene = read_scene(path)
     if args.explain:
-        return _explain(args, scene)
+        return _explain(args, path, scene)
     from tipforce.scene.run import run_scene
 
     options = _options(args)
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         _print_outcome(outcome)
     else:
-        _print_fingers(args, scene.title or path.name, outcome)
+        _print_fingers(args, scene.title or args.scene, outcome)
         _print_checks(args, outcome)
     frames = sum(outcome.frames_by_id.values())
     common.note(
@@ -170,14 +171,14 @@ _SHOWN_MODULES = 8
 _COSTS = ("us_per_sample", "ms_per_run", "import_ms")
 
 
-def _explain(args: argparse.Namespace, scene: Scene) -> int:
+def _explain(args: argparse.Namespace, path: Path, scene: Scene) -> int:
     from tipforce.scene.registry import bus_load, identifiers, parts
 
     costs: dict[str, Any] = {}
     if args.cost:
         from tipforce_lab.scene_cost import part_costs
 
-        costs = part_costs(scene, args.scene)
+        costs = part_costs(scene, path)
     rows: list[dict[str, Any]] = [
         {
             "part": part.name, "built": part.built, "why": part.why, "modules": list(part.modules),
@@ -220,9 +221,7 @@ def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
         loads = _short(row["modules"]) if row["built"] else ""
         cells.append([row["part"], "built" if row["built"] else "left out", row["why"], *spent, loads])
     headings = ("part", "", "why", *(f">{name}" for name in costs), "loads")
-    common.print_rows(
-        args, f"{args.scene.name}: parts", headings, cells, [None if row["built"] else "dim" for row in rows]
-    )
+    common.print_rows(args, f"{args.scene}: parts", headings, cells, [None if row["built"] else "dim" for row in rows])
 
 
 def _short(modules: list[str]) -> str:

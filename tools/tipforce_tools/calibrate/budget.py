@@ -110,7 +110,7 @@ def _check(args: argparse.Namespace) -> None:
     if args.output:
         check_output(args.output, figure_kind(args.output))
     if args.file is not None:
-        common.input_file("calibration ")(args.file)
+        common.InputFile("calibration ").check(args.file)
 
 
 def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor:

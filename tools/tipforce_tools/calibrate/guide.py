@@ -143,7 +143,7 @@ def _plan(args: argparse.Namespace) -> tuple[Step, ...]:
         for flag in ("weights", "grooves"):
             if getattr(args, flag) is not None:
                 raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
-        common.input_file("plan ")(args.plan)
+        common.InputFile("plan ").check(args.plan)
     from tipforce_tools.calibrate.guide_plan import file_plan, groove_plan
 
     if args.plan:

@@ -169,38 +169,50 @@ def add_numbers(
         parser.add_argument(name, type=parse, default=default, metavar=unit, help=text)
 
 
-def input_file(kind: str = "") -> Callable[[str], str]:
-    """Return a parser of the name of a file to read, - for stdin; ``kind`` precedes the name in the error.
+class InputFile:
+    """For argparse: the name of a file to read, - for stdin; ``kind`` precedes the name in the error.
 
-    It raises InputError for a missing file: before the command imports what reads it.
+    ``check`` is called after the parsing, before the command imports what reads the file.
     """
 
-    def parse(text: str) -> str:
-        if text != "-" and not os.path.exists(text):
-            raise InputError(f"{kind}{text}: No such file or directory")
+    def __init__(self, kind: str = "") -> None:
+        self._kind = kind
+
+    def __call__(self, text: str) -> str:
+        """Return the name."""
         return text
 
-    return parse
+    def check(self, text: str) -> None:
+        """Raise InputError for a missing file."""
+        if text != "-" and not os.path.exists(text):
+            raise InputError(f"{self._kind}{text}: No such file or directory")
 
 
-def log_file(text: str) -> str:
-    """Parse the name of a log: - is stdin, and a pattern is expanded later. Raises InputError for a missing file."""
-    if text != "-" and not glob.has_magic(text) and "://" not in text and not os.path.exists(text):
-        raise InputError(f"{text}: no such file")
-    return text
+class LogFile(InputFile):
+    """The name of a log, a pattern, which is expanded later, or a URL."""
+
+    def check(self, text: str) -> None:
+        """Raise InputError for a missing file."""
+        if text != "-" and not glob.has_magic(text) and "://" not in text and not os.path.exists(text):
+            raise InputError(f"{text}: no such file")
 
 
-def target(text: str) -> str:
-    """Parse `vcan0,181:7FF` or the name of a log. Raises InputError for a log that is missing."""
-    path, is_log = text.partition(",")[0], re.search(r"\.(log|txt)$|/", text) is not None
-    return log_file(path) and text if is_log and "," not in text else text
+class Target(LogFile):
+    """`vcan0,181:7FF`, or the name of a log."""
+
+    def check(self, text: str) -> None:
+        """Raise InputError for the name of a log that is missing."""
+        if "," not in text and re.search(r"\.(log|txt)$|/", text):
+            super().check(text)
 
 
 def scene_or_file(text: str) -> Path:
     """Return the file, or the shipped scene of that name. Raises InputError if there is neither."""
     from tipforce.shipped_files import file_or_shipped
 
-    return Path(input_file()(str(file_or_shipped(text, "scenes"))))
+    path = file_or_shipped(text, "scenes")
+    InputFile().check(str(path))
+    return path
 
 
 def node_id(text: str) -> int:

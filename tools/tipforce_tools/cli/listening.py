@@ -55,7 +55,7 @@ def _group(
             opened.enter_context(open_receiver(options, selection, tick_s=tick_s))
             for options, selection in zip(buses, selections, strict=True)
         ]
-        sync_hz = getattr(args, "sync", None)
+        sync_hz: float = getattr(args, "sync", None) or 0.0
         stops: list[Callable[[], None]] = []
         for options in buses if sync_hz else ():
             from tipforce.host.hand.link import kernel_sync

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument(
-        "logs", nargs="*", type=common.log_file, metavar="LOG", help="files and globs; default or -: stdin"
+        "logs", nargs="*", type=common.LogFile(), metavar="LOG", help="files and globs; default or -: stdin"
     )
     parser.add_argument("-o", "--output", metavar="FILE", help=".csv .jsonl .parquet .mcap, or DIR/, a dataset")
     parser.add_argument("--format", choices=("text", "csv", "jsonl", "parquet", "mcap"), help="default: by the suffix")

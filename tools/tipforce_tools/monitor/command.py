@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "targets",
         nargs="*",
-        type=common.target,
+        type=common.Target(),
         metavar="CHANNEL[,FILTER...] | LOG | -",
         help="buses, filters, or a log",
     )
