@@ -18,6 +18,9 @@ THEIRS = ROOT / "docs" / "examples" / "vcan-ci.yml"
 
 def check_command(words: list[str]) -> None:
     """SystemExit or AssertionError for a `tipforce` command that does not exist or does not take these words."""
+    if words[0] == "--completion":
+        assert words[1:] in (["bash"], ["zsh"], ["fish"])
+        return
     assert words[0] in COMMANDS, words
     command_parser(words[0]).parse_args(words[1:])
 

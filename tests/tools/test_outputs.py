@@ -48,7 +48,7 @@ WRITES: list[tuple[str, str, bytes]] = [
     ("export c -o firmware", "firmware/tipforce_od.h", b"/* old */\n"),
     ("design sweep h2 --steps 3 -o x.svg", "x.svg", SVG),
     ("design table 3 --format svg -o figures", "figures/condition-and-noise.svg", SVG),
-    ("budget cal.toml -o x.png", "x.png", PNG),
+    ("calibrate budget cal.toml -o x.png", "x.png", PNG),
     ("plot run.log -o x.svg", "x.svg", SVG),
     ("plot run.log -o x.png", "x.png", PNG),
     ("plot run.log -o x.pdf", "x.pdf", b"%PDF old"),

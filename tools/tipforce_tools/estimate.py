@@ -31,8 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "tangential contact, or in noise).\n"
         "  tipforce estimate finger.toml readings.csv -o contact.csv"
     )
-    parser.add_argument("calibration", metavar="CAL.toml")
-    parser.add_argument("gauges", metavar="GAUGES.csv")
+    parser.add_argument("calibration", type=common.InputFile("calibration "), metavar="CAL.toml")
+    parser.add_argument("gauges", type=common.InputFile(), metavar="GAUGES.csv")
     parser.add_argument("-o", "--output", metavar="OUT", help="CSV file (default: stdout)")
     above_0 = common.number_within(0.0, math.inf, "is above 0, in microstrain", over=True)
     parser.add_argument("--saturation", type=above_0, metavar="UE", help="converter limit in microstrain")

@@ -43,8 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="decimal",
         help="eds, dcf: REAL32 as decimals, or as hexadecimal bits for Lely's dcfgen (default %(default)s)",
     )
-    parser.add_argument("--eds", metavar="FILE", help="xdd: the EDS, DCF or XDD of any device")
-    parser.add_argument("--hand", metavar="FILE", help="ros2: the hand in TOML, required")
+    parser.add_argument("--eds", type=common.InputFile(), metavar="FILE", help="xdd: the EDS, DCF or XDD of any device")
+    parser.add_argument("--hand", type=common.InputFile(), metavar="FILE", help="ros2: the hand in TOML, required")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="gauges, 3 to 8 (default %(default)s)")
     parser.add_argument(
         "--nodes", type=common.node_ids, default=list(range(1, 16)), metavar="IDS", help="dbc: 1,2,5-9 (default 1-15)"
@@ -52,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--node-id", type=common.node_id, metavar="ID", help="dcf: 1 to 127, required")
     parser.add_argument(
         "--settings",
+        type=common.InputFile(),
         metavar="FILE",
         help="dcf: TOML or DCF with the settings that are not at their default, as for `config apply`",
     )

@@ -46,7 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce log` and python-can's bus flags to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument("targets", nargs="*", metavar="CHANNEL[,FILTER...]", help="buses with their filters")
+    parser.add_argument(
+        "targets", nargs="*", type=common.Target(), metavar="CHANNEL[,FILTER...]", help="buses with their filters"
+    )
     parser.add_argument("-o", "--output", metavar="FILE", help="default: a name as of candump -l, by date and time")
     parser.add_argument("--overwrite", action="store_true", help="overwrite existing files")
     parser.add_argument("-n", dest="count", type=common.count, metavar="COUNT", help="end after COUNT frames")

@@ -51,7 +51,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce replay` and python-can's bus flags to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument("log", metavar="LOG", help="a log file, or - for candump text on stdin")
+    parser.add_argument(
+        "log", type=common.InputFile(), metavar="LOG", help="a log file, or - for candump text on stdin"
+    )
     parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times recorded speed (inf: no waiting)")
     parser.add_argument("--loop", type=_loop, default=1, metavar="N", help="number of passes, or inf (default: 1)")

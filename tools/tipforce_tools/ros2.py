@@ -42,7 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce ros2`."""
     parser.description, parser.epilog = DESCRIPTION, EPILOG
     parser.add_argument(
-        "source", nargs="?", metavar="HAND.toml|LOG", help="a hand file, or a log (default: listen to the bus)"
+        "source",
+        nargs="?",
+        type=common.InputFile(),
+        metavar="HAND.toml|LOG",
+        help="a hand file, or a log (default: listen to the bus)",
     )
     parser.add_argument("--namespace", default="/tipforce", metavar="NS", help="of the topics (default %(default)s)")
     parser.add_argument("--domain", type=int, metavar="N", help="ROS 2 domain (default: ROS_DOMAIN_ID, else 0)")

@@ -31,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
     )
     parser.add_argument(
-        "scene", metavar="SCENE", help="a TOML file (docs/scenes.md), or the name of a shipped scene: grasp"
+        "scene",
+        metavar="SCENE",
+        help="a TOML file, or a shipped scene: grasp",
     )
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
     parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")
@@ -47,12 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run or explain the scene; return 0, or 1 if an expectation did not hold."""
-    from tipforce.shipped_files import file_or_shipped
-
-    path = file_or_shipped(args.scene, "scenes")
     from tipforce.scene.reader import read_scene
     from tipforce.scene.registry import bus_load
 
+    path = common.scene_or_file(args.scene)
     scene = read_scene(path)
     if args.explain:
         return _explain(args, path, scene)

@@ -79,7 +79,7 @@ def test_killed_before_replaced_files_are_removed(tmp_path: Path, lines: list[st
             removed(store, manifest)
 
         manifests.remove_replaced = killed
-        words = ["-q", str(log), "-j", "1", "-o", f"{data}/"] if command == "decode" else [str(data), "--compact", "-q"]
+        words = ["-q", str(log), "-j", "1", "-o", f"{data}/"] if command == "decode" else ["compact", str(data), "-q"]
         os._exit(main([command, *words]))
     assert os.waitpid(child, 0)[1] == signal.SIGKILL
     assert len(globbed(data)) > len(list(opened(str(data))[1].files()))
@@ -125,7 +125,7 @@ def hours(tmp_path: Path, lines: list[str]) -> list[Path]:
         found.append(write_log(tmp_path / f"hour-{hour}.log", moved[: 200 * (hour + 1)]))
         assert decode(found[-1], "-j", 1, "-o", f"{tmp_path}/data/") == 0
     assert len(globbed(tmp_path / "data")) > 10
-    assert main(["dataset", f"{tmp_path}/data", "--compact", "-q"]) == 0
+    assert main(["dataset", "compact", f"{tmp_path}/data", "-q"]) == 0
     return found
 
 

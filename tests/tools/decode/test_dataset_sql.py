@@ -97,7 +97,7 @@ def test_what_is_not_of_the_dataset_is_refused(
         assert main(["dataset", "sql", "data", *words, query]) == 2
         out, err = capsys.readouterr()
         assert out == ""
-        assert err.startswith("tipforce: --sql: ")
+        assert err.startswith("tipforce: dataset sql: ")
         assert len(err.splitlines()) == 1
         assert "SECRET" not in err
     assert contents(dataset) == before

@@ -76,9 +76,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the budget; return 0."""
+    _check(args)
     from tipforce_lab.design.error_budget import budget
 
-    _check(args)
     calibration = None
     if args.file is not None:
         from tipforce.host.configuration.calibration import read_calibration
@@ -109,6 +109,8 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError("--phi and --theta: one load needs both; omit both for loads over the whole pad")
     if args.output:
         check_output(args.output, figure_kind(args.output))
+    if args.file is not None:
+        common.InputFile("calibration ").check(args.file)
 
 
 def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor:

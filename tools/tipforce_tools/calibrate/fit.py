@@ -17,7 +17,7 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
         "that the row is the mean of) and mode (push, pull, tare). Rows with P_N = 0 are unloaded readings (tares).\n"
         "  tipforce calibrate fit grooves.csv -o finger.toml --layout I --saturation 1000"
     )
-    parser.add_argument("data", metavar="DATA.csv")
+    parser.add_argument("data", type=common.InputFile(), metavar="DATA.csv")
     parser.add_argument("-o", "--output", metavar="CAL.toml", help="calibration file to write")
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="where the gauges sit (for the file and the prior)")
     add_model_arguments(parser)
@@ -122,7 +122,7 @@ def add_verify_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_transfer(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="CAL.toml")
+    parser.add_argument("file", type=common.InputFile("calibration "), metavar="CAL.toml")
     parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     common.add_sdo_arguments(parser)
 

@@ -139,12 +139,14 @@ def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipC
 
 
 def _plan(args: argparse.Namespace) -> tuple[Step, ...]:
-    from tipforce_tools.calibrate.guide_plan import file_plan, groove_plan
-
     if args.plan:
         for flag in ("weights", "grooves"):
             if getattr(args, flag) is not None:
                 raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
+        common.InputFile("plan ").check(args.plan)
+    from tipforce_tools.calibrate.guide_plan import file_plan, groove_plan
+
+    if args.plan:
         return file_plan(args.plan)
     return groove_plan(args.weights or DEFAULT_WEIGHTS, args.grooves or "paper")
 

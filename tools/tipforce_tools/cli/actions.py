@@ -24,6 +24,15 @@ def functions(place: str) -> tuple[Callable[[argparse.ArgumentParser], None], Ca
     return getattr(module, added), getattr(module, run)
 
 
+def check_files(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
+    """Raise InputError for an input file that does not exist."""
+    for action in parser._actions:
+        value = getattr(args, action.dest, None)
+        if isinstance(action.type, common.InputFile) and value is not None:
+            for text in value if isinstance(value, list) else [value]:
+                action.type.check(text)
+
+
 def run_place(place: str, args: argparse.Namespace) -> int:
     """Set up the logging by the output flags, if there are any, and run the command of a place."""
     if hasattr(args, "verbose"):
@@ -144,6 +153,7 @@ def run_action(args: argparse.Namespace, command: str, actions: Actions) -> int:
     """Run the action and return its exit code."""
     parser = action_parser(command, args.action, actions)
     parsed = parser.parse_intermixed_args(args.words, argparse.Namespace(action=args.action))
+    check_files(parser, parsed)
     return run_place(actions[args.action][0], parsed)
 
 

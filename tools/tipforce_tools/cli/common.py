@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import glob
 import math
 import os
 import re
@@ -11,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import repeat
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tipforce.errors import DuplicateNodeError, InputError, TipforceError
@@ -165,6 +167,52 @@ def add_numbers(
     """Add flags of one number each: (name, default, unit, help, parser of the text, which knows what is allowed)."""
     for name, default, unit, text, parse in flags:
         parser.add_argument(name, type=parse, default=default, metavar=unit, help=text)
+
+
+class InputFile:
+    """For argparse: the name of a file to read, - for stdin; ``kind`` precedes the name in the error.
+
+    ``check`` is called after the parsing, before the command imports what reads the file.
+    """
+
+    def __init__(self, kind: str = "") -> None:
+        self._kind = kind
+
+    def __call__(self, text: str) -> str:
+        """Return the name."""
+        return text
+
+    def check(self, text: str) -> None:
+        """Raise InputError for a missing file."""
+        if text != "-" and not os.path.exists(text):
+            raise InputError(f"{self._kind}{text}: No such file or directory")
+
+
+class LogFile(InputFile):
+    """The name of a log, a pattern, which is expanded later, or a URL."""
+
+    def check(self, text: str) -> None:
+        """Raise InputError for a missing file."""
+        if text != "-" and not glob.has_magic(text) and "://" not in text and not os.path.exists(text):
+            raise InputError(f"{text}: no such file")
+
+
+class Target(LogFile):
+    """`vcan0,181:7FF`, or the name of a log."""
+
+    def check(self, text: str) -> None:
+        """Raise InputError for the name of a log that is missing."""
+        if "," not in text and re.search(r"\.(log|txt)$|/", text):
+            super().check(text)
+
+
+def scene_or_file(text: str) -> Path:
+    """Return the file, or the shipped scene of that name. Raises InputError if there is neither."""
+    from tipforce.shipped_files import file_or_shipped
+
+    path = file_or_shipped(text, "scenes")
+    InputFile().check(str(path))
+    return path
 
 
 def node_id(text: str) -> int:

@@ -197,15 +197,16 @@ def _run(name: str, words: list[str]) -> int:
     if name not in COMMANDS:
         import difflib
 
-        near = difflib.get_close_matches(name, COMMANDS if name[:1] != "-" else TOP_FLAGS, 3)
+        near = difflib.get_close_matches(name, [*COMMANDS, *TOP_FLAGS], 3, cutoff=0.7)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
-    from tipforce_tools.cli.actions import run_action, run_place
+    from tipforce_tools.cli.actions import check_files, run_action, run_place
 
     parser = command_parser(name)
     # Flags may come between the positional words, but not inside another program's command line.
     passes_on = any(action.nargs == "..." for action in parser._actions)  # argparse.REMAINDER
     args = parser.parse_args(words) if passes_on else parser.parse_intermixed_args(words)
+    check_files(parser, args)
     place = COMMANDS[name][0]
     return run_place(place, args) if isinstance(place, str) else run_action(args, name, place)
 

@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     except (duckdb.Error, MemoryError) as error:
         if wrong := wrong_files(store, manifest, hashes=False):
             raise damaged(store, next(iter(wrong))) from error
-        raise InputError(f"query: {_reason(duckdb, error)}") from error
+        raise InputError(f"dataset sql: {_reason(duckdb, error)}") from error
     return 0
 
 
@@ -97,7 +97,7 @@ def _select(duckdb: Any, connection: Any, text: str) -> str:
     except ValueError:  # a statement that DuckDB has and its Python package does not name
         refused = True
     if refused:
-        raise InputError("query: allowed is one SELECT; --unrestricted allows every statement")
+        raise InputError("dataset sql: allowed is one SELECT; --unrestricted allows every statement")
     return str(statements[0].query).strip().rstrip(";")
 
 

@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "targets",
         nargs="*",
+        type=common.Target(),
         metavar="CHANNEL[,FILTER...] | FILE | -",
         help="buses with their filters, or a file of candump text",
     )

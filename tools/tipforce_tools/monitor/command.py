@@ -34,7 +34,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument(
-        "targets", nargs="*", metavar="CHANNEL[,FILTER...] | LOG | -", help="buses with their filters, or a log"
+        "targets",
+        nargs="*",
+        type=common.Target(),
+        metavar="CHANNEL[,FILTER...] | LOG | -",
+        help="buses, filters, or a log",
     )
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="1,2,5-9 (default: all)")
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")

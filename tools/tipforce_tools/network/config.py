@@ -61,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
     if bool(args.file) is (args.action == "show"):
         needs = "takes no FILE; did you mean" if args.file else "which FILE? For example"
         raise InputError(f"config {args.action}: {needs}: tipforce config save {args.node} finger.toml")
+    if args.action not in ("show", "save"):
+        common.InputFile().check(args.file)
     actions = {"show": _show, "save": _save, "diff": _diff}
     return actions.get(args.action, _apply_or_verify)(args)
 

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "`tipforce view hand.toml` shows it in a browser."
     )
     add_choice(parser, "action", ACTIONS)
-    parser.add_argument("file", metavar="FILE", help="hand.toml")
+    parser.add_argument("file", type=common.InputFile(), metavar="FILE", help="hand.toml")
     parser.add_argument("--seconds", type=common.seconds, metavar="S", help="run: end after this time")
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)

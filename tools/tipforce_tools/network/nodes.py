@@ -323,7 +323,7 @@ def add_firmware_install_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce firmware install 1-5 program.bin -i socketcan -c can0"
     )
     _add_ids(parser)
-    parser.add_argument("file", metavar="FILE", help="program image")
+    parser.add_argument("file", type=common.InputFile(), metavar="FILE", help="program image")
     parser.add_argument(
         "--allow-downgrade", action="store_true", help="install an image that is older than the program"
     )

@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce plot` to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="files and globs, or -")
+    parser.add_argument("logs", nargs="+", type=common.LogFile(), metavar="LOG", help="files and globs, or -")
     parser.add_argument("-o", "--output", metavar="FILE", help=".png, .svg or .pdf")
     parser.add_argument("--show", action="store_true", help="also show the plot in a window")
     parser.add_argument("--title", metavar="TEXT", help="default: time of the start")

@@ -7,6 +7,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
@@ -55,21 +56,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Serve until Ctrl-C or SIGTERM; return 0. Raises InputError and EnvironmentLackError."""
     guard = page_guard(args)
+    path = common.scene_or_file(args.source) if args.source else None
     for flag, value in (("--from", args.start_s), ("--to", args.end_s)):
         if value is not None and not 0.0 <= value <= _MOST_SECONDS:
             raise InputError(f"{flag} {value:g}: allowed is 0 to {_MOST_SECONDS:g} s from the beginning")
-    with _source(args) as source:
+    with _source(args, path) as source:
         return serve(args, source, guard)
 
 
 @contextlib.contextmanager
-def _source(args: argparse.Namespace) -> Iterator[Source]:
-    from tipforce.shipped_files import file_or_shipped
+def _source(args: argparse.Namespace, path: Path | None) -> Iterator[Source]:
     from tipforce.sources.layout_file import read_layout
     from tipforce.watching.watcher import finger_maker
     from tipforce_tools.view.sources import LiveSource, LogSource, is_scene, scene_source
 
-    path = file_or_shipped(args.source, "scenes") if args.source else None
     is_table = path is not None and path.suffix == ".toml"
     if args.no_bring_up and not is_table:
         raise InputError("--no-bring-up: needs a hand file")
