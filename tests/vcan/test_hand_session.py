@@ -34,8 +34,12 @@ SYNC_HZ = 25
 # that, too. Where others do, all nodes stand still together for more than the 250 ms after which they would be lost.
 HEARTBEAT_MS = 200
 BUS_OFF = (0x20000040, bytes(8))  # error frame of linux/can/error.h
-# What a busy machine may cause: a heartbeat that is late, a response that is late (the recovery is repeated).
-LATE = ("heartbeat_lost", "heartbeat_back", "started: was silent", "failed: no response")
+# What a busy machine may cause: a heartbeat that is late, a response that is late or comes to the next request (the
+# recovery is repeated), and a node that had to wait and then answers at once all SYNCs that it missed.
+LATE = (
+    "heartbeat_lost", "heartbeat_back", "started: was silent", "failed: no response", "failed: no valid response",
+    "babbling: 0x28", "babbling_end: 0x28",
+)  # fmt: skip
 # A read after a boot takes 3 ms on an emulated processor, and 25 ms on one of four that want the machine. So reads are
 # counted, and the time is that of an overloaded machine. The simulated hand (tests/host/hand/test_another_master.py)
 # counts in time that does not hang on the processor.
@@ -268,7 +272,7 @@ def test_babbler(session: Session, can_id: int) -> None:
     seen: list[tuple[str, int]] = []
 
     def told() -> list[str]:
-        return [kind for kind, of in seen if of == node_id and "babbling" in kind]
+        return [kind.partition(":")[0] for kind, of in seen if of == node_id and "babbling" in kind]
 
     # On a busy machine cangen itself may pause: then it ends more than once, and the last end is still to come.
     wait_until(lambda: told()[-1:] == ["babbling_end"], "its end should be told", lambda: seen.extend(session.kinds()))
@@ -305,7 +309,10 @@ def test_finger_that_leaves_operational_is_started_again(session: Session, what:
 
 def test_hand_up_by_command(session: Session, launch: Launch) -> None:
     """On a hand that runs already: everything is as the file says."""
-    command = launch("hand", "up", str(session.path))
+    for _ in range(3):  # as in the fixture: a response may take over 0.5 s
+        command = launch("hand", "up", str(session.path))
+        if command.wait() == 0:
+            break
     assert command.wait() == 0, command.stderr
     assert command.stdout.splitlines() == [f"finger {n}: up" for n in NODE_IDS]
     session.recovered("hand up beside us")

@@ -13,7 +13,7 @@ from vcan.support import NODE_ID, SYNC, Launch, RawBus, running_node, wait_until
 
 CHANNEL = "vcan1"
 SCENE = """\
-duration_s = 3.0
+duration_s = 6.0
 sync_hz = 50
 
 [[nodes]]

@@ -5,17 +5,21 @@ from __future__ import annotations
 import struct
 import threading
 from collections.abc import Callable, Iterator
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import can
 import pytest
 
+from canopen_device.core import codes
+from canopen_device.core.sdo_client import Transfer
 from host.bus_with_nodes import FaultyBus, connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError, SdoAbortError
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.sdo import SdoChannel
+from tipforce.host.network.sdo_exchange import LONGEST_WAIT_S, Exchange
 
 NODE = 5
 ANSWER = 0x580 + NODE
@@ -250,3 +254,19 @@ def test_four_threads_at_once(
     for thread in threads:
         thread.join()
     assert not wrong
+
+
+def test_a_transfer_that_ends_between_two_looks_is_not_waited_for_longer_than_a_lock_can() -> None:
+    """Its next step is due never; a thread that waits for it at that moment must not end with OverflowError."""
+
+    class Ended:
+        ended, abort_code, failure, data = True, None, "", b""
+
+        def step(self, _now_us: int, _response: bytes | None = None) -> tuple[list[bytes], int]:
+            return [], codes.NEVER_US
+
+    channel = SimpleNamespace(node_id=5, now_us=lambda: 0, deadline_s=1.0, timeout_s=0.5)
+    exchange = Exchange(cast(SdoChannel, channel), "read", lambda *_: cast(Transfer, Ended()))
+    exchange.step()
+    assert exchange.left_s <= LONGEST_WAIT_S
+    assert exchange.done.exception(exchange.left_s) is None

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 Attempt: TypeAlias = Callable[[int, int, int], Transfer]
 """``attempt(number, timeout_us, deadline_us)`` returns the transfer of each attempt; numbers start at 1."""
 
+LONGEST_WAIT_S = 10.0
 _FULL_QUEUE_US = 2000  # pause after the bus refused a segment of a block: its transmit queue is full
 _REFUSALS = (can.CanError, OSError, RuntimeError)  # canopen raises the last for a closed bus
 
@@ -79,8 +80,8 @@ class Exchange:
 
     @property
     def left_s(self) -> float:
-        """The time until ``step`` is due."""
-        return max(0.0, (self._due_us - self._channel.now_us()) * 1e-6)
+        """The time until ``step`` is due, which a transfer that ends meanwhile never is: LONGEST_WAIT_S at most."""
+        return min(max(0.0, (self._due_us - self._channel.now_us()) * 1e-6), LONGEST_WAIT_S)
 
     def step(self, response: bytes | None = None) -> None:
         """Start the transfer, process a response, or the time that has passed."""
