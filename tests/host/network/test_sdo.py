@@ -260,7 +260,7 @@ def test_a_transfer_that_ends_between_two_looks_is_not_waited_for_longer_than_a_
     """Its next step is due never; a thread that waits for it at that moment must not end with OverflowError."""
 
     class Ended:
-        ended, abort_code, failure, data = True, None, "", b""
+        ended, abort_code, failure, data = True, None, None, b""
 
         def step(self, _now_us: int, _response: bytes | None = None) -> tuple[list[bytes], int]:
             return [], codes.NEVER_US
