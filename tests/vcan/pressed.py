@@ -54,7 +54,7 @@ def change_as_another_master(channel: str, node_id: int, what: str, when: Synchr
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.finger import FingertipClient
 
-    with Bus.open(channel, "socketcan") as bus:
+    with Bus.open(channel, "socketcan", timeout_s=5.0) as bus:  # of a machine that does more
         client, sdo = FingertipClient(bus.sdo(node_id)), bus.sdo(node_id)
         when.value = time.time_ns()
         if what == "tare":

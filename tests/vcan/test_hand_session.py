@@ -149,9 +149,9 @@ class Session:
 
 
 def named(event: Event) -> str:
-    """The kind of an event; with its reason where that is in LATE."""
+    """The kind of an event; with its reason where that is in LATE, and of a failure always."""
     reasons = [late for late in LATE if late.startswith(f"{event.kind}: ") and late.split(": ")[1] in event.text]
-    return reasons[0] if reasons else event.kind
+    return reasons[0] if reasons else f"failed: {event.text}" if event.kind == "failed" else event.kind
 
 
 def of_others(kinds: list[tuple[str, int]], node_id: int = -1) -> list[tuple[str, int]]:
