@@ -16,17 +16,13 @@ if TYPE_CHECKING:
     class Spi(Protocol):
         """The used part of ``machine.SPI``."""
 
-        def write(self, data: bytes) -> None:
-            """Send, and ignore the received data."""
-
-        def readinto(self, buffer: bytearray, write: int = 0) -> None:
-            """Receive while sending ``write``."""
+        def write(self, data: bytes) -> None: ...  # what is received is ignored
+        def readinto(self, buffer: bytearray, write: int = 0) -> None: ...  # receive while sending ``write``
 
     class Pin(Protocol):
         """The used part of ``machine.Pin``."""
 
-        def value(self, level: int = ...) -> int:
-            """Read or set the pin."""
+        def value(self, level: int = ...) -> int: ...
 
 
 RESET, START, RREG_ALL, WREG_ALL, WREG_0, WREG_1 = 0x06, 0x08, 0x23, 0x43, 0x40, 0x44

@@ -16,11 +16,8 @@ if TYPE_CHECKING:
     class I2C(Protocol):
         """The used part of ``machine.I2C``; an error on the bus is an OSError."""
 
-        def readfrom_mem_into(self, address: int, register: int, buffer: bytearray) -> None:
-            """Read registers into the buffer."""
-
-        def writeto_mem(self, address: int, register: int, data: bytes) -> None:
-            """Write registers."""
+        def readfrom_mem_into(self, address: int, register: int, buffer: bytearray) -> None: ...
+        def writeto_mem(self, address: int, register: int, data: bytes) -> None: ...
 
 
 ADDRESS = 0x2A
