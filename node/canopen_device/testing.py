@@ -19,10 +19,11 @@ import itertools
 import re
 import struct
 from collections.abc import Callable, Iterable
-from typing import Any, Protocol
+from typing import Any
 
 from canopen_device.core.codes import EMCY_BASE, NEVER_US, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from canopen_device.core.sdo_client import Download, Transfer, Upload
+from canopen_device.running.loop import Stepped
 from canopen_device.running.store import MemoryStore
 
 __all__ = ["Conversation", "Fault", "Frame", "MemoryStore", "losing", "parse", "text"]
@@ -42,17 +43,6 @@ def losing(number: int) -> Fault:
     """Return a fault that loses one frame, the ``number``-th that it sees."""
     numbers = itertools.count(1)
     return lambda data: None if next(numbers) == number else data
-
-
-class Stepped(Protocol):
-    """What a conversation needs of a device."""
-
-    @property
-    def node_id(self) -> int:
-        """The node-id at present."""
-
-    def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
-        """Frames in; frames out and the next due time."""
 
 
 def text(frame: Frame) -> str:

@@ -7,7 +7,7 @@ converts continuously restarts the conversion, and the filter settles in one. MU
 1110: both inputs to mid-supply, which shows the offset. TS: 14 bits at the left, 0.03125 degC each.
 """
 
-from .source import choice, signed24
+from .source import CONVERSIONS_LOST, RETRY_US, SUPPLY, Chip, choice, signed24
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -16,17 +16,13 @@ if TYPE_CHECKING:
     class Spi(Protocol):
         """The used part of ``machine.SPI``."""
 
-        def write(self, data: bytes) -> None:
-            """Send, and ignore the received data."""
-
-        def readinto(self, buffer: bytearray, write: int = 0) -> None:
-            """Receive while sending ``write``."""
+        def write(self, data: bytes) -> None: ...  # what is received is ignored
+        def readinto(self, buffer: bytearray, write: int = 0) -> None: ...  # receive while sending ``write``
 
     class Pin(Protocol):
         """The used part of ``machine.Pin``."""
 
-        def value(self, level: int = ...) -> int:
-            """Read or set the pin."""
+        def value(self, level: int = ...) -> int: ...
 
 
 RESET, START, RREG_ALL, WREG_ALL, WREG_0, WREG_1 = 0x06, 0x08, 0x23, 0x43, 0x40, 0x44
@@ -37,27 +33,21 @@ GAINS = (1, 2, 4, 8, 16, 32, 64, 128)
 RATES = (20, 45, 90, 175, 330, 600, 1000)  # normal mode, by DR
 TURBO_RATES = (40, 90, 180, 350, 660, 1200, 2000)
 REFERENCES = {"internal": 0x00, "ref0": 0x40, "ref1": 0x80, "supply": 0xC0}
-UNKNOWN_TEMPERATURE = -0x8000
-SUPPLY = 1 << 11  # of 2124h
 
-RETRY_US = 20000
 RESET_US = 1000  # at least 50 us and 32 clocks
 OFFSET_READINGS = 8
 TEMPERATURE_EVERY_US = 10000000
-CONVERSIONS_LOST = 4
 
 _RESET, _CONFIGURE, _OFFSET, _RUN = 0, 1, 2, 3
 
 
-class Ads1220:
+class Ads1220(Chip):
     """One chip: ``spi`` at up to 5 MHz in mode 1, ``cs`` and ``drdy`` pins.
 
     ``reference`` is "ref0" for a bridge supplied from REFP0 and REFN0 (ratiometric), "ref1", "supply" or "internal".
     The offset is measured at the start with shorted inputs, and subtracted. The chip's temperature is read every ten
     seconds, at the cost of one conversion. Raises ValueError for a setting that the chip does not have.
     """
-
-    bits, count_min, count_max = 24, -0x800000, 0x7FFFFF
 
     def __init__(
         self, spi: "Spi", cs: "Pin", drdy: "Pin", channels: int = 1, gain: int = 128, rate: int = 1000,
@@ -78,8 +68,6 @@ class Ads1220:
         self.channels = channels
         self._conversion_us = 1000000 // rate
         self.period_us = self._conversion_us * channels
-        self.faults = 0
-        self.temperature = UNKNOWN_TEMPERATURE
         self.offset = 0
         self._three, self._four = bytearray(3), bytearray(4)
         self._counts = [0] * channels
@@ -144,9 +132,6 @@ class Ads1220:
         # A count at the end of the range is not corrected: subtracting the offset would hide the saturation.
         inside = self.count_min < raw < self.count_max
         self._counts[self._channel] = raw - self.offset if inside else raw
-        return self._next_channel(now_us)
-
-    def _next_channel(self, now_us: int) -> "tuple[int, ...] | None":
         self._channel = (self._channel + 1) % self.channels
         if self.channels > 1:
             self._select()
@@ -155,8 +140,7 @@ class Ads1220:
         if now_us - self._temperature_us >= TEMPERATURE_EVERY_US:
             self._temperature_us, self._warming = now_us, True
             self._command(bytes((WREG_1, self._reg1 | TEMPERATURE)))
-        counts = [max(self.count_min, min(self.count_max, one)) for one in self._counts]
-        return tuple(counts)
+        return tuple([max(self.count_min, min(self.count_max, count)) for count in self._counts])
 
     def _select(self) -> None:
         self._command(bytes((WREG_0, MUX[self._channel] | self._reg0)))

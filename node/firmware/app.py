@@ -5,6 +5,8 @@ import time
 from canopen_device.core import lss
 from tipforce.fingertip.node import fingertip_node
 
+from .source import Gauges
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -13,7 +15,6 @@ if TYPE_CHECKING:
     from tipforce_loader.programs import Programs
 
     from .can_port import CanPort
-    from .source import Gauges
 
 LONGEST_WAIT_US = 100000
 HEALTHY_US, TRIAL_US = 5000000, 60000000  # of a program on trial: it is confirmed, or given up
@@ -119,3 +120,21 @@ class Firmware:
         if self._bit_rate and now_us >= self._bit_rate_at_us:
             self.port.set_bit_rate(self._bit_rate)
             self._bit_rate = 0
+
+
+def start(port: "CanPort") -> None:
+    """Run the node on this board with this controller until power-off, from the settings in board.py."""
+    import machine
+
+    from tipforce_loader import board, boot
+    from tipforce_loader.flash import FileSlots, FlashStore
+
+    gauges = Gauges(board.chips(), board.COUNTS_PER_MICROSTRAIN)  # type: ignore[no-untyped-call]
+    store = FlashStore(FileSlots(board.FOLDER))
+    restarted = machine.reset_cause() != machine.PWRON_RESET
+    firmware = Firmware(
+        board.NODE_ID, gauges, port, store, board.serial(), Clock(), boot.programs, board.restart, restarted
+    )
+    if not board.WATCHDOG_MS:
+        firmware.run()
+    firmware.run(feed=machine.WDT(timeout=board.WATCHDOG_MS).feed)

@@ -7,7 +7,7 @@ with gain 128. After a reset or a change of input the output settles within four
 80 conversions a second.
 """
 
-from .source import choice, signed24
+from .source import CONVERSIONS_LOST, Chip, choice, signed24
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -18,18 +18,14 @@ if TYPE_CHECKING:
 PULSES = {128: 25, 32: 26, 64: 27}
 SETTLING = 4  # conversions
 RESET_US = 100  # PD_SCK high for 60 us or more
-CONVERSIONS_LOST = 4
-UNKNOWN_TEMPERATURE = -0x8000
 
 
-class Hx711:
+class Hx711(Chip):
     """One chip with one gauge. ``lock`` and ``unlock`` disable interrupts while 25 bits are read:
     ``machine.disable_irq`` and ``machine.enable_irq``. An interrupt while PD_SCK is high would power the chip down.
 
     Raises ValueError for a gain or a rate that the chip does not have.
     """
-
-    channels, bits, count_min, count_max = 1, 24, -0x800000, 0x7FFFFF
 
     def __init__(
         self, dout: "Pin", sck: "Pin", gain: int = 128, rate: int = 80,
@@ -40,13 +36,10 @@ class Hx711:
         self._dout, self._sck, self._lock, self._unlock = dout, sck, lock, unlock
         self._pulses = PULSES[gain]
         self.period_us = 1000000 // rate
-        self.faults = 0
-        self.temperature = UNKNOWN_TEMPERATURE
         self._three = bytearray(3)
         self._left = SETTLING
         self._asleep = True  # PD_SCK is set high first: a reset from any state of the chip
-        self._next_us = 0
-        self._deadline_us = 0
+        self._next_us = self._deadline_us = 0
         self._sck.value(1)
         self._begun = False
 

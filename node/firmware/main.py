@@ -1,6 +1,6 @@
 """Main program for a microcontroller with a CAN controller: ``board.MAIN`` names it."""
 
-from firmware import start
+from firmware import app
 from tipforce_loader import board
 
 try:
@@ -10,8 +10,8 @@ except ImportError:
 
     from firmware.can_pyb import PybCan
 
-    start.run(PybCan(CAN(board.CAN_NUMBER), board.BIT_RATE))
+    app.start(PybCan(CAN(board.CAN_NUMBER), board.BIT_RATE))
 else:
     from firmware.can_machine import MachineCan
 
-    start.run(MachineCan(CAN(board.CAN_NUMBER, board.BIT_RATE), board.BIT_RATE))
+    app.start(MachineCan(CAN(board.CAN_NUMBER, board.BIT_RATE), board.BIT_RATE))

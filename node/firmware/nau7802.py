@@ -7,7 +7,7 @@ channel's inputs. Power-up: RR, then PUD, PUR within 200 us. CALS goes back to z
 then tells whether it failed. After a change of channel the filter needs some conversions to settle.
 """
 
-from .source import choice, signed24
+from .source import CONVERSIONS_LOST, RETRY_US, SUPPLY, Chip, choice, signed24
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -16,11 +16,8 @@ if TYPE_CHECKING:
     class I2C(Protocol):
         """The used part of ``machine.I2C``; an error on the bus is an OSError."""
 
-        def readfrom_mem_into(self, address: int, register: int, buffer: bytearray) -> None:
-            """Read registers into the buffer."""
-
-        def writeto_mem(self, address: int, register: int, data: bytes) -> None:
-            """Write registers."""
+        def readfrom_mem_into(self, address: int, register: int, buffer: bytearray) -> None: ...
+        def writeto_mem(self, address: int, register: int, data: bytes) -> None: ...
 
 
 ADDRESS = 0x2A
@@ -30,19 +27,15 @@ CALS, CAL_ERR = 0x04, 0x08
 GAINS = (1, 2, 4, 8, 16, 32, 64, 128)
 RATES = (10, 20, 40, 80, 0, 0, 0, 320)  # by CRS
 LDO_MILLIVOLTS = (4500, 4200, 3900, 3600, 3300, 3000, 2700, 2400)  # by VLDO
-UNKNOWN_TEMPERATURE = -0x8000
-SUPPLY = 1 << 11  # of 2124h
 
-RETRY_US = 20000  # after an error on the bus
 POWER_UP_US = 10000  # time-out of PUR
 REGULATOR_US = 250000  # settling time of the analogue supply
 CALIBRATION_US = 2000000  # time-out of CALS
-CONVERSIONS_LOST = 4  # restart after this number of periods without a conversion
 
 _RESET, _POWER_UP, _SETTLE, _CALIBRATE, _RUN = 0, 1, 2, 3, 4
 
 
-class Nau7802:
+class Nau7802(Chip):
     """One chip on an I2C bus; two chips need two buses or a multiplexer, because the address is fixed.
 
     ``channels`` is 1 or 2; with two each reading takes ``discard`` + 1 conversions per channel. ``ldo_millivolts`` is
@@ -50,14 +43,12 @@ class Nau7802:
     converter at each start, for each channel. Raises ValueError for a setting that it does not have.
     """
 
-    bits, count_min, count_max = 24, -0x800000, 0x7FFFFF
-
     def __init__(
         self, i2c: "I2C", channels: int = 1, gain: int = 128, rate: int = 320, ldo_millivolts: int = 3000,
         discard: int = 6, address: int = ADDRESS,
     ) -> None:  # fmt: skip
         choice("channels", channels, (1, 2))
-        self._crs = choice("rate", rate, (10, 20, 40, 80, 320))
+        choice("rate", rate, (10, 20, 40, 80, 320))
         self._crs = RATES.index(rate)
         self._ctrl1 = choice("gain", gain, GAINS)
         self._power = PUD | PUA | CS
@@ -69,8 +60,6 @@ class Nau7802:
         self._discard = discard if channels > 1 else 0
         self._conversion_us = 1000000 // rate
         self.period_us = self._conversion_us * (channels * (self._discard + 1) if channels > 1 else 1)
-        self.faults = 0
-        self.temperature = UNKNOWN_TEMPERATURE
         self._byte, self._three = bytearray(1), bytearray(3)
         self._counts = [0] * channels
         self._channel = self._left = 0
@@ -98,7 +87,11 @@ class Nau7802:
             self._to(_POWER_UP, now_us + 200, now_us + POWER_UP_US)
         elif self._state == _POWER_UP:
             if self._read(PU_CTRL) & PUR:
-                self._configure()
+                self._write(CTRL1, self._ctrl1)
+                self._write(PU_CTRL, self._power)
+                self._write(ADC_CTRL, 0x30)
+                if self.channels == 1:
+                    self._write(PGA_POWER, 0x80)
                 self._to(_SETTLE, now_us + REGULATOR_US, 0)
             elif now_us > self._deadline_us:
                 self.faults |= SUPPLY  # it responds, but does not power up
@@ -107,13 +100,6 @@ class Nau7802:
             self._begin_calibration(0, now_us)
         else:
             self._calibrate(now_us)
-
-    def _configure(self) -> None:
-        self._write(CTRL1, self._ctrl1)
-        self._write(PU_CTRL, self._power)
-        self._write(ADC_CTRL, 0x30)
-        if self.channels == 1:
-            self._write(PGA_POWER, 0x80)
 
     def _begin_calibration(self, channel: int, now_us: int) -> None:
         self._channel = channel

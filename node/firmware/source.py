@@ -1,33 +1,29 @@
-"""Gauges on converter chips as the node's gauge source: chips are polled without waiting.
-
-A chip is any object with ``poll(now_us)`` (a tuple of counts when all of its channels have new ones, or None),
-``channels`` (their number), ``count_min``, ``count_max`` (the ends of its range), ``bits``, ``period_us`` (between two
-complete readings), ``faults`` (its bits of 2124h) and ``temperature`` (0.01 degC, -0x8000 for unknown).
-"""
+"""Gauges on converter chips as the node's gauge source: chips are polled without waiting."""
 
 from tipforce.dictionary import table
 from tipforce.fingertip.source import Reading, Source
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Protocol
-
-    class Chip(Protocol):
-        """A converter with one or more gauges."""
-
-        channels: int
-        bits: int
-        count_min: int
-        count_max: int
-        period_us: int
-        faults: int
-        temperature: int
-
-        def poll(self, now_us: int) -> "tuple[int, ...] | None":
-            """Return the counts of all channels if there are new ones."""
-
-
 WIRE_BREAK_US = 1000000  # a gauge at an end of the range for this time has a broken wire
+CONVERSIONS_LOST = 4  # a chip without a conversion for so many periods is restarted
+RETRY_US = 20000  # after a chip that did not respond
+SUPPLY = 1 << table.FAULT_SUPPLY
+
+
+class Chip:
+    """A converter of 24 bits with one or more gauges. ``period_us`` lies between two complete readings.
+
+    ``faults`` are its bits of 2124h, ``temperature`` is in 0.01 degC.
+    """
+
+    bits, count_min, count_max = 24, -0x800000, 0x7FFFFF
+    channels = 1
+    period_us = 0
+    faults = 0
+    temperature = table.UNKNOWN_I16
+
+    def poll(self, now_us: int) -> "tuple[int, ...] | None":
+        """Run one small step; return the counts of all channels if there are new ones."""
+        raise NotImplementedError
 
 
 class Gauges(Source):
@@ -68,8 +64,8 @@ class Gauges(Source):
 
     def poll(self, now_us: int) -> None:
         """Poll the chips; the loop calls this in each pass."""
-        for k in range(len(self.chips)):
-            counts = self.chips[k].poll(now_us)
+        for k, chip in enumerate(self.chips):
+            counts = chip.poll(now_us)
             if counts is not None:
                 self._fresh[k] = counts
 
@@ -78,34 +74,27 @@ class Gauges(Source):
         self.poll(now_us)
         counts: "list[int]" = []
         faults, temperature = 0, table.UNKNOWN_I16
-        for k in range(len(self.chips)):
+        for k, chip in enumerate(self.chips):
             fresh = self._fresh[k]
             if fresh is None:
                 return None
             counts += fresh
-            chip = self.chips[k]
             faults |= chip.faults
             if chip.temperature != table.UNKNOWN_I16:
                 temperature = chip.temperature
-        for k in range(len(self.chips)):
+        for k, chip in enumerate(self.chips):
             self._fresh[k] = None
-            self.chips[k].faults = 0
-        if self._wires_broken(counts, now_us):
-            faults |= 1 << table.FAULT_WIRE_BREAK
+            chip.faults = 0
+        for k, count in enumerate(counts):
+            if self.count_min < count < self.count_max:
+                self._inside_us[k] = now_us
+            elif now_us - self._inside_us[k] >= self._wire_break_us:
+                faults |= 1 << table.FAULT_WIRE_BREAK
         return Reading(tuple(counts), faults, temperature)
 
     def due_us(self, now_us: int) -> int:
         """Return the time of the next conversion, for a filter."""
         return now_us + self.period_us
-
-    def _wires_broken(self, counts: "list[int]", now_us: int) -> bool:
-        broken = False
-        for k in range(len(counts)):
-            if self.count_min < counts[k] < self.count_max:
-                self._inside_us[k] = now_us
-            elif now_us - self._inside_us[k] >= self._wire_break_us:
-                broken = True
-        return broken
 
 
 def signed24(data: "bytes | bytearray") -> int:
@@ -117,5 +106,5 @@ def signed24(data: "bytes | bytearray") -> int:
 def choice(name: str, value: int, allowed: "tuple[int, ...]") -> int:
     """Return the index of a setting among those of a chip. Raises ValueError that lists them."""
     if value not in allowed:
-        raise ValueError("%s: %r, allowed %s" % (name, value, ", ".join([str(one) for one in allowed])))
+        raise ValueError("%s: %r, allowed %s" % (name, value, ", ".join([str(number) for number in allowed])))
     return allowed.index(value)

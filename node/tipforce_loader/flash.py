@@ -13,31 +13,24 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     class Slots(Protocol):
-        """Memory for two slots."""
+        """Memory for two slots; OSError where it fails."""
 
-        def read(self, slot: int) -> bytes:
-            """Return the whole content; empty if there is none. May raise OSError."""
-
-        def write(self, slot: int, data: bytes) -> None:
-            """Replace the content, and return only when it is in flash. May raise OSError."""
+        def read(self, slot: int) -> bytes: ...  # the whole content; empty if there is none
+        def write(self, slot: int, data: bytes) -> None: ...  # returns only when the content is in flash
 
     class BlockDevice(Protocol):
         """The used part of ``esp32.Partition`` or another block device of MicroPython: the simple interface."""
 
-        def readblocks(self, block: int, buffer: bytearray) -> None:
-            """Read whole blocks into the buffer."""
-
-        def writeblocks(self, block: int, buffer: bytearray) -> None:
-            """Erase and write whole blocks."""
-
-        def ioctl(self, operation: int, argument: int) -> "int | None":
-            """Return for 4 the number of blocks, for 5 their size; 3: sync."""
+        def readblocks(self, block: int, buffer: bytearray) -> None: ...
+        def writeblocks(self, block: int, buffer: bytearray) -> None: ...  # erases them first
+        def ioctl(self, operation: int, argument: int) -> "int | None": ...  # 4: number of blocks, 5: size, 3: sync
 
 
 _MAGIC = 0x31504954  # "TIP1"
 _HEAD = "<IIII"
 _HEAD_SIZE = 16
 _LARGEST = 1 << 20
+_NOTHING: "tuple[int, dict[str, bytes]]" = (0, {})
 
 
 class FlashStore:
@@ -49,9 +42,10 @@ class FlashStore:
         self._sequence, self._slot = 0, 1
         self._groups: "dict[str, bytes]" = {}
         for slot in (0, 1):
-            found = self._read(slot)
-            if found is not None and (not self._sequence or _newer(found[0], self._sequence)):
-                self._sequence, self._slot, self._groups = found[0], slot, found[1]
+            sequence, groups = self._read(slot)
+            # Sequence numbers wrap, and the slots differ by one save.
+            if sequence and (not self._sequence or 0 < (sequence - self._sequence & 0xFFFFFFFF) < 1 << 31):
+                self._sequence, self._slot, self._groups = sequence, slot, groups
 
     def load(self, group: str) -> "bytes | None":
         """Return the data saved for a group; None if there is none."""
@@ -67,26 +61,20 @@ class FlashStore:
         slot = 1 - self._slot
         try:
             self._slots.write(slot, _packed(sequence, groups))
-            found = self._read(slot)
         except OSError as error:
             self.error = "slot %d: %r" % (slot, error)
             return False
-        if found is None or found[0] != sequence or found[1] != groups:
+        if self._read(slot) != (sequence, groups):
             self.error = "slot %d: does not read back" % slot
             return False
         self._sequence, self._slot, self._groups = sequence, slot, groups
         return True
 
-    def _read(self, slot: int) -> "tuple[int, dict[str, bytes]] | None":
+    def _read(self, slot: int) -> "tuple[int, dict[str, bytes]]":
         try:
             return _unpacked(self._slots.read(slot))
         except OSError:
-            return None
-
-
-def _newer(sequence: int, than: int) -> bool:
-    """Return whether a sequence number is newer: they wrap, and the slots differ by one save."""
-    return 0 < (sequence - than & 0xFFFFFFFF) < 1 << 31
+            return _NOTHING
 
 
 def _packed(sequence: int, groups: "dict[str, bytes]") -> bytes:
@@ -98,16 +86,16 @@ def _packed(sequence: int, groups: "dict[str, bytes]") -> bytes:
     return head + struct.pack("<I", binascii.crc32(head + content) & 0xFFFFFFFF) + content
 
 
-def _unpacked(image: bytes) -> "tuple[int, dict[str, bytes]] | None":
-    """Return (sequence, groups) of a slot, None if it is empty, incomplete or damaged. Padding may follow."""
+def _unpacked(image: bytes) -> "tuple[int, dict[str, bytes]]":
+    """Return (sequence, groups) of a slot; sequence 0 if it is empty, incomplete or damaged. Padding may follow."""
     if len(image) < _HEAD_SIZE:
-        return None
+        return _NOTHING
     magic, sequence, length, crc = struct.unpack(_HEAD, image[:_HEAD_SIZE])
     if magic != _MAGIC or not sequence or length > len(image) - _HEAD_SIZE:
-        return None
+        return _NOTHING
     content = image[_HEAD_SIZE : _HEAD_SIZE + length]
     if binascii.crc32(image[:12] + content) & 0xFFFFFFFF != crc:
-        return None
+        return _NOTHING
     groups, at = {}, 0
     while at < len(content):
         size, count = struct.unpack("<BI", content[at : at + 5])

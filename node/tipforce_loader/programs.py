@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
         size: int
 
-        def open(self, slot: int, mode: str) -> "BinaryIO":
-            """Open a slot to read it ("rb") or to replace its content ("wb"). Raises OSError."""
+        def open(self, slot: int, mode: str) -> "BinaryIO": ...  # "rb", or "wb" to replace it; raises OSError
 
 
 INSTALLED, NONE = 2, 255  # in place of a slot: the program on the file system; no slot

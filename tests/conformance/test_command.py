@@ -3,6 +3,7 @@
 import json
 import signal
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -87,7 +88,7 @@ def test_failure_shows_what_was_expected_and_the_frames() -> None:
     assert "expected 585#43 00 10 00 FF FF FF FF; got 585#4300100094010200" in text
     assert "> 605#4000100000000000" in text
     assert "< 585#4300100094010200" in text
-    assert summary([failing()]) == "0 passed, 1 failed, 0 not applicable"
+    assert summary(Counter([failing().verdict])) == "0 passed, 1 failed, 0 not applicable"
 
 
 def test_a_device_that_dies_ends_the_run() -> None:

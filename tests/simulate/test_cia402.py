@@ -13,7 +13,7 @@ import tipforce
 from canopen_device.eds import read_eds
 from canopen_device.machine import Drive, SimulatedDevice
 from canopen_device.machine import cia402 as drive_module
-from canopen_device.machine.make import shipped_eds
+from canopen_device.machine.running import shipped_eds
 from canopen_device.testing import Conversation
 from tipforce.errors import InputError
 

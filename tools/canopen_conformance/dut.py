@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from canopen_conformance import wire
-from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product
+from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product, check
 from canopen_conformance.wire import Abort, Frame, Frames, Link, Wanted
 
 LAST_DATA_TYPE = 0x1B
-_RPDO_MAPPING, _RPDO_MAPPING_END, _TPDO_MAPPING, _TPDO_MAPPING_END = 0x1600, 0x1800, 0x1A00, 0x1C00
+_RPDO_MAPPINGS, _TPDO_MAPPINGS = range(0x1600, 0x1800), range(0x1A00, 0x1C00)
 # A device may lack support for a value: access, mapping, PDO length, compatibility, value, its limits, general, state.
 _MAY_REFUSE = (
     Abort.UNSUPPORTED_ACCESS, Abort.NOT_MAPPABLE, Abort.PDO_LENGTH, Abort.INCOMPATIBLE, Abort.INVALID_VALUE,
@@ -82,10 +82,8 @@ class Dut(Frames):
             try:
                 self.reset(command)
             except CheckError as failure:
-                raise LostDeviceError(
-                    f"node {self.node_id} (0x{self.node_id:02X}): no boot-up message after NMT reset node; is it on "
-                    "this bus, is the bit rate right?"
-                ) from failure
+                problem = "no boot-up message after NMT reset node; is it on this bus, is the bit rate right?"
+                raise LostDeviceError(f"node {self.node_id} (0x{self.node_id:02X}): {problem}") from failure
             times_us[command] = self.now_us - start_us
             if times_us[command] < 1000 * _SLOW_RESET_MS:
                 break
@@ -192,8 +190,7 @@ class Dut(Frames):
         if isinstance(wanted, str) and not wanted.endswith("*"):
             wanted += " 00" * (8 - len(wanted.replace(" ", "")) // 2)
         data = self.expect(0x580 + self.node_id, wanted, within_ms).data
-        if len(data) != 8:
-            raise CheckError("an SDO response of 8 bytes", f"{len(data)} bytes")
+        check(len(data) == 8, "an SDO response of 8 bytes", f"{len(data)} bytes")
         return data
 
     def ask(self, data: bytes | str, wanted: Wanted = None) -> bytes:
@@ -205,8 +202,8 @@ class Dut(Frames):
         """Check that the next SDO frame is an abort of this object with one of ``codes``."""
         data = self.answer(within_ms=within_ms)
         shown = " or ".join(f"{code:08X}h" for code in codes)
-        if data[:4] != struct.pack("<BHB", 0x80, index, sub) or int.from_bytes(data[4:], "little") not in codes:
-            raise CheckError(f"abort {shown} of {index:04X}h:{sub:02X}", data.hex(" ").upper())
+        right = data[:4] == struct.pack("<BHB", 0x80, index, sub) and int.from_bytes(data[4:], "little") in codes
+        check(right, f"abort {shown} of {index:04X}h:{sub:02X}", data.hex(" ").upper())
 
     def no_sdo(self, ms: float = 30) -> None:
         """Check that the device sends no SDO frame."""
@@ -259,9 +256,8 @@ class Dut(Frames):
 
     def number(self, kind: str, index: int, sub: int = 0) -> float:
         """Upload a number; ``kind`` is struct's letter, and the size must match it."""
-        data = self.read(index, sub)
-        if len(data) != struct.calcsize(kind):
-            raise CheckError(f"{struct.calcsize(kind)} bytes in {index:04X}h:{sub:02X}", data.hex(" "))
+        data, size = self.read(index, sub), struct.calcsize(kind)
+        check(len(data) == size, f"{size} bytes in {index:04X}h:{sub:02X}", data.hex(" "))
         value: float = struct.unpack("<" + kind, data)[0]
         return value
 
@@ -282,26 +278,18 @@ class Dut(Frames):
         shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
         if code == Abort.READ_ONLY:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
-        if (
-            code == Abort.NO_OBJECT
-            and _RPDO_MAPPING <= index < _RPDO_MAPPING_END
-            and int(value) >> 16 <= LAST_DATA_TYPE
-        ):
+        if code == Abort.NO_OBJECT and index in _RPDO_MAPPINGS and int(value) >> 16 <= LAST_DATA_TYPE:
             raise NotApplicableError(f"no data type {int(value) >> 16:04X}h as a dummy entry (CiA 301, 7.4.7.1)")
-        if code == Abort.NO_SUB and (
-            _RPDO_MAPPING <= index < _RPDO_MAPPING_END or _TPDO_MAPPING <= index < _TPDO_MAPPING_END
-        ):
+        if code == Abort.NO_SUB and (index in _RPDO_MAPPINGS or index in _TPDO_MAPPINGS):
             raise NotApplicableError(f"{index:04X}h has no sub-index {sub}")
         if code in allowed:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} does not take {shown} (abort {code:08X}h)")
-        if code:
-            raise CheckError(f"{index:04X}h:{sub:02X} to accept {shown}", f"abort {code:08X}h")
+        check(not code, f"{index:04X}h:{sub:02X} to accept {shown}", f"abort {code:08X}h")
 
     def holds(self, kind: str, index: int, sub: int, value: float) -> None:
         """Check that the object reads as ``value``."""
         value_read = self.number(kind, index, sub)
-        if value_read != value:
-            raise CheckError(f"{index:04X}h:{sub:02X} = {value}", str(value_read))
+        check(value_read == value, f"{index:04X}h:{sub:02X} = {value}", str(value_read))
 
     def refuses(self, kind: str, index: int, sub: int, value: float, *codes: int) -> None:
         """Check that writing a number is aborted with one of ``codes``."""
@@ -317,11 +305,9 @@ class Dut(Frames):
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
         if code in (Abort.TOO_HIGH, Abort.TOO_LOW) and Abort.INVALID_VALUE in codes and not self.is_of_product():
             return
-        if code not in codes:
-            shown = " or ".join(f"{wanted:08X}h" for wanted in codes)
-            raise CheckError(
-                f"abort {shown} of {index:04X}h:{sub:02X}", f"abort {code:08X}h" if code else "it was written"
-            )
+        shown = " or ".join(f"{wanted:08X}h" for wanted in codes)
+        got = f"abort {code:08X}h" if code else "it was written"
+        check(code in codes, f"abort {shown} of {index:04X}h:{sub:02X}", got)
 
     def lacks(self, entries: Sequence[tuple[int, int]]) -> tuple[int, int] | None:
         """Return the first of the entries that does not exist; reset the device before it asks."""

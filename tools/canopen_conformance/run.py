@@ -91,20 +91,20 @@ def run_and_print(
 
     ``as_json``: a JSON record a line, and the counts to ``note``. Raises LostDeviceError if the device does not boot.
     """
-    results: list[Result] = []
+    counts: Counter[str] = Counter()
 
-    def collected() -> Iterator[Result]:
+    def counted() -> Iterator[Result]:
         for result in run_on(dut, cases, persistent):
-            results.append(result)
+            counts[result.verdict] += 1
             yield result
 
     dut.measure_resets()
     try:
-        for line in (json.dumps(record(result)) for result in collected()) if as_json else lines(collected()):
+        for line in (json.dumps(record(result)) for result in counted()) if as_json else lines(counted()):
             print(line, flush=True)
     finally:  # also after Ctrl-C, SIGTERM or the loss of the device
-        (note if as_json else print)(summary(results))
-    return all(result.verdict != FAIL for result in results)
+        (note if as_json else print)(summary(counts))
+    return not counts[FAIL]
 
 
 def lines(results: Iterable[Result]) -> Iterator[str]:
@@ -125,19 +125,12 @@ def lines(results: Iterable[Result]) -> Iterator[str]:
         yield from (f"        {line}" for line in result.log[-_LAST_FRAMES:])
 
 
-def summary(results: Iterable[Result]) -> str:
-    """Return the counts of cases passed, failed, not applicable."""
-    counts = Counter(result.verdict for result in results)
+def summary(counts: Counter[str]) -> str:
+    """Return the counts of verdicts as text."""
     return f"{counts[PASS]} passed, {counts[FAIL]} failed, {counts[NOT_APPLICABLE]} not applicable"
 
 
 def record(result: Result) -> dict[str, object]:
     """Return a result as a JSON record."""
-    return {
-        "case": result.case.name,
-        "clause": result.case.clause,
-        "title": result.case.title,
-        "verdict": result.verdict,
-        "reason": result.reason,
-        "log": result.log,
-    }
+    case = {"case": result.case.name, "clause": result.case.clause, "title": result.case.title}
+    return {**case, "verdict": result.verdict, "reason": result.reason, "log": result.log}

@@ -77,22 +77,6 @@ class Frame(NamedTuple):
 Wanted: TypeAlias = "str | Callable[[bytes], bool] | None"
 
 
-class Link(Protocol):
-    """A bus with a clock. ``tolerance_ms`` is the permitted timing error; 0 for a fake clock."""
-
-    tolerance_ms: int
-    error_frames: bool
-
-    def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame."""
-
-    def receive(self, until_us: int) -> Frame | None:
-        """Return the next frame, or None if none arrived until then."""
-
-    def now_us(self) -> int:
-        """Return the time of the bus in microseconds."""
-
-
 def text(can_id: int, data: bytes) -> str:
     """Format a frame as candump does; R marks a remote frame, eight digits an extended one."""
     shown = f"{can_id & EXTENDED_MASK:08X}" if can_id & EXTENDED_FLAG else f"{can_id & STANDARD_MASK:03X}"
@@ -105,13 +89,11 @@ def as_bytes(data: bytes | str) -> bytes:
 
 
 def _fits(data: bytes, wanted: Wanted) -> bool:
-    if wanted is None:
-        return True
     if isinstance(wanted, str):
         # "4F 01 10 00 .. 00 00 00": two dots match any byte, and "*" at the end any rest.
         pattern = wanted.replace(" ", "").lower().replace("*", ".*")
         return re.fullmatch(pattern, data.hex()) is not None
-    return wanted(data)
+    return wanted is None or wanted(data)
 
 
 class Frames:
@@ -203,7 +185,10 @@ class Core(Protocol):
 
 
 class CoreLink:
-    """A device core whose clock advances only by waiting. ``steps`` keeps (now_us, frames in, frames out)."""
+    """A device core whose clock advances only by waiting. ``steps`` keeps (now_us, frames in, frames out).
+
+    ``tolerance_ms`` is the permitted timing error.
+    """
 
     tolerance_ms = 0
     error_frames = True
@@ -280,3 +265,6 @@ class BusLink:
             if not (message.is_fd or message.is_error_frame):
                 flags = EXTENDED_FLAG * message.is_extended_id | REMOTE_FLAG * message.is_remote_frame
                 return Frame(message.arbitration_id | flags, bytes(message.data), self.now_us())
+
+
+Link: TypeAlias = CoreLink | BusLink

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:
     from canopen_device.machine.file import check_node_ids, read_machine
-    from canopen_device.machine.make import made_device
+    from canopen_device.machine.running import made_device
 
     if any(file.endswith(".toml") for file in args.files):
         if len(args.files) > 1 or args.node_id or args.values or args.application or args.store:

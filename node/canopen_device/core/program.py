@@ -14,7 +14,11 @@ if TYPE_CHECKING:
     from .sdo_server import Sink
 
     class Programs(Protocol):
-        """The slots of a node. Methods return 0 or a reason of it."""
+        """The slots of a node. Methods return 0 or a reason of it.
+
+        ``busy``: a download or a trial is in progress. ``locked``: a program is on trial, the other slot is needed
+        until it has proved healthy.
+        """
 
         reason: int
         version: str
@@ -22,30 +26,15 @@ if TYPE_CHECKING:
         ready: bool
 
         @property
-        def busy(self) -> bool:
-            """A download or a trial is in progress."""
-
+        def busy(self) -> bool: ...
         @property
-        def locked(self) -> bool:
-            """A program is on trial: the other slot is needed until it has proved healthy."""
-
-        def begin(self, size: int) -> int:
-            """Open the slot that does not run for an image of ``size`` bytes."""
-
-        def write(self, part: bytes) -> int:
-            """Write the next bytes."""
-
-        def end(self) -> int:
-            """Check the image."""
-
-        def cancel(self) -> None:
-            """Give up the download."""
-
-        def clear(self) -> int:
-            """Erase what was downloaded."""
-
-        def start(self) -> int:
-            """Start what was downloaded, from the next restart on."""
+        def locked(self) -> bool: ...
+        def begin(self, size: int) -> int: ...  # open the slot that does not run for an image of so many bytes
+        def write(self, part: bytes) -> int: ...
+        def end(self) -> int: ...  # check the image
+        def cancel(self) -> None: ...
+        def clear(self) -> int: ...  # erase what was downloaded
+        def start(self) -> int: ...  # what was downloaded, from the next restart on
 
 
 # 1F51h:1, written and read.

@@ -13,16 +13,11 @@ if TYPE_CHECKING:
     from .object_dictionary import ObjectDictionary
 
     class Sink(Protocol):
-        """Where the content of a segmented or block download goes, in parts and in order."""
+        """Where the content of a segmented or block download goes, in parts and in order; 0 or an abort code each."""
 
-        def write(self, part: bytes) -> int:
-            """Take the next bytes; return 0 or an abort code."""
-
-        def end(self) -> int:
-            """All bytes have arrived, with the right CRC and length: return 0 or an abort code."""
-
-        def cancel(self) -> None:
-            """The transfer has ended early."""
+        def write(self, part: bytes) -> int: ...
+        def end(self) -> int: ...  # all bytes have arrived, with the right CRC and length
+        def cancel(self) -> None: ...  # the transfer has ended early
 
 
 TIMEOUT_US = 1000000  # a client that is silent for this time loses its transfer

@@ -7,8 +7,8 @@ if TYPE_CHECKING:
     from canopen_device.machine.cia402 import Drive as Drive
     from canopen_device.machine.device import DeviceApplication as DeviceApplication
     from canopen_device.machine.device import SimulatedDevice as SimulatedDevice
-    from canopen_device.machine.make import device_from_file as device_from_file
-    from canopen_device.machine.make import shipped_eds as shipped_eds
+    from canopen_device.machine.running import device_from_file as device_from_file
+    from canopen_device.machine.running import shipped_eds as shipped_eds
     from canopen_device.machine.running import simulated_device as simulated_device
     from canopen_device.machine.running import simulated_devices as simulated_devices
     from canopen_device.machine.signals import Follows as Follows
@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     from canopen_device.machine.signals import recorded as recorded
 
 _NAMES = {
-    "running": ("simulated_device", "simulated_devices"),
+    "running": ("device_from_file", "shipped_eds", "simulated_device", "simulated_devices"),
     "device": ("DeviceApplication", "SimulatedDevice"),
-    "make": ("device_from_file", "shipped_eds"),
     "cia402": ("Drive",),
     "signals": ("Ramp", "Sine", "RandomWalk", "Recorded", "recorded", "Follows"),
 }

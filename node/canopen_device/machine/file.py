@@ -15,7 +15,7 @@ from canopen_device.errors import InputError
 from canopen_device.machine import signals
 from canopen_device.machine.device import Key, SimulatedDevice
 from canopen_device.machine.faults import EMCY, SILENT, SLOW, WRONG_TOGGLE, Planned
-from canopen_device.machine.make import made_device
+from canopen_device.machine.running import made_device
 from canopen_device.paths_below import below
 from canopen_device.toml_table import convert, read_table
 

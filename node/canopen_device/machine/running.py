@@ -1,28 +1,122 @@
-"""Simulated devices on a bus, run by one thread: for tests of masters."""
+"""Simulated devices made of files (an EDS, an application by its name, stored parameters), and run on a bus."""
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import os
 import threading
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from canopen_device import types
+from canopen_device.eds.description import Entry
+from canopen_device.eds.load import EdsWarning
+from canopen_device.eds.reader import read_eds
 from canopen_device.errors import InputError
+from canopen_device.machine.cia402 import Drive
 from canopen_device.machine.device import DeviceApplication, Key, SimulatedDevice
-from canopen_device.machine.make import device_from_file
+from canopen_device.machine.signals import Signal
+from canopen_device.paths_below import below
 from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.store import FileStore, MemoryStore
+from canopen_device.types import Value
 
 if TYPE_CHECKING:
     import can
 
-    from canopen_device.machine.signals import Signal
-    from canopen_device.types import Value
-
+CIA402 = "cia402"
 _numbers = itertools.count()
 _BOOT_S = 5.0
+
+
+def shipped_eds(name: str) -> Path:
+    """The path of a shipped EDS: ``cia402`` for the drive."""
+    return Path(__file__).with_name(f"{name}.eds")
+
+
+def device_from_file(
+    path: str | os.PathLike[str],
+    node_id: int | None = None,
+    application: DeviceApplication | None = None,
+    values: Mapping[Key, Value] | None = None,
+    signals: Mapping[Key, Signal] | None = None,
+) -> SimulatedDevice:
+    """Return the simulated device of a file, its parameters stored in memory. Raises InputError."""
+    device = made_device(os.fspath(path), node_id, application, values, signals)
+    for text in device.description.warnings:
+        warnings.warn(text, EdsWarning, stacklevel=4)
+    return device
+
+
+def made_device(
+    eds: str,
+    node_id: int | None,
+    application: DeviceApplication | str | None = None,
+    values: Mapping[Any, Value] | None = None,
+    signals: Mapping[Key, Signal] | None = None,
+    store: str = "",
+    folder: Path | None = None,
+) -> SimulatedDevice:
+    """Return a device: ``eds`` "cia402" is the shipped drive, ``application`` also a name, ``store`` a file.
+
+    A text among ``values`` is read as its entry's type. ``folder`` is that of the file that names the others. Raises
+    InputError, with ``folder`` for a file that is not below it, too.
+    """
+    shipped = eds == CIA402 and not path_of(folder, eds, "eds").exists()
+    description = read_eds(shipped_eds(CIA402) if shipped else path_of(folder, eds, "eds"), node_id)
+    if isinstance(application, str | None):
+        application = load_application(application or (CIA402 if shipped else ""), folder)
+    for slot in (f"{store}.2", store) if store else ():
+        path_of(folder, slot, "store")
+    kept = FileStore(path_of(folder, store, "store")) if store else MemoryStore()
+    device = SimulatedDevice(description, application, signals, kept.save, kept.load)
+    for key, given in (values or {}).items():
+        device.initial_values[key] = device[key] = typed_value(description.find(key), given)
+    return device
+
+
+def typed_value(entry: Entry, value: Value) -> Value:
+    """Return a value as the entry has it; a text is read as ``sdo write`` reads it. Raises InputError."""
+    try:
+        text = isinstance(value, str) and entry.type.python is not str
+        return types.parse_value(entry.letter, str(value)) if text else value
+    except InputError as error:
+        raise InputError(f"{entry.place} {entry.name!r}: {error}") from None
+
+
+def path_of(folder: Path | None, name: str, place: str) -> Path:
+    """Return the path of a name: of a file in ``folder``, where it must be below that; None: of a user, anywhere."""
+    return Path(name) if folder is None else below(folder, name, place)
+
+
+def load_application(name: str, folder: Path | None) -> DeviceApplication | None:
+    """Return a new application: "cia402", or "file.py:Class". Raises InputError."""
+    if not name:
+        return None
+    if name == CIA402:
+        return Drive()
+    file, _, wanted = name.rpartition(":")
+    path = path_of(folder, file, "application") if file else Path()
+    if not file.endswith(".py") or not path.is_file():
+        raise InputError(f"application {name!r}: allowed are {CIA402}, and FILE:CLASS of a file that exists")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"application {name!r}: {path} cannot be imported")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+        named: Any = getattr(module, wanted, None)
+        made = named() if isinstance(named, type) and issubclass(named, DeviceApplication) else None
+    except Exception as error:
+        raise InputError(f"application {name!r}: {path}: {type(error).__name__}: {error}") from error
+    if made is None:
+        raise InputError(f"application {name!r}: {path} has no subclass of DeviceApplication called {wanted!r}")
+    return made
 
 
 @contextmanager

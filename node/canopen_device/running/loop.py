@@ -29,19 +29,23 @@ class Port(Protocol):
         """Execute a device's request to its bus: see ``Device.requests``."""
 
 
-class Runnable(Protocol):
-    """What the loop steps: a ``Device``, or what behaves as one."""
+class Stepped(Protocol):
+    """What behaves as a ``Device``: its node-id at present, and a step of it."""
 
     @property
     def node_id(self) -> int:
         """The node-id at present."""
 
+    def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
+        """Frames in; frames out and the next due time."""
+
+
+class Runnable(Stepped, Protocol):
+    """What the loop steps: a ``Device``, or what behaves as one."""
+
     @property
     def requests(self) -> list[tuple[str, int, int]]:
         """Requests to the bus, see ``Device.requests``; the loop empties it."""
-
-    def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
-        """Frames in; frames out and the next due time."""
 
 
 def now_us() -> int:

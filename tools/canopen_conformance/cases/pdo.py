@@ -6,7 +6,7 @@ import struct
 from itertools import pairwise
 
 from canopen_conformance import steps as do
-from canopen_conformance.case import CheckError, NotApplicableError, Service, check
+from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import LAST_DATA_TYPE, Dut
 from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, START
 
@@ -59,6 +59,13 @@ def enable_tpdo1(
     return dut.pdo_id
 
 
+def start_tpdo1(dut: Dut, /, transmission: int, *words: int, **timing: int | None) -> int:
+    """Set up TPDO1 as ``enable_tpdo1`` does, and start the device."""
+    can_id = enable_tpdo1(dut, transmission, *words, **timing)
+    dut.nmt(START)
+    return can_id
+
+
 def check_mapped(dut: Dut) -> None:
     """End a case about a TPDO1 that maps nothing, or what the device does not have: it sends no frame."""
     count = dut.integer("B", 0x1A00, 0)
@@ -84,8 +91,15 @@ def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int =
     return dut.pdo_id
 
 
+def start_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> None:
+    """Set up RPDO1 as ``mapped_rpdo1`` does, and start the device."""
+    mapped_rpdo1(dut, *words, transmission=transmission, event_ms=event_ms)
+    dut.nmt(START)
+
+
 TIMED = (*TPDO1, (0x1800, 3), (0x1800, 5))
 HIGH_RESOLUTION = (*RPDO1, (0x1013, 0))
+DEADLINE = (*HIGH_RESOLUTION, (0x1400, 5))
 TIME_U32 = 0x10130020  # 1013h, 32 bits: it may be mapped into either direction
 TIME = 0x1013
 
@@ -102,37 +116,26 @@ def on_syncs(dut: Dut, can_id: int, count: int) -> list[int]:
 
 @tpdo("7.2.2.2: type {0}: one TPDO for {0} SYNCs", TPDO1, each=[(1,), (2,), (3,), (5,)])
 def cyclic(dut: Dut, transmission: int) -> None:
-    can_id = enable_tpdo1(dut, transmission)
-    dut.nmt(START)
+    can_id = start_tpdo1(dut, transmission)
     answered = on_syncs(dut, can_id, 3 * transmission)
-    steps = [b - a for a, b in pairwise(answered)]
-    if len(answered) != 3 or any(step != transmission for step in steps):
-        raise CheckError(f"three TPDOs, {transmission} SYNCs apart", f"answers to SYNC {answered}")
+    right = [b - a for a, b in pairwise(answered)] == 2 * [transmission]
+    check(right, f"three TPDOs, {transmission} SYNCs apart", f"answers to SYNC {answered}")
 
 
 @tpdo("7.2.2.2: type {0}: a SYNC sends nothing", TPDO1, each=[(254,), (255,)])
 def event_driven(dut: Dut, transmission: int) -> None:
-    enable_tpdo1(dut, transmission)
-    dut.nmt(START)
+    start_tpdo1(dut, transmission)
     dut.sleep(20)
     dut.forget_pdo()
     dut.send(0x080)
     dut.no_pdo()
 
 
-@tpdo("7.5.2.37: event timer {0} ms", TIMED, each=[(20,), (60,)])
-def event_timer(dut: Dut, ms: int) -> None:
-    enable_tpdo1(dut, 255, event_ms=ms)
-    dut.nmt(START)
-    first = dut.pdo(within_ms=2 * ms)
-    for _ in range(3):
-        last = dut.pdo(within_ms=2 * ms)
-    dut.check_ms("three times", last.at_us - first.at_us, 3 * ms)
-
-
+tpdo.each("event_timer 7.5.2.37: event timer {0} ms", TIMED, [(20,), (60,)])(
+    lambda ms: (do.run(start_tpdo1, 255, event_ms=ms), do.each_ms(ms, 3, "three times", do.pdo(within_ms=2 * ms)))
+)
 tpdo("event_timer_off 7.5.2.37: event timer 0 ends the cyclic sending", TIMED)(
-    do.run(enable_tpdo1, 255, event_ms=20),
-    do.nmt(START),
+    do.run(start_tpdo1, 255, event_ms=20),
     do.pdo(),
     do.put("H", 0x1800, 5, 0),
     do.forget_pdo(),
@@ -152,8 +155,7 @@ tpdo("event_timer_stops 7.5.2.37: the event timer does nothing outside OPERATION
 
 @tpdo("7.5.2.37: the inhibit time holds back the event timer", TIMED)
 def inhibit(dut: Dut) -> None:
-    enable_tpdo1(dut, 255, event_ms=10, inhibit_100us=800)
-    dut.nmt(START)
+    start_tpdo1(dut, 255, event_ms=10, inhibit_100us=800)
     first = dut.pdo()
     for _ in range(2):
         last = dut.pdo(within_ms=120)
@@ -187,112 +189,85 @@ def length(dut: Dut) -> None:
     check(size == (bits + 7) // 8, f"{bits} bits", f"{size} bytes")
 
 
-RPDO_TIME_U32 = 0x10130020  # 1013h, 32 bits
-
-
 def high_resolution(dut: Dut, at_least: int, below: int) -> None:
     """1013h, which runs on, lies in this range."""
     time_us = dut.integer("I", TIME)
     check(at_least <= time_us < below, f"1013h in {at_least:08X}h..{below:08X}h", f"{time_us:08X}h")
 
 
-def set_time(dut: Dut) -> None:
-    """1013h to 0, so that what an RPDO brings shows."""
-    dut.put("I", TIME, 0, 0)
-
-
-@rpdo("7.2.2.2: an RPDO of type {0} acts at once", HIGH_RESOLUTION, each=[(254,), (255,)])
-def received(dut: Dut, transmission: int) -> None:
-    mapped_rpdo1(dut, RPDO_TIME_U32, transmission=transmission)
-    dut.nmt(START)
-    set_time(dut)
-    dut.send_pdo(struct.pack("<I", 0x60000000))
-    high_resolution(dut, 0x60000000, 0x61000000)
-
-
+set_time = do.put("I", TIME, 0, 0)  # so that what an RPDO brings shows
+sends_6 = do.send_pdo(struct.pack("<I", 0x60000000))
+took_6 = do.run(high_resolution, 0x60000000, 0x61000000)
+rpdo.each("received 7.2.2.2: an RPDO of type {0} acts at once", HIGH_RESOLUTION, [(254,), (255,)])(
+    lambda transmission: (do.run(start_rpdo1, TIME_U32, transmission=transmission), set_time, sends_6, took_6)
+)
 rpdo.each(
     "received_on_sync 7.2.2.2: a synchronous RPDO of type {0} acts with the next SYNC",
     HIGH_RESOLUTION,
     [(0,), (1,), (240,)],
 )(
     lambda transmission: (
-        do.run(mapped_rpdo1, RPDO_TIME_U32, transmission=transmission),
-        do.nmt(START),
+        do.run(start_rpdo1, TIME_U32, transmission=transmission),
         set_time,
-        do.send_pdo(struct.pack("<I", 0x60000000)),
+        sends_6,
         do.run(high_resolution, 0, 0x60000000),
         do.send(0x080),
-        do.run(high_resolution, 0x60000000, 0x61000000),
+        took_6,
     )
 )
 rpdo("last_before_sync 7.2.2.2: of two synchronous RPDOs before a SYNC the last one acts", HIGH_RESOLUTION)(
-    do.run(mapped_rpdo1, RPDO_TIME_U32, transmission=1),
-    do.nmt(START),
-    do.send_pdo(struct.pack("<I", 0x60000000)),
+    do.run(start_rpdo1, TIME_U32, transmission=1),
+    sends_6,
     do.send_pdo(struct.pack("<I", 0x70000000)),
     do.send(0x080),
     do.run(high_resolution, 0x70000000, 0x71000000),
 )
 rpdo("longer 7.2.2.5.1: a longer RPDO: the mapped bytes count", HIGH_RESOLUTION)(
-    do.run(mapped_rpdo1, RPDO_TIME_U32),
-    do.nmt(START),
-    do.send_pdo(struct.pack("<II", 0x60000000, 0x99999999)),
-    do.run(high_resolution, 0x60000000, 0x61000000),
+    do.run(start_rpdo1, TIME_U32), do.send_pdo(struct.pack("<II", 0x60000000, 0x99999999)), took_6
 )
 rpdo("shorter 7.2.2.5.1: a shorter RPDO: EMCY 8210h, nothing is taken", (*HIGH_RESOLUTION, (0x1014, 0)))(
-    do.run(mapped_rpdo1, RPDO_TIME_U32),
-    do.nmt(START),
+    do.run(start_rpdo1, TIME_U32),
     set_time,
     do.send_pdo("00 00 60"),
     do.emcy("10 82 *"),
     do.run(high_resolution, 0, 0x600000),
 )
 rpdo("dummies 7.4.7.1: dummy entries skip bytes of an RPDO", HIGH_RESOLUTION)(
-    do.run(mapped_rpdo1, 0x00050008, RPDO_TIME_U32, 0x00060010),
-    do.nmt(START),
+    do.run(start_rpdo1, 0x00050008, TIME_U32, 0x00060010),
     do.send_pdo("AA 00 00 00 60 BB CC"),
-    do.run(high_resolution, 0x60000000, 0x61000000),
+    took_6,
 )
 
 
-@rpdo(
-    "7.5.2.35: an RPDO that stays away: EMCY 8250h after its event timer",
-    (*HIGH_RESOLUTION, (0x1400, 5)),
+rpdo("deadline 7.5.2.35: an RPDO that stays away: EMCY 8250h after its event timer", DEADLINE)(
+    do.run(start_rpdo1, TIME_U32, event_ms=50),
+    do.send_pdo(bytes(4)),
+    do.after(50, "event timer", do.emcy("50 82 *")),
+    do.no_emcy(ms=70),
+    do.send_pdo(bytes(4)),
+    do.emcy("00 00 *"),
 )
-def deadline(dut: Dut) -> None:
-    mapped_rpdo1(dut, RPDO_TIME_U32, event_ms=50)
-    dut.nmt(START)
-    dut.send_pdo(bytes(4))
-    start_us = dut.now_us
-    frame = dut.emcy("50 82 *")
-    dut.check_ms("event timer", frame.at_us - start_us, 50)
-    dut.no_emcy(ms=70)
-    dut.send_pdo(bytes(4))
-    dut.emcy("00 00 *")
 
 
-@rpdo("7.5.2.35: an RPDO is not missed {1}", (*HIGH_RESOLUTION, (0x1400, 5)), each=[
+@rpdo("7.5.2.35: an RPDO is not missed {1}", DEADLINE, each=[
     (False, "before the first one"), (True, "after OPERATIONAL was left"),
 ])  # fmt: skip
 def no_deadline(dut: Dut, came: bool, _when: str) -> None:
-    mapped_rpdo1(dut, RPDO_TIME_U32, event_ms=40)
-    dut.nmt(START)
+    start_rpdo1(dut, TIME_U32, event_ms=40)
     if came:
         dut.send_pdo(bytes(4))
         dut.nmt(ENTER_PRE_OPERATIONAL)
     dut.no_emcy(ms=100)
 
 
-rpdo("in_time 7.5.2.35: RPDOs in time: no EMCY", (*HIGH_RESOLUTION, (0x1400, 5)))(
-    do.run(mapped_rpdo1, RPDO_TIME_U32, event_ms=150),
-    do.nmt(START),
-    do.repeat(4, do.send_pdo(bytes(4)), do.no_emcy(ms=70)),
+rpdo("in_time 7.5.2.35: RPDOs in time: no EMCY", DEADLINE)(
+    do.run(start_rpdo1, TIME_U32, event_ms=150), do.repeat(4, do.send_pdo(bytes(4)), do.no_emcy(ms=70))
 )
 rpdo("invalid_rpdo 7.5.2.35: an RPDO with bit 31 set is not taken", HIGH_RESOLUTION)(
-    do.run(mapped_rpdo1, RPDO_TIME_U32),
+    do.run(mapped_rpdo1, TIME_U32),
     do.run(disable_pdo, 0x1400),
     do.nmt(START),
     set_time,
-    do.send_pdo(struct.pack("<I", 0x60000000)),
+    sends_6,
     do.run(high_resolution, 0, 0x60000000),
 )

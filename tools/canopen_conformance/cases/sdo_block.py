@@ -94,8 +94,8 @@ def blocks_of_one(dut: Dut) -> None:
     count = segments(data)
     for number in range(1, count + 1):
         part = block(dut, 1, number == count)
-        if part[: len(data) - 7 * number + 7] != data[7 * number - 7 : 7 * number]:
-            raise CheckError(f"segment {number}", part.hex(" "))
+        wanted = data[7 * number - 7 : 7 * number]
+        check(part[: len(wanted)] == wanted, f"segment {number}", part.hex(" "))
         dut.request("A2 01 01")
     end_block_upload(dut, data)
 
@@ -128,10 +128,15 @@ def resend_last(dut: Dut) -> None:
     last_block(dut, data)
 
 
-@upload("7.2.4.3.13: block size {0} at the initiate: 05040002h", ((0x1008, 0),), each=[(0,), (128,), (255,)])
-def block_size_refused(dut: Dut, size: int) -> None:
-    answer = initiate(dut, 0x1008, size)
-    check(answer == struct.pack("<BHBI", 0x80, 0x1008, 0, Abort.BLOCK_SIZE), "abort 05040002h", answer.hex(" "))
+def refused_initiate(dut: Dut, index: int, block_size: int, code: int) -> None:
+    """Check that the initiate of a block upload is aborted."""
+    answer = initiate(dut, index, block_size)
+    check(answer == struct.pack("<BHBI", 0x80, index, 0, code), f"abort {code:08X}h", answer.hex(" "))
+
+
+upload.each(
+    "block_size_refused 7.2.4.3.13: block size {0} at the initiate: 05040002h", ((0x1008, 0),), [(0,), (128,), (255,)]
+)(lambda size: do.run(refused_initiate, 0x1008, size, Abort.BLOCK_SIZE))
 
 
 @upload("7.2.4.3.14: block size {0} in an answer: 05040002h", each=[(0,), (128,)])
@@ -156,8 +161,7 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
         index = dut.product.write_only_index if dut.product and dut.is_of_product() else None
     if index is None:
         raise NotApplicableError("no write-only object is known")
-    answer = initiate(dut, index, 127)
-    check(answer == struct.pack("<BHBI", 0x80, index, 0, code), f"abort {code:08X}h", answer.hex(" "))
+    refused_initiate(dut, index, 127, code)
 
 
 @upload("7.2.4.3.17: the client aborts {1}: no answer, the transfer is over", each=[

@@ -6,7 +6,7 @@ import struct
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import Service, check
-from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1
+from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1, start_tpdo1
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import REMOTE_FLAG, START, STATES, Abort
 
@@ -38,7 +38,7 @@ sync.each(
     [(0x000,), (0x07F,), (0x101,), (0x580 | 5,), (0x600 | 5,), (0x6E0,), (0x701,)],
 )(lambda can_id: do.refuses("I", 0x1005, 0, can_id, Abort.INVALID_VALUE))
 sync("remote_frame 7.2.5: a remote frame is no SYNC", TPDO1)(
-    do.run(enable_tpdo1, 1), do.nmt(START), do.send(0x080 | REMOTE_FLAG), do.no_pdo()
+    do.run(start_tpdo1, 1), do.send(0x080 | REMOTE_FLAG), do.no_pdo()
 )
 
 
@@ -92,7 +92,7 @@ def start_value(dut: Dut, transmission: int, start: int, counters: tuple[int, ..
 
 
 sync("start_without_counter 7.5.2.37: without a counter the start value has no meaning", COUNTER)(
-    do.run(enable_tpdo1, 1, sync_start=5), do.nmt(START), do.send(0x080), do.pdo()
+    do.run(start_tpdo1, 1, sync_start=5), do.send(0x080), do.pdo()
 )
 
 

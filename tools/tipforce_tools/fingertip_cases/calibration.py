@@ -45,6 +45,11 @@ def stage(dut: Dut, data: bytes) -> None:
     dut.put("I", 0x2103, 1, binascii.crc32(data))
 
 
+def stage_record(dut: Dut) -> None:
+    """Stage the record as it is without changes."""
+    stage(dut, record(dut))
+
+
 def commit(dut: Dut, data: bytes) -> None:
     """Stage and activate; it must be taken."""
     stage(dut, data)
@@ -53,10 +58,10 @@ def commit(dut: Dut, data: bytes) -> None:
 
 def refused(dut: Dut, code: int) -> None:
     """A commit is refused, and the active calibration is as before."""
-    before = dut.read(0x2140), dut.read(0x2103, 3), dut.read(0x2103, 4)
+    active = ((0x2140, 0), (0x2103, 3), (0x2103, 4))
+    before = [dut.read(*entry) for entry in active]
     dut.refuses("I", 0x2104, 0, table.SIGNATURE_COMMIT, code)
-    if (dut.read(0x2140), dut.read(0x2103, 3), dut.read(0x2103, 4)) != before:
-        raise CheckError("the active calibration unchanged", "another one")
+    check([dut.read(*entry) for entry in active] == before, "the active calibration unchanged", "another one")
 
 
 def not_committed(dut: Dut, code: int, /, **changed: float) -> None:
@@ -74,10 +79,9 @@ def staged(dut: Dut) -> None:
     dut.holds("f", 0x2110, 4, ON_N)
 
 
-@calibration(
-    "2141h: a record of {0:+d} bytes is refused, the staged one stays",
-    each=[(1, Abort.TOO_LONG), (-1, Abort.TOO_SHORT)],
-)
+@calibration("2141h: a record of {0:+d} bytes is refused, the staged one stays", each=[
+    (1, Abort.TOO_LONG), (-1, Abort.TOO_SHORT),
+])  # fmt: skip
 def staged_size(dut: Dut, more: int, code: int) -> None:
     data = record(dut)
     stage(dut, data)
@@ -131,26 +135,15 @@ def staged_only(dut: Dut) -> None:
     check(dut.read(0x2140) == data, "the committed record", "another one")
 
 
-@calibration("2104h: a wrong signature: 08000020h", each=[(0,), (0x74696D64,), (0x65766173,)])
-def wrong_signature(dut: Dut, signature: int) -> None:
-    stage(dut, record(dut))
-    dut.refuses("I", 0x2104, 0, signature, Abort.NOT_STORED)
-
-
-@calibration("2104h: CRC mismatch: 06040043h")
-def wrong_crc(dut: Dut) -> None:
-    stage(dut, record(dut))
-    dut.put("I", 0x2103, 1, 1)
-    refused(dut, Abort.INCOMPATIBLE)
-
-
-@calibration("2104h: a write after the CRC was given: 06040043h")
-def late_write(dut: Dut) -> None:
-    stage(dut, record(dut))
-    dut.put("f", 0x2101, 1, 1e-6)
-    refused(dut, Abort.INCOMPATIBLE)
-
-
+calibration.each("wrong_signature 2104h: a wrong signature: 08000020h", (), [(0,), (0x74696D64,), (0x65766173,)])(
+    lambda signature: (stage_record, do.refuses("I", 0x2104, 0, signature, Abort.NOT_STORED))
+)
+calibration("wrong_crc 2104h: CRC mismatch: 06040043h")(
+    stage_record, do.put("I", 0x2103, 1, 1), do.run(refused, Abort.INCOMPATIBLE)
+)
+calibration("late_write 2104h: a write after the CRC was given: 06040043h")(
+    stage_record, do.put("f", 0x2101, 1, 1e-6), do.run(refused, Abort.INCOMPATIBLE)
+)
 calibration.each(
     "not_finite 2104h: {1} may be staged, and is not committed: 06090030h",
     (),
@@ -174,15 +167,13 @@ calibration.each(
 )(lambda _what, value: do.run(not_committed, Abort.TOO_HIGH, x2100_1=value))
 
 
-@calibration("2105h: a lower condition limit refuses what was allowed")
-def condition_limit(dut: Dut) -> None:
-    stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN))
-    dut.put("f", 0x2105, 1, 3.0)
-    refused(dut, Abort.TOO_HIGH)
-    dut.put("f", 0x2105, 1, 5.0)
-    dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
-
-
+calibration("condition_limit 2105h: a lower condition limit refuses what was allowed")(
+    lambda dut: stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN)),
+    do.put("f", 0x2105, 1, 3.0),
+    do.run(refused, Abort.TOO_HIGH),
+    do.put("f", 0x2105, 1, 5.0),
+    do.put("I", 0x2104, 0, table.SIGNATURE_COMMIT),
+)
 calibration.each(
     "condition_limit_range 2105h: a condition limit of {0} is refused",
     (),

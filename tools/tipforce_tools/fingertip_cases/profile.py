@@ -100,17 +100,16 @@ def setting_forms(dut: Dut, offset: int, form: str) -> None:
     check(abs(real - (210 if counts else 210.5)) <= 1e-4, "210.5 (counts: 210)", str(real))
 
 
-@profile_404("7124h: a value that INTEGER16 cannot hold reads as its end", each=[(1e6, 0x7FFF), (-1e6, -0x7FFF)])
-def setting_saturates(dut: Dut, value: float, shown: int) -> None:
-    dut.put("f", 0x6124, 1, value)
-    dut.holds("h", 0x7124, 1, shown)
-    dut.holds("i", 0x9124, 1, round(value * 10))
-
-
-@profile_404("6130h: {0} is not finite: 06090030h", each=[(math.nan,), (math.inf,), (-math.inf,)])
-def not_finite(dut: Dut, value: float) -> None:
-    for index in (0x6124, 0x6133, 0x6148):
-        dut.refuses("f", index, 1, value, Abort.INVALID_VALUE)
+profile_404.each(
+    "setting_saturates 7124h: a value that INTEGER16 cannot hold reads as its end", (), [(1e6, 0x7FFF), (-1e6, -0x7FFF)]
+)(
+    lambda value, shown: (
+        do.put("f", 0x6124, 1, value), do.holds("h", 0x7124, 1, shown), do.holds("i", 0x9124, 1, round(value * 10)),
+    )
+)  # fmt: skip
+profile_404.each("not_finite 6130h: {0} is not finite: 06090030h", (), [(math.nan,), (math.inf,), (-math.inf,)])(
+    lambda value: tuple(do.refuses("f", index, 1, value, Abort.INVALID_VALUE) for index in (0x6124, 0x6133, 0x6148))
+)
 
 
 @profile_404("6150h: without calibration a {0} is not valid, and unknown in every form", each=[
@@ -130,10 +129,9 @@ def unknown(dut: Dut, part: str) -> None:
 profile_404("gauge_valid 6150h: a gauge is valid without calibration")(settle, do.holds("B", 0x6150, 1, 0))
 
 
-@profile_404(
-    "6150h: a gauge beyond INTEGER16: overload {1:02X}h, 7130h at its end, 6130h and 9130h as they are",
-    each=[(5000.0, 3, 0x7FFF), (-5000.0, 5, -0x7FFF)],
-)
+@profile_404("6150h: a gauge beyond INTEGER16: overload {1:02X}h, 7130h at its end, 6130h and 9130h as they are", each=[
+    (5000.0, 3, 0x7FFF), (-5000.0, 5, -0x7FFF),
+])  # fmt: skip
 def overload(dut: Dut, microstrain: float, status: int, shown: int) -> None:
     dut.put("f", 0x6124, 1, microstrain)
     settle(dut)
@@ -178,13 +176,10 @@ settings_404.each("operating_mode 6112h: operating mode {0} is refused", (), [(0
 )
 
 
-@settings_404("6114h: the sample period of one channel is that of all")
-def sample_period(dut: Dut) -> None:
-    dut.put("I", 0x6114, 2, 1000)
-    for sub in (1, 3, gauges(dut) + 6):
-        dut.holds("I", 0x6114, sub, 1000)
-
-
+settings_404("sample_period 6114h: the sample period of one channel is that of all")(
+    do.put("I", 0x6114, 2, 1000),
+    lambda dut: [dut.holds("I", 0x6114, sub, 1000) for sub in (1, 3, gauges(dut) + 6)],
+)
 settings_404.each(
     "sample_period_range 6114h: a sample period of {0} microseconds is refused",
     (),
@@ -192,14 +187,15 @@ settings_404.each(
 )(lambda value, code: do.refuses("I", 0x6114, 1, value, code))
 
 
-@settings_404(
-    "6120h: two scaling points at one field value: 06090030h, the first stays",
-    each=[(0x6120, 0x6122), (0x6122, 0x6120)],
+settings_404.each(
+    "scaling_points 6120h: two scaling points at one field value: 06090030h, the first stays",
+    (),
+    [(0x6120, 0x6122), (0x6122, 0x6120)],
+)(
+    lambda index, other: do.unchanged(
+        "f", index, 1, lambda dut: dut.refuses("f", index, 1, dut.number("f", other, 1), Abort.INVALID_VALUE)
+    )
 )
-def scaling_points(dut: Dut, index: int, other: int) -> None:
-    before = dut.number("f", index, 1)
-    dut.refuses("f", index, 1, dut.number("f", other, 1), Abort.INVALID_VALUE)
-    dut.holds("f", index, 1, before)
 
 
 @settings_404("6130h: process value = scaled field value + offset")
@@ -208,9 +204,8 @@ def scaling(dut: Dut) -> None:
     dut.put("f", 0x6124, 1, 10.0)
     settle(dut)
     field, value = dut.number("f", 0x6100, 1), dut.number("f", 0x6130, 1)
-    check(
-        abs(value - (0.2 * field + 10.0)) <= 0.2 * 50, f"0.2 x {field} + 10", str(value)
-    )  # noise between two readings
+    noise = 0.2 * 50  # between two readings
+    check(abs(value - (0.2 * field + 10.0)) <= noise, f"0.2 x {field} + 10", str(value))
 
 
 @settings_404("61A0h: filter type {0} is offered, and is that of all gauges", each=[(1,), (2,), (100,)])
