@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -85,8 +85,9 @@ class McapWriter:
 
     def write(self, table: Table) -> None:
         """Append the samples of a table."""
-        for chunk in _by_second(table):
-            second = int(chunk.t_ns[0]) // _SECOND_NS
+        seconds = table.t_ns // _SECOND_NS
+        for second in np.unique(seconds).tolist():
+            chunk = table.take(np.flatnonzero(seconds == second))
             if self._last_ns and second != self._last_ns // _SECOND_NS:
                 self._report()
             samples: dict[int, Block] = {}
@@ -188,15 +189,6 @@ def _shown(t_ns: int, samples: Block, row: int) -> tuple[tuple[float, float, flo
         return (math.nan, math.nan, math.nan), int(Status.NO_ANSWER)
     P, phi, theta = samples.contact[row].tolist()
     return (P, phi, theta), int(samples.status[row])
-
-
-def _by_second(table: Table) -> Iterator[Table]:
-    seconds = table.t_ns // _SECOND_NS
-    if not len(table) or seconds.min() == seconds.max():
-        yield table
-        return
-    for second in np.unique(seconds).tolist():
-        yield table.take(np.flatnonzero(seconds == second))
 
 
 def _frame_rows(frames: FrameArray, layout: cdr.Layout) -> cdr.Rows:
