@@ -175,11 +175,6 @@ def arguments(description: str | None, *flags: str) -> argparse.ArgumentParser:
     return parser
 
 
-def use_tests() -> None:
-    """Make the runners importable that live with the tests."""
-    sys.path.insert(0, str(ROOT / "tests"))
-
-
 def in_processes(task: Callable[[int], Result], seeds: Iterable[int], jobs: int) -> list[Result]:
     """Return what a task gives for each seed, by so many processes."""
     if jobs <= 1:
@@ -193,7 +188,7 @@ def main(
 ) -> None:
     """Parse, measure with the runners of the tests, print as a table or, with --json, as it is."""
     args = arguments(description, "--json").parse_args()
-    use_tests()
+    sys.path.insert(0, str(ROOT / "tests"))
     results = measure()
     print(json.dumps(results, indent=1) if args.json else as_table(results))
 

@@ -78,7 +78,12 @@ class McapWriter:
                 layout = cdr.Layout(FRAME, {"header.frame_id": name})
                 self._frames[name] = self.channel(f"/{name}/frames", FRAME), layout
             places[chosen], layout = self._frames[name]
-            for row, message in zip(chosen.tolist(), cdr.split(_frame_rows(frames[chosen], layout)), strict=True):
+            rows, some = layout.rows(len(chosen)), frames[chosen]
+            cdr.set_stamps(rows, some["t_ns"])
+            rows["id"], rows["dlc"], rows["data"] = some["can_id"] & _ID_MASK, some["length"], some["data"]
+            for flag_name, flag in (("is_rtr", REMOTE_FLAG), ("is_extended", EXTENDED_FLAG), ("is_error", ERROR_FLAG)):
+                rows[flag_name] = some["can_id"] & np.uint32(flag) != 0
+            for row, message in zip(chosen.tolist(), cdr.split(rows), strict=True):
                 messages[row] = message
         for place, t_ns, message in zip(places.tolist(), frames["t_ns"].tolist(), messages, strict=True):
             self._add(place, t_ns, message)
@@ -189,15 +194,6 @@ def _shown(t_ns: int, samples: Block, row: int) -> tuple[tuple[float, float, flo
         return (math.nan, math.nan, math.nan), int(Status.NO_ANSWER)
     P, phi, theta = samples.contact[row].tolist()
     return (P, phi, theta), int(samples.status[row])
-
-
-def _frame_rows(frames: FrameArray, layout: cdr.Layout) -> cdr.Rows:
-    rows, can_id = layout.rows(len(frames)), frames["can_id"]
-    cdr.set_stamps(rows, frames["t_ns"])
-    rows["id"], rows["dlc"], rows["data"] = can_id & _ID_MASK, frames["length"], frames["data"]
-    for name, flag in (("is_rtr", REMOTE_FLAG), ("is_extended", EXTENDED_FLAG), ("is_error", ERROR_FLAG)):
-        rows[name] = can_id & np.uint32(flag) != 0
-    return rows
 
 
 _SCENE = "foxglove.SceneUpdate"

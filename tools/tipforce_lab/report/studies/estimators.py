@@ -38,7 +38,12 @@ Prepare = Callable[[Contacts], methods.Method]
 def _in_integers(C: int, readings: int, sums: int, arctangent: methods.Arctangent) -> Prepare:
     """Return the method with these widths in bits."""
     form = methods.Format(C, readings, sums, arctangent)
-    return lambda given: methods.in_integers(given, form)
+
+    def prepare(given: Contacts) -> methods.Method:
+        coefficients, unit = methods.prepared(given.C, form)
+        return lambda: methods.estimate(coefficients, unit, given.counts, form)
+
+    return prepare
 
 
 _METHODS: dict[str, dict[str, Prepare]] = {
