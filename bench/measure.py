@@ -36,9 +36,9 @@ def machine(*packages: str) -> str:
     return f"{name}, {os.cpu_count()} cores, {load}; {platform.system()}; {', '.join(versions)}"
 
 
-def in_turns(ways: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, list[float]]:
-    """Figures of each way, one a round. The ways take turns, so that a busy spell of the machine meets all alike."""
-    figures: dict[str, list[float]] = {name: [] for name in ways}
+def in_turns(ways: Mapping[str, Callable[[], Result]], rounds: int) -> dict[str, list[Result]]:
+    """Results of each way, one a round. The ways take turns, so that a busy spell of the machine meets all alike."""
+    figures: dict[str, list[Result]] = {name: [] for name in ways}
     for _ in range(rounds):
         for name, way in ways.items():
             figures[name].append(way())
