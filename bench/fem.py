@@ -23,8 +23,7 @@ from tipforce.arrays import FloatArray
 from tipforce.sensor.structure.layouts import CASES
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce_lab.fem.gauges import extrapolate_matrix, nearest_place
-from tipforce_lab.fem.mesh import GRADING, Resolution, Triangles, triangulate
-from tipforce_lab.fem.outline import STATED, Outline
+from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution, Triangles, triangulate
 from tipforce_lab.fem.plane_stress import Model, solve
 from tipforce_lab.report.studies.structure import GAUGES
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_lab.fem.mesh import Resolution, Triangles, triangulate
-from tipforce_lab.fem.outline import STATED, Outline
+from tipforce_lab.fem.mesh import STATED, Outline, Resolution, Triangles, triangulate
 
 Plane = Literal["stress", "strain"]
 
