@@ -316,18 +316,19 @@ class Process:
         self._bus.close()
 
 
-def latencies(nodes: int, syncs: int, period_s: float) -> list[list[list[float]]]:
-    """Latencies in microseconds of each loop, by turn. The loops take turns, so that a busy machine hits all alike."""
-    processes = [Process(runner, nodes) for _, runner in LOOPS]
-    turns: list[list[list[float]]] = [[] for _ in LOOPS]
-    for _ in range(ROUNDS):
-        for of_loop, process in zip(turns, processes, strict=True):
-            values = []
-            for _ in range(syncs // ROUNDS + WARM_UP):
-                time.sleep(period_s)
-                values.append(process.sync_us())
-            of_loop.append([value for value in values[WARM_UP:] if value is not None])
-    for process in processes:
+def latencies(nodes: int, syncs: int, period_s: float) -> dict[str, list[list[float]]]:
+    """Latencies in microseconds of each loop, by turn."""
+
+    def turn(process: Process) -> list[float]:
+        values = []
+        for _ in range(syncs // ROUNDS + WARM_UP):
+            time.sleep(period_s)
+            values.append(process.sync_us())
+        return [value for value in values[WARM_UP:] if value is not None]
+
+    processes = {what: Process(runner, nodes) for what, runner in LOOPS}
+    turns = in_turns({what: partial(turn, process) for what, process in processes.items()}, ROUNDS)
+    for process in processes.values():
         process.stop()
     return turns
 
@@ -336,8 +337,8 @@ def report_latency(nodes: int, syncs: int = SYNCS) -> list[str]:
     """Median, p99, max of each loop, and the ratios of the medians."""
     turns = latencies(nodes, syncs, 0.002)
     lines = [f"SYNC to last TPDO, {nodes} nodes with TPDO1+TPDO2, {syncs} SYNCs each, microseconds"]
-    own = statistics.median(itertools.chain(*turns[0]))
-    for (what, _), of_loop in zip(LOOPS, turns, strict=True):
+    own = statistics.median(itertools.chain(*turns[LOOPS[0][0]]))
+    for what, of_loop in turns.items():
         values, medians = sorted(itertools.chain(*of_loop)), [statistics.median(turn) for turn in of_loop]
         median, p99 = statistics.median(values), values[min(len(values) - 1, int(0.99 * len(values)))]
         lines.append(

@@ -65,19 +65,15 @@ def page() -> str:
     common.add_sdo_arguments(shared)
     for title, name in _COMMON.items():
         parts += [f"\n**{name[0].upper()}{name[1:]} flags**\n", _table(_groups(shared)[title])]
-    for path, parser in _parsers():
-        parts += _section(path, parser, _groups(shared))
-    return "".join(parts)
-
-
-def _parsers() -> Iterator[tuple[str, argparse.ArgumentParser]]:
     for name in COMMANDS:
         parser = command_parser(name)
-        table = next((action.choices for action in parser._actions if isinstance(action.choices, Mapping)), None)
-        if table is None:
-            yield name, parser
-        for action in table or ():
-            yield f"{name} {action}", actions.action_parser(name, action, table or {})
+        choices = next((action.choices for action in parser._actions if isinstance(action.choices, Mapping)), None)
+        parsers = {name: parser} if choices is None else {
+            f"{name} {action}": actions.action_parser(name, action, choices) for action in choices
+        }  # fmt: skip
+        for path, of_path in parsers.items():
+            parts += _section(path, of_path, _groups(shared))
+    return "".join(parts)
 
 
 def _section(path: str, parser: argparse.ArgumentParser, shared: Mapping[str, list[argparse.Action]]) -> Iterator[str]:

@@ -10,20 +10,20 @@ Nothing here is random. Times are of this machine, the least of three.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from bench import fem_studies as studies
 from bench.fem_studies import Convergence, Variants
-from bench.measure import arguments, table
+from bench.measure import arguments, in_turns, table
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.structure.layouts import CASES
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce_lab.fem.gauges import extrapolate_matrix, nearest_place
-from tipforce_lab.fem.mesh import GRADING, Resolution, Triangles, triangulate
-from tipforce_lab.fem.outline import STATED, Outline
+from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution, Triangles, triangulate
 from tipforce_lab.fem.plane_stress import Model, solve
 from tipforce_lab.report.studies.structure import GAUGES
 
@@ -44,12 +44,8 @@ def convergence_part(quick: bool, folder: Path | None) -> None:
     """The tables of convergence and the figure of error against run time."""
     cells = (1, 2, 4) if quick else (2, 3, 4, 6, 8, 12)
     fewer = (1, 2, 4) if quick else (2, 3, 4, 6, 8)
-    # Round by round, so that all gradings meet the same machine.
-    rounds = [
-        [studies.convergence(g, cells if g == GRADING else fewer) for g in studies.GRADINGS]
-        for _ in range(1 if quick else 3)
-    ]
-    runs = [studies.least_times(same) for same in zip(*rounds, strict=True)]
+    ways = {str(g): partial(studies.convergence, g, cells if g == GRADING else fewer) for g in studies.GRADINGS}
+    runs = [studies.least_times(same) for same in in_turns(ways, 1 if quick else 3).values()]
     best = next(run for run in runs if run.grading == GRADING)
     limits = best.limits()
     matrix, matrix_error = extrapolate_matrix([level.matrix for level in best.doubling()])

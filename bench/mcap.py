@@ -61,18 +61,17 @@ METHODS: dict[str, tuple[Callable[[Path, Path], None], str]] = {
 
 def compare(log: Path, samples: int) -> dict[str, tuple[float, float]]:
     """Return of each method bytes and processor microseconds for each sample; the methods take turns."""
-    sizes: dict[str, float] = {}
 
-    def way(name: str) -> float:
+    def way(name: str) -> tuple[float, float]:
         write, suffix = METHODS[name]
         output = log.with_suffix(suffix)
         us = 1e6 * cpu_s(partial(write, log, output)) / samples
-        sizes[name] = output.stat().st_size / samples
+        size = output.stat().st_size / samples
         output.unlink()
-        return us
+        return size, us
 
-    costs = in_turns({name: partial(way, name) for name in METHODS}, REPEATS)
-    return {name: (sizes[name], min(us)) for name, us in costs.items()}
+    figures = in_turns({name: partial(way, name) for name in METHODS}, REPEATS)
+    return {name: (runs[0][0], min(us for _, us in runs)) for name, runs in figures.items()}
 
 
 def draw(recording: Path, output: Path) -> None:

@@ -35,9 +35,9 @@ def machine(*packages: str) -> str:
     return f"{name}, {os.cpu_count()} cores, {load}; {platform.system()}; {', '.join(versions)}"
 
 
-def in_turns(ways: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, list[float]]:
-    """Figures of each way, one a round. The ways take turns, so that a busy spell of the machine meets all alike."""
-    figures: dict[str, list[float]] = {name: [] for name in ways}
+def in_turns(ways: Mapping[str, Callable[[], Result]], rounds: int) -> dict[str, list[Result]]:
+    """Results of each way, one a round. The ways take turns, so that a busy spell of the machine meets all alike."""
+    figures: dict[str, list[Result]] = {name: [] for name in ways}
     for _ in range(rounds):
         for name, way in ways.items():
             figures[name].append(way())
@@ -174,11 +174,6 @@ def arguments(description: str | None, *flags: str) -> argparse.ArgumentParser:
     return parser
 
 
-def use_tests() -> None:
-    """Make the runners importable that live with the tests."""
-    sys.path.insert(0, str(ROOT / "tests"))
-
-
 def in_processes(task: Callable[[int], Result], seeds: Iterable[int], jobs: int) -> list[Result]:
     """Return what a task gives for each seed, by so many processes."""
     if jobs <= 1:
@@ -192,7 +187,7 @@ def main(
 ) -> None:
     """Parse, measure with the runners of the tests, print as a table or, with --json, as it is."""
     args = arguments(description, "--json").parse_args()
-    use_tests()
+    sys.path.insert(0, str(ROOT / "tests"))
     results = measure()
     print(json.dumps(results, indent=1) if args.json else as_table(results))
 

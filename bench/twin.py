@@ -14,8 +14,9 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
-from bench.measure import ROOT, arguments, table
+from bench.measure import ROOT, arguments, in_turns, table
 
 os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo is imported: no display is needed
 sys.path.insert(0, str(ROOT / "docs" / "examples"))
@@ -65,9 +66,9 @@ def costs() -> str:
              lambda: [(t.status, t.phi_deg, t.theta_deg, t.u_P_newtons) for t in tips.read(data).values()]),
         ):  # fmt: skip
             jobs.append((what, each, run, steps))
-    rounds = [[_timed(model, data, run, steps) for _, _, run, steps in jobs] for _ in range(ROUNDS)]
+    ways = {f"{what} {each}": partial(_timed, model, data, run, steps) for what, each, run, steps in jobs}
     rows = []
-    for (what, each, _, _), times in zip(jobs, zip(*rounds, strict=True), strict=True):
+    for (what, each, _, _), times in zip(jobs, in_turns(ways, ROUNDS).values(), strict=True):
         physics, twin = (min(column) / STEPS * 1e6 for column in zip(*times, strict=True))
         rows.append([what, each, f"{physics:.1f}", f"{twin / len(FINGERS):.2f}",
                      f"{twin / len(FINGERS) / physics:.3f}"])  # fmt: skip

@@ -13,7 +13,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.limits import closing_load
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Impact, Striker, impact, overload
-from tipforce_lab.dynamics.slit import slit_stop
+from tipforce_lab.dynamics.switched import slit_stop
 
 _STIFFNESSES = (1e5, 1e6, 1e7, 1e8)
 _MASS_KG, _SPEED = 0.02, 0.1

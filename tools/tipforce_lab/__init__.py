@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tipforce_lab.dynamics.impact import overload as overload
     from tipforce_lab.dynamics.integrators import frequency_of_error as frequency_of_error
     from tipforce_lab.dynamics.integrators import rk4_stability_limit as rk4_stability_limit
-    from tipforce_lab.dynamics.slit import slit_stop as slit_stop
+    from tipforce_lab.dynamics.switched import slit_stop as slit_stop
 
 _NAMES = {
     "design.error_budget": ("budget",),
@@ -24,7 +24,7 @@ _NAMES = {
     "design.paper_figures": ("shift_to_reach",),
     "dynamics.impact": ("Striker", "impact", "overload"),
     "dynamics.integrators": ("frequency_of_error", "rk4_stability_limit"),
-    "dynamics.slit": ("slit_stop",),
+    "dynamics.switched": ("slit_stop",),
 }
 if not TYPE_CHECKING:
     __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -78,15 +78,21 @@ class McapWriter:
                 layout = cdr.Layout(FRAME, {"header.frame_id": name})
                 self._frames[name] = self.channel(f"/{name}/frames", FRAME), layout
             places[chosen], layout = self._frames[name]
-            for row, message in zip(chosen.tolist(), cdr.split(_frame_rows(frames[chosen], layout)), strict=True):
+            rows, some = layout.rows(len(chosen)), frames[chosen]
+            cdr.set_stamps(rows, some["t_ns"])
+            rows["id"], rows["dlc"], rows["data"] = some["can_id"] & _ID_MASK, some["length"], some["data"]
+            for flag_name, flag in (("is_rtr", REMOTE_FLAG), ("is_extended", EXTENDED_FLAG), ("is_error", ERROR_FLAG)):
+                rows[flag_name] = some["can_id"] & np.uint32(flag) != 0
+            for row, message in zip(chosen.tolist(), cdr.split(rows), strict=True):
                 messages[row] = message
         for place, t_ns, message in zip(places.tolist(), frames["t_ns"].tolist(), messages, strict=True):
             self._add(place, t_ns, message)
 
     def write(self, table: Table) -> None:
         """Append the samples of a table."""
-        for chunk in _by_second(table):
-            second = int(chunk.t_ns[0]) // _SECOND_NS
+        seconds = table.t_ns // _SECOND_NS
+        for second in np.unique(seconds).tolist():
+            chunk = table.take(np.flatnonzero(seconds == second))
             if self._last_ns and second != self._last_ns // _SECOND_NS:
                 self._report()
             samples: dict[int, Block] = {}
@@ -188,24 +194,6 @@ def _shown(t_ns: int, samples: Block, row: int) -> tuple[tuple[float, float, flo
         return (math.nan, math.nan, math.nan), int(Status.NO_ANSWER)
     P, phi, theta = samples.contact[row].tolist()
     return (P, phi, theta), int(samples.status[row])
-
-
-def _by_second(table: Table) -> Iterator[Table]:
-    seconds = table.t_ns // _SECOND_NS
-    if not len(table) or seconds.min() == seconds.max():
-        yield table
-        return
-    for second in np.unique(seconds).tolist():
-        yield table.take(np.flatnonzero(seconds == second))
-
-
-def _frame_rows(frames: FrameArray, layout: cdr.Layout) -> cdr.Rows:
-    rows, can_id = layout.rows(len(frames)), frames["can_id"]
-    cdr.set_stamps(rows, frames["t_ns"])
-    rows["id"], rows["dlc"], rows["data"] = can_id & _ID_MASK, frames["length"], frames["data"]
-    for name, flag in (("is_rtr", REMOTE_FLAG), ("is_extended", EXTENDED_FLAG), ("is_error", ERROR_FLAG)):
-        rows[name] = can_id & np.uint32(flag) != 0
-    return rows
 
 
 _SCENE = "foxglove.SceneUpdate"

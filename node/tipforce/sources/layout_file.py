@@ -220,13 +220,15 @@ def _gauges(geometry: Geometry, points: Sequence[str | _Place]) -> tuple[Gauge, 
     names = [point for point in points if isinstance(point, str)]
     if len(names) == len(points):
         return layout(names)
-    return check_gauges(geometry, [point if isinstance(point, str) else _position(point) for point in points])
-
-
-def _position(point: _Place) -> GaugePosition:
-    if point.beam == "V" and point.face is not None:
-        raise InputError(f"face = {point.face!r} on beam V: allowed on beam H only; on V the side determines the face")
-    return GaugePosition(point.beam, point.side, point.position_mm / 1e3, point.face or "lower")
+    for point in points:
+        if isinstance(point, _Place) and point.beam == "V" and point.face is not None:
+            allowed = "allowed on beam H only; on V the side determines the face"
+            raise InputError(f"face = {point.face!r} on beam V: {allowed}")
+    return check_gauges(geometry, [
+        point if isinstance(point, str)
+        else GaugePosition(point.beam, point.side, point.position_mm / 1e3, point.face or "lower")
+        for point in points
+    ])  # fmt: skip
 
 
 # --- the wiring of the gauges ---------------------------------------------------------------------------------------

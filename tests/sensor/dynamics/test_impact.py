@@ -18,8 +18,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.limits import closing_load, slit_closure
 from tipforce.sensor.structure.plane_frame import Frame
 from tipforce_lab.dynamics.impact import Striker, impact, overload
-from tipforce_lab.dynamics.slit import slit_stop
-from tipforce_lab.dynamics.switched import exponential
+from tipforce_lab.dynamics.switched import exponential, slit_stop
 
 BODY = modes(FABRICATED)
 STIFF = modes(FABRICATED, beam_density_kg_m3=7850.0)

@@ -12,8 +12,7 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauges import GaugePosition
 from tipforce_lab.fem.gauges import corner_exponent, extrapolate, face, nearest_place, strain_matrix
-from tipforce_lab.fem.mesh import GRADING, Resolution
-from tipforce_lab.fem.outline import STATED, Outline
+from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution
 from tipforce_lab.fem.plane_stress import Model, Solution, solve
 
 FloatArray = npt.NDArray[np.float64]

@@ -10,8 +10,7 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce_lab.fem.mesh import GRADING, Resolution, Triangles, triangulate
-from tipforce_lab.fem.outline import STATED, Outline
+from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution, Triangles, triangulate
 
 THIN_LEGS = Outline(leg_m=0.2e-3, tip_side_m=0.5e-3)
 ROUND = Outline(fillet_m=0.5e-3, slit_fillet_m=0.125e-3)

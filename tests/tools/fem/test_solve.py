@@ -18,8 +18,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS, mirror
 from tipforce.sensor.structure.strain import condition_number
 from tipforce_lab.fem.gauges import strain_matrix
-from tipforce_lab.fem.mesh import Resolution, triangulate
-from tipforce_lab.fem.outline import STATED, Outline
+from tipforce_lab.fem.mesh import STATED, Outline, Resolution, triangulate
 from tipforce_lab.fem.plane_stress import Model, Patch, Plane, Solution, _stiffness, solve
 
 FloatArray = npt.NDArray[np.float64]

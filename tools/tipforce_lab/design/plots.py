@@ -316,7 +316,7 @@ def _load_signs(axes: Axes, geometry: Geometry) -> None:
     direction = np.array([np.cos(phi), np.sin(phi)])
     pull = r * np.array([np.cos(theta), np.sin(theta)])
     push = pull - 2.0 * (pull @ direction) * direction
-    _line(axes, push, pull, ":")
+    axes.plot(*zip(push, pull, strict=True), color="black", linewidth=0.8, linestyle=":")
     _arrow(axes, pull, pull + 8.0 * direction, VERMILLION, 1.8)
     _arrow(axes, push - 8.0 * direction, push, BLUE, 1.8)
     up = 8.0 * direction
@@ -325,8 +325,8 @@ def _load_signs(axes: Axes, geometry: Geometry) -> None:
     for end, name in ((np.array([r + 4.0, 0.0]), "x"), (np.array([0.0, r + 4.0]), "y")):
         _arrow(axes, np.zeros(2), end, "black", 0.8)
         _label(axes, end * (1.0 + 1.0 / (r + 4.0)), name, "black")
-    _line(axes, np.zeros(2), pull, "-")
-    _line(axes, pull, pull + np.array([7.0, 0.0]), ":")
+    axes.plot(*zip(np.zeros(2), pull, strict=True), color="black", linewidth=0.8, linestyle="-")
+    axes.plot(*zip(pull, pull + np.array([7.0, 0.0]), strict=True), color="black", linewidth=0.8, linestyle=":")
     for centre, radius, angle in ((np.zeros(2), 5.0, theta), (pull, 6.0, phi)):
         arc = np.linspace(0.0, angle, 31)
         axes.plot(centre[0] + radius * np.cos(arc), centre[1] + radius * np.sin(arc), color=GREEN, linewidth=1.2)
@@ -340,10 +340,6 @@ def _load_signs(axes: Axes, geometry: Geometry) -> None:
 def _arrow(axes: Axes, start: FloatArray, end: FloatArray, colour: str, width: float) -> None:
     style = {"arrowstyle": "->", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", (float(end[0]), float(end[1])), (float(start[0]), float(start[1])), arrowprops=style)
-
-
-def _line(axes: Axes, start: FloatArray, end: FloatArray, line: str) -> None:
-    axes.plot([start[0], end[0]], [start[1], end[1]], color="black", linewidth=0.8, linestyle=line)
 
 
 def _label(axes: Axes, at: FloatArray, text: str, colour: str, **where: str) -> None:

@@ -84,10 +84,10 @@ def table_2_section(geometry: Geometry) -> Section:
                 "explanation": _TABLE_2_DIFFERENCES.get(row.point, ""),
             }
         )
-    return Section("2", _TABLE_2_TITLE, _TABLE_2_COLUMNS, records, _TABLE_2_NOTES)
+    title = "Table 2. Largest stress in units of a P / h1^2, and the contact (theta, phi) where it occurs"
+    return Section("2", title, _TABLE_2_COLUMNS, records, _TABLE_2_NOTES)
 
 
-_TABLE_2_TITLE = "Table 2. Largest stress in units of a P / h1^2, and the contact (theta, phi) where it occurs"
 _TABLE_2_COLUMNS = {
     "point": "point",
     "paper": "paper",

@@ -23,8 +23,7 @@ from tipforce.arrays import FloatArray, floats
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.sensor.dynamics.first_order_hold import State, checked_loads
 from tipforce.sensor.dynamics.model import Modes
-from tipforce_lab.dynamics.slit import SlitStop
-from tipforce_lab.dynamics.switched import March, Switched, Touch
+from tipforce_lab.dynamics.switched import March, SlitStop, Switched, Touch
 
 
 @dataclass(frozen=True, slots=True)

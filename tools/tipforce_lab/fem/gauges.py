@@ -17,7 +17,7 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauges import Gauge, GaugePosition, gauge_name, place
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
-from tipforce_lab.fem.outline import Outline
+from tipforce_lab.fem.mesh import Outline
 from tipforce_lab.fem.plane_stress import Solution
 
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_lab.fem.mesh import Resolution, Triangles, triangulate
-from tipforce_lab.fem.outline import STATED, Outline
+from tipforce_lab.fem.mesh import STATED, Outline, Resolution, Triangles, triangulate
 
 Plane = Literal["stress", "strain"]
 
@@ -52,12 +51,6 @@ class Model:
             raise InputError(f"plane {self.plane!r}: allowed are stress or strain")
         if not -1.0 < self.poisson_ratio < 0.5:
             raise InputError(f"poisson_ratio = {self.poisson_ratio!r}: allowed is above -1 and below 0.5")
-
-    def lame(self) -> tuple[float, float]:
-        """Return Lame's constants for E = 1; for plane stress the first is the effective one of the plane."""
-        nu = self.poisson_ratio
-        mu = 0.5 / (1.0 + nu)
-        return (nu / (1.0 - nu * nu) if self.plane == "stress" else nu / (1.0 + nu) / (1.0 - 2.0 * nu)), mu
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +111,9 @@ def _stiffness(basis: Any, model: Model) -> Any:
     from skfem import BilinearForm
     from skfem.helpers import ddot, eye, sym_grad, trace
 
-    first, mu = model.lame()
+    # Lame's constants for E = 1; for plane stress the first is the effective one of the plane.
+    nu, mu = model.poisson_ratio, 0.5 / (1.0 + model.poisson_ratio)
+    first = nu / (1.0 - nu * nu) if model.plane == "stress" else nu / (1.0 + nu) / (1.0 - 2.0 * nu)
 
     def elasticity(u: Any, v: Any, _: Any) -> Any:
         strain = sym_grad(u)

@@ -211,6 +211,13 @@ class Grid:
     remarks: tuple[str, ...] = ()
 
 
+def sums_of(methods: Sequence[str], rows: Iterable[GridRow]) -> tuple[dict[str, Counted], str]:
+    """Return all rows by method, and the method that shows the fewest wrong ones as ok."""
+    columns = zip(*(row.cells for row in rows), strict=True)
+    sums = {name: sum(column, Counted()) for name, column in zip(methods, columns, strict=True)}
+    return sums, min(sums, key=lambda name: (sums[name].wrong, -sums[name].ok))
+
+
 Outcome = Literal["pass", "bounded", "flagged", "refused"]
 """pass: the result is right to rounding. bounded: its error has a stated bound. flagged: the value is marked (NaN,
 unknown, a status bit, EMCY). refused: an error or abort code names the place, and nothing changed."""

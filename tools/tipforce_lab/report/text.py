@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from tipforce_lab.report.run import Item, LeftOut, Report
-from tipforce_lab.report.study import Case, Counted, Grid, Need, Outcome, Study
+from tipforce_lab.report.study import Case, Counted, Grid, Need, Outcome, Study, sums_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -56,10 +56,9 @@ def _advice(study: Study, need: Need) -> tuple[str, str, str, str]:
 
 
 def _grid(grid: Grid) -> str:
-    sums = [sum((row.cells[k] for row in grid.rows), Counted()) for k in range(len(grid.methods))]
     broken = [row.name for row in grid.rows if not row.held]
-    least = min(range(len(sums)), key=lambda k: (sums[k].wrong, -sums[k].ok))
-    sentence = f"Of the ways to show values, {grid.methods[least]} shows the fewest wrong ones as ok"
+    _, least = sums_of(grid.methods, grid.rows)
+    sentence = f"Of the ways to show values, {least} shows the fewest wrong ones as ok"
     if broken:
         return f"{sentence}. Too many, without a known reason: {'; '.join(broken)}."
     excused = sum(any(row.reasons) for row in grid.rows)

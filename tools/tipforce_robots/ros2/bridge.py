@@ -78,19 +78,16 @@ class Tip:
         cdr.set_stamps(rows, samples.t_ns[known])
         rows["wrench.force.x"], rows["wrench.force.y"] = P * np.cos(phi), P * np.sin(phi)
         rows["wrench.torque.z"] = self._radius_m * P * np.sin(phi - theta)
-        for t_ns, message in zip(samples.t_ns.tolist(), self._contacts(samples, numbers), strict=True):
+        contacts = self._contact(samples.gauges.shape[1]).rows(len(samples))
+        cdr.set_stamps(contacts, samples.t_ns)
+        contacts["number"], contacts["status"], contacts["microstrain"] = numbers, samples.status, samples.gauges
+        for values, suffix in ((samples.contact, ""), (samples.u, "_uncertainty")):
+            contacts["force" + suffix] = values[:, 0]
+            contacts["direction" + suffix], contacts["angle" + suffix] = np.radians(values[:, 1:]).T
+        for t_ns, message in zip(samples.t_ns.tolist(), cdr.split(contacts), strict=True):
             yield CONTACT, t_ns, message
         for t_ns, message in zip(samples.t_ns[known].tolist(), cdr.split(rows), strict=True):
             yield WRENCH, t_ns, message
-
-    def _contacts(self, samples: Block, numbers: npt.NDArray[np.int64]) -> list[bytes]:
-        rows = self._contact(samples.gauges.shape[1]).rows(len(samples))
-        cdr.set_stamps(rows, samples.t_ns)
-        rows["number"], rows["status"], rows["microstrain"] = numbers, samples.status, samples.gauges
-        for values, suffix in ((samples.contact, ""), (samples.u, "_uncertainty")):
-            rows["force" + suffix] = values[:, 0]
-            rows["direction" + suffix], rows["angle" + suffix] = np.radians(values[:, 1]), np.radians(values[:, 2])
-        return cdr.split(rows)
 
     def _judge(self, samples: Block, wrenches: int) -> None:
         known = np.isfinite(samples.contact[:, 0])

@@ -93,8 +93,14 @@ def _known(value: object) -> float | None:
 
 
 def others(message: Message) -> dict[str, Decode]:
-    """Return the decoders of one frame."""
-    return {BY_HAND: _by_hand(message), CANTOOLS: _cantools(message), CANOPEN: _canopen(message)}
+    """Return the decoders of one frame; that of cantools has the .dbc of `tipforce export dbc`."""
+    import cantools
+
+    from tipforce.dictionary.dbc import dbc_text
+
+    database: Any = cantools.database.load_string(dbc_text([NODE_ID], GAUGES), "dbc")
+    by_cantools = partial(database.decode_message, message.cob_id_base + NODE_ID)
+    return {BY_HAND: _by_hand(message), CANTOOLS: by_cantools, CANOPEN: _canopen(message)}
 
 
 def _bits(message: Message) -> list[tuple[str, int]]:
@@ -119,16 +125,6 @@ def _by_hand(message: Message) -> Decode:
         return decoded
 
     return decode
-
-
-def _cantools(message: Message) -> Decode:
-    """Return a decoder of cantools with the .dbc of `tipforce export dbc`."""
-    import cantools
-
-    from tipforce.dictionary.dbc import dbc_text
-
-    database: Any = cantools.database.load_string(dbc_text([NODE_ID], GAUGES), "dbc")
-    return partial(database.decode_message, message.cob_id_base + NODE_ID)
 
 
 def _canopen(message: Message) -> Decode:

@@ -260,12 +260,6 @@ def on_the_node(given: Contacts, form: str) -> Method:
     return work
 
 
-def in_integers(given: Contacts, form: Format) -> Method:
-    """``estimator_fixed``."""
-    coefficients, unit = prepared(given.C, form)
-    return lambda: estimate(coefficients, unit, given.counts, form)
-
-
 _ON_MICROPYTHON = """
 import struct, binascii, time
 import scalar

@@ -38,7 +38,12 @@ Prepare = Callable[[Contacts], methods.Method]
 def _in_integers(C: int, readings: int, sums: int, arctangent: methods.Arctangent) -> Prepare:
     """Return the method with these widths in bits."""
     form = methods.Format(C, readings, sums, arctangent)
-    return lambda given: methods.in_integers(given, form)
+
+    def prepare(given: Contacts) -> methods.Method:
+        coefficients, unit = methods.prepared(given.C, form)
+        return lambda: methods.estimate(coefficients, unit, given.counts, form)
+
+    return prepare
 
 
 _METHODS: dict[str, dict[str, Prepare]] = {
@@ -72,8 +77,8 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     """Return the studies of P and theta away from tangency, and of theta near it."""
     rng = np.random.default_rng([effort.seed, 1])
     k = effort.pick(400, 4000)
-    usual = contacts(rng, k, away, corners=True)
-    sliding = contacts(rng, k, tangent)
+    usual = contacts(rng, k, corners=True)
+    sliding = contacts(rng, k, sliding=True)
     left_out: dict[str, str] = {}
     results = _run(usual, effort, left_out, advance)
     results_sliding = _run(sliding, effort, left_out, advance, results)
@@ -203,30 +208,16 @@ def _tangent_remarks(worst: dict[_Setting, float], away: dict[_Setting, float]) 
     ]
 
 
-def away(rng: np.random.Generator, k: int) -> FloatArray:
-    """Return |cos(delta)| of k contacts: anywhere on the tip, at least 0.1 from tangency."""
-    return rng.uniform(0.1, 1.0, k)
-
-
-def tangent(rng: np.random.Generator, k: int) -> FloatArray:
-    """Return |cos(delta)| of k contacts with nearly tangential force: 0.001 to 0.1, log-uniform."""
-    cosine: FloatArray = 10.0 ** rng.uniform(-3.0, -1.0, k)
-    return cosine
-
-
-def contacts(
-    rng: np.random.Generator,
-    k: int,
-    cosines: Callable[[np.random.Generator, int], FloatArray] = away,
-    corners: bool = False,
-) -> Contacts:
+def contacts(rng: np.random.Generator, k: int, sliding: bool = False, corners: bool = False) -> Contacts:
     """Return k pushes in any direction: half from a hundredth of the converter's range to all of it, half above 50 %.
 
+    |cos(delta)| is at least 0.1, uniform, or if ``sliding`` 0.001 to 0.1, log-uniform: a nearly tangential force.
     corners: also those with every gauge at an end of the converter's range.
     """
     C, A = calibration_matrix(FABRICATED, CASE), strain_matrix(FABRICATED, CASE)
     phi = rng.uniform(-np.pi, np.pi, k)
-    delta = np.pi - np.arccos(cosines(rng, k)) * rng.choice([-1.0, 1.0], k)  # a push: cos(delta) < 0
+    cosine = 10.0 ** rng.uniform(-3.0, -1.0, k) if sliding else rng.uniform(0.1, 1.0, k)
+    delta = np.pi - np.arccos(cosine) * rng.choice([-1.0, 1.0], k)  # a push: cos(delta) < 0
     microstrain = 1e6 * force_vector(1.0, phi, phi - delta) @ A.T
     share = np.where(np.arange(k) % 2, rng.uniform(0.5, 1.0, k), 10.0 ** rng.uniform(-2.0, 0.0, k))
     P = share * _FILLED * RANGE_MICROSTRAIN / np.abs(microstrain).max(axis=1)

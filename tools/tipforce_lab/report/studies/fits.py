@@ -13,7 +13,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration, linear_fit
 from tipforce.sensor.calibration.simulation import paper_grooves, true_matrix, unseen_forces
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, quartiles, series_of, timed
+from tipforce_lab.report.study import Effort, Need, Point, Series, Study, quartiles, series_of, timed
 
 LOADS = (6, 12, 25, 50, 100, 200)
 NOISE_STRAIN, OFFSET_STRAIN, OUTLIER_STRAIN = 1e-6, 30e-6, 200e-6
@@ -52,7 +52,11 @@ def _study(effort: Effort, advance: Callable[[], None], share: float) -> Study:
             except InputError as error:
                 refused[f"{method}, {loads} loads"] = f"refused: {error}"
                 continue
-            timing = _timing(fit, rigs, effort)
+            # Several sensors: the time of the full fit depends on the data.
+            timed_fits = [
+                timed(partial(fit, rig.readings), effort, at_least_s=0.002) for rig in rigs[: effort.pick(2, 9)]
+            ]
+            timing = quartiles([fitted.seconds for fitted in timed_fits])
             rms = float(np.sqrt(np.mean(np.square(errors))))
             points.append((method, Point(f"{loads} loads", rms, timing)))
         advance()
@@ -119,12 +123,6 @@ def _error(fitted: Fitted, rig: _Rig) -> float:
     F = unseen_forces(np.random.default_rng(4), UNSEEN)
     off = (F @ rig.A.T + rig.offset_strain - offset) @ C.T - F
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-
-
-def _timing(fit: Callable[[Readings], Fitted], rigs: list[_Rig], effort: Effort) -> Timing:
-    """Time the fits of several sensors: the time of the full fit depends on the data."""
-    each = [timed(partial(fit, rig.readings), effort, at_least_s=0.002).seconds for rig in rigs[: effort.pick(2, 9)]]
-    return quartiles(each)
 
 
 def _remarks(series: tuple[Series, ...]) -> list[str]:

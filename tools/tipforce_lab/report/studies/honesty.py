@@ -36,7 +36,7 @@ from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
-from tipforce_lab.report.study import Counted, Effort, Grid, GridRow
+from tipforce_lab.report.study import Counted, Effort, Grid, GridRow, sums_of
 
 GAUGES = ("K_H", "S_H", "U", "L", "T", "R", "K_V", "S_V")
 COUNTS = (3, 4, 5, 8)
@@ -124,13 +124,12 @@ def _is_wrong(count: Counted) -> bool:
 
 
 def _remarks(rows: list[GridRow]) -> tuple[str, ...]:
-    sums = [sum((row.cells[k] for row in rows), Counted()) for k in range(len(METHODS))]
+    sums, least = sums_of(METHODS, rows)
     clean = sum((cell for row in rows if row.name.startswith("none") for cell in row.cells), Counted())
-    least = min(range(len(METHODS)), key=lambda k: (sums[k].wrong, -sums[k].ok))
-    shown = "; ".join(f"{name} {cell.wrong} of {cell.ok}" for name, cell in zip(METHODS, sums, strict=True))
+    shown = "; ".join(f"{name} {cell.wrong} of {cell.ok}" for name, cell in sums.items())
     return (
         f"Wrong among the rows shown as ok, over all faults: {shown}.",
-        f"Fewest: {METHODS[least]}.",
+        f"Fewest: {least}.",
         f"Fingers without a fault are shown as ok in {100.0 * clean.ok / max(clean.rows, 1):.1f} % of the rows.",
         "tipforce read, hand and view show the node's values; the exported C judges as the node (tests/export_c).",
     )
