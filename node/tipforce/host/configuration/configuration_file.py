@@ -153,7 +153,7 @@ def read_configuration(
                 if entry.access in ("rw", "wo"):
                     entry.encode(single)
                     known.check(entry, single)
-                    wanted[entry.index, entry.sub] = entry, single
+                    wanted[entry.key] = entry, single
                 elif not is_dcf:  # there it is a fact of the device
                     raise InputError(f"{entry.name} ({entry}) is {entry.access} and cannot be configured")
     except InputError as error:

@@ -86,19 +86,19 @@ class SdoChannel:
 
     def read(self, entry: Entry[T]) -> T:
         """Return the value of an entry. Raises NoResponseError, SdoAbortError, or InputError for a wrong length."""
-        return entry.decode(self.upload(entry.index, entry.sub, entry.type == _DOMAIN))
+        return entry.decode(self.upload(*entry.key, entry.type == _DOMAIN))
 
     def write(self, entry: Entry[T], value: T) -> None:
         """Write a value. Raises as ``read``, and InputError for a value that the type cannot hold."""
-        self.download(entry.index, entry.sub, entry.encode(value))
+        self.download(*entry.key, entry.encode(value))
 
     async def read_async(self, entry: Entry[T]) -> T:
         """Read for asyncio. Raises as ``read``."""
-        return entry.decode(await self.upload_async(entry.index, entry.sub, entry.type == _DOMAIN))
+        return entry.decode(await self.upload_async(*entry.key, entry.type == _DOMAIN))
 
     async def write_async(self, entry: Entry[T], value: T) -> None:
         """Write for asyncio. Raises as ``write``."""
-        await self.download_async(entry.index, entry.sub, entry.encode(value))
+        await self.download_async(*entry.key, entry.encode(value))
 
     def __getitem__(self, name: str) -> Value:
         """Return the value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``.
