@@ -17,8 +17,8 @@ from canopen_device.core import codes
 from canopen_device.core.sdo_client import SWITCH_BYTES, BlockDownload, BlockUpload, Download, Transfer, Upload
 from canopen_device.types import Value
 from tipforce.dictionary import objects as od
-from tipforce.dictionary import table
-from tipforce.dictionary.entries import Entry, resolve
+from tipforce.dictionary.entries import Entry, gauges_of, resolve
+from tipforce.dictionary.table import MIN_GAUGES
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError
 from tipforce.host.decoding.duplicates import PRODUCT, SERIAL, DuplicateNodes
 from tipforce.host.network.sdo_exchange import Attempt, Exchange, Turns
@@ -199,8 +199,7 @@ class SdoChannel:
         if not isinstance(name, str):
             raise InputError(f"object {name!r}: allowed is a name such as 'calibration.serial', or '0x2102:01'")
         if self._gauges is None:
-            product = self.read(od.IDENTITY_PRODUCT)
-            self._gauges = product & 0xF if table.MIN_GAUGES <= product & 0xF <= table.MAX_GAUGES else table.MIN_GAUGES
+            self._gauges = gauges_of(self.read(od.IDENTITY_PRODUCT)) or MIN_GAUGES
         return resolve(name, self._gauges)
 
     def _attempt(
