@@ -29,7 +29,7 @@ def file_or_shipped(text: str, kind: str) -> Path:
     path, suffix = Path(text), SUFFIXES[kind]
     if text == "-" or path.exists() or path.name != text or path.suffix not in ("", suffix):
         return path
-    found = shipped_folder(kind) / f"{path.stem}{suffix}"
-    if found.is_file():
-        return found
+    shipped = shipped_folder(kind) / f"{path.stem}{suffix}"
+    if shipped.is_file():
+        return shipped
     raise InputError(f"{text}: no such file; by name ship {', '.join(shipped_names(kind))}")

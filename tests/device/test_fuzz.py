@@ -54,7 +54,7 @@ def test_an_active_calibration_that_changes_without_a_commit_is_noticed(monkeypa
     def write(self: Calibration, _sub: int, value: object) -> int:
         assert isinstance(value, bytes)
         self._stage(value)
-        self.active = self._unpack(value)
+        self._activate(value)
         return 0
 
     monkeypatch.setattr(Calibration, "_write_record", write)

@@ -215,6 +215,6 @@ def _entry(entry: Entry[Any], values: Values) -> list[str]:
     flags |= _REFUSE_READ if entry.access == "wo" else 0
     if flags:
         lines.append(f"ObjFlags=0x{flags:X}")
-    if (entry.index, entry.sub) in values:
-        lines.append(f"ParameterValue={value_text(entry.type, values[entry.index, entry.sub])}")
+    if entry.key in values:
+        lines.append(f"ParameterValue={value_text(entry.type, values[entry.key])}")
     return [*lines, ""]

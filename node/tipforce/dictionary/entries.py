@@ -53,6 +53,11 @@ class Entry(Generic[T]):
     high: Limit = field(default=None, compare=False)
 
     @property
+    def key(self) -> tuple[int, int]:
+        """Index and sub-index."""
+        return self.index, self.sub
+
+    @property
     def is_counted(self) -> bool:
         """Several sub-indices share the stem: the name is "stem:sub"."""
         return self.stem != "" and self.name == f"{self.stem}:{self.sub}"
@@ -149,7 +154,7 @@ def objects(
 def entries(n: int = 3, simulated: bool = False, programs: bool = False) -> Entries:
     """Every entry by (index, sub), in order. Raises InputError for an ``n`` outside 3..8."""
     known = objects(n, simulated, programs=programs)
-    return {(entry.index, entry.sub): entry for each in known for entry in each.entries}
+    return {entry.key: entry for each in known for entry in each.entries}
 
 
 def resolve(text: str, n: int = 3) -> Entry[Any]:

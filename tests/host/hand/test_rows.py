@@ -326,7 +326,7 @@ def test_values_after_a_boot_up_are_not_shown() -> None:
     assert stream.reasons == [[PRESENT], [CHANGED]]
 
 
-OFFSET = 0x612402
+OFFSET = (0x6124, 2)
 DOWNLOAD, DONE, VALUE = "23246102 0000a040", "60246102 00000000", "43246102 0000a040"
 OTHER = "43246102 0000b040"
 KNOWN = {OFFSET: 0x40A00000, COUNTER: 3}
@@ -363,7 +363,7 @@ def test_requests_by_anybody_make_values_unsure(frames: list[tuple[int, str]], r
 
 
 def test_a_finger_that_may_send_anothers_pdo_hides_the_other() -> None:
-    known = {0x180101: 0x40000281, COUNTER: 3}
+    known = {(0x1801, 1): 0x40000281, COUNTER: 3}
     stream = Stream(1, 2, 3)
     for node_id in (1, 2, 3):
         stream.collector.trust.learn(node_id, known if node_id == 1 else {})

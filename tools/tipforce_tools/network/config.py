@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError, SdoAbortError
@@ -99,8 +98,8 @@ def _diff(args: argparse.Namespace) -> int:
     with _opened(args) as (sdo, objects, wanted):
         lines = compare(_read(args, sdo, objects), wanted, objects)
     for line in lines:
-        there = "is not in the file" if line.other is None else f"{args.file} has {line.other}"
-        common.print_record(args, asdict(line), f"{line.name} ({line.entry}): the node has {line.node}, {there}")
+        there = "is not in the file" if line["other"] is None else f"{args.file} has {line['other']}"
+        common.print_record(args, line, f"{line['name']} ({line['entry']}): the node has {line['node']}, {there}")
     common.note(args, f"{common.shown_node(args.node)}: {len(lines)} different")
     return 1 if lines else 0
 

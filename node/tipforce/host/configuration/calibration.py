@@ -412,7 +412,7 @@ def _check_matrix(C: FloatArray) -> None:
         )
     # The response to a newton, not the norm of C: an ill-conditioned layout does not change it.
     ratio = float(singular[-1]) / TYPICAL_NEWTONS_PER_STRAIN
-    factor = min(_SUSPECTS, key=lambda one: abs(np.log(one / ratio)))
+    factor = min(_SUSPECTS, key=lambda suspect: abs(np.log(suspect / ratio)))
     if not 1.0 / ALLOWED <= ratio <= ALLOWED and 1.0 / _NEAR <= factor / ratio <= _NEAR:
         raise InputError(
             f"calibration matrix: {ratio:.3g} times the size that beam theory gives (allowed {1.0 / ALLOWED:.2g} to "

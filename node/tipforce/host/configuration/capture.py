@@ -239,7 +239,7 @@ class GaugeReader:
         """Send one SYNC; return the gauge PDO that follows, or nothing."""
         self._connection.buffer.clear()
         self._connection.sync()
-        frames = self._connection.buffer.take(lambda can_id: can_id == self._can_id, time.monotonic() + _ANSWER_S)
+        frames = self._connection.buffer.take({self._can_id}, time.monotonic() + _ANSWER_S)
         mine: FrameArray = frames[frames["can_id"] == self._can_id][-1:]
         return mine
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -26,16 +25,6 @@ from tipforce.host.configuration.device_objects import DeviceObjects, FingertipO
 from tipforce.host.network.sdo import Blocking, SdoChannel, finished
 
 _TEXT = "s"  # VISIBLE_STRING
-
-
-@dataclass(frozen=True, slots=True)
-class Difference:
-    """One setting that differs between two sides; None if a side does not contain it."""
-
-    name: str
-    entry: str
-    node: str | None
-    other: str | None
 
 
 def read_settings(
@@ -74,14 +63,17 @@ def changed_settings(settings: Mapping[Place, Value], objects: DeviceObjects) ->
     }
 
 
-def compare(node: Mapping[Place, Value], wanted: Configuration, objects: DeviceObjects) -> list[Difference]:
-    """Return the differences between a node and a file, both ways: also changes missing in the file."""
+def compare(node: Mapping[Place, Value], wanted: Configuration, objects: DeviceObjects) -> list[dict[str, str | None]]:
+    """Return the differences between a node and a file, both ways: also changes missing in the file.
+
+    Each has name, entry, node and other (in the file), as text; None: that side does not contain it.
+    """
     differences = []
     for place in sorted({*changed_settings(node, objects), *wanted} & objects.settings.keys()):
         entry, here, there = objects.settings[place], node.get(place), wanted[place][1] if place in wanted else None
         if here is None or there is None or not same(entry, here, there):
-            shown = [None if value is None else types.format_value(entry.type, value) for value in (here, there)]
-            differences.append(Difference(entry.name, str(entry), shown[0], shown[1]))
+            node_has, file_has = (v if v is None else types.format_value(entry.type, v) for v in (here, there))
+            differences.append({"name": entry.name, "entry": str(entry), "node": node_has, "other": file_has})
     return differences
 
 
@@ -153,7 +145,7 @@ def read_configuration(
                 if entry.access in ("rw", "wo"):
                     entry.encode(single)
                     known.check(entry, single)
-                    wanted[entry.index, entry.sub] = entry, single
+                    wanted[entry.key] = entry, single
                 elif not is_dcf:  # there it is a fact of the device
                     raise InputError(f"{entry.name} ({entry}) is {entry.access} and cannot be configured")
     except InputError as error:

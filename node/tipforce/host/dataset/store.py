@@ -196,9 +196,9 @@ def filesystem(url: str) -> tuple[Any, str]:
     except ImportError:
         raise EnvironmentLackError(f"{url}: a URL needs fsspec: `pip install 'tipforce[remote]'`") from None
     try:
-        found = fsspec.core.url_to_fs(url)
+        files, path = fsspec.core.url_to_fs(url)
     except ImportError as error:
         raise EnvironmentLackError(f"{url}: {error}: install them with pip") from error
     except ValueError as error:
         raise InputError(f"{url}: not a URL that fsspec opens: {error}") from error
-    return found[0], str(found[1]).rstrip("/")
+    return files, str(path).rstrip("/")

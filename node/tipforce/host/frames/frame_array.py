@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Collection, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -88,19 +88,22 @@ class FrameBuffer:
     def stop(self) -> None:
         """Do nothing; called by the Notifier at its end."""
 
-    def take(self, complete: Callable[[int], bool], deadline: float) -> FrameArray:
-        """Remove and return frames up to the first whose can_id makes ``complete`` true, or up to ``deadline``.
+    def take(self, can_ids: Collection[int], deadline: float) -> FrameArray:
+        """Remove and return frames up to the one with which each of ``can_ids`` has come, or up to ``deadline``.
 
-        ``deadline`` is a time of ``time.monotonic()``. ``complete`` sees each frame once, in order.
+        ``deadline`` is a time of ``time.monotonic()``.
         """
-        taken: list[RawFrame] = []
+        taken, missing = list[RawFrame](), set(can_ids)
         with self._arrived:
             while True:
-                end = next((k + 1 for k, frame in enumerate(self._frames) if complete(frame[1])), None)
-                taken += self._frames[:end]
-                del self._frames[:end]
-                if end is not None:
-                    return frame_array(taken)
+                for count, frame in enumerate(self._frames, start=1):
+                    missing.discard(frame[1])
+                    if not missing:
+                        taken += self._frames[:count]
+                        del self._frames[:count]
+                        return frame_array(taken)
+                taken += self._frames
+                self._frames.clear()
                 remaining_s = deadline - time.monotonic()
                 if remaining_s <= 0 or not self._arrived.wait(remaining_s):
                     return frame_array(taken)

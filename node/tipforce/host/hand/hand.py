@@ -315,7 +315,7 @@ class Hand:
         for node_id in trust.take_unanswered(now_s, max(_UNANSWERED_S, 1.5 * self._supervisor.timeout_s)):
             if states[node_id] == OPERATIONAL:
                 self._delivery.event(Event(time.monotonic(), node_id, "failed", "operational, but it answers no SYNC"))
-                trust.ask(node_id, self._recovery.needed_keys(node_id))
+                trust.ask(node_id, self._recovery.needed_places(node_id))
                 self._queue.need([node_id])
         due = trust.due(now_s, _HEALTH_SILENT_S)
         self._queue.need([n for n in due if states[n] == OPERATIONAL or trust.changed(n)])  # starts what waits, too

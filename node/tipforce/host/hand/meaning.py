@@ -20,13 +20,13 @@ from tipforce.errors import RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.configuration_file import Configuration, apply_differences
 from tipforce.host.configuration.device_objects import FingertipObjects, Place
-from tipforce.host.hand.trust import COMMANDED, key_of
+from tipforce.host.hand.trust import COMMANDED, COUNTER, SERIAL
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import SdoChannel
 
 _NO_EFFECT = (communication.VERIFY_CONFIGURATION,)  # the date of a configuration: settings that nothing follows
-_TARE = {(entry.index, entry.sub) for entry in COMMANDED[1:]}
-_CALIBRATION = (objects.CALIBRATION_ACTIVE_CRC.index, objects.CALIBRATION_ACTIVE_CRC.sub)
+_TARE = {entry.key for entry in COMMANDED[1:]}
+_CALIBRATION = objects.CALIBRATION_ACTIVE_CRC.key
 _INTERRUPTS = range(indices.INTERRUPT_DELTA & 0xFFF, (indices.INTERRUPT_HYSTERESIS & 0xFFF) + 1)
 _LAST_PDO = communication.LAST_TPDO
 _TRIES = 5
@@ -43,10 +43,10 @@ class Meaning:
     counter: int
     values: dict[Place, tuple[Entry[Value], bytes]]
 
-    def keys(self) -> dict[int, int]:
-        """Return the values as ``Trust`` compares them, by ``key_of``; 2126h included."""
-        keys = {key_of(entry): int.from_bytes(data, "little") for entry, data in self.values.values()}
-        return keys | {key_of(objects.CONFIGURATION_COUNTER): self.counter}
+    def numbers(self) -> dict[Place, int]:
+        """Return the values as ``Trust`` compares them; 2126h included."""
+        numbers = {place: int.from_bytes(data, "little") for place, (_, data) in self.values.items()}
+        return numbers | {COUNTER: self.counter}
 
 
 @lru_cache
@@ -61,7 +61,7 @@ def watched(gauges: int) -> dict[Place, Entry[Value]]:
         if entry.index not in _NO_EFFECT and (entry.low is None or entry.low != entry.high)
     ]
     watched_entries += [*COMMANDED, objects.IDENTITY_SERIAL]
-    return {(entry.index, entry.sub): entry for entry in watched_entries}
+    return {entry.key: entry for entry in watched_entries}
 
 
 @lru_cache
@@ -74,7 +74,7 @@ def of_values(gauges: int) -> frozenset[Place]:
     }
     cob_ids = {place for place in watched(gauges) if place[1] == 1 and communication.RPDO <= place[0] <= _LAST_PDO}
     read = (*COMMANDED, objects.IDENTITY_SERIAL)
-    return frozenset(profile | cob_ids | {(entry.index, entry.sub) for entry in read}) & watched(gauges).keys()
+    return frozenset(profile | cob_ids | {entry.key for entry in read}) & watched(gauges).keys()
 
 
 def read_meaning(sdo: SdoChannel, gauges: int, places: Collection[Place] | None = None) -> Meaning:
@@ -127,21 +127,21 @@ def in_words(changes: list[Difference]) -> str:
 
 def only_tare(changes: list[Difference]) -> bool:
     """Return whether nothing but the tare is another."""
-    return all((entry.index, entry.sub) in _TARE for entry, _, _ in changes)
+    return all(entry.key in _TARE for entry, _, _ in changes)
 
 
 def needed(changes: list[Difference], wanted: Configuration) -> bool:
     """Return whether the communication of the finger is not that of the hand, which cannot use another."""
-    places = [(entry.index, entry.sub) for entry, _, _ in changes if entry.index <= communication.LAST]
-    return any(place in wanted or place[0] == communication.SYNC_OVERFLOW for place in places)
+    communicated = [entry for entry, _, _ in changes if entry.index <= communication.LAST]
+    return any(entry.key in wanted or entry.index == communication.SYNC_OVERFLOW for entry in communicated)
 
 
 def write_back(
     client: FingertipClient, before: Meaning, changes: list[Difference], calibration: Calibration | None
 ) -> None:
     """Undo the changes. Raises RefusedError for what cannot be written: see there."""
-    places = {(entry.index, entry.sub) for entry, _, _ in changes}
-    if (objects.IDENTITY_SERIAL.index, objects.IDENTITY_SERIAL.sub) in places:
+    places = {entry.key for entry, _, _ in changes}
+    if SERIAL in places:
         raise RefusedError(f"node {client.node_id}: it is another finger")
     if _CALIBRATION in places:
         if calibration is None or not _has(before, calibration):

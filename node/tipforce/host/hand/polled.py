@@ -65,13 +65,7 @@ class PolledHand:
         """Send one SYNC and collect the answers; a finger without an answer in time is marked missing."""
         self.connection.buffer.clear()
         self.connection.sync()
-        awaited = set(self._expected)
-
-        def complete(can_id: int) -> bool:
-            awaited.discard(can_id)
-            return not awaited
-
-        frames = self.connection.buffer.take(complete, time.monotonic() + timeout_s)
+        frames = self.connection.buffer.take(self._expected, time.monotonic() + timeout_s)
         messages = self._decoder.decode(frames)
         values = np.full((3, len(self.node_ids)), np.nan)
         missing = np.ones(len(self.node_ids), dtype=np.bool_)

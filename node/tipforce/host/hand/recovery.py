@@ -33,7 +33,6 @@ from tipforce.host.hand.meaning import (
     write_back,
 )
 from tipforce.host.hand.rows import Collector
-from tipforce.host.hand.trust import key_of
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssMaster
@@ -122,10 +121,10 @@ class Recovery:
         """Note that a finger booted: it is to be set up."""
         self._boots[node_id] += 1
 
-    def needed_keys(self, node_id: int) -> list[int]:
-        """Return what decides whether a finger answers the SYNC, by ``key_of``."""
+    def needed_places(self, node_id: int) -> list[Place]:
+        """Return what decides whether a finger answers the SYNC."""
         places = [place for place in self._wanted[node_id] if place[0] <= communication.LAST]
-        return [index << 8 | sub for index, sub in (*places, (communication.SYNC_OVERFLOW, 0))]
+        return [*places, (communication.SYNC_OVERFLOW, 0)]
 
     def _say(self, node_id: int, kind: Kind, text: str) -> None:
         self._on_event(Event(time.monotonic(), node_id, kind, text))
@@ -183,15 +182,15 @@ class Recovery:
         changes = differences(present if known is None else known, present)
         if changes:  # lost at the reset, or stored by another before it
             return self._decide(node_id, present, changes)
-        self._show(node_id, present, {index << 8 | sub for index, sub in later})
+        self._show(node_id, present, later)
         return True
 
     def _read(self, node_id: int, places: Collection[Place] | None = None) -> Meaning:
         return read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges, places)
 
-    def _show(self, node_id: int, meaning: Meaning, later: Collection[int] = ()) -> None:
+    def _show(self, node_id: int, meaning: Meaning, later: Collection[Place] = ()) -> None:
         self.meaning[node_id] = meaning
-        self._trust.learn(node_id, meaning.keys(), later)
+        self._trust.learn(node_id, meaning.numbers(), later)
         self._collector.expect(node_id, True)
 
     def _verify(self, node_id: int) -> bool:
@@ -200,8 +199,8 @@ class Recovery:
             present = self._read(node_id)
             return self._decide(node_id, present, differences(self.meaning[node_id], present))
         sdo = self._connection().sdo(node_id)
-        for key in self._trust.unsure(node_id):
-            sdo.upload(key >> 8, key & 0xFF)
+        for place in self._trust.unsure(node_id):
+            sdo.upload(*place)
         return True
 
     def _decide(self, node_id: int, present: Meaning, changes: list[Difference]) -> bool:
@@ -226,7 +225,7 @@ class Recovery:
                 text = f"{text}; {error}"
         if unusable and not all(is_mapping(entry.index) for entry, _, _ in changes):
             self._collector.expect(node_id, False)  # its PDO may be off: no row waits for it
-        self._trust.refuse(node_id, [key_of(entry) for entry, _, _ in changes])
+        self._trust.refuse(node_id, [entry.key for entry, _, _ in changes])
         self._say(node_id, "refused", f"another master changed {text}; its values stay unknown until that is undone")
         return True
 

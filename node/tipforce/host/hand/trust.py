@@ -21,6 +21,7 @@ from canopen_device.core import codes, communication, emcy
 from tipforce.dictionary import indices, objects, table
 from tipforce.dictionary.entries import Entry, entries
 from tipforce.dictionary.signals import Message
+from tipforce.host.configuration.device_objects import Place
 from tipforce.samples.reasons import NO_RESPONSE, PRESENT
 
 VERIFY_S = 0.02  # from the last request of another to the reading: a node has one SDO server, which both would use
@@ -36,27 +37,22 @@ _ANY = range(1, 9)  # data lengths
 _ABORT, _BLOCK_END = 0x80, 0xA1  # first byte of an SDO abort, and of the last response to a block download
 
 
-def key_of(entry: Entry[Any]) -> int:
-    """Return index and sub-index as one number, index << 8 | sub."""
-    return entry.index << 8 | entry.sub
-
-
-COUNTER, SERIAL = key_of(objects.CONFIGURATION_COUNTER), key_of(objects.IDENTITY_SERIAL)
+COUNTER, SERIAL = objects.CONFIGURATION_COUNTER.key, objects.IDENTITY_SERIAL.key
 COMMANDED = (objects.CALIBRATION_ACTIVE_CRC, objects.TARE_F1, objects.TARE_F2, objects.TARE_F3)
 """What commands change, besides the offsets."""
 
 
 @dataclass(slots=True)
 class Finger:
-    """What is known of one finger; objects by ``key_of``."""
+    """What is known of one finger."""
 
     node_id: int
     column: int
     """Its place among the fingers."""
-    known: Mapping[int, int] = field(default_factory=dict)
-    seen: dict[int, int] = field(default_factory=dict)
-    unsure: set[int] = field(default_factory=set)
-    asked: frozenset[int] = frozenset()
+    known: Mapping[Place, int] = field(default_factory=dict)
+    seen: dict[Place, int] = field(default_factory=dict)
+    unsure: set[Place] = field(default_factory=set)
+    asked: frozenset[Place] = frozenset()
     asked_s: float = 0.0  # when they are to be read
     hidden: bool = False  # the hand itself configures it, or is going to
     changed: bool = False  # something was seen otherwise
@@ -64,9 +60,9 @@ class Finger:
     pending: bool = False  # to be verified
     due_s: float = 0.0
     # By object, the identifiers that it may send, though it should not; None: any.
-    claims: dict[int, set[int | None]] = field(default_factory=dict)
-    place: int = -1  # of the last download
-    transfer: frozenset[int] = frozenset()  # what that may change
+    claims: dict[Place, set[int | None]] = field(default_factory=dict)
+    place: Place | None = None  # of the last download
+    transfer: frozenset[Place] = frozenset()  # what that may change
     flight_s: float = -math.inf
     block_until_s: float = -math.inf
     health_s: float = math.inf
@@ -95,7 +91,7 @@ class Trust:
         self._rows, self._real_rows = entries(gauges, True), entries(gauges)
         self._shift = next(s.start_bit for s in health.signals if s.index == indices.CONFIGURATION_COUNTER)
         commanded: list[Entry[Any]] = [*COMMANDED, *objects.PROCESS_OFFSET.entries(gauges)]
-        self._commanded = frozenset((COUNTER, *map(key_of, commanded)))
+        self._commanded = frozenset((COUNTER, *(entry.key for entry in commanded)))
         self._row, self._row_s, self._period_s, self._now_s = 0, -math.inf, 0.0, 0.0
         self._fixed: dict[int, tuple[_Handler, int, range]] = {
             codes.NMT_COB_ID: (self._nmt, -1, range(2, 9)),
@@ -120,7 +116,7 @@ class Trust:
             self._at(node_id).hidden = True
             self._judge()
 
-    def learn(self, node_id: int, known: Mapping[int, int], later: Collection[int] = ()) -> None:
+    def learn(self, node_id: int, known: Mapping[Place, int], later: Collection[Place] = ()) -> None:
         """Show values while each object is seen as in ``known``, in frames that may still wait to be processed.
 
         ``later``: objects that are still to be read; values are shown meanwhile.
@@ -129,19 +125,19 @@ class Trust:
             finger = self._at(node_id)
             finger.known, finger.hidden, finger.changed, finger.announced = known, False, False, False
             finger.asked, finger.asked_s = frozenset(later).difference(finger.seen), self._now_s + _LATER_S
-            finger.unsure = {key for key, value in known.items() if finger.seen.get(key) != value} - finger.asked
-            for key in finger.unsure:
-                finger.seen.pop(key, None)
-            finger.claims = {key: values for key, values in finger.claims.items() if values != {known.get(key)}}
+            finger.unsure = {place for place, value in known.items() if finger.seen.get(place) != value} - finger.asked
+            for place in finger.unsure:
+                finger.seen.pop(place, None)
+            finger.claims = {place: values for place, values in finger.claims.items() if values != {known.get(place)}}
             finger.pending, finger.due_s = bool(finger.unsure), self._now_s + _AGAIN_S
             self.ids = dict(self._fixed)
             for other in self._fingers:
-                cob_id = other.known.get(communication.RPDO << 8 | 1, codes.COB_ID_INVALID)
+                cob_id = other.known.get((communication.RPDO, 1), codes.COB_ID_INVALID)
                 if not cob_id & codes.COB_ID_INVALID:
                     self.ids.setdefault(cob_id & codes.STANDARD_MASK, (self._command, other.column, _ANY))
             self._judge()
 
-    def refuse(self, node_id: int, changed: Collection[int]) -> None:
+    def refuse(self, node_id: int, changed: Collection[Place]) -> None:
         """Keep values unknown until these objects are seen as they are known."""
         with self.lock:
             finger = self._at(node_id)
@@ -149,12 +145,12 @@ class Trust:
             finger.unsure |= set(changed)
             self._judge()
 
-    def suspect(self, node_ids: Collection[int], keys: Collection[int] | None = None) -> None:
+    def suspect(self, node_ids: Collection[int], places: Collection[Place] | None = None) -> None:
         """Make objects (None: all) of fingers unsure: another may have changed them unseen."""
         with self.lock:
             for node_id in node_ids:
                 finger = self._at(node_id)
-                self._doubt(finger, finger.known if keys is None else keys, -math.inf)
+                self._doubt(finger, finger.known if places is None else places, -math.inf)
             self._judge()
 
     def give_up(self, node_id: int) -> None:
@@ -162,18 +158,18 @@ class Trust:
         with self.lock:
             self._at(node_id).pending = False
 
-    def unsure(self, node_id: int) -> list[int]:
+    def unsure(self, node_id: int) -> list[Place]:
         """Return the objects to read; 2126h at least."""
         with self.lock:
             finger = self._at(node_id)
-            keys, finger.asked = finger.unsure | finger.asked | {COUNTER}, frozenset()
-            return sorted(keys, key=lambda key: (key == COUNTER, key))
+            places, finger.asked = finger.unsure | finger.asked | {COUNTER}, frozenset()
+            return sorted(places, key=lambda place: (place == COUNTER, place))
 
-    def ask(self, node_id: int, keys: Collection[int]) -> None:
+    def ask(self, node_id: int, places: Collection[Place]) -> None:
         """Read these objects with those that are unsure; values are shown meanwhile."""
         with self.lock:
             finger = self._at(node_id)
-            finger.asked = frozenset(key for key in keys if key in finger.known)
+            finger.asked = frozenset(place for place in places if place in finger.known)
 
     def changed(self, node_id: int) -> bool:
         """Return whether a change is to be decided on."""
@@ -325,14 +321,13 @@ class Trust:
                 finger.claims.setdefault(finger.place, set()).add(word >> 32 if expedited else None)
             finger.block_until_s = now_s + _TRANSFER_S if specifier == 6 else -math.inf
 
-    def _changed_by(self, finger: Finger, place: int) -> frozenset[int]:
+    def _changed_by(self, finger: Finger, place: Place) -> frozenset[Place]:
         """Return what a download to a place may change."""
-        at = place >> 8, place & 0xFF
-        row = self._rows.get(at)
-        if row is not None and at not in self._real_rows:
+        row = self._rows.get(place)
+        if row is not None and place not in self._real_rows:
             return frozenset()  # the load on a simulated finger
         if row is not None and row.flags & table.VIEW:
-            place = (indices.FIELD_VALUE & 0xF000 | row.index & 0xFFF) << 8 | row.sub
+            place = indices.FIELD_VALUE & 0xF000 | row.index & 0xFFF, row.sub
         if place in finger.known:
             return frozenset((place, COUNTER))
         if row is None or row.access == "wo" or row.flags & table.RPDO:  # a command
@@ -344,13 +339,13 @@ class Trust:
     def _at(self, node_id: int) -> Finger:
         return self._fingers[self._node_ids.index(node_id)]
 
-    def _doubt(self, finger: Finger, keys: Collection[int], now_s: float, after_s: float = VERIFY_S) -> None:
+    def _doubt(self, finger: Finger, places: Collection[Place], now_s: float, after_s: float = VERIFY_S) -> None:
         """Make objects unsure until they are read."""
-        if not keys:
+        if not places:
             return
-        for key in keys:
-            finger.seen.pop(key, None)
-        finger.unsure.update(key for key in keys if key in finger.known)
+        for place in places:
+            finger.seen.pop(place, None)
+        finger.unsure.update(place for place in places if place in finger.known)
         finger.flight_s = max(finger.flight_s, now_s + _ORDER_S - _TRANSFER_S)
         finger.pending, finger.due_s = True, now_s + (DECIDE_S if finger.changed else after_s)
 
@@ -359,22 +354,22 @@ class Trust:
         finger.seen.clear()
         finger.unsure = set(finger.known)
 
-    def _observe(self, finger: Finger, key: int, value: int, now_s: float) -> None:
-        before, known = finger.seen.get(key), finger.known.get(key, value)
+    def _observe(self, finger: Finger, place: Place, value: int, now_s: float) -> None:
+        before, known = finger.seen.get(place), finger.known.get(place, value)
         if value == known and now_s - finger.flight_s <= _TRANSFER_S:
             return  # perhaps the response to a request before the download
-        finger.seen[key] = value
+        finger.seen[place] = value
         if value == known:
-            finger.claims.pop(key, None)
-        elif _sends(key):
-            finger.claims[key] = {value}
+            finger.claims.pop(place, None)
+        elif _sends(place):
+            finger.claims[place] = {value}
         if value != known:
-            finger.unsure.add(key)
+            finger.unsure.add(place)
             if before != value and not finger.hidden:
                 finger.changed = finger.pending = True
                 finger.due_s = now_s + DECIDE_S
-        elif key in finger.unsure:
-            finger.unsure.discard(key)
+        elif place in finger.unsure:
+            finger.unsure.discard(place)
             finger.pending |= finger.changed and not finger.unsure
 
     def _judge(self) -> None:
@@ -393,12 +388,12 @@ class Trust:
         )
 
 
-def _place(word: int) -> int:
-    """Return the index and sub-index in an SDO frame, as ``key_of`` does."""
-    return (word >> 8 & 0xFFFF) << 8 | word >> 24 & 0xFF
+def _place(word: int) -> Place:
+    """Return the index and sub-index in an SDO frame."""
+    return word >> 8 & 0xFFFF, word >> 24 & 0xFF
 
 
-def _sends(key: int) -> bool:
+def _sends(place: Place) -> bool:
     """Return whether an object is an identifier that a finger sends: of a TPDO, of its EMCY."""
-    index, sub = key >> 8, key & 0xFF
+    index, sub = place
     return index == communication.COB_ID_EMCY or (communication.TPDO <= index <= communication.LAST_TPDO and sub == 1)

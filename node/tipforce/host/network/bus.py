@@ -200,14 +200,8 @@ class Bus:
 
         Raises NoResponseError naming the identifiers that were not received in time.
         """
-        deadline = time.monotonic() + checked_time("timeout_s", timeout_s)
-        missing = set(can_ids)
-
-        def complete(can_id: int) -> bool:
-            missing.discard(can_id)
-            return not missing
-
-        frames = self.buffer.take(complete, deadline)
+        frames = self.buffer.take(can_ids, time.monotonic() + checked_time("timeout_s", timeout_s))
+        missing = can_ids - set(frames["can_id"].tolist())
         if missing:
             names = ", ".join(f"0x{can_id:03X}" for can_id in sorted(missing))
             raise NoResponseError(f"no frame with identifier {names} within {timeout_s:g} s")

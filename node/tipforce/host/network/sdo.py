@@ -17,8 +17,8 @@ from canopen_device.core import codes
 from canopen_device.core.sdo_client import SWITCH_BYTES, BlockDownload, BlockUpload, Download, Transfer, Upload
 from canopen_device.types import Value
 from tipforce.dictionary import objects as od
-from tipforce.dictionary import table
-from tipforce.dictionary.entries import Entry, resolve
+from tipforce.dictionary.entries import Entry, gauges_of, resolve
+from tipforce.dictionary.table import MIN_GAUGES
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError
 from tipforce.host.decoding.duplicates import PRODUCT, SERIAL, DuplicateNodes
 from tipforce.host.network.sdo_exchange import Attempt, Exchange, Turns
@@ -86,19 +86,19 @@ class SdoChannel:
 
     def read(self, entry: Entry[T]) -> T:
         """Return the value of an entry. Raises NoResponseError, SdoAbortError, or InputError for a wrong length."""
-        return entry.decode(self.upload(entry.index, entry.sub, entry.type == _DOMAIN))
+        return entry.decode(self.upload(*entry.key, entry.type == _DOMAIN))
 
     def write(self, entry: Entry[T], value: T) -> None:
         """Write a value. Raises as ``read``, and InputError for a value that the type cannot hold."""
-        self.download(entry.index, entry.sub, entry.encode(value))
+        self.download(*entry.key, entry.encode(value))
 
     async def read_async(self, entry: Entry[T]) -> T:
         """Read for asyncio. Raises as ``read``."""
-        return entry.decode(await self.upload_async(entry.index, entry.sub, entry.type == _DOMAIN))
+        return entry.decode(await self.upload_async(*entry.key, entry.type == _DOMAIN))
 
     async def write_async(self, entry: Entry[T], value: T) -> None:
         """Write for asyncio. Raises as ``write``."""
-        await self.download_async(entry.index, entry.sub, entry.encode(value))
+        await self.download_async(*entry.key, entry.encode(value))
 
     def __getitem__(self, name: str) -> Value:
         """Return the value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``.
@@ -113,7 +113,7 @@ class SdoChannel:
 
     def upload(self, index: int, sub: int, long: bool = False) -> bytes:
         """Return the bytes of an entry (an SDO upload). ``long``: in blocks, except data too short for them."""
-        return finished(self._wait(*self._upload(index, sub, long), blocks=True))
+        return finished(self._wait(*self._attempt(index, sub, long), blocks=True))
 
     def download(
         self,
@@ -129,15 +129,16 @@ class SdoChannel:
         ``progress`` receives the number of bytes that the node has acknowledged, in the thread that receives frames;
         ``deadline_s`` is the time for a transfer that takes longer than that of the channel.
         """
-        finished(self._wait(*self._download(index, sub, data, progress), deadline_s, blocks=True))
+        long = len(data) > SWITCH_BYTES
+        finished(self._wait(*self._attempt(index, sub, long, data, progress), deadline_s, blocks=True))
 
     async def upload_async(self, index: int, sub: int, long: bool = False) -> bytes:
         """Upload for asyncio."""
-        return await self._wait(*self._upload(index, sub, long), blocks=False)
+        return await self._wait(*self._attempt(index, sub, long), blocks=False)
 
     async def download_async(self, index: int, sub: int, data: bytes) -> None:
         """Download for asyncio."""
-        await self._wait(*self._download(index, sub, data), blocks=False)
+        await self._wait(*self._attempt(index, sub, len(data) > SWITCH_BYTES, data), blocks=False)
 
     def check_duplicates(self, wait: bool = False) -> None:
         """Raise DuplicateNodeError if two nodes respond with this node-id. Without a suspicion nothing is sent.
@@ -152,7 +153,7 @@ class SdoChannel:
         watch.retry(node_id)
         for number in range(_MOST_PROBES):
             try:
-                finished(self._transferred(*self._upload(*(SERIAL if number else PRODUCT), long=False), blocks=True))
+                finished(self._transferred(*self._attempt(*(SERIAL if number else PRODUCT)), blocks=True))
             except SdoAbortError:  # a response, too
                 pass
             except NoResponseError:
@@ -198,26 +199,22 @@ class SdoChannel:
         if not isinstance(name, str):
             raise InputError(f"object {name!r}: allowed is a name such as 'calibration.serial', or '0x2102:01'")
         if self._gauges is None:
-            product = self.read(od.IDENTITY_PRODUCT)
-            self._gauges = product & 0xF if table.MIN_GAUGES <= product & 0xF <= table.MAX_GAUGES else table.MIN_GAUGES
+            self._gauges = gauges_of(self.read(od.IDENTITY_PRODUCT)) or MIN_GAUGES
         return resolve(name, self._gauges)
 
-    def _upload(self, index: int, sub: int, long: bool) -> tuple[str, Attempt]:
+    def _attempt(
+        self, index: int, sub: int, long: bool = False, data: bytes | None = None,
+        progress: Callable[[int], None] | None = None,
+    ) -> tuple[str, Attempt]:  # fmt: skip
+        """Return the name of an upload, or of a download of ``data``, and what makes its transfers."""
+
         def attempt(number: int, timeout_us: int, deadline_us: int) -> Transfer:
-            kind = BlockUpload if long and self.has_blocks and number == 1 else Upload
-            return kind(index, sub, timeout_us, deadline_us)
+            in_blocks = long and self.has_blocks and number == 1
+            if data is None:
+                return (BlockUpload if in_blocks else Upload)(index, sub, timeout_us, deadline_us)
+            return (BlockDownload if in_blocks else Download)(index, sub, timeout_us, deadline_us, data, progress)
 
-        return f"read of 0x{index:04X}:{sub:02X}", attempt
-
-    def _download(
-        self, index: int, sub: int, data: bytes, progress: Callable[[int], None] | None = None
-    ) -> tuple[str, Attempt]:
-        def attempt(number: int, timeout_us: int, deadline_us: int) -> Transfer:
-            long = len(data) > SWITCH_BYTES
-            kind = BlockDownload if long and self.has_blocks and number == 1 else Download
-            return kind(index, sub, timeout_us, deadline_us, data, progress)
-
-        return f"write of 0x{index:04X}:{sub:02X}", attempt
+        return f"{'read' if data is None else 'write'} of 0x{index:04X}:{sub:02X}", attempt
 
     async def _wait(self, what: str, attempt: Attempt, deadline_s: float = 0.0, *, blocks: bool) -> bytes:
         """Do a transfer. ``blocks``: without an event loop, this thread waits; see ``finished``."""
@@ -253,13 +250,9 @@ class SdoChannel:
                         done.exception(exchange.left_s)
             return done.result()
         finally:
-            self._end(exchange)
-
-    def _end(self, exchange: Exchange) -> None:
-        self._exchange = None
-        self._ended_s = time.monotonic()
-        exchange.cancel()
-        self._turns.release()
+            self._exchange, self._ended_s = None, time.monotonic()
+            exchange.cancel()
+            self._turns.release()
 
     def _on_response(self, _can_id: int, data: bytearray, _t_s: float) -> None:
         exchange = self._exchange
