@@ -178,7 +178,7 @@ class Estimator:
         given = Readings(
             strain,
             None if temperature_degC is None else _temperatures(temperature_degC, shape),
-            _bits(lost, shape) if np.any(lost) else None,
+            _bits(lost, shape),
             frozen_gauges(self._calibration, strain),
         )
         contacts, status, _ = self.rows(given, Before(was_present, was_overloaded), out)
@@ -465,7 +465,7 @@ def _bits(values: npt.ArrayLike, shape: tuple[int, ...]) -> IntArray:
     lost = _broadcast("lost", np.asarray(values), shape)
     if not np.issubdtype(lost.dtype, np.integer):
         raise InputError(f"lost has the type {lost.dtype}: allowed are integers, bits of gauges")
-    return lost
+    return lost.astype(np.int64)
 
 
 def _broadcast(name: str, values: npt.NDArray[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:

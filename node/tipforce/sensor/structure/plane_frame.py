@@ -189,7 +189,8 @@ def _solve(elements: list[_Element], loads: FloatArray) -> FloatArray:
         raise InputError(f"stiffness {diagonal.tolist()}: the body is too thin or too thick for floating point")
     root = np.sqrt(diagonal)
     scaled = stiffness / root[:, np.newaxis] / root
-    return np.linalg.solve(scaled, loads / root[:, np.newaxis]) / root[:, np.newaxis]
+    motion: FloatArray = np.linalg.solve(scaled, loads / root[:, np.newaxis]) / root[:, np.newaxis]
+    return motion
 
 
 def _element(start: tuple[float, float], end: tuple[float, float], thickness: float, model: FrameModel) -> _Element:
