@@ -23,8 +23,8 @@ from tipforce.sensor.contact.redundancy import (
     detectable_strain,
     parity,
     weighted_inverse,
-    without,
 )
+from tipforce.sensor.contact.scalar_redundancy import leave_out
 from tipforce.sensor.structure.gauges import GaugePosition, position_matrix
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import noise_gain
@@ -159,8 +159,8 @@ def weights(calibrations: int, seed: int = SEED) -> dict[str, tuple[float, float
         for name, weight, stored in zip(names, (diagonal, diagonal, full), (full, diagonal, full), strict=True):
             C = weighted_inverse(B[:3].T, weight)
             alarms = np.mean(detect(parity(C, stored), strain, false_alarm_rate=FALSE_ALARM_RATE).fault)
-            left = without(C, stored, [2])
-            error = np.inf if left is None else np.sqrt(np.mean((strain @ left.C.T - F) ** 2))
+            left = leave_out(C.tolist(), stored[np.triu_indices(5)].tolist(), [2])
+            error = np.inf if left is None else np.sqrt(np.mean((strain @ np.transpose(left[0]) - F) ** 2))
             results[name].append((100.0 * float(alarms), float(error)))
     mean = {name: np.sqrt(np.mean(np.square(pairs), axis=0)) for name, pairs in results.items()}
     return {name: (float(np.mean([a for a, _ in results[name]])), float(mean[name][1])) for name in names}
@@ -177,8 +177,8 @@ def layout_table(positions: dict[str, GaugePosition]) -> str:
     rows = []
     for k, name in enumerate(names):
         twins = [names[i + j - k] for i, j in pairs if k in (i, j)]
-        left = without(C, covariance, [k])
-        gain = "no rank 3" if left is None else f"{noise_gain(left.C) / noise_gain(C):.2f}"
+        left = leave_out(C.tolist(), covariance[np.triu_indices(len(A))].tolist(), [k])
+        gain = "no rank 3" if left is None else f"{noise_gain(left[0]) / noise_gain(C):.2f}"
         rows.append([name, f"{detectable[k]:.1f}", ", ".join(twins) or "none", gain])
     return table(
         ["gauge", "smallest detected, microstrain", "not distinguished from", "noise of F without it, times"], rows

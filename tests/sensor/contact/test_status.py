@@ -177,10 +177,5 @@ def test_errors() -> None:
     ):
         with pytest.raises(InputError, match=name):
             status(found, np.ones(3), 0.0, limits)
-    for u, u_miss in ((np.ones((3, 3)), 0.0), (np.ones(3), np.ones(3))):
-        with pytest.raises(InputError, match="allowed are"):
-            status(found, u, u_miss, LIMITS)
-    with pytest.raises(InputError, match="allowed are"):
-        status(contacts(np.ones(3), pull=True), np.ones(3), 0.0, LIMITS)
     assert status(found, np.full(3, 0.1), 0.0, LIMITS).dtype == np.uint8
     assert scalar.MISS_COVERAGE_FACTOR == 3.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,9 +38,16 @@ def estimates(
     The uncertainty has the calibration's part where ``calibration.parameter_covariance`` is there.
     NaN is unknown; phi and theta are unknown where the status byte of a node would make them so.
     """
-    limit = None if saturation_microstrain is None else saturation_microstrain * 1e-6
     tares, weight = tares_of(data, calibration), _weight(data)
-    estimator = Estimator(calibration, converter_limit_strain=limit, offset_known=tares is not None)
+    if saturation_microstrain is not None:
+        own = calibration.converter_limit_strain
+        limit = np.minimum(np.where(own > 0.0, own, np.inf), 1e-6 * saturation_microstrain)
+        calibration = replace(calibration, converter_limit_strain=limit)
+    if tares is not None and calibration.parameter_covariance is not None:
+        blocks = calibration.parameter_covariance.copy()
+        blocks[:, 3] = blocks[:, :, :, 3] = 0.0  # the tares give the offset, with a noise of their own
+        calibration = replace(calibration, parameter_covariance=blocks)
+    estimator = Estimator(calibration)
     given = Readings(
         data.strain,
         temperature_degC=data.temperature_degC,

@@ -97,28 +97,17 @@ class Estimator:
     Sources: equations (1) and (16) of the paper; docs/uncertainty.md.
     """
 
-    def __init__(
-        self,
-        calibration: Calibration,
-        *,
-        uncertainty: bool = True,
-        converter_limit_strain: float | None = None,
-        offset_known: bool = False,
-    ) -> None:
+    def __init__(self, calibration: Calibration, *, uncertainty: bool = True) -> None:
         """``uncertainty`` False: u_P, u_phi and u_theta are NaN, and BEYOND_FIRST_ORDER, which judges them, is not set.
 
-        ``converter_limit_strain``: beside the calibration's own (2113h). ``offset_known``: the offsets are those of
-        tares, and the calibration's own adds no uncertainty. Raises InputError for contact limits out of order.
+        Raises InputError for contact limits that are not in order.
         """
-        self.judge = Judge(calibration, offset_known)
+        self.judge = Judge(calibration)
         self.gauges = calibration.gauges
         self._calibration, self._uncertainty = calibration, uncertainty
         self._active = active = self.judge.active
         model.check_limits(active.limits)
-        limits = np.where(calibration.converter_limit_strain > 0.0, calibration.converter_limit_strain, np.inf)
-        if converter_limit_strain is not None:
-            limits = np.minimum(limits, converter_limit_strain)
-        self._limits: list[float] = limits.tolist() if np.isfinite(limits).any() else []
+        self._limits = [limit or np.inf for limit in active.converter or ()]
         calibrated, overload = active.forces
         self._unranged = 0 if calibrated > 0.0 else reasons.UNRANGED
         self._calibrated_newtons = calibrated if calibrated > 0.0 else np.inf
@@ -189,7 +178,7 @@ class Estimator:
         given = Readings(
             strain,
             None if temperature_degC is None else _temperatures(temperature_degC, shape),
-            _bits(lost, shape) if np.any(lost) else None,
+            _bits(lost, shape),
             frozen_gauges(self._calibration, strain),
         )
         contacts, status, _ = self.rows(given, Before(was_present, was_overloaded), out)
@@ -476,7 +465,7 @@ def _bits(values: npt.ArrayLike, shape: tuple[int, ...]) -> IntArray:
     lost = _broadcast("lost", np.asarray(values), shape)
     if not np.issubdtype(lost.dtype, np.integer):
         raise InputError(f"lost has the type {lost.dtype}: allowed are integers, bits of gauges")
-    return lost
+    return lost.astype(np.int64)
 
 
 def _broadcast(name: str, values: npt.NDArray[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:

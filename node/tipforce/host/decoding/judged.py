@@ -73,9 +73,8 @@ class Judged(NamedTuple):
 class Judge:
     """Judges samples by one calibration; what it worked out for gauges left out it keeps."""
 
-    def __init__(self, calibration: Calibration, offset_known: bool = False) -> None:
-        """``offset_known``: by tares, so that the calibration's own offset adds no uncertainty."""
-        self.calibration, self._offset_known = calibration, offset_known
+    def __init__(self, calibration: Calibration) -> None:
+        self.calibration = calibration
         self.active = Active(b"", calibration.numbers(), calibration.gauges)
         self._parameters: dict[int, list[list[float]]] = {}
 
@@ -244,8 +243,6 @@ class Judge:
         kernel = kernel + np.swapaxes(kernel, 2, 3)
         kernel = 0.5 * (kernel + np.swapaxes(kernel, 0, 1))
         kernel[:, :, range(4), range(4)] *= 0.5
-        if self._offset_known:
-            kernel[:, :, 3] = kernel[:, :, :, 3] = 0.0
         order = (*_PAIRS, (0, 3), (1, 3), (2, 3), (3, 3))
         return [[float(kernel[a, b, i, j]) for i, j in order] for a, b in _PAIRS]
 

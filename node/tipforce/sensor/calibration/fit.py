@@ -30,7 +30,7 @@ from tipforce.sensor.calibration.regressors import (
 )
 from tipforce.sensor.calibration.result import Fit, LoadResidual, covariance_of_estimate, kronecker
 from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
-from tipforce.sensor.calibration.statistics import Left, Scales, result
+from tipforce.sensor.calibration.statistics import Scales, result
 from tipforce.sensor.calibration.terms import (
     CHANCE,
     Temperature,
@@ -141,8 +141,7 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
             settled = True
             break
     assert solution is not None
-    left = Left(outlier, saturated, near)
-    fit = result(readings, model, scales, basis, problem, solution, singular, left)
+    fit = result(readings, model, scales, basis, problem, solution, singular, outlier, saturated, near)
     largest = float(readings.P_newtons.max())
     straight = nonlinearity(problem, solution, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
     if straight is not None and not straight.significant and outlier.any():

@@ -35,17 +35,6 @@ class Scales(NamedTuple):
         return cls(float(np.sqrt(np.mean(np.square(strain)))) or 1.0, typical)
 
 
-class Left(NamedTuple):
-    """Which readings were left out, and why."""
-
-    outlier: BoolArray
-    """(m,)."""
-    saturated: BoolArray
-    """(m, n)."""
-    near_limit: BoolArray
-    """(m, n)."""
-
-
 def left_inverse(A: FloatArray, Sigma: FloatArray) -> FloatArray:
     """Return C (3, n) with C A = I and the least noise: (A^T W A)^-1 A^T W with W the inverse of Sigma (n, n).
 
@@ -79,9 +68,11 @@ def result(
     problem: Problem,
     solution: Solution,
     singular: FloatArray,
-    left: Left,
+    outlier: BoolArray,
+    saturated: BoolArray,
+    near_limit: BoolArray,
 ) -> Fit:
-    """Return the Fit in SI units."""
+    """Return the Fit in SI units. Left out were rows, ``outlier`` (m,), and readings, (m, n)."""
     L = reference_map(basis)
     at_reference = solution.coefficients @ L.T * scales.strain
     A = at_reference[:, :3] / scales.newtons
@@ -118,9 +109,9 @@ def result(
         distance=np.sqrt(np.maximum(solution.distance, 0.0)),
         leverage=solution.leverage,
         used=problem.observed,
-        outliers=tuple(int(row) for row in np.flatnonzero(left.outlier)),
-        saturated=_places(left.saturated),
-        near_limit=_places(left.near_limit),
+        outliers=tuple(int(row) for row in np.flatnonzero(outlier)),
+        saturated=_places(saturated),
+        near_limit=_places(near_limit),
         loads=_by_load(readings, problem.observed, residual, C, solution.leverage),
         drift=model.drift,
         loss=model.loss,

@@ -320,18 +320,11 @@ def status(
 
     contact: arrays of shape (n,). uncertainties: (n, 3) or (3,) from standard_uncertainties().
     u_miss_newtons: (n,) or a scalar from miss_uncertainties(). was_present: contact before the first sample.
-    Raises InputError for other shapes, for limits that are NaN, a contact-off above contact-on, or a pad
-    whose minimum is above its maximum.
+    Raises InputError as check_limits() does.
     """
     check_limits(limits)
-    P = contact.P_newtons
     u, u_miss = floats("uncertainties", uncertainties), floats("u_miss_newtons", u_miss_newtons)
-    if P.ndim != 1 or u.shape not in {(3,), (P.size, 3)} or u_miss.shape not in {(), P.shape}:
-        raise InputError(
-            f"contact {P.shape}, uncertainties {u.shape}, u_miss_newtons {u_miss.shape}: "
-            "allowed are (n,), (n, 3) or (3,), (n,) or a scalar"
-        )
-    misses = contact.miss_newtons > scalar.MISS_COVERAGE_FACTOR * u_miss + scalar.MISS_FLOOR * P
+    misses = contact.miss_newtons > scalar.MISS_COVERAGE_FACTOR * u_miss + scalar.MISS_FLOOR * contact.P_newtons
     return status_columns(contact, is_resolved(u[..., 0], u[..., 2]), misses, limits, was_present).astype(np.uint8)
 
 

@@ -1,19 +1,17 @@
-"""Fault detection with more than three gauges: gauges that contradict the others, and the force from the rest.
+"""Fault detection with more than three gauges: gauges that contradict the others.
 
 V = A F + e with the covariance Sigma of e; C = (A^T Q A)^-1 A^T Q, Q = Sigma^-1, is the weighted inverse. n - 3
-combinations of the gauges do not depend on the force (parity directions); their chi-square is r Q r with the residual
-r = V - A C V. A fault f in gauge k adds f P e_k to r, P = I - A C, so its effect is confined to one direction
-of parity space. Two gauges with parallel directions cannot be distinguished; that is so exactly if the other
-n - 2 gauges have no rank 3, whatever their noise. With four gauges there is one direction and no fault
-can be isolated, unless only one gauge is visible: it then responds to no force at all. A gauge is invisible if the
-others have no rank 3: its fault looks like a force.
+combinations W of the gauges do not depend on the force (parity directions); chi-square is |W V|^2. A fault of a gauge
+moves W V along its column of W. Two gauges with parallel columns cannot be distinguished; that is so exactly if the
+other n - 2 gauges have no rank 3, whatever their noise. With four gauges there is one direction and no fault can be
+isolated, unless only one gauge is visible: it then responds to no force at all. A gauge is invisible if the others have
+no rank 3: its fault looks like a force.
 
-scalar_redundancy.py has the same formulas for one sample on a microcontroller.
+scalar_redundancy.py has the directions, the force without a gauge, and the same decisions for one sample.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,41 +20,25 @@ import numpy.typing as npt
 from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar_redundancy
-from tipforce.sensor.contact.scalar_redundancy import CONDITION_LIMIT, EXCLUSION_RATE, FALSE_ALARM_RATE
+from tipforce.sensor.contact.scalar_redundancy import EXCLUSION_RATE, FALSE_ALARM_RATE
 
 NONE, UNCLEAR = -1, -2
 """Values of Faults.isolated: no fault; a fault that no single gauge, or more than one, explains."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Subset:
-    """Force from some of the gauges."""
-
-    C: FloatArray
-    """(3, n), newtons per unit strain; zero columns for the gauges left out."""
-    covariance_F: FloatArray
-    """(3, 3), N^2, from the noise of the gauges used."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Parity:
     """Information in the residuals of n > 3 gauges."""
 
-    A: FloatArray
-    """(n, 3), strain per newton."""
-    C: FloatArray
-    """(3, n), newtons per unit strain."""
-    Q: FloatArray
-    """(n, n), inverse of the gauges' covariance."""
-    P: FloatArray
-    """(n, n), I - A C: column k is the residual of a unit fault of gauge k."""
+    W: FloatArray
+    """(n - 3, n), per strain: directions in which no force moves the gauges, each of variance 1."""
     visible: FloatArray
     """(n,), chi-square per squared unit fault of each gauge; zero: its fault is invisible."""
 
     @property
     def degrees(self) -> int:
         """Parity directions, n - 3."""
-        return int(self.A.shape[0]) - 3
+        return len(self.W)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,34 +86,6 @@ def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
     return np.asarray(A, dtype=np.float64)
 
 
-def without(
-    C: npt.ArrayLike,
-    covariance_strain2: npt.ArrayLike,
-    left_out: Sequence[int],
-    condition_limit: float = CONDITION_LIMIT,
-) -> Subset | None:
-    """Return the force from all but some gauges (from 0), or None if the rest has no rank 3.
-
-    C: (3, n), weighted by covariance_strain2 (n, n). No rank 3: fewer than three gauges left, or the condition
-    number (2-norm) of their matrix over the limit. Raises InputError as structure_matrix() does, and for gauges
-    that do not exist.
-    """
-    A, covariance = structure_matrix(C, covariance_strain2), floats("covariance_strain2", covariance_strain2)
-    n = len(A)
-    if any(not 0 <= gauge < n for gauge in left_out):
-        raise InputError(f"left_out = {list(left_out)}: allowed are gauges 0 to {n - 1}")
-    kept = [k for k in range(n) if k not in left_out]
-    rows, part = A[kept], covariance[np.ix_(kept, kept)]
-    if len(kept) < 3 or np.linalg.matrix_rank(rows / np.linalg.norm(rows)) < 3:
-        return None
-    inverse = weighted_inverse(rows, part)
-    if not np.linalg.cond(inverse) <= condition_limit:
-        return None
-    full = np.zeros((3, n))
-    full[:, kept] = inverse
-    return Subset(full, inverse @ part @ inverse.T)
-
-
 def parity(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Parity:
     """Return the information in the residuals of n > 3 gauges. C: (3, n), weighted by covariance_strain2 (n, n).
 
@@ -141,11 +95,13 @@ def parity(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Parity:
     n = matrix.shape[1]
     if n < 4:
         raise InputError("three gauges have no parity direction: fault detection needs at least four")
-    A = structure_matrix(matrix, covariance)
-    Q, P = np.linalg.inv(covariance), np.eye(n) - A @ matrix
-    visible = np.einsum("ki,ik->k", Q, P)
-    visible = np.where(visible * np.diag(covariance) < scalar_redundancy.SMALLEST_VARIANCE, 0.0, visible)
-    return Parity(A, matrix, np.asarray(Q, dtype=np.float64), P, visible)
+    structure_matrix(matrix, covariance)  # raises
+    noise: list[float] = covariance[np.triu_indices(n)].tolist()
+    W = scalar_redundancy.directions(matrix.tolist(), noise, list(range(n)))
+    if W is None:
+        raise InputError("the gauges' noise is too different: their covariance has no inverse in floating point")
+    shown = [column is not None for column in scalar_redundancy.columns(W, noise)]
+    return Parity(np.array(W), np.where(shown, np.square(W).sum(axis=0), 0.0))
 
 
 def separation(model: Parity) -> FloatArray:
@@ -154,10 +110,8 @@ def separation(model: Parity) -> FloatArray:
     0: the two cannot be distinguished. Small: only by a fault that is larger by 1 / sine than the smallest visible
     one. NaN for gauges whose faults are invisible.
     """
-    R = model.Q @ model.P
-    with np.errstate(divide="ignore", invalid="ignore"):
-        length = np.sqrt(np.where(model.visible > 0.0, model.visible, np.nan))
-        cosine = R / np.outer(length, length)
+    length = np.sqrt(np.where(model.visible > 0.0, model.visible, np.nan))
+    cosine = (model.W / length).T @ (model.W / length)
     sine: FloatArray = np.sqrt(np.clip((1.0 - cosine) * (1.0 + cosine), 0.0, None))
     return sine
 
@@ -201,24 +155,21 @@ def detect(
     for name, rate in (("false_alarm_rate", false_alarm_rate), ("exclusion_rate", exclusion_rate)):
         if not 0.0 < rate < 1.0:
             raise InputError(f"{name} = {rate!r}: allowed is above 0 and below 1")
-    V = floats("strain", strain)
-    n = len(model.A)
+    V, n = floats("strain", strain), len(model.visible)
     if V.ndim < 1 or V.shape[-1] != n:
         raise InputError(f"strain has the shape {V.shape}: allowed is (..., {n})")
     factor = floats("variance_factor", variance_factor)
     alarm = scalar_redundancy.chi_square_threshold(false_alarm_rate, n - 3)
     exclusion = scalar_redundancy.chi_square_threshold(exclusion_rate, n - 4)
     with np.errstate(invalid="ignore", over="ignore"):
-        r = V - (V @ model.C.T) @ model.A.T
-        weighed = r @ model.Q
-        chi_square = np.sum(r * weighed, axis=-1) / factor
+        p = V @ model.W.T
+        chi_square = np.square(p).sum(axis=-1) / factor
         fault = ~(chi_square <= alarm)
-        candidates = np.zeros(V.shape, dtype=np.bool_)
-        for k in np.flatnonzero(model.visible):
-            # With four gauges only rounding is left, and every gauge explains all.
-            rest = r - (weighed[..., k] / model.visible[k])[..., np.newaxis] * model.P[:, k]
-            left = np.sum(rest * (rest @ model.Q), axis=-1) / factor
-            candidates[..., k] = fault & ((n == 4) | (left <= exclusion)) & np.isfinite(chi_square)
+        along = np.square(p @ model.W) / np.where(model.visible > 0.0, model.visible, np.inf)
+        left = chi_square[..., np.newaxis] - along / factor[..., np.newaxis]
+        # With four gauges only rounding is left, and every gauge explains all.
+        candidates = (model.visible > 0.0) & ((n == 4) | (left <= exclusion))
+        candidates &= (fault & np.isfinite(chi_square))[..., np.newaxis]
     alone = np.where(candidates.sum(axis=-1) == 1, candidates.argmax(axis=-1), UNCLEAR)
     return Faults(chi_square, fault, candidates, np.where(fault, alone, NONE).astype(np.int64))
 

@@ -138,11 +138,11 @@ class Frame:
 
     def tip_motion(self) -> FloatArray:
         """Return the motion of the tip relative to the joint per newton of F: (3, 3), rows u_m, v_m, rotation_rad."""
-        return self._tip.motion / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
+        return self._tip / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
 
     def joint_motion(self) -> FloatArray:
         """Return the motion of the joint relative to the fixture per newton of F: (3, 3), rows as tip_motion()."""
-        return self._joint.motion / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
+        return self._joint / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
 
     def slit_closure(self, fractions: npt.ArrayLike) -> FloatArray:
         """Return the decrease of the slit width between tip and horizontal beam, m per newton of F, (2, m, 3).
@@ -155,52 +155,42 @@ class Frame:
         closures = []
         for element in self._arms.values():
             x = element.start[0] + xi * element.length * element.axes[0, 0]
-            tip = self._tip.motion[1] + x * self._tip.motion[2]
-            closures.append((_deflection(element, self._tip.motion, xi) - tip) / scale)
+            tip = self._tip[1] + x * self._tip[2]
+            closures.append((_deflection(element, self._tip, xi) - tip) / scale)
         return np.stack(closures)
 
     def _row(self, gauge: Gauge, gauge_length_m: float) -> FloatArray:
         spot = place(self.geometry, gauge)
         if spot.beam == "H":
-            element, solution = self._arms[spot.side], self._tip
+            element, motion = self._arms[spot.side], self._tip
             s = spot.position_m - self._inner
             outward = -1.0 if spot.face == "lower" else 1.0
             # Local y points up on the right arm, down on the left one, whose direction is -x.
             outward *= element.axes[0, 0]
         else:
-            element, solution = self._vertical, self._joint
+            element, motion = self._vertical, self._joint
             s = self.geometry.d_m - spot.position_m
             outward = 1.0 if spot.side == "left" else -1.0
         if gauge in POINTS:
             s = element.length if s > 0.5 * element.length else 0.0
         ends = _span(spot, s, gauge_length_m, element.length)
-        strain = np.mean([_surface_strain(element, solution.motion, end, outward) for end in ends], axis=0)
+        strain = np.mean([_surface_strain(element, motion, end, outward) for end in ends], axis=0)
         row: FloatArray = strain / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
         return row
 
 
-class _Solution(NamedTuple):
-    """A solved block of the stiffness matrix, for E = 1 and width = 1."""
-
-    stiffness: FloatArray
-    motion: FloatArray
-    """(3, 3): (u, v, rotation) per newton of F1, F2, F3."""
-    lowest: float
-    """Eigenvalues of the scaled matrix."""
-    highest: float
-
-
-def _solve(elements: list[_Element], loads: FloatArray) -> _Solution:
-    """Assemble the stiffness of one body, scale its diagonal to 1, solve for three loads (columns of (3, 3))."""
+def _solve(elements: list[_Element], loads: FloatArray) -> FloatArray:
+    """Return the motion (u, v, rotation) of a body per newton of three loads (columns of (3, 3)): (3, 3), for E = 1
+    and width = 1. The stiffness is scaled to a diagonal of 1.
+    """
     stiffness = np.sum([e.motion.T @ e.stiffness[3:, 3:] @ e.motion for e in elements], axis=0)
     diagonal = np.diagonal(stiffness)
     if not (np.isfinite(stiffness).all() and (diagonal > 1e-300).all()):
         raise InputError(f"stiffness {diagonal.tolist()}: the body is too thin or too thick for floating point")
     root = np.sqrt(diagonal)
     scaled = stiffness / root[:, np.newaxis] / root
-    motion = np.linalg.solve(scaled, loads / root[:, np.newaxis]) / root[:, np.newaxis]
-    values = np.linalg.eigvalsh(scaled)
-    return _Solution(stiffness, motion, float(values[0]), float(values[-1]))
+    motion: FloatArray = np.linalg.solve(scaled, loads / root[:, np.newaxis]) / root[:, np.newaxis]
+    return motion
 
 
 def _element(start: tuple[float, float], end: tuple[float, float], thickness: float, model: FrameModel) -> _Element:
