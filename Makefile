@@ -60,6 +60,7 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.scale
 	TIPFORCE_KILLS=100 TIPFORCE_CLUSTER=4 $(PYTHON) -m pytest -q tests/tools/decode/test_dataset.py tests/running \
 		tests/microcontroller/test_programs.py -k "kill or power_cuts" -o faulthandler_timeout=0
+	TIPFORCE_ALL_CASES=1 $(PYTHON) -m pytest -q tests/micropython/test_replay.py -k conformance
 	TIPFORCE_ALL_WRITES=1 $(PYTHON) -m pytest -q tests/host/hand/test_another_master.py -s -o faulthandler_timeout=0
 	TIPFORCE_DAYS=30 $(PYTHON) -m pytest -q tests/tools/decode/test_dataset_readers.py
 	$(PYTHON) -m bench.live

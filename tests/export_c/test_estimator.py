@@ -22,7 +22,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
 from tipforce_tools.export_c.files import c_files, row_words
 
-SAMPLES = 20_000
+SAMPLES = 10_000
 DOCUMENT = Path(__file__).parents[2] / "docs/firmware.md"
 needs_gcc = pytest.mark.skipif(not estimators.found_compiler("gcc"), reason="gcc is missing: apt-get install gcc")
 UNKNOWN = scalar.UNKNOWN_FORCE | scalar.UNKNOWN_PHI | scalar.UNKNOWN_THETA

@@ -100,7 +100,7 @@ REALS = st.floats(width=32, allow_nan=False, allow_infinity=False)
     st.floats(0.0, 30.0),
     st.floats(-180.0, 180.0),
 )
-@settings(max_examples=200)
+@settings(max_examples=60)
 def test_6130h_is_compared_as_it_is_read(sub: int, start: float, end: float, P: float, phi: float) -> None:
     """A span anywhere, or as many REAL32 steps beside the value as an integer says, which may be none."""
     talk = finger(load=(P, phi, phi - 10.0))
@@ -125,7 +125,7 @@ def test_6130h_is_compared_as_it_is_read(sub: int, start: float, end: float, P: 
 
 
 @given(st.integers(1, 9), st.integers(-32767, 32767), st.sampled_from([START, END]), st.sampled_from([0x1000, 0x3000]))
-@settings(max_examples=100)
+@settings(max_examples=40)
 def test_the_integer_forms_are_the_same_span(sub: int, digits: int, index: int, form: int) -> None:
     written, same = finger(load=LOAD), finger(load=LOAD)
     kind = "h" if form == 0x1000 else "i"

@@ -1,8 +1,55 @@
-"""The firmware loop of docs/firmware.md runs on MicroPython as it is printed there."""
+"""A node on MicroPython: its files, its memory, the documented loop, and single precision that shows the same."""
 
+import random
 from pathlib import Path
 
-from micropython import engine
+import pytest
+
+from micropython import engine, footprint
+from micropython.single_precision import compare
+
+# A node is a server; and what devices from an EDS need, a fingertip does without.
+OTHER_DEVICES = {f"canopen_device/core/{name}.py" for name in ("__init__", "sdo_client", "sync_producer", "wide_types")}
+
+
+def test_the_whole_device_core_is_among_them_and_nothing_of_a_pc() -> None:
+    found = {path.relative_to(engine.SOURCE).as_posix() for path in engine.on_node_files()}
+    assert (
+        found
+        >= {str(path.relative_to(engine.SOURCE)) for path in engine.SOURCE.glob("canopen_device/core/*.py")}
+        - OTHER_DEVICES
+    )
+    assert not found & OTHER_DEVICES
+    assert found >= {f"tipforce/{name}.py" for name in ("dictionary/table", "sensor/contact/scalar", "fingertip/node")}
+    assert not [name for name in found if name.startswith("canopen_device/") and "/core/" not in name]
+    assert not found & {"tipforce/sensor/contact/estimate.py", "tipforce/errors.py"}
+
+
+HEAP_BYTES = 180_000  # MicroPython leaves about 200 000 of an ESP32's memory
+NODE_BYTES = 46_000
+# MicroPython's table of names doubles, some 9 kB, while the modules are imported or while the node is built.
+CODE_AND_NODE_BYTES = 164_000
+
+
+@pytest.fixture(scope="module")
+def used() -> footprint.Heap:
+    return footprint.heap(engine.compiled(3))
+
+
+def test_a_node_after_boot(used: footprint.Heap) -> None:
+    assert 10_000 < used.node < NODE_BYTES, used
+
+
+def test_everything_at_the_worst_moment_fits_the_heap(used: footprint.Heap) -> None:
+    assert used.code > 10_000
+    assert used.code + used.node < CODE_AND_NODE_BYTES, used
+    assert used.code + used.node < used.peak < HEAP_BYTES, used
+
+
+def test_nothing_accumulates(used: footprint.Heap) -> None:
+    # What comes once (the EMCY history, a longer list) is in the first thousand steps.
+    assert abs(used.after_many - used.after_some) < 500, used
+
 
 DOCUMENT = Path(__file__).parents[2] / "docs/firmware.md"
 BOARD = """
@@ -48,3 +95,17 @@ def test_the_documented_firmware() -> None:
         "705#00",
         "[('reset-communication', 0, 0)] ['application', 'calibration', 'communication']",
     ]
+
+
+def test_the_contact_pdo_differs_by_one_unit_at_most() -> None:
+    chance = random.Random(20250131)
+    loads = [
+        (10.0 ** chance.uniform(-1.5, 1.4), chance.uniform(-60.0, 60.0), chance.uniform(-60.0, 60.0))
+        for _ in range(1000)
+    ]
+    found = compare(loads)
+    assert found.P <= 1
+    assert found.phi <= 1
+    assert found.theta <= 1
+    assert found.status == 0
+    assert found.changed <= 20, found

@@ -201,9 +201,11 @@ def test_base_node_402_drives_it_on_a_virtual_bus(monkeypatch: pytest.MonkeyPatc
             deadline_s = time.monotonic() + 60
             while not (node.check_statusword() & 0x400 and node.sdo[0x6064].raw == 700):
                 assert time.monotonic() < deadline_s
+                time.sleep(0.01)
             drive.application.fail(0x3210)  # type: ignore[attr-defined]
             while node.state != "FAULT":
                 assert time.monotonic() < deadline_s
+                time.sleep(0.01)
                 node.check_statusword()
             assert node.sdo[0x603F].raw == 0x3210
             node.reset_from_fault()

@@ -183,12 +183,13 @@ def _flipped_in_store() -> Observed:
     memory = _stored()
     data = memory.groups["calibration"]
     good = _started(memory).sync()
-    caught = total = 0
+    caught, total = 0, 8 * len(data)
     for spoilt in _flipped(data):
         memory.groups["calibration"] = spoilt
-        caught += _uncalibrated(_started(memory))
-        total += 1
-    held = caught == total == 8 * len(data) and good.contact[0] == 1000
+        if not _uncalibrated(_started(memory)):
+            break
+        caught += 1
+    held = caught == total and good.contact[0] == 1000
     return Observed(held, f"{caught} of {total} noticed; whole, the node shows {good.contact[0]} mN")
 
 

@@ -180,9 +180,9 @@ def _slit() -> Observed:
     theta, phi = 0.5 * math.pi, 1.3 * math.pi
     load = closing_load(FABRICATED, theta, phi)
     direction = np.array([math.sin(phi), math.sin(phi - theta), math.cos(phi)])
-    t, worst, touches = np.linspace(0.0, 1.0, 41), 0.0, []
+    t, worst, touches = np.linspace(0.0, 0.1, 41), 0.0, []
     for factor in (0.9, 1.1, 10.0, 1000.0):
-        found = overload(structure, stop, t, t[:, np.newaxis] * factor * load * direction)
+        found = overload(structure, stop, t, t[:, np.newaxis] / t[-1] * factor * load * direction)
         forces = found.contact_newtons
         free = found.elastic_newtons - forces @ stop.arms_per_newton.T  # of the open structure
         depth = free @ stop.closure_per_newton.T - stop.gap_m

@@ -75,18 +75,18 @@ def run(seed: int) -> list[job.Result]:
 
 
 def test_any_seed_passes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten seeds on every third groove; z stays that of the whole demo."""
+    """Five seeds on every third groove; z stays that of the whole demo."""
     few = GROOVES_DEG[::3]
     whole = job.coverage_factor(LOADS * 3)
     monkeypatch.setattr("tipforce_tools.demo.job.GROOVES_DEG", few)
     monkeypatch.setattr(job, "coverage_factor", lambda _: whole)
     estimates = []
-    for seed in range(10):
+    for seed in range(5):
         results = run(seed)
         assert len(results) == 6 * len(few)
         assert all(result.inside and result.host_agrees for result in results)
         estimates.append(tuple(float(result.estimated[0]) for result in results))
-    assert len(set(estimates)) == 10, "the seed changes the noise"
+    assert len(set(estimates)) == 5, "the seed changes the noise"
 
 
 def test_a_missing_value_is_outside() -> None:

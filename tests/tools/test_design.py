@@ -156,17 +156,18 @@ def test_missing_matplotlib_names_the_extra(printed: Printed, monkeypatch: pytes
 
 @NEEDS_MATPLOTLIB
 def test_figures_are_reproducible_and_small(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    for name in ("one", "two"):
-        assert main(["design", "table", "all", "--repeats", "5", "-q", "-o", str(tmp_path / name)]) == 0
+    for what, name in (("all", "one"), ("3", "two")):
+        assert main(["design", "table", what, "--repeats", "5", "-q", "-o", str(tmp_path / name)]) == 0
     capsys.readouterr()
     names = {path.name for path in (tmp_path / "one").iterdir()}
     stems = ("cross-section", "condition-and-noise", "figure-6", "grooves", "figure-9", "off-axis")
     assert names == {f"{stem}.svg" for stem in stems}
     for name in names:
         first = (tmp_path / "one" / name).read_bytes()
-        assert first == (tmp_path / "two" / name).read_bytes()
         assert b"<dc:date>" not in first
         assert len(first) < 100_000
+    (again,) = (tmp_path / "two").iterdir()
+    assert again.read_bytes() == (tmp_path / "one" / again.name).read_bytes()
 
 
 @NEEDS_MATPLOTLIB

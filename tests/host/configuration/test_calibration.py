@@ -44,9 +44,7 @@ def records(draw: st.DrawFn) -> bytes:
     return struct.pack("<" + "".join(kind for _, _, kind in table_objects.staged(n)), *fields)
 
 
-@settings(
-    max_examples=100, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(records())
 def test_a_record_survives_numbers_and_a_file(tmp_path: Path, record: bytes) -> None:
     found = Calibration.from_record(record)

@@ -22,9 +22,9 @@ def test_rows_over_loopback_sockets(sync: str) -> None:
     assert len(jitter_row(found)) == len(JITTER_HEADER)
 
 
-def test_a_minute_of_trouble_breaks_nothing() -> None:
-    outcome = Soak(stored_fingers(3, 7), seed=7).run(40.0)
+def test_trouble_breaks_nothing() -> None:
+    outcome = Soak(stored_fingers(3, 7), seed=7).run(15.0)
     assert outcome.breaks == []
-    assert outcome.checked > 5000
+    assert outcome.checked > 2000
     assert outcome.counts["boot_up"] > 0
     assert outcome.counts["frames: delay"] > 0

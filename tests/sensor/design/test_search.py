@@ -40,7 +40,7 @@ CASE_I_SLOTS = (GaugePosition("H", "left", 0.0), GaugePosition("H", "right", 0.0
 
 @cache
 def found(gauges: int, objective: Objective, limits: Limits = LIMITS, seed: int = 0) -> Design:
-    return search(gauges, objective, limits, LOADS, starts=8 if gauges == 3 else 4, seed=seed)[0]
+    return search(gauges, objective, limits, LOADS, starts=4 if gauges == 3 else 2, seed=seed)[0]
 
 
 def judged(design: Design, limits: Limits = LIMITS) -> Assessment:

@@ -16,7 +16,7 @@ def found() -> dict[str, Study]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(fits, "timed", at_once)
         patch.setattr(fits, "LOADS", (12, 50, 200))
-        patch.setattr(Tiny, "pick", lambda *_: 8)
+        patch.setattr(Tiny, "pick", lambda *_: 5)
         return {one.key: one for one in fits.studies(Tiny(), lambda: None)}
 
 
