@@ -31,6 +31,7 @@ signal n ended it, 130 interrupted
   tipforce vcan -- candump -n 1 vcan0
   tipforce vcan --interfaces can0,can1,can2 -- python -m pytest tests/vcan
   tipforce vcan                                  a shell with the two buses
+  tipforce vcan --attach -- tipforce scan -i socketcan -c vcan0          from another terminal
 """
 NOT_FOUND = 127  # what a shell reports for a command that it cannot find
 _KEPT = "--rw: files that you write are kept"
@@ -46,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--memory", default="2G", metavar="SIZE", help="of User-mode Linux (default: %(default)s)")
     parser.add_argument("--timeout", type=common.seconds, metavar="S", help="end COMMAND after S seconds, exit with 1")
+    parser.add_argument("--attach", action="store_true", help="run COMMAND on the buses of a running `tipforce vcan`")
     parser.add_argument("--rw", action="store_true", help="User-mode Linux: let COMMAND write your files")
     places = parser.add_mutually_exclusive_group()
     places.add_argument(
@@ -67,6 +69,10 @@ def run(args: argparse.Namespace) -> int:
             "here -i udp_multicast -c 239.74.163.2 is a bus of UDP datagrams; `tipforce demo` and log tools work too"
         )
     command = args.command[1:] if args.command[:1] == ["--"] else args.command
+    if args.attach:
+        from tipforce_tools.vcan.attach import run_attached
+
+        return run_attached(command or _shell(), args.timeout)
     return run_with_vcan(
         command or _shell(),
         interfaces=[name.strip() for name in args.interfaces.split(",")],
