@@ -4,8 +4,8 @@ import argparse
 import math
 
 from tipforce_tools.cli import common
-from tipforce_tools.cli.eds_flag import add_eds_argument
 from tipforce_tools.cli.listening import add_sync_argument
+from tipforce_tools.cli.log_flags import add_eds_argument
 
 DESCRIPTION = """\
 Show the active nodes, one row each: samples per second, their regularity, the age of the last one, contact, status,

@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
 from tipforce.host.live.receiver import InterfaceDownError
+from tipforce.host.live.targets import STDIN, Target, split_targets
+from tipforce.host.logs.empty import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
+from tipforce.watching.bus_monitor import QUANTITIES, BusView, Monitor, NodeView, Reading
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import shown_id
-from tipforce_tools.cli.eds_flag import eds_files
-from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
 from tipforce_tools.cli.listening import StopSignals, check_sync, counted, open_targets
+from tipforce_tools.cli.log_flags import eds_files
 from tipforce_tools.cli.main import INTERRUPTED
-from tipforce_tools.dump.targets import STDIN, Target, split_targets
-from tipforce_tools.monitor.state import QUANTITIES, BusView, Monitor, NodeView, Reading
 
 if TYPE_CHECKING:
     from pathlib import Path

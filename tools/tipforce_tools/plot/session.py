@@ -13,9 +13,9 @@ from tipforce.host.decoding.log_part import Notes
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Table
+from tipforce.host.logs.empty import no_sample
 from tipforce.output_file import FIGURES, check_output, figure_kind, save_figure
 from tipforce_tools.cli import common
-from tipforce_tools.cli.empty_log import no_sample
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
 from tipforce_tools.plot import figure

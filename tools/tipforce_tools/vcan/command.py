@@ -15,14 +15,11 @@ DESCRIPTION = """\
 Run COMMAND where vcan0 and vcan1 are up, and exit with its exit code. The first of these that works is used: this
 kernel, if the interfaces are up; this kernel in a temporary network namespace, which leaves the host unchanged;
 User-mode Linux, a kernel that runs as a program (apt-get install user-mode-linux). COMMAND has your directory and
-environment in all cases.
+environment. Without any vcan (macOS, containers) commands take -i udp_multicast -c 239.74.163.2.
 
 In User-mode Linux COMMAND is root on one CPU. It can read your files; files that it writes are lost afterwards (--rw
 keeps them, except for temporary files: TMPDIR is a folder in memory). stdin is /dev/null, and stdout and stderr are
 pipes, unless all three are a terminal, which COMMAND then uses.
-
-Without any vcan (macOS, Windows, containers): every command takes -i udp_multicast -c 239.74.163.2, a bus of UDP
-datagrams (pip install 'tipforce[multicast]').
 """
 EPILOG = """\
 exit codes besides COMMAND's own: 1 after --timeout, 2 usage, 126 and 127 when COMMAND cannot be started, 128+n when
@@ -30,7 +27,6 @@ signal n ended it, 130 interrupted
 
   tipforce vcan -- candump -n 1 vcan0
   tipforce vcan --interfaces can0,can1,can2 -- python -m pytest tests/vcan
-  tipforce vcan                                  a shell with the two buses
   tipforce vcan --attach -- tipforce scan -i socketcan -c vcan0          from another terminal
 """
 NOT_FOUND = 127  # what a shell reports for a command that it cannot find
