@@ -30,11 +30,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument("logs", nargs="+", type=common.LogFile(), metavar="LOG", help="files and globs, or -")
-    parser.add_argument("-o", "--output", metavar="FILE", help=".png, .svg or .pdf")
-    parser.add_argument("--show", action="store_true", help="also show the plot in a window")
-    parser.add_argument("--title", metavar="TEXT", help="default: time of the start")
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help=".png, .svg or .pdf")
     parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in")
-    parser.add_argument("--dpi", type=_dpi, default=130, metavar="N", help="resolution of a PNG (default %(default)s)")
     add_choice_arguments(parser, "as P,theta,gauges,status")
     common.add_output_arguments(parser)
     parser.set_defaults(ask=None, strict=False, follow=False, deltas=False)  # options of `tipforce decode` alone
@@ -53,10 +50,3 @@ def _size(text: str) -> tuple[float, float]:
     if not (min(size) >= 1.0 and max(size) <= 100.0):
         raise argparse.ArgumentTypeError(f"{text!r}: allowed are 16x10cm, 160x100mm or 7x4in; 1 to 100 inches")
     return size[0], size[1]
-
-
-def _dpi(text: str) -> int:
-    number = common.number(text)
-    if not 20 <= number <= 1200:
-        raise argparse.ArgumentTypeError(f"{text}: allowed are 20 to 1200")
-    return int(number)
