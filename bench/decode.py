@@ -28,7 +28,7 @@ from tipforce.host.decoding.columns import Column
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
-from tipforce_tools.log import CandumpWriter
+from tipforce.host.logs.recorder import CandumpWriter
 
 ASAMMDF_PYTHON = ROOT / "build" / "bench-venv" / "bin" / "python"
 FLOOR = Path(__file__).with_name("decode_floor.c")

@@ -54,7 +54,7 @@ _MEANINGS = {
     12: "a device refused",
     130: "interrupted (Ctrl-C)",
 }
-_COMMON = {"bus arguments": "bus", "SDO": "SDO", "output": "output"}
+_COMMON = actions.SHARED
 
 
 def page() -> str:
@@ -63,6 +63,7 @@ def page() -> str:
     parts = [_HEAD, *(f"| {code} | {text} |\n" for code, text in _MEANINGS.items()), "\n## Common flags\n"]
     shared = argparse.ArgumentParser(add_help=False)
     common.add_sdo_arguments(shared)
+    common.add_confirm_argument(shared)
     for title, name in _COMMON.items():
         parts += [f"\n**{name[0].upper()}{name[1:]} flags**\n", _table(_groups(shared)[title])]
     for name in COMMANDS:

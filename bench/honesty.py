@@ -10,7 +10,7 @@ tell and more than 1 in 10,000 of the rows that say ok are wrong, or where good 
 
 from __future__ import annotations
 
-import argparse
+import datetime
 import math
 import os
 from collections import Counter, defaultdict
@@ -26,6 +26,7 @@ import tipforce
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.fitting import FitRequest, fitted
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.samples.reasons import Status
 from tipforce.sensor.calibration.fit import covariance_of_estimate
@@ -34,8 +35,6 @@ from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import parity
 from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE
 from tipforce_lab.report.studies.honesty import GAUGES, says_ok
-from tipforce_tools.calibrate import fit as fit_command
-from tipforce_tools.calibrate.fitting import FitRequest, fitted
 
 FULL = 1000
 ALLOWED_WRONG_PER_10000 = 1.0
@@ -206,7 +205,7 @@ class _Sensor:
         strain = strain * (1e-6 if fault == "SI units" else 1.0)
         lines = np.arange(P.size) + 2
         data = Measurements(lines, strain, P, phi, theta, None, 20.0 + warmer, None, None, (), ())
-        return fitted(FitRequest(_ARGUMENTS), data).calibration
+        return fitted(_REQUEST, data).calibration
 
 
 def _loads(rig: Rig, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -308,15 +307,8 @@ def _broken(fault: str, V: FloatArray, k: int, rng: np.random.Generator) -> Floa
     return broken
 
 
-def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    fit_command.add_fit_arguments(parser)
-    return parser.parse_args(
-        ["simulated.csv", "--saturation", f"{CONVERTER_LIMIT * 1e6:g}", "--sense", "push", "--date", "2025-12-31"]
-    )
-
-
-_ARGUMENTS, _NORMAL = _arguments(), NormalDist()
+_REQUEST = FitRequest(saturation=CONVERTER_LIMIT * 1e6, sense="push", date=datetime.date(2025, 12, 31))
+_NORMAL = NormalDist()
 
 
 def verdict(cell: Cell) -> str:

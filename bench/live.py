@@ -38,7 +38,8 @@ from bench.measure import Meter, arguments, background, cpu_us, in_turns, machin
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver
-from tipforce_tools.log import TICK_S, open_writer
+from tipforce.host.logs.recorder import open_writer
+from tipforce_tools.log import TICK_S
 
 SECONDS = 20.0
 RATES_HZ = (5000, 30_000)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import CandumpParser
-from tipforce_tools.log import open_writer
+from tipforce.host.logs.recorder import open_writer
 
 MIXED_LOG = """\
 (1700000000.000000) vcan0 285#2E1129239A110303

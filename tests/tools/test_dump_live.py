@@ -18,9 +18,9 @@ import pytest
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.live import receive, recvmmsg
 from tipforce.host.live.receiver import Selection
+from tipforce.host.live.targets import Target
 from tipforce_tools.cli.listening import open_targets
 from tipforce_tools.cli.main import main
-from tipforce_tools.dump.targets import Target
 from tools.rig import message, sending
 
 CONTACT = bytes.fromhex("2E1129239A110303")

@@ -16,8 +16,9 @@ from pathlib import Path
 import can
 import pytest
 
+from tipforce.host.logs.recorder import Recorder
 from tipforce_tools.cli.main import main
-from tipforce_tools.log import Recorder, default_name
+from tipforce_tools.log import default_name
 from tools.blocks import MIXED, MIXED_LOG, block_of_text, written
 from tools.rig import message, sending
 

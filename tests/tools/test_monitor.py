@@ -18,10 +18,10 @@ import pytest
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 from tipforce.host.logs.reader import open_log
+from tipforce.watching.bus_monitor import WINDOW_NS, BusView, Monitor, NodeView, Window
 from tipforce.watching.frame_sources import LogSource, PipeSource
 from tipforce_tools.cli.main import main
 from tipforce_tools.monitor import session
-from tipforce_tools.monitor.state import WINDOW_NS, BusView, Monitor, NodeView, Window
 from tools.hand_log import START_S, Fault, contact_pdo, hand_log
 from tools.rig import message, sending
 

@@ -76,16 +76,12 @@ def test_a_design_that_the_frame_does_not_confirm_fails(printed: Printed) -> Non
 
 
 def test_the_flags_reach_the_limits(capsys: pytest.CaptureFixture[str]) -> None:
-    words = (
-        "--envelope 24,28 --width 8 --radius 10 --wall 0.5 --min-h 0.3 --gauge-length 1.5 --clearance 0.2 --load 6 "
-        "--yield 600 --safety 2 --slit 0.2 --pad 30,150 --friction 0.3 --slender 12 --free-width --upper-face"
-    )
+    words = "--envelope 24,28 --width 8 --min-h 0.3 --gauge-length 1.5 --load 6 --max-stress 300 --slit 0.2"
     best = next(record for record in records(capsys, *words.split()) if record["name"] == "best")
-    assert best["r_m"] == pytest.approx(10e-3)
-    assert best["a_m"] <= 9.5e-3 + 1e-9
+    assert best["r_m"] <= 12e-3 + 1e-9
     assert best["d_m"] + best["r_m"] + best["h1_m"] / 2 <= 28e-3 + 1e-8
     assert min(best["h1_m"], best["h2_m"]) >= 0.3e-3 - 1e-9
-    assert 0.8e-3 - 1e-9 <= best["width_m"] <= 8e-3 + 1e-9
+    assert best["width_m"] == pytest.approx(8e-3)
     assert best["worst_stress_pascals"] <= 300e6 * (1 + 1e-6)
     assert best["slit_load_newtons"] >= 6 * (1 - 1e-6)
 

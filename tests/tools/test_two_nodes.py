@@ -31,10 +31,10 @@ from tipforce.host.network.faulty_bus import Faults, FaultyBus
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
+from tipforce.watching.bus_monitor import BusMonitor
 from tipforce.watching.watcher import Finger, Watcher
 from tipforce_tools.cli.main import main
 from tipforce_tools.doctor.command import bus_checks, heard
-from tipforce_tools.monitor.state import BusMonitor
 from tools.rig import Printed
 
 SAID = "two nodes respond as node 5"
@@ -56,7 +56,7 @@ SPEAKING = (
     "calibrate apply FOLDER/cal.toml --node 5",
     "calibrate verify FOLDER/cal.toml --node 5",
     "calibrate guide --node 5 --auto --yes -q -o FOLDER/guided.toml",
-    "firmware 5",
+    "firmware show 5",
     "nmt reset-node 5 --wait",
 )
 

@@ -6,6 +6,8 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
+import time
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,7 @@ from tipforce.errors import EnvironmentLackError
 from tipforce_tools.doctor.machine import vcan_checks
 from tipforce_tools.vcan import command as vcan_command
 from tipforce_tools.vcan import host, uml
+from tipforce_tools.vcan.attach import run_attached
 
 FILES = 600
 LACKING = host.missing_packages() if sys.platform == "linux" else ["Linux"]
@@ -85,3 +88,29 @@ def test_doctor_tries_it() -> None:
     (check,) = vcan_checks()
     assert check.state == "ok", check
     assert check.finding.startswith("`tipforce vcan` works: vcan0 and vcan1, ")
+
+
+def test_a_command_is_attached_to_a_running_machine(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It sees the same buses, its output and exit code arrive, and the machine goes on."""
+    with tempfile.TemporaryDirectory(prefix="v", dir="/tmp") as folder, monkeypatch.context() as patch:
+        patch.setattr(tempfile, "tempdir", folder)
+        with pytest.raises(EnvironmentLackError, match="no `tipforce vcan` of yours runs"):
+            run_attached(["true"])
+        words = ["vcan", "--uml", "--memory", "512M", "--", "sleep", "60"]
+        machine = subprocess.Popen(
+            [sys.executable, "-m", "tipforce_tools.cli.main", *words], env={**os.environ, "TMPDIR": folder}
+        )
+        try:
+            deadline = time.monotonic() + 120.0
+            while not list(Path(folder).glob("*/started")) and time.monotonic() < deadline:
+                time.sleep(0.1)
+            code = "cat /sys/class/net/vcan1/type; echo $TOLD >&2; exit 7"
+            patch.setenv("TOLD", "two words")
+            assert run_attached(["bash", "-c", code], 60.0) == 7
+            assert capfd.readouterr() == ("280\n", "two words\n")
+            assert machine.poll() is None
+        finally:
+            machine.terminate()
+            machine.wait()

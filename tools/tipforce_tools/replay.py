@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     bus that cannot be opened or fails.
     """
     from tipforce.host.logs.candump import BadLineError, CandumpParser
-    from tipforce_tools.cli.empty_log import MESSAGES, PACKED, TEXT, no_frame
+    from tipforce.host.logs.empty import MESSAGES, PACKED, TEXT, no_frame
 
     if args.log == STDIN and args.loop != 1:
         raise InputError("--loop: stdin can be read only once; pass a file")

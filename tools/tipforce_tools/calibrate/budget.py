@@ -18,22 +18,22 @@ if TYPE_CHECKING:
 
 
 _FLAGS: tuple[tuple[str, str, str, str, float], ...] = (
-    ("--noise", "UE", "gauge noise, microstrain (default: the file's covariance; 1 without a file)",
+    ("--noise", "UE", "gauge noise, microstrain (default: the file's, or 1)",
      "noise_strain", 1e-6),
-    ("--resolution", "UE", "one step of the gauge's converter, microstrain (default 0.1)", "resolution_strain", 1e-6),
-    ("--gain", "%", "drift of each gauge's sensitivity, percent (default 0.1)", "gain", 1e-2),
+    ("--resolution", "UE", "one step of the converter, microstrain (default 0.1)", "resolution_strain", 1e-6),
+    ("--gain", "%", "drift of each sensitivity, percent (default 0.1)", "gain", 1e-2),
     ("--offset", "UE", "drift of each gauge's zero, microstrain (default 1)", "offset_strain", 1e-6),
     ("--temperature", "K", "change since the last tare, kelvin (default 1)", "temperature_K", 1.0),
-    ("--hysteresis", "%", "of each gauge, percent of its largest strain under such a load (default 0.05)",
+    ("--hysteresis", "%", "percent of the largest strain (default 0.05)",
      "hysteresis", 1e-2),
-    ("--creep", "%", "growth of all strains while a load is held, percent (default 0.05)", "creep", 1e-2),
-    ("--load-angle", "DEG", "scatter of each calibration load's direction, degrees (default 0.5)",
+    ("--creep", "%", "growth under a load, percent (default 0.05)", "creep", 1e-2),
+    ("--load-angle", "DEG", "scatter of calibration loads, degrees (default 0.5)",
      "load_angle_rad", math.pi / 180.0),
-    ("--gravity", "DEG", "misalignment between x-loads and y-loads, degrees (default 0.5)",
+    ("--gravity", "DEG", "between x- and y-loads, degrees (default 0.5)",
      "gravity_rad", math.pi / 180.0),
-    ("--gauge-shift", "MM", "shift of each gauge along its beam, millimetres, if C comes from theory (default 0.2)",
+    ("--gauge-shift", "MM", "along the beam, with --uncalibrated (default 0.2)",
      "gauge_shift_m", 1e-3),
-    ("--off-axis", "N", "load along the width of the beams, newtons (default 0.5)", "off_axis_newtons", 1.0),
+    ("--off-axis", "N", "along the width of the beams (default 0.5)", "off_axis_newtons", 1.0),
 )  # fmt: skip
 """Flag, unit, help, field of ``error_budget.Causes`` and its size of one unit."""
 _MOST = 1e9

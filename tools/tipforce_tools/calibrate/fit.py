@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import datetime
 import math
+from typing import Any
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
@@ -32,32 +33,40 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_output_arguments(parser)
 
 
+def requested(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the fields of a ``FitRequest`` that the command line has."""
+    from dataclasses import fields
+
+    from tipforce.host.configuration.fitting import FitRequest
+
+    given = {field.name: getattr(args, field.name) for field in fields(FitRequest) if hasattr(args, field.name)}
+    return given | {"loss": args.loss.replace("-", "_")}
+
+
 def add_model_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags that say how the readings are believed to have come about."""
     group = parser.add_argument_group("model")
     above_0 = common.number_within(0.0, common.MOST, "is above 0", over=True)
-    scatter = "standard deviation of phi and of theta of a groove, the same error in all its rows (default %(default)s)"
+    scatter = "standard deviation of a groove's phi and theta (default %(default)s)"
     common.add_numbers(
         group, ("--angle-scatter", 0.5, "DEG", scatter, common.number_within(0.0, 20.0, "is 0 to 20 degrees"))
     )
     group.add_argument(
         "--drift", choices=("none", "tare", "linear"),
-        help="of the offsets (default: what predicts rows that the fit leaves out best)",
+        help="of the offsets (default: the best predictor)",
     )  # fmt: skip
     group.add_argument(
         "--loss", choices=("huber", "soft-l1", "none"), default="huber",
-        help="rows that disagree weigh less or are left out by name; none: all count (default %(default)s)",
+        help="of rows that disagree (default %(default)s)",
     )  # fmt: skip
     common.add_numbers(group, ("--noise", None, "UE", "gauge noise in microstrain (default: estimated)", above_0))
     group.add_argument(
         "--saturation", type=_limit, metavar="UE|none",
-        help="converter limit in microstrain, kept in the file; none: no reading is at a limit",
+        help="converter limit in microstrain; none: not reached",
     )  # fmt: skip
-    common.add_numbers(
-        group, ("--yield-stress", None, "MPA", "of the material, for the overload force (with --layout)", above_0)
-    )
-    group.add_argument("--no-offset", action="store_true", help="the readings are zero unloaded: fit no offset")
-    group.add_argument("--prior", choices=("beam",), help="lean on beam theory where loads are few; needs --layout")
+    common.add_numbers(group, ("--yield-stress", None, "MPA", "for the overload force (with --layout)", above_0))
+    group.add_argument("--no-offset", action="store_true", help="readings are zero unloaded: fit no offset")
+    group.add_argument("--prior", choices=("beam",), help="lean on beam theory; needs --layout")
     common.add_numbers(
         group, ("--prior-scatter", 0.1, "SHARE", "how far theory may be off (default %(default)s)", float)
     )
@@ -65,16 +74,17 @@ def add_model_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_fit(args: argparse.Namespace) -> int:
     """Print the fit and write the file: 0. With --strict and bad rows or a doubtful fit: no file, 1."""
+    from tipforce.host.configuration.fitting import FitRequest, fitted
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.output_file import CALIBRATION, check_output
-    from tipforce_tools.calibrate.fitting import FitRequest, fitted, publish, write
+    from tipforce_tools.calibrate.fit_report import publish, write
 
     if args.output:
         check_output(args.output, CALIBRATION, [args.data])
     data = read_measurements(args.data, loads=True)
     if not len(data.line):
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
-    request = FitRequest(args)
+    request = FitRequest(**requested(args))
     request.check_gauges(data.strain.shape[1], args.data)
     result = fitted(request, data, lambda text: common.note(args, text))
     doubtful = publish(args, args.data, request, result)

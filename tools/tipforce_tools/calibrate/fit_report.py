@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from typing import TYPE_CHECKING
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
-from tipforce.host.configuration.calibration import RECORD, Calibration, stated
+from tipforce.host.configuration.calibration import RECORD, Calibration, stated, write_calibration
+from tipforce.host.configuration.calibration_file import fit_record
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.sensor.calibration.fit import Fit
 from tipforce.sensor.calibration.outliers import rejections
@@ -18,7 +20,7 @@ from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce_tools.calibrate.fitting import FitRequest, Fitted
+    from tipforce.host.configuration.fitting import FitRequest, Fitted
 
 UE = 1e6
 _FIGURES = (
@@ -43,7 +45,7 @@ def facts(path: str, result: Fitted) -> dict[str, object]:
 
 def notes(result: Fitted, request: FitRequest) -> list[str]:
     """What a person should look at before he trusts the fit."""
-    data, fit, model, scores, layout = result.data, result.fit, result.model, result.scores, request.args.layout
+    data, fit, model, scores, layout = result.data, result.fit, result.model, result.scores, request.layout
     lines = [f"column {name} is not used" for name in data.ignored_columns]
     if len(scores) > 1:
         others = ", ".join(f"{name} {score:.1f}" for name, score in sorted(scores.items(), key=lambda pair: -pair[1]))
@@ -249,3 +251,25 @@ def _print_loads(fit: Fit) -> None:
         force = "".join(f"{value:9.4f}" for value in load.rms_newtons)
         print(f"{load.P_newtons:8.3f}{place}{len(load.rows):6d}{strain}{force}{load.leverage:10.2f}")
     print()
+
+
+def publish(
+    args: argparse.Namespace, path: str, request: FitRequest, result: Fitted, more_notes: tuple[str, ...] = ()
+) -> bool:
+    """Print the account of a fit; return whether something speaks against it."""
+    remarks = [*notes(result, request), *more_notes]
+    doubts = warnings(result)
+    if args.json:
+        print_json(path, result, remarks, doubts)
+    else:
+        print_text(path, result, remarks)
+    for warning in doubts:
+        common.note(args, f"{path}: {warning}")
+    return bool(doubts)
+
+
+def write(args: argparse.Namespace, path: str, request: FitRequest, result: Fitted) -> None:
+    """Write the calibration file of --output."""
+    known = facts(path, result) | {"angle_scatter_deg": request.angle_scatter}
+    write_calibration(args.output, result.calibration, fit_record(result.fit, **known))
+    common.note(args, f"{args.output}: written, load sense {'pull' if result.calibration.pull else 'push'}")

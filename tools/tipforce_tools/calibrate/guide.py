@@ -13,9 +13,9 @@ from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.capture import GaugeReader
+    from tipforce.host.configuration.guide_plan import Step
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.finger import FingertipClient, Identity
-    from tipforce_tools.calibrate.guide_plan import Step
 
 DEFAULT_WEIGHTS = "4.4"
 AUTO_SCATTER_DEG, HAND_SCATTER_DEG = 0.0, 0.5  # a simulated load has its nominal direction
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--grooves", metavar="paper|x30,y60,...", help="default: paper, its 19 grooves")
     parser.add_argument("--session", metavar="FILE.csv", help="default: session-SERIAL.csv, serial of the node")
     parser.add_argument("-o", "--output", metavar="CAL.toml", help="calibration file to write")
-    parser.add_argument("--auto", action="store_true", help="simulated node: apply the loads without prompts")
+    parser.add_argument("--auto", action="store_true", help="simulated node: apply the loads itself")
     group = parser.add_argument_group("capture")
     group.add_argument("--samples", type=int, default=200, metavar="N", help="of a capture (default %(default)s)")
     period = common.number_within(0.0, 1000.0, "is above 0, up to 1000", over=True)
@@ -47,12 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_numbers(
         group,
         ("--period", 5.0, "MS", "between samples (default %(default)s)", period),
-        ("--max-std", 5.0, "UE", "limit of the scatter within a capture, microstrain (default %(default)s)", limit),
-        ("--max-drift", 2.0, "UE", "limit of the drift within a capture, microstrain (default %(default)s)", limit),
+        ("--max-std", 5.0, "UE", "largest scatter, microstrain (default %(default)s)", limit),
+        ("--max-drift", 2.0, "UE", "largest drift, microstrain (default %(default)s)", limit),
     )
-    parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout (for the file and the prior)")
+    parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout, for file and prior")
     fit.add_model_arguments(parser)
-    parser.set_defaults(angle_scatter=None, sense=None, date=None)  # None: 0.5 degree with weights, 0 with --auto
+    parser.set_defaults(angle_scatter=None)  # None: 0.5 degree with weights, 0 with --auto
     scatter = next(action for action in parser._actions if action.dest == "angle_scatter")
     scatter.help = (scatter.help or "").replace("%(default)s", "0.5; --auto: 0")
     common.add_confirm_argument(parser)
@@ -74,12 +74,11 @@ def run(args: argparse.Namespace) -> int:
 def _guided(
     args: argparse.Namespace, steps: tuple[Step, ...], client: FingertipClient, reader: GaugeReader, identity: Identity
 ) -> int:
-    from tipforce_tools.calibrate.fitting import FitRequest
-    from tipforce_tools.calibrate.guide_session import Session
+    from tipforce.host.configuration.fitting import FitRequest
+    from tipforce.host.configuration.guide_session import Session
     from tipforce_tools.calibrate.guide_walk import Walk, finish
 
-    args.serial = identity.serial
-    request = FitRequest(args)
+    request = FitRequest(**fit.requested(args), serial=identity.serial)
     request.check_gauges(identity.gauges, "the node")
     _ = request.model  # wrong flags of the fit show before an hour of weights
     path = Path(args.session or f"session-{identity.serial}.csv")
@@ -144,7 +143,7 @@ def _plan(args: argparse.Namespace) -> tuple[Step, ...]:
             if getattr(args, flag) is not None:
                 raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
         common.InputFile("plan ").check(args.plan)
-    from tipforce_tools.calibrate.guide_plan import file_plan, groove_plan
+    from tipforce.host.configuration.guide_plan import file_plan, groove_plan
 
     if args.plan:
         return file_plan(args.plan)

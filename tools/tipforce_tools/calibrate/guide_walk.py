@@ -19,15 +19,16 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import InputError, NoResponseError, TipforceError
 from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
+from tipforce.host.configuration.fitting import FitRequest, fitted, limit_of
+from tipforce.host.configuration.guide_plan import EXTRA, EXTRA_TARE, Step
+from tipforce.host.configuration.guide_session import Session
 from tipforce.host.configuration.measurements import read_measurements
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import SdoChannel
 from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.result import matrix_to_digits, to_digits
 from tipforce.sensor.calibration.statistics import left_inverse
-from tipforce_tools.calibrate.fitting import FitRequest, fitted, limit_of, publish, write
-from tipforce_tools.calibrate.guide_plan import EXTRA, EXTRA_TARE, Step
-from tipforce_tools.calibrate.guide_session import Session
+from tipforce_tools.calibrate.fit_report import publish, write
 from tipforce_tools.cli import common
 
 

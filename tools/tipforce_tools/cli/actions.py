@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import re
+import sys
 from collections.abc import Callable, Mapping
 from typing import NoReturn
 
@@ -40,7 +42,7 @@ def run_place(place: str, args: argparse.Namespace) -> int:
     return functions(place)[1](args)
 
 
-SHARED = {"bus arguments": "bus", "SDO": "SDO", "output": "output"}
+SHARED = {"bus arguments": "bus", "SDO": "SDO", "changes": "change", "output": "output"}
 """Groups of flags that many commands have: one page, `tipforce --help-bus`, lists them, and each help their names."""
 
 
@@ -87,7 +89,8 @@ class CommandParser(argparse.ArgumentParser):
                 continue
             formatter.start_section(group.title)
             formatter.add_text(group.description)
-            formatter.add_arguments(action for action in group._group_actions if action.dest != "help")
+            shown = (action for action in group._group_actions if action.help and action.dest != "help")
+            formatter.add_arguments(shown)
             formatter.end_section()
         formatter.add_text(self.epilog)
         formatter.add_text(f"also {' '.join(shared)}: see `tipforce --help-bus`" if shared else None)
@@ -98,7 +101,8 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
     """As Python 3.13 prints flags: `-o, --output FILE`, the value once."""
 
     def __init__(self, prog: str) -> None:
-        super().__init__(prog, max_help_position=28)
+        fixed = not (sys.stdout.isatty() or os.environ.get("COLUMNS"))  # as tables that are written to a pipe
+        super().__init__(prog, max_help_position=30, width=118 if fixed else None)
 
     def _format_action_invocation(self, action: argparse.Action) -> str:
         if not action.option_strings or action.nargs == 0:
@@ -111,6 +115,7 @@ def shared_help() -> str:
     """Return the help of the flags that commands share: `tipforce --help-bus`."""
     parser = argparse.ArgumentParser("tipforce COMMAND", add_help=False)
     common.add_sdo_arguments(parser)
+    common.add_confirm_argument(parser)
     formatter = _Formatter(parser.prog)
     for group in parser._action_groups:
         formatter.start_section(group.title)

@@ -356,7 +356,8 @@ def print_rows(
 
 def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
     """`--yes`."""
-    parser.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
+    group = parser.add_argument_group("changes")
+    group.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
 
 
 def confirm(args: argparse.Namespace, what: str) -> None:

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from tipforce.host.frames.frame_array import FrameArray
     from tipforce.host.hand.hand import Hand
     from tipforce.host.live.receiver import ReceiverGroup, Selection
+    from tipforce.host.live.targets import Target
     from tipforce.watching.feeds import FrameFeed, HandFeed
     from tipforce.watching.watcher import Fallback
-    from tipforce_tools.dump.targets import Target
 
 
 _sync_hz = common.number_within(0.0, 10_000.0, "is above 0 up to 10000 Hz", over=True)

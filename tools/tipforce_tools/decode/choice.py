@@ -18,7 +18,8 @@ from tipforce.host.dataset.store import is_dataset, is_url, local_copy
 from tipforce.host.decoding.log_part import Reading, When
 from tipforce.host.decoding.pdo_layout import Layouts, dcf_layout, node_layout, signals_named, with_layouts
 from tipforce.shipped_files import file_or_shipped
-from tipforce_tools.cli.eds_flag import eds_files
+from tipforce_tools.cli.common import bus_options
+from tipforce_tools.cli.log_flags import eds_files
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration
@@ -98,7 +99,7 @@ def layouts(args: Namespace) -> Layouts:
         from tipforce.host.network.bus import Bus
         from tipforce.host.network.open_bus import open_bus
 
-        with Bus(open_bus(interface=args.interface, channel=args.channel, bitrate=args.bitrate)) as bus:
+        with Bus(open_bus(**bus_options(args))) as bus:
             found = with_layouts(found, [node_layout(bus.sdo(node)) for node in args.ask])
     if args.gauges and found.gauges != args.gauges:
         raise InputError(f"--gauges {args.gauges}: the layouts are of nodes with {found.gauges}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
@@ -35,46 +34,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--starts", type=int, default=8, metavar="K", help="per configuration (default %(default)s)")
     parser.add_argument("--seed", type=common.whole_number, default=0, help="of the starts (default %(default)s)")
     parser.add_argument("-o", "--output", metavar="LAYOUT.toml", help="write the best design as a layout file")
-    _add_loads(parser)
-    _add_limits(parser)
-    common.add_output_arguments(parser)
-
-
-def _add_loads(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("noise and loads")
     not_negative = common.number_within(0.0, common.MOST, "is 0 or more")
     common.add_numbers(
-        group,
+        parser,
         ("--noise", 0.5, "UE", "per gauge, microstrain (%(default)s)", not_negative),
         ("--load", 4.4, "N", "of every push (default %(default)s)", float),
     )
-    group.add_argument("--pad", default="0,180", metavar="MIN,MAX", help="contacts theta, degrees (%(default)s)")
-    common.add_numbers(group, ("--friction", 0.5, "MU", "half cone: atan MU (%(default)s)", float))
-
-
-def _add_limits(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("limits")
     group.add_argument(
         "--envelope", default="30,30.2", metavar="X,Y", help="mm: 2 r across, d + h1/2 + r high (%(default)s)"
     )
-    common.add_numbers(group, ("--width", 10.0, "MM", "of the beams (default %(default)s)", float))
-    group.add_argument("--free-width", action="store_true", help="allow a smaller width, down to a tenth")
     common.add_numbers(
         group,
-        ("--radius", None, "MM", "of the tip (default: free, at most X / 2)", float),
-        ("--wall", 0.0, "MM", "least r - a (default %(default)s)", float),
-        ("--slender", 10.0, "X", "least length over thickness (default %(default)s)", float),
+        ("--width", 10.0, "MM", "of the beams (default %(default)s)", float),
         ("--min-h", 0.2, "MM", "least thickness (default %(default)s)", float),
         ("--gauge-length", 1.0, "MM", "default %(default)s", float),
-        ("--clearance", 0.0, "MM", "of gauges to corners and each other (%(default)s)", float),
+        ("--slit", 0.25, "MM", "must stay open (default %(default)s)", float),
+        ("--max-stress", None, "MPA", "at the load, worst angle (default: the paper's)", float),
     )
-    group.add_argument("--upper-face", action="store_true", help="also allow gauges in the slit")
-    common.add_numbers(group, ("--slit", 0.25, "MM", "must stay open (default %(default)s)", float))
-    stress = group.add_mutually_exclusive_group()
-    common.add_numbers(stress, ("--max-stress", None, "MPA", "at the load, worst angle (default: the paper's)", float))
-    stress.add_argument("--yield", dest="yield_MPa", type=float, metavar="MPA", help="stress at most this / --safety")
-    above_0 = common.number_within(0.0, math.inf, "is above 0", over=True)
-    common.add_numbers(group, ("--safety", 1.5, "S", "for --yield (default %(default)s)", above_0))
+    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -102,36 +80,21 @@ def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:
     from tipforce_lab.design.merit import LoadSet
     from tipforce_lab.design.search import Limits
 
-    envelope = _pair("--envelope", args.envelope)
-    loads = LoadSet(args.load, *_pair("--pad", args.pad), args.friction)
-    max_stress = args.max_stress
-    if args.yield_MPa is not None:
-        max_stress = args.yield_MPa / args.safety
+    try:
+        x_mm, y_mm = (float(part) for part in args.envelope.split(","))
+    except ValueError:
+        raise InputError(f"--envelope {args.envelope!r}: expected two numbers separated by a comma") from None
     limits = Limits(
-        envelope_x_m=envelope[0] * 1e-3,
-        envelope_y_m=envelope[1] * 1e-3,
+        envelope_x_m=x_mm * 1e-3,
+        envelope_y_m=y_mm * 1e-3,
         width_m=args.width * 1e-3,
-        free_width=args.free_width,
-        radius_m=None if args.radius is None else args.radius * 1e-3,
         min_thickness_m=args.min_h * 1e-3,
-        slenderness=args.slender,
-        wall_m=args.wall * 1e-3,
         gauge_length_m=args.gauge_length * 1e-3,
-        clearance_m=args.clearance * 1e-3,
         slit_m=args.slit * 1e-3,
         load_newtons=args.load,
-        max_stress_pascals=None if max_stress is None else max_stress * 1e6,
-        upper_face=args.upper_face,
+        max_stress_pascals=None if args.max_stress is None else args.max_stress * 1e6,
     )
-    return limits, loads
-
-
-def _pair(flag: str, text: str) -> tuple[float, float]:
-    try:
-        first, second = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"{flag} {text!r}: expected two numbers separated by a comma") from None
-    return first, second
+    return limits, LoadSet(args.load)
 
 
 # --- output ---------------------------------------------------------------------------------------------------------

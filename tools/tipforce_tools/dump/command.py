@@ -3,13 +3,12 @@
 import argparse
 
 from tipforce_tools.cli import common
-from tipforce_tools.cli.eds_flag import add_eds_argument
 from tipforce_tools.cli.listening import add_sync_argument
+from tipforce_tools.cli.log_flags import add_eds_argument
 
 DESCRIPTION = """\
 Print frames byte for byte as candump does; with --decode, add what they mean: NMT, SYNC, EMCY, SDO with the names of
-objects, heartbeats, LSS, and the values in the PDOs of fingertips. Frames come from
-buses, or from candump text: a log file, or stdin with -.
+objects, heartbeats, LSS, and the values in the PDOs of fingertips. Text: a log file, or stdin with -.
 """
 EPILOG = """\
 CHANNEL[,FILTER...] as for candump, identifiers and masks in hexadecimal:
@@ -17,16 +16,13 @@ CHANNEL[,FILTER...] as for candump, identifiers and masks in hexadecimal:
   ID~MASK   frames with (identifier & MASK) != (ID & MASK)
   #MASK     error frames of these classes (default: none)
   j         a frame must pass all filters (default: one of them)
-Unlike candump, -c is the channel (not colour), and `tipforce log` records.
-At the end stderr reports frames left out (not with -q), and with -v the count of each message.
+At the end stderr reports frames left out, and with -v the count of each message.
 exit codes: 0 ok, 1 a bad line with --strict, or no frames in the text, 2 usage
-With text, CHANNEL (or `any`) selects by the interface named in each line. Without -i and a python-can configuration,
-CHANNEL is a SocketCAN interface.
+With text, CHANNEL (or `any`) selects by the interface named in each line.
 
   tipforce dump --decode vcan0                      contact values, line by line
   tipforce dump -ta vcan0,285:7FF,#FFFFFFFF         one PDO and all error frames
   candump -L vcan0 | tipforce dump --decode --json -
-  tipforce dump --decode run.log | head
 """
 
 
@@ -39,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         type=common.Target(),
         metavar="CHANNEL[,FILTER...] | FILE | -",
-        help="buses with their filters, or a file of candump text",
+        help="buses, or a file of candump text",
     )
     look = parser.add_argument_group("candump's flags")
     look.add_argument(

@@ -28,12 +28,12 @@ from tipforce.host.decoding.sync_modulus import SyncModulus
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError
+from tipforce.host.live.targets import STDIN, Target, select, split_targets
 from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
 from tipforce_tools.cli import common
-from tipforce_tools.cli.eds_flag import eds_files
 from tipforce_tools.cli.listening import check_sync, counted
-from tipforce_tools.dump.targets import STDIN, Target, select, split_targets
+from tipforce_tools.cli.log_flags import eds_files
 
 if TYPE_CHECKING:
     from tipforce.host.live.receiver import ReceiverGroup
@@ -160,7 +160,7 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
                 if not session.show(select(block, targets)):
                     break
             if parser.bad and not frames:
-                from tipforce_tools.cli.empty_log import TEXT, no_frame
+                from tipforce.host.logs.empty import TEXT, no_frame
 
                 raise no_frame(str(source), (TEXT, "other formats: `tipforce decode`"), parser.bad_lines[0])
         except BadLineError as error:

@@ -4,8 +4,8 @@ import argparse
 import math
 
 from tipforce_tools.cli import common
-from tipforce_tools.cli.eds_flag import add_eds_argument
 from tipforce_tools.cli.listening import add_sync_argument
+from tipforce_tools.cli.log_flags import add_eds_argument
 
 DESCRIPTION = """\
 Show the active nodes, one row each: samples per second, their regularity, the age of the last one, contact, status,
@@ -13,10 +13,10 @@ NMT state, the last EMCY and lost samples. A value not received for half a secon
 STALE, and one that the node does not know is marked unknown, with the reason. Without --sync the command sends nothing.
 """
 EPILOG = """\
-CHANNEL[,FILTER...] as for `tipforce dump`. Keys: q or Ctrl-C ends. If stdout is not a terminal, a plain table is
-printed at the end, or with --json one line per interval.
+CHANNEL[,FILTER...] as for `tipforce dump`. If stdout is not a terminal, a plain table is printed at the end, or with
+--json one line per interval.
 The bus load is a range, without stuff bits to the most stuff bits, at the bit rate of -b (default: 1 Mbit/s).
-exit codes: 0 the log ended, q, or --once; 2 usage, or no frames in the log; 130 Ctrl-C or SIGTERM
+exit codes: 0 the log ended, or --once; 2 usage, or no frames in the log; 130 Ctrl-C or SIGTERM
 
   tipforce monitor vcan0
   tipforce monitor -i pcan -c PCAN_USBBUS1 -b 1000000 --nodes 1-5

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import math
-import os
-import select
 import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
 from tipforce.host.live.receiver import InterfaceDownError
+from tipforce.host.live.targets import STDIN, Target, split_targets
+from tipforce.host.logs.empty import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
+from tipforce.watching.bus_monitor import QUANTITIES, BusView, Monitor, NodeView, Reading
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import shown_id
-from tipforce_tools.cli.eds_flag import eds_files
-from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
 from tipforce_tools.cli.listening import StopSignals, check_sync, counted, open_targets
+from tipforce_tools.cli.log_flags import eds_files
 from tipforce_tools.cli.main import INTERRUPTED
-from tipforce_tools.dump.targets import STDIN, Target, split_targets
-from tipforce_tools.monitor.state import QUANTITIES, BusView, Monitor, NodeView, Reading
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,7 +39,7 @@ Show = Callable[[Monitor, int | None], None]
 
 
 def monitor(args: Namespace) -> int:
-    """Show the nodes until the source ends, q, a signal, or --once; return 0, or 130 after a signal."""
+    """Show the nodes until the source ends, a signal, or --once; return 0, or 130 after a signal."""
     log_name, targets = split_targets(args.targets)
     check_sync(args, log_name)
     watched = Monitor(args.gauges, args.nodes, eds_files(args.eds or ()))
@@ -50,10 +48,9 @@ def monitor(args: Namespace) -> int:
     with ExitStack() as opened:
         stop = opened.enter_context(StopSignals())
         source, log = _source(args, log_name, targets, interval_s, opened)
-        pressed = opened.enter_context(_keys(screen, log_name == STDIN))
         show = opened.enter_context(_screen(args, interval_s)) if screen else _lines(args)
         each = show if screen or (args.json and args.once is None) else None
-        shown = run(watched, source, lambda: stop.stopped or pressed(), interval_s, each, args.once or math.inf)
+        shown = run(watched, source, stop, interval_s, each, args.once or math.inf)
         if log is not None and source.ended and log.bad and not watched.frames:
             raise no_frame(str(log_name), (TEXT, PACKED, MESSAGES, PCAP), log.first_bad)
         has_nodes = any(bus.nodes for bus in watched.views())
@@ -147,36 +144,12 @@ def _screen(args: Namespace, interval_s: float) -> Iterator[Show]:
     with Live(console=common.console(args), auto_refresh=False, transient=False) as live:
 
         def show(watched: Monitor, now_ns: int | None) -> None:
-            foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; q ends"
+            foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; Ctrl-C ends"
             buses = watched.views(now_ns)
             picture = tables(buses, getattr(args, "bitrate", BITRATE), foot, live.console.width)
             live.update(picture, refresh=True)
 
         yield show
-
-
-@contextmanager
-def _keys(screen: bool, stdin_taken: bool) -> Iterator[Callable[[], bool]]:
-    """Read keys one by one from the terminal, also if stdin is the log; yield a test whether q was pressed."""
-    try:
-        import termios
-        import tty
-    except ImportError:  # Windows: Ctrl-C ends
-        screen = False
-    descriptor = -1
-    if screen:
-        with suppress(OSError):
-            descriptor = os.open("/dev/tty", os.O_RDONLY) if stdin_taken else os.dup(sys.stdin.fileno())
-    if descriptor < 0 or not os.isatty(descriptor):
-        yield lambda: False
-        return
-    before = termios.tcgetattr(descriptor)
-    try:
-        tty.setcbreak(descriptor)
-        yield lambda: bool(select.select([descriptor], [], [], 0)[0]) and os.read(descriptor, 1) in (b"q", b"Q")
-    finally:
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
-        os.close(descriptor)
 
 
 _DIGITS = {"N": 3, "degree": 2}

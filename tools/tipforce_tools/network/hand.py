@@ -20,19 +20,10 @@ if TYPE_CHECKING:
     from tipforce.samples.record import Rows
 
 EXAMPLE = """
-  [bus]
-  interface = "socketcan"
-  channel = "can0"
-
   [hand]
   sync_hz = 500              # 0: another device sends the SYNC
   pdos = ["contact"]         # any of gauges, contact, force
-  heartbeat_ms = 100
-  numbered_sync = "auto"     # true, false; "auto": if every node on the bus takes the numbers
-  foreign_changes = "refuse" # "accept", "restore": a change of a finger by another master
-  wait_ms = 50               # time that a row waits for a late finger, under 120 SYNCs
   config = "finger.toml"     # settings of all fingers, from tipforce config save
-  store = false              # true: store the configuration in the nodes
 
   [[finger]]
   name = "thumb"
@@ -52,7 +43,7 @@ ACTIONS = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce hand`."""
     parser.epilog = (
-        f"The file:\n{EXAMPLE}\n"
+        f"The file (docs/hand.md has all keys):\n{EXAMPLE}\n"
         "  tipforce hand up hand.toml\n"
         "  tipforce hand run hand.toml --json -i socketcan -c vcan0 | head\n"
         "`tipforce view hand.toml` shows it in a browser."

@@ -196,11 +196,9 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce lss`."""
     parser.epilog = (
         "assign gives IDS to unconfigured nodes, in the order in which they are found, or with --serial to the node\n"
-        "with that address, which may have a node-id already (it changes at its next reset).\n\n"
-        "  tipforce lss scan -i socketcan -c can0\n"
+        "with that address, whose node-id changes at its next reset. Without --store they are lost at a power cycle.\n"
         "  tipforce lss assign 1-5 --store -i socketcan -c can0\n"
         "  tipforce lss assign 7 --serial 1005 --store -i socketcan -c can0\n"
-        "Node-ids assigned without --store are lost at a power cycle."
     )
     add_choice(parser, "action", LSS_ACTIONS)
     parser.add_argument("ids", nargs="?", type=common.node_ids, metavar="IDS", help="assign: 7, or 1,2,5-9")

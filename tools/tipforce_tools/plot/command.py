@@ -4,17 +4,16 @@ import argparse
 import re
 
 from tipforce_tools.cli import common
-from tipforce_tools.decode.command import add_choice, add_layouts
+from tipforce_tools.cli.log_flags import add_choice_arguments
 
 DESCRIPTION = """\
 Plot the fingers of a log: P, phi and theta over time with their uncertainty, gauges, and a strip that shows contact
 and faults. Several logs form one recording. Each finger has a column of panels.
 """
 EPILOG = """\
-LOG: any format that `tipforce decode` reads; - is candump text on stdin. Unknown values are gaps. For long logs each
-pixel shows the minimum, the mean and the maximum. Lost samples are crosses in the strip. The grey band is two
-standard uncertainties to either side: those that the node sends (u_P in TPDO4, or 2107h mapped), or with
---calibration, which computes the contact from the gauges, those of gauge noise and calibration together.
+LOG: any format that `tipforce decode` reads; - is candump text on stdin. Unknown values are gaps, lost samples are
+crosses in the strip. The grey band is two standard uncertainties to either side: those that the node sends, or with
+--calibration those of gauge noise and calibration together.
 --signals: P, phi, theta, gauges, status (the default), F1, F2, F3, SG1.., temperature, u_P and other signals sent;
 with --eds all signals are the default.
 exit codes: 0 ok, 2 usage
@@ -22,7 +21,6 @@ exit codes: 0 ok, 2 usage
   tipforce plot run.log -o run.png
   tipforce plot run.log --nodes 1-5 --from 10 --to 12.5 -o touch.pdf --size 24x16cm
   tipforce plot thumb.log --calibration thumb.toml --signals P,theta,status -o thumb.svg
-  candump -L -n 5000 can0 | tipforce plot - -o now.png
 """
 _INCHES = {"": 1.0, "in": 1.0, "cm": 1 / 2.54, "mm": 1 / 25.4}
 
@@ -32,14 +30,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument("logs", nargs="+", type=common.LogFile(), metavar="LOG", help="files and globs, or -")
-    parser.add_argument("-o", "--output", metavar="FILE", help=".png, .svg or .pdf")
-    parser.add_argument("--show", action="store_true", help="also show the plot in a window")
-    parser.add_argument("--title", metavar="TEXT", help="default: time of the start")
-    parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in (default: by the content)")
-    parser.add_argument("--dpi", type=_dpi, default=130, metavar="N", help="resolution of a PNG (default %(default)s)")
-    group = parser.add_argument_group("choice")
-    add_choice(group, "as P,theta,gauges,status")
-    add_layouts(group)
+    parser.add_argument("-o", "--output", required=True, metavar="FILE", help=".png, .svg or .pdf")
+    parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in")
+    add_choice_arguments(parser, "as P,theta,gauges,status")
     common.add_output_arguments(parser)
     parser.set_defaults(ask=None, strict=False, follow=False, deltas=False)  # options of `tipforce decode` alone
 
@@ -57,10 +50,3 @@ def _size(text: str) -> tuple[float, float]:
     if not (min(size) >= 1.0 and max(size) <= 100.0):
         raise argparse.ArgumentTypeError(f"{text!r}: allowed are 16x10cm, 160x100mm or 7x4in; 1 to 100 inches")
     return size[0], size[1]
-
-
-def _dpi(text: str) -> int:
-    number = common.number(text)
-    if not 20 <= number <= 1200:
-        raise argparse.ArgumentTypeError(f"{text}: allowed are 20 to 1200")
-    return int(number)

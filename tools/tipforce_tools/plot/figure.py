@@ -48,23 +48,20 @@ class _Frame:
     note: str
 
 
-def import_matplotlib(*, screen: bool) -> Any:
-    """Return pyplot, for the screen or for files only. Raises EnvironmentLackError if it is not installed."""
+def import_matplotlib() -> Any:
+    """Return pyplot, for files only. Raises EnvironmentLackError if it is not installed."""
     try:
         import matplotlib as mpl
     except ImportError:
         raise EnvironmentLackError("a plot needs matplotlib: pip install 'tipforce[plot]'") from None
-    if not screen:
-        mpl.use("Agg")
+    mpl.use("Agg")
     from matplotlib import pyplot as plt
 
     return plt
 
 
-def draw(
-    fingers: Fingers, plt: Any, title: str | None, size_inches: tuple[float, float] | None, *, status: bool
-) -> Figure:
-    """Draw the figure of all fingers. ``title`` None: the time; ``size_inches`` None: by its content."""
+def draw(fingers: Fingers, plt: Any, size_inches: tuple[float, float] | None, *, status: bool) -> Figure:
+    """Draw the figure of all fingers. ``size_inches`` None: by its content."""
     named = fingers.named()
     panels = _panels([finger for _, finger in named])
     rows = [*panels, *([_STATUS] if status else [])]
@@ -95,13 +92,11 @@ def draw(
         else:
             for ax in grid[row][1:]:
                 ax.tick_params(labelleft=False)
-    if title is None:
-        title = _default_title(fingers)
-    figure.suptitle("\n".join(filter(None, (title, frame.note))), fontsize=10)
+    figure.suptitle("\n".join(filter(None, (_title(fingers), frame.note))), fontsize=10)
     return figure
 
 
-def _default_title(fingers: Fingers) -> str:
+def _title(fingers: Fingers) -> str:
     if fingers.start_ns is None:
         return ""
     if fingers.start_ns < _EPOCH_NS:

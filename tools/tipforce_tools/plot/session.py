@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce.host.dataset.reader import tables_of_logs
@@ -13,33 +13,29 @@ from tipforce.host.decoding.log_part import Notes
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Table
+from tipforce.host.logs.empty import no_sample
 from tipforce.output_file import FIGURES, check_output, figure_kind, save_figure
 from tipforce_tools.cli import common
-from tipforce_tools.cli.empty_log import no_sample
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
 from tipforce_tools.plot import figure
 from tipforce_tools.plot.fingers import Fingers
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from tipforce.host.decoding.contact_columns import ContactColumns
 
 MOST_FINGERS = 20
+DPI = 130
 STATUS, GAUGES = "status", "gauges"
 _DEFAULT = ("P", "phi", "theta", GAUGES, STATUS)
 
 
 def plot(args: Namespace) -> int:
     """Draw; return 0. Raises InputError for unusable input, EnvironmentLackError without matplotlib."""
-    path = None if args.output is None else Path(args.output)
-    if path is None and not args.show:
-        raise InputError("no output: add -o FILE.png, .svg or .pdf, or --show")
+    path = Path(args.output)
     names = choice.logs(args.logs)
-    if path is not None:
-        check_output(path, figure_kind(path, FIGURES), names)
-    plt = figure.import_matplotlib(screen=args.show)
+    check_output(path, figure_kind(path, FIGURES), names)
+    plt = figure.import_matplotlib()
     layouts, contact, computed = _layouts(args)
     wanted = choice.names_of(args.signals) or _default(layouts)
     reading = choice.reading(args, names, layouts, None)
@@ -52,14 +48,17 @@ def plot(args: Namespace) -> int:
     _check(args, fingers, notes)
     if STATUS not in wanted and not any(finger.traces for _, finger in fingers.named()):
         raise InputError(f"{', '.join(names)}: no {', '.join(wanted)} in it, so there is nothing to draw")
-    drawn = figure.draw(fingers, plt, args.title, args.size, status=STATUS in wanted)
-    _write(args, drawn, path, plt)
+    drawn = figure.draw(fingers, plt, args.size, status=STATUS in wanted)
+    try:
+        save_figure(drawn, path, FIGURES, dpi=DPI)
+    finally:
+        plt.close(drawn)
     for log in notes:
         if log.bad:
             common.note(args, f"tipforce plot: {log.source}: {counted(sum(log.bad.values()), 'bad line')} left out")
     if args.json:
         common.print_json(_record(fingers, path))
-    elif path is not None:
+    else:
         common.note(args, f"{path}: {counted(len(fingers.named()), 'node')}")
     return 0
 
@@ -109,17 +108,7 @@ def _check(args: Namespace, fingers: Fingers, notes: Sequence[Notes]) -> None:
         raise InputError(f"{count} nodes: allowed are at most {MOST_FINGERS} in a plot; choose with --nodes")
 
 
-def _write(args: Namespace, drawn: Figure, path: Path | None, plt: Any) -> None:
-    try:
-        if path is not None:
-            save_figure(drawn, path, FIGURES, dpi=args.dpi)
-        if args.show:
-            plt.show()
-    finally:
-        plt.close(drawn)
-
-
-def _record(fingers: Fingers, path: Path | None) -> dict[str, object]:
+def _record(fingers: Fingers, path: Path) -> dict[str, object]:
     nodes = [
         {
             "node": name,
@@ -130,4 +119,4 @@ def _record(fingers: Fingers, path: Path | None) -> dict[str, object]:
         }
         for name, finger in fingers.named()
     ]
-    return {"output": path and str(path), "start_ns": fingers.start_ns, "nodes": nodes}
+    return {"output": str(path), "start_ns": fingers.start_ns, "nodes": nodes}

@@ -15,14 +15,11 @@ DESCRIPTION = """\
 Run COMMAND where vcan0 and vcan1 are up, and exit with its exit code. The first of these that works is used: this
 kernel, if the interfaces are up; this kernel in a temporary network namespace, which leaves the host unchanged;
 User-mode Linux, a kernel that runs as a program (apt-get install user-mode-linux). COMMAND has your directory and
-environment in all cases.
+environment. Without any vcan (macOS, containers) commands take -i udp_multicast -c 239.74.163.2.
 
 In User-mode Linux COMMAND is root on one CPU. It can read your files; files that it writes are lost afterwards (--rw
 keeps them, except for temporary files: TMPDIR is a folder in memory). stdin is /dev/null, and stdout and stderr are
 pipes, unless all three are a terminal, which COMMAND then uses.
-
-Without any vcan (macOS, Windows, containers): every command takes -i udp_multicast -c 239.74.163.2, a bus of UDP
-datagrams (pip install 'tipforce[multicast]').
 """
 EPILOG = """\
 exit codes besides COMMAND's own: 1 after --timeout, 2 usage, 126 and 127 when COMMAND cannot be started, 128+n when
@@ -30,7 +27,7 @@ signal n ended it, 130 interrupted
 
   tipforce vcan -- candump -n 1 vcan0
   tipforce vcan --interfaces can0,can1,can2 -- python -m pytest tests/vcan
-  tipforce vcan                                  a shell with the two buses
+  tipforce vcan --attach -- tipforce scan -i socketcan -c vcan0          from another terminal
 """
 NOT_FOUND = 127  # what a shell reports for a command that it cannot find
 _KEPT = "--rw: files that you write are kept"
@@ -46,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--memory", default="2G", metavar="SIZE", help="of User-mode Linux (default: %(default)s)")
     parser.add_argument("--timeout", type=common.seconds, metavar="S", help="end COMMAND after S seconds, exit with 1")
+    parser.add_argument("--attach", action="store_true", help="run COMMAND on the buses of a running `tipforce vcan`")
     parser.add_argument("--rw", action="store_true", help="User-mode Linux: let COMMAND write your files")
     places = parser.add_mutually_exclusive_group()
     places.add_argument(
@@ -67,6 +65,10 @@ def run(args: argparse.Namespace) -> int:
             "here -i udp_multicast -c 239.74.163.2 is a bus of UDP datagrams; `tipforce demo` and log tools work too"
         )
     command = args.command[1:] if args.command[:1] == ["--"] else args.command
+    if args.attach:
+        from tipforce_tools.vcan.attach import run_attached
+
+        return run_attached(command or _shell(), args.timeout)
     return run_with_vcan(
         command or _shell(),
         interfaces=[name.strip() for name in args.interfaces.split(",")],

@@ -3,19 +3,25 @@
 import contextlib
 import fcntl
 import os
+import re
 import shutil
 import signal
 import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tipforce.errors import EnvironmentLackError
 from tipforce_tools.cli.main import terminate_as_interrupt
 
 INTERRUPTED = 130
+PREFIX = "tipforce-vcan-"
+"""Of the folder of a run, in the folder of temporary files."""
+PROCESS = "process"
+"""The file in it with the number of a process on this kernel."""
 ELSEWHERE = (
     "`tipforce demo`, the library and the log tools work without vcan, and nodes and hosts on UDP: "
     "-i udp_multicast -c 239.74.163.2; "
@@ -105,6 +111,21 @@ def can_make(interfaces: Sequence[str]) -> bool:
     return trial.returncode == 0
 
 
+def short_temporary_folder() -> str:
+    """Return the folder of temporary files, or /tmp where its name does not fit."""
+    # The path is part of a kernel command line (no blanks) and of a socket name (at most 107 characters).
+    folder = tempfile.gettempdir()
+    return folder if re.fullmatch(r"[\w./+-]{1,50}", folder, re.ASCII) else "/tmp"
+
+
+@contextlib.contextmanager
+def _announced(process: int) -> Iterator[None]:
+    """Let `tipforce vcan --attach` find the process until the end of the block."""
+    with tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as folder:
+        Path(folder, PROCESS).write_text(str(process))
+        yield
+
+
 def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
     """Run `command` on this kernel with this terminal and environment; return its exit code (128 + n for signal n).
 
@@ -119,7 +140,8 @@ def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
         print(f"tipforce vcan: {command[0]}: {error.strerror}", file=sys.stderr)
         return 127 if isinstance(error, FileNotFoundError) else 126
     try:
-        code = process.wait(timeout_s)
+        with _announced(process.pid):
+            code = process.wait(timeout_s)
         return code if code >= 0 else 128 - code
     except subprocess.TimeoutExpired:
         print(f"tipforce vcan: the command was ended after {timeout_s:g} s (--timeout)", file=sys.stderr)

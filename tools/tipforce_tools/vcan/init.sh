@@ -104,10 +104,38 @@ run_command() {
     exec env -i -C "$directory" "${environment[@]}" TMPDIR="$temporary" /usr/bin/setsid "$@" "${command[@]}"
 }
 
+# `tipforce vcan --attach` leaves a folder with a command, its environment and its directory. Output is on the caller's
+# disk at once by dsync: hostfs writes a file back when it is closed.
+serve_attached() {
+    local ready
+    while sleep 0.2; do
+        for ready in "$exchange"/attach-*/ready; do
+            [ -e "$ready" ] && rm "$ready" && run_attached "${ready%/ready}" &
+        done
+    done
+}
+
+run_attached() {
+    local settings pipes=/run/${1##*/}
+    mapfile -d '' -t settings <"$1/settings"
+    mapfile -d '' -t command <"$1/command"
+    mapfile -d '' -t environment <"$1/environment"
+    rm "$1/environment"
+    directory=${settings[0]}
+    mkdir "$pipes" && mkfifo "$pipes/stdout" "$pipes/stderr"
+    dd if="$pipes/stdout" of="$1/stdout" bs=65536 oflag=dsync status=none &
+    dd if="$pipes/stderr" of="$1/stderr" bs=65536 oflag=dsync status=none &
+    (run_command) </dev/null >"$pipes/stdout" 2>"$pipes/stderr"
+    set -- "$1" $?
+    wait
+    echo "$2" >"$1/status"
+}
+
 run_on_terminal() {
     stty -F /dev/tty1 sane
     [ -n "$size" ] && stty -F /dev/tty1 rows "${size% *}" cols "${size#* }"
     : >"$exchange/started"
+    serve_attached &
     (run_command --ctty) <>/dev/tty1 >&0 2>&0
     echo $? >"$exchange/status"
 }
@@ -125,6 +153,7 @@ run_on_pipes() {
     cat "$pipes/stderr" >&6 &
     copiers="$copiers $!"
     : >"$exchange/started"
+    serve_attached >/dev/null 2>&1 5>&- 6>&- &
     (run_command) </dev/null >"$pipes/stdout" 2>"$pipes/stderr" 5>&- 6>&-
     echo $? >"$exchange/status"
     # Processes left by the command would keep the pipes open; this machine ends with the command.

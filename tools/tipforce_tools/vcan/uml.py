@@ -26,9 +26,11 @@ from tipforce_tools.cli.main import terminate_as_interrupt
 from tipforce_tools.vcan.host import (
     ELSEWHERE,
     INTERRUPTED,
+    PREFIX,
     SYSTEM_PATH,
     find_program,
     require_parts,
+    short_temporary_folder,
 )
 
 PIPE_CLOSED = 141  # 128 + SIGPIPE: the shell's exit code for a writer whose reader closed the pipe
@@ -69,7 +71,7 @@ def run_in_uml(
     terminal = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
     terminate_as_interrupt()
     with (
-        tempfile.TemporaryDirectory(prefix="tipforce-vcan-", dir=_short_temporary_folder()) as name,
+        tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as name,
         _terminal_kept(terminal),
     ):
         folder = Path(name)
@@ -253,12 +255,6 @@ def memory_bytes(memory: str) -> int:
     if match is None:
         raise InputError(f"--memory {memory}: expected a number with K, M or G, for instance 2G")
     return int(match[1]) << {"K": 10, "M": 20, "G": 30}[match[2].upper()]
-
-
-def _short_temporary_folder() -> str:
-    # The path is part of a kernel command line (no blanks) and of a socket name (at most 107 characters).
-    folder = tempfile.gettempdir()
-    return folder if re.fullmatch(r"[\w./+-]{1,50}", folder, re.ASCII) else "/tmp"
 
 
 @contextlib.contextmanager

@@ -1,19 +1,18 @@
-"""From measurements to a calibration, with its checks, report and file: what `fit` and `guide` have in common."""
+"""From measurements with loads to a calibration, with its checks."""
 
 from __future__ import annotations
 
-import argparse
 import datetime
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration, write_calibration
-from tipforce.host.configuration.calibration_file import fit_record
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import MODES, Measurements
 from tipforce.sensor.calibration.data import rails, require_degrees, require_order, require_size
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, beam_prior, best_fit, fit_with_drift
@@ -24,23 +23,39 @@ from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.layout_file import read_layout
-from tipforce_tools.calibrate import fit_report
-from tipforce_tools.cli import common
 
 ALLOWED_WITH_LAYOUT, ALLOWED_WITHOUT = 4.0, 30.0
 """Factors between the measured response and beam theory: real gauges and their factors, or another structure."""
 
 
+@dataclass(frozen=True)
 class FitRequest:
-    """What a fit is asked for: ``args`` has the flags of its model, and those of the calibration that it gives."""
+    """What a fit is asked for: the model of the readings, and what the calibration states.
 
-    def __init__(self, args: argparse.Namespace) -> None:
-        self.args = args
+    Strains in microstrain, angles in degrees, stress in MPa; None: estimated, not known, or that of the data.
+    """
+
+    layout: str | None = None
+    angle_scatter: float = 0.5
+    drift: Literal["none", "tare", "linear"] | None = None
+    """None: what predicts rows that the fit leaves out best."""
+    loss: Literal["huber", "soft_l1", "none"] = "huber"
+    noise: float | None = None
+    saturation: float | None = None
+    """inf: no reading is at a limit."""
+    yield_stress: float | None = None
+    no_offset: bool = False
+    prior: str | None = None
+    """"beam": lean on beam theory, which may be off by the share ``prior_scatter``."""
+    prior_scatter: float = 0.1
+    sense: str | None = None
+    serial: int = 0
+    date: datetime.date | None = None
 
     @cached_property
     def structure(self) -> tuple[Geometry, tuple[Gauge, ...]] | None:
         """Dimensions and gauges of the layout. Raises InputError."""
-        return read_layout(self.args.layout) if self.args.layout else None
+        return read_layout(self.layout) if self.layout else None
 
     @cached_property
     def theory(self) -> FloatArray | None:
@@ -50,25 +65,25 @@ class FitRequest:
     @cached_property
     def model(self) -> Model:
         """The model that the flags ask for. Raises InputError for a prior without a layout."""
-        if self.args.prior and self.structure is None:
+        if self.prior and self.structure is None:
             raise InputError("--prior beam needs --layout: the theory depends on where the gauges sit")
-        prior = beam_prior(*self.structure, self.args.prior_scatter) if self.args.prior and self.structure else None
-        scatter = float(np.radians(self.args.angle_scatter))
+        prior = beam_prior(*self.structure, self.prior_scatter) if self.prior and self.structure else None
+        scatter = float(np.radians(self.angle_scatter))
         return Model(
-            offset=not self.args.no_offset,
-            drift=self.args.drift or "none",
-            loss=self.args.loss.replace("-", "_"),
+            offset=not self.no_offset,
+            drift=self.drift or "none",
+            loss=self.loss,
             phi_scatter_rad=scatter,
             theta_scatter_rad=scatter,
-            noise_strain=None if self.args.noise is None else self.args.noise * 1e-6,
-            saturation_strain=None if self.args.saturation is None else self.args.saturation * 1e-6,
+            noise_strain=None if self.noise is None else self.noise * 1e-6,
+            saturation_strain=None if self.saturation is None else self.saturation * 1e-6,
             prior=prior,
         )
 
     def check_gauges(self, gauges: int, whose: str) -> None:
         """Raise InputError where the layout has another number of gauges."""
         if self.structure is not None and len(self.structure[1]) != gauges:
-            raise InputError(f"--layout {self.args.layout} has {len(self.structure[1])} gauges, {whose} has {gauges}")
+            raise InputError(f"--layout {self.layout} has {len(self.structure[1])} gauges, {whose} has {gauges}")
 
 
 class Fitted(NamedTuple):
@@ -91,13 +106,13 @@ def fitted(request: FitRequest, data: Measurements, note: Callable[[str], None] 
     """
     readings = readings_of(data)
     _check_readings(request, data, readings)
-    fit, model, scores = (fit_with_drift if request.args.drift else best_fit)(readings, request.model)
+    fit, model, scores = (fit_with_drift if request.drift else best_fit)(readings, request.model)
     if request.theory is None:
         typical = np.sqrt(np.mean(np.square(strain_matrix(FABRICATED, "I"))))
         require_size(fit.A, np.full(fit.A.shape, typical), ALLOWED_WITHOUT, "a gauge of the paper's fingertip")
     else:
-        require_size(fit.A, request.theory, ALLOWED_WITH_LAYOUT, str(request.args.layout))
-        require_order(fit.A, request.theory, str(request.args.layout))
+        require_size(fit.A, request.theory, ALLOWED_WITH_LAYOUT, str(request.layout))
+        require_order(fit.A, request.theory, str(request.layout))
     fit = rounded(fit)
     return Fitted(data, readings, fit, model, scores, _calibration_of(request, data, fit, note))
 
@@ -108,28 +123,6 @@ def readings_of(data: Measurements) -> Readings:
         raise InputError("the data have no loads: the columns P_N, phi_deg, theta_deg are needed")
     P = np.where(data.unloaded, 0.0, data.P_newtons)
     return Readings(data.strain, P, data.phi_rad, data.theta_rad, data.t_s, data.weight, data.temperature_degC)
-
-
-def publish(
-    args: argparse.Namespace, path: str, request: FitRequest, result: Fitted, more_notes: tuple[str, ...] = ()
-) -> bool:
-    """Print the account of a fit; return whether something speaks against it."""
-    notes = [*fit_report.notes(result, request), *more_notes]
-    warnings = fit_report.warnings(result)
-    if args.json:
-        fit_report.print_json(path, result, notes, warnings)
-    else:
-        fit_report.print_text(path, result, notes)
-    for warning in warnings:
-        common.note(args, f"{path}: {warning}")
-    return bool(warnings)
-
-
-def write(args: argparse.Namespace, path: str, request: FitRequest, result: Fitted) -> None:
-    """Write the calibration file of --output."""
-    facts = fit_report.facts(path, result) | {"angle_scatter_deg": request.args.angle_scatter}
-    write_calibration(args.output, result.calibration, fit_record(result.fit, **facts))
-    common.note(args, f"{args.output}: written, load sense {'pull' if result.calibration.pull else 'push'}")
 
 
 def limit_of(fit: Fit, Sigma: FloatArray, dof: float, largest_newtons: float) -> float:
@@ -144,9 +137,7 @@ def _check_readings(request: FitRequest, data: Measurements, readings: Readings)
     require_degrees(readings)
     if model.saturation_strain is not None and np.isinf(model.saturation_strain).all():
         return
-    limit = np.full(
-        readings.strain.shape[1], np.inf if request.args.saturation is None else request.args.saturation * 1e-6
-    )
+    limit = np.full(readings.strain.shape[1], np.inf if request.saturation is None else request.saturation * 1e-6)
     loads = np.stack((readings.P_newtons, readings.phi_rad, readings.theta_rad), axis=-1)
     for rail in rails(readings.strain, loads, limit):
         value = np.floor(abs(rail.strain) * 1e9) / 1e3  # below what the converter shows
@@ -162,10 +153,10 @@ def _calibration_of(request: FitRequest, data: Measurements, fit: Fit, note: Cal
     if request.structure is not None:
         points = [gauge for gauge in request.structure[1] if isinstance(gauge, str)]
         code = layout_code(points) if len(points) == len(fit.A) else CUSTOM_LAYOUT_CODE
-    day = request.args.date or datetime.date.today()
+    day = request.date or datetime.date.today()
     noise, parameters = map(to_digits, fit.record_covariances)
     return Calibration(
-        fit.C, fit.offset_strain, noise, request.args.serial,
+        fit.C, fit.offset_strain, noise, request.serial,
         day.year * 10000 + day.month * 100 + day.day, layout_code=code, pull=_pulls(request, data, note),
         parameter_covariance=parameters,
         **_validity_of(request, fit),
@@ -181,10 +172,10 @@ def _validity_of(request: FitRequest, fit: Fit) -> dict[str, Any]:
         "model_uncertainty": 0.0 if straight is None else float(to_digits(straight.model_uncertainty, 3)),
         "redundancy_limit": limit_of(fit, fit.noise_covariance_strain2, fit.noise_dof, largest),
     }
-    if request.args.saturation is not None and np.isfinite(request.args.saturation):
-        fields["converter_limit_strain"] = np.full(len(fit.A), request.args.saturation * 1e-6)
+    if request.saturation is not None and np.isfinite(request.saturation):
+        fields["converter_limit_strain"] = np.full(len(fit.A), request.saturation * 1e-6)
     if request.structure is not None:
-        yield_pascals = None if request.args.yield_stress is None else request.args.yield_stress * 1e6
+        yield_pascals = None if request.yield_stress is None else request.yield_stress * 1e6
         overload = overload_newtons(request.structure[0], yield_pascals)
         fields["overload_force_newtons"] = float(to_digits(overload, 4)) if overload > largest else 0.0
     if warm is not None:
@@ -200,8 +191,8 @@ def _validity_of(request: FitRequest, fit: Fit) -> dict[str, Any]:
 
 
 def _pulls(request: FitRequest, data: Measurements, note: Callable[[str], None]) -> bool:
-    if request.args.sense:
-        return str(request.args.sense) == "pull"
+    if request.sense:
+        return str(request.sense) == "pull"
     if data.mode is None:
         return True
     pushes, pulls = (bool((data.mode == MODES.index(name)).any()) for name in ("push", "pull"))

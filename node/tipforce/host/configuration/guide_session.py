@@ -19,9 +19,9 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.capture import Capture
+from tipforce.host.configuration.guide_plan import EXTRA, Step
 from tipforce.host.configuration.measurements import read_measurements
 from tipforce.output_file import new_file
-from tipforce_tools.calibrate.guide_plan import EXTRA, Step
 
 
 class Row(NamedTuple):
