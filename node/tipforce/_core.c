@@ -1,8 +1,8 @@
-/* The compiled core: candump text to FRAME records, and the PDOs of one latch to rows.
+/* The compiled core: candump text to FRAME records, the PDOs of one latch to rows, their data to columns.
 
    These are the fast bodies of Python functions that do the same. `parse` leaves lines that are not of
    the plain forms below to host/logs/candump.py, which alone judges them; `join` is join_here of
-   host/decoding/sample_rule.py. Without this module everything works, slower. Limited API of Python
+   host/decoding/sample_rule.py, `extract` columns_of of host/decoding/columns.py. Without this module everything works, slower. Limited API of Python
    3.11: one build for all later versions. */
 
 #define PY_SSIZE_T_CLEAN
@@ -248,6 +248,8 @@ done:
 
 enum { NO_COUNTER = -1, ORDER = 0, ROW, FIRST, COUNTER, HELD, HELD_NUMBER, COLUMNS, MESSAGES = 256 };
 
+static const int64_t MOST_FRAMES = (int64_t)1 << 60;
+
 typedef struct { /* SLOT of sample_rule.py: a message of a node */
     uint32_t sender;
     int16_t shift, mask; /* of the counter, shift -1 for none */
@@ -414,7 +416,10 @@ static PyObject *join(PyObject *module, PyObject *args) {
         job.work[k] = (int64_t *)work.buf + k * job.count;
     Last *last = NULL;
     Decoded *decoded = NULL;
-    if (slots.len != job.count * 4 || work.len != job.count * 8 * COLUMNS || ends.len != job.kinds * 8 ||
+    int fits = number < MOST_FRAMES && number > -MOST_FRAMES;
+    for (Py_ssize_t k = 0; k < job.held; k++)
+        fits = fits && job.held_number[k] < MOST_FRAMES && job.held_number[k] > -MOST_FRAMES;
+    if (!fits || slots.len != job.count * 4 || work.len != job.count * 8 * COLUMNS || ends.len != job.kinds * 8 ||
         short_frames.len != ends.len || job.senders < 0 || job.senders > 1 << 16 || gap_ns < 0) {
         PyErr_SetString(PyExc_ValueError, "join: arguments");
         goto done;
@@ -445,11 +450,104 @@ done:
     return result;
 }
 
+/* --- columns of signals ----------------------------------------------------------------------- */
+
+enum { FLAG, INTEGER, NUMBER, REAL };
+
+typedef struct { /* SIGNAL of columns.py */
+    double scale, offset, divisor;
+    uint64_t unknown;
+    Byte start, bits, kind, size, is_signed, has_unknown, big_endian, spare;
+} Signal;
+
+static uint64_t raw_of(const Signal *signal, const Byte *data) {
+    uint64_t word = 0, sign = (uint64_t)1 << (signal->bits - 1);
+    memcpy(&word, data, sizeof word);
+    if (signal->big_endian) {
+        uint64_t swapped = 0;
+        for (int k = 0; k < 8; k++, word >>= 8)
+            swapped = swapped << 8 | (word & 0xFF);
+        word = swapped;
+    }
+    word = word >> signal->start & (sign | (sign - 1));
+    return signal->is_signed ? (word ^ sign) - sign : word;
+}
+
+static double value_of(const Signal *signal, uint64_t raw) {
+    double value;
+    if (signal->kind == REAL) {
+        float narrow;
+        uint32_t low = (uint32_t)raw;
+        memcpy(&value, &raw, sizeof value);
+        memcpy(&narrow, &low, sizeof narrow);
+        if (signal->bits == 32)
+            value = narrow;
+        return signal->scale == 1 && signal->offset == 0 ? value : value * signal->scale + signal->offset;
+    }
+    if (signal->has_unknown && raw == signal->unknown)
+        return Py_NAN;
+    value = signal->is_signed ? (double)(int64_t)raw : (double)raw;
+    if (signal->divisor != 0)
+        value /= signal->divisor;
+    else if (signal->scale != 1)
+        value *= signal->scale;
+    return signal->offset != 0 ? value + signal->offset : value;
+}
+
+static void extract_one(const Signal *signal, const Byte *words, Py_ssize_t count, Byte *out) {
+    for (Py_ssize_t k = 0; k < count; k++, words += 8, out += signal->size) {
+        uint64_t raw = raw_of(signal, words);
+        if (signal->kind >= NUMBER) {
+            double value = value_of(signal, raw);
+            memcpy(out, &value, 8);
+        } else if (signal->size == 1)
+            *out = (Byte)raw;
+        else if (signal->size == 2)
+            memcpy(out, &raw, 2);
+        else if (signal->size == 4)
+            memcpy(out, &raw, 4);
+        else
+            memcpy(out, &raw, 8);
+    }
+}
+
+PyDoc_STRVAR(extract_doc,
+"extract(words, signals, out): store the columns of data words (k,), one after another, each as SIGNAL (m,) says.");
+
+static PyObject *extract(PyObject *module, PyObject *args) {
+    Py_buffer words, signals, out;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*y*w*", &words, &signals, &out))
+        return NULL;
+    Py_ssize_t count = words.len / 8, kinds = signals.len / (Py_ssize_t)sizeof(Signal), place = 0;
+    const Signal *signal = signals.buf;
+    for (Py_ssize_t k = 0; k < kinds && place <= out.len; k++, signal++) {
+        int size = signal->size, whole = size == 1 || size == 2 || size == 4 || size == 8;
+        int fits = signal->bits >= 1 && signal->start + signal->bits <= 64;
+        if (!whole || !fits || (signal->kind >= NUMBER && size != 8) || count > (out.len - place) / size)
+            break;
+        extract_one(signal, words.buf, count, (Byte *)out.buf + place);
+        place += count * size;
+        if (k + 1 == kinds && place == out.len)
+            place = -1;
+    }
+    PyBuffer_Release(&words);
+    PyBuffer_Release(&signals);
+    PyBuffer_Release(&out);
+    if (place >= 0) {
+        PyErr_SetString(PyExc_ValueError, "extract: arguments");
+        return NULL;
+    }
+    Py_INCREF(Py_None);
+    return Py_None;
+}
+
 /* --- module ----------------------------------------------------------------------------------- */
 
 static PyMethodDef METHODS[] = {
     {"parse", parse, METH_VARARGS, parse_doc},
     {"join", join, METH_VARARGS, join_doc},
+    {"extract", extract, METH_VARARGS, extract_doc},
     {NULL, NULL, 0, NULL},
 };
 
@@ -462,7 +560,7 @@ PyMODINIT_FUNC PyInit__core(void) {
         HEX[(Byte)"0123456789ABCDEF"[k]] = (Byte)k;
     }
     PyObject *module = PyModule_Create(&MODULE);
-    if (module && PyModule_AddIntConstant(module, "INTERFACE", 2) < 0) {
+    if (module && PyModule_AddIntConstant(module, "INTERFACE", 3) < 0) {
         Py_DECREF(module);
         return NULL;
     }

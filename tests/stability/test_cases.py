@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -86,11 +86,16 @@ def _naive_triangle(right: Any) -> Any:
 
 
 def _no_unknown(right: Any) -> Any:
-    def number(words: Any, signal: Any) -> Any:
-        values = right(words, signal)
-        return np.where(np.isnan(values), signal.unknown * signal.scale, values) if signal.unknown else values
+    return lambda self, words: right(columns.Layout(replace(one, unknown=None) for one in self.signals), words)
 
-    return number
+
+def _any_length(right: Any) -> Any:
+    def join(frames: Any, slots: Any, layouts: Any, *others: Any, **named: Any) -> Any:
+        layouts = layouts.copy()
+        layouts["length"] = 0
+        return right(frames, slots, layouts, *others, **named)
+
+    return join
 
 
 def _stale_is_news(right: Any) -> Any:
@@ -169,9 +174,9 @@ FAULTS: tuple[tuple[str, Any, str, Any], ...] = (
     ("calibration.flipped_in_store", Storage, "read_blob",
      lambda _right: lambda self, name: (self._load(name) or b"")[4:] if self._load else b""),
     ("fit.plane_of_loads", fitting, "require_seen", _gives(np.zeros(0))),
-    ("wire.unknown", columns, "_number", _no_unknown),
+    ("wire.unknown", columns.Layout, "columns", _no_unknown),
     ("wire.integer16_overflow", Channels, "_status", _silently_clamped),
-    ("wire.short_pdo", decoder.Decoder, "_drop_short", _gives(None)),
+    ("wire.short_pdo", decoder, "join", _any_length),
     ("clock.counter_wrap", decoder, "unwrap_counter",
      lambda _right: lambda counter: np.asarray(counter, dtype=np.int64)),
     ("clock.sync_twice_rate", Fingertip, "_latch", _stale_is_news),

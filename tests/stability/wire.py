@@ -22,8 +22,6 @@ _FREE_COB_ID = codes.TIME_COB_ID + 35  # not used by any service
 _RPDO_COB_ID = codes.RPDO_BASES[0] + rig.NODE_ID
 _GAUGES_COB_ID, _CONTACT_COB_ID, _FORCE_COB_ID = (base + rig.NODE_ID for base in codes.TPDO_BASES[:3])
 _WATCHED = 0x60  # a node-id
-_COPIES = (1, 1 + decode.FEW)
-"""Of the frames of a case: the decoder takes few frames one after another, and many as columns."""
 _IDENTIFIERS = (
     codes.NMT_COB_ID, codes.SDO_REQUEST_BASE + rig.NODE_ID, codes.LSS_REQUEST_COB_ID, codes.TIME_COB_ID,
     codes.HEARTBEAT_BASE + _WATCHED, _RPDO_COB_ID,
@@ -147,9 +145,8 @@ def _unknown() -> Observed:
             payloads = [((raw & 0xFFFF) << signal.start_bit).to_bytes(8, "little") for raw in raws]
             frames, name = _frames(number, payloads)
             checked += 1
-            for count in _COPIES:
-                found = decode.Decoder().decode(np.tile(frames, count))[rig.NODE_ID, name]
-                wrong += np.isnan(found.columns[signal.name]).tolist() != [True, False, False, False] * count
+            found = decode.Decoder().decode(frames)[rig.NODE_ID, name]
+            wrong += np.isnan(found.columns[signal.name]).tolist() != [True, False, False, False]
     return Observed(checked >= 9 and wrong == 0, f"{checked} signals, {wrong} wrong")
 
 
@@ -173,10 +170,9 @@ def _short() -> Observed:
         payloads = [bytes(length) for length in range(message.length_bytes)]
         frames, name = _frames(number, payloads)
         total += 1
-        decoders = {count: decode.Decoder() for count in _COPIES}
-        none = not any(decoder.decode(np.tile(frames, count)) for count, decoder in decoders.items())
-        counts = {count: {(rig.NODE_ID, name): count * message.length_bytes} for count in _COPIES}
-        right += none and {count: decoder.malformed for count, decoder in decoders.items()} == counts
+        decoder = decode.Decoder()
+        none = not decoder.decode(frames)
+        right += none and decoder.malformed == {(rig.NODE_ID, name): message.length_bytes}
     decoder = decode.Decoder()
     decoder.remap(rig.NODE_ID, "Contact", _CONTACT_COB_ID, [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)])
     longer = decoder.decode(frame_array([(0, _CONTACT_COB_ID, b"\xe8\x03" + bytes(6))]))[rig.NODE_ID, "Contact"]

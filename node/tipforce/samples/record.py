@@ -17,8 +17,8 @@ import numpy.typing as npt
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import Message
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.columns import columns_of, packed_row
-from tipforce.host.decoding.decoder import FEW, Columns
+from tipforce.host.decoding.columns import Layout
+from tipforce.host.decoding.decoder import Columns
 from tipforce.host.decoding.health import NAMES
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block, contact_values, status_of, uncertainties
@@ -104,16 +104,12 @@ class Pdo:
         self.fault_mask = sum(1 << bit for bit in bits.values()) if whole else 0
         """Of 2124h, if the PDO has it."""
         self.fault_shift = min((start[name] - bit for name, bit in bits.items()), default=0)
-        self._signals = tuple(signal for signal in message.signals if signal.name != COUNTER)
-        self.names = tuple(signal.name for signal in self._signals)
-        self._pack, self._dtype = packed_row(self._signals)
+        self._layout = Layout(signal for signal in message.signals if signal.name != COUNTER)
+        self.names = self._layout.names
 
-    def columns(self, words: Sequence[int]) -> Mapping[str, Column] | npt.NDArray[np.void]:
+    def columns(self, words: Sequence[int]) -> Mapping[str, Column]:
         """Return by name each signal (n,) of words (n,), a PDO's data as a little-endian number."""
-        if len(words) > FEW:
-            return columns_of(np.array(words, dtype="<u8"), self._signals)
-        pack = self._pack
-        return np.frombuffer(bytearray().join([pack(0, 0, word) for word in words]), self._dtype)
+        return self._layout.columns(np.array(words, dtype="<u8"))
 
 
 class Samples:

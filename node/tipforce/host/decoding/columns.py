@@ -1,20 +1,60 @@
-"""Extract signals from eight data bytes, for many messages of one layout at a time."""
+"""Extract signals from eight data bytes, for many messages of one layout at a time: by the core, or numpy."""
 
 from __future__ import annotations
 
-import math
-import struct
-from collections.abc import Callable, Iterable
-from itertools import groupby
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.core import core
 from tipforce.dictionary.signals import Signal
 
 Column = npt.NDArray[Any]  # (k,): float64 (measurement), bool (flag) or an integer type (counter, register)
 Words = npt.NDArray[np.uint64]
+
+
+SIGNAL = np.dtype([
+    ("scale", "<f8"), ("offset", "<f8"), ("divisor", "<f8"), ("unknown", "<u8"), ("start", "u1"), ("bits", "u1"),
+    ("kind", "u1"), ("size", "u1"), ("is_signed", "u1"), ("has_unknown", "u1"), ("big_endian", "u1"), ("spare", "u1"),
+])  # fmt: skip
+"""A signal for the compiled core. ``kind``: 0 flag, 1 integer, 2 number in a unit, 3 float; ``size``: of a value."""
+
+
+class Layout:
+    """The signals of a message, for the extraction of its columns."""
+
+    def __init__(self, signals: Iterable[Signal]) -> None:
+        self.signals = tuple(signals)
+        self.names = tuple(signal.name for signal in self.signals)
+        nothing = columns_of(np.zeros(0, dtype=np.uint64), self.signals)
+        larger_first = sorted(self.signals, key=lambda signal: -nothing[signal.name].itemsize)
+        self._signals = np.array([_signal_row(one, nothing[one.name].itemsize) for one in larger_first], dtype=SIGNAL)
+        places = np.cumsum([0, *(nothing[signal.name].itemsize for signal in larger_first)]).tolist()
+        place_of = {signal.name: place for signal, place in zip(larger_first, places, strict=False)}
+        self._columns = [(name, nothing[name].dtype, place_of[name]) for name in self.names]
+        self._bytes = places[-1]
+
+    def columns(self, words: Words) -> Mapping[str, Column]:
+        """Return each signal (k,) from the eight data bytes (k,) as one little-endian number."""
+        if core is None or not self.names:
+            return columns_of(words, self.signals)
+        count = len(words)
+        out = np.empty(count * self._bytes, dtype=np.uint8)
+        core.extract(words, self._signals, out)
+        return {name: np.ndarray(count, kind, out, count * place) for name, kind, place in self._columns}
+
+
+def _signal_row(signal: Signal, size: int) -> tuple[Any, ...]:
+    flag = signal.bits == 1 and is_plain(signal)
+    plain = signal.unknown is None and signal.scale == 1 and not signal.offset
+    kind = 0 if flag else 3 if signal.real else 1 if plain else 2
+    unknown = 0 if signal.unknown is None else signal.unknown & (1 << 64) - 1
+    return (
+        signal.scale, signal.offset, divisor_of(signal), unknown, signal.start_bit, signal.bits, kind, size,
+        signal.signed and kind in {1, 2}, signal.unknown is not None, signal.big_endian, 0,
+    )  # fmt: skip
 
 
 def columns_of(words: Words, signals: Iterable[Signal]) -> dict[str, Column]:
@@ -82,96 +122,3 @@ def _integer(words: Words, signal: Signal) -> Column:
     top = words << np.uint64(64 - signal.bits - signal.start_bit)
     down = 64 - signal.bits
     return top.view(np.int64) >> np.int64(down) if signal.signed else top >> np.uint64(down)
-
-
-TIME, ROW = " t_ns", " row"  # no signal has such a name
-PackRow = Callable[[int, int, int], bytes]  # t_ns, row and the eight data bytes as a little-endian number
-
-
-def packed_row(signals: Iterable[Signal]) -> tuple[PackRow, np.dtype[np.void]]:
-    """Return the function that packs a message, and the dtype of its rows: ``TIME``, ``ROW``, then each signal.
-
-    The fields have the types of ``columns_of``. Larger fields come first, so that all are aligned.
-    """
-    given = tuple(signals)
-    flags = sorted((s for s in given if _is_flag(s)), key=lambda signal: signal.start_bit)
-    numbers = [s for s in given if not _is_flag(s)]
-    formats = {signal.name: _format(signal) for signal in numbers}
-    numbers.sort(key=lambda signal: -struct.calcsize(formats[signal.name]))
-    names: dict[str, object] = {"real32": _real32, "real64": _real64, "swapped": _swapped, "nan": math.nan}
-    fields = [(TIME, "<i8"), (ROW, "<i8"), *((s.name, f"<{_NUMPY[formats[s.name]]}") for s in numbers)]
-    codes = ["q", "q", *(formats[signal.name] for signal in numbers)]
-    values = ["t_ns", "row", *(_expression(signal) for signal in numbers)]
-    for byte, members in groupby(flags, key=lambda signal: signal.start_bit // 8):
-        of_byte = list(members)
-        bits = [signal.start_bit % 8 for signal in of_byte]
-        names[f"flags_{byte}"] = [bytes(state >> bit & 1 for bit in bits) for state in range(256)]
-        values.append(f"flags_{byte}[word >> {8 * byte} & 0xFF]")
-        codes.append(f"{len(bits)}s")
-        fields += [(signal.name, "?") for signal in of_byte]
-    padding = -struct.calcsize("<" + "".join(codes)) % 8
-    if padding:
-        codes.append(f"{padding}x")
-        fields.append((" padding", f"V{padding}"))
-    names["pack"] = struct.Struct("<" + "".join(codes)).pack
-    # The text contains nothing but numbers of the signals: no name, no unit.
-    pack: PackRow = eval(f"lambda t_ns, row, word: pack({', '.join(values)})", names)
-    return pack, np.dtype(fields)
-
-
-_NUMPY = {"q": "i8", "Q": "u8", "d": "f8", "b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4"}
-_INTEGERS = {8: "b", 16: "h", 32: "i"}
-
-
-def _is_flag(signal: Signal) -> bool:
-    return signal.bits == 1 and is_plain(signal)
-
-
-def _is_integer(signal: Signal) -> bool:
-    return not signal.real and signal.unknown is None and signal.scale == 1 and not signal.offset
-
-
-def _format(signal: Signal) -> str:
-    if not _is_integer(signal):
-        return "d"
-    code = _INTEGERS.get(signal.bits, "q")
-    return code if signal.signed else code.upper()
-
-
-def _expression(signal: Signal) -> str:
-    """Return the value of ``word`` as Python text, with the operations of columns.py in their order."""
-    word = "swapped(word)" if signal.big_endian else "word"
-    mask = (1 << signal.bits) - 1
-    raw = f"({word} >> {signal.start_bit} & {mask})"
-    if signal.real:
-        value = f"real{signal.bits}{raw}"
-        plain = signal.scale == 1 and not signal.offset
-        return value if plain else f"{value} * {signal.scale!r} + {signal.offset!r}"
-    if signal.signed:
-        sign = 1 << signal.bits - 1
-        raw = f"(({raw} ^ {sign}) - {sign})"
-    if _is_integer(signal):
-        return raw
-    divisor = divisor_of(signal)
-    value = "float(raw)" if signal.unknown is not None else f"float{raw}"
-    if divisor:
-        value += f" / {divisor}"
-    elif signal.scale != 1:
-        value += f" * {signal.scale!r}"
-    if signal.offset:
-        value += f" + {signal.offset!r}"
-    return value if signal.unknown is None else f"nan if (raw := {raw}) == {signal.unknown} else {value}"
-
-
-def _real32(raw: int) -> float:
-    value: float = struct.unpack("<f", raw.to_bytes(4, "little"))[0]
-    return value
-
-
-def _real64(raw: int) -> float:
-    value: float = struct.unpack("<d", raw.to_bytes(8, "little"))[0]
-    return value
-
-
-def _swapped(word: int) -> int:
-    return int.from_bytes(word.to_bytes(8, "little"), "big")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
@@ -11,18 +10,13 @@ import numpy.typing as npt
 
 from tipforce.dictionary.signals import Message, mapping_signals, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decoding.columns import ROW, TIME, Column, columns_of
-from tipforce.host.decoding.plan import MAX_COB_ID, Few, Group, Key, Plan, make_plan, slots_of
+from tipforce.host.decoding.columns import Column
+from tipforce.host.decoding.plan import MAX_COB_ID, Key, Plan, make_plan, slots_of
+from tipforce.host.decoding.sample_rule import join
 from tipforce.host.frames.frame_array import FrameArray
 
-_NO_SLOT = 0
-_ALL = slice(None)
 _WORD = np.dtype("<u8")
-
-FEW = 64
-"""To this number of frames, one after another costs less than a numpy call per signal (bench.live)."""
-
-_FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
+_NO_NUMBERS = np.zeros(0, dtype=np.int64)
 
 
 class Columns(Mapping[str, Column]):
@@ -74,9 +68,6 @@ class Change:
     row: int
     key: Key
     message: tuple[int, Message] | None
-
-
-_Run = tuple[Group, npt.NDArray[np.uint16], npt.NDArray[np.intp], dict[str, Column]]
 
 
 class Decoder:
@@ -180,69 +171,26 @@ class Decoder:
         Remote and error frames and unknown identifiers are ignored. Raises InputError for a name that no message has.
         """
         plan = self.plan(signals)
-        if not len(frames):
-            return {}
-        return self._decode_few(frames, plan) if len(frames) <= FEW else self._decode_many(frames, plan)
-
-    def _decode_few(self, frames: FrameArray, plan: Plan) -> dict[Key, Samples]:
-        rows: dict[int, list[bytes]] = {}
-        few_of_id = plan.few
-        members: dict[int, Few] = {}
-        for row, (t_ns, can_id, length, word) in enumerate(_FIELDS.iter_unpack(frames.tobytes())):
-            if can_id not in few_of_id:
+        found: dict[Key, Samples] = {}
+        grouped = join(frames, slots_of(plan, frames["can_id"]), plan.alone, _NO_NUMBERS, 0, last=True)
+        for slot in np.flatnonzero(grouped.short).tolist():
+            key = plan.keys[slot - 1]
+            self.malformed[key] = self.malformed.get(key, 0) + int(grouped.short[slot])
+        words, ends = frames["data"].view(_WORD)[:, 0], grouped.ends
+        for group in plan.groups:
+            low, high = ends[group.first - 1], ends[group.first + len(group.node_ids) - 1]
+            if low == high:
                 continue
-            one = few_of_id[can_id]
-            if length < one.message.length_bytes:
-                self.malformed[one.key] = self.malformed.get(one.key, 0) + 1
-            elif one.slot in rows:
-                rows[one.slot].append(one.pack(t_ns, row, word))
-            else:
-                rows[one.slot], members[one.slot] = [one.pack(t_ns, row, word)], one
-        found: dict[Key, Samples] = {}
-        for slot in sorted(rows):
-            one = members[slot]
-            record = np.frombuffer(bytearray().join(rows[slot]), one.dtype)
-            columns = Columns(one.names, record, _ALL)
-            found[one.key] = Samples(one.key[0], one.message, record[TIME], record[ROW], columns)
+            order = grouped.order[low:high]
+            t_ns, columns = frames["t_ns"][order], group.layout.columns(words[order])
+            for slot, node_id in enumerate(group.node_ids, group.first):
+                rows = slice(ends[slot - 1] - low, ends[slot] - low)
+                if rows.start < rows.stop:
+                    of_node = Columns(group.layout.names, columns, rows)
+                    found[node_id, group.message.name] = Samples(
+                        node_id, group.message, t_ns[rows], order[rows], of_node
+                    )
         return found
-
-    def _decode_many(self, frames: FrameArray, plan: Plan) -> dict[Key, Samples]:
-        found: dict[Key, Samples] = {}
-        for group, slot, row, columns in self._runs(frames, plan):
-            ends = np.searchsorted(slot, np.arange(group.first, group.first + len(group.node_ids) + 1))
-            t_ns = frames["t_ns"][row]
-            names = tuple(columns)
-            for node_id, low, high in zip(group.node_ids, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
-                if low < high:
-                    rows = slice(low, high)
-                    of_node = Columns(names, columns, rows)
-                    found[node_id, group.message.name] = Samples(node_id, group.message, t_ns[rows], row[rows], of_node)
-        return found
-
-    def _runs(self, frames: FrameArray, plan: Plan) -> Iterator[_Run]:
-        """Yield the samples layout by layout, the nodes one after another."""
-        slot = slots_of(plan, frames["can_id"])
-        self._drop_short(plan, slot, frames["length"])
-        # Slots of one layout are consecutive: after a stable sort each layout is one run.
-        order = np.argsort(slot, kind="stable")
-        slot = slot[order]
-        firsts = [group.first for group in plan.groups]
-        ends = np.searchsorted(slot, np.array([*firsts, len(plan.keys) + 1], dtype=np.uint16)).tolist()
-        for group, low, high in zip(plan.groups, ends[:-1], ends[1:], strict=True):
-            if low < high:
-                row = order[low:high]
-                words = frames["data"].view(_WORD)[:, 0][row]
-                yield group, slot[low:high], row, columns_of(words, group.signals)
-
-    def _drop_short(self, plan: Plan, slot: npt.NDArray[np.uint16], length: npt.NDArray[np.uint8]) -> None:
-        short = length < plan.length_of_slot[slot]
-        if not short.any():
-            return
-        counts = np.bincount(slot[short], minlength=len(plan.keys) + 1)
-        for number in np.flatnonzero(counts).tolist():
-            key = plan.keys[number - 1]
-            self.malformed[key] = self.malformed.get(key, 0) + int(counts[number])
-        slot[short] = _NO_SLOT
 
     def plan(self, signals: Iterable[str] | None) -> Plan:
         """Return the slots of the present layouts, for ``signals`` as of ``decode``. Raises InputError as that."""

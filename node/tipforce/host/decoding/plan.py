@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from canopen_device.core.codes import STANDARD_MASK
-from tipforce.dictionary.signals import Message, Signal
+from tipforce.dictionary.signals import Message
 from tipforce.errors import InputError
-from tipforce.host.decoding.columns import PackRow, packed_row
+from tipforce.host.decoding.columns import Layout
+from tipforce.host.decoding.sample_rule import SLOT, counter_place, follows_sync
 
 MAX_COB_ID = STANDARD_MASK
 
@@ -25,7 +24,7 @@ class Group:
     """Slots ``first`` .. ``first + len(node_ids) - 1``: the nodes that share one layout, decoded together."""
 
     message: Message
-    signals: tuple[Signal, ...]
+    layout: Layout
     first: int
     node_ids: tuple[int, ...]
 
@@ -34,35 +33,13 @@ class Group:
 class Plan:
     """Slots of the identifiers, for one set of signals. A slot is one message of one node; slot 0 is ignored."""
 
-    slot_of_id: npt.NDArray[np.uint16]  # (MAX_COB_ID + 2,), the last entry is for all larger identifiers
+    slot_of_id: npt.NDArray[np.uint32]  # (MAX_COB_ID + 2,), the last entry is for all larger identifiers
     extended_ids: npt.NDArray[np.uint32]  # (e,) sorted, with EXTENDED_FLAG: of foreign messages
-    extended_slots: npt.NDArray[np.uint16]  # (e,)
-    length_of_slot: npt.NDArray[np.uint8]  # (slots + 1,), bytes
+    extended_slots: npt.NDArray[np.uint32]  # (e,)
+    slots: npt.NDArray[np.void]  # SLOT (slots + 1,) for one channel
+    alone: npt.NDArray[np.void]  # the same, without counters
     keys: tuple[Key, ...]  # of slot 1, 2, ...
-    can_ids: tuple[int, ...]  # the same
     groups: tuple[Group, ...]
-
-    @cached_property
-    def few(self) -> dict[int, Few]:
-        """By identifier what decodes single frames, which is compiled for the first of them."""
-        found = {}
-        for group in self.groups:
-            names, (pack, dtype) = tuple(signal.name for signal in group.signals), packed_row(group.signals)
-            for slot in range(group.first, group.first + len(group.node_ids)):
-                few = Few(slot, self.keys[slot - 1], group.message, names, pack, dtype)
-                found[self.can_ids[slot - 1]] = few
-        return found
-
-
-class Few(NamedTuple):
-    """One message of one node, for the decoding of single frames."""
-
-    slot: int
-    key: Key
-    message: Message
-    names: tuple[str, ...]
-    pack: PackRow
-    dtype: np.dtype[np.void]
 
 
 def make_plan(
@@ -82,31 +59,36 @@ def make_plan(
         if can_id and given.get(can_id, key) == key:
             layouts.setdefault(id(message), (message, []))[1].append((key[0], can_id))
     groups: list[Group] = []
-    slot_of_id = np.zeros(MAX_COB_ID + 2, dtype=np.uint16)
+    slot_of_id = np.zeros(MAX_COB_ID + 2, dtype=np.uint32)
     extended: dict[int, int] = {}
-    lengths, keys, can_ids = [0], list[Key](), list[int]()
+    rows: list[tuple[int | bytes, ...]] = [(0, -1, 0, 0, 0, 0, 0, 0, b"")]
+    keys, senders = list[Key](), dict[int, int]()
     for message, members in layouts.values():
         signals = tuple(signal for signal in message.signals if wanted is None or signal.name in wanted)
         if not signals:
             continue
-        groups.append(Group(message, signals, len(lengths), tuple(node_id for node_id, _ in members)))
+        groups.append(Group(message, Layout(signals), len(rows), tuple(node_id for node_id, _ in members)))
+        shift, mask = counter_place(signals)
+        cyclic = shift >= 0 and follows_sync(message)
         for node_id, can_id in members:
             if can_id <= MAX_COB_ID:
-                slot_of_id[can_id] = len(lengths)
+                slot_of_id[can_id] = len(rows)
             else:
-                extended[can_id] = len(lengths)
-            lengths.append(message.length_bytes)
+                extended[can_id] = len(rows)
+            sender = senders.setdefault(node_id, len(senders))
+            rows.append((sender, shift, mask, message.number, message.length_bytes, cyclic, 1, node_id, b""))
             keys.append((node_id, message.name))
-            can_ids.append(can_id)
     ids = np.array(sorted(extended), dtype=np.uint32)
-    slots = np.array([extended[can_id] for can_id in ids.tolist()], dtype=np.uint16)
-    lengths_of = np.array(lengths, dtype=np.uint8)
-    return Plan(slot_of_id, ids, slots, lengths_of, tuple(keys), tuple(can_ids), tuple(groups))
+    slots = np.array([extended[can_id] for can_id in ids.tolist()], dtype=np.uint32)
+    with_counters = np.array(rows, dtype=SLOT)
+    alone = with_counters.copy()
+    alone["shift"] = -1
+    return Plan(slot_of_id, ids, slots, with_counters, alone, tuple(keys), tuple(groups))
 
 
-def slots_of(plan: Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint16]:
+def slots_of(plan: Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint32]:
     """Return the slot of each identifier (k,): flags and larger identifiers are beyond MAX_COB_ID."""
-    slot: npt.NDArray[np.uint16] = plan.slot_of_id[np.minimum(can_id, MAX_COB_ID + 1)]
+    slot: npt.NDArray[np.uint32] = plan.slot_of_id[np.minimum(can_id, MAX_COB_ID + 1)]
     if len(plan.extended_ids):
         place = np.minimum(np.searchsorted(plan.extended_ids, can_id), len(plan.extended_ids) - 1)
         found = plan.extended_ids[place] == can_id

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import occurring
-from tipforce.dictionary.signals import Message, Signal
-from tipforce.host.decoding.columns import columns_of
+from tipforce.dictionary.signals import Message
+from tipforce.host.decoding.columns import Layout
 from tipforce.host.decoding.counters import Place, Tally
 from tipforce.host.decoding.decoder import Change, Decoder
 from tipforce.host.decoding.pdo_layout import has_signal
 from tipforce.host.decoding.plan import Plan, slots_of
-from tipforce.host.decoding.sample_rule import COUNTER, SLOT, Joined, counter_place, follows_sync, join
+from tipforce.host.decoding.sample_rule import COUNTER, SLOT, Joined, follows_sync, join
 from tipforce.host.decoding.sample_table import (
     NODE_BITS,
     BoolArray,
@@ -188,7 +188,7 @@ class SampleMerger:
 
     def _table(self, block: FrameArray, slots: npt.NDArray[np.uint32], joined: Joined) -> Table:
         """Return the complete rows; columns of messages whose frames are all in open rows are empty."""
-        layout = self._slots.layouts[slots[joined.first]]
+        firsts = self._slots.layouts[slots[joined.first]]
         seen = np.diff(joined.ends, prepend=0) + np.bincount(slots[joined.held], minlength=len(joined.ends)) > 0
         by_message: dict[str, dict[int, list[_Piece]]] = {}
         for piece in self._slots.pieces:
@@ -198,21 +198,21 @@ class SampleMerger:
         counter = joined.counter.copy()
         words = block["data"].view("<u8")[:, 0]
         for alike in (pieces for layouts in by_message.values() for pieces in layouts.values()):
-            message, signals = alike[0].message, alike[0].signals
+            message, layout = alike[0].message, alike[0].layout
             spans = [slice(joined.ends[piece.first - 1], joined.ends[piece.end - 1]) for piece in alike]
             order, row = (_together([values[span] for span in spans]) for values in (joined.order, joined.row))
-            columns = columns_of(words[order], signals)
+            columns = layout.columns(words[order])
             for piece, base in zip(alike, accumulate((s.stop - s.start for s in spans), initial=0), strict=False):
                 self._count_frames(piece, seen, joined.ends, columns, base)
-            sent = columns.pop(COUNTER, None)
-            if sent is not None and counter_place(message)[0] < 0:  # of another manufacturer: no plain number
-                counter[row] = sent.astype(np.int16)
             for signal, column in columns.items():
-                values.add(self._column_of(message, signal), row, column)
+                if signal != COUNTER:
+                    values.add(self._column_of(message, signal), row, column)
+                elif self._slots.layouts["shift"][alike[0].first] < 0:  # of another manufacturer: no plain number
+                    counter[row] = column.astype(np.int16)
         found, absent = values.found, values.absent
         shown = in_order((self._columns[name] for name in found), self._signals)
         return Table(
-            block["t_ns"][joined.first], layout["key"], counter, layout["cyclic"] == 1,
+            block["t_ns"][joined.first], firsts["key"], counter, firsts["cyclic"] == 1,
             shown, {c.name: found[c.name] for c in shown}, absent, tuple(self.channels), self.timed,
             tuple((self.channels[channel], modulus) for channel, modulus in self.sync.of.items()),
         )  # fmt: skip
@@ -274,7 +274,7 @@ class _Piece(NamedTuple):
 
     channel: int
     message: Message
-    signals: tuple[Signal, ...]
+    layout: Layout
     first: int
     end: int
 
@@ -286,26 +286,23 @@ class _Slots:
     """
 
     def __init__(self, plans: Mapping[int, Plan], *, with_counter_alone: bool = True) -> None:
+        """``with_counter_alone``: use messages too that have no other signal."""
         self._plans, self._bases = plans, dict[int, int]()
         self.places: list[tuple[int, int, str]] = [(0, 0, "")]
         pieces: list[_Piece] = []
-        senders: dict[int, int] = {}
-        rows: list[tuple[Any, ...]] = [(0, -1, 0, 0, 0, 0, 0, 0, b"")]
+        self.layouts = np.zeros(1, dtype=SLOT)
         for channel, plan in plans.items():
             base = self._bases[channel] = len(self.places) - 1
+            self.places += [(channel, *key) for key in plan.keys]
+            slots = plan.slots[1:].copy()
+            slots["sender"] += self.layouts["sender"].max() + np.uint32(1)
+            slots["key"] |= np.uint16(channel << NODE_BITS)
             for group in plan.groups:
-                message, first = group.message, base + group.first
-                used = with_counter_alone or any(signal.name != COUNTER for signal in group.signals)
-                has_counter = any(signal.name == COUNTER for signal in group.signals)
-                shift, mask = counter_place(message) if has_counter else (-1, 0)
-                if used:
-                    pieces.append(_Piece(channel, message, group.signals, first, first + len(group.node_ids)))
-                for node_id in group.node_ids:
-                    key = channel << NODE_BITS | node_id
-                    sender, cyclic = senders.setdefault(key, len(senders)), shift >= 0 and follows_sync(message)
-                    rows.append((sender, shift, mask, message.number, message.length_bytes, cyclic, used, key, b""))
-                    self.places.append((channel, node_id, message.name))
-        self.layouts = np.array(rows, dtype=SLOT)
+                piece = _Piece(channel, group.message, group.layout, group.first, group.first + len(group.node_ids))
+                used = with_counter_alone or {*group.layout.names} != {COUNTER}
+                slots["used"][piece.first - 1 : piece.end - 1] = used
+                pieces += [piece._replace(first=base + piece.first, end=base + piece.end)] * used
+            self.layouts = np.concatenate((self.layouts, slots))
         self.pieces = sorted(pieces, key=lambda piece: piece.message.number)
 
     def has(self, channels: Iterable[int]) -> bool:
@@ -314,7 +311,7 @@ class _Slots:
 
     def of(self, channel: int, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint32]:
         """Return the slot of each identifier (k,) of a channel."""
-        slots = slots_of(self._plans[channel], can_id).astype(np.uint32)
+        slots = slots_of(self._plans[channel], can_id)
         if self._bases[channel]:
             slots[slots > 0] += np.uint32(self._bases[channel])
         return slots

@@ -10,13 +10,14 @@ how frames are cut into calls.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.core import core
-from tipforce.dictionary.signals import Message
+from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.decoding.columns import is_plain
 from tipforce.host.decoding.sample_table import NO_COUNTER
 from tipforce.host.frames.frame_array import FrameArray
@@ -42,9 +43,9 @@ _FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
 Ints = npt.NDArray[np.int64]
 
 
-def counter_place(message: Message) -> tuple[int, int]:
-    """Return (start bit, mask) of the counter; (-1, 0) for a message without one, or where it is no plain number."""
-    for signal in message.signals:
+def counter_place(signals: Iterable[Signal]) -> tuple[int, int]:
+    """Return (start bit, mask) of the counter; (-1, 0) where there is none, or it is no plain number."""
+    for signal in signals:
         if signal.name == COUNTER and is_plain(signal) and not (signal.signed or signal.real):
             return (signal.start_bit, (1 << signal.bits) - 1) if signal.bits <= _MOST_COUNTER_BITS else (-1, 0)
     return -1, 0

@@ -1,0 +1,67 @@
+"""The compiled core and numpy extract equal values, bit by bit, for any layout."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tipforce.core import core
+from tipforce.dictionary.signals import Signal
+from tipforce.host.decoding.columns import SIGNAL, Layout, columns_of
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.frames.frame_array import FRAME
+
+pytestmark = pytest.mark.skipif(core is None, reason="needs the compiled core")
+SCALES = st.sampled_from([1.0, 0.001, 0.01, 0.1, 0.25, 3.0, 0.0375, -2.0, 0.0])
+SPECIAL = (0, 1, 0x8000, 0x8000_8000_8000_8000, (1 << 64) - 1, 0x7FFF, 0x7FA0_0000, 0xFFF4_0000_0000_0000)
+
+
+@st.composite
+def signals(draw: st.DrawFn, name: str) -> Signal:
+    real = draw(st.booleans())
+    bits = draw(st.sampled_from([32, 64]) if real else st.sampled_from([1, 1, 2, 7, 8, 12, 16, 24, 32, 40, 64]))
+    start = draw(st.integers(0, 64 - bits))
+    unknown = None if real else draw(st.none() | st.integers(0, (1 << bits - 1) - 1))
+    scale, offset = draw(SCALES), draw(st.sampled_from([0.0, -40.0, 0.1]))
+    signed, big_endian = draw(st.booleans()), draw(st.booleans())
+    return Signal(name, start, bits, signed, scale, "", 0, 0, unknown, "", 0, 0, real, offset, big_endian)
+
+
+LAYOUTS = st.integers(1, 12).flatmap(lambda count: st.tuples(*(signals(f"s{k}") for k in range(count))))
+
+
+@settings(max_examples=150)
+@given(LAYOUTS, st.integers(0, 1 << 32), st.integers(0, 100))
+def test_both_bodies_give_equal_bits(layout: tuple[Signal, ...], seed: int, count: int) -> None:
+    words = np.random.default_rng(seed).integers(0, 1 << 64, count, dtype=np.uint64)
+    words[: len(SPECIAL)] = SPECIAL[:count]
+    by_core, by_numpy = Layout(layout).columns(words), columns_of(words, layout)
+    assert list(by_core) == list(by_numpy)
+    for name, column in by_numpy.items():
+        assert by_core[name].dtype == column.dtype
+        known = ~np.isnan(column)  # a NaN is a NaN, whatever its other bits
+        assert (known == ~np.isnan(by_core[name])).all(), name
+        assert by_core[name][known].tobytes() == column[known].tobytes(), name
+
+
+def test_the_order_of_messages_and_signals_is_that_of_the_layout() -> None:
+    frames = np.zeros(8, dtype=FRAME)
+    frames["can_id"], frames["length"] = np.resize([0x283, 0x481, 0x281, 0x183], 8), 8
+    found = Decoder(node_ids=range(1, 6)).decode(frames)
+    assert list(found) == [(3, "Gauges"), (1, "Contact"), (3, "Contact"), (1, "Health")]
+    assert list(found[1, "Contact"].columns)[:3] == ["P", "phi", "theta"]
+
+
+def test_the_core_refuses_what_does_not_fit() -> None:
+    """Columns that are longer or shorter than the memory for them, and signals beyond the eighth byte."""
+    words, out = np.zeros(3, dtype=np.uint64), np.zeros(24, dtype=np.uint8)
+    row = np.zeros(1, dtype=SIGNAL)
+    row["bits"], row["size"], row["kind"] = 64, 8, 1
+    core.extract(words, row, out)
+    for changed, memory in (({}, out[:-1]), ({}, np.zeros(25, dtype=np.uint8)), ({"start": 1}, out), ({"size": 3}, out),
+                            ({"bits": 0}, out), ({"size": 4, "kind": 2}, out[:12])):  # fmt: skip
+        bad = row.copy()
+        for name, value in changed.items():
+            bad[name] = value
+        with pytest.raises(ValueError, match="extract"):
+            core.extract(words, bad, memory)
