@@ -54,7 +54,8 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
 def node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Command]:
     """Node 5 with layout I on vcan0, in a process of its own, for all the tests of a module."""
     folder = tmp_path_factory.mktemp("node")
-    with running_node(folder, "--store", str(folder / "store.json"), "--offset", "12.0,-8.5,5.3") as command:
+    flags = ("--store", str(folder / "store.json"), "--offset", "12.0,-8.5,5.3", "--uncalibrated")
+    with running_node(folder, *flags) as command:
         yield command
 
 

@@ -23,7 +23,7 @@ COMMIT = 0x74696D63  # "cmit"
 def remote(tmp_path_factory: pytest.TempPathFactory) -> Iterator[canopen.RemoteNode]:
     """The node as `tipforce node` starts it from a shell: a fresh interpreter."""
     folder = tmp_path_factory.mktemp("node")
-    with running_node(folder, "--store", str(folder / "store.json"), fresh=True):
+    with running_node(folder, "--store", str(folder / "store.json"), "--uncalibrated", fresh=True):
         network = canopen.Network()
         network.connect(channel="vcan0", interface="socketcan")
         try:

@@ -1,4 +1,7 @@
-"""`tipforce node`: one fingertip node on a bus; its gauges are simulated, Linux converters, or a recording."""
+"""`tipforce node`: one fingertip node on a bus; its gauges are simulated, Linux converters, or a recording.
+
+A simulated finger is calibrated as a delivered one.
+"""
 
 from __future__ import annotations
 
@@ -12,16 +15,17 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from canopen_device.core.node import Device
+    from canopen_device.running.store import FileStore
     from tipforce.fingertip.source import Source
     from tipforce.sensor.structure.gauges import Gauge
     from tipforce.sensor.structure.geometry import Geometry
 
 EPILOG = """\
 examples:
-  tipforce node --node-id 5 -i socketcan -c vcan0 --layout I --store node-5.json
+  tipforce node --node-id 5 -i socketcan -c vcan0 --layout I --load 4.4,90,45 --store node-5.json
   tipforce node --node-id 5 -i socketcan -c can0 --layout finger.toml --source iio:device0/voltage0,0-0051,0-0052
 
 The node waits for NMT start (cansend vcan0 000#0105), unless 1F80h makes it start by itself. SIGTERM and Ctrl-C end
@@ -74,6 +78,11 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
         "--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons and degrees (default %(default)s)"
     )
     group.add_argument("--seed", type=common.whole_number, default=0, help="of the noise (default %(default)s)")
+    group.add_argument(
+        "--uncalibrated", action="store_true",
+        help="as before its first calibration; otherwise a node that has stored none has that of beam theory, in the "
+        "sense (push or pull) of --load",
+    )  # fmt: skip
 
 
 def run(args: argparse.Namespace) -> int:
@@ -110,10 +119,32 @@ def _device(args: argparse.Namespace) -> tuple[Device, Source]:
         len(gauges),
         args.serial or args.node_id,
         store.save if store else None,
-        store.load if store else None,
+        _load(args, store, source, geometry, gauges),
         eds_text(len(gauges), simulated=args.source == "sim", converter=source.converter).encode(),
     )
     return device, source
+
+
+def _load(
+    args: argparse.Namespace, store: FileStore | None, source: Source, geometry: Geometry, gauges: tuple[Gauge, ...]
+) -> Callable[[str], bytes | None] | None:
+    """Return what loads stored parameters: of a simulated finger as of a delivered one."""
+    from tipforce.sources.simulated import SimulatedSource
+
+    stored = [store.load] if store else []
+    if args.uncalibrated or not isinstance(source, SimulatedSource):
+        return stored[0] if stored else None
+    from tipforce.scene.delivered import LARGEST_NEWTONS, load_delivered, pulls, structure_calibration
+
+    try:
+        calibration = structure_calibration(
+            geometry, gauges, args.noise, 1.0 / source.converter[1], source.offset_microstrain,
+            serial=args.serial or args.node_id, pull=pulls(source.load), calibrated_force_newtons=LARGEST_NEWTONS,
+        )  # fmt: skip
+        return load_delivered(calibration, *stored)
+    except InputError as error:
+        common.note(args, f"{common.shown_node(args.node_id)}: not calibrated: {error}")
+        return stored[0] if stored else None
 
 
 def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, ...]) -> Source:

@@ -4,6 +4,7 @@ from canopen_device.lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from tipforce.scene.delivered import beam_calibration as beam_calibration
     from tipforce.scene.reader import read_scene as read_scene
     from tipforce.scene.registry import Part as Part
     from tipforce.scene.registry import parts as parts
@@ -11,14 +12,13 @@ if TYPE_CHECKING:
     from tipforce.scene.run import Outcome as Outcome
     from tipforce.scene.run import run_scene as run_scene
     from tipforce.scene.schema import Scene as Scene
-    from tipforce.scene.simulated_bus import beam_calibration as beam_calibration
 
 _NAMES = {
     "schema": ("Scene",),
     "reader": ("read_scene",),
     "run": ("run_scene", "Options", "Outcome"),
     "registry": ("Part", "parts"),
-    "simulated_bus": ("beam_calibration",),
+    "delivered": ("beam_calibration",),
 }
 if not TYPE_CHECKING:
     __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

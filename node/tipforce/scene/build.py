@@ -19,6 +19,7 @@ from tipforce.dictionary import indices, table
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.scene import schema
+from tipforce.scene.delivered import commit_calibration, download, structure_calibration
 from tipforce.scene.loads import LoadHistory, Triple, load_of
 from tipforce.scene.registry import Pdo, chosen_parts, node_pdos
 from tipforce.sensor.structure.layouts import layout
@@ -92,20 +93,6 @@ class Finger:
         download(self.device, index, sub, struct.pack(packing, value))
 
 
-def download(device: Device, index: int, sub: int, data: bytes) -> None:
-    """Write an object of a simulated node without a bus. Raises InputError if the node rejects it."""
-    abort = device.od.download(index, sub, data)
-    if abort:
-        raise InputError(f"node {device.node_id} rejects 0x{index:04X}:{sub:02X}: abort 0x{abort:08X}")
-
-
-def commit_calibration(device: Device, calibration: Calibration) -> None:
-    """Stage, check and commit a calibration without a bus. Raises InputError if the node rejects it."""
-    download(device, indices.CALIBRATION_STAGED_RECORD, 0, calibration.record())
-    download(device, indices.CALIBRATION_CHECK, 1, struct.pack("<I", calibration.crc32()))
-    download(device, indices.CALIBRATION_COMMIT, 0, struct.pack("<I", table.SIGNATURE_COMMIT))
-
-
 def build(scene: schema.Scene, folder: Path) -> list[Finger]:
     """Return the fingers of a scene, not booted. ``folder``: the directory of relative calibration files.
 
@@ -129,32 +116,15 @@ def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path
             differs = f"it is for {calibration.gauges} gauges, the layout has {gauges}"
             raise InputError(f"calibration {group.calibration}: {differs}")
     elif "calibration" in chosen:
-        calibration = _model_calibration(scene, group, source)
+        from tipforce.sensor.structure.geometry import FABRICATED
+
+        white = scene.noise.gauge_microstrain or 0.0 if scene.noise is not None else 0.0
+        calibration = structure_calibration(
+            FABRICATED, layout(group.layout), white, 1.0 / source.converter[1], group.offset_microstrain or (),
+            serial=group.ids[0], pull=group.sense == "pull",
+        )  # fmt: skip
     device = fingertip_node(node_id, source, gauges, serial=node_id)
     return Finger(node_id, gauges, device, source, load, node_pdos(group, node_id), calibration, group, clock)
-
-
-def _model_calibration(scene: schema.Scene, group: schema.Nodes, source: SimulatedSource) -> Calibration:
-    """Return the inverse of the structure's strain matrix, with the offsets and the noise that the scene names."""
-    import numpy as np
-
-    from tipforce.host.configuration.calibration import Calibration
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce.sensor.structure.layouts import layout_code
-    from tipforce.sensor.structure.strain import calibration_matrix
-
-    gauges = len(layout(group.layout))
-    count = 1.0 / source.converter[1]  # microstrain; rounding to it counts as noise
-    white = scene.noise.gauge_microstrain or 0.0 if scene.noise is not None else 0.0
-    return Calibration(
-        C=calibration_matrix(FABRICATED, group.layout),
-        offset_strain=1e-6 * np.array(group.offset_microstrain or [0.0] * gauges),
-        covariance_strain2=1e-12 * (white**2 + count**2 / 12.0) * np.eye(gauges),
-        serial=group.ids[0],
-        layout_code=layout_code(group.layout),
-        tip_radius_m=FABRICATED.r_m,
-        pull=group.sense == "pull",
-    )
 
 
 def _source(

@@ -152,7 +152,7 @@ def _node_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator
     filtered = next((group.filter for group in groups if group.filter), None)
     force, contact = (next((why for why in reasons if why), "") for reasons in zip(*map(computes, groups), strict=True))
     modules = ["tipforce.host.configuration.calibration"] if calibrated else []
-    modules += _STRUCTURE if "model" in calibrated else ()
+    modules += (*_STRUCTURE, "tipforce.sensor.structure.gauges") if "model" in calibrated else ()
     why = f'nodes.calibration = "{calibrated[0]}"' if calibrated else ""
     named = "" if file is None else f'"{file}"'
     nobody = "" if calibrated else "no node is calibrated"

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import math
 import os
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,13 +18,12 @@ from canopen_device.running.store import MemoryStore
 from tipforce.arrays import floats
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.measurements import LARGEST_MICROSTRAIN, MOST_LOAD_NEWTONS
+from tipforce.host.configuration.measurements import MOST_LOAD_NEWTONS
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.open_bus import open_bus
+from tipforce.scene.delivered import beam_calibration, check_noise, load_delivered, pulls
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.layouts import layout_code
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 
 Load = tuple[float, float, float]
@@ -33,8 +31,6 @@ Load = tuple[float, float, float]
 
 NO_LOAD: Load = (0.0, 0.0, 0.0)
 FAULTS = {"none": 0, "stuck": STUCK, "open": OPEN, "saturated": SATURATED, "silent": SILENT, "drift": DRIFT}
-_LARGEST_NEWTONS = 15.0  # the slit of the fabricated body closes at 15.2 N, it yields at 25 N (design table materials)
-_ROUNDING_MICROSTRAIN = 0.1
 _WAKE_COB_ID = codes.STANDARD_MASK
 _numbers = itertools.count()
 
@@ -160,25 +156,15 @@ def simulated_hand(
     A = strain_matrix(FABRICATED, layout)
     for node_id in chosen:
         store = MemoryStore()
+        load: Callable[[str], bytes | None] = store.load
         source = SimulatedSource(A.tolist(), noise_microstrain, seed=seed + node_id)
         source.load = loads.get(node_id, NO_LOAD)
         sources[node_id] = source
-        devices[node_id] = fingertip_node(node_id, source, len(A), 1000 + node_id, store.save, store.load)
-    bus_of_fingers = SimulatedBus(devices, sources, **bus)
-    try:
-        for node_id in chosen if calibrated else ():
-            sense = _pulls(sources[node_id].load) if pull is None else pull
-            bus_of_fingers.finger(node_id).apply_calibration(beam_calibration(layout, sense, noise_microstrain))
-    except BaseException:
-        bus_of_fingers.close()
-        raise
-    return bus_of_fingers
-
-
-def check_noise(noise_microstrain: float) -> None:
-    """Raise InputError for a noise that is not 0 to 1e6 microstrain."""
-    if not 0.0 <= noise_microstrain <= LARGEST_MICROSTRAIN:
-        raise InputError(f"noise_microstrain = {noise_microstrain!r}: allowed is 0 to {LARGEST_MICROSTRAIN:g}")
+        if calibrated:
+            sense = pulls(source.load) if pull is None else pull
+            load = load_delivered(beam_calibration(layout, sense, noise_microstrain), load)
+        devices[node_id] = fingertip_node(node_id, source, len(A), 1000 + node_id, store.save, load)
+    return SimulatedBus(devices, sources, **bus)
 
 
 def _checked_load(node_id: int, load: Load) -> Load:
@@ -186,21 +172,3 @@ def _checked_load(node_id: int, load: Load) -> Load:
     if numbers.shape != (3,) or not (np.abs(numbers) <= MOST_LOAD_NEWTONS).all():
         raise InputError(f"load {load!r} of node {node_id}: allowed is (P newtons, phi degrees, theta degrees), finite")
     return (float(numbers[0]), float(numbers[1]), float(numbers[2]))
-
-
-def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: float = 0.5) -> Calibration:
-    """Return the calibration of a finger by beam theory, as ideal weights would yield it. Raises InputError."""
-    check_noise(noise_microstrain)
-    C = calibration_matrix(FABRICATED, layout)
-    variance = (noise_microstrain * 1e-6) ** 2 + (_ROUNDING_MICROSTRAIN * 1e-6) ** 2 / 12
-    n = C.shape[1]
-    return Calibration(
-        C, np.zeros(n), np.eye(n) * variance, layout_code=layout_code(layout), pull=pull,
-        calibrated_force_newtons=_LARGEST_NEWTONS,
-    )  # fmt: skip
-
-
-def _pulls(load: Load) -> bool:
-    """Return whether a load pulls: of the two points where its line meets the tip, it acts at cos(phi - theta) > 0."""
-    P, phi_deg, theta_deg = load
-    return P != 0.0 and math.cos(math.radians(phi_deg - theta_deg)) > 0.0

@@ -23,8 +23,7 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
 from tipforce.samples.record import Contact
-from tipforce.scene.build import commit_calibration, download
-from tipforce.scene.simulated_bus import beam_calibration, check_noise
+from tipforce.scene.delivered import beam_calibration, check_noise, commit_calibration, download
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix

@@ -29,12 +29,13 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
+from tipforce.scene.delivered import structure_calibration
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.layouts import CASES
+from tipforce.sensor.structure.layouts import CASES, layout
 from tipforce.sensor.structure.published import GROOVES_DEG
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 WEIGHT_NEWTONS = 4.4
@@ -78,16 +79,10 @@ class Result:
 
 def case_calibration(case: str, pull: bool) -> Calibration:
     """Return the calibration of one gauge case by beam theory, with the simulated gauges' offset and noise."""
-    return Calibration(
-        C=calibration_matrix(FABRICATED, case),
-        offset_strain=np.array(OFFSETS_MICROSTRAIN) * 1e-6,
-        covariance_strain2=np.eye(3) * (NOISE_MICROSTRAIN**2 + COUNT_MICROSTRAIN**2 / 12) * 1e-12,
-        serial=CASES.index(case) + 1,
-        date=int(f"{datetime.date.today():%Y%m%d}"),
-        layout_code=CASES.index(case) + 1,
-        tip_radius_m=FABRICATED.r_m,
-        pull=pull,
-    )
+    return structure_calibration(
+        FABRICATED, layout(case), NOISE_MICROSTRAIN, COUNT_MICROSTRAIN, OFFSETS_MICROSTRAIN,
+        serial=CASES.index(case) + 1, date=int(f"{datetime.date.today():%Y%m%d}"), pull=pull,
+    )  # fmt: skip
 
 
 def coverage_factor(comparisons: int) -> float:

@@ -5,6 +5,8 @@ Every matrix multiplies F = (F1, F2, F3) = P (sin(phi), sin(phi - theta), cos(ph
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import numpy.typing as npt
 
@@ -83,11 +85,15 @@ def calibration_matrix(geometry: Geometry, gauges: Layout) -> FloatArray:
     Raises InputError for an unusable layout, and if the gauges cannot separate the three forces (rank
     below 3).
     """
-    matrix = strain_matrix(geometry, gauges)
+    return pseudo_inverse(strain_matrix(geometry, gauges), layout(gauges))
+
+
+def pseudo_inverse(matrix: FloatArray, names: Iterable[str]) -> FloatArray:
+    """Return C (3, n) of a strain matrix (n, 3). Raises InputError with the gauges' names if its rank is below 3."""
     rank = int(np.linalg.matrix_rank(matrix))
     if rank < 3:
         raise InputError(
-            f"the gauges {', '.join(layout(gauges))} have rank {rank} in this geometry: allowed are layouts of rank 3"
+            f"the gauges {', '.join(names)} have rank {rank} in this geometry: allowed are layouts of rank 3"
         )
     return np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
 

@@ -1,0 +1,117 @@
+"""The calibration of a simulated finger by beam theory, as ideal weights would yield it, and how a node gets it."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from canopen_device.core import codes, communication
+from canopen_device.core.node import Device
+from canopen_device.running.store import MemoryStore
+from tipforce.dictionary import indices, table
+from tipforce.errors import InputError
+from tipforce.fingertip.calibration import CALIBRATION_GROUP
+from tipforce.fingertip.node import fingertip_node
+from tipforce.sources.simulated import SimulatedSource
+
+if TYPE_CHECKING:
+    from tipforce.host.configuration.calibration import Calibration
+    from tipforce.sensor.structure.gauges import Gauge
+    from tipforce.sensor.structure.geometry import Geometry
+
+LARGEST_NEWTONS = 15.0
+"""Of those weights: the slit of the fabricated body closes at 15.2 N, it yields at 25 N (design table materials)."""
+COUNT_MICROSTRAIN = 0.1
+"""Of a converter of 16 bits; rounding to it counts as noise."""
+
+
+def check_noise(noise_microstrain: float) -> None:
+    """Raise InputError for a noise that is not 0 to 1e6 microstrain."""
+    from tipforce.host.configuration.measurements import LARGEST_MICROSTRAIN
+
+    if not 0.0 <= noise_microstrain <= LARGEST_MICROSTRAIN:
+        raise InputError(f"noise_microstrain = {noise_microstrain!r}: allowed is 0 to {LARGEST_MICROSTRAIN:g}")
+
+
+def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: float = 0.5) -> Calibration:
+    """Return the calibration of a finger by beam theory, as ideal weights would yield it. Raises InputError."""
+    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce.sensor.structure.layouts import layout as points_of
+
+    check_noise(noise_microstrain)
+    return structure_calibration(
+        FABRICATED, points_of(layout), noise_microstrain, pull=pull, calibrated_force_newtons=LARGEST_NEWTONS
+    )
+
+
+def structure_calibration(
+    geometry: Geometry,
+    gauges: Sequence[Gauge],
+    noise_microstrain: float,
+    count_microstrain: float = COUNT_MICROSTRAIN,
+    offset_microstrain: Sequence[float] = (),
+    **stated: Any,
+) -> Calibration:
+    """Return the calibration of any gauges by beam theory; ``stated`` are other fields of Calibration.
+
+    Raises InputError for gauges that cannot separate the forces.
+    """
+    import numpy as np
+
+    from tipforce.host.configuration.calibration import Calibration
+    from tipforce.sensor.structure.gauges import gauge_matrix, gauge_name
+    from tipforce.sensor.structure.layouts import layout_code
+    from tipforce.sensor.structure.strain import pseudo_inverse
+
+    n, points = len(gauges), [gauge for gauge in gauges if isinstance(gauge, str)]
+    return Calibration(
+        C=pseudo_inverse(gauge_matrix(geometry, gauges), map(gauge_name, gauges)),
+        offset_strain=1e-6 * np.array(offset_microstrain or [0.0] * n),
+        covariance_strain2=1e-12 * (noise_microstrain**2 + count_microstrain**2 / 12.0) * np.eye(n),
+        layout_code=layout_code(points) if len(points) == n else table.CUSTOM_LAYOUT,
+        tip_radius_m=geometry.r_m,
+        **stated,
+    )
+
+
+def pulls(load: tuple[float, float, float]) -> bool:
+    """Return whether a load pulls: of the two points where its line meets the tip, it acts at cos(phi - theta) > 0."""
+    P, phi_deg, theta_deg = load
+    return P != 0.0 and math.cos(math.radians(phi_deg - theta_deg)) > 0.0
+
+
+def load_delivered(
+    calibration: Calibration, load: Callable[[str], bytes | None] = lambda _group: None
+) -> Callable[[str], bytes | None]:
+    """Return ``load`` of a node as it is delivered: where no calibration is stored, it has this one.
+
+    A stored calibration applies, and so does a restored default (1011h), which is none. Raises InputError if the node
+    rejects the calibration.
+    """
+    store, gauges = MemoryStore(), calibration.gauges
+    device = fingertip_node(1, SimulatedSource([(0.0, 0.0, 0.0)] * gauges), gauges, save=store.save, load=store.load)
+    device.step(0)
+    commit_calibration(device, calibration)
+    download(device, communication.STORE_PARAMETERS, CALIBRATION_GROUP, struct.pack("<I", codes.SIGNATURE_SAVE))
+
+    def delivered(group: str) -> bytes | None:
+        stored = load(group)
+        return store.load(group) if stored is None and group == "calibration" else stored
+
+    return delivered
+
+
+def commit_calibration(device: Device, calibration: Calibration) -> None:
+    """Stage, check and commit a calibration without a bus. Raises InputError if the node rejects it."""
+    download(device, indices.CALIBRATION_STAGED_RECORD, 0, calibration.record())
+    download(device, indices.CALIBRATION_CHECK, 1, struct.pack("<I", calibration.crc32()))
+    download(device, indices.CALIBRATION_COMMIT, 0, struct.pack("<I", table.SIGNATURE_COMMIT))
+
+
+def download(device: Device, index: int, sub: int, data: bytes) -> None:
+    """Write an object of a simulated node without a bus. Raises InputError if the node rejects it."""
+    abort = device.od.download(index, sub, data)
+    if abort:
+        raise InputError(f"node {device.node_id} rejects 0x{index:04X}:{sub:02X}: abort 0x{abort:08X}")
