@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from bench.measure import arguments, save_plot, table
+from bench.measure import arguments, table
 
 from tipforce.arrays import FloatArray
+from tipforce.output_file import save_figure
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import (
@@ -334,7 +335,7 @@ def plot(cells: list[Cell], path: str) -> None:
         ax.set_xlabel("|delta|, degrees")
     axes[0, -1].legend(fontsize=7, loc="lower left")
     figure.suptitle("Coverage of nominal 95 % intervals; hollow: flagged, first order does not hold")
-    save_plot(figure, path)
+    save_figure(figure, path, dpi=110)
 
 
 def _plot_line(ax: Any, cells: list[Cell], quantity: int, label: str) -> None:
