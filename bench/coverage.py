@@ -12,14 +12,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from math import sqrt
+from statistics import median
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from bench.measure import arguments, cpu_us, in_turns, median_and_spread, save_plot, table
+from bench.measure import arguments, cpu_us, in_turns, table
 
 from tipforce import Calibration, Estimator
 from tipforce.arrays import FloatArray
+from tipforce.output_file import save_figure
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import (
@@ -338,7 +340,7 @@ def plot(cells: list[Cell], path: str) -> None:
         ax.set_xlabel("|delta|, degrees")
     axes[0, -1].legend(fontsize=7, loc="lower left")
     figure.suptitle("Coverage of nominal 95 % intervals; hollow: flagged, first order does not hold")
-    save_plot(figure, path)
+    save_figure(figure, path, dpi=110)
 
 
 def _plot_line(ax: Any, cells: list[Cell], quantity: int, label: str) -> None:
@@ -373,8 +375,9 @@ def cost(rows: int = 100_000, rounds: int = 7) -> str:
     lines = []
     for name in sorted(figures):
         base = figures[name.partition(",")[0]]
-        ratio, spread = median_and_spread([us / beside for us, beside in zip(figures[name], base, strict=True)])
-        lines.append([name, f"{median_and_spread(figures[name])[0]:.3f}", f"{ratio:.2f}", f"{spread:.2f}"])
+        ratios = [us / beside for us, beside in zip(figures[name], base, strict=True)]
+        shown = f"{min(ratios):.2f} to {max(ratios):.2f}"
+        lines.append([name, f"{median(figures[name]):.3f}", f"{median(ratios):.2f}", shown])
     return table(["way", "us a reading", "ratio", "spread"], lines)
 
 

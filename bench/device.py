@@ -33,7 +33,7 @@ import numpy as np
 from bench.fuzz import STRAIN_PER_NEWTON, generated_eds
 from bench.fuzz_frames import good_record
 from bench.loopback import connected_pair, python_can_bus
-from bench.measure import ROOT, Meter, arguments, cpu_us, in_turns, machine, median_and_spread
+from bench.measure import ROOT, Meter, arguments, cpu_us, in_turns, machine
 
 from canopen_device.can_frame import CAN_FRAME
 from canopen_device.core import storage
@@ -203,7 +203,8 @@ def report_costs() -> list[str]:
     works = {what: (aim, partial(cpu_us, work)) for what, aim, work in _works()}
     in_turns({what: work for what, (_, work) in works.items()}, 1)  # warms up
     for what, figures in in_turns({what: work for what, (_, work) in works.items()}, REPEATS).items():
-        median, spread = median_and_spread(figures)
+        median = statistics.median(figures)
+        spread = max(abs(us - median) for us in figures)
         lines.append(f"  {what:<58}{median:10.1f} +- {spread:<8.1f}{works[what][0]}")
     return [*lines, f"memory per node: {memory_per_node() / 1024:.0f} KiB"]
 

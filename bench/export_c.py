@@ -1,7 +1,6 @@
 """The exported C estimator: agreement with Python over random samples, and its size on a Cortex-M4.
 
-    python -m bench.export_c                        a million samples (minutes), and the sizes
-    python -m bench.export_c --json
+    python -m bench.export_c    a million samples (minutes), and the sizes
 
 Every sample is held to the bound derived in tests/export_c/estimators.py; the first one beyond it ends the run. Sizes
 want arm-none-eabi-gcc (apt: gcc-arm-none-eabi, libnewlib-arm-none-eabi); without it they are left out, and it says so.
@@ -11,12 +10,11 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 import tempfile
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from bench.measure import main, table
+from bench.measure import ROOT, arguments, table
 
 SAMPLES, SEED = 1_000_000, 2025
 ARM = "arm-none-eabi-gcc"
@@ -37,18 +35,7 @@ PROGRAMS = {
 }
 
 
-def agreement(samples: int, seed: int) -> dict[str, Any]:
-    """The largest deviations of each variant. Raises AssertionError at a sample beyond its bound."""
-    from export_c import estimators
-
-    with tempfile.TemporaryDirectory() as folder:
-        programs = {
-            real: estimators.build(Path(folder) / real, 3, real, estimators.SANITIZE) for real in estimators.REALS
-        }
-        return {name: asdict(tally) for name, tally in estimators.compare(programs, 3, samples, seed).items()}
-
-
-def sizes() -> dict[str, dict[str, int]] | None:
+def sizes() -> dict[str, int] | None:
     """Bytes of each file as compiled, and of each variant with what it needs of the library; None without gcc."""
     if shutil.which(ARM) is None:
         return None
@@ -59,19 +46,18 @@ def sizes() -> dict[str, dict[str, int]] | None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_c_files(folder, 3)
-        compiled = {}
+        bytes_of = {}
         for source in sorted(folder.glob("*.c")):
             subprocess.run([ARM, *flags, "-c", source.name, "-o", f"{source.stem}.o"], cwd=folder, check=True)
-            compiled[source.name] = _text(folder / f"{source.stem}.o")
-        linked = {}
+            bytes_of[f"compiled {source.name}"] = _text(folder / f"{source.stem}.o")
         for title, (functions, files) in PROGRAMS.items():
             objects = [f"{Path(name).stem}.o" for name in files]
             kept = [f"-Wl,--undefined={function}" for function in functions]
             line = [ARM, *CPU, "-nostartfiles", "-Wl,--gc-sections", f"-Wl,--entry={functions[0]}", *kept]
             line += ["--specs=nosys.specs", "--specs=nano.specs", *objects, "-lm", "-o", "linked.elf"]
             subprocess.run(line, cwd=folder, check=True)
-            linked[title] = _text(folder / "linked.elf")
-    return {"compiled": compiled, "linked": linked}
+            bytes_of[f"linked {title}"] = _text(folder / "linked.elf")
+    return bytes_of
 
 
 def _text(path: Path) -> int:
@@ -80,21 +66,30 @@ def _text(path: Path) -> int:
     return int(done.stdout.splitlines()[1].split()[0])
 
 
-def as_text(figures: dict[str, Any]) -> str:
-    header = ["largest deviation", "samples", "P, uN", "phi, deg", "theta, deg", "u, %", "limit"]
+def main() -> None:
+    """Compare, with the runners of the tests, and print. Raises AssertionError at a sample beyond its bound."""
+    arguments(__doc__).parse_args()
+    sys.path.insert(0, str(ROOT / "tests"))
+    from export_c import estimators
+
+    with tempfile.TemporaryDirectory() as folder:
+        programs = {
+            real: estimators.build(Path(folder) / real, 3, real, estimators.SANITIZE) for real in estimators.REALS
+        }
+        tallies = estimators.compare(programs, 3, SAMPLES, SEED)
     rows = [
-        [name, f"{t['samples']}", f"{1e6 * t['P']:.3g}", f"{t['ordinary_phi_deg']:.1e}",
-         f"{t['ordinary_theta_deg']:.1e}", f"{100 * t['uncertainty']:.1e}", f"{t['status_at_a_limit']}"]
-        for name, t in figures["agreement"].items()
+        [name, f"{t.samples}", f"{1e6 * t.P:.3g}", f"{t.ordinary_phi_deg:.1e}", f"{t.ordinary_theta_deg:.1e}",
+         f"{100 * t.uncertainty:.1e}", f"{t.status_at_a_limit}"] for name, t in tallies.items()
     ]  # fmt: skip
-    text = table(header, rows, markdown=False) + "\n\n"
-    if figures["sizes"] is None:
-        return text + f"no sizes: {ARM} is missing (apt: gcc-arm-none-eabi, libnewlib-arm-none-eabi)"
-    of_files = [
-        [f"{title} {name}", str(size)] for title, sizes in figures["sizes"].items() for name, size in sizes.items()
-    ]
-    return text + table([f"Cortex-M4F, {' '.join(CPU)}", "bytes of code and constants"], of_files, markdown=False)
+    header = ["largest deviation", "samples", "P, uN", "phi, deg", "theta, deg", "u, %", "limit"]
+    print(table(header, rows, markdown=False), end="\n\n")
+    bytes_of = sizes()
+    if bytes_of is None:
+        print(f"no sizes: {ARM} is missing (apt: gcc-arm-none-eabi, libnewlib-arm-none-eabi)")
+    else:
+        rows = [[name, str(size)] for name, size in bytes_of.items()]
+        print(table([f"Cortex-M4F, {' '.join(CPU)}", "bytes of code and constants"], rows, markdown=False))
 
 
 if __name__ == "__main__":
-    main(__doc__, lambda: {"agreement": agreement(SAMPLES, SEED), "sizes": sizes()}, as_text)
+    main()

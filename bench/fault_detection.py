@@ -12,9 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from bench.measure import arguments, save_plot, table
+from bench.measure import arguments, table
 
 from tipforce.arrays import FloatArray
+from tipforce.output_file import save_figure
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import (
     UNCLEAR,
@@ -233,7 +234,7 @@ def plot(results: list[Rate], path: str) -> None:
         ax.set(xscale="log", xlabel=kind)
     axes[0].set_ylabel("% of readings")
     axes[0].legend(title="solid: detected\ndashed: isolated", fontsize=8)
-    save_plot(figure, path)
+    save_figure(figure, path, dpi=110)
 
 
 def main() -> None:

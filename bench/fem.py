@@ -20,12 +20,13 @@ from bench.fem_studies import Convergence, Variants
 from bench.measure import arguments, in_turns, table
 
 from tipforce.arrays import FloatArray
+from tipforce.output_file import save_figure
 from tipforce.sensor.structure.layouts import CASES
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce_lab.fem.gauges import extrapolate_matrix, nearest_place
 from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution, Triangles, triangulate
 from tipforce_lab.fem.plane_stress import Model, solve
-from tipforce_lab.report.studies.structure import GAUGES
+from tipforce_lab.report.studies.structure import GAUGES, distance, worst_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -71,7 +72,7 @@ def convergence_part(quick: bool, folder: Path | None) -> None:
         print(f"grading {run.grading:g}: order of the strains, per halving {orders}; theory {min(theory, 3.0):.2f}")
     if folder is not None:
         known = (max(limit.error / limit.value for limit in limits), matrix_error)
-        work_precision_figure(runs, values, matrix, known).savefig(folder / "fem-work-precision.png", dpi=110)
+        save_figure(work_precision_figure(runs, values, matrix, known), folder / "fem-work-precision.png", dpi=110)
 
 
 def corner_part(quick: bool) -> None:
@@ -206,23 +207,13 @@ def work_precision_figure(
     return figure
 
 
-def worst_error(values: Sequence[float], limits: Sequence[float]) -> float:
-    """The largest relative error of the cases."""
-    return max(abs(value / limit - 1.0) for value, limit in zip(values, limits, strict=True))
-
-
-def distance(matrix: FloatArray, other: FloatArray) -> float:
-    """Relative distance in the Frobenius norm."""
-    return float(np.linalg.norm(matrix - other) / np.linalg.norm(other))
-
-
 def main(words: Sequence[str] | None = None) -> None:
     parser = arguments(__doc__, "--quick")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write the figures here")
     options = parser.parse_args(words)
     if options.output is not None:
         options.output.mkdir(parents=True, exist_ok=True)
-        outline_figure().savefig(options.output / "fem-outline.png", dpi=110)
+        save_figure(outline_figure(), options.output / "fem-outline.png", dpi=110)
     convergence_part(options.quick, options.output)
     corner_part(options.quick)
     table_3_part(options.quick)

@@ -1,7 +1,6 @@
 """What node and firmware take of a microcontroller: size of their files, heap, and times beside CPython's.
 
-    python -m bench.firmware            tables
-    python -m bench.firmware --json     the same as JSON
+    python -m bench.firmware
 
 MicroPython is the WebAssembly build under Node.js that the tests use (`make test` installs it). Its heap has pointers
 of 32 bits as a microcontroller's; its speed is that of this machine, and its times hold no collection of garbage. The
@@ -10,14 +9,14 @@ firmware has three NAU7802 and an MCP2515 as fakes: what they take is not counte
 
 from __future__ import annotations
 
-import platform
 import statistics
+import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from bench import measure
+import numpy as np
 from bench.firmware_image import contents
+from bench.measure import ROOT, arguments, table
 
 REPEATS, WARM_UP = 7, 1  # this MicroPython has a clock of milliseconds
 STEPS, ROUNDS = 2000, 500
@@ -68,8 +67,8 @@ import tipforce.fingertip.node
 DRIVERS = "drivers = [Nau7802(nau) for nau in naus]\nport = Mcp2515(bus, bus.cs, 500000)"
 
 
-def node_times() -> dict[str, dict[str, float]]:
-    """Microseconds per step, the median of the repeats, in both interpreters and on the same node."""
+def node_us() -> dict[str, tuple[float, float]]:
+    """Microseconds per step, the median of the repeats, in MicroPython and CPython and on the same node."""
     from micropython import engine, footprint, on_node
 
     talk = footprint.ready_node()
@@ -83,15 +82,9 @@ def node_times() -> dict[str, dict[str, float]]:
             here.append(on_node.microseconds(talk.recorded.device, frame, STEPS, now_us))
             calls.append(f"print('time', on_node.microseconds(replay.device, {frame!r}, {STEPS}, {now_us}))")
     there = [float(line.split()[1]) for line in engine.run(files, calls) if line.startswith("time")]
-    return {
-        name: {"micropython_us": _median(there, k), "cpython_us": _median(here, k)}
-        for k, (name, *_rest) in enumerate(TIMED)
-    }
-
-
-def _median(values: list[float], row: int) -> float:
-    first = row * (WARM_UP + REPEATS)
-    return round(statistics.median(values[first + WARM_UP : first + WARM_UP + REPEATS]), 2)
+    times = np.reshape([there, here], (2, len(TIMED), WARM_UP + REPEATS))
+    medians = np.median(times[:, :, WARM_UP:], axis=2).T.tolist()
+    return {name: (of_there, of_here) for (name, *_), (of_there, of_here) in zip(TIMED, medians, strict=True)}
 
 
 def around_the_loop() -> tuple[dict[str, int], dict[str, float]]:
@@ -131,48 +124,38 @@ def _files(level: int) -> dict[str, bytes]:
     return compiled
 
 
-def measure_all() -> dict[str, Any]:
-    """Everything, as --json gives it."""
+def main() -> None:
+    """Measure with the runners of the tests, and print the tables."""
+    arguments(__doc__).parse_args()
+    sys.path.insert(0, str(ROOT / "tests"))
     from micropython import engine, footprint
 
-    sizes = {level: {path: len(code) for path, code in _files(level).items()} for level in LEVELS}
-    libraries = {"sources": engine.sources(), ".mpy -O0": engine.compiled(0), ".mpy -O3": engine.compiled(3)}
-    loop_heap, loop_times = around_the_loop()
-    return {
-        "cpython": platform.python_version(), "machine": platform.machine(),
-        "code_bytes": {name: [of_level[name] for of_level in sizes.values()] for name in sizes[3]},
-        "heap_bytes": {name: asdict(footprint.heap(files)) for name, files in libraries.items()},
-        "time": node_times(), "loop_heap_bytes": loop_heap, "loop_us": loop_times,
-    }  # fmt: skip
-
-
-def tables(result: dict[str, Any]) -> str:
-    sizes: dict[str, list[int]] = result["code_bytes"]
+    levels = [{path: len(code) for path, code in _files(level).items()} for level in LEVELS]
+    sizes = {name: [level[name] for level in levels] for name in sorted(levels[-1])}
     totals = {
         "drivers of this board": [f"firmware/{name}.mpy" for name in MODULES],
         "the loader": [name for name in sizes if name.startswith("tipforce_loader/")],
         "the node itself (tipforce/)": [name for name in sizes if name.startswith("tipforce/")],
     }
-    rows = [[name, *map(str, size)] for name, size in sorted(sizes.items())]
     for what, names in totals.items():
-        rows.append([what, *(str(sum(column)) for column in zip(*(sizes[name] for name in names), strict=True))])
-    heap: dict[str, dict[str, int]] = result["heap_bytes"]
-    fields = next(iter(heap.values()))
-    heaps = [[field.replace("_", " "), *(str(column[field]) for column in heap.values())] for field in fields]
-    times = []
-    for name, pair in result["time"].items():
-        there, here = pair["micropython_us"], pair["cpython_us"]
-        times.append([name, f"{there:.1f}", f"{here:.1f}", f"{there / here:.1f}"])
-    loop = [[name, str(size)] for name, size in result["loop_heap_bytes"].items()]
-    around = [[name, f"{us:.0f}"] for name, us in result["loop_us"].items()]
-    return "\n\n".join([
-        measure.table(["code size, bytes of .mpy", *(f"-O{level}" for level in LEVELS)], rows, markdown=False),
-        measure.table(["the node: heap in use, bytes", *heap], heaps, markdown=False),
-        measure.table(["the node: time, us", "MicroPython", "CPython", "ratio"], times, markdown=False),
-        measure.table(["the firmware: heap in use, bytes", "loaded from files"], loop, markdown=False),
-        measure.table(["the firmware: us once around its loop, on this PC", "fakes included"], around, markdown=False),
-    ])  # fmt: skip
+        sizes[what] = [sum(column) for column in zip(*(sizes[name] for name in names), strict=True)]
+    files = {"sources": engine.sources(), ".mpy -O0": engine.compiled(0), ".mpy -O3": engine.compiled(3)}
+    heap = {name: asdict(footprint.heap(of_kind)) for name, of_kind in files.items()}
+    loop_heap, loop_us = around_the_loop()
+    for header, rows in (
+        (["code size, bytes of .mpy", *(f"-O{level}" for level in LEVELS)],
+         [[name, *map(str, size)] for name, size in sizes.items()]),
+        (["the node: heap in use, bytes", *heap],
+         [[field.replace("_", " "), *(str(of_kind[field]) for of_kind in heap.values())] for field in heap["sources"]]),
+        (["the node: time, us", "MicroPython", "CPython", "ratio"],
+         [[name, f"{there:.1f}", f"{here:.1f}", f"{there / here:.1f}"] for name, (there, here) in node_us().items()]),
+        (["the firmware: heap in use, bytes", "loaded from files"],
+         [[name, str(size)] for name, size in loop_heap.items()]),
+        (["the firmware: us once around its loop, on this PC", "fakes included"],
+         [[name, f"{us:.0f}"] for name, us in loop_us.items()]),
+    ):  # fmt: skip
+        print(table(header, rows, markdown=False), end="\n\n")
 
 
 if __name__ == "__main__":
-    measure.main(__doc__, measure_all, tables)
+    main()

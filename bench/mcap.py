@@ -24,6 +24,7 @@ from tipforce.host.dataset.reader import tables_of_logs
 from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
+from tipforce.output_file import save_figure
 from tipforce_tools.cli.main import main as tipforce
 from tipforce_tools.decode import text_rows
 
@@ -102,7 +103,7 @@ def draw(recording: Path, output: Path) -> None:
     axes.set_aspect("equal")
     axes.axis("off")
     axes.margins(0.05, 0.25)
-    figure.savefig(output, metadata={"Date": None})
+    save_figure(figure, output)
 
 
 def _rgb(thing: dict[str, Any]) -> tuple[float, float, float]:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import resource
-import statistics
 import subprocess
 import sys
 import threading
@@ -42,12 +40,6 @@ def in_turns(ways: Mapping[str, Callable[[], Result]], rounds: int) -> dict[str,
         for name, way in ways.items():
             figures[name].append(way())
     return figures
-
-
-def median_and_spread(values: Sequence[float]) -> tuple[float, float]:
-    """(median, largest deviation from it)."""
-    median = statistics.median(values)
-    return median, max(abs(value - median) for value in values)
 
 
 def cpu_us(work: Callable[[], int]) -> float:
@@ -182,18 +174,8 @@ def in_processes(task: Callable[[int], Result], seeds: Iterable[int], jobs: int)
         return list(pool.map(task, seeds, chunksize=8))
 
 
-def main(
-    description: str | None, measure: Callable[[], dict[str, Any]], as_table: Callable[[dict[str, Any]], str]
-) -> None:
-    """Parse, measure with the runners of the tests, print as a table or, with --json, as it is."""
-    args = arguments(description, "--json").parse_args()
-    sys.path.insert(0, str(ROOT / "tests"))
-    results = measure()
-    print(json.dumps(results, indent=1) if args.json else as_table(results))
-
-
 def new_svg_figure(width_inch: float, height_inch: float) -> Any:
-    """(figure, axes) of matplotlib for a reproducible SVG; save it with ``metadata={"Date": None}``."""
+    """(figure, axes) of matplotlib for a reproducible SVG; save it with save_figure()."""
     import matplotlib as mpl
 
     mpl.use("svg")
@@ -201,11 +183,6 @@ def new_svg_figure(width_inch: float, height_inch: float) -> Any:
 
     mpl.rcParams["svg.hashsalt"] = "tipforce"
     return plt.subplots(figsize=(width_inch, height_inch), layout="constrained")
-
-
-def save_plot(figure: Any, path: str) -> None:
-    """Write a figure, .png or .svg, without its date."""
-    figure.savefig(path, dpi=110, metadata={"Date": None} if path.endswith(".svg") else None)
 
 
 def write_page(name: str, text: str) -> None:

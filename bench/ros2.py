@@ -33,6 +33,7 @@ from bench.measure import Meter, arguments, new_svg_figure
 from canopen_device.core.codes import SYNC_COB_ID
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.file import HandPlan
+from tipforce.output_file import save_figure
 from tipforce_tools.cli.main import main as tipforce
 
 FINGERS, SYNC_HZ, SECONDS, RADIUS_M = 5, 500.0, 60.0, 0.015
@@ -201,7 +202,7 @@ def draw(output: Path) -> None:
     axes.set_xlim(left=min(float(rows["t_ns"][0] % 10**11) / 1e9 for rows in read_rows.values()) - 0.1)
     axes.legend(frameon=False, fontsize=8)
     axes.spines[["top", "right"]].set_visible(False)
-    figure.savefig(output, metadata={"Date": None})
+    save_figure(figure, output)
 
 
 def main() -> int:

@@ -29,6 +29,7 @@ import numpy.typing as npt
 import grasp
 from grasp_controller import ASKED_NEWTONS, PERIOD_S
 from tipforce.arrays import FloatArray
+from tipforce.output_file import save_figure
 from tipforce_robots.mujoco import Fingertips, grasp_model, hand_model
 from tipforce_robots.mujoco.models import FINGERS
 
@@ -153,7 +154,7 @@ def figure() -> None:
     inset.axhspan(low, high, color="0.85", lw=0.0)
     inset.set_title("the last half second; grey: asked, plus and minus u(P)", fontsize=8)
     inset.tick_params(labelsize=7)
-    fig.savefig(FIGURE, dpi=110, metadata={"Software": ""})
+    save_figure(fig, FIGURE, dpi=110)
 
 
 def _picture(gripper: grasp.Gripper) -> npt.NDArray[np.uint8]:

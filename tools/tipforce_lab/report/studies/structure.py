@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,27 +81,21 @@ _TITLES = {
 def _conditions(references: list[FloatArray], what: str, results: _Results) -> Study:
     """Return the error of a model: the largest of the three cases."""
     limits = [fem.extrapolate(values) for values in zip(*map(conditions, references), strict=True)]
-
-    def error(matrix: FloatArray) -> float:
-        return max(abs(value / limit.value - 1.0) for value, limit in zip(conditions(matrix), limits, strict=True))
-
     values = (f"{case} {limit.value:.4f} +- {limit.error:.4f}" for case, limit in zip(CASES, limits, strict=True))
     return _study(
         "structure-condition", "relative error of the condition number, the largest of cases I, II, III",
-        f"{what}: {', '.join(values)}", max(limit.error / limit.value for limit in limits), results, error,
+        f"{what}: {', '.join(values)}", max(limit.error / limit.value for limit in limits), results,
+        lambda matrix: worst_error(conditions(matrix), [limit.value for limit in limits]),
         (Need("rank gauge layouts, condition number to 6 %", 0.06), Need("condition number to 0.5 %", 5e-3)),
     )  # fmt: skip
 
 
 def _matrices(references: list[FloatArray], what: str, results: _Results) -> Study:
     limit, own_error = fem.extrapolate_matrix(references)
-
-    def error(matrix: FloatArray) -> float:
-        return float(np.linalg.norm(matrix - limit) / np.linalg.norm(limit))
-
     return _study(
         "structure-strain", f"relative error of the strain matrix ({', '.join(GAUGES)}), Frobenius norm", what,
-        own_error, results, error, (Need("strain of a gauge to 5 %", 0.05), Need("strain of a gauge to 0.5 %", 5e-3)),
+        own_error, results, lambda matrix: distance(matrix, limit),
+        (Need("strain of a gauge to 5 %", 0.05), Need("strain of a gauge to 0.5 %", 5e-3)),
     )  # fmt: skip
 
 
@@ -130,6 +124,16 @@ def _study(
 def conditions(matrix: FloatArray) -> list[float]:
     """Return the condition numbers of the three cases from the rows GAUGES (5, 3)."""
     return [condition_number(matrix[[GAUGES.index(point) for point in LAYOUTS[case]]]) for case in CASES]
+
+
+def worst_error(values: Sequence[float], limits: Sequence[float]) -> float:
+    """Return the largest relative error of the cases."""
+    return max(abs(value / limit - 1.0) for value, limit in zip(values, limits, strict=True))
+
+
+def distance(matrix: FloatArray, other: FloatArray) -> float:
+    """Return the relative distance in the Frobenius norm."""
+    return float(np.linalg.norm(matrix - other) / np.linalg.norm(other))
 
 
 def _beam_models() -> dict[str, Callable[[], FloatArray]]:
