@@ -133,11 +133,6 @@ def open_link(options: Mapping[str, Any]) -> Link:
     return SocketLink(options) if options.get("interface") == "socketcan" else Link(Bus(open_bus(**options)))
 
 
-def sync_data(first: int, overflow: int = LARGEST) -> list[bytes]:
-    """Return the data of SYNCs to send in turn: numbers from ``first`` up to ``overflow`` and on from 1; 0: without."""
-    return [bytes(((first + k - 1) % overflow + 1,)) for k in range(overflow)] if first else [b""]
-
-
 class ThreadSync:
     """Send SYNCs with ``data`` in turn from a thread at fixed times: a late one does not delay the following ones."""
 
