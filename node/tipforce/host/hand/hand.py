@@ -29,7 +29,7 @@ from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up, side_by_side
 from tipforce.host.hand.events import BabbleWatch, Event, Supervisor, waited_s
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
-from tipforce.host.hand.link import Jitter, JitterFigures, Link, open_link, sync_data, wanted_overflow
+from tipforce.host.hand.link import Jitter, JitterFigures, Link, open_link, wanted_overflow
 from tipforce.host.hand.recovery import LOST, Recovery, RecoveryQueue
 from tipforce.host.hand.rows import Collector, Delivery, HandRows, RowStream
 from tipforce.host.hand.trust import COUNTER
@@ -37,6 +37,7 @@ from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
 from tipforce.samples.record import Rows
 from tipforce.samples.rows import Tally
+from tipforce.samples.sync_numbers import LARGEST
 
 HEARTBEATS_MISSED = 2.5  # heartbeat time-out in periods
 REOPEN_S = 0.1
@@ -351,8 +352,11 @@ class Hand:
     def _start_sync(self) -> None:
         self._jitter.skip()
         if self.file.hand.sync_hz and not self._stopped.is_set():
-            first = self._collector.restart() if self._recovery.overflow else 0
-            self._end_sync = self._link.start_sync(1.0 / self.file.hand.sync_hz, sync_data(first))
+            data = [b""]
+            if self._recovery.overflow:  # numbers up to the largest, and on from 1
+                first = self._collector.restart()
+                data = [bytes(((first + k - 1) % LARGEST + 1,)) for k in range(LARGEST)]
+            self._end_sync = self._link.start_sync(1.0 / self.file.hand.sync_hz, data)
 
     # --- faults ------------------------------------------------------------------------------------------------
 

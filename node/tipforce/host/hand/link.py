@@ -122,11 +122,6 @@ def open_link(options: Mapping[str, Any]) -> Link:
     return SocketLink(options) if options.get("interface") == "socketcan" else Link(Bus(open_bus(**options)))
 
 
-def sync_data(first: int, overflow: int = LARGEST) -> list[bytes]:
-    """Return the data of SYNCs to send in turn: numbers from ``first`` up to ``overflow`` and on from 1; 0: without."""
-    return [bytes(((first + k - 1) % overflow + 1,)) for k in range(overflow)] if first else [b""]
-
-
 def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
     """Send SYNCs with ``data`` in turn by CAN_BCM on python-can's SocketCAN bus, until the returned function is called.
 

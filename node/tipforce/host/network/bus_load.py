@@ -19,6 +19,8 @@ DEFAULT_BIT_RATE = 1_000_000
 LIMIT = 0.8
 """Share of the bit rate with worst-case stuffing: above it the lowest priority may miss a SYNC period."""
 
+_WINDOW_S = 1.0  # of the load of a live bus
+
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
@@ -121,8 +123,8 @@ def range_of_bits(frames: FrameArray) -> tuple[int, int]:
 class LoadMeter:
     """Load of a live bus over the last second, at negligible cost for a receive loop."""
 
-    def __init__(self, bit_rate: int = DEFAULT_BIT_RATE, window_s: float = 1.0) -> None:
-        self._bit_rate, self._window_s = bit_rate, window_s
+    def __init__(self, bit_rate: int = DEFAULT_BIT_RATE) -> None:
+        self._bit_rate = bit_rate
         self._batches: deque[tuple[float, int, int]] = deque()  # time, and bits without and with stuffing
 
     def add(self, frames: FrameArray, now_s: float) -> None:
@@ -130,13 +132,13 @@ class LoadMeter:
         if not len(frames):
             return
         self._batches.append((now_s, *range_of_bits(frames)))
-        while self._batches[0][0] < now_s - self._window_s:
+        while self._batches[0][0] < now_s - _WINDOW_S:
             self._batches.popleft()
 
     def load(self, now_s: float) -> tuple[float, float]:
         """Return the fraction of the bit rate, without stuff bits and with their maximum. From any thread."""
-        recent = [batch for batch in self._batches.copy() if batch[0] >= now_s - self._window_s]
-        bits = self._bit_rate * self._window_s
+        recent = [batch for batch in self._batches.copy() if batch[0] >= now_s - _WINDOW_S]
+        bits = self._bit_rate * _WINDOW_S
         return sum(least for _, least, _ in recent) / bits, sum(most for _, _, most in recent) / bits
 
 

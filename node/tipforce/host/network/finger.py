@@ -245,8 +245,8 @@ class Finger(FingertipClient):
         with self._lock:
             if self._reader is None:
                 calibration = None if self.passive else self.calibration()
-                gauges = self.default_gauges if self.passive else 0
-                self._reader = ContactReader(self._connection, self.node_id, calibration, gauges)
+                bus, gauges = self._connection, self.default_gauges
+                self._reader = ContactReader(bus, self.node_id, calibration, self.passive, gauges)
             state, now_s = self._connection.heartbeats.state(self.node_id), time.monotonic()
             to_start = not self.passive and state not in (codes.OPERATIONAL, codes.STOPPED)
             if to_start and now_s - self._started_s > _START_AGAIN_S:

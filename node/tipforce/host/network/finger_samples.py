@@ -38,15 +38,16 @@ _SETS = (("P", "phi", "theta"), ("F1", "F2", "F3"))
 class ContactReader:
     """Subscribe to the PDOs of one finger and convert each new sample to a Contact.
 
-    Its PDOs are read over SDO; ``passive_gauges`` over 0: they are the default ones of so many gauges, and nothing is
-    sent. ``calibration`` is used for the uncertainties. Raises as SdoChannel does, and InputError for a finger whose
-    PDOs carry no contact, no force and not all gauges, each with status and counter.
+    Its PDOs are read over SDO; ``passive``: they are the default ones of ``gauges`` gauges, and nothing is sent.
+    ``calibration`` is used for the uncertainties. Raises as SdoChannel does, and InputError for a finger whose PDOs
+    carry no contact, no force and not all gauges, each with status and counter.
     """
 
-    def __init__(self, connection: Bus, node_id: int, calibration: Calibration | None, passive_gauges: int = 0) -> None:
-        self._passive, gauges = passive_gauges > 0, passive_gauges
-        self._connection, self._node_id = connection, node_id
-        if self._passive:
+    def __init__(
+        self, connection: Bus, node_id: int, calibration: Calibration | None, passive: bool, gauges: int
+    ) -> None:
+        self._passive, self._connection, self._node_id = passive, connection, node_id
+        if passive:
             default = tpdo_messages(gauges)
             pdos = {message.cob_id_base + node_id: message for message in default if message.cob_id_base}
         else:

@@ -96,7 +96,6 @@ def install(
     *,
     allow_downgrade: bool = False,
     progress: Callable[[int], None] = lambda _bytes: None,
-    trial_s: float = TRIAL_S,
 ) -> NodeProgram:
     """Install an image and start it; return the program that the node has confirmed.
 
@@ -118,7 +117,7 @@ def install(
             raise RefusedError(f"{place} refuses a program now: it is operational, or another is on trial") from None
         reason = node_program(sdo).reason
         raise RefusedError(f"{place} refuses the image: {reason or error}; it keeps {before.version}") from None
-    after = _confirmed(sdo, place, trial_s)
+    after = _confirmed(sdo, place)
     if after.identification != firmware.header.crc:
         raise RefusedError(f"{place} runs {after.version}: {after.reason or 'the trial was interrupted'}")
     return after
@@ -142,15 +141,15 @@ def _check(place: str, before: NodeProgram, firmware: Firmware, allow_downgrade:
         )
 
 
-def _confirmed(sdo: SdoChannel, place: str, trial_s: float) -> NodeProgram:
+def _confirmed(sdo: SdoChannel, place: str) -> NodeProgram:
     """Wait until the node neither restarts nor has a program on trial; its requests are the frames of the trial."""
     time.sleep(4 * program.RESTART_DELAY_MS * 1e-3)
-    until_s = time.monotonic() + trial_s
+    until_s = time.monotonic() + TRIAL_S
     while time.monotonic() < until_s:
         with suppress(NoResponseError):
             if not sdo.read(od.PROGRAM_FLASH_STATUS[1]) & program.IN_PROGRESS:
                 return node_program(sdo)
         time.sleep(_POLL_S)
     raise NoResponseError(
-        f"{place}: no confirmed program within {trial_s:g} s after the start; check its supply and bus"
+        f"{place}: no confirmed program within {TRIAL_S:g} s after the start; check its supply and bus"
     )
