@@ -103,7 +103,12 @@ def encode(letter: str, value: Value) -> bytes:
     if kind.python is float:
         return struct.pack("<" + letter, _checked_real(kind, value))
     if kind.python is str:
-        return _encode_text(kind, value)
+        if not isinstance(value, str):
+            raise InputError(f"{value!r} is not {kind.name}: allowed is text")
+        bad = [c for c in value if letter == "s" and not " " <= c <= "~"]
+        if bad:
+            raise InputError(f"{value!r} does not fit {kind.name}: {bad[0]!r} is outside 0x20 to 0x7E")
+        return value.encode("utf-16-le" if letter == "u" else "ascii")
     if not isinstance(value, bytes | bytearray | memoryview):
         raise InputError(f"{value!r} is not {kind.name}: allowed are bytes")
     if kind.size is not None and len(value) != kind.size:
@@ -192,17 +197,6 @@ def _checked_real(kind: DataType, value: Value) -> float:
         limits = f"-{_REAL32_MAXIMUM!r} to {_REAL32_MAXIMUM!r}"
         raise InputError(f"{number!r} does not fit {kind.name}: allowed are {limits}") from None
     return number
-
-
-def _encode_text(kind: DataType, value: Value) -> bytes:
-    if not isinstance(value, str):
-        raise InputError(f"{value!r} is not {kind.name}: allowed is text")
-    if kind.letter == "u":
-        return value.encode("utf-16-le")
-    bad = [c for c in value if not " " <= c <= "~"]
-    if bad:
-        raise InputError(f"{value!r} does not fit {kind.name}: {bad[0]!r} is outside 0x20 to 0x7E")
-    return value.encode("ascii")
 
 
 def _shortest_real32(value: float) -> str:

@@ -19,7 +19,12 @@ def run() -> None:
         programs = Programs(slots, store, board.PROGRAM_KEY, board.PRODUCT, board.VERSION)
         slot = programs.choose()
         if slot != INSTALLED:
-            _mount(slots, slot)
+            import vfs
+
+            from .files import ImageFiles
+
+            vfs.mount(ImageFiles(lambda: slots.open(slot, "rb")), _MOUNT)
+            sys.path.insert(0, _MOUNT)
     try:
         __import__(board.MAIN)
     except Exception as error:
@@ -27,12 +32,3 @@ def run() -> None:
             raise
         sys.print_exception(error)  # type: ignore[attr-defined]
         board.restart()  # which returns to the program before
-
-
-def _mount(slots: FileProgramSlots, slot: int) -> None:
-    import vfs
-
-    from .files import ImageFiles
-
-    vfs.mount(ImageFiles(lambda: slots.open(slot, "rb")), _MOUNT)
-    sys.path.insert(0, _MOUNT)

@@ -55,7 +55,13 @@ class Dut(Frames):
             self.nmt(wire.ENTER_PRE_OPERATIONAL)
             self.sleep(wire.QUIET_MS)  # for the PDOs of its short time in OPERATIONAL
             self._pending.clear()
-        self._end_own_sync()
+        # 1006h and 1019h are set to 0: cases send their own SYNC, without a number.
+        with suppress(CheckError):
+            if self._own_sync is None:
+                values = [(index, self.try_read(index)) for index in (0x1006, 0x1019)]
+                self._own_sync = [(index, bytes(len(v))) for index, v in values if isinstance(v, bytes) and any(v)]
+            for index, zero in self._own_sync:
+                self.try_write(index, 0, zero)
         self._fresh = True
 
     def boot(self, command: int) -> None:
@@ -100,15 +106,6 @@ class Dut(Frames):
                 startup = self.try_read(0x1F80)
                 self._starts_by_itself = not startup[0] & 4 if isinstance(startup, bytes) else self._beats_operational()
         return self._starts_by_itself
-
-    def _end_own_sync(self) -> None:
-        """End what 1006h and 1019h have after a reset: cases send their own SYNC, without a number."""
-        with suppress(CheckError):
-            if self._own_sync is None:
-                values = [(index, self.try_read(index)) for index in (0x1006, 0x1019)]
-                self._own_sync = [(index, bytes(len(v))) for index, v in values if isinstance(v, bytes) and any(v)]
-            for index, zero in self._own_sync:
-                self.try_write(index, 0, zero)
 
     def _beats_operational(self) -> bool:
         period = self.try_read(0x1017)

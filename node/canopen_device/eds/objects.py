@@ -59,8 +59,16 @@ class _Reader:
         made = Object(self._index, name, code, self._own.line)
         if code in (eds.VAR, eds.DOMAIN):
             made.entries[0] = self._into.take(self._entry(0, self._own, name, code == eds.DOMAIN))
-        else:
-            self._read_list(made)
+            return made
+        if self._compact:
+            self._read_compact(made, self._own, self._compact)
+        for sub, section in sorted(self._subs.items()):
+            name = self._name(section, f"{made.name} {sub}")
+            code = read_key(section, "ObjectType") if section.get("ObjectType") else eds.VAR
+            if code not in (eds.VAR, eds.DOMAIN):
+                section.say("ObjectType", "a sub-index is a VAR; read as one")
+            made.entries[sub] = self._into.take(self._entry(sub, section, name, code == eds.DOMAIN, self._section))
+        self._check_count(made)
         return made if made.entries else None
 
     def _name(self, section: Section, default: str) -> str:
@@ -98,17 +106,6 @@ class _Reader:
         if count and count != given:
             self._own.say("CompactSubObj", f"allowed are 1 to {_MOST_COMPACT}; read as {count}")
         return count
-
-    def _read_list(self, made: Object) -> None:
-        if self._compact:
-            self._read_compact(made, self._own, self._compact)
-        for sub, section in sorted(self._subs.items()):
-            name = self._name(section, f"{made.name} {sub}")
-            code = read_key(section, "ObjectType") if section.get("ObjectType") else eds.VAR
-            if code not in (eds.VAR, eds.DOMAIN):
-                section.say("ObjectType", "a sub-index is a VAR; read as one")
-            made.entries[sub] = self._into.take(self._entry(sub, section, name, code == eds.DOMAIN, self._section))
-        self._check_count(made)
 
     def _read_compact(self, made: Object, section: Section, count: int) -> None:
         lists = self._file.lists.get(self._index, {})

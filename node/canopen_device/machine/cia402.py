@@ -227,19 +227,16 @@ class Drive(DeviceApplication):
         """Set the objects that a master reads."""
         self._put(POSITION, round(self.position))
         self._put(VELOCITY, round(self.velocity))
-        word = self.state | _REMOTE | _VOLTAGE_ON | (_LIMIT if self._limited else 0)
-        self._put(STATUS, word | (self._mode_bits(self._mode()) if self.state == ENABLED else 0))
-
-    def _mode_bits(self, mode: int) -> int:
+        mode = self._mode() if self.state == ENABLED else 0
+        reached, mode_bit = False, mode in (CYCLIC_POSITION, CYCLIC_VELOCITY)  # the drive follows the command
         if mode == PROFILE_POSITION:
-            reached = self._arrived() and self._next is None
-            return (_REACHED if reached else 0) | (_MODE_BIT if self._acknowledged else 0)
-        if mode == PROFILE_VELOCITY_MODE:
-            reached = self.velocity == self._get(TARGET_VELOCITY)
-            return (_REACHED if reached else 0) | (_MODE_BIT if self.velocity == 0.0 else 0)
-        if mode == HOMING:
-            return (0 if self._homing else _REACHED) | (_MODE_BIT if self._homed else 0)
-        return _MODE_BIT if mode in (CYCLIC_POSITION, CYCLIC_VELOCITY) else 0  # the drive follows the command
+            reached, mode_bit = self._arrived() and self._next is None, self._acknowledged
+        elif mode == PROFILE_VELOCITY_MODE:
+            reached, mode_bit = self.velocity == self._get(TARGET_VELOCITY), self.velocity == 0.0
+        elif mode == HOMING:
+            reached, mode_bit = not self._homing, self._homed
+        bits = ((self._limited, _LIMIT), (reached, _REACHED), (mode_bit, _MODE_BIT))
+        self._put(STATUS, self.state | _REMOTE | _VOLTAGE_ON | sum(bit for is_set, bit in bits if is_set))
 
     def _mode(self) -> int:
         return int(self._get(MODE_SHOWN))

@@ -44,8 +44,14 @@ class SocketCanPort:
 
     def receive(self, timeout_s: float) -> Frame | None:
         """Return the next classic frame or error frame, or None."""
-        if not self._bound:
-            self._bind_again(timeout_s)
+        if not self._bound:  # the interface was removed: a new socket, because the old one lost its filter
+            try:
+                bound = _bound_socket(self._interface)
+            except OSError:
+                time.sleep(timeout_s)
+                return None
+            self._socket.close()
+            self._socket, self._bound = bound, True
             return None
         if self._overflow:
             self._overflow = False
@@ -119,16 +125,6 @@ class SocketCanPort:
         if self._lost:
             self._lost = False
             _LOG.warning("%s: up again", self._interface)
-
-    def _bind_again(self, timeout_s: float) -> None:
-        """Bind a new socket after the interface was removed; the old socket lost its filter."""
-        try:
-            bound = _bound_socket(self._interface)
-        except OSError:
-            time.sleep(timeout_s)
-            return
-        self._socket.close()
-        self._socket, self._bound = bound, True
 
     def close(self) -> None:
         """Release the socket."""
