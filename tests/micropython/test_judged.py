@@ -22,7 +22,8 @@ def judge(path):
     record = bytes.fromhex(told["record"])
     active = Active(record, list(struct.unpack(told["packing"], record)), told["n"])
     for row, lost, temperature, overloaded in told["samples"]:
-        one = Judgement(active, row, lost, temperature, overloaded)
+        degC = float("nan") if temperature == -0x8000 else 0.01 * temperature
+        one = Judgement(active, row, lost, degC, overloaded)
         print(json.dumps([one.bits, one.left_out, one.force, list(one.covariance()) if one.force else None]))
 """
 
