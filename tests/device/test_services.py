@@ -1,12 +1,12 @@
 """Small services: NMT (CiA 301, 7.2.8), LSS (CiA 305), TIME (CiA 301, 7.2.6)."""
 
+import struct
 
-from device.tiny import Recorder, booted, operational
 import pytest
+
 from canopen_device.core import storage
 from canopen_device.testing import MemoryStore
-from device.tiny import serving
-import struct
+from device.tiny import Recorder, booted, operational, serving
 
 ENABLE_TPDO1 = """
     > 605#2300180185010040

@@ -1,11 +1,11 @@
 """A node on MicroPython: its files, its memory, the documented loop, and single precision that shows the same."""
 
-
-from micropython import engine
-import pytest
-from micropython import engine, footprint
-from pathlib import Path
 import random
+from pathlib import Path
+
+import pytest
+
+from micropython import engine, footprint
 from micropython.single_precision import compare
 
 # A node is a server; and what devices from an EDS need, a fingertip does without.
