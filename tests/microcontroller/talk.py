@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from canopen_device.testing import Conversation
+from canopen_device.testing import Conversation, Frame, parse
 from microcontroller import rig
 from micropython import recording, scripts
-from micropython.recording import Frame, Recording
+from micropython.recording import Recording
 from micropython.talk import SYNC, Talk
 from tipforce.dictionary import table
 from tipforce.fingertip.node import fingertip_node
@@ -106,7 +106,7 @@ class RecordedFirmware:
         self.recording.steps.append(" ".join(words))
         self.recording.answers.append(answer)
         self.recording.stored = self.rig.stored()
-        sent = [_frame(word) for word in answer.split()[1:]]
+        sent = [parse(word) for word in answer.split()[1:]]
         self._compare(now_us, sent)
         return sent, now_us - rig.WARM_UP_US + int(answer.split()[0])
 
@@ -125,11 +125,6 @@ class RecordedFirmware:
     def stored(self) -> dict[str, str]:
         """What is in flash, for a next life of this node."""
         return {name: content.hex() for name, content in self._groups.items()}
-
-
-def _frame(word: str) -> Frame:
-    can_id, data = word.split("#")
-    return int(can_id, 16), bytes.fromhex(data)
 
 
 def firmware_talk(adc: str, can: str) -> type[Talk]:

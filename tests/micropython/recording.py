@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from canopen_device.testing import Frame, parse
 from micropython import engine, on_node
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 
-Frame = tuple[int, bytes]
 STEPS_PER_CALL = 50  # garbage is collected between calls only
 
 
@@ -74,16 +74,11 @@ class RecordedDevice:
         self.recording.answers.append(answer)
         self.recording.stored = self._store.shown()
         words = answer.split()
-        return [_frame(word) for word in words[1:] if "#" in word], int(words[0])
+        return [parse(word) for word in words[1:] if "#" in word], int(words[0])
 
     def stored(self) -> dict[str, str]:
         """What the store holds, for a next life of this node."""
         return {name: content.hex() for name, content in self._store.groups.items()}
-
-
-def _frame(word: str) -> Frame:
-    can_id, data = word.split("#")
-    return int(can_id, 16), bytes.fromhex(data)
 
 
 def replay(

@@ -27,7 +27,7 @@ class Axis(Conversation):
     def __init__(self) -> None:
         self.drive = Drive()
         self.simulated = SimulatedDevice(read_eds(shipped_eds("cia402"), 5), self.drive)
-        super().__init__(self.simulated)
+        super().__init__(self.simulated, emcy=True)
         self.step([(0, b"\x01\x05")])
 
     def store(self, key: int, value: int) -> None:
@@ -139,7 +139,6 @@ def test_velocity_cyclic_modes_and_limits() -> None:
 
 def test_a_fault_stops_the_drive_and_is_reset_by_a_rising_edge() -> None:
     axis = Axis()
-    axis._hidden = None
     axis.store(0x6060, 3)
     axis.control(SHUTDOWN, ENABLE)
     axis.store(0x60FF, 8000)

@@ -51,7 +51,7 @@ def _node(node_id: int, *, health: bool) -> tuple[Conversation, SimulatedSource]
     source = SimulatedSource(
         strain_matrix(FABRICATED, "I").tolist(), NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, seed=node_id
     )
-    talk = Conversation(fingertip_node(node_id, source, serial=node_id), now_us=1_000_000)
+    talk = Conversation(fingertip_node(node_id, source, serial=node_id), now_us=1_000_000, emcy=True)
     given = calibration()
     assert talk.download(0x2141, 0, given.record()) == 0
     assert talk.put("I", 0x2103, 1, given.crc32()) == 0
@@ -75,8 +75,6 @@ def hand_frames(
 ) -> Iterator[tuple[int, int, bytes]]:
     """(microseconds since the start, identifier, data): SYNC and what the nodes answer, their heartbeats and EMCY."""
     nodes = [_node(node_id, health=health) for node_id in node_ids]
-    for talk, _ in nodes:
-        talk._hidden = None  # EMCY, too
     for k in range(round(seconds * rate_hz)):
         t_s = k / rate_hz
         t_us = round(t_s * 1e6)

@@ -166,45 +166,32 @@ def test_more_gauges_have_more_objects(tmp_path: Path) -> None:
 # --- the order of the writes (CiA 301, 7.5.2.36) --------------------------------------------------------------------
 
 
-def test_a_pdo_is_made_invalid_remapped_and_made_valid_again(tmp_path: Path) -> None:
-    recorder = Recorder()
-    text = """[objects]
-"tpdo1.transmission_type" = 5
+IN_ORDER = {
+    "invalid, remapped, valid again": (
+        '''"tpdo1.transmission_type" = 5
 "tpdo1.cob_id" = 0x40000185
 "tpdo1.inhibit_100us" = 7
 "tpdo1.mapping" = ["status", "counter"]
-"heartbeat.producer_ms" = 500
-"""
-    apply_configuration(recorder, read_text(tmp_path, text))
-    assert recorder.writes == [
-        (0x1800, 1, 0xC0000185),
-        (0x1A00, 0, 0),
-        (0x1A00, 1, 0x21200008),
-        (0x1A00, 2, 0x21210008),
-        (0x1A00, 0, 2),
-        (0x1800, 2, 5),
-        (0x1800, 3, 7),
-        (0x1800, 1, 0x40000185),
-        (0x1017, 0, 500),
-    ]
+"heartbeat.producer_ms" = 500''',
+        [
+            (0x1800, 1, 0xC0000185), (0x1A00, 0, 0), (0x1A00, 1, 0x21200008), (0x1A00, 2, 0x21210008), (0x1A00, 0, 2),
+            (0x1800, 2, 5), (0x1800, 3, 7), (0x1800, 1, 0x40000185), (0x1017, 0, 500),
+        ],
+    ),
+    "what the file leaves out is kept from the node": (
+        '"0x1A01:02" = 0x21200008',
+        [(0x1801, 1, 0x80000003), (0x1A01, 0, 0), (0x1A01, 2, 0x21200008), (0x1A01, 0, 3), (0x1801, 1, 3)],
+    ),
+    "switched off, it stays off": ('"rpdo1.cob_id" = 0x80000205', [(0x1400, 1, 0x80000205)] * 2),
+}  # fmt: skip
 
 
-def test_what_the_file_leaves_out_is_kept_from_the_node(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", IN_ORDER)
+def test_the_order_of_the_writes(name: str, tmp_path: Path) -> None:
+    text, writes = IN_ORDER[name]
     recorder = Recorder()
-    apply_configuration(recorder, read_text(tmp_path, '[objects]\n"0x1A01:02" = 0x21200008\n'))
-    assert recorder.writes == [
-        (0x1801, 1, 0x80000003),
-        (0x1A01, 0, 0),
-        (0x1A01, 2, 0x21200008),
-        (0x1A01, 0, 3),
-        (0x1801, 1, 3),
-    ]
-
-
-def test_a_pdo_that_the_file_switches_off_stays_off(tmp_path: Path) -> None:
-    recorder = Recorder()
-    apply_configuration(recorder, read_text(tmp_path, '[objects]\n"rpdo1.cob_id" = 0x80000205\n'))
-    assert recorder.writes == [(0x1400, 1, 0x80000205), (0x1400, 1, 0x80000205)]
+    apply_configuration(recorder, read_text(tmp_path, f"[objects]\n{text}\n"))
+    assert recorder.writes == writes
 
 
 # --- on a node ------------------------------------------------------------------------------------------------------

@@ -218,9 +218,9 @@ def test_one_object(policy: str, case: tuple[Entry[Any], bytes]) -> None:
 
 
 def _pairs() -> Iterator[tuple[str, tuple[Entry[Any], bytes], int]]:
-    pick = random.Random(2)
+    pick, values = random.Random(2), accepted_values(1)
     for number, how in enumerate(FIRST):
-        for case in _sample(accepted_values(1), 2, number):
+        for case in _sample(values, 2, number):
             yield how, case, pick.choice((0, 5_000, 50_000, pick.randrange(300_000)))
 
 
