@@ -57,8 +57,8 @@ if TYPE_CHECKING:
     from tipforce.host.hand.rows import HandRow as HandRow
     from tipforce.host.network.bus import Bus as Bus
     from tipforce.host.network.finger import Finger as Finger
+    from tipforce.samples.contact import Contact as Contact
     from tipforce.samples.reasons import Status as Status
-    from tipforce.samples.record import Contact as Contact
     from tipforce.scene.simulated_bus import SimulatedBus as SimulatedBus
     from tipforce.scene.simulated_bus import simulated_finger as simulated_finger
     from tipforce.scene.simulated_bus import simulated_hand as simulated_hand
@@ -70,7 +70,7 @@ if TYPE_CHECKING:
 _NAMES = {
     "host.network.bus": ("open:open_connection", "Bus"),
     "host.network.finger": ("Finger",),
-    "samples.record": ("Contact",),
+    "samples.contact": ("Contact",),
     "host.decoding.estimator": ("Contacts", "Estimator", "estimate"),
     "samples.reasons": ("Status",),
     "host.hand.hand": ("Hand",),

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -22,73 +21,13 @@ from tipforce.host.decoding.decoder import Columns
 from tipforce.host.decoding.health import NAMES
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block, contact_values, status_of, uncertainties
+from tipforce.samples.contact import Contact
 from tipforce.samples.reasons import Status
 
 FloatArray = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
 COUNTER = "counter"
 _UNKNOWN = (math.nan,) * 6
-
-
-@dataclass(frozen=True, slots=True)
-class Contact:
-    """One sample of one finger. NaN stands for unknown; ``reason`` says why.
-
-    ``u_...`` are standard uncertainties (1 sigma) from the gauge noise of the calibration, NaN where no calibration is
-    known.
-    """
-
-    node_id: int
-    t_s: float
-    """Time of reception, seconds of the epoch."""
-    counter: int
-    """Sample counter (2121h), -1 where there is none."""
-    P_newtons: float
-    """Force magnitude."""
-    phi_deg: float
-    """Force direction, (-180, 180]."""
-    theta_deg: float
-    """Contact angle."""
-    u_P_newtons: float
-    u_phi_deg: float
-    u_theta_deg: float
-    status: Status
-    microstrain: tuple[float, ...] = ()
-    """Gauge strain, one value per gauge; empty where the finger does not send it."""
-    name: str = ""
-    """Name of the finger in its hand file."""
-    missing: str = ""
-    """Why there is no sample, where ``status`` is NO_ANSWER for another reason than that none came."""
-
-    @property
-    def present(self) -> bool:
-        """Whether the finger touches something: P is over the contact threshold (2110h:4, 5)."""
-        return Status.CONTACT in self.status
-
-    @property
-    def reason(self) -> str:
-        """Why a value is unknown or doubtful, in words; "" where P, phi and theta are known and nothing is flagged."""
-        return self.missing or reasons.why(
-            int(self.status),
-            force_known=not math.isnan(self.P_newtons),
-            angles_known=not math.isnan(self.phi_deg + self.theta_deg),
-        )
-
-    @property
-    def ok(self) -> bool:
-        """Whether P, phi and theta are known and nothing is flagged."""
-        return not self.reason
-
-    @property
-    def F_newtons(self) -> tuple[float, float, float]:
-        """F1 = P sin(phi), F2 = P sin(phi - theta), F3 = P cos(phi): equation (16) of the paper; NaN where unknown."""
-        phi, delta = math.radians(self.phi_deg), math.radians(self.phi_deg - self.theta_deg)
-        return self.P_newtons * math.sin(phi), self.P_newtons * math.sin(delta), self.P_newtons * math.cos(phi)
-
-    def __str__(self) -> str:
-        """For people: ``4.40 N, phi 90.0, theta 45.0 degrees`` and what is flagged."""
-        values = f"{self.P_newtons:.3f} N, phi {self.phi_deg:.2f} deg, theta {self.theta_deg:.2f} deg"
-        return f"{values} ({self.reason})" if self.reason else values
 
 
 class Pdo:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.decoding.log import Log
-from tipforce.samples.record import Contact
+from tipforce.samples.contact import Contact
 
 if TYPE_CHECKING:
     from gymnasium import spaces

@@ -22,7 +22,7 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
-from tipforce.samples.record import Contact
+from tipforce.samples.contact import Contact
 from tipforce.scene.delivered import beam_calibration, check_noise, commit_calibration, download
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED

@@ -19,13 +19,12 @@ from tipforce.host.decoding import judged
 from tipforce.host.decoding.health import lost_gauges
 from tipforce.host.decoding.judged import Judge, Judged, Readings
 from tipforce.samples import reasons
+from tipforce.samples.contact import Contact
 from tipforce.samples.reasons import Status
 from tipforce.sensor.contact import estimate as model
 from tipforce.sensor.contact import scalar
 
 if TYPE_CHECKING:
-    from tipforce.samples.record import Contact
-
     Force = tuple[float, float, float]
     Values = tuple[float, float, float, float, float, float]
 
@@ -124,9 +123,6 @@ class Estimator:
         assert solver is not None
         self._K, self._scaled_K = solver[1], scalar.scaled_covariance(solver[1])
         self._status_of: dict[int, Status] = {}
-        from tipforce.samples.record import Contact  # which imports this package
-
-        self._contact_type = Contact
 
     @overload
     def __call__(
@@ -281,7 +277,7 @@ class Estimator:
         status = status & 0xFFFF | scalar.CALIBRATED
         if status not in self._status_of:
             self._status_of[status] = Status(status)
-        return self._contact_type(0, scalar.NAN, -1, *values, self._status_of[status], tuple(microstrain))
+        return Contact(0, scalar.NAN, -1, *values, self._status_of[status], tuple(microstrain))
 
     def _judged_force(
         self, readings: list[float], degC: float, lost: int, was_overloaded: bool

@@ -15,7 +15,8 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.trust import Trust
-from tipforce.samples.record import Contact, Rows
+from tipforce.samples.contact import Contact
+from tipforce.samples.record import Rows
 from tipforce.samples.rows import RowAssembler
 
 

@@ -23,7 +23,7 @@ from tipforce.host.network.sdo import SdoChannel, checked_time
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.finger_samples import ContactReader, ContactStream
-    from tipforce.samples.record import Contact
+    from tipforce.samples.contact import Contact
 
 T = TypeVar("T", bound=Value)
 

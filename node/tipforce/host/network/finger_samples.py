@@ -21,8 +21,8 @@ from tipforce.host.decoding.pdo_layout import layout_decoder, node_layout
 from tipforce.host.decoding.sync_modulus import SAMPLES
 from tipforce.host.frames.frame_array import RawFrame, frame_array
 from tipforce.samples.assembler import Assembler
+from tipforce.samples.contact import Contact
 from tipforce.samples.reasons import Status
-from tipforce.samples.record import Contact
 
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
