@@ -26,8 +26,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Time is simulated, without a bus and without waiting, unless the scene has a [bus] or a bus flag is given.\n"
         "Exit code 1: an expectation of the scene ([[expect]]) did not hold.\n"
-        "  tipforce run grasp\n"
-        "  tipforce run grasp --explain\n"
         "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
     )
     parser.add_argument(
