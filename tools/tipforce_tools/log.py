@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument(
-        "targets", nargs="*", type=common.Target(), metavar="CHANNEL[,FILTER...]", help="buses with their filters"
+        "targets", nargs="*", type=common.TARGET, metavar="CHANNEL[,FILTER...]", help="buses with their filters"
     )
     parser.add_argument("-o", "--output", metavar="FILE", help="default: a name as of candump -l, by date and time")
     parser.add_argument("--overwrite", action="store_true", help="overwrite existing files")

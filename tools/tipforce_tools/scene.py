@@ -47,10 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run or explain the scene; return 0, or 1 if an expectation did not hold."""
+    path = common.scene_or_file(args.scene)
     from tipforce.scene.reader import read_scene
     from tipforce.scene.registry import bus_load
 
-    path = common.scene_or_file(args.scene)
     scene = read_scene(path)
     if args.explain:
         return _explain(args, path, scene)

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "targets",
         nargs="*",
-        type=common.Target(),
+        type=common.TARGET,
         metavar="CHANNEL[,FILTER...] | LOG | -",
         help="buses, filters, or a log",
     )

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce plot` to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument("logs", nargs="+", type=common.LogFile(), metavar="LOG", help="files and globs, or -")
+    parser.add_argument("logs", nargs="+", type=common.LOG, metavar="LOG", help="files and globs, or -")
     parser.add_argument("-o", "--output", metavar="FILE", help=".png, .svg or .pdf")
     parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in")
     add_choice_arguments(parser, "as P,theta,gauges,status")
