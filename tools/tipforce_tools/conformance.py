@@ -14,15 +14,10 @@ reach every device on the bus: run it with this device alone on the bus, or with
 --persistent also stores parameters, restores defaults and changes the node-id temporarily; afterwards the stored
 parameters are the defaults.
 
-A required frame is awaited for 200 ms (an SDO response 1 s, a boot-up 5 s), a forbidden one for 30 ms. --tolerance
-is the permitted error of measured times. A case about a feature that the device lacks, or with a precondition that it
-may refuse, is "not applicable". Results are printed as they come; Ctrl-C and SIGTERM end with those until then.
-
-examples:
-  tipforce conformance --node-id 5 -i socketcan -c can0
+A required frame is awaited for 200 ms (an SDO response 1 s, a boot-up 5 s), a forbidden one for 30 ms. A case about a
+feature that the device lacks, or with a precondition that it may refuse, is "not applicable". Exit code 1: one failed.
   tipforce conformance --node-id 5 -i socketcan -c can0 --case 'sdo_block*' --json
   tipforce conformance --list --case 'CiA 305*'
-exit codes: 0 all applicable cases passed, 1 a case failed, 2 usage, 5 no response from the node, 130 interrupted
 """
 
 

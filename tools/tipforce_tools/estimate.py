@@ -25,10 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "GAUGES.csv: SG1..SGn in microstrain; optional t_s, temperature_degC, weight, and mode (push, pull, tare;\n"
         "blank: the calibration's load sense). With tare rows (unloaded readings) the offsets are interpolated\n"
         "between them, by t_s, or by row if there is no t_s; without tare rows the calibration's offsets apply. A bad\n"
-        "row gives an empty row whose status states the reason. Status: ok, tare, saturated, frozen, overload,\n"
-        "contradiction, or some of no_contact, theta_unresolved, misses_tip, outside_pad, gauge_left_out, unranged,\n"
-        "beyond_calibrated, temperature, and beyond_first_order (the uncertainties are too small or too large: near a\n"
-        "tangential contact, or in noise).\n"
+        "row gives an empty row whose status states the reason; docs/calibration.md explains each status.\n"
         "  tipforce estimate finger.toml readings.csv -o contact.csv"
     )
     parser.add_argument("calibration", type=common.InputFile("calibration "), metavar="CAL.toml")

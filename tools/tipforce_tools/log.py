@@ -26,11 +26,8 @@ EPILOG = """\
 CHANNEL[,FILTER...] as for `tipforce dump` and candump; without #MASK no error frames. The suffix of FILE sets the
 format: .log (candump's, for canplayer, Wireshark, `tipforce replay` and `decode`), .asc .blf .csv .trc .db .mf4 .txt
 (python-can's writers), and .log.gz .asc.gz .csv.gz .trc.gz. With a --rotate flag, files are numbered: run-0001.log.
-exit codes: 0 ended by -n, -T or --seconds, 130 by Ctrl-C or SIGTERM, 1 the disk is full, 2 usage
-
   tipforce log vcan0                                candump-2026-05-17_093000.log, as candump -l
   tipforce log -o run.log.gz vcan0,180:780 vcan1
-  tipforce log -o run.blf -i pcan -c PCAN_USBBUS1 -b 1000000
   tipforce log -o hand.log --rotate-size 100M --rotate-time 3600 any,0:0,#FFFFFFFF
 """
 
@@ -40,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument(
-        "targets", nargs="*", type=common.Target(), metavar="CHANNEL[,FILTER...]", help="buses with their filters"
+        "targets", nargs="*", type=common.TARGET, metavar="CHANNEL[,FILTER...]", help="buses with their filters"
     )
     parser.add_argument("-o", "--output", metavar="FILE", help="default: a name as of candump -l, by date and time")
     parser.add_argument("--overwrite", action="store_true", help="overwrite existing files")

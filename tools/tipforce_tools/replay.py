@@ -35,12 +35,9 @@ EPILOG = """\
 WRITE=LOG sends to WRITE the frames recorded from LOG, as canplayer does; frames of other interfaces are left out.
 Without assignments frames go to the interface named in the log, or with -c all to that one. The command asks before
 it sends on a bus that is not virtual.
-exit codes: 0 all sent, 1 a bad line with --strict, 2 usage, or no frames in the log, 130 Ctrl-C or SIGTERM
-
   tipforce replay run.log                           to the interfaces of the log
   tipforce replay run.log.gz vcan1=vcan0 --speed 10
   tipforce replay --loop inf --max-gap 0.5 run.log vcan0=can0 vcan1=can1
-  tipforce replay -i pcan -c PCAN_USBBUS1 -b 1000000 --yes run.blf
 """
 
 _speed = common.number_that(lambda speed: speed > 0, "are numbers over 0, and inf")

@@ -14,16 +14,10 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 Error against run time compares methods for one task with a reference of stated error. A time is the median of several
-runs with its quartiles: compare times within one run, on an otherwise idle machine. The extreme cases state what holds
-where numbers can go bad: pass (right to rounding), bounded (error below a stated bound), flagged (marked as unknown),
-refused (an error names the place). The tests of this version recorded them. Some studies need optional packages;
-without them they are left out, and the report names them: pip install "tipforce[report]" installs all.
-
-examples:
-  tipforce report --quick
-  tipforce report -o report           # report/index.html, report.jsonl, a plot of each study
+runs with its quartiles: compare times within one run, on an otherwise idle machine. The extreme cases, recorded by the
+tests of this version, state what holds where numbers can go bad: pass, bounded, flagged, refused. Studies that lack
+packages are left out: pip install "tipforce[report]". Exit code 1: a claim did not hold, or a study failed.
   tipforce report --only decoders,contact --json
-exit codes: 0 every claim held, 1 a claim did not hold or a study failed, 2 usage
 """
 
 

@@ -30,10 +30,7 @@ topics, for a finger named thumb:
   /tipforce/thumb/info      tipforce_msgs/Fingertip, transient local
   /tipforce/thumb/tare      std_msgs/Empty, with --allow-tare: takes the present force as zero
   /diagnostics              diagnostic_msgs/DiagnosticArray
-
-  tipforce ros2 hand.toml                   commission the hand, and publish it
-  tipforce ros2 -i socketcan -c can0        listen only: all fingers on the bus
-  tipforce ros2 run.log                     publish a log with its recorded timing
+A hand is commissioned, on a bus the command listens only, and a log is published with its recorded timing.
 ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and CYCLONEDDS_URI apply.
 """
 

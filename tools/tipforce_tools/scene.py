@@ -26,8 +26,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Time is simulated, without a bus and without waiting, unless the scene has a [bus] or a bus flag is given.\n"
         "Exit code 1: an expectation of the scene ([[expect]]) did not hold.\n"
-        "  tipforce run grasp\n"
-        "  tipforce run grasp --explain\n"
         "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
     )
     parser.add_argument(
@@ -49,10 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run or explain the scene; return 0, or 1 if an expectation did not hold."""
+    path = common.scene_or_file(args.scene)
     from tipforce.scene.reader import read_scene
     from tipforce.scene.registry import bus_load
 
-    path = common.scene_or_file(args.scene)
     scene = read_scene(path)
     if args.explain:
         return _explain(args, path, scene)

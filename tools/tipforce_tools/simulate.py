@@ -12,9 +12,7 @@ if TYPE_CHECKING:
     from canopen_device.machine.device import SimulatedDevice
 
 EPILOG = """\
-examples:
   tipforce simulate cia402 --node-id 5 -i socketcan -c vcan0          the drive that tipforce ships
-  tipforce simulate io.eds --node-id 10-12 -c vcan0 -i socketcan      three nodes of one EDS
   tipforce simulate drive.eds io.eds --node-id 5,10 --set 10:0x6000:01=0x0F -i socketcan -c vcan0
   tipforce simulate press.toml -i socketcan -c vcan0                  a machine: values, signals, faults, applications
 

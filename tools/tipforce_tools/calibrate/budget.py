@@ -46,7 +46,6 @@ section 4.1, with as many tares. Without CAL.toml: the paper's case I (or --layo
 in a calibration; this table shows its effect.
 One load: --phi and --theta. Default: loads over the whole pad, every 5 degrees of theta, up to 45 degrees to either
 side of the surface normal; the table then shows the root mean square and the maximum.
-  tipforce calibrate budget finger.toml --load 2 --phi -80 --theta 100
   tipforce calibrate budget --layout II --gravity 1 -o budget.png"""
 
 

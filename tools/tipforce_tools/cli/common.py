@@ -170,40 +170,29 @@ def add_numbers(
 
 
 class InputFile:
-    """For argparse: the name of a file to read, - for stdin; ``kind`` precedes the name in the error.
+    """For argparse: the name of a file to read. ``kind`` precedes it in the error; ``names``: which texts are names.
 
     ``check`` is called after the parsing, before the command imports what reads the file.
     """
 
-    def __init__(self, kind: str = "") -> None:
-        self._kind = kind
+    def __init__(
+        self, kind: str = "", lacks: str = "No such file or directory", names: Callable[[str], object] = lambda _: True
+    ) -> None:
+        self._kind, self._lacks, self._names = kind, lacks, names
 
     def __call__(self, text: str) -> str:
         """Return the name."""
         return text
 
     def check(self, text: str) -> None:
-        """Raise InputError for a missing file."""
-        if text != "-" and not os.path.exists(text):
-            raise InputError(f"{self._kind}{text}: No such file or directory")
+        """Raise InputError for a missing file; - is stdin."""
+        if text != "-" and self._names(text) and not os.path.exists(text):
+            raise InputError(f"{self._kind}{text}: {self._lacks}")
 
 
-class LogFile(InputFile):
-    """The name of a log, a pattern, which is expanded later, or a URL."""
-
-    def check(self, text: str) -> None:
-        """Raise InputError for a missing file."""
-        if text != "-" and not glob.has_magic(text) and "://" not in text and not os.path.exists(text):
-            raise InputError(f"{text}: no such file")
-
-
-class Target(LogFile):
-    """`vcan0,181:7FF`, or the name of a log."""
-
-    def check(self, text: str) -> None:
-        """Raise InputError for the name of a log that is missing."""
-        if "," not in text and re.search(r"\.(log|txt)$|/", text):
-            super().check(text)
+LOG = InputFile("", "no such file", lambda text: not glob.has_magic(text) and "://" not in text)
+TARGET = InputFile("", "no such file", lambda text: "," not in text and re.search(r"\.(log|txt)$|/", text))
+"""`vcan0,181:7FF`, or the name of a log."""
 
 
 def scene_or_file(text: str) -> Path:

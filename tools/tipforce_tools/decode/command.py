@@ -26,9 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce decode` to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument(
-        "logs", nargs="*", type=common.LogFile(), metavar="LOG", help="files and globs; default or -: stdin"
-    )
+    parser.add_argument("logs", nargs="*", type=common.LOG, metavar="LOG", help="files and globs; default or -: stdin")
     parser.add_argument("-o", "--output", metavar="FILE", help=".csv .jsonl .parquet .mcap, or DIR/, a dataset")
     parser.add_argument("--format", choices=("text", "csv", "jsonl", "parquet", "mcap"), help="default: by the suffix")
     parser.add_argument("--summary", action="store_true", help="print the contents per node; no rows without -o")

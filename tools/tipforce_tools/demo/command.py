@@ -26,9 +26,8 @@ DEFAULT_SEED = 20261121
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce demo`."""
     parser.epilog = (
-        "Every error must lie inside its bound: z x standard uncertainty (z for a family-wise error of 1e-6 over all\n"
-        "comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution. Otherwise the\n"
-        "exit code is 1."
+        "Exit code 1 if an error is outside its bound: z x standard uncertainty (z for a family-wise error of 1e-6\n"
+        "over all comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution."
     )
     parser.add_argument(
         "--seed", type=whole_number, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)"

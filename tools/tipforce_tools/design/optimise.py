@@ -84,6 +84,7 @@ def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:
         x_mm, y_mm = (float(part) for part in args.envelope.split(","))
     except ValueError:
         raise InputError(f"--envelope {args.envelope!r}: expected two numbers separated by a comma") from None
+    loads = LoadSet(args.load)
     limits = Limits(
         envelope_x_m=x_mm * 1e-3,
         envelope_y_m=y_mm * 1e-3,
@@ -94,7 +95,7 @@ def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:
         load_newtons=args.load,
         max_stress_pascals=None if args.max_stress is None else args.max_stress * 1e6,
     )
-    return limits, LoadSet(args.load)
+    return limits, loads
 
 
 # --- output ---------------------------------------------------------------------------------------------------------

@@ -33,8 +33,6 @@ def add_table_arguments(parser: argparse.ArgumentParser) -> None:
         "fig6: condition number against gauge shift. fig9: errors in the paper's grooves, simulated. off-axis:\n"
         "section 3.3. materials: other materials and the largest load. scaling: smaller fingertips. Explained in\n"
         "docs/mechanics.md.\n"
-        "  tipforce design table 3\n"
-        "  tipforce design table all --json > tables.jsonl\n"
         "  tipforce design table all -o figures"
     )
     parser.add_argument("what", nargs="?", choices=(*TABLES, "all"), default="all", help="default: all")
@@ -89,7 +87,6 @@ def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Dimensions are in millimetres; the others and the load are constant. SG1, SG2, ... shift one gauge, all\n"
         "shifts all gauges, in millimetres inward along their beams: away from the nearer end.\n"
-        "  tipforce design sweep h2\n"
         "  tipforce design sweep SG3 --layout III --to 4 --steps 9\n"
         "  tipforce design sweep r --from 8 --to 20 -o r.svg"
     )

@@ -32,10 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Checks the kernel, the interfaces, the source of the bus name, and the installed packages. With a bus it\n"
         "also opens it and listens; it never sends. It listens 5 s longer where a node sends a few heartbeats: two\n"
-        "nodes with one node-id may send them. Without a bus it tries `tipforce vcan`, which can take seconds.\n"
-        "Exit code 1 if a check failed.\n"
-        "  tipforce doctor\n"
-        "  tipforce doctor -i socketcan -c can0"
+        "nodes with one node-id may send them. Without a bus it tries `tipforce vcan`. Exit code 1: a check failed."
     )
     an_hour = common.number_within(0.0, 3600.0, "are 0 to 3600 s")
     common.add_numbers(parser, ("--listen", 1.2, "S", "listen for S (default %(default)s s)", an_hour))

@@ -20,7 +20,6 @@ At the end stderr reports frames left out, and with -v the count of each message
 exit codes: 0 ok, 1 a bad line with --strict, or no frames in the text, 2 usage
 With text, CHANNEL (or `any`) selects by the interface named in each line.
 
-  tipforce dump --decode vcan0                      contact values, line by line
   tipforce dump -ta vcan0,285:7FF,#FFFFFFFF         one PDO and all error frames
   candump -L vcan0 | tipforce dump --decode --json -
 """
@@ -33,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "targets",
         nargs="*",
-        type=common.Target(),
+        type=common.TARGET,
         metavar="CHANNEL[,FILTER...] | FILE | -",
         help="buses, or a file of candump text",
     )

@@ -16,12 +16,8 @@ EPILOG = """\
 CHANNEL[,FILTER...] as for `tipforce dump`. If stdout is not a terminal, a plain table is printed at the end, or with
 --json one line per interval.
 The bus load is a range, without stuff bits to the most stuff bits, at the bit rate of -b (default: 1 Mbit/s).
-exit codes: 0 the log ended, or --once; 2 usage, or no frames in the log; 130 Ctrl-C or SIGTERM
-
-  tipforce monitor vcan0
   tipforce monitor -i pcan -c PCAN_USBBUS1 -b 1000000 --nodes 1-5
   tipforce monitor run.log --speed 1                with recorded timing
-  candump -L can0 | tipforce monitor -
   tipforce monitor can0 --once 2 --json | jq '.buses[0].load_percent'
 """
 
@@ -36,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "targets",
         nargs="*",
-        type=common.Target(),
+        type=common.TARGET,
         metavar="CHANNEL[,FILTER...] | LOG | -",
         help="buses, filters, or a log",
     )

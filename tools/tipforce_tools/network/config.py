@@ -38,7 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '  "tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]\n'
         '  "tpdo3.cob_id" = "$NODEID+0x40000380"\n'
         "The calibration is not included: see `tipforce calibrate apply`.\n"
-        "Names of a node of another manufacturer are those of its EDS; what its RPDOs set is no setting.\n\n"
         "  tipforce config apply 6 finger.toml -i socketcan -c can0 --store\n"
         "  tipforce config save 7 drive.dcf --eds drive.eds -i socketcan -c can0"
     )

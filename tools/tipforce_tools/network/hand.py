@@ -44,7 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce hand`."""
     parser.epilog = (
         f"The file (docs/hand.md has all keys):\n{EXAMPLE}\n"
-        "  tipforce hand up hand.toml\n"
         "  tipforce hand run hand.toml --json -i socketcan -c vcan0 | head\n"
         "`tipforce view hand.toml` shows it in a browser."
     )

@@ -39,9 +39,7 @@ NO_UNCONFIGURED_NODE = (
 
 def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce scan`."""
-    parser.epilog = (
-        "Exit code 1 if two nodes use one node-id: both respond to each request.\n  tipforce scan -i socketcan -c can0"
-    )
+    parser.epilog = "Exit code 1 if two nodes use one node-id: both respond to each request."
     parser.add_argument(
         "--nodes", type=common.node_ids, default=list(range(1, 128)), metavar="IDS", help="1,2,5-9 (default: all)"
     )
@@ -75,7 +73,6 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce read`."""
     parser.epilog = (
         "A finger that is pre-operational is started. An unknown value prints as nan (JSON: null), with its reason.\n"
-        "  tipforce read 5 -i socketcan -c can0\n"
         "  tipforce read 1-5 -n 100 --json -i socketcan -c can0 | jq .P_newtons"
     )
     _add_ids(parser)
@@ -106,7 +103,6 @@ def add_tare_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Tare the unloaded fingertip: a tare under load hides that load. It is not stored, and ends with a reset or\n"
         "a new calibration. A node without a calibration refuses (exit code 11).\n"
-        "  tipforce tare 1-5 -i socketcan -c can0\n"
         "  tipforce tare 1-5 --show -i socketcan -c can0"
     )
     _add_ids(parser)
@@ -197,7 +193,6 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "assign gives IDS to unconfigured nodes, in the order in which they are found, or with --serial to the node\n"
         "with that address, whose node-id changes at its next reset. Without --store they are lost at a power cycle.\n"
-        "  tipforce lss assign 1-5 --store -i socketcan -c can0\n"
         "  tipforce lss assign 7 --serial 1005 --store -i socketcan -c can0\n"
     )
     add_choice(parser, "action", LSS_ACTIONS)
@@ -317,7 +312,7 @@ def add_firmware_install_arguments(parser: argparse.ArgumentParser) -> None:
         "before, it runs the previous program. `tipforce nmt start` starts measurement again.\n\n"
         "An image for another product, with a wrong signature, or older than the installed program (without\n"
         "--allow-downgrade) is refused with exit code 12, as is every image by a node without program slots. The\n"
-        "nodes after it are not touched. Exit code 2: the file is no image, or damaged; 5: a node does not respond.\n\n"
+        "nodes after it are not touched.\n"
         "  tipforce firmware install 1-5 program.bin -i socketcan -c can0"
     )
     _add_ids(parser)

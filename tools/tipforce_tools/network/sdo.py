@@ -37,11 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "examples (CiA 309-3 words, or names of the dictionary; docs/objects.md lists them):\n"
         "  tipforce sdo read 10 0x1017 0 u16\n"
-        "  tipforce sdo read 10 calibration.generation\n"
-        "  tipforce sdo read 10 calibration.matrix:3\n"
-        "  tipforce sdo write 10 0x1017 0 u16 500\n"
+        "  tipforce sdo read 10 P                    also calibration.generation, calibration.matrix:3, 0x2103:04\n"
         "  tipforce sdo write 10 heartbeat.producer_ms 500\n"
-        "  tipforce sdo dump 10                     all readable objects, with names and units\n"
         "types: u8 u16 u32 i8 i16 i32 r32 vs (string) d (domain, as hex bytes)"
     )
     add_choice(parser, "action", ACTIONS)

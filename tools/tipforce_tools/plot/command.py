@@ -16,9 +16,7 @@ crosses in the strip. The grey band is two standard uncertainties to either side
 --calibration those of gauge noise and calibration together.
 --signals: P, phi, theta, gauges, status (the default), F1, F2, F3, SG1.., temperature, u_P and other signals sent;
 with --eds all signals are the default.
-exit codes: 0 ok, 2 usage
 
-  tipforce plot run.log -o run.png
   tipforce plot run.log --nodes 1-5 --from 10 --to 12.5 -o touch.pdf --size 24x16cm
   tipforce plot thumb.log --calibration thumb.toml --signals P,theta,status -o thumb.svg
 """
@@ -29,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce plot` to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument("logs", nargs="+", type=common.LogFile(), metavar="LOG", help="files and globs, or -")
-    parser.add_argument("-o", "--output", required=True, metavar="FILE", help=".png, .svg or .pdf")
+    parser.add_argument("logs", nargs="+", type=common.LOG, metavar="LOG", help="files and globs, or -")
+    parser.add_argument("-o", "--output", metavar="FILE", help=".png, .svg or .pdf")
     parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in")
     add_choice_arguments(parser, "as P,theta,gauges,status")
     common.add_output_arguments(parser)

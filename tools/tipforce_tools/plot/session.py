@@ -32,6 +32,8 @@ _DEFAULT = ("P", "phi", "theta", GAUGES, STATUS)
 
 def plot(args: Namespace) -> int:
     """Draw; return 0. Raises InputError for unusable input, EnvironmentLackError without matplotlib."""
+    if args.output is None:
+        raise InputError("no output: add -o FILE.png, .svg or .pdf")
     path = Path(args.output)
     names = choice.logs(args.logs)
     check_output(path, figure_kind(path, FIGURES), names)

@@ -25,7 +25,6 @@ EPILOG = """\
 exit codes besides COMMAND's own: 1 after --timeout, 2 usage, 126 and 127 when COMMAND cannot be started, 128+n when
 signal n ended it, 130 interrupted
 
-  tipforce vcan -- candump -n 1 vcan0
   tipforce vcan --interfaces can0,can1,can2 -- python -m pytest tests/vcan
   tipforce vcan --attach -- tipforce scan -i socketcan -c vcan0          from another terminal
 """

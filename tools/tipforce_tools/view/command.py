@@ -28,9 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "  tipforce view hand.toml                   commission the hand, and show it\n"
         "  tipforce view -i socketcan -c can0        listen only: show all fingers on the bus\n"
-        "  tipforce view run.log                     replay a log\n"
         "  tipforce view grasp                       run a scene, and show its log\n"
-        "  tipforce demo --view                      a simulated hand, without CAN\n"
         "The page is read-only and reachable from this machine only, unless --allow-writes and --host are given."
     )
     parser.add_argument(
