@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterator
 
 from tipforce_tools.cli.completion import root_parser
+from tipforce_tools.cli.main import all_parsers
 
 
 def command_lines(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator[tuple[str, list[str]]]:
@@ -29,5 +30,5 @@ def parsers(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator
             yield from parsers(one, f"{path} {name}")
 
 
-LINES = dict(command_lines(root_parser("bash")))
-PARSERS = dict(parsers(root_parser("bash")))
+LINES = dict(command_lines(root_parser("bash", all_parsers())))
+PARSERS = dict(parsers(root_parser("bash", all_parsers())))

@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 
 from tipforce_tools.cli.completion import SHELLS, script
-from tipforce_tools.cli.main import COMMANDS
+from tipforce_tools.cli.main import COMMANDS, all_parsers
 from tools.command_lines import LINES, PARSERS
 from tools.rig import Printed
 
-SCRIPTS = {shell: script(shell) for shell in SHELLS}
+SCRIPTS = {shell: script(shell, all_parsers()) for shell in SHELLS}
 WAIT_S = 60.0
 DRIVER = """
 while IFS= read -r typed; do

@@ -21,8 +21,8 @@ from tipforce.fingertip.calibration import CALIBRATION_GROUP
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
-from tipforce.samples.reasons import Status
 from tipforce.samples.contact import Contact
+from tipforce.samples.reasons import Status
 from tipforce.scene.delivered import beam_calibration, check_noise, commit_calibration, download
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED

@@ -10,13 +10,14 @@ import argparse
 import re
 import shlex
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import actions as shared
 from tipforce_tools.cli import common
-from tipforce_tools.cli.main import COMMANDS, command_parser
 
+Parsers: TypeAlias = Mapping[str, tuple[str, argparse.ArgumentParser]]
+"""Summary and parser of each command."""
 SHELLS = ("bash", "zsh", "fish")
 FILE, CAN, COMMAND = "file", "can", "command"
 NODE_IDS = tuple(str(number) for number in range(1, 16))
@@ -71,7 +72,7 @@ class Value(NamedTuple):
     sources: tuple[str, ...] = ()
 
 
-def script(shell: str) -> str:
+def script(shell: str, parsers: Parsers) -> str:
     """Return the script for "bash", "zsh" or "fish". Raises InputError for another."""
     if shell not in SHELLS:
         raise InputError(f"--completion {shell}: allowed are {', '.join(SHELLS)}")
@@ -79,22 +80,21 @@ def script(shell: str) -> str:
 
     function = _FUNCTION.get(shell, _POSIX_FUNCTION)
     preamble = function.format("_tipforce_interfaces", _CAN_INTERFACES)
-    text: str = shtab.complete(root_parser(shell), shell, preamble=preamble)
+    text: str = shtab.complete(root_parser(shell, parsers), shell, preamble=preamble)
     if shell == "zsh":
         # For _arguments, (*) is a list of what a word excludes; * is a word that can be repeated.
         text = re.sub(r'"\(\*\)::?', '"*:', text)
     return text + (_BASH_END if shell == "bash" else "")
 
 
-def root_parser(shell: str) -> argparse.ArgumentParser:
+def root_parser(shell: str, parsers: Parsers) -> argparse.ArgumentParser:
     """Return a parser with all commands and actions as subparsers; values have their completion in ``shell``."""
     root = argparse.ArgumentParser(prog="tipforce")
     root.add_argument("-V", "--version", action="version", help="print the version")
     root.add_argument("--help-bus", action="store_true", help="list the flags that commands share")
     root.add_argument("--completion", choices=SHELLS, help="print this script")
     commands = root.add_subparsers()
-    for name, (_, summary) in COMMANDS.items():
-        parser = command_parser(name)
+    for name, (summary, parser) in parsers.items():
         table = next((a.choices for a in parser._actions if isinstance(a.choices, Mapping)), None)
         if table is None:
             commands.add_parser(name, help=summary, add_help=False, parents=[_with_values(parser, shell)])

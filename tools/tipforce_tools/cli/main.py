@@ -183,7 +183,7 @@ def _answer(words: list[str]) -> int:
     elif first.partition("=")[0] == "--completion":
         from tipforce_tools.cli.completion import script
 
-        print(script(first.partition("=")[2] or "".join(words[1:2])), end="")
+        print(script(first.partition("=")[2] or "".join(words[1:2]), all_parsers()), end="")
     else:
         try:
             return _run(first, words[1:])
@@ -209,6 +209,11 @@ def _run(name: str, words: list[str]) -> int:
     check_files(parser, args)
     place = COMMANDS[name][0]
     return run_place(place, args) if isinstance(place, str) else run_action(args, name, place)
+
+
+def all_parsers() -> dict[str, tuple[str, CommandParser]]:
+    """Return summary and parser of every command."""
+    return {name: (summary, command_parser(name)) for name, (_, summary) in COMMANDS.items()}
 
 
 def command_parser(name: str) -> CommandParser:
