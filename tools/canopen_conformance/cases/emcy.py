@@ -13,9 +13,7 @@ from canopen_conformance.wire import START, Abort
 case = Service("emcy")
 
 
-def break_sync(dut: Dut) -> None:
-    """Send a SYNC of wrong length: EMCY 8240h, if the device checks it."""
-    dut.send(0x080, "01 02 03")
+break_sync = do.send(0x080, "01 02 03")  # a SYNC of wrong length: EMCY 8240h, if the device checks it
 
 
 def make_error(dut: Dut) -> bytes:
@@ -70,11 +68,7 @@ case.each(
 )(lambda command, _name: (make_error, do.reset(command), do.holds("B", 0x1001, 0, 0), do.no_emcy()))
 
 
-def clear(dut: Dut) -> None:
-    """Empty the history."""
-    dut.put("B", 0x1003, 0, 0)
-
-
+clear = do.put("B", 0x1003, 0, 0)  # empties the history
 case("history 7.5.2.4: an error is entered with its code", HISTORY)(
     clear,
     make_error,

@@ -48,9 +48,7 @@ def select(dut: Dut, numbers: list[int]) -> None:
     say_each(dut, 0x40, enumerate(numbers))
 
 
-def waiting(dut: Dut) -> None:
-    """Switch all slaves to the waiting state."""
-    say(dut, 0x04, 0)
+waiting = do.run(say, 0x04, 0)  # switches all slaves to the waiting state
 
 
 def slave_answer(dut: Dut) -> bytes:

@@ -20,11 +20,7 @@ def not_written(*steps: Step) -> Step:
     return do.unchanged("H", 0x1017, 0, *steps)
 
 
-def over(dut: Dut) -> None:
-    """Check that no transfer goes on: a segment is aborted."""
-    dut.ask("60", lambda data: data[0] == 0x80)
-
-
+over = do.ask("60", lambda data: data[0] == 0x80)  # no transfer goes on: a segment is aborted
 expedited.each(
     "upload_u32 7.2.4.3.6: an UNSIGNED32 is read expedited, with its size", (), [("00 10 00",), ("18 10 01",)]
 )(lambda place: do.ask(f"40 {place}", f"43 {place} *"))

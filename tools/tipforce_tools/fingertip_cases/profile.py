@@ -35,9 +35,7 @@ def uncalibrated(dut: Dut) -> None:
         raise NotApplicableError("a calibration is stored")
 
 
-def settle(dut: Dut) -> None:
-    """After it the next read takes a new sample."""
-    dut.sleep(NEWEST_MS)
+settle = do.sleep(NEWEST_MS)  # after it the next read takes a new sample
 
 
 for header, kind, index, values in (

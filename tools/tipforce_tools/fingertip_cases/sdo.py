@@ -143,14 +143,11 @@ block_upload("restart 7.2.4.2.13: an initiate gives up the block upload that wen
 )
 
 
-@block_upload(
-    "7.2.4.3.17: {1}: 05040001h",
-    each=[
-        ("A2 01 7F", "an answer before the start"),
-        ("A1", "an end before the start"),
-        ("60", "a segment of another transfer"),
-    ],
-)
+@block_upload("7.2.4.3.17: {1}: 05040001h", each=[
+    ("A2 01 7F", "an answer before the start"),
+    ("A1", "an end before the start"),
+    ("60", "a segment of another transfer"),
+])  # fmt: skip
 def wrong_command(dut: Dut, request: str, _why: str) -> None:
     index = sdo_block.begun_upload(dut, False)
     dut.request(request)
