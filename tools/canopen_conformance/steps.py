@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Concatenate, ParamSpec, TypeVar
 
 from canopen_conformance.case import Step, check
 from canopen_conformance.dut import Dut
@@ -73,6 +73,36 @@ def unchanged(dut: Dut, /, kind: str, index: int, sub: int, *steps: Step) -> Non
     dut.holds(kind, index, sub, before)
 
 
-def __getattr__(name: str) -> Callable[..., Callable[[Dut], Any]]:
-    """Return the step of a method of the Dut."""
-    return step(getattr(Dut, name))
+nmt = step(Dut.nmt)
+reset = step(Dut.reset)
+boot_up = step(Dut.boot_up)
+waits_for_start = step(Dut.waits_for_start)
+enter = step(Dut.enter)
+state = step(Dut.state)
+beat = step(Dut.beat)
+heartbeat = step(Dut.heartbeat)
+no_heartbeat = step(Dut.no_heartbeat)
+request = step(Dut.request)
+answer = step(Dut.answer)
+ask = step(Dut.ask)
+aborted = step(Dut.aborted)
+no_sdo = step(Dut.no_sdo)
+read = step(Dut.read)
+put = step(Dut.put)
+accepts = step(Dut.accepts)
+holds = step(Dut.holds)
+refuses = step(Dut.refuses)
+refuses_bytes = step(Dut.refuses_bytes)
+read_segments = step(Dut.read_segments)
+integer = step(Dut.integer)
+send = step(Dut.send)
+expect = step(Dut.expect)
+silence = step(Dut.silence)
+sleep = step(Dut.sleep)
+forget = step(Dut.forget)
+emcy = step(Dut.emcy)
+no_emcy = step(Dut.no_emcy)
+pdo = step(Dut.pdo)
+no_pdo = step(Dut.no_pdo)
+send_pdo = step(Dut.send_pdo)
+forget_pdo = step(Dut.forget_pdo)

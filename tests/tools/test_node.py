@@ -1,22 +1,72 @@
-"""`tipforce node --source iio:... | replay:...`: from the words of the flag to scaled readings, or what to do."""
+"""`tipforce node`: what its flags make; --source from its words to scaled readings or a recording, or what to do."""
 
 from __future__ import annotations
 
+import csv
 import errno
 import re
 import sys
 import types
 from pathlib import Path
 
+import can
 import pytest
 
 from canopen_device.core.node import Device
+from host.bus_with_nodes import new_channel
 from sources.iio_tree import Tree
+from tipforce.dictionary.eds import eds_text
 from tipforce.sources import iio_buffer, iio_sysfs
 from tipforce.sources.iio import IioSource
 from tipforce.sources.layout_file import layout_text, read_bridge, read_layout
+from tipforce.sources.replay import ReplaySource
+from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.doctor.machine import iio_checks
 from tools.rig import run_node, source_of
+
+
+def test_defaults(devices: list[Device], capsys: pytest.CaptureFixture[str]) -> None:
+    channel = new_channel()
+    with can.Bus(channel, interface="virtual") as bus:
+        assert run_node(channel=channel) == 0
+        last = bus.recv(0)
+        assert last is not None
+        assert (last.arbitration_id, bytes(last.data)) == (0x705, b"\4"), "it says that it stopped"
+    (device,) = devices
+    assert (device.node_id, device.step(0)[0][0]) == (5, (0x705, b"\0"))
+    assert device.od.get(0x1018, 4) == 5, "the serial number is the node-id"
+    assert device.od.get(0x1021) == eds_text(3, simulated=True).encode()
+    source = source_of(device)
+    assert isinstance(source, SimulatedSource)
+    assert (source.noise_microstrain, source.load, source.offset_microstrain) == (0.5, (0.0, 0.0, 0.0), [0.0] * 3)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("node 5 (0x05): layout I, ")
+    assert err.endswith("node 5 (0x05): stopped\n")
+
+
+def test_flags(devices: list[Device], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = tmp_path / "node.json"
+    words = "--layout III --serial 77 --noise 0 --offset -1,2,3.5 --load -4.4,90,-60 --seed 3 -q --store"
+    assert run_node(*words.split(), store) == 0
+    (device,) = devices
+    source = source_of(device)
+    assert isinstance(source, SimulatedSource)
+    assert device.od.get(0x1018, 4) == 77
+    assert source.offset_microstrain == [-1.0, 2.0, 3.5]
+    assert source.load == (-4.4, 90.0, -60.0)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_layout_file_with_more_gauges(devices: list[Device], tmp_path: Path) -> None:
+    path = tmp_path / "four.toml"
+    path.write_text('points = ["K_H", "S_H", "U", "L"]\n')
+    assert run_node("--layout", str(path), "--offset", "1,2,3,4") == 0
+    assert devices[0].od.get(0x1018, 2) == 0x54500104
+
+
+SYNC, RESET_NODE = (0x80, b""), (0x000, b"\x81\5")
+
 
 POINTS = 'points = ["K_H", "S_H", "U"]\n'
 BRIDGE = f"""{POINTS}[bridge]
@@ -286,3 +336,71 @@ def test_doctor_without_converters(tree: Tree, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(sys, "platform", "darwin")
     (check,) = iio_checks()
     assert check.state == "note"
+
+
+def test_a_recording_in_csv(tmp_path: Path, devices: list[Device]) -> None:
+    path = tmp_path / "session.csv"
+    with path.open("w", newline="") as file:
+        csv.writer(file).writerows([["t_s", "SG1", "SG2", "SG3", "P_N"], [1, 1.04, -2, 3, 0], [1.5, 4, 5, 9999, 0]])
+    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}", "--speed", "2", "--loop") == 0
+    source = source_of(devices[0])
+    assert isinstance(source, ReplaySource)
+    found = [source.read(now_us) for now_us in (0, 249_999, 250_000, 500_000)]
+    assert [None if one is None else one.counts for one in found] == [
+        (10, -20, 30),
+        None,
+        (40, 50, 32767),
+        (10, -20, 30),
+    ]
+    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}", "--bits", "24") == 0
+    reading = source_of(devices[1]).read(0)
+    assert reading is not None
+    assert reading.counts == (2662, -5120, 7680)
+
+
+def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "log.txt"
+    lines = (
+        "(1.000000) can0 185#0A00ECFF1E000201",  # 1.0, -2.0, 3.0 microstrain, calibrated
+        "(1.001000) can0 185#0A00ECFF1E000A01",  # stale: nothing new
+        "(1.002000) can0 185#FF7F0180008002",  # too short for its mapping
+        "(1.003000) can0 185#FF7F018005000602",  # saturated at both ends
+        "(1.004000) can0 186#0100010001000201",
+    )
+    path.write_text("\n".join(lines) + "\n")
+    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}") == 2
+    assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in capsys.readouterr().err
+    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}@5") == 0
+    source = source_of(devices[0])
+    found = [source.read(now_us) for now_us in (0, 1500, 3500)]
+    assert [None if one is None else one.counts for one in found] == [(10, -20, 30), None, (32767, -32768, 5)]
+
+
+@pytest.mark.parametrize(
+    ("text", "flags", "message"),
+    [
+        ("SG1,SG2,SG3\n1,2,3\n", "", "column t_s is missing"),
+        ("t_s,SG1,SG2,SG3\n0,1,2,x\n", "", "line 2"),
+        ("t_s,SG1,SG2,SG3,SG4\n0,1,2,3,4\n", "", "4 gauges; the layout has 3"),
+        ("t_s,SG1,SG2,SG3\n0,1,2,3\n", "--speed 0", "speed 0.0"),
+        ("hello\n", "", "no gauge PDO, and no CSV header with SG1"),
+        ("(1.0) can0 185#0A00ECFF1E000201\n", "@9", "no gauge PDO of node 9"),
+        ("(1.0) can0 185#0A00ECFF1E000201\n", "@0", "'0' after @: allowed are node-ids"),
+        (None, "", "No such file"),
+    ],
+)
+def test_a_recording_that_is_wrong(
+    tmp_path: Path,
+    devices: list[Device],
+    text: str | None,
+    flags: str,
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "recording"
+    if text is not None:
+        path.write_text(text)
+    suffix, words = (flags, []) if flags.startswith("@") else ("", flags.split())
+    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}{suffix}", *words) == 2
+    assert message in capsys.readouterr().err
+    assert not devices
