@@ -14,6 +14,7 @@ from canopen_device.core.node import Device
 from tipforce.scene.delivered import beam_calibration, commit_calibration, download
 from tools.rig import run_node
 
+SYNC, RESET_NODE = (0x80, b""), (0x000, b"\x81\5")
 FIVE = 'points = ["K_H", "S_H", "U", "L", { beam = "V", side = "left", position_mm = 3.0 }]\n'
 LOAD = (4.4, 90.0, 45.0)
 
