@@ -18,7 +18,7 @@ def build() -> bool:
         from setuptools import Distribution, Extension
 
         source = str(ROOT / PACKAGE / "_core.c")
-        exact = [] if sys.platform == "win32" else ["-O2", "-ffp-contract=off"]  # the same values on every processor
+        exact = [] if sys.platform == "win32" else ["-O3", "-ffp-contract=off"]  # the same values on every processor
         core = Extension("tipforce._core", [source], py_limited_api=True, extra_compile_args=exact)
         command = Distribution({"name": "tipforce", "ext_modules": [core]}).get_command_obj("build_ext")
         command.build_lib, command.build_temp = str(ROOT / PACKAGE.parent), str(ROOT / "build" / "core")

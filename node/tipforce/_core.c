@@ -275,8 +275,8 @@ typedef struct {
     const uint32_t *slots;
     const Slot *layouts;
     const int64_t *held_number;
-    int64_t *work[COLUMNS], *ends, *short_frames;
-    Py_ssize_t count, kinds, senders, held;
+    int64_t *work[COLUMNS], *ends, *seen, *too_short; /* the last three by slot */
+    Py_ssize_t count, kinds, held;
     int64_t number, gap_ns, gap_frames;
 } Join;
 
@@ -323,13 +323,13 @@ static Py_ssize_t give_rows(Join *job, Last *last, Decoded *decoded) {
     for (Py_ssize_t k = 0; k < job->count; k++) {
         const Byte *frame = job->frames + k * FRAME_BYTES;
         uint32_t kind = job->slots[k];
-        if (kind >= (uint32_t)job->kinds || job->layouts[kind].sender >= (uint32_t)job->senders)
+        if (kind >= (uint32_t)job->kinds || job->layouts[kind].sender >= (uint32_t)job->kinds)
             return -1;
         const Slot *slot = &job->layouts[kind];
         if (!kind)
             continue;
         if (frame[12] < slot->length) {
-            job->short_frames[kind]++;
+            job->too_short[kind]++;
             continue;
         }
         if (!slot->used)
@@ -350,7 +350,7 @@ static Py_ssize_t give_rows(Join *job, Last *last, Decoded *decoded) {
 static Py_ssize_t store_rows(Join *job, const Last *last, const Decoded *decoded, Py_ssize_t found, int is_last,
                              Py_ssize_t *held) {
     int64_t end = found, rows = 0, sum = 0;
-    for (Py_ssize_t k = 0; !is_last && found && k < job->senders; k++) {
+    for (Py_ssize_t k = 0; !is_last && found && k < job->kinds; k++) {
         const Decoded *newest = &decoded[found - 1];
         int64_t now = time_of(job->frames + newest->frame * FRAME_BYTES);
         if (last[k].known && (now <= last[k].t_ns || near(now, last[k].t_ns, job->gap_ns)) &&
@@ -365,6 +365,7 @@ static Py_ssize_t store_rows(Join *job, const Last *last, const Decoded *decoded
             row[k] = rows++;
         }
         job->ends[decoded[k].slot] += decoded[k].start < end;
+        job->seen[decoded[k].slot] += 1;
     }
     for (Py_ssize_t k = 0; k < job->kinds; k++) { /* the place of a slot's first frame, which grows to its end */
         int64_t frames = job->ends[k];
@@ -386,26 +387,51 @@ static Py_ssize_t store_rows(Join *job, const Last *last, const Decoded *decoded
     return rows;
 }
 
+/* Append a tuple of three numbers, or of the first two. */
+static int append(PyObject *list, int size, long long a, long long b, long long c) {
+    PyObject *row = size == 3 ? Py_BuildValue("(LLL)", a, b, c) : Py_BuildValue("(LL)", a, b);
+    int failed = !row || PyList_Append(list, row) < 0;
+    Py_XDECREF(row);
+    return failed;
+}
+
+/* Return (rows, held, number, spans, short) as join_here does; steals nothing. */
+static PyObject *join_result(const Join *job, Py_ssize_t rows, Py_ssize_t held) {
+    PyObject *spans = PyList_New(0), *too_short = PyList_New(0), *result = NULL;
+    int failed = !spans || !too_short;
+    int64_t low = 0;
+    for (Py_ssize_t k = 0; k < job->kinds && !failed; k++) {
+        if (job->seen[k])
+            failed = append(spans, 3, k, low, job->ends[k]);
+        if (job->too_short[k])
+            failed = failed || append(too_short, 2, k, job->too_short[k], 0);
+        low = job->ends[k];
+    }
+    if (!failed)
+        result = Py_BuildValue("nnLOO", rows, held, (long long)job->number, spans, too_short);
+    Py_XDECREF(spans);
+    Py_XDECREF(too_short);
+    return result;
+}
+
 PyDoc_STRVAR(join_doc,
-"join(frames, slots, layouts, held_number, number, senders, gap_ns, gap_frames, last, work, ends, short)\n"
-"-> (rows, held, number): see join_here of host/decoding/sample_rule.py.");
+"join(frames, slots, layouts, held_number, number, gap_ns, gap_frames, last, work)\n"
+"-> (rows, held, number, spans, short): see join_here of host/decoding/sample_rule.py.");
 
 static PyObject *join(PyObject *module, PyObject *args) {
-    Py_buffer frames, slots, layouts, held_number, work, ends, short_frames;
+    Py_buffer frames, slots, layouts, held_number, work;
     Join job;
     long long number, gap_ns, gap_frames;
     int is_last;
     PyObject *result = NULL;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*y*y*y*LnLLpw*w*w*", &frames, &slots, &layouts, &held_number, &number, &job.senders,
-                          &gap_ns, &gap_frames, &is_last, &work, &ends, &short_frames))
+    if (!PyArg_ParseTuple(args, "y*y*y*y*LLLpw*", &frames, &slots, &layouts, &held_number, &number, &gap_ns,
+                          &gap_frames, &is_last, &work))
         return NULL;
     job.frames = frames.buf;
     job.slots = slots.buf;
     job.layouts = layouts.buf;
     job.held_number = held_number.buf;
-    job.ends = ends.buf;
-    job.short_frames = short_frames.buf;
     job.count = frames.len / FRAME_BYTES;
     job.kinds = layouts.len / (Py_ssize_t)sizeof(Slot);
     job.held = held_number.len / 8;
@@ -414,39 +440,35 @@ static PyObject *join(PyObject *module, PyObject *args) {
     job.gap_frames = gap_frames;
     for (int k = 0; k < COLUMNS; k++)
         job.work[k] = (int64_t *)work.buf + k * job.count;
-    Last *last = NULL;
-    Decoded *decoded = NULL;
-    int fits = number < MOST_FRAMES && number > -MOST_FRAMES;
+    size_t kinds = (size_t)job.kinds + 1;
+    Last *last = PyMem_Calloc(kinds, sizeof *last);
+    Decoded *decoded = PyMem_Malloc(((size_t)job.count + 1) * sizeof *decoded);
+    job.ends = PyMem_Calloc(3 * kinds, sizeof *job.ends);
+    int fits = number < MOST_FRAMES && number > -MOST_FRAMES && gap_ns >= 0;
+    fits = fits && slots.len == job.count * 4 && work.len == job.count * 8 * COLUMNS;
     for (Py_ssize_t k = 0; k < job.held; k++)
         fits = fits && job.held_number[k] < MOST_FRAMES && job.held_number[k] > -MOST_FRAMES;
-    if (!fits || slots.len != job.count * 4 || work.len != job.count * 8 * COLUMNS || ends.len != job.kinds * 8 ||
-        short_frames.len != ends.len || job.senders < 0 || job.senders > 1 << 16 || gap_ns < 0) {
-        PyErr_SetString(PyExc_ValueError, "join: arguments");
-        goto done;
-    }
-    last = PyMem_Calloc((size_t)job.senders + 1, sizeof *last);
-    decoded = PyMem_Malloc(((size_t)job.count + 1) * sizeof *decoded);
-    if (!last || !decoded) {
+    if (!last || !decoded || !job.ends)
         PyErr_NoMemory();
-        goto done;
+    else {
+        job.seen = job.ends + kinds;
+        job.too_short = job.seen + kinds;
+        Py_ssize_t found = fits ? give_rows(&job, last, decoded) : -1, held = 0, rows;
+        if (found < 0)
+            PyErr_SetString(PyExc_ValueError, "join: arguments");
+        else {
+            rows = store_rows(&job, last, decoded, found, is_last, &held);
+            result = join_result(&job, rows, held);
+        }
     }
-    Py_ssize_t found = give_rows(&job, last, decoded), held = 0;
-    if (found < 0) {
-        PyErr_SetString(PyExc_ValueError, "join: slots");
-        goto done;
-    }
-    Py_ssize_t rows = store_rows(&job, last, decoded, found, is_last, &held);
-    result = Py_BuildValue("nnL", rows, held, (long long)job.number);
-done:
     PyMem_Free(last);
     PyMem_Free(decoded);
+    PyMem_Free(job.ends);
     PyBuffer_Release(&frames);
     PyBuffer_Release(&slots);
     PyBuffer_Release(&layouts);
     PyBuffer_Release(&held_number);
     PyBuffer_Release(&work);
-    PyBuffer_Release(&ends);
-    PyBuffer_Release(&short_frames);
     return result;
 }
 
@@ -460,16 +482,16 @@ typedef struct { /* SIGNAL of columns.py */
     Byte start, bits, kind, size, is_signed, has_unknown, big_endian, spare;
 } Signal;
 
-static uint64_t raw_of(const Signal *signal, const Byte *data) {
-    uint64_t word = 0, sign = (uint64_t)1 << (signal->bits - 1);
-    memcpy(&word, data, sizeof word);
-    if (signal->big_endian) {
-        uint64_t swapped = 0;
-        for (int k = 0; k < 8; k++, word >>= 8)
-            swapped = swapped << 8 | (word & 0xFF);
-        word = swapped;
-    }
-    word = word >> signal->start & (sign | (sign - 1));
+static uint64_t swapped(uint64_t word) {
+    uint64_t result = 0;
+    for (int k = 0; k < 8; k++, word >>= 8)
+        result = result << 8 | (word & 0xFF);
+    return result;
+}
+
+static inline uint64_t raw_of(const Signal *signal, uint64_t word) {
+    uint64_t sign = (uint64_t)1 << (signal->bits - 1);
+    word = (signal->big_endian ? swapped(word) : word) >> signal->start & (sign | (sign - 1));
     return signal->is_signed ? (word ^ sign) - sign : word;
 }
 
@@ -494,20 +516,37 @@ static double value_of(const Signal *signal, uint64_t raw) {
     return signal->offset != 0 ? value + signal->offset : value;
 }
 
-static void extract_one(const Signal *signal, const Byte *words, Py_ssize_t count, Byte *out) {
-    for (Py_ssize_t k = 0; k < count; k++, words += 8, out += signal->size) {
-        uint64_t raw = raw_of(signal, words);
-        if (signal->kind >= NUMBER) {
-            double value = value_of(signal, raw);
-            memcpy(out, &value, 8);
-        } else if (signal->size == 1)
-            *out = (Byte)raw;
-        else if (signal->size == 2)
-            memcpy(out, &raw, 2);
-        else if (signal->size == 4)
-            memcpy(out, &raw, 4);
+#define EACH(type, value)                      \
+    for (Py_ssize_t k = 0; k < count; k++) {   \
+        uint64_t raw = words[k] >> start;      \
+        ((type *)out)[k] = (type)(value);      \
+    }
+
+static void extract_one(Signal signal, const uint64_t *words, Py_ssize_t count, void *out) {
+    double divisor = signal.divisor;
+    int start = signal.start, whole = signal.bits == 8 * signal.size && !signal.big_endian;
+    int is_plain = signal.has_unknown && signal.is_signed && divisor != 0 && signal.offset == 0 && !signal.big_endian;
+    int16_t unknown = (int16_t)signal.unknown;
+    if (signal.kind == FLAG && !signal.big_endian)
+        EACH(Byte, raw & 1)
+    else if (signal.kind == INTEGER && whole && signal.size == 1)
+        EACH(Byte, raw)
+    else if (signal.kind == INTEGER && whole && signal.size == 2)
+        EACH(uint16_t, raw)
+    else if (signal.kind == NUMBER && is_plain && signal.bits == 16 && unknown == (int64_t)signal.unknown)
+        EACH(double, (int16_t)raw == unknown ? Py_NAN : (int16_t)raw / divisor)
+    else { /* any other, which is rarer */
+        start = 0;
+        if (signal.kind >= NUMBER)
+            EACH(double, value_of(&signal, raw_of(&signal, raw)))
+        else if (signal.size == 1)
+            EACH(Byte, raw_of(&signal, raw))
+        else if (signal.size == 2)
+            EACH(uint16_t, raw_of(&signal, raw))
+        else if (signal.size == 4)
+            EACH(uint32_t, raw_of(&signal, raw))
         else
-            memcpy(out, &raw, 8);
+            EACH(uint64_t, raw_of(&signal, raw))
     }
 }
 
@@ -524,9 +563,9 @@ static PyObject *extract(PyObject *module, PyObject *args) {
     for (Py_ssize_t k = 0; k < kinds && place <= out.len; k++, signal++) {
         int size = signal->size, whole = size == 1 || size == 2 || size == 4 || size == 8;
         int fits = signal->bits >= 1 && signal->start + signal->bits <= 64;
-        if (!whole || !fits || (signal->kind >= NUMBER && size != 8) || count > (out.len - place) / size)
+        if (!whole || !fits || ((uintptr_t)out.buf + (size_t)place) % (size_t)size || (signal->kind >= NUMBER && size != 8) || count > (out.len - place) / size)
             break;
-        extract_one(signal, words.buf, count, (Byte *)out.buf + place);
+        extract_one(*signal, words.buf, count, (Byte *)out.buf + place);
         place += count * size;
         if (k + 1 == kinds && place == out.len)
             place = -1;
@@ -560,7 +599,7 @@ PyMODINIT_FUNC PyInit__core(void) {
         HEX[(Byte)"0123456789ABCDEF"[k]] = (Byte)k;
     }
     PyObject *module = PyModule_Create(&MODULE);
-    if (module && PyModule_AddIntConstant(module, "INTERFACE", 3) < 0) {
+    if (module && PyModule_AddIntConstant(module, "INTERFACE", 4) < 0) {
         Py_DECREF(module);
         return NULL;
     }

@@ -78,7 +78,7 @@ def joined(given: Sequence, cuts: list[int], number: int) -> list[Any]:
 
 def rows_of(said: list[Any]) -> list[int]:
     """The number of frames of each row, over all blocks."""
-    return [count for order, row, _, first, *_ in said for count in np.bincount(row, minlength=len(first)).tolist()]
+    return [count for _, row, first, *_ in said for count in np.bincount(row, minlength=len(first)).tolist()]
 
 
 @pytest.mark.skipif(core is None, reason="needs the compiled core")
@@ -114,11 +114,10 @@ def test_a_row_ends_after_the_longest_gap_in_frames(body: str, monkeypatch: pyte
 @pytest.mark.skipif(core is None, reason="needs the compiled core")
 def test_the_core_refuses_what_does_not_fit() -> None:
     """Lengths that do not fit each other, and slots that no layout has."""
-    frames, slots = np.zeros(2, dtype=FRAME), np.zeros(2, dtype=np.uint32)
-    ends, work = np.zeros((2, len(LAYOUTS)), dtype=np.int64), np.zeros((6, 2), dtype=np.int64)
-    good = [frames, slots, LAYOUTS, np.zeros(0, dtype=np.int64), 0, SENDERS, 1, 1, True, work, ends[0], ends[1]]
-    assert core.join(*good) == (0, 0, 0)
-    bad = {1: slots[:1], 5: -1, 9: work[:5], 10: ends[0][:-1], 11: ends[1][1:], 2: LAYOUTS[1:]}
-    for place, value in {**bad, 1: np.full(2, len(LAYOUTS), dtype=np.uint32)}.items():
+    frames, slots, none = np.zeros(2, dtype=FRAME), np.zeros(2, dtype=np.uint32), np.zeros(0, dtype=np.int64)
+    good: list[Any] = [frames, slots, LAYOUTS, none, 0, 1, 1, True, np.zeros((6, 2), dtype=np.int64)]
+    assert core.join(*good) == (0, 0, 0, [], [])
+    bad = [(1, slots[:1]), (1, slots + len(LAYOUTS)), (2, LAYOUTS[:0]), (4, 1 << 62), (5, -1), (8, good[8][:5])]
+    for place, value in [*bad, (3, np.full(1, 1 << 62))]:
         with pytest.raises(ValueError, match="join"):
             core.join(*[value if k == place else given for k, given in enumerate(good)])

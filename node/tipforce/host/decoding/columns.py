@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,8 @@ class Layout:
         self._signals = np.array([_signal_row(one, nothing[one.name].itemsize) for one in larger_first], dtype=SIGNAL)
         places = np.cumsum([0, *(nothing[signal.name].itemsize for signal in larger_first)]).tolist()
         place_of = {signal.name: place for signal, place in zip(larger_first, places, strict=False)}
-        self._columns = [(name, nothing[name].dtype, place_of[name]) for name in self.names]
+        self.places = {name: (nothing[name].dtype, place_of[name]) for name in self.names}
+        """By name the type of a column, and its place: bytes per row of the columns before it in memory."""
         self._bytes = places[-1]
 
     def columns(self, words: Words) -> Mapping[str, Column]:
@@ -43,7 +44,26 @@ class Layout:
         count = len(words)
         out = np.empty(count * self._bytes, dtype=np.uint8)
         core.extract(words, self._signals, out)
-        return {name: np.ndarray(count, kind, out, count * place) for name, kind, place in self._columns}
+        return _Extracted(self, out, count)
+
+
+class _Extracted(Mapping[str, Column]):
+    """Columns that are in one block of memory; each is made an array when it is read."""
+
+    __slots__ = ("_count", "_layout", "_memory")
+
+    def __init__(self, layout: Layout, memory: npt.NDArray[np.uint8], count: int) -> None:
+        self._layout, self._memory, self._count = layout, memory, count
+
+    def __getitem__(self, name: str) -> Column:
+        kind, place = self._layout.places[name]
+        return np.ndarray(self._count, kind, self._memory, self._count * place)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._layout.names)
+
+    def __len__(self) -> int:
+        return len(self._layout.names)
 
 
 def _signal_row(signal: Signal, size: int) -> tuple[Any, ...]:

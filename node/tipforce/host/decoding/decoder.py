@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 import numpy.typing as npt
@@ -173,23 +174,19 @@ class Decoder:
         plan = self.plan(signals)
         found: dict[Key, Samples] = {}
         grouped = join(frames, slots_of(plan, frames["can_id"]), plan.alone, _NO_NUMBERS, 0, last=True)
-        for slot in np.flatnonzero(grouped.short).tolist():
+        for slot, count in grouped.short:
             key = plan.keys[slot - 1]
-            self.malformed[key] = self.malformed.get(key, 0) + int(grouped.short[slot])
-        words, ends = frames["data"].view(_WORD)[:, 0], grouped.ends
-        for group in plan.groups:
-            low, high = ends[group.first - 1], ends[group.first + len(group.node_ids) - 1]
-            if low == high:
-                continue
-            order = grouped.order[low:high]
+            self.malformed[key] = self.malformed.get(key, 0) + count
+        words = frames["data"].view(_WORD)[:, 0]
+        for number, members in groupby(grouped.spans, key=lambda span: plan.group_of[span[0]]):
+            group, spans = plan.groups[number], list(members)
+            start = spans[0][1]
+            order = grouped.order[start : spans[-1][2]]
             t_ns, columns = frames["t_ns"][order], group.layout.columns(words[order])
-            for slot, node_id in enumerate(group.node_ids, group.first):
-                rows = slice(ends[slot - 1] - low, ends[slot] - low)
-                if rows.start < rows.stop:
-                    of_node = Columns(group.layout.names, columns, rows)
-                    found[node_id, group.message.name] = Samples(
-                        node_id, group.message, t_ns[rows], order[rows], of_node
-                    )
+            for slot, low, high in spans:
+                rows, key = slice(low - start, high - start), plan.keys[slot - 1]
+                of_node = Columns(group.layout.names, columns, rows)
+                found[key] = Samples(key[0], group.message, t_ns[rows], order[rows], of_node)
         return found
 
     def plan(self, signals: Iterable[str] | None) -> Plan:

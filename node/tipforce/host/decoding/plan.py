@@ -40,6 +40,7 @@ class Plan:
     alone: npt.NDArray[np.void]  # the same, without counters
     keys: tuple[Key, ...]  # of slot 1, 2, ...
     groups: tuple[Group, ...]
+    group_of: tuple[int, ...]  # of each slot; that of slot 0 has no meaning
 
 
 def make_plan(
@@ -62,7 +63,7 @@ def make_plan(
     slot_of_id = np.zeros(MAX_COB_ID + 2, dtype=np.uint32)
     extended: dict[int, int] = {}
     rows: list[tuple[int | bytes, ...]] = [(0, -1, 0, 0, 0, 0, 0, 0, b"")]
-    keys, senders = list[Key](), dict[int, int]()
+    keys, group_of, senders = list[Key](), [0], dict[int, int]()
     for message, members in layouts.values():
         signals = tuple(signal for signal in message.signals if wanted is None or signal.name in wanted)
         if not signals:
@@ -78,12 +79,13 @@ def make_plan(
             sender = senders.setdefault(node_id, len(senders))
             rows.append((sender, shift, mask, message.number, message.length_bytes, cyclic, 1, node_id, b""))
             keys.append((node_id, message.name))
+            group_of.append(len(groups) - 1)
     ids = np.array(sorted(extended), dtype=np.uint32)
     slots = np.array([extended[can_id] for can_id in ids.tolist()], dtype=np.uint32)
     with_counters = np.array(rows, dtype=SLOT)
     alone = with_counters.copy()
     alone["shift"] = -1
-    return Plan(slot_of_id, ids, slots, with_counters, alone, tuple(keys), tuple(groups))
+    return Plan(slot_of_id, ids, slots, with_counters, alone, tuple(keys), tuple(groups), tuple(group_of))
 
 
 def slots_of(plan: Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint32]:

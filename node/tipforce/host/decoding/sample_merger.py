@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import accumulate
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +65,7 @@ def renumbered(frames: FrameArray, numbers: Sequence[int]) -> FrameArray:
     return frames
 
 
+_Span = tuple[int, int, int]  # slot, start and end in the order of the slots
 _PLAIN = f"V{FRAME.itemsize}"  # copied as a whole, not field by field
 
 
@@ -141,9 +142,9 @@ class SampleMerger:
         joined = join(block, slots, self._slots.layouts, self._held_number, self._count, last=last)
         self._count = joined.number
         self._held, self._held_number = block[joined.held], joined.held_number
-        for slot in np.flatnonzero(joined.short).tolist():
+        for slot, count in joined.short:
             place = self._place(slot)
-            self.tally.short[place] = self.tally.short.get(place, 0) + int(joined.short[slot])
+            self.tally.short[place] = self.tally.short.get(place, 0) + count
         return self._table(block, slots, joined) if len(joined.first) else None
 
     def finish(self) -> Table | None:
@@ -188,26 +189,23 @@ class SampleMerger:
 
     def _table(self, block: FrameArray, slots: npt.NDArray[np.uint32], joined: Joined) -> Table:
         """Return the complete rows; columns of messages whose frames are all in open rows are empty."""
-        firsts = self._slots.layouts[slots[joined.first]]
-        seen = np.diff(joined.ends, prepend=0) + np.bincount(slots[joined.held], minlength=len(joined.ends)) > 0
-        by_message: dict[str, dict[int, list[_Piece]]] = {}
-        for piece in self._slots.pieces:
-            if seen[piece.first : piece.end].any():
-                by_message.setdefault(piece.message.name, {}).setdefault(id(piece.message), []).append(piece)
+        pieces = self._slots.pieces
+        by_message: dict[str, dict[int, list[_Span]]] = {}
+        for span in sorted(joined.spans, key=lambda span: pieces[span[0]].message.number):
+            message = pieces[span[0]].message
+            by_message.setdefault(message.name, {}).setdefault(id(message), []).append(span)
         values = _Values(len(joined.first))
-        counter = joined.counter.copy()
+        firsts, counter = self._slots.layouts[slots[joined.first]], joined.counter.copy()
         words = block["data"].view("<u8")[:, 0]
-        for alike in (pieces for layouts in by_message.values() for pieces in layouts.values()):
-            message, layout = alike[0].message, alike[0].layout
-            spans = [slice(joined.ends[piece.first - 1], joined.ends[piece.end - 1]) for piece in alike]
-            order, row = (_together([values[span] for span in spans]) for values in (joined.order, joined.row))
-            columns = layout.columns(words[order])
-            for piece, base in zip(alike, accumulate((s.stop - s.start for s in spans), initial=0), strict=False):
-                self._count_frames(piece, seen, joined.ends, columns, base)
+        for spans in (spans for layouts in by_message.values() for spans in layouts.values()):
+            slot = spans[0][0]
+            order, row = _of_spans(joined.order, spans), _of_spans(joined.row, spans)
+            columns = pieces[slot].layout.columns(words[order])
+            self._count_frames(spans, columns)
             for signal, column in columns.items():
                 if signal != COUNTER:
-                    values.add(self._column_of(message, signal), row, column)
-                elif self._slots.layouts["shift"][alike[0].first] < 0:  # of another manufacturer: no plain number
+                    values.add(self._column_of(pieces[slot].message, signal), row, column)
+                elif self._slots.layouts["shift"][slot] < 0:  # of another manufacturer: no plain number
                     counter[row] = column.astype(np.int16)
         found, absent = values.found, values.absent
         shown = in_order((self._columns[name] for name in found), self._signals)
@@ -217,18 +215,14 @@ class SampleMerger:
             tuple((self.channels[channel], modulus) for channel, modulus in self.sync.of.items()),
         )  # fmt: skip
 
-    def _count_frames(
-        self, piece: _Piece, seen: BoolArray, ends: list[int], columns: Mapping[str, Values], base: int
-    ) -> None:
-        """Count the frames of a piece in the tally; they begin at ``base`` of the columns."""
-        modulus = self.sync.of.get(piece.channel, SAMPLES)
-        cyclic = COUNTER in columns and follows_sync(piece.message)
-        shift = base - ends[piece.first - 1]
-        for slot in range(piece.first, piece.end):
-            if seen[slot]:
-                rows = slice(ends[slot - 1] + shift, ends[slot] + shift)
-                counter = columns[COUNTER][rows] if cyclic else None
-                self.tally.add(self._place(slot), rows.stop - rows.start, counter, modulus)
+    def _count_frames(self, spans: list[_Span], columns: Mapping[str, Values]) -> None:
+        """Count the frames of messages of one layout, whose columns these are, in the tally."""
+        at = 0
+        for slot, low, high in spans:
+            piece, rows = self._slots.pieces[slot], slice(at, at + high - low)
+            at = rows.stop
+            counter = columns[COUNTER][rows] if COUNTER in columns and follows_sync(piece.message) else None
+            self.tally.add(self._place(slot), high - low, counter, self.sync.of.get(piece.channel, SAMPLES))
 
     def _column_of(self, message: Message, name: str) -> Column:
         place = id(message), name
@@ -270,40 +264,36 @@ class _Values:
 
 
 class _Piece(NamedTuple):
-    """Slots ``first`` to ``end`` - 1 of a channel: the nodes that share one layout."""
+    """What the slots of a channel's nodes with one layout share."""
 
     channel: int
     message: Message
     layout: Layout
-    first: int
-    end: int
 
 
 class _Slots:
     """The slots of all channels, one after another; 0 is none. ``places``: channel, node-id and message of each.
 
-    ``pieces`` are in the order of the messages' numbers.
+    ``pieces``: by slot, too; that of slot 0 has no meaning.
     """
 
     def __init__(self, plans: Mapping[int, Plan], *, with_counter_alone: bool = True) -> None:
         """``with_counter_alone``: use messages too that have no other signal."""
         self._plans, self._bases = plans, dict[int, int]()
         self.places: list[tuple[int, int, str]] = [(0, 0, "")]
-        pieces: list[_Piece] = []
+        self.pieces: list[_Piece] = []
         self.layouts = np.zeros(1, dtype=SLOT)
         for channel, plan in plans.items():
-            base = self._bases[channel] = len(self.places) - 1
+            self._bases[channel] = len(self.places) - 1
             self.places += [(channel, *key) for key in plan.keys]
-            slots = plan.slots[1:].copy()
+            of_group = [_Piece(channel, group.message, group.layout) for group in plan.groups]
+            slots, group_of = plan.slots[1:].copy(), plan.group_of[1:]
+            self.pieces += [of_group[number] for number in (*group_of[: not self.pieces], *group_of)]
             slots["sender"] += self.layouts["sender"].max() + np.uint32(1)
             slots["key"] |= np.uint16(channel << NODE_BITS)
-            for group in plan.groups:
-                piece = _Piece(channel, group.message, group.layout, group.first, group.first + len(group.node_ids))
-                used = with_counter_alone or {*group.layout.names} != {COUNTER}
-                slots["used"][piece.first - 1 : piece.end - 1] = used
-                pieces += [piece._replace(first=base + piece.first, end=base + piece.end)] * used
+            if not with_counter_alone:
+                slots["used"] = [{*of_group[number].layout.names} != {COUNTER} for number in group_of]
             self.layouts = np.concatenate((self.layouts, slots))
-        self.pieces = sorted(pieces, key=lambda piece: piece.message.number)
 
     def has(self, channels: Iterable[int]) -> bool:
         """Return whether the channels are among these."""
@@ -317,5 +307,8 @@ class _Slots:
         return slots
 
 
-def _together(parts: list[npt.NDArray[np.int64]]) -> npt.NDArray[np.int64]:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+def _of_spans(values: npt.NDArray[np.int64], spans: list[_Span]) -> npt.NDArray[np.int64]:
+    """Return the values of spans, a view where they follow each other."""
+    if all(before[2] == after[1] for before, after in pairwise(spans)):
+        return values[spans[0][1] : spans[-1][2]]
+    return np.concatenate([values[low:high] for _, low, high in spans])

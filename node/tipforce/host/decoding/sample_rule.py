@@ -10,7 +10,9 @@ how frames are cut into calls.
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Iterable
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,21 +105,21 @@ class SampleRule:
 class Joined(NamedTuple):
     """The rows that no later frame can join, in the order of their first frames, and the frames of the others.
 
-    ``order`` (k,): indices of the frames in the rows, slot by slot; ``ends`` (m,): of each slot in it. ``row`` (k,):
-    the row of each. ``first`` (r,): index of the first frame of each row; ``counter`` (r,): of that. ``held`` (h,):
-    indices of the frames for the next call, and their numbers. ``number``: of the next decoded frame. ``short`` (m,):
-    frames by slot that were too short.
+    ``order`` (k,): indices of the frames in the rows, slot by slot; ``row`` (k,): the row of each. ``first`` (r,):
+    index of the first frame of each row; ``counter`` (r,): of that. ``held`` (h,): indices of the frames for the next
+    call, ``held_number`` (h,) their numbers, and ``number`` that of the next decoded frame. ``spans``: (slot, start and
+    end in ``order``) of the slots that occur, ascending. ``short``: (slot, frames that were too short).
     """
 
     order: Ints
     row: Ints
-    ends: list[int]
     first: Ints
     counter: Ints
     held: Ints
     held_number: Ints
     number: int
-    short: Ints
+    spans: list[tuple[int, int, int]]
+    short: list[tuple[int, int]]
 
 
 def join(
@@ -131,28 +133,24 @@ def join(
     """
     frames = np.ascontiguousarray(frames)
     work = np.empty((6, len(frames)), dtype=np.int64)
-    ends, short = np.zeros((2, len(layouts)), dtype=np.int64)
     body = join_here if core is None else core.join
-    senders = int(layouts["sender"].max(initial=0)) + 1
-    rows, held, number = body(
-        frames, slots, layouts, held_number, number, senders, GAP_NS, GAP_FRAMES, last, work, ends, short
-    )
+    rows, held, number, spans, short = body(frames, slots, layouts, held_number, number, GAP_NS, GAP_FRAMES, last, work)
     order, row, first, counter, kept, numbers = work
-    count = int(ends[-1])
+    count = spans[-1][2] if spans else 0
     return Joined(
-        order[:count], row[:count], ends.tolist(), first[:rows], counter[:rows], kept[:held], numbers[:held], number,
-        short,
-    )  # fmt: skip
+        order[:count], row[:count], first[:rows], counter[:rows], kept[:held], numbers[:held], number, spans, short
+    )
 
 
 def join_here(
     frames: FrameArray, slots: npt.NDArray[np.uint32], layouts: npt.NDArray[np.void], held_number: Ints, number: int,
-    senders: int, gap_ns: int, gap_frames: int, last: bool, work: Ints, ends: Ints, short: Ints,
-) -> tuple[int, int, int]:  # fmt: skip
-    """Do as ``join`` of the compiled core: fill the rows of ``work`` as ``Joined`` has them; return the lengths."""
-    del senders, gap_ns, gap_frames
+    gap_ns: int, gap_frames: int, last: bool, work: Ints,
+) -> tuple[int, int, int, list[tuple[int, int, int]], list[tuple[int, int]]]:  # fmt: skip
+    """Do as ``join`` of the compiled core: fill ``work`` as ``Joined`` has it; return what is not there."""
+    del gap_ns, gap_frames
     rule, of_slot, numbers = SampleRule(), layouts.tolist(), held_number.tolist()
     found: list[tuple[int, int, int, int, int]] = []  # frame, slot, number, counter, the frame that begins its row
+    short: Counter[int] = Counter()
     now_ns = 0
     for index, (slot, (t_ns, _, length, word)) in enumerate(
         zip(slots.tolist(), _FIELDS.iter_unpack(frames.tobytes()), strict=True)
@@ -177,11 +175,13 @@ def join_here(
     row_of = {place: row for row, place in enumerate(firsts)}
     kept = sorted((one for one in found if one[4] < end), key=lambda one: one[1])
     held = [one for one in found if one[4] >= end]
-    ends[:] = np.cumsum(np.bincount([one[1] for one in kept], minlength=len(ends)))
+    counts = Counter(one[1] for one in kept)
+    slots_found = sorted({one[1] for one in found})
+    ends = [*accumulate((counts[slot] for slot in slots_found), initial=0)]
     columns: list[list[Any]] = [
         [one[0] for one in kept], [row_of[one[4]] for one in kept], [found[place][0] for place in firsts],
         [found[place][3] for place in firsts], [one[0] for one in held], [one[2] for one in held],
     ]  # fmt: skip
     for target, column in zip(work, columns, strict=True):
         target[: len(column)] = column
-    return len(firsts), len(held), number
+    return len(firsts), len(held), number, [*zip(slots_found, ends, ends[1:], strict=False)], sorted(short.items())
