@@ -438,7 +438,7 @@ def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
         for frames in reader:
             watched.feed(frames, reader.channels)
     views, stream = watched.views(), io.StringIO()
-    tables = session.tables(views, 1_000_000, "the foot", *([80] if width == 80 else []))
+    tables = session.tables(views, 1_000_000, "the foot", 80 if width == 80 else session.WIDE)
     Console(file=stream, width=width, no_color=True).print(tables)
     lines = stream.getvalue().splitlines()
     assert max(map(len, lines)) <= width
