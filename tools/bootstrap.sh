@@ -102,6 +102,14 @@ install_npm() {
     printf '%s\n' "$2" >".venv/$1/stamp"
 }
 
+# Of the Python of .venv, or of that which will make it; one that is no package of the system has them.
+has_headers() {
+    local python=.venv/bin/python
+    [ -x $python ] || python=$(find_python) || return 1
+    "$python" -c 'import os.path, sys, sysconfig
+sys.exit(not os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h")))'
+}
+
 install_system_packages() {
     local missing=()
     command -v ip >/dev/null || missing+=(iproute2)
@@ -110,7 +118,9 @@ install_system_packages() {
     if ! command -v linux.uml >/dev/null && ! kernel_has_vcan; then
         missing+=(user-mode-linux)
     fi
-    command -v gcc >/dev/null || missing+=(gcc libc6-dev) # compiles the output of tipforce export c
+    # They compile the core, and what tipforce export c writes.
+    command -v gcc >/dev/null || missing+=(gcc libc6-dev)
+    has_headers || missing+=(python3-dev)
     # MicroPython runs under Node.js; npm is needed only to fetch it, and axe-core.
     command -v node >/dev/null || missing+=(nodejs)
     { have_npm micropython "$micropython" && have_npm axe "$axe"; } || command -v npm >/dev/null || missing+=(npm)
@@ -123,8 +133,8 @@ install_system_packages() {
 case "${1-}" in
 demo | report | docs) install_project "$1" ;;
 test)
+    install_system_packages # a compiler first: the installation builds the compiled core
     install_project test
-    install_system_packages
     install_npm micropython "$micropython"
     install_npm axe "$axe"
     ;;

@@ -111,7 +111,8 @@ def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple
     assert re.fullmatch(
         r"   5 \(0x05\)  4\.4\d\d N, phi (89|90)\.\d\d deg, theta 4[45]\.\d\d deg  u\(P\) 0\.\d{3} N\n", out
     )
-    code, out, _ = tipforce("read", "6", "-n", "2", "--json")
+    code, out, err = tipforce("read", "6", "-n", "2", "--json")
+    assert err == "node 6 (0x06): not calibrated: tipforce calibrate apply CAL.toml --node 6\n", "once"
     first, second = map(json.loads, out.splitlines())
     assert (code, first["node_id"], first["P_newtons"], first["reason"]) == (0, 6, None, "not calibrated")
     assert first["counter"] != second["counter"]

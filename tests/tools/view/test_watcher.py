@@ -198,6 +198,16 @@ def test_a_page_that_listens_says_what_happens_on_its_bus() -> None:
         source.tare(1)
 
 
+def test_a_page_names_once_what_calibrates_a_finger() -> None:
+    bus = Bus()
+    source = LiveSource(FrameFeed(bus, Finger), "can0", no_tare="listening")
+    for k in range(3):
+        bus.frames = [(t_ns, can_id, data[:-2] + b"\0" + data[-1:]) for t_ns, can_id, data in cycle(k, (1,))]
+        source.pump()
+    hint = "not calibrated: tipforce calibrate apply CAL.toml --node 1"
+    assert [(event.node_id, event.text) for event in source.model.events()] == [(1, hint)]
+
+
 @pytest.fixture(scope="module")
 def demo() -> LogSource:
     """What `tipforce demo --view` shows."""

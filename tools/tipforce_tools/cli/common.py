@@ -274,6 +274,35 @@ def note(args: argparse.Namespace, text: str) -> None:
         print(text, file=sys.stderr)
 
 
+_REMEDIES = {
+    "not calibrated": "tipforce calibrate apply CAL.toml --node {}",
+    "not operational": "tipforce nmt start {} --wait",
+    "no SYNC": "--sync 100",
+}
+"""By a word of what makes values unknown: the command or the flag that ends it."""
+
+
+def remedy(reason: str, node_id: int) -> str:
+    """Return `not calibrated: tipforce calibrate apply CAL.toml --node 5`; "" for a reason that no command ends."""
+    word = next((word for word in _REMEDIES if word in reason), "")
+    return f"{word}: {_REMEDIES[word].format(node_id)}" if word else ""
+
+
+class Remedies:
+    """Notes on stderr, each once."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._args = args
+        self._noted: set[str] = set()
+
+    def note(self, node_id: int, reason: str) -> None:
+        """Say what ends a reason, if a command does."""
+        text = remedy(reason, node_id)
+        if text and text not in self._noted:
+            self._noted.add(text)
+            note(self._args, f"{shown_node(node_id)}: {text}")
+
+
 @contextmanager
 def progress(
     args: argparse.Namespace, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0

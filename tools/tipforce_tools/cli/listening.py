@@ -142,8 +142,10 @@ def commissioned(args: Namespace, hand: Hand, fallback: Fallback | None = None) 
 
     try:
         feed = HandFeed(hand, ())
+        remedies = common.Remedies(args)
         for report in hand.bring_up():
             common.note(args, str(report))
+            remedies.note(report.plan.node_id, report.note)
         feed.fingers = hand_fingers(hand, fallback)
         hand.start()
     except BaseException:

@@ -31,6 +31,7 @@ from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.live.targets import STDIN, Target, select, split_targets
 from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
+from tipforce.samples.reasons import NOT_CALIBRATED
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import check_sync, counted
 from tipforce_tools.cli.log_flags import eds_files
@@ -60,8 +61,9 @@ def _decoder(gauges: int, eds: EdsFiles) -> Decoder:
 class Session:
     """Output and counters of a run."""
 
-    def __init__(self, args: Namespace, targets: tuple[Target, ...]) -> None:
+    def __init__(self, args: Namespace, targets: tuple[Target, ...], *, live: bool) -> None:
         self._args = args
+        self._live, self._remedies = live, common.Remedies(args)
         eds = eds_files(args.eds or ())
         self.decoder = _decoder(args.gauges, eds) if args.decode or args.verbose else None
         names = eds_names(eds, fingertip_names(args.gauges)) if eds else fingertip_names(args.gauges)
@@ -109,6 +111,10 @@ class Session:
         if text:
             sys.stdout.write(text)
             sys.stdout.flush()
+        for samples in decoded.values() if self._live and self._args.decode else ():
+            calibrated = samples.columns.get("calibrated")
+            if calibrated is not None and not calibrated.all():
+                self._remedies.note(samples.node_id, NOT_CALIBRATED)
 
     def _count(self, frames: FrameArray, decoded: dict[Key, Samples]) -> None:
         """Count the decoded frames, each by the modulus in force where it was received."""
@@ -128,7 +134,7 @@ def dump(args: Namespace) -> int:
         raise InputError(f"-L and -{'e' if args.errors else 'a'}: the log format has no field for text; leave one out")
     source, targets = split_targets(args.targets)
     check_sync(args, source)
-    session = Session(args, targets)
+    session = Session(args, targets, live=source is None)
     if source is not None:
         return _dump_text(args, source, targets, session)
     _dump_buses(args, targets, session)

@@ -32,7 +32,7 @@ def channel(dut: Dut, part: str) -> int:
 def uncalibrated(dut: Dut) -> None:
     """Cases about a device without calibration need one."""
     if dut.integer("I", 0x2103, 3):
-        raise NotApplicableError("a calibration is stored")
+        raise NotApplicableError("the device is calibrated (`tipforce node --uncalibrated` is not)")
 
 
 settle = do.sleep(NEWEST_MS)  # after it the next read takes a new sample

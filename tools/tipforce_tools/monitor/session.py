@@ -48,7 +48,7 @@ def monitor(args: Namespace) -> int:
     with ExitStack() as opened:
         stop = opened.enter_context(StopSignals())
         source, log = _source(args, log_name, targets, interval_s, opened)
-        show = opened.enter_context(_screen(args, interval_s)) if screen else _lines(args)
+        show = opened.enter_context(_screen(args, interval_s, log is None)) if screen else _lines(args, log is None)
         each = show if screen or (args.json and args.once is None) else None
         shown = run(watched, source, stop, interval_s, each, args.once or math.inf)
         if log is not None and source.ended and log.bad and not watched.frames:
@@ -120,7 +120,7 @@ def _source(
     return LogSource(log, args.speed, step_ns), log
 
 
-def _lines(args: Namespace) -> Show:
+def _lines(args: Namespace, live: bool) -> Show:
     """Print the state: a JSON line, or the plain table."""
 
     def show(watched: Monitor, now_ns: int | None) -> None:
@@ -129,25 +129,25 @@ def _lines(args: Namespace) -> Show:
         if args.json:
             common.print_json(record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
         else:
-            print("\n".join(plain(buses, bitrate)) or "no frames received")
+            print("\n".join(plain(buses, bitrate, live)) or "no frames received")
         sys.stdout.flush()
 
     return show
 
 
 @contextmanager
-def _screen(args: Namespace, interval_s: float) -> Iterator[Show]:
+def _screen(args: Namespace, interval_s: float, live: bool) -> Iterator[Show]:
     """Show the live table; the last one stays on the screen."""
     from rich.live import Live
 
-    live: Live
-    with Live(console=common.console(args), auto_refresh=False, transient=False) as live:
+    screen: Live
+    with Live(console=common.console(args), auto_refresh=False, transient=False) as screen:
 
         def show(watched: Monitor, now_ns: int | None) -> None:
             foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; Ctrl-C ends"
             buses = watched.views(now_ns)
-            picture = tables(buses, getattr(args, "bitrate", BITRATE), foot, live.console.width)
-            live.update(picture, refresh=True)
+            picture = tables(buses, getattr(args, "bitrate", BITRATE), foot, screen.console.width, live)
+            screen.update(picture, refresh=True)
 
         yield show
 
@@ -218,7 +218,22 @@ def _seconds(seconds: float) -> str:
     return f"{seconds * 1000:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"
 
 
-def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
+def remedies(bus: BusView) -> list[str]:
+    """Return a line for each node of which a command makes the unknown values known."""
+    lines = []
+    for node in bus.nodes:
+        P = node.readings.get(QUANTITIES[0])
+        reason = P.reason if P is not None else ""
+        if node.nmt in ("pre-operational", "stopped"):
+            reason = "not operational"
+        elif P is not None and not node.rate_hz and not bus.sync_hz:
+            reason = "no SYNC"
+        if text := common.remedy(reason, node.node_id):
+            lines.append(f"{common.shown_node(node.node_id)}: {text}")
+    return lines
+
+
+def plain(buses: Sequence[BusView], bitrate: int, live: bool = False) -> Iterator[str]:
     """Yield lines of text with columns of minimum width."""
     for bus in buses:
         yield headline(bus, bitrate)
@@ -227,11 +242,12 @@ def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
         for row in rows:
             yield "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
         yield from (node.duplicate for node in bus.nodes if node.duplicate)
+        yield from remedies(bus) if live else ()
         if not bus.nodes:
             yield "no node found yet"
 
 
-def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE) -> Group:
+def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE, live: bool = False) -> Group:
     """Return the table for a terminal of ``width`` characters: a narrow one has no borders, no rate, and no periods."""
     from rich.console import Group
     from rich.table import Table
@@ -253,6 +269,7 @@ def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE)
             row = (Text(texts[k], style=_style(texts[k])) for k in kept)
             table.add_row(*row, style="dim" if node.stale else "")
         parts += [table, *(Text(node.duplicate, style="bold red") for node in bus.nodes if node.duplicate)]
+        parts += [Text(line) for line in remedies(bus)] if live else []
     return Group(*parts, Text(foot, style="dim"))
 
 

@@ -131,6 +131,7 @@ def _up(args: argparse.Namespace) -> int:
 
 
 def _print_reports(args: argparse.Namespace, reports: list[FingerReport], elapsed_s: float) -> None:
+    remedies = common.Remedies(args)
     for report in reports:
         if args.json and args.action == "up":
             common.print_json(
@@ -140,6 +141,7 @@ def _print_reports(args: argparse.Namespace, reports: list[FingerReport], elapse
             )  # fmt: skip
         else:
             print(report, file=sys.stdout if args.action == "up" else sys.stderr)
+        remedies.note(report.plan.node_id, report.note)
     up = sum(report.ok for report in reports)
     common.note(args, f"{up} of {len(reports)} fingers up in {elapsed_s:.1f} s")
 

@@ -53,7 +53,7 @@ def run_scan(args: argparse.Namespace) -> int:
     from tipforce.host.network.find import find_nodes
 
     with common.open_connection(args) as connection:
-        nodes = find_nodes(connection, args.nodes, args.wait)
+        nodes, remedies = find_nodes(connection, args.nodes, args.wait), common.Remedies(args)
         for node in nodes:
             line = f"{common.shown_id(node.node_id):>11}  {node.state:15}  "
             if node.duplicate:
@@ -62,6 +62,7 @@ def run_scan(args: argparse.Namespace) -> int:
                 faults = f"  faults: {node.faults}" if node.faults else ""
                 line += f"{node.device:24}  serial {node.serial:<10}  {node.calibration:28}  EDS {node.eds}{faults}"
             common.print_record(args, asdict(node), line)
+            remedies.note(node.node_id, node.calibration)
         if duplicates := [node.duplicate for node in nodes if node.duplicate]:
             raise DuplicateNodeError("; ".join(duplicates))
     if not nodes:
@@ -72,7 +73,8 @@ def run_scan(args: argparse.Namespace) -> int:
 def add_read_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce read`."""
     parser.epilog = (
-        "A finger that is pre-operational is started. An unknown value prints as nan (JSON: null), with its reason.\n"
+        "A finger that is pre-operational is started. An unknown value prints as nan (JSON: null), with its reason;\n"
+        "where a command ends it, stderr names that once.\n"
         "  tipforce read 1-5 -n 100 --json -i socketcan -c can0 | jq .P_newtons"
     )
     _add_ids(parser)
@@ -83,6 +85,7 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_read(args: argparse.Namespace) -> int:
     """Print ``count`` new samples of each finger: 0. Raises NoResponseError for a finger that gives none in time."""
+    remedies = common.Remedies(args)
     with common.open_connection(args) as connection:
         for _ in range(args.count):
             for node_id in args.ids:
@@ -93,6 +96,7 @@ def run_read(args: argparse.Namespace) -> int:
                 record["microstrain"] = list(contact.microstrain)
                 u = f"u(P) {contact.u_P_newtons:.3f} N"
                 common.print_record(args, record, f"{common.shown_id(contact.node_id):>11}  {contact}  {u}")
+                remedies.note(contact.node_id, contact.reason)
                 if not args.json:
                     sys.stdout.flush()
     return 0

@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from msgspec.structs import replace
 
 from canopen_device.core.codes import RPDO_BASES, STANDARD_MASK, SYNC_COB_ID, TPDO_BASES
@@ -18,8 +19,11 @@ from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event
 from tipforce.host.logs.reader import open_log
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
+from tipforce.samples import reasons
+from tipforce.samples.reasons import Status
 from tipforce.watching.feeds import Counters, Feed
 from tipforce.watching.watcher import Finger, FingerMaker, Watcher, with_layout
+from tipforce_tools.cli import common
 from tipforce_tools.view.history import MAX_BYTES, row_bytes
 from tipforce_tools.view.model import Model
 
@@ -72,6 +76,7 @@ class LiveSource(Source):
     def __init__(self, feed: Feed, title: str, no_tare: str = "") -> None:
         super().__init__(title, no_tare, Model(feed.fingers, feed.gauges))
         self.feed = feed
+        self._bare: set[int] = set()  # node-ids that were said to be uncalibrated
 
     def pump(self) -> None:
         """See Source."""
@@ -88,10 +93,20 @@ class LiveSource(Source):
             model.set_fingers(fingers)
         for block in blocks:
             model.add(block, self.feed.arrived_s)
+            self._note_uncalibrated(block.status)
         for event in events:
             model.add_event(time.time_ns(), event.node_id, event.kind, event.text)
         model.counters = self.feed.counters()
         model.nmt = [self.feed.state(finger.node_id) for finger in fingers]
+
+    def _note_uncalibrated(self, status: npt.NDArray[np.integer]) -> None:
+        """Add an event, once for each finger, with the command that calibrates it; ``status``: (m, k) of new rows."""
+        bare = (status & (reasons.NO_ANSWER | Status.CALIBRATED) == 0).any(axis=0)
+        for finger, is_bare in zip(self.model.fingers, bare.tolist(), strict=False):
+            if is_bare and finger.calibration is None and finger.node_id not in self._bare:
+                self._bare.add(finger.node_id)
+                text = common.remedy(reasons.NOT_CALIBRATED, finger.node_id)
+                self.model.add_event(time.time_ns(), finger.node_id, "hint", text)
 
     def tare(self, node_id: int) -> str:
         """See Source."""
