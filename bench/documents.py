@@ -149,7 +149,7 @@ def filled(document: str, text: str) -> str:
 
 
 def fill_page(name: str, text: str) -> None:
-    """Write the text to its place in docs/NAME.md, and print it."""
+    """Write the text to its place in a page of docs, and print it."""
     path = ROOT / "docs" / f"{name}.md"
     path.write_text(filled(path.read_text(encoding="utf-8"), text), encoding="utf-8")
     print(text)

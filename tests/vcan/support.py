@@ -39,7 +39,7 @@ _context.set_forkserver_preload(
         "tipforce.dictionary.eds",
         "canopen_device.running.ports", "tipforce.sensor.structure.strain",
         *(f"tipforce_tools.cli.{name}" for name in ("main", "bus_flags", "service")), "tipforce.sources.layout_file",
-        "tipforce_tools.node",
+        "tipforce_tools.node", "tipforce.scene.delivered",
         *(f"tipforce_tools.network.{name}" for name in ("nodes", "config", "hand", "sdo")),
         "tipforce_tools.calibrate.fit",
         "tipforce_tools.dump.command", "tipforce_tools.dump.session", "tipforce_tools.log", "tipforce_tools.replay",

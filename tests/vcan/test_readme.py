@@ -27,14 +27,14 @@ def test_both_fingers_show_the_load_that_is_applied(tmp_path: Path) -> None:
     lines = walk()
     assert tuple(lines[:2]) == SET_UP
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    pasted = "\n".join([*lines[2:], "code=$?", "kill %1 %2", "wait", "exit $code", ""])
+    pasted = "\n".join([*lines[2:], "code=$?", "kill $!", "wait", "exit $code", ""])
     done = subprocess.run(
         ["bash"], input=pasted, capture_output=True, text=True, timeout=LIMIT_S, check=False,
         cwd=tmp_path, env={**os.environ, "PATH": path},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     contacts = [found.groups() for found in map(CONTACT.fullmatch, done.stdout.splitlines()) if found]
-    assert [node for node, *_ in contacts] == ["5", "6"], done.stdout
+    assert [node for node, *_ in contacts] == ["5", "6"], f"{done.stdout}\n{done.stderr}"
     for _, *texts in contacts:
         P, phi, theta = map(float, texts)
         assert abs(P - 4.4) < 0.05

@@ -131,20 +131,26 @@ def _load(
     """Return what loads stored parameters: of a simulated finger as of a delivered one."""
     from tipforce.sources.simulated import SimulatedSource
 
-    stored = [store.load] if store else []
     if args.uncalibrated or not isinstance(source, SimulatedSource):
-        return stored[0] if stored else None
-    from tipforce.scene.delivered import LARGEST_NEWTONS, load_delivered, pulls, structure_calibration
+        return store.load if store else None
+    from tipforce.scene.delivered import CALIBRATION, LARGEST_NEWTONS, pulls, stored_calibration, structure_calibration
 
     try:
         calibration = structure_calibration(
             geometry, gauges, args.noise, 1.0 / source.converter[1], source.offset_microstrain,
             serial=args.serial or args.node_id, pull=pulls(source.load), calibrated_force_newtons=LARGEST_NEWTONS,
         )  # fmt: skip
-        return load_delivered(calibration, *stored)
+        delivered = stored_calibration(calibration)
     except InputError as error:
         common.note(args, f"{common.shown_node(args.node_id)}: not calibrated: {error}")
-        return stored[0] if stored else None
+        return store.load if store else None
+
+    def load(group: str) -> bytes | None:
+        """Return what is stored; a restored default (1011h) is empty bytes, and no delivered calibration."""
+        stored = store.load(group) if store else None
+        return delivered if stored is None and group == CALIBRATION else stored
+
+    return load
 
 
 def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, ...]) -> Source:

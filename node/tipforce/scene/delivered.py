@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from canopen_device.core import codes, communication
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from tipforce.sensor.structure.gauges import Gauge
     from tipforce.sensor.structure.geometry import Geometry
 
+CALIBRATION = "calibration"
+"""The name of its group in a store."""
 LARGEST_NEWTONS = 15.0
 """Of those weights: the slit of the fabricated body closes at 15.2 N, it yields at 25 N (design table materials)."""
 COUNT_MICROSTRAIN = 0.1
@@ -82,25 +84,14 @@ def pulls(load: tuple[float, float, float]) -> bool:
     return P != 0.0 and math.cos(math.radians(phi_deg - theta_deg)) > 0.0
 
 
-def load_delivered(
-    calibration: Calibration, load: Callable[[str], bytes | None] = lambda _group: None
-) -> Callable[[str], bytes | None]:
-    """Return ``load`` of a node as it is delivered: where no calibration is stored, it has this one.
-
-    A stored calibration applies, and so does a restored default (1011h), which is none. Raises InputError if the node
-    rejects the calibration.
-    """
+def stored_calibration(calibration: Calibration) -> bytes:
+    """Return what a node that has it keeps under CALIBRATION. Raises InputError if the node rejects it."""
     store, gauges = MemoryStore(), calibration.gauges
     device = fingertip_node(1, SimulatedSource([(0.0, 0.0, 0.0)] * gauges), gauges, save=store.save, load=store.load)
     device.step(0)
     commit_calibration(device, calibration)
     download(device, communication.STORE_PARAMETERS, CALIBRATION_GROUP, struct.pack("<I", codes.SIGNATURE_SAVE))
-
-    def delivered(group: str) -> bytes | None:
-        stored = load(group)
-        return store.load(group) if stored is None and group == "calibration" else stored
-
-    return delivered
+    return store.groups[CALIBRATION]
 
 
 def commit_calibration(device: Device, calibration: Calibration) -> None:

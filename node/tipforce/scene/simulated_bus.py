@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.measurements import MOST_LOAD_NEWTONS
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.open_bus import open_bus
-from tipforce.scene.delivered import beam_calibration, check_noise, load_delivered, pulls
+from tipforce.scene.delivered import CALIBRATION, beam_calibration, check_noise, pulls, stored_calibration
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
@@ -156,14 +156,13 @@ def simulated_hand(
     A = strain_matrix(FABRICATED, layout)
     for node_id in chosen:
         store = MemoryStore()
-        load: Callable[[str], bytes | None] = store.load
         source = SimulatedSource(A.tolist(), noise_microstrain, seed=seed + node_id)
         source.load = loads.get(node_id, NO_LOAD)
         sources[node_id] = source
         if calibrated:
             sense = pulls(source.load) if pull is None else pull
-            load = load_delivered(beam_calibration(layout, sense, noise_microstrain), load)
-        devices[node_id] = fingertip_node(node_id, source, len(A), 1000 + node_id, store.save, load)
+            store.groups[CALIBRATION] = stored_calibration(beam_calibration(layout, sense, noise_microstrain))
+        devices[node_id] = fingertip_node(node_id, source, len(A), 1000 + node_id, store.save, store.load)
     return SimulatedBus(devices, sources, **bus)
 
 

@@ -12,18 +12,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from canopen_device.core import communication
 from canopen_device.core.node import Device
 from canopen_device.running.store import MemoryStore
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.application import Fingertip
-from tipforce.fingertip.calibration import CALIBRATION_GROUP
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
 from tipforce.samples.contact import Contact
 from tipforce.samples.reasons import Status
-from tipforce.scene.delivered import beam_calibration, check_noise, commit_calibration, download
+from tipforce.scene.delivered import CALIBRATION, beam_calibration, check_noise, stored_calibration
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
@@ -232,6 +230,7 @@ class Fingertips:
         self._calibration = calibration or beam_calibration(layout, noise_microstrain=noise_microstrain)
         if self._calibration.gauges != len(self._rows):
             raise InputError(f"calibration of {self._calibration.gauges} gauges: the layout has {len(self._rows)}")
+        self._stored = stored_calibration(self._calibration)
         self.node_ids = _node_ids(list(sites), node_ids)
         self._model, self._force = model, np.zeros(6)
         self._sites, self._owners = _tips(model, sites)
@@ -329,10 +328,9 @@ class Fingertips:
     def _node(self, node_id: int, source: SimulatedSource) -> Device:
         """Return a node that is powered on and has stored the calibration."""
         store = MemoryStore()
+        store.groups[CALIBRATION] = self._stored
         device = fingertip_node(node_id, source, len(self._rows), 1000 + node_id, store.save, store.load)
         self.boot_frames += device.step(0)[0]
-        commit_calibration(device, self._calibration)
-        download(device, communication.STORE_PARAMETERS, CALIBRATION_GROUP, b"save")
         return device
 
 
