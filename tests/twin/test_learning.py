@@ -84,7 +84,7 @@ def test_decoded_frames_give_dlpack_without_copies(path: Path) -> None:
     decoder = Decoder(3, [1, 2])
     with open_log(str(path)) as reader:
         decoded = decoder.decode(next(iter(reader)))
-    assert set(decoded) == {(1, "Contact"), (2, "Contact")}
+    assert set(decoded) == {(node_id, name) for node_id in (1, 2) for name in ("Gauges", "Contact")}
     for samples in decoded.values():
         for array in (samples.t_ns, *samples.columns.values()):
             assert np.shares_memory(np.from_dlpack(array), array)
