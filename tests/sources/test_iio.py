@@ -12,6 +12,7 @@ from canopen_device.core.node import Device
 from fingertip.finger import SATURATED, STALE, UNKNOWN, record
 from sources.iio_tree import Tree
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.fingertip.calibration import Active
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources import iio_sysfs
 from tipforce.sources.iio import IioSource, Part
@@ -276,7 +277,9 @@ def test_saturation_then_a_broken_wire(three: Tree) -> None:
 def test_a_value_that_stands_still_where_noise_is_known(three: Tree) -> None:
     talk = Talk(source(polled(three)))
     data = record(noise_strain=1e-6)  # two counts
-    talk.device.application.calibration.active = talk.device.application.calibration._unpack(data)  # type: ignore[union-attr]
+    calibration = talk.device.application.calibration
+    assert calibration is not None
+    calibration.active = Active(data, list(struct.unpack(calibration.packing, data)), 3)
     wiggle = iter(range(10_000))
 
     def move(gauges: tuple[int, ...]) -> Callable[[], None]:

@@ -163,7 +163,8 @@ def _notes(entry: Entry[Any], views: Collection[int]) -> str:
         (table.NOT_STORED, "state"),
         (table.COUNTED, "counted"),
     )
-    forms = [entry.index + form for form in (table.INT16_FORM, table.INT32_FORM)] if entry.index >= 0x6000 else []
+    is_profile = entry.index >= communication.FIRST_PROFILE
+    forms = [entry.index + form for form in (table.INT16_FORM, table.INT32_FORM)] if is_profile else []
     notes = [_limits(entry), entry.unit, *(text for flag, text in flags if entry.flags & flag)]
     return ", ".join(filter(None, [*notes, *(f"{index:04X}h" for index in forms if index in views)]))
 
