@@ -59,8 +59,18 @@ def test_spoiled_calibrations_are_found(capsys: pytest.CaptureFixture[str]) -> N
     assert {row["case"] for row in outside} == set(CASES), "each node has a falsified matrix"
 
 
+def test_it_ends_in_three_lines(printed: Printed) -> None:
+    first, second, third = printed(0, ["demo", "--color", "never"]).out.splitlines()
+    assert first.startswith("114 loads of 4.4 N on 3 nodes: RMS error P 0.00")
+    assert second == "errors outside their bound: 0; host estimates that differ from the node's: 0"
+    assert third.startswith("PASS in ")
+    lines = printed(1, ["demo", "--color", "never", "--spoil", "-q"]).out
+    assert 0 < lines.count("OUT") < LOADS, "those that are wrong are shown"
+    assert " ok " not in lines
+
+
 def test_the_table_for_people(printed: Printed) -> None:
-    out, err = printed(0, ["demo", "--color", "never"])
+    out, err = printed(0, ["demo", "--color", "never", "--table"])
     assert out.count("Case ") == 3
     assert "\x1b" not in out
     assert out.count(" ok ") == LOADS
