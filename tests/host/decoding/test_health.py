@@ -149,12 +149,19 @@ def test_live_values_from_gauges_do_without_the_gauge_that_the_node_left_out(mic
     assert np.isnan(hidden).all() == (microstrain == 0.0)
 
 
-def test_a_log_with_neither_says_so_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_log_with_neither_says_so_once_where_it_is_asked(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
     logged(tmp_path / "run.log", False, (0x085,))
+    caplog.set_level("INFO")
     assert read_log(tmp_path / "run.log", gauges=GAUGES).unseen == (5,)
     (record,) = caplog.records
-    assert "node 5: neither TPDO4 nor EMCY" in record.getMessage()
-    assert main(["decode", str(tmp_path / "run.log"), "--gauges", "8", "-o", str(tmp_path / "run.csv")]) == 0
+    assert (record.levelname, "node 5: neither TPDO4 nor EMCY" in record.getMessage()) == ("INFO", True)
+    words = ["decode", str(tmp_path / "run.log"), "--gauges", "8", "-o", str(tmp_path / "run.csv")]
+    assert main(words) == 0
+    assert "TPDO4" not in capsys.readouterr().err
+    assert main([*words, "-v"]) == 0
+    assert capsys.readouterr().err.count("node 5: neither TPDO4 nor EMCY") == 1
 
 
 def test_words() -> None:

@@ -220,7 +220,7 @@ class _Run:
             common.note(args, line)
         if core is None and sum(notes.frames for notes in told.notes) > _MANY_FRAMES:
             common.note(args, f"slow, without the compiled core: {how_to_build()}")
-        if told.unseen and not args.calibration:
+        if told.unseen and not args.calibration and (args.verbose or args.summary):
             common.note(args, reasons.not_seen(node for _, node in told.unseen))
         if complete and not summary.samples and told.notes:
             frames = sum(notes.frames for notes in told.notes)
@@ -360,7 +360,8 @@ def _check_readable(args: Namespace, told: Told) -> None:
 
     names = ", ".join(notes.source for notes in told.notes)
     frames = sum(notes.frames for notes in told.notes)
-    if summaries.bad_lines(told) and not frames and not args.follow:
+    begun = _to_dataset(args) and not summaries.bad_lines(told)  # a log of a dataset may begin empty, and grow
+    if told.notes and not frames and not args.follow and not begun:
         raise no_frame(names, (TEXT, PACKED, MESSAGES, PCAP))
     narrowed = args.signals or args.calibration or args.follow or choice.narrowing_flags(args)
     if frames and not told.tally.messages and not told.tally.short and not told.events() and not narrowed:

@@ -199,7 +199,7 @@ def read_log(
     lost = dict.fromkeys(nodes, 0) | {node: count for (_, node), count in told.tally.lost().items()}
     unseen = [node for _, node in told.unseen if node not in given and None not in given]
     if unseen:
-        _log.warning("%s: %s", ", ".join(names), reasons.not_seen(unseen))
+        _log.info("%s: %s", ", ".join(names), reasons.not_seen(unseen))
     return Log(nodes, lost, sum(sum(notes.bad.values()) for notes in told.notes), unseen)
 
 
