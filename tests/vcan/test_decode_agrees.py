@@ -56,7 +56,7 @@ def log(node: Command, host: Bus, tmp_path_factory: pytest.TempPathFactory) -> P
     """A few hundred SYNCs of a node that is uncalibrated, loaded, unloaded and faulty, recorded by candump."""
     path = tmp_path_factory.mktemp("log") / "run.log"
     sdo = host.sdo(NODE_ID)
-    with RawBus() as bus, peer("candump", "-L", "vcan0", output=path):
+    with RawBus() as bus, peer("candump", "-r", "4000000", "-L", "vcan0", output=path):
         wait_until(lambda: "7FE#" in path.read_text(), "candump is silent", lambda: bus.send(MARKER))
         sdo.write(od.TPDO3_COB_ID, 0x40000380 + NODE_ID)
         sdo.write(od.TPDO4_COB_ID, 0x40000480 + NODE_ID)
