@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import bus_options
-from tipforce_tools.cli.listening import add_sync_argument, check_sync, commissioned, listening
 
 if TYPE_CHECKING:
     from tipforce_tools.view.guard import Guard
@@ -25,6 +24,8 @@ _MOST_SECONDS = 1e9
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce view`."""
+    from tipforce_tools.cli.listening import add_sync_argument
+
     parser.epilog = (
         "  tipforce view hand.toml                   commission the hand, and show it\n"
         "  tipforce view -i socketcan -c can0        listen only: show all fingers on the bus\n"
@@ -66,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
 def _source(args: argparse.Namespace, path: Path | None) -> Iterator[Source]:
     from tipforce.sources.layout_file import read_layout
     from tipforce.watching.watcher import finger_maker
+    from tipforce_tools.cli.listening import check_sync, commissioned, listening
     from tipforce_tools.view.sources import LiveSource, LogSource, is_scene, scene_source
 
     is_table = path is not None and path.suffix == ".toml"
