@@ -120,7 +120,6 @@ install_system_packages() {
     fi
     # They compile the core, and what tipforce export c writes.
     command -v gcc >/dev/null || missing+=(gcc libc6-dev)
-    has_headers || missing+=(python3-dev)
     # MicroPython runs under Node.js; npm is needed only to fetch it, and axe-core.
     command -v node >/dev/null || missing+=(nodejs)
     { have_npm micropython "$micropython" && have_npm axe "$axe"; } || command -v npm >/dev/null || missing+=(npm)
@@ -128,6 +127,7 @@ install_system_packages() {
     command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null ||
         missing+=(chromium)
     [ ${#missing[@]} = 0 ] || apt_install "${missing[@]}"
+    has_headers || (apt_install python3-dev) || say "without Python's headers the core is not compiled: logs are read slower"
 }
 
 case "${1-}" in
