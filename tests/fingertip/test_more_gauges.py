@@ -146,3 +146,31 @@ def test_node_gives_its_own_eds(eds: bytes) -> None:
 def test_node_without_room_for_its_eds_omits_both_objects() -> None:
     talk = finger()
     assert talk.upload(0x1021) == talk.upload(0x1022) == 0x06020000
+
+
+@pytest.mark.parametrize("n", [5, 8])
+def test_saturated_gauge_among_many(n: int) -> None:
+    talk = finger(n, load=PUSH)
+    talk.source.offset_microstrain[n - 1] = -5000.0
+    sent = talk.frames()
+    assert sent[0x285][6] & SATURATED
+    assert talk.get("h", 0x7130, n) == -32767
+    assert talk.get("B", 0x6150, n) == 5
+    assert talk.get("H", 0x2124) == 1 << n - 1
+    assert struct.unpack("<hhh", sent[0x285][:6]) == (
+        pytest.approx(1000, abs=3),
+        pytest.approx(17500, abs=20),
+        pytest.approx(1000, abs=40),
+    )
+
+
+def test_force_goes_on_while_the_gauges_left_have_rank_3() -> None:
+    # Gauges 1, 4 see F1; 2, 5 see F2; 3 alone sees F3.
+    for lost in ([1], [2], [4], [5], [1, 2], [4, 5], [2, 4]):
+        sent, _ = contact_without(dict.fromkeys(lost, 5000.0))
+        assert struct.unpack("<h", sent[:2])[0] == pytest.approx(1000, abs=3), lost
+        assert sent[6] & SATURATED
+    for lost in ([3], [1, 4], [2, 5], [1, 2, 3]):
+        sent, _ = contact_without(dict.fromkeys(lost, 5000.0))
+        assert sent[:6] == bytes.fromhex("008000800080"), lost
+        assert sent[6] & SATURATED

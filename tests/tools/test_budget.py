@@ -38,6 +38,10 @@ def test_the_papers_case_over_the_pad(capsys: pytest.CaptureFixture[str]) -> Non
     assert 0.02 < total["u_P_N"] < total["u_P_N_max"] < 0.1
     assert sum(found[cause]["share_P_percent"] for cause in CAUSES[:-1]) == pytest.approx(100.0, abs=0.1)
     assert found["gauge position"]["u_P_N"] == 0.0
+    degree = records(capsys, "--gravity", "1")["gravity"]
+    assert degree["u_P_N_max"] / 4.4 == pytest.approx(0.0087, abs=0.0002)
+    assert degree["u_phi_deg_max"] == pytest.approx(1.0, abs=0.01)
+    assert degree["u_theta_deg_max"] == pytest.approx(0.79, abs=0.02)
 
 
 def test_each_flag_moves_its_row_alone(capsys: pytest.CaptureFixture[str]) -> None:
@@ -58,8 +62,7 @@ def test_each_flag_moves_its_row_alone(capsys: pytest.CaptureFixture[str]) -> No
         assert after[cause]["u_P_N"] == after[cause]["u_theta_deg"] == 0.0
     warm = records(capsys, *load, "--temperature", "2")
     assert warm["temperature, common"]["u_P_N"] == pytest.approx(2.0 * before["temperature, common"]["u_P_N"])
-    for flag, cause in (("load-angle", "load angle"), ("gravity", "gravity")):
-        assert records(capsys, f"--{flag}", "0")[cause]["u_P_N"] == 0.0
+    assert records(capsys, "--load-angle", "0")["load angle"]["u_P_N"] == 0.0
 
 
 def test_a_calibration_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -70,6 +70,14 @@ def test_table_3_to_the_printed_digits(everything: list[dict[str, Any]]) -> None
     assert [f"{by_unit['M/r']:.1f}", f"{by_unit['N mm']:.0f}", f"{by_unit['N m']:.0f}"] == ["2.5", "8", "158"]
 
 
+def test_simulation_column_is_explained_by_one_shift(everything: list[dict[str, Any]]) -> None:
+    _, second, third = rows(everything, "3")
+    assert second["simulation_shift_of"] == ["L"]
+    assert third["simulation_shift_of"] == ["L", "R"]
+    both = [row["simulation_shift_mm_others_half_mm"] for row in (second, third)]
+    assert both == pytest.approx([1.96, 2.01], abs=0.01)
+
+
 def test_figure_6_claim(everything: list[dict[str, Any]]) -> None:
     slopes: dict[str, dict[str, float]] = {}
     for row in rows(everything, "fig6"):

@@ -275,6 +275,8 @@ def test_the_papers_fit() -> None:
         ({"P_newtons": np.zeros(77)}, "all 77 rows are unloaded"),
         ({"P_newtons": np.full(77, -1.0)}, r"P_newtons\[0\] = -1"),
         ({"phi_rad": np.zeros(3)}, r"phi_rad has the shape \(3,\)"),
+        ({"theta_rad": np.full(77, np.nan)}, r"theta_rad\[0\] = nan"),
+        ({"t_s": np.arange(77.0)[::-1]}, r"t_s\[1\] = 75 is before t_s\[0\] = 76"),
         ({"weight": np.zeros(77)}, r"weight\[0\] = 0"),
     ],
 )

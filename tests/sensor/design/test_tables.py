@@ -18,6 +18,7 @@ from tipforce.sensor.structure.strain import stress_coefficients, thin_limit_mat
 from tipforce_lab.design.tables import (
     SYMBOLS,
     THIN_UNIT,
+    condition_numbers_by_unit,
     maximum_over_contacts,
     nearest_common_shifts,
     ranked_layouts,
@@ -84,6 +85,15 @@ def test_actual_maxima_against_a_search() -> None:
         largest = np.abs(CONTACTS @ np.array(stress_coefficients(FABRICATED)[row.point])).max() * unit
         assert row.fabricated.value == pytest.approx(largest, rel=1e-4)
         assert row.fabricated.value == pytest.approx(row.thin.value, rel=0.017)
+
+
+def test_table_3_theory_and_units() -> None:
+    assert [round(table_3(FABRICATED, case).actual, 3) for case in CASES] == [2.510, 2.610, 2.711]
+    assert [round(table_3(FABRICATED, case).thin, 3) for case in CASES] == [2.555, 2.626, 2.693]
+    by_unit = condition_numbers_by_unit(FABRICATED, "I")
+    assert by_unit["M/r"] == pytest.approx(2.510, abs=5e-4)
+    assert by_unit["N mm"] == pytest.approx(8.07, abs=5e-3)
+    assert by_unit["N m"] == pytest.approx(158.2, abs=0.05)
 
 
 def test_ranking() -> None:

@@ -64,7 +64,7 @@ def test_scipy_methods_come_as_near_as_they_are_told(method: str) -> None:
     assert errors[1] < 1e-2 * errors[0]
 
 
-@pytest.mark.parametrize("zeta", [0.05, 0.9, 3.0])
+@pytest.mark.parametrize("zeta", [0.0, 0.05, 0.3, 0.9, 1.0, 3.0])
 def test_the_stability_limit_found_by_running_is_the_theorys(zeta: float) -> None:
     """One mode, kicked: bisection on the step between runs that die out or stay, and runs that grow."""
     one = Modes(

@@ -43,6 +43,13 @@ def test_linear_along_the_beams_and_bending_changes_sign_on_the_upper_face() -> 
     assert lower[2] == upper[2]
 
 
+def test_moment_of_an_arm_follows_from_its_shear_force() -> None:
+    """Equilibrium of an arm under F1: its two ends share half the load, so the moment falls by F1/2 per metre."""
+    section_modulus = ODD.width_m * ODD.h1_m**2 / 6.0
+    near, far = strain_row(ODD, "H", "right", [2e-3, 9e-3])[:, 0] * ODD.youngs_modulus_pascals * section_modulus
+    assert (near - far) / 7e-3 == pytest.approx(0.5)
+
+
 def test_shifts_are_inward() -> None:
     left = shifted(ODD, "L", 1e-3)
     assert left == GaugePosition("H", "left", left.position_m)

@@ -12,7 +12,7 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauges import GaugePosition, gauge_matrix, strain_row
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
-from tipforce.sensor.structure.layouts import POINTS
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
 from tipforce.sensor.structure.limits import slit_closure
 from tipforce.sensor.structure.plane_frame import (
     ELASTIC_ROOTS,
@@ -23,7 +23,7 @@ from tipforce.sensor.structure.plane_frame import (
     FrameModel,
     RootCompliance,
 )
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import condition_number, strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -34,6 +34,12 @@ ROW = {point: index for index, point in enumerate(POINTS)}
 
 def thin(h1_m: float) -> Geometry:
     return replace(FABRICATED, h1_m=h1_m, h2_m=THIN_BEAM_RATIO * h1_m)
+
+
+@pytest.mark.parametrize("geometry", [FABRICATED, ODD])
+def test_the_matching_limit_is_table_1(geometry: Geometry) -> None:
+    found, table = Frame(geometry).strain_matrix(POINTS), strain_matrix(geometry, POINTS)
+    np.testing.assert_allclose(found, table, rtol=1e-10)
 
 
 @pytest.mark.parametrize("geometry", [FABRICATED, ODD])
@@ -87,6 +93,16 @@ def test_soft_roots_leave_no_moment_at_the_tip() -> None:
     table = strain_matrix(FABRICATED, POINTS)
     assert abs(soft[ROW["R"], 1]) < 1e-6 * abs(table[ROW["R"], 1])
     assert soft[ROW["S_H"], 1] == pytest.approx(table[ROW["S_H"], 1])  # half of the moment, by symmetry
+
+
+def test_what_shear_and_roots_change() -> None:
+    def numbers(model: FrameModel) -> list[float]:
+        return [condition_number(Frame(FABRICATED, model).strain_matrix(LAYOUTS[case])) for case in ("I", "II", "III")]
+
+    assert numbers(EULER_BERNOULLI) == pytest.approx([2.510, 2.610, 2.711], abs=5e-4)
+    assert numbers(TIMOSHENKO) == pytest.approx([2.510, 2.611, 2.713], abs=1e-3)
+    assert numbers(ELASTIC_ROOTS) == pytest.approx([2.510, 2.629, 2.769], abs=1e-3)
+    assert numbers(FrameModel(finite_joint=True)) == pytest.approx([2.480, 2.600, 2.713], abs=1e-3)
 
 
 def test_springs_along_and_across() -> None:

@@ -80,6 +80,19 @@ def test_tension_is_positive_on_every_gauge() -> None:
     assert all(rows[point] @ through_centre < 0.0 for point in ("L", "K_H"))
 
 
+def test_fixture_gauges_balance_the_moment_of_the_load() -> None:
+    G, rng = ODD, np.random.default_rng(2)
+    T, U = strain_matrix(G, POINTS)[[2, 3]]
+    section_modulus = G.width_m * G.h2_m**2 / 6
+    for _ in range(20):
+        P, phi, theta = rng.uniform(0.1, 10), rng.uniform(-pi, pi), rng.uniform(0, pi)
+        F = force_vector(P, phi, theta)
+        lever_x, lever_y = G.r_m * cos(theta), G.d_m + G.h1_m / 2 + G.r_m * sin(theta)
+        moment = P * cos(phi) * lever_y - P * sin(phi) * lever_x
+        half_difference = 0.5 * (T - U) @ F
+        assert half_difference * G.youngs_modulus_pascals * section_modulus == pytest.approx(moment, abs=1e-12)
+
+
 @pytest.mark.parametrize(
     ("case", "fabricated", "thin"), [("I", 2.510, 2.555), ("II", 2.610, 2.626), ("III", 2.711, 2.693)]
 )
@@ -91,6 +104,12 @@ def test_condition_numbers_of_the_cases(case: str, fabricated: float, thin: floa
         assert condition_number(thin_limit_matrix(name)) == pytest.approx(thin, abs=5e-4)
         limit = strain_matrix(FABRICATED.thin(1e-9), name)
         assert condition_number(limit) == pytest.approx(condition_number(thin_limit_matrix(name)), rel=1e-6)
+
+
+def test_thin_limit_is_the_scaled_strain_matrix() -> None:
+    G = FABRICATED.thin(1e-9)
+    unit = 1.5 * G.a_m / (G.h1_m**2 * G.width_m * G.youngs_modulus_pascals)
+    np.testing.assert_allclose(strain_matrix(G, POINTS) / unit, thin_limit_matrix(POINTS), atol=1e-6)
 
 
 def test_mirror_keeps_condition_number_and_sign() -> None:
