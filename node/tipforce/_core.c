@@ -1,9 +1,9 @@
 /* The compiled core: candump text to FRAME records, the PDOs of one latch to rows, their data to columns.
 
-   These are the fast bodies of Python functions that do the same. `parse` leaves lines that are not of
-   the plain forms below to host/logs/candump.py, which alone judges them; `join` is join_here of
-   host/decoding/sample_rule.py, `extract` columns_of of host/decoding/columns.py. Without this module everything works, slower. Limited API of Python
-   3.11: one build for all later versions. */
+   These are the fast bodies of Python functions that do the same. `parse` leaves lines that are not of the plain
+   forms below to host/logs/candump.py, which alone judges them; `join` is join_here of host/decoding/sample_rule.py,
+   `extract` columns_of of host/decoding/columns.py. Without this module everything works, slower. Limited API of
+   Python 3.11: one build for all later versions. */
 
 #define PY_SSIZE_T_CLEAN
 #define Py_LIMITED_API 0x030B0000
@@ -197,11 +197,12 @@ static int set_names(Text *text, const Byte *names, Py_ssize_t size) {
 }
 
 PyDoc_STRVAR(parse_doc,
-"parse(text, begin, end, room, count, names, last_ns, deltas, date, date_s) -> (place, count, lines, last_ns, timed)\n\n"
+"parse(text, begin, end, room, count, names, last_ns, deltas, date, date_s)\n"
+"-> (place, count, lines, last_ns, timed)\n\n"
 "Store the frames of the lines text[begin:end] in ``room``, FRAME (n,), behind the first ``count``, up to the first\n"
-"line that is not plain, or until ``room`` is full. Return the place behind the last line read, the frames in ``room``,\n"
-"the number of lines, the time of the last one, and whether all had a time. ``names``: of the channels, each followed\n"
-"by a space; ``date``: the one that is known, or empty, and its seconds since 1970.");
+"line that is not plain, or until ``room`` is full. Return the place behind the last line read, the frames in\n"
+"``room``, the number of lines, the time of the last one, and whether all had a time. ``names``: of the channels,\n"
+"each followed by a space; ``date``: the one that is known, or empty, and its seconds since 1970.");
 
 static PyObject *parse(PyObject *module, PyObject *args) {
     Py_buffer text, room, names, date;
@@ -235,7 +236,8 @@ static PyObject *parse(PyObject *module, PyObject *args) {
         p = line_end ? line_end + 1 : last;
     }
     Py_END_ALLOW_THREADS
-    found = Py_BuildValue("nnnKi", (Py_ssize_t)(p - start), count, lines, (unsigned long long)state.last_ns, state.timed);
+    found = Py_BuildValue("nnnKi", (Py_ssize_t)(p - start), count, lines, (unsigned long long)state.last_ns,
+                          state.timed);
 done:
     PyBuffer_Release(&text);
     PyBuffer_Release(&room);
@@ -562,8 +564,10 @@ static PyObject *extract(PyObject *module, PyObject *args) {
     const Signal *signal = signals.buf;
     for (Py_ssize_t k = 0; k < kinds && place <= out.len; k++, signal++) {
         int size = signal->size, whole = size == 1 || size == 2 || size == 4 || size == 8;
-        int fits = signal->bits >= 1 && signal->start + signal->bits <= 64;
-        if (!whole || !fits || ((uintptr_t)out.buf + (size_t)place) % (size_t)size || (signal->kind >= NUMBER && size != 8) || count > (out.len - place) / size)
+        int fits = signal->bits >= 1 && signal->start + signal->bits <= 64 && (signal->kind < NUMBER || size == 8);
+        if (!whole || !fits || count > (out.len - place) / size)
+            break;
+        if (((uintptr_t)out.buf + (size_t)place) % (size_t)size) /* not aligned */
             break;
         extract_one(*signal, words.buf, count, (Byte *)out.buf + place);
         place += count * size;

@@ -8,19 +8,20 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tipforce.errors import EnvironmentLackError
+from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.vcan import host, uml
 
 _LOOK_S = 0.05
 
 
-def run_attached(command: Sequence[str], timeout_s: float | None = None) -> int:
-    """Run ``command`` on the buses of the latest `tipforce vcan` of this user; return its exit code.
+def run_attached(command: Sequence[str], shell: Callable[[], list[str]], timeout_s: float | None = None) -> int:
+    """Run ``command``, or ``shell()``, on the buses of the latest `tipforce vcan` of this user; return its exit code.
 
-    In User-mode Linux its stdin is /dev/null. Raises EnvironmentLackError if none runs.
+    In User-mode Linux its stdin is /dev/null, so that a shell is refused with InputError. Raises EnvironmentLackError
+    if none runs.
     """
     folders = sorted(Path(host.short_temporary_folder()).glob(f"{host.PREFIX}*"), key=lambda path: path.stat().st_mtime)
     for folder in reversed([folder for folder in folders if folder.stat().st_uid == os.geteuid()]):
@@ -31,8 +32,10 @@ def run_attached(command: Sequence[str], timeout_s: float | None = None) -> int:
         if of_namespace.exists():
             user = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
             enter = [host.find_program("nsenter") or "nsenter", "--target", process, *user, "--net", "--mount"]
-            return host.run_here([*enter, f"--wdns={os.getcwd()}", "--", *command], timeout_s)
+            return host.run_here([*enter, f"--wdns={os.getcwd()}", "--", *(command or shell())], timeout_s)
         if (folder / "started").exists() and not (folder / "status").exists():
+            if not command:
+                raise InputError("--attach: no second shell in User-mode Linux, which has one terminal; add -- COMMAND")
             return _in_machine(folder, command, timeout_s)
     raise EnvironmentLackError("--attach: no `tipforce vcan` of yours runs; start one in another terminal")
 

@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if args.attach:
         from tipforce_tools.vcan.attach import run_attached
 
-        return run_attached(command or _shell(), args.timeout)
+        return run_attached(command, _shell, args.timeout)
     return run_with_vcan(
         command or _shell(),
         interfaces=[name.strip() for name in args.interfaces.split(",")],

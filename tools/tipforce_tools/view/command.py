@@ -133,7 +133,8 @@ def serve(args: argparse.Namespace, source: Source, guard: Guard) -> int:
         else:
             print(server.url)
         sys.stdout.flush()
-        common.note(args, f"{source.title}: {'read and tare' if args.allow_writes else 'read-only'}; Ctrl-C ends it")
+        access = "read and tare" if args.allow_writes and not source.no_tare else "read-only"
+        common.note(args, f"{source.title}: {access}; Ctrl-C ends it")
         if args.open:
             import webbrowser
 

@@ -38,10 +38,10 @@ _PYTHON = """\
 import tipforce
 
 log = tipforce.read_log("{file}")
-finger = log[{node_id}]
-print(finger.t_s, finger.P_newtons)
-print(finger.phi_deg, finger.theta_deg)
+print(log)
+print(log[{node_id}])  # and its arrays: log[{node_id}].t_s, .P_newtons, .phi_deg, .theta_deg
 """
+"""What it prints has numbers, also where the first samples are unknown."""
 
 
 class Source:

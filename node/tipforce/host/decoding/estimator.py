@@ -132,7 +132,14 @@ class Estimator:
 
     @overload
     def __call__(
-        self, microstrain: npt.NDArray[Any] | Sequence[Sequence[float]], *,
+        self, microstrain: Sequence[Sequence[float]], *,
+        temperature_degC: npt.ArrayLike | None = None, lost: npt.ArrayLike = 0,
+        was_present: bool = False, was_overloaded: bool = False, out: Contacts | None = None,
+    ) -> Contacts: ...  # fmt: skip
+
+    @overload
+    def __call__(  # a Contact or Contacts, by the shape
+        self, microstrain: npt.NDArray[Any], *,
         temperature_degC: npt.ArrayLike | None = None, lost: npt.ArrayLike = 0,
         was_present: bool = False, was_overloaded: bool = False, out: Contacts | None = None,
     ) -> Any: ...  # fmt: skip

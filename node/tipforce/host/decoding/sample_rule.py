@@ -13,7 +13,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterable
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -142,6 +142,16 @@ def join(
     )
 
 
+class _Decoded(NamedTuple):
+    """A decoded frame: its index and slot, its number among all, its counter, and the place of its row's first."""
+
+    frame: int
+    slot: int
+    number: int
+    counter: int
+    start: int
+
+
 def join_here(
     frames: FrameArray, slots: npt.NDArray[np.uint32], layouts: npt.NDArray[np.void], held_number: Ints, number: int,
     gap_ns: int, gap_frames: int, last: bool, work: Ints,
@@ -149,7 +159,7 @@ def join_here(
     """Do as ``join`` of the compiled core: fill ``work`` as ``Joined`` has it; return what is not there."""
     del gap_ns, gap_frames
     rule, of_slot, numbers = SampleRule(), layouts.tolist(), held_number.tolist()
-    found: list[tuple[int, int, int, int, int]] = []  # frame, slot, number, counter, the frame that begins its row
+    decoded: list[_Decoded] = []
     short: Counter[int] = Counter()
     now_ns = 0
     for index, (slot, (t_ns, _, length, word)) in enumerate(
@@ -159,29 +169,31 @@ def join_here(
         if slot and length < least:
             short[slot] += 1
         elif slot and used:
-            if len(found) < len(numbers):
-                mine = numbers[len(found)]
+            place = len(decoded)
+            if place < len(numbers):
+                of_frame = numbers[place]
             else:
-                mine, number = number, number + 1
+                of_frame, number = number, number + 1
             counter = word >> shift & mask if shift >= 0 else NO_COUNTER
-            start = rule.row(sender, message, counter, bool(cyclic), t_ns, mine, len(found))
-            found.append((index, slot, mine, counter, start))
+            start = rule.row(sender, message, counter, bool(cyclic), t_ns, of_frame, place)
+            decoded.append(_Decoded(index, slot, of_frame, counter, start))
             now_ns = t_ns
-    end = len(found)
-    if found and not last:
-        rows = (one.row for sender, one in rule.last.items() if rule.is_open(sender, now_ns, found[-1][2]))
+    end = len(decoded)
+    if decoded and not last:
+        newest = decoded[-1].number
+        rows = (of_sender.row for sender, of_sender in rule.last.items() if rule.is_open(sender, now_ns, newest))
         end = min(rows, default=end)
-    firsts = [place for place, one in enumerate(found[:end]) if one[4] == place]
-    row_of = {place: row for row, place in enumerate(firsts)}
-    kept = sorted((one for one in found if one[4] < end), key=lambda one: one[1])
-    held = [one for one in found if one[4] >= end]
-    counts = Counter(one[1] for one in kept)
-    slots_found = sorted({one[1] for one in found})
-    ends = [*accumulate((counts[slot] for slot in slots_found), initial=0)]
-    columns: list[list[Any]] = [
-        [one[0] for one in kept], [row_of[one[4]] for one in kept], [found[place][0] for place in firsts],
-        [found[place][3] for place in firsts], [one[0] for one in held], [one[2] for one in held],
+    firsts = [frame for place, frame in enumerate(decoded[:end]) if frame.start == place]
+    row_of = {frame.start: row for row, frame in enumerate(firsts)}
+    kept = sorted((frame for frame in decoded if frame.start < end), key=lambda frame: frame.slot)
+    held = [frame for frame in decoded if frame.start >= end]
+    counts = Counter(frame.slot for frame in kept)
+    occurring = sorted({frame.slot for frame in decoded})
+    ends = [*accumulate((counts[slot] for slot in occurring), initial=0)]
+    columns: list[list[int]] = [
+        [frame.frame for frame in kept], [row_of[frame.start] for frame in kept], [frame.frame for frame in firsts],
+        [frame.counter for frame in firsts], [frame.frame for frame in held], [frame.number for frame in held],
     ]  # fmt: skip
     for target, column in zip(work, columns, strict=True):
         target[: len(column)] = column
-    return len(firsts), len(held), number, [*zip(slots_found, ends, ends[1:], strict=False)], sorted(short.items())
+    return len(firsts), len(held), number, [*zip(occurring, ends, ends[1:], strict=False)], sorted(short.items())
