@@ -26,6 +26,7 @@ def found() -> dict[str, Study]:
         patch.setitem(integrators._SUBSTEPS, True, (1, 4))
         patch.setitem(integrators._TOLERANCES, True, (1e-3, 1e-5))
         patch.setattr(integrators, "timed_together", once)
+        patch.setattr("tipforce_lab.report.studies.integrators.time.process_time", float)  # no setting takes too long
         studies = integrators.studies(Effort(quick=True), lambda: steps.append(1))
     assert len(steps) == integrators.STEPS
     return {study.key.removeprefix("integrators-"): study for study in studies}

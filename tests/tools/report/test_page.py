@@ -16,7 +16,7 @@ from bench.documents import filled, section
 from tipforce_lab.report import page
 from tipforce_lab.report.run import LeftOut, Report
 from tipforce_lab.report.study import Effort
-from tipforce_lab.report.text import advice, verdict
+from tipforce_lab.report.text import Cell, advice_table, verdict
 from tipforce_tools.cli.common import json_line
 from tools.report.made import cases, grid, study
 
@@ -89,16 +89,18 @@ def test_one_plot_per_study_and_one_row_per_case(parsed: Elements, report: Repor
 
 def test_verdict_and_advice_come_first(html: str, report: Report) -> None:
     places = [
-        html.index(text) for text in ("do NOT hold: other.wrong", "Which method for which need", "Contents", "<svg")
+        html.index(text)
+        for text in ("cases of fault", "do NOT hold: other.wrong", "Which method for which need", "Contents", "<svg")
     ]
     assert places == sorted(places)
     assert "3 references that are code of the project agree with an independent computation within 3.0e-12" in html
-    assert "Of the ways to show values, one shows the fewest wrong ones as ok. In 1 of 1 cases" in html
+    assert "In 0 of 1 cases of fault and gauges no way to show values shows more wrong ones as ok" in html
+    assert "in 1 at least one does. The reasons are known and listed. one shows the fewest." in html
     assert "none is exact enough" in html
-    _, _, method, error, _ = advice(report)[0]
+    first, second, *_ = advice_table(report).rows
     # Good enough are 2 and 3 cells, "rms" and exact; the least time decides, not the least error.
-    assert (method, error) == ("with \"rms\" & 'quotes'", "0.01 %")
-    assert advice(report)[1][2] == "none is exact enough"
+    assert first[:3] == [Cell("1 < 2, nearly", link="near"), "with \"rms\" & 'quotes'", "0.01 %"]
+    assert second[1] == "none is exact enough"
 
 
 def test_a_wrong_row_without_a_reason_is_in_the_verdict() -> None:
@@ -108,7 +110,7 @@ def test_a_wrong_row_without_a_reason_is_in_the_verdict() -> None:
     assert not report.sound()
     assert "Too many, without a known reason: drift, <3>." in verdict(report)[0]
     assert report.grids[0].rows[0].held is False
-    assert '<td data-name="two" class="broken"><b>80 % ok, 7 wrong</b></td>' in page._grid(report.grids[0])
+    assert '<td data-name="two" class="broken">80 % ok, 7 wrong</td>' in page._grid(report.grids[0])
 
 
 def test_tables_fold_unless_a_claim_does_not_hold(parsed: Elements, report: Report) -> None:

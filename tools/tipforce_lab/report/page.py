@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -14,7 +14,6 @@ from tipforce.output_file import HTML, JSON_LINES, write_file
 from tipforce_lab.report import plots, text
 from tipforce_lab.report.run import Item, Report
 from tipforce_lab.report.study import Case, Grid, Study
-from tipforce_lab.report.text import advice, verdict
 
 
 def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]], str]) -> list[Path]:
@@ -79,14 +78,19 @@ def _items(texts: Iterable[str]) -> str:
 
 
 _HOW_TO_READ = (
-    "Down is more exact, left is faster. Each point is a setting of a method, at the median wall time of its runs, all "
-    "warm; the bar across it spans the quartiles. The table has the processor time beside it, which other load on the "
-    "machine changes less. A dotted line leads from the largest error down to the root mean square. Errors within a "
-    "shaded band are not distinguishable from that of the reference; without a band it is far below the plot."
+    "Down is more exact, left is faster. Each point is a setting of a method, at the median processor time of its "
+    "runs, all warm; the bar across it spans the quartiles, and the table has the wall time beside it. A dotted line "
+    "leads from the largest error down to the root mean square. A triangle at the upper edge is a run that became "
+    "unstable. Errors within a shaded band are not distinguishable from that of the reference; without a band it is "
+    "far below the plot."
 )
 _OUTCOMES = (
     "pass: right to rounding. bounded: the error has a stated bound. flagged: the value is marked as unknown. refused: "
     "an error or abort code names the place, and nothing changed. The tests of this version recorded them."
+)
+_GRID = (
+    "Share of the rows that are shown as ok, and how many of those are wrong. Bold: more than 1 in 10,000; the list "
+    "above has the reason where the data cannot tell."
 )
 
 
@@ -97,86 +101,42 @@ def _head(report: Report) -> list[str]:
     links += [("cases", "Extreme cases")] if report.cases else []
     links += [("left-out", "Left out")] if report.left_out else []
     entries = "".join(f'<li><a href="#{escape(key)}">{escape(title)}</a></li>' for key, title in links)
-    return [
+    parts = [
         "<h1>tipforce: error against run time, and extreme cases</h1>",
-        f'<div class="summary"><p>{escape(text.summary(report))}</p><ul>{_items(verdict(report))}</ul></div>',
-        *_advice(report),
+        f'<div class="summary"><p>{escape(text.summary(report))}</p><ul>{_items(text.verdict(report))}</ul></div>',
+    ]
+    advices = text.advice_table(report)
+    if advices.rows:
+        note = "The least processor time among those whose error is small enough for the need."
+        parts += [f'<h2 id="advice">{advices.title}</h2>', f'<p class="note">{note}</p>', _table("advice", advices)]
+    return [
+        *parts,
         f"<nav><h2>Contents</h2><ul>{entries}</ul></nav>",
         f"<details><summary>Run of {escape(text.headline(report))}: machine and versions</summary><dl>{machine}</dl>",
         "</details>",
     ]
 
 
-def _advice(report: Report) -> list[str]:
-    advices = advice(report)
-    if not advices:
-        return []
-    rows = []
-    for choice in advices:
-        study, need, method, error, time = map(escape, choice)
-        rows.append(
-            f'<tr><th scope="row"><a href="#{study}">{need}</a></th><td>{method}</td>'
-            f'<td class="number">{error}</td><td>{time}</td></tr>'
-        )
-    table = _html_table("advice", ["", "", ' class="number"', ""], text.ADVICE_HEADS, rows)
-    return [
-        '<h2 id="advice">Which method for which need</h2>',
-        '<p class="note">The least processor time among those whose error is small enough for the need.</p>',
-        table,
-    ]
-
-
 def _study(study: Study) -> str:
-    items = _items([*study.remarks, *(f"left out: {name}: {why}" for name, why in study.left_out.items())])
+    items = _items(text.study_items(study))
     points, key = sum(len(series.points) for series in study.series), escape(study.key)
+    table = _table("points", text.study_table(study))
     return "\n".join(
         (
             f'<section class="study" id="{key}"><h3 id="{key}-title">{escape(study.title)}</h3>',
             f"<figure>{plots.svg(study)}</figure>",
             f"<ul>{items}</ul>" if items else "",
-            f"<details><summary>All {points} points as a table</summary>{_table(study)}</details>",
+            f"<details><summary>All {points} points as a table</summary>{table}</details>",
             f'<p class="reference">Reference: {escape(text.shown_reference(study))}.</p></section>',
         )
     )
 
 
-def _table(study: Study) -> str:
-    heads, cells_of_rows = text.study_table(study)
-    rows = []
-    for row in cells_of_rows:
-        method, setting, *numbers = map(escape, row)
-        cells = "".join(f'<td class="number">{value}</td>' for value in numbers)
-        rows.append(f'<tr><th scope="row">{method}</th><td>{setting}</td>{cells}</tr>')
-    return _html_table("", ["", "", *[' class="number"'] * (len(heads) - 2)], list(heads), rows)
-
-
-def _html_table(name: str, kinds: Sequence[str], heads: Sequence[str], rows: Sequence[str]) -> str:
-    """Return a table of rows of HTML that scrolls sideways; kinds: attributes of each heading."""
-    head = "".join(f'<th scope="col"{kind}>{escape(text)}</th>' for kind, text in zip(kinds, heads, strict=True))
-    start = f'<table class="{name}">' if name else "<table>"
-    return f'<div class="wide">{start}<thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
-
-
 def _grid(grid: Grid) -> str:
-    rows = []
-    for row in grid.rows:
-        cells = []
-        for name, cell, reason, over in zip(grid.methods, row.cells, row.reasons, row.over, strict=True):
-            kind = ("doubt" if reason else "broken") if over else "held" if not cell.wrong else ""
-            note = f' title="{escape(reason)}"' if reason else ""
-            counts = escape(text.shown_counts(cell))
-            shown = f"<b>{counts}</b>" if over else counts
-            cells.append(f'<td data-name="{escape(name)}" class="{kind}"{note}>{shown}</td>')
-        rows.append(f'<tr><th scope="row" class="key">{escape(row.name)}</th>{"".join(cells)}</tr>')
-    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in (grid.corner, *grid.methods))
-    remarks = _items([*grid.remarks, *text.grid_reasons(grid)])
     return "\n".join(
         (
-            f'<section id="{escape(grid.key)}"><h2>{escape(grid.title)}</h2><ul>{remarks}</ul>',
-            '<p class="note">Share of the rows that are shown as ok, and how many of those are wrong. Bold: more than '
-            "1 in 10,000; the list above has the reason where the data cannot tell.</p>",
-            f'<div class="wide"><table class="cases grid"><thead><tr>{head}</tr></thead>',
-            f"<tbody>{''.join(rows)}</tbody></table></div></section>",
+            f'<section id="{escape(grid.key)}"><h2>{escape(grid.title)}</h2><ul>{_items(text.grid_items(grid))}</ul>',
+            f'<p class="note">{_GRID}</p>{_table("cases grid", text.grid_table(grid))}</section>',
         )
     )
 
@@ -188,18 +148,30 @@ def _cases(cases: list[Case]) -> list[str]:
         areas.setdefault(case.key.split(".")[0], []).append(case)
     parts = []
     for area, of_area in areas.items():
-        rows = []
-        for case in of_area:
-            texts = {"situation": case.situation, "claim": case.claim, "seen": case.figures}
-            cells = "".join(f'<td data-name="{name}" class="seen">{escape(text)}</td>' for name, text in texts.items())
-            kind, outcome = ("held", case.outcome) if case.held else ("broken", f"NOT {case.outcome}")
-            rows.append(
-                f'<tr id="case-{escape(case.key)}"><th scope="row" class="key">{escape(case.key)}</th>'
-                f'<td class="outcome {kind}">{escape(outcome)}</td>{cells}</tr>'
-            )
-        table = _html_table("cases", [""] * 5, ("case", "outcome", "situation", "claim", "seen"), rows)
         broken = sum(not case.held for case in of_area)
         opened = " open" if broken else ""
         result = f"{broken} of {len(of_area)} do NOT hold" if broken else f"all {len(of_area)} hold"
+        table = _table("cases", text.case_table(area, of_area), "case-")
         parts.append(f"<details{opened}><summary>{escape(area)}: {result}</summary>{table}</details>")
     return parts
+
+
+def _table(name: str, table: text.Table, row_ids: str | None = None) -> str:
+    """Return a table that scrolls sideways; ``row_ids`` begins the identifier that each row has from its heading."""
+    classes = {head: ' class="number"' if kind in text.NUMBERS else "" for head, kind in table.heads.items()}
+    head = "".join(f'<th scope="col"{kind}>{escape(title)}</th>' for title, kind in classes.items())
+    rows = []
+    for first, *others in table.rows:
+        heading = first if isinstance(first, text.Cell) else text.Cell(first)
+        shown = escape(heading.text)
+        shown = f'<a href="#{escape(heading.link)}">{shown}</a>' if heading.link else shown
+        cells = [f'<th scope="row">{shown}</th>']
+        for title, cell in zip(list(classes)[1:], others, strict=True):
+            value, kind, note, _ = cell if isinstance(cell, text.Cell) else text.Cell(cell)
+            attributes = f' class="{kind}"' if kind else classes[title]
+            attributes += f' title="{escape(note)}"' if note else ""
+            cells.append(f'<td data-name="{escape(title)}"{attributes}>{escape(value)}</td>')
+        row_id = "" if row_ids is None else f' id="{row_ids}{escape(heading.text)}"'
+        rows.append(f"<tr{row_id}>{''.join(cells)}</tr>")
+    body = f"<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody>"
+    return f'<div class="wide"><table class="{name}">{body}</table></div>'

@@ -63,7 +63,7 @@ def figure(study: Study) -> Figure:
     lines = len(study.series) + 1  # and the band
     drawn = Figure(figsize=(_WIDTH_INCH, _AXES_INCH + _LEGEND_LINE_INCH * lines))
     axes = drawn.subplots()
-    axes.set(xscale="log", yscale="log", xlabel=f"time, {study.work_unit}", ylabel=_folded(study.error_unit))
+    axes.set(xscale="log", yscale="log", xlabel=f"processor time, {study.work_unit}", ylabel=_folded(study.error_unit))
     for number in range(len(study.series)):
         _draw_series(axes, study, number, floor)
     _frame(axes, study, floor if 0.0 in errors else None)
@@ -81,32 +81,27 @@ def _folded(text: str) -> str:
 
 def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
     series = study.series[number]
-    points = [point for point in series.points if math.isfinite(point.error)]
-    seconds = [point.timing.seconds for point in points]
-    errors = [max(point.error, floor) for point in points]
-    spread = [
-        [point.timing.seconds - point.timing.first_quartile_s for point in points],
-        [point.timing.third_quartile_s - point.timing.seconds for point in points],
-    ]
     colour = _HUES[number % len(_HUES)]
+    points = [(point, point.timing.work_seconds) for point in series.points]
+    for point, at_s in points:
+        if not math.isfinite(point.error):
+            axes.plot([at_s], [0.98], "^", color=colour, markersize=6, transform=axes.get_xaxis_transform())
+    drawn = [(point, at_s) for point, at_s in points if math.isfinite(point.error)]
+    spread = [
+        [max(at_s - point.timing.first_quartile_s, 0.0) for point, at_s in drawn],
+        [max(point.timing.third_quartile_s - at_s, 0.0) for point, at_s in drawn],
+    ]
     axes.errorbar(
-        seconds,
-        errors,
-        xerr=spread,
-        color=colour,
-        linestyle=_LINES[(number + 2 * (number // len(_HUES))) % len(_LINES)],
-        marker=_MARKERS[number % len(_MARKERS)],
-        markersize=5,
-        linewidth=1.3,
-        elinewidth=1.0,
-        capsize=2.5,
-        label=series.method,
-    )
-    for point, error in zip(points, errors, strict=True):
+        [at_s for _, at_s in drawn], [max(point.error, floor) for point, _ in drawn], xerr=spread, color=colour,
+        linestyle=_LINES[(number + 2 * (number // len(_HUES))) % len(_LINES)], marker=_MARKERS[number % len(_MARKERS)],
+        markersize=5, linewidth=1.3, elinewidth=1.0, capsize=2.5, label=series.method,
+    )  # fmt: skip
+    for point, at_s in drawn:
         if point.rms_error is not None and point.rms_error > 0.0:
-            at = [point.timing.seconds] * 2
-            axes.plot(at, [point.rms_error, error], color=colour, linewidth=0.8, linestyle=":")
-            axes.plot(at[:1], [point.rms_error], "_", color=colour, markersize=5)
+            axes.plot(
+                [at_s] * 2, [point.rms_error, max(point.error, floor)], color=colour, linewidth=0.8, linestyle=":"
+            )
+            axes.plot([at_s], [point.rms_error], "_", color=colour, markersize=5)
 
 
 def _frame(axes: Axes, study: Study, zero: float | None) -> None:

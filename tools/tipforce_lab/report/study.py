@@ -25,7 +25,8 @@ class Effort:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Seconds per unit of work: the median of several runs, and the first and third quartile."""
+    """Seconds per unit of work: the median of several runs; the first and third quartile are of the processor time
+    where it is known."""
 
     seconds: float
     first_quartile_s: float
@@ -139,19 +140,17 @@ def timed_together(
     for _ in range(effort.pick(3, 7)):
         for work, count, elapsed in zip(works, repeats, runs, strict=True):
             elapsed.append(_elapsed(work, count))
-    return [
-        quartiles(
-            [wall_s / (count * units) for wall_s, _ in elapsed],
-            median([cpu_s / (count * units) for _, cpu_s in elapsed]),
-        )
-        for count, elapsed in zip(repeats, runs, strict=True)
-    ]
+    timings = []
+    for count, elapsed in zip(repeats, runs, strict=True):
+        wall_s, cpu_s = ([one / (count * units) for one in column] for column in zip(*elapsed, strict=True))
+        timings.append(quartiles(wall_s, cpu_s))
+    return timings
 
 
-def quartiles(seconds: Sequence[float], cpu_seconds: float | None = None) -> Timing:
+def quartiles(seconds: Sequence[float], cpu_seconds: Sequence[float] | None = None) -> Timing:
     """Return the timing of several runs, at least two, per unit of work."""
-    first, middle, third = quantiles(seconds, n=4, method="inclusive")
-    return Timing(middle, first, third, len(seconds), cpu_seconds)
+    first, middle, third = quantiles(seconds if cpu_seconds is None else cpu_seconds, n=4, method="inclusive")
+    return Timing(median(seconds), first, third, len(seconds), None if cpu_seconds is None else middle)
 
 
 def _repeats(work: Callable[[], object], at_least_s: float, warm: bool) -> int:

@@ -1,32 +1,66 @@
-"""The report as text and as JSON records."""
+"""The report as tables for text and page, as sentences, and as JSON records."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tipforce_lab.report.run import Item, LeftOut, Report
 from tipforce_lab.report.study import Case, Counted, Grid, Need, Outcome, Study, sums_of
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.text import Text
 
-ADVICE_HEADS = ("need", "method", "error", "processor time")
+
+class Cell(NamedTuple):
+    """A cell that is more than its text."""
+
+    text: str
+    kind: str = ""
+    """Class on the page: held, doubt or broken, which text prints in red."""
+    note: str = ""
+    """Shown where the pointer rests on the page."""
+    link: str = ""
+    """Identifier of the section that a heading of a row leads to."""
+
+
+class Table(NamedTuple):
+    """A table as the text prints it and the page shows it; the first cell of a row is its heading."""
+
+    title: str
+    heads: dict[str, str]
+    """Kind of each column by its heading: a key of _COLUMNS."""
+    rows: list[list[str | Cell]]
+
+
+_COLUMNS: dict[str, dict[str, Any]] = {
+    "": {},
+    "key": {"overflow": "fold", "ratio": 2},
+    "claim": {"ratio": 4},
+    "seen": {"overflow": "fold", "ratio": 3},
+    "method": {"ratio": 4},
+    "setting": {"ratio": 3},
+    "word": {"no_wrap": True},
+    "number": {"justify": "right"},
+    "error": {"justify": "right", "ratio": 2},
+    "time": {"justify": "right", "no_wrap": True},
+}
+"""Options of rich by kind of column."""
+NUMBERS = ("number", "error", "time")
+"""Kinds whose cells the page aligns to the right."""
 
 
 def verdict(report: Report) -> list[str]:
-    """Return sentences: what held, what did not, how the references were checked."""
-    sentences, failed = [], [case.key for case in report.cases if not case.held]
+    """Return sentences: what the grids show, what held, what did not, how the references were checked."""
+    sentences, failed = [_grid(grid) for grid in report.grids], [case.key for case in report.cases if not case.held]
     if failed:
         sentences.append(
             f"{len(failed)} of {len(report.cases)} claims on extreme input do NOT hold: {', '.join(failed)}."
         )
     elif report.cases:
         sentences.append(f"All {len(report.cases)} claims on extreme input hold.")
-    sentences += [_grid(grid) for grid in report.grids]
     checked = [study.check_difference for study in report.studies if study.check_difference is not None]
     if checked:
         sentences.append(
@@ -39,32 +73,39 @@ def verdict(report: Report) -> list[str]:
     return sentences
 
 
-def advice(report: Report) -> list[tuple[str, ...]]:
-    """Return (study, *ADVICE_HEADS) for each need of the studies: the fastest method whose error is small enough."""
-    return [(study.key, *_advice(study, need)) for study in report.studies if study.series for need in study.needs]
+def advice_table(report: Report) -> Table:
+    """Return for each need of the studies the method with the least processor time whose error is small enough."""
+    heads = {"need": "", "method": "", "error": "number", "processor time": ""}
+    rows: list[list[str | Cell]] = [
+        [Cell(need.text, link=study.key), *_choice(study, need)]
+        for study in report.studies if study.series for need in study.needs
+    ]  # fmt: skip
+    return Table("Which method for which need", heads, rows)
 
 
-def _advice(study: Study, need: Need) -> tuple[str, str, str, str]:
+def _choice(study: Study, need: Need) -> tuple[str, str, str]:
     choice = study.recommended(need)
     if choice is None:
-        return need.text, "none is exact enough", "", ""
+        return "none is exact enough", "", ""
     series, point = choice
     method = f"{series.method}, {point.setting}" if point.setting else series.method
     unit = study.work_unit.replace("s per", "per").split(" (")[0]
-    shown = f"{shown_time(point.timing.work_seconds)} {unit}"
-    return need.text, method, shown_advised_error(point.error, need.unit), shown
+    time = f"{shown_time(point.timing.work_seconds)} {unit}"
+    if need.unit:
+        return method, f"{point.error:.2g} {need.unit}", time
+    return method, f"{100.0 * point.error:.2g} %" if point.error >= 1e-5 else shown_error(point.error), time
 
 
 def _grid(grid: Grid) -> str:
+    """Say in how many cases all is well, in how many not, and which way shows the fewest wrong values as ok."""
     broken = [row.name for row in grid.rows if not row.held]
+    over = sum(any(row.over) for row in grid.rows)
     _, least = sums_of(grid.methods, grid.rows)
-    sentence = f"Of the ways to show values, {least} shows the fewest wrong ones as ok"
-    if broken:
-        return f"{sentence}. Too many, without a known reason: {'; '.join(broken)}."
-    excused = sum(any(row.reasons) for row in grid.rows)
+    known = f"Too many, without a known reason: {'; '.join(broken)}." if broken else "The reasons are known and listed."
     return (
-        f"{sentence}. In {excused} of {len(grid.rows)} cases of fault and gauges at least one shows more of them than "
-        "allowed (1 in 10,000, or one row); the reasons are known and listed."
+        f"In {len(grid.rows) - over} of {len(grid.rows)} cases of fault and gauges no way to show values shows more "
+        f"wrong ones as ok than allowed (1 in 10,000, or one row), in {over} at least one does. {known} {least} shows "
+        "the fewest."
     )
 
 
@@ -81,13 +122,6 @@ def shown_time(seconds: float) -> str:
 def shown_error(error: float) -> str:
     """Format with two digits: 4.2e-12, 0."""
     return f"{error:.1e}" if error else "0"
-
-
-def shown_advised_error(error: float, unit: str) -> str:
-    """Format with its unit, a relative error from 1e-5 on in percent: 0.011 N, 5.3 %."""
-    if unit:
-        return f"{error:.2g} {unit}"
-    return f"{100.0 * error:.2g} %" if error >= 1e-5 else shown_error(error)
 
 
 def shown_reference(study: Study) -> str:
@@ -130,47 +164,38 @@ def print_report(console: Console, report: Report) -> None:
     console.print(", ".join(f"{name} {value}" for name, value in report.machine.items()))
     for sentence in verdict(report):
         console.print(sentence)
-    if choices := advice(report):
-        columns: dict[str, dict[str, Any]] = {name: {} for name in ADVICE_HEADS}
-        columns["error"] = _NUMBER
-        _print_table(console, "Which method for which need", columns, (cells for _, *cells in choices))
+    advices = advice_table(report)
+    if advices.rows:
+        _print_table(console, advices)
     for study in report.studies:
-        _print_table(console, f"{study.title} ({study.key})", *study_table(study))
+        _print_table(console, study_table(study))
         console.print(f"reference: {shown_reference(study)}")
-        _print_items(console, [*study.remarks, *(f"left out: {name}: {why}" for name, why in study.left_out.items())])
+        _print_items(console, study_items(study))
     for grid in report.grids:
-        rows = (
-            [row.name, *(
-                _marked(shown_counts(cell), over and not reason)
-                for cell, reason, over in zip(row.cells, row.reasons, row.over, strict=True)
-            )]
-            for row in grid.rows
-        )  # fmt: skip
-        _print_table(console, grid.title, {name: {} for name in (grid.corner, *grid.methods)}, rows)
-        _print_items(console, [*grid.remarks, *grid_reasons(grid)])
+        _print_table(console, grid_table(grid))
+        _print_items(console, grid_items(grid))
     if report.cases:
         title = "Extreme cases, as the tests of this version recorded them"
-        _print_table(console, title, _CASE_COLUMNS, map(_case_row, report.cases), show_lines=True)
+        _print_table(console, case_table(title, report.cases), show_lines=True)
     for lack in report.left_out:
         console.print("left out", style="bold", end="")
         console.print(f" {lack.key}: {lack.reason}")
     console.print(summary(report))
 
 
-def _print_table(
-    console: Console, title: str, columns: Mapping[str, Mapping[str, Any]], rows: Iterable[Sequence[str | Text]],
-    **options: Any,
-) -> None:  # fmt: skip
-    """Print an empty line and a table; ``columns``: rich's options by heading."""
-    from rich.table import Table
+def _print_table(console: Console, table: Table, **options: Any) -> None:
+    """Print an empty line and a table."""
+    from rich.table import Table as Printed
+    from rich.text import Text
 
-    table = Table(title=title, title_justify="left", **options)
-    for head, column in columns.items():
-        table.add_column(head, **column)
-    for row in rows:
-        table.add_row(*row)
+    printed = Printed(title=table.title, title_justify="left", **options)
+    for head, kind in table.heads.items():
+        printed.add_column(head, **_COLUMNS[kind])
+    for row in table.rows:
+        cells = (cell if isinstance(cell, Cell) else Cell(cell) for cell in row)
+        printed.add_row(*(Text(cell.text, "bold red" if cell.kind == "broken" else "") for cell in cells))
     console.print()
-    console.print(table)
+    console.print(printed)
 
 
 def _print_items(console: Console, items: Iterable[str]) -> None:
@@ -178,62 +203,65 @@ def _print_items(console: Console, items: Iterable[str]) -> None:
         console.print(f"- {item}")
 
 
-def _marked(text: str, bad: bool) -> str | Text:
-    from rich.text import Text
-
-    return Text(text, "bold red") if bad else text
-
-
-def _case_row(case: Case) -> list[str | Text]:
-    outcome = _marked(case.outcome if case.held else f"NOT {case.outcome}", not case.held)
-    return [case.key, outcome, f"{case.situation}: {case.claim}", case.figures]
-
-
-_CASE_COLUMNS: dict[str, dict[str, Any]] = {
-    "case": {"overflow": "fold", "ratio": 2},
-    "outcome": {"no_wrap": True},
-    "situation: claim": {"ratio": 4},
-    "seen": {"overflow": "fold", "ratio": 3},
-}
-_NUMBER: dict[str, Any] = {"justify": "right"}
-_TIME = {**_NUMBER, "no_wrap": True}
-
-
-def study_table(study: Study) -> tuple[dict[str, dict[str, Any]], list[list[str]]]:
-    """Return rich's options by heading, and the rows; the method is in its first row. Empty columns are left out."""
-    columns: dict[str, dict[str, Any]] = {
-        "method": {"ratio": 4},
-        "setting": {"ratio": 3},
-        study.error_unit: {"ratio": 2, **_NUMBER},
-        "root mean square": _NUMBER,
-        study.work_unit.replace("s per", "time per"): _TIME,
-        "quartiles": {"no_wrap": True},
-        "processor": _TIME,
-        "runs": _NUMBER,
-    }
-    rows = []
+def study_table(study: Study) -> Table:
+    """Return all points; the method is in its first row. Empty columns are left out."""
+    heads = {
+        "method": "method", "setting": "setting", study.error_unit: "error", "root mean square": "number",
+        study.work_unit.replace("s per", "time per"): "time", "processor": "time", "quartiles": "word",
+        "runs": "number",
+    }  # fmt: skip
+    rows: list[list[str | Cell]] = []
     for series in study.series:
         for number, point in enumerate(series.points):
             timing = point.timing
             rows.append([
                 "" if number else series.method, point.setting, shown_error(point.error),
                 "" if point.rms_error is None else shown_error(point.rms_error), shown_time(timing.seconds),
-                f"{shown_time(timing.first_quartile_s)} - {shown_time(timing.third_quartile_s)}",
-                "" if timing.cpu_seconds is None else shown_time(timing.cpu_seconds), str(timing.runs),
+                "" if timing.cpu_seconds is None else shown_time(timing.cpu_seconds),
+                f"{shown_time(timing.first_quartile_s)} - {shown_time(timing.third_quartile_s)}", str(timing.runs),
             ])  # fmt: skip
     optional = ("root mean square", "processor")
-    kept = [k for k, head in enumerate(columns) if head not in optional or any(row[k] for row in rows)]
-    heads = list(columns)
-    return {heads[k]: columns[heads[k]] for k in kept}, [[row[k] for k in kept] for row in rows]
+    kept = [k for k, head in enumerate(heads) if head not in optional or any(row[k] for row in rows)]
+    named = {head: kind for k, (head, kind) in enumerate(heads.items()) if k in kept}
+    return Table(f"{study.title} ({study.key})", named, [[row[k] for k in kept] for row in rows])
 
 
-def grid_reasons(grid: Grid) -> list[str]:
-    """Return each reason why wrong rows are shown as ok, with the cases and methods that it is for."""
+def study_items(study: Study) -> list[str]:
+    """Return the remarks of a study, and what it left out."""
+    return [*study.remarks, *(f"left out: {name}: {why}" for name, why in study.left_out.items())]
+
+
+def grid_table(grid: Grid) -> Table:
+    """Return the shares that say ok, and the wrong ones among them; more than allowed without a reason is broken."""
+    rows: list[list[str | Cell]] = []
+    for row in grid.rows:
+        cells: list[str | Cell] = [row.name]
+        for count, reason, over in zip(row.cells, row.reasons, row.over, strict=True):
+            kind = ("doubt" if reason else "broken") if over else "" if count.wrong else "held"
+            cells.append(Cell(shown_counts(count), kind, reason))
+        rows.append(cells)
+    return Table(grid.title, dict.fromkeys((grid.corner, *grid.methods), ""), rows)
+
+
+def case_table(title: str, cases: Sequence[Case]) -> Table:
+    """Return extreme cases: what each claims, and what the test observed."""
+    rows: list[list[str | Cell]] = [
+        [
+            case.key, Cell(case.outcome, "held") if case.held else Cell(f"NOT {case.outcome}", "broken"),
+            f"{case.situation}: {case.claim}", case.figures,
+        ]
+        for case in cases
+    ]  # fmt: skip
+    return Table(title, {"case": "key", "outcome": "word", "situation: claim": "claim", "seen": "seen"}, rows)
+
+
+def grid_items(grid: Grid) -> list[str]:
+    """Return the remarks of a grid, and each reason for wrong rows shown as ok with the cases that it is for."""
     rows_by_reason: dict[str, dict[str, None]] = {}
     for row in grid.rows:
         for reason in filter(None, row.reasons):
             rows_by_reason.setdefault(reason, {})[row.name] = None
-    return [f"{'; '.join(names)}: {reason}" for reason, names in rows_by_reason.items()]
+    return [*grid.remarks, *(f"{'; '.join(names)}: {reason}" for reason, names in rows_by_reason.items())]
 
 
 def head_record(report: Report) -> dict[str, Any]:
@@ -249,7 +277,8 @@ def head_record(report: Report) -> dict[str, Any]:
 
 def conclusions(report: Report) -> dict[str, Any]:
     """Return the verdict and the advice of a finished report, for JSON."""
-    return {"verdict": verdict(report), "advice": [cells for _, *cells in advice(report)]}
+    advices = [[cell.text if isinstance(cell, Cell) else cell for cell in row] for row in advice_table(report).rows]
+    return {"verdict": verdict(report), "advice": advices}
 
 
 def record(item: Item) -> dict[str, Any]:

@@ -56,7 +56,7 @@ def _study(effort: Effort, advance: Callable[[], None], share: float) -> Study:
             timed_fits = [
                 timed(partial(fit, rig.readings), effort, at_least_s=0.002) for rig in rigs[: effort.pick(2, 9)]
             ]
-            timing = quartiles([fitted.seconds for fitted in timed_fits])
+            timing = quartiles(*zip(*((fitted.seconds, fitted.work_seconds) for fitted in timed_fits), strict=True))
             rms = float(np.sqrt(np.mean(np.square(errors))))
             points.append((method, Point(f"{loads} loads", rms, timing)))
         advance()
