@@ -23,8 +23,8 @@ from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibratio
 from tipforce.sensor.calibration.regressors import direction_scatter, grooves
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate, unseen_forces
 from tipforce.sensor.calibration.solve import Problem, Scatter, solve
-from tipforce.sensor.calibration.statistics import left_inverse
 from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.contact.redundancy import weighted_inverse
 
 ALLOWED_RATIO = 1.15
 ALLOWED_PERCENT = (93.0, 97.0)
@@ -123,7 +123,7 @@ def oracle(sim: Simulated) -> FloatArray:
         scatter=Scatter(sim.faults.groove_scatter_rad**2, sim.faults.hang_scatter_rad**2),
     )
     A = solve(known, "none", 1.0).coefficients * unit
-    return left_inverse(A, np.eye(n))
+    return weighted_inverse(A, np.eye(n))
 
 
 def compare(seed: int, faults: Faults, drift: str, loss: str = "huber") -> Comparison:

@@ -97,14 +97,11 @@ def _given_history(load: schema.History) -> LoadHistory:
 
 
 def _groove_knots(load: schema.Grooves) -> list[Knot]:
-    """Return the knots: x-grooves pull at phi = 0, beyond theta = 90 degrees at 180; y-grooves at 90 (a rope)."""
-    from tipforce.sensor.structure.published import X_GROOVES_DEG, Y_GROOVES_DEG
+    from tipforce.sensor.structure.published import GROOVES_DEG
 
-    directions = [(0.0 if theta < 90.0 else 180.0, float(theta)) for theta in X_GROOVES_DEG]
-    directions += [(90.0, float(theta)) for theta in Y_GROOVES_DEG]
     knots: list[Knot] = []
     t, third = 0.0, load.change_s / 3.0
-    for phi, theta in directions:
+    for phi, theta in GROOVES_DEG:
         # Unloaded for the middle third of a change: a tare reading between two grooves.
         knots += [(t, 0.0, phi, theta), (t + third, load.P_N, phi, theta)]
         t += third + load.dwell_s

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.first_order_hold import respond_at
+from tipforce.sensor.dynamics.first_order_hold import respond
 from tipforce.sensor.dynamics.model import Modes, modes
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce_lab.dynamics.impact import Striker, impact
@@ -128,7 +128,7 @@ def test_the_closed_solutions_agree_with_each_other() -> None:
     t = np.linspace(0.0, 0.05, 5001)
     pulse = np.outer(np.where(t <= 0.01, np.sin(math.pi * t / 0.01), 0.0), F)
     found = closed_form(BODY, Wave(F, 0.0, 0.0, 1.0, 50.0, 0.01), t)
-    np.testing.assert_allclose(respond_at(BODY, t, pulse).elastic_newtons, found, rtol=0.0, atol=5e-6)
+    np.testing.assert_allclose(respond(BODY, pulse, 1e-5).elastic_newtons, found, rtol=0.0, atol=5e-6)
 
 
 def test_what_is_refused() -> None:

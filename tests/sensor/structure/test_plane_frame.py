@@ -18,10 +18,11 @@ from tipforce.sensor.structure.plane_frame import (
     ELASTIC_ROOTS,
     EULER_BERNOULLI,
     HALF_PLANE_ROTATION,
+    POISSON_RATIO,
+    SHEAR_COEFFICIENT,
     TIMOSHENKO,
     Frame,
     FrameModel,
-    RootCompliance,
 )
 from tipforce.sensor.structure.strain import condition_number, strain_matrix
 
@@ -60,8 +61,8 @@ def end_moments(geometry: Geometry, model: FrameModel) -> tuple[float, float]:
     h, inner = geometry.h1_m, 0.5 * geometry.h2_m if model.finite_joint else 0.0
     length = geometry.a_m - inner
     k = length / (6.0 * h**3 / 12.0)
-    shear = 2.0 * (1.0 + model.poisson_ratio) / (model.shear_coefficient * h * length) if model.shear else 0.0
-    spring = model.root.rotation / h**2
+    shear = 2.0 * (1.0 + POISSON_RATIO) / (SHEAR_COEFFICIENT * h * length) if model.shear else 0.0
+    spring = model.root_rotation / h**2
     # Rotation of the ends against the chord; the tip turns by 1 and lifts the arm's end by a.
     flexibility = np.array([[2 * k + shear + spring, shear - k], [shear - k, 2 * k + shear + spring]])
     chord = geometry.a_m / length
@@ -73,8 +74,8 @@ def end_moments(geometry: Geometry, model: FrameModel) -> tuple[float, float]:
 
 @pytest.mark.parametrize(
     "model",
-    [EULER_BERNOULLI, TIMOSHENKO, FrameModel(root=RootCompliance(rotation=HALF_PLANE_ROTATION)), ELASTIC_ROOTS,
-     FrameModel(finite_joint=True), FrameModel(shear=True, root=RootCompliance(rotation=20.0), finite_joint=True)],
+    [EULER_BERNOULLI, TIMOSHENKO, FrameModel(root_rotation=HALF_PLANE_ROTATION), ELASTIC_ROOTS,
+     FrameModel(finite_joint=True), FrameModel(shear=True, root_rotation=20.0, finite_joint=True)],
 )  # fmt: skip
 @pytest.mark.parametrize("geometry", [FABRICATED, ODD, thin(3e-3)])
 def test_shear_roots_and_joint_by_slope_deflection(geometry: Geometry, model: FrameModel) -> None:
@@ -89,7 +90,7 @@ def test_shear_roots_and_joint_by_slope_deflection(geometry: Geometry, model: Fr
 
 
 def test_soft_roots_leave_no_moment_at_the_tip() -> None:
-    soft = Frame(FABRICATED, FrameModel(root=RootCompliance(rotation=1e9))).strain_matrix(POINTS)
+    soft = Frame(FABRICATED, FrameModel(root_rotation=1e9)).strain_matrix(POINTS)
     table = strain_matrix(FABRICATED, POINTS)
     assert abs(soft[ROW["R"], 1]) < 1e-6 * abs(table[ROW["R"], 1])
     assert soft[ROW["S_H"], 1] == pytest.approx(table[ROW["S_H"], 1])  # half of the moment, by symmetry
@@ -103,17 +104,6 @@ def test_what_shear_and_roots_change() -> None:
     assert numbers(TIMOSHENKO) == pytest.approx([2.510, 2.611, 2.713], abs=1e-3)
     assert numbers(ELASTIC_ROOTS) == pytest.approx([2.510, 2.629, 2.769], abs=1e-3)
     assert numbers(FrameModel(finite_joint=True)) == pytest.approx([2.480, 2.600, 2.713], abs=1e-3)
-
-
-def test_springs_along_and_across() -> None:
-    # Softness along a beam shares nothing out anew (both arms are alike); across, neither; but the tip moves more.
-    stiff = Frame(FABRICATED)
-    soft = Frame(FABRICATED, FrameModel(root=RootCompliance(along=3.0, across=3.0)))
-    scale = FABRICATED.width_m * FABRICATED.youngs_modulus_pascals
-    more = (soft.tip_motion() - stiff.tip_motion()) * scale
-    assert more[0, 2] == pytest.approx(3.0)  # two arms in parallel, two springs in series on each
-    assert more[1, 0] == pytest.approx(3.0)
-    np.testing.assert_allclose(soft.strain_matrix(POINTS)[:, 0], stiff.strain_matrix(POINTS)[:, 0], rtol=1e-9)
 
 
 def test_the_rotation_of_a_half_plane() -> None:
@@ -173,19 +163,10 @@ def test_a_gauge_inside_a_joint_of_finite_size_is_refused() -> None:
     assert frame.strain_matrix(["K_H"]).shape == (1, 3)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"shear_coefficient": 0.0}, "shear_coefficient = 0.0: allowed is above 0"),
-        ({"poisson_ratio": 0.6}, "poisson_ratio = 0.6: allowed is above -1"),
-        ({"root": RootCompliance(rotation=-1.0)}, "root compliance rotation = -1.0: allowed is 0"),
-        ({"root": RootCompliance(along=float("nan"))}, "root compliance along = nan"),
-    ],
-)
-def test_models_that_are_wrong(change: dict[str, float | RootCompliance], message: str) -> None:
-    with pytest.raises(InputError) as caught:
-        FrameModel(**change)  # type: ignore[arg-type]
-    assert message in str(caught.value)
+@pytest.mark.parametrize("rotation", [-1.0, float("nan")])
+def test_roots_that_are_wrong(rotation: float) -> None:
+    with pytest.raises(InputError, match=f"root_rotation = {rotation}: allowed is 0"):
+        FrameModel(root_rotation=rotation)
 
 
 def test_bodies_that_floating_point_cannot_hold() -> None:

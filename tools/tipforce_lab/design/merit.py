@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.structure.gauges import Gauge, gauge_matrix, nominal_position
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.limits import slit_closure, worst_stress
-from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame, FrameModel
+from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame
 from tipforce.sensor.structure.strain import condition_number, noise_gain
 
 PAPER_LOAD_NEWTONS = 4.4
@@ -167,7 +167,7 @@ def assess(
     """
     A = gauge_matrix(geometry, gauges)
     length_m = 0.0 if any(isinstance(gauge, str) for gauge in gauges) else gauge_length_m
-    block = FrameModel(shear=True, root=ELASTIC_ROOTS.root, finite_joint=True)
+    block = replace(ELASTIC_ROOTS, finite_joint=True)
     matrices = [Frame(geometry, model).strain_matrix(gauges, length_m) for model in (ELASTIC_ROOTS, block)]
     theory, frame, finite = (merit(matrix, noise_microstrain, loads) for matrix in (A, *matrices))
     return Assessment(

@@ -13,12 +13,11 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.sensor.structure.plane_frame import POISSON_RATIO
 from tipforce_lab.fem.mesh import STATED, Outline, Resolution, Triangles, triangulate
 
 Plane = Literal["stress", "strain"]
 
-POISSON_RATIO = 0.29
-"""Value of steel; the paper states none."""
 HOW_TO_INSTALL = 'pip install "tipforce[fem]"'
 
 

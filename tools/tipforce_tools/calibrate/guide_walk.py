@@ -27,7 +27,7 @@ from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import SdoChannel
 from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.result import matrix_to_digits, to_digits
-from tipforce.sensor.calibration.statistics import left_inverse
+from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce_tools.calibrate.fit_report import publish, write
 from tipforce_tools.cli import common
 
@@ -286,7 +286,7 @@ def finish(args: argparse.Namespace, request: FitRequest, session: Session, clie
     noise, dof = to_digits(session.noise_covariance_strain2()), session.freedom()
     calibration = replace(
         result.calibration,
-        C=matrix_to_digits(left_inverse(fit.A, noise)) if fit.C.shape[1] > 3 else fit.C,
+        C=matrix_to_digits(weighted_inverse(fit.A, noise)) if fit.C.shape[1] > 3 else fit.C,
         covariance_strain2=to_digits(noise * variance_factors(dof, fit.C.shape[1] - 3)[0]),
         redundancy_limit=limit_of(fit, noise, dof, result.calibration.calibrated_force_newtons),
     )

@@ -8,6 +8,7 @@ that disagree are named and left out, saturated readings too, and what the rows 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -245,25 +246,26 @@ SMALLEST_SPAN_K = 0.5
 """Change of temperature below which its effect on the offsets is not asked for."""
 
 
-def best_fit(readings: Readings, model: Model) -> tuple[Fit, Model, dict[str, float]]:
+def best_fit(
+    readings: Readings, model: Model, drifts: Sequence[str] | None = None
+) -> tuple[Fit, Model, dict[str, float]]:
     """Return the fit of the drift that the hold-out score prefers, its model, and the scores by name.
 
-    Candidates: no drift, linear where the rows have times, tare where unloaded readings at two times allow it; each
-    also with a temperature coefficient of the offsets where temperatures change. Raises InputError as
-    fit_calibration() does where no candidate can be fitted.
+    Candidates are ``drifts``, by default no drift, linear where the rows have times, tare where unloaded readings at
+    two times allow it; each also with a temperature coefficient of the offsets where temperatures change. Raises
+    InputError as fit_calibration() does where the first candidate cannot be fitted.
     """
     fits: dict[str, tuple[Fit, Model]] = {}
     refused: InputError | None = None
-    for drift in _drifts(readings, model):
+    drifts = _drifts(readings, model) if drifts is None else drifts
+    for drift in drifts:
         for warm in (False, True) if _warms(readings, model) else (False,):
             tried = replace(model, drift=drift, temperature=warm)  # type: ignore[arg-type]
             try:
                 fits[f"{drift} and temperature" if warm else drift] = fit_calibration(readings, tried), tried
             except InputError as error:
                 refused = refused or error
-    if not fits:
-        raise refused or InputError("no model can be fitted to these rows")
-    if refused is not None and "none" not in fits:
+    if refused is not None and drifts[0] not in fits:
         raise refused
     best = max(fits, key=lambda name: fits[name][0].hold_out_score)
     return *fits[best], {name: fit.hold_out_score for name, (fit, _) in fits.items()}
@@ -271,16 +273,8 @@ def best_fit(readings: Readings, model: Model) -> tuple[Fit, Model, dict[str, fl
 
 def fit_with_drift(readings: Readings, model: Model) -> tuple[Fit, Model, dict[str, float]]:
     """Return the same for the drift of the model alone; only the temperature coefficient is chosen."""
-    fits = []
-    for warm in (False, True) if _warms(readings, model) else (False,):
-        tried = replace(model, temperature=warm)
-        try:
-            fits.append((fit_calibration(readings, tried), tried))
-        except InputError:
-            if not fits:
-                raise
-    fit, model = max(fits, key=lambda one: one[0].hold_out_score)
-    return fit, model, {model.drift: fit.hold_out_score}
+    fit, chosen, _ = best_fit(readings, model, [model.drift])
+    return fit, chosen, {chosen.drift: fit.hold_out_score}
 
 
 def _drifts(readings: Readings, model: Model) -> list[str]:

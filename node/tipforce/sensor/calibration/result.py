@@ -9,6 +9,7 @@ to either side: for bits that differ by 1e-15, once in a million values.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -211,19 +212,19 @@ def matrix_to_digits(C: npt.ArrayLike) -> FloatArray:
 def rounded(fit: Fit) -> Fit:
     """Return the fit with all that goes into a calibration file rounded; residuals and diagnoses as they are."""
     per_newton = float(np.max(np.abs(fit.A), initial=0.0))
+    others: dict[str, Any] = {name: to_digits(getattr(fit, name)) for name in _ROUNDED_MATRICES}
+    others |= {name: float(to_digits(getattr(fit, name))) for name in _ROUNDED_NUMBERS}
     return replace(
         fit,
         C=matrix_to_digits(fit.C),
         offset_strain=to_digits(fit.offset_strain, scale=per_newton),  # an offset near 0 is as uncertain as others
         C_uncertainty=matrix_to_digits(fit.C_uncertainty),
-        noise_covariance_strain2=to_digits(fit.noise_covariance_strain2),
-        residual_covariance_strain2=to_digits(fit.residual_covariance_strain2),
         N=to_digits(fit.N, NORMAL_DIGITS),
-        parameter_covariance=to_digits(fit.parameter_covariance),
-        coverage_factor=float(to_digits(fit.coverage_factor)),
-        sigma0=float(to_digits(fit.sigma0)),
-        dof=float(to_digits(fit.dof)),
-        noise_dof=float(to_digits(fit.noise_dof)),
-        condition_number=float(to_digits(fit.condition_number)),
-        row_equilibrated_condition_number=float(to_digits(fit.row_equilibrated_condition_number)),
+        **others,
     )
+
+
+_ROUNDED_MATRICES = ("noise_covariance_strain2", "residual_covariance_strain2", "parameter_covariance")
+_ROUNDED_NUMBERS = (
+    "coverage_factor", "sigma0", "dof", "noise_dof", "condition_number", "row_equilibrated_condition_number",
+)  # fmt: skip

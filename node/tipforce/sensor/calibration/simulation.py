@@ -12,7 +12,7 @@ from tipforce.sensor.calibration.regressors import grooves
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import Layout
-from tipforce.sensor.structure.published import X_GROOVES_DEG, Y_GROOVES_DEG
+from tipforce.sensor.structure.published import GROOVES_DEG
 from tipforce.sensor.structure.strain import strain_matrix
 
 
@@ -26,15 +26,9 @@ class Grooves:
 
 
 def paper_grooves() -> Grooves:
-    """Return the 19 grooves of section 4.1.
-
-    The paper does not state their sense; a rope can only pull away from the tip. So grooves along x pull to +x
-    (phi = 0) if theta is below 90 degrees and to -x (phi = 180) above; grooves along y pull up (phi = 90).
-    """
-    along_x = np.array([True] * len(X_GROOVES_DEG) + [False] * len(Y_GROOVES_DEG))
-    theta = np.radians(X_GROOVES_DEG + Y_GROOVES_DEG)
-    phi = np.where(along_x, np.where(theta < 0.5 * np.pi, 0.0, np.pi), 0.5 * np.pi)
-    return Grooves(theta, phi, along_x)
+    """Return the 19 grooves of section 4.1; those along y are those that pull up (phi = 90 degrees)."""
+    phi_deg, theta_deg = np.transpose(GROOVES_DEG)
+    return Grooves(np.radians(theta_deg), np.radians(phi_deg), phi_deg != 90.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from tipforce.sensor.calibration.regressors import OffsetBasis, reference_map
 from tipforce.sensor.calibration.result import Fit, LoadResidual
 from tipforce.sensor.calibration.solve import Problem, Solution
 from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.limits import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.strain import condition_number, row_equilibrated_condition_number
@@ -33,16 +34,6 @@ class Scales(NamedTuple):
         """Root mean square readings and loads."""
         typical = float(np.sqrt(np.mean(np.square(P_newtons[P_newtons > 0.0]))))
         return cls(float(np.sqrt(np.mean(np.square(strain)))) or 1.0, typical)
-
-
-def left_inverse(A: FloatArray, Sigma: FloatArray) -> FloatArray:
-    """Return C (3, n) with C A = I and the least noise: (A^T W A)^-1 A^T W with W the inverse of Sigma (n, n).
-
-    Sigma must be the covariance that goes into the calibration record: from the two a node with more than three
-    gauges gets A back, and a C of other weights would give it a wrong one.
-    """
-    whitener = np.linalg.inv(np.linalg.cholesky(Sigma))
-    return np.asarray(np.linalg.pinv(whitener @ A) @ whitener, dtype=np.float64)
 
 
 def matrix_uncertainty(A: FloatArray, C: FloatArray, Sigma: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -82,7 +73,8 @@ def result(
     solved = np.einsum("ip,kplq,jq->kilj", L, solution.covariance, L)
     covariance[:, : len(L), :, : len(L)] = solved * unit[:, np.newaxis, np.newaxis] * unit
     Sigma = solution.Sigma * scales.strain**2
-    C = left_inverse(A, Sigma)
+    # By the covariance that the record holds: from the two a node with more than three gauges gets A back.
+    C = weighted_inverse(A, Sigma)
     residual = solution.unexplained * scales.strain
     noise_dof = solution.dof if model.noise_strain is None else float("inf")
     sigma0, loaded, unloaded = _sizes(problem, solution, readings.P_newtons > 0.0)

@@ -193,29 +193,6 @@ def respond(modes: Modes, loads_newtons: npt.ArrayLike, step_s: float, start: St
     return Response(z @ modes.force_shape.T, State(z[-1], w[-1]))
 
 
-def respond_at(
-    modes: Modes, times_s: npt.ArrayLike, loads_newtons: npt.ArrayLike, start: State | None = None
-) -> Response:
-    """Return the same for samples at any rising times (m,). Equal times are a jump of the load.
-
-    Raises InputError for shapes that do not fit, or times that fall or are not finite.
-    """
-    t, F = floats("times_s", times_s), checked_loads(loads_newtons)
-    if t.shape != (len(F),) or not np.isfinite(t).all() or (np.diff(t) < 0.0).any():
-        raise InputError(f"times of shape {t.shape}: allowed are {len(F)} finite numbers that do not fall")
-    g = F @ modes.load_shape.T
-    z, w = start or at_rest(modes)
-    positions = [z]
-    for k in range(len(t) - 1):
-        c = np.array(holds(modes, float(t[k + 1] - t[k]))).T
-        z, w = (
-            c[0] * z + c[1] * w + c[4] * g[k] + c[5] * g[k + 1],
-            c[2] * z + c[3] * w + c[6] * g[k] + c[7] * g[k + 1],
-        )
-        positions.append(z)
-    return Response(np.array(positions) @ modes.force_shape.T, State(z, w))
-
-
 def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
     """Return loads as (m, 3), m at least 1. Raises InputError for another shape."""
     F = floats("loads", loads_newtons)

@@ -22,9 +22,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.structure.gauges import GaugePosition, nominal_position
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import Layout, layout
-
-POISSON_RATIO = 0.29
-"""Of steel; an assumption, not in the paper."""
+from tipforce.sensor.structure.plane_frame import POISSON_RATIO
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,16 +96,14 @@ def torsion_constants(width_m: float, thickness_m: float) -> tuple[float, float]
     return J, J / (thickness_m * shear)
 
 
-def wrench_strain_matrix(
-    geometry: Geometry, gauges: list[PlacedGauge], *, warping_held: bool = False, poisson_ratio: float = POISSON_RATIO
-) -> FloatArray:
+def wrench_strain_matrix(geometry: Geometry, gauges: list[PlacedGauge], *, warping_held: bool = False) -> FloatArray:
     """Return the strain per unit of a wrench on the tip, shape (n, 6), tension positive.
 
     The wrench is (Fx, Fy, Fz, Mx, My, Mz) about the middle of the horizontal beam, newtons and newton metres.
     Raises InputError for a beam that is thicker than wide.
     """
-    horizontal = _section(geometry, geometry.a_m, geometry.h1_m, warping_held, poisson_ratio)
-    vertical = _section(geometry, geometry.d_m, geometry.h2_m, warping_held, poisson_ratio)
+    horizontal = _section(geometry, geometry.a_m, geometry.h1_m, warping_held)
+    vertical = _section(geometry, geometry.d_m, geometry.h2_m, warping_held)
     arms = _arm_loads(horizontal)
     rows = []
     for gauge in gauges:
@@ -116,7 +112,7 @@ def wrench_strain_matrix(
         else:
             strain, shear = _on_stem(geometry, vertical, gauge)
         c, s = cos(gauge.misalignment_rad), sin(gauge.misalignment_rad)
-        rows.append(strain * (c * c - poisson_ratio * s * s) + shear * (s * c))
+        rows.append(strain * (c * c - POISSON_RATIO * s * s) + shear * (s * c))
     return np.array(rows, dtype=np.float64).reshape(-1, 6)
 
 
@@ -158,15 +154,16 @@ def apparent_force(
     that place; the worst combination of signs and the worst wrench count. inward_m: distance of the gauges' middles
     from the fixed ends. Raises InputError for an unusable layout, or wrenches of another shape.
     """
-    points, wrenches = layout(gauges), np.atleast_2d(floats("wrenches", wrenches))
+    nominal = [nominal_position(geometry, point) for point in layout(gauges)]
+    places = [place._replace(position_m=abs(place.position_m - inward_m)) for place in nominal]
+    wrenches = np.atleast_2d(floats("wrenches", wrenches))
     if wrenches.ndim != 2 or wrenches.shape[1] != 6 or not len(wrenches):
         raise InputError(f"wrenches have the shape {wrenches.shape}: allowed is (m, 6)")
-    magnitudes = (lateral_offset_m, misalignment_rad)
     worst = np.zeros(3)
-    for signs in itertools.product((-1.0, 1.0), repeat=len(points)):
+    for signs in itertools.product((-1.0, 1.0), repeat=len(places)):
         placed = [
-            PlacedGauge(_inward(geometry, point, inward_m), sign * magnitudes[0], sign * magnitudes[1])
-            for point, sign in zip(points, signs, strict=True)
+            PlacedGauge(place, sign * lateral_offset_m, sign * misalignment_rad)
+            for place, sign in zip(places, signs, strict=True)
         ]
         matrix = wrench_strain_matrix(geometry, placed, warping_held=warping_held)
         F = wrenches @ matrix.T @ np.linalg.pinv(planar_part(geometry, matrix)).T
@@ -175,14 +172,9 @@ def apparent_force(
     return ApparentForce(*(float(value) for value in worst))
 
 
-def _inward(geometry: Geometry, point: str, inward_m: float) -> GaugePosition:
-    place = nominal_position(geometry, point)
-    return place._replace(position_m=abs(place.position_m - inward_m))
-
-
-def _section(geometry: Geometry, length_m: float, h: float, warping_held: bool, poisson_ratio: float) -> _Section:
+def _section(geometry: Geometry, length_m: float, h: float, warping_held: bool) -> _Section:
     b, E = geometry.width_m, geometry.youngs_modulus_pascals
-    G = 0.5 * E / (1.0 + poisson_ratio)
+    G = 0.5 * E / (1.0 + POISSON_RATIO)
     J, W = torsion_constants(b, h)
     return _Section(
         length_m=length_m,
@@ -203,13 +195,14 @@ def _arm_loads(beam: _Section) -> dict[str, FloatArray]:
 
     The arms share the wrench as two springs in parallel between rigid bodies do.
     """
-    stiffness = {}
-    transform = {}
+    L, in_plane, out = beam.length_m, beam.bend_in_plane, beam.bend_out_of_plane
+    twist = beam.torsion_length() / beam.twist
+    diagonal = [L / beam.axial, L**3 / 3 / in_plane, L**3 / 3 / out, twist, L / out, L / in_plane]
+    stiffness, transform = {}, {}
     for side, sign in (("left", -1.0), ("right", 1.0)):
-        flexibility = np.diag(_cantilever_diagonal(beam))
-        L = beam.length_m
-        flexibility[1, 5] = flexibility[5, 1] = 0.5 * sign * L * L / beam.bend_in_plane
-        flexibility[2, 4] = flexibility[4, 2] = -0.5 * sign * L * L / beam.bend_out_of_plane
+        flexibility = np.diag(diagonal)
+        flexibility[1, 5] = flexibility[5, 1] = 0.5 * sign * L * L / in_plane
+        flexibility[2, 4] = flexibility[4, 2] = -0.5 * sign * L * L / out
         stiffness[side] = np.linalg.inv(flexibility)
         # A rotation of the tip moves the arm's end at (sign L, 0, 0): theta x p.
         transform[side] = np.eye(6)
@@ -217,18 +210,6 @@ def _arm_loads(beam: _Section) -> dict[str, FloatArray]:
     total = sum(transform[side].T @ stiffness[side] @ transform[side] for side in transform)
     motion = np.linalg.inv(np.asarray(total))
     return {side: stiffness[side] @ transform[side] @ motion for side in transform}
-
-
-def _cantilever_diagonal(beam: _Section) -> list[float]:
-    L, in_plane, out = beam.length_m, beam.bend_in_plane, beam.bend_out_of_plane
-    return [
-        L / beam.axial,
-        L**3 / 3 / in_plane,
-        L**3 / 3 / out,
-        beam.torsion_length() / beam.twist,
-        L / out,
-        L / in_plane,
-    ]
 
 
 def _on_arm(beam: _Section, arms: dict[str, FloatArray], gauge: PlacedGauge) -> tuple[FloatArray, FloatArray]:

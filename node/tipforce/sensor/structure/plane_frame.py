@@ -39,50 +39,34 @@ stress): equivalent to a beam that is 0.48 h longer.
 """
 
 
-class RootCompliance(NamedTuple):
-    """Compliance of a clamped end: springs in series with the beam, dimensionless; 0 is rigid."""
-
-    rotation: float = 0.0
-    """E b h^2 times rotation per moment; HALF_PLANE_ROTATION for a large wall."""
-    along: float = 0.0
-    """E b times displacement along the beam per force. A half plane has no value of its own: its displacement
-    grows with the logarithm of the distance to where it is held."""
-    across: float = 0.0
-    """E b times displacement across the beam per force."""
-
-
-RIGID = RootCompliance()
+SHEAR_COEFFICIENT = 5.0 / 6.0
+"""Timoshenko's kappa of a rectangle; Cowper's 10 (1 + nu) / (12 + 11 nu) is 0.849."""
+POISSON_RATIO = 0.29
+"""Of steel; an assumption, not in the paper."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameModel:
-    """Assumptions on the beams, their roots and the joint. Raises InputError for values out of range."""
+    """Assumptions on the beams, their roots and the joint. Raises InputError for a root out of range."""
 
     shear: bool = False
     """True: Timoshenko beams, with shear deformation. False: Euler-Bernoulli."""
-    shear_coefficient: float = 5.0 / 6.0
-    """Timoshenko's kappa of a rectangle; Cowper's 10 (1 + nu) / (12 + 11 nu) is 0.849."""
-    poisson_ratio: float = 0.29
-    root: RootCompliance = RIGID
-    """At each of the six beam ends, the joint's included."""
+    root_rotation: float = 0.0
+    """E b h^2 times rotation per moment of each of the six beam ends, the joint's included: a spring in series with the
+    beam; 0 is rigid, HALF_PLANE_ROTATION a large wall."""
     finite_joint: bool = False
     """True: the joint is a rigid block h2 wide, the arms start at its sides. False: they meet at its middle,
     as in Table 1. In both the vertical beam starts h1 / 2 below the middle."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.shear_coefficient <= 1.0:
-            raise InputError(f"shear_coefficient = {self.shear_coefficient!r}: allowed is above 0, at most 1")
-        if not -1.0 < self.poisson_ratio <= 0.5:
-            raise InputError(f"poisson_ratio = {self.poisson_ratio!r}: allowed is above -1, at most 0.5")
-        for name, value in self.root._asdict().items():
-            if not 0.0 <= value < math.inf:
-                raise InputError(f"root compliance {name} = {value!r}: allowed is 0 (rigid) or more, finite")
+        if not 0.0 <= self.root_rotation < math.inf:
+            raise InputError(f"root_rotation = {self.root_rotation!r}: allowed is 0 (rigid) or more, finite")
 
 
 EULER_BERNOULLI = FrameModel()
 """The assumptions of Table 1."""
 TIMOSHENKO = FrameModel(shear=True)
-ELASTIC_ROOTS = FrameModel(shear=True, root=RootCompliance(rotation=HALF_PLANE_ROTATION))
+ELASTIC_ROOTS = FrameModel(shear=True, root_rotation=HALF_PLANE_ROTATION)
 """Shear and roots that rotate: the closest of the three to a real body."""
 
 
@@ -203,16 +187,19 @@ def _element(start: tuple[float, float], end: tuple[float, float], thickness: fl
     turn = np.zeros((3, 3))
     turn[:2, :2], turn[2, 2] = axes, 1.0
     rigid_link = np.array([[1.0, 0.0, -b[1]], [0.0, 1.0, b[0]], [0.0, 0.0, 1.0]])
-    stiffness = _with_springs(_stiffness(length, thickness, model), thickness, model.root)
+    stiffness = _stiffness(length, thickness, model)
+    if model.root_rotation:  # springs in series at both ends: f = K (u - C f), so f = (I + K C)^-1 K u
+        springs = np.array([0.0, 0.0, model.root_rotation / thickness / thickness] * 2)
+        stiffness = np.linalg.solve(np.eye(6) + stiffness * springs, stiffness)
     return _Element(thickness, a, length, axes, stiffness, turn @ rigid_link)
 
 
 def _stiffness(length: float, thickness: float, model: FrameModel) -> FloatArray:
     """Return the 6 x 6 stiffness matrix of a beam if E = width = 1 (Przemieniecki, Matrix Structural Analysis, 5.6)."""
     h, L = thickness, length
-    shear_modulus = 0.5 / (1.0 + model.poisson_ratio)
+    shear_modulus = 0.5 / (1.0 + POISSON_RATIO)
     slender = h / L
-    Phi = slender * slender / (shear_modulus * model.shear_coefficient) if model.shear else 0.0
+    Phi = slender * slender / (shear_modulus * SHEAR_COEFFICIENT) if model.shear else 0.0
     k = slender * slender * slender / (12.0 * (1.0 + Phi))
     bend = k * np.array(
         [
@@ -226,14 +213,6 @@ def _stiffness(length: float, thickness: float, model: FrameModel) -> FloatArray
     K[np.ix_([0, 3], [0, 3])] = slender * np.array([[1.0, -1.0], [-1.0, 1.0]])
     K[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])] = bend
     return K
-
-
-def _with_springs(K: FloatArray, thickness: float, root: RootCompliance) -> FloatArray:
-    """Add springs in series at both ends: f = K (u - C f), so f = (I + K C)^-1 K u. C = 0 leaves K unchanged."""
-    end = [root.along, root.across, root.rotation / thickness / thickness]
-    if not any(end):
-        return K
-    return np.linalg.solve(np.eye(6) + K * np.array(end * 2), K)
 
 
 def _surface_strain(element: _Element, motion: FloatArray, s: float, outward: float) -> FloatArray:

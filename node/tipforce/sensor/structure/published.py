@@ -39,13 +39,14 @@ MEASURED_MATRICES = {
 """Section 4.3: C of equation (1) "without scaling", hence in a unit of its own; three decimals."""
 HALF_DIGIT = 0.0005
 
-X_GROOVES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 120.0, 135.0, 150.0, 165.0, 175.0)
-"""Section 4.1: contact angles of the grooves along x."""
-Y_GROOVES_DEG = (30.0, 45.0, 60.0, 75.0, 90.0, 105.0, 120.0, 135.0, 150.0)
-GROOVES_DEG = tuple((0.0 if theta < 90.0 else 180.0, theta) for theta in X_GROOVES_DEG) + tuple(
-    (90.0, theta) for theta in Y_GROOVES_DEG
+_X_GROOVES_DEG = (5.0, 15.0, 30.0, 45.0, 60.0, 120.0, 135.0, 150.0, 165.0, 175.0)
+_Y_GROOVES_DEG = (30.0, 45.0, 60.0, 75.0, 90.0, 105.0, 120.0, 135.0, 150.0)
+GROOVES_DEG = (
+    *((0.0 if theta < 90.0 else 180.0, theta) for theta in _X_GROOVES_DEG),
+    *((90.0, theta) for theta in _Y_GROOVES_DEG),
 )
-"""(phi, theta) of the 19 grooves. The paper does not state their sense; a rope can only pull away from the tip."""
+"""Section 4.1: (phi, theta) of the 10 grooves along x and the 9 along y. The paper does not state their sense; a rope
+can only pull away from the tip: along x to +x (phi = 0) below theta = 90 degrees, else to -x (180), along y up."""
 CALIBRATION_WEIGHT_NEWTONS = 4.4
 CALIBRATION_THETA_DEG = (0.0, 90.0)
 """Section 4.3: the grooves between which the matrices were fitted."""
