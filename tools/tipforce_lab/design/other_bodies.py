@@ -20,19 +20,18 @@ from tipforce.sensor.structure.layouts import CASES, Layout
 from tipforce.sensor.structure.limits import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import calibration_matrix, condition_number, noise_gain, strain_matrix
-from tipforce_lab.design.tables import Record, Section, condition_at_length, condition_numbers_by_unit, moment_units
+from tipforce_lab.design.tables import (
+    MICRO,
+    MM,
+    Record,
+    Section,
+    condition_at_length,
+    condition_numbers_by_unit,
+    moment_units,
+)
 
-
-class Comparator(NamedTuple):
-    """A sensor that the paper compares with (section 1)."""
-
-    reference: str
-    axes: int
-    condition: float
-    """As printed."""
-
-
-COMPARATORS = (Comparator("[5]", 6, 4.2), Comparator("[11]", 3, 20.05))
+COMPARATORS = (("[5]", 6, 4.2), ("[11]", 3, 20.05))
+"""Reference, axes and printed condition number of the sensors that the paper compares with (section 1)."""
 
 
 def condition_range(condition: float, from_length_m: float, to_length_m: float) -> tuple[float, float]:
@@ -105,15 +104,12 @@ def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record
     stress, noise = worst_stress(body, 1.0), noise_gain(calibration_matrix(body, gauges))
     moving = modes(body, 0.0, half_cylinder(body, material.density_kg_m3))
     yield_newtons, slit_newtons = material.yield_pascals / stress, PAPER_SLIT_M / slit_closure(body, 1.0)
+    largest = min(yield_newtons, slit_newtons)
     return {
         "strain_ue": stress / material.youngs_modulus_pascals * CALIBRATION_WEIGHT_NEWTONS * MICRO,
-        "noise_gain_N_per_ue": noise / MICRO,
-        "yield_N": yield_newtons,
-        "slit_N": slit_newtons,
-        "largest_N": min(yield_newtons, slit_newtons),
-        "range_over_noise": min(yield_newtons, slit_newtons) / noise * MICRO,
-        "frequency_hz": float(min(moving.omega_rad_s)) / (2.0 * math.pi),
-    }
+        "noise_gain_N_per_ue": noise / MICRO, "yield_N": yield_newtons, "slit_N": slit_newtons, "largest_N": largest,
+        "range_over_noise": largest / noise * MICRO, "frequency_hz": float(min(moving.omega_rad_s)) / (2.0 * math.pi),
+    }  # fmt: skip
 
 
 def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: bool) -> Record:
@@ -130,18 +126,14 @@ def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: boo
     matrix = strain_matrix(body, gauges)
     off = [half] * (len(matrix) - 1) + [half + 0.2e-3]
     return {
-        "beams": "kept" if keep_thickness else "scaled",
-        "r_mm": body.r_m * MM,
-        "h_mm": [body.h1_m * MM, body.h2_m * MM],
-        "slenderness": body.a_m / body.h1_m,
-        **figures_of(body, STEEL_4340, gauges),
-        "condition": condition_number(matrix),
+        "beams": "kept" if keep_thickness else "scaled", "r_mm": body.r_m * MM,
+        "h_mm": [body.h1_m * MM, body.h2_m * MM], "slenderness": body.a_m / body.h1_m,
+        **figures_of(body, STEEL_4340, gauges), "condition": condition_number(matrix),
         "condition_of_gauges": condition_number(shifted_matrix(body, gauges, half)),
         "condition_of_shift": condition_number(shifted_matrix(body, gauges, off)),
-    }
+    }  # fmt: skip
 
 
-MM, MICRO = 1e3, 1e6
 SCALES = (1.0, 0.75, 0.5, 1.0 / 3.0, 0.25)
 
 
@@ -157,18 +149,16 @@ def comparators_section(geometry: Geometry) -> Section:
                 **{f"in {unit}": value for unit, value in condition_numbers_by_unit(geometry, case).items()},
                 "smallest": condition_at_length(geometry, case, best), "smallest_at_mm": best * MM,
                 "equal_at_mm": [
-                    [length * MM for length in lengths_of_condition(geometry, case, comparator.condition)]
-                    for comparator in COMPARATORS
+                    [length * MM for length in lengths_of_condition(geometry, case, condition)]
+                    for _, _, condition in COMPARATORS
                 ],
             }
         )  # fmt: skip
-    for comparator in COMPARATORS:
-        printed_in = {
-            unit: list(condition_range(comparator.condition, length, geometry.r_m)) for unit, length in units.items()
-        }
+    for reference, axes, condition in COMPARATORS:
+        printed_in = {unit: list(condition_range(condition, length, geometry.r_m)) for unit, length in units.items()}
         records.append(
             {
-                "sensor": comparator.reference, "axes": comparator.axes, "printed": comparator.condition,
+                "sensor": reference, "axes": axes, "printed": condition,
                 "at_M_r_if_printed_in": printed_in,
                 **{f"if in {unit}": values for unit, values in printed_in.items()},
             }
@@ -178,24 +168,17 @@ def comparators_section(geometry: Geometry) -> Section:
 
 _COMPARATORS_TITLE = "Section 1. The comparators [5] and [11] beside Table 3, moments as M / r with r = 15 mm"
 _COMPARATORS_COLUMNS = {
-    "sensor": "sensor",
-    "axes": "axes",
-    "printed": "paper",
-    "in M/r": "in M/r",
-    "in N mm": "in N mm",
-    "in N m": "in N m",
-    "smallest": "smallest",
-    "smallest_at_mm": "at (mm)",
-    "if in N mm": "M/r, if N mm printed",
+    "sensor": "sensor", "axes": "axes", "printed": "paper", "in M/r": "in M/r", "in N mm": "in N mm",
+    "in N m": "in N m", "smallest": "smallest", "smallest_at_mm": "at (mm)", "if in N mm": "M/r, if N mm printed",
     "if in N m": "M/r, if N m printed",
-}
+}  # fmt: skip
 
 
 def _comparators_notes(geometry: Geometry) -> list[str]:
     ranges = []
-    for comparator in COMPARATORS:
-        low, high = lengths_of_condition(geometry, "I", comparator.condition)
-        ranges.append(f"{comparator.condition:g} with M / {low * MM:.2g} mm or M / {high * MM:.0f} mm")
+    for _, _, condition in COMPARATORS:
+        low, high = lengths_of_condition(geometry, "I", condition)
+        ranges.append(f"{condition:g} with M / {low * MM:.2g} mm or M / {high * MM:.0f} mm")
     return [
         "The paper prints one number for each comparator, no matrix and no unit. Another unit of the moment changes a "
         "condition number by at most the ratio of the lengths, up or down; the last two columns are these ranges.",
@@ -208,14 +191,10 @@ def _comparators_notes(geometry: Geometry) -> list[str]:
 
 
 _FIGURES_COLUMNS = {
-    "strain_ue": "microstrain at 4.4 N",
-    "noise_gain_N_per_ue": "noise N/ue",
-    "yield_N": "yield (N)",
-    "slit_N": "slit closes (N)",
-    "largest_N": "largest load (N)",
-    "range_over_noise": "load / noise",
+    "strain_ue": "microstrain at 4.4 N", "noise_gain_N_per_ue": "noise N/ue", "yield_N": "yield (N)",
+    "slit_N": "slit closes (N)", "largest_N": "largest load (N)", "range_over_noise": "load / noise",
     "frequency_hz": "lowest mode (Hz)",
-}
+}  # fmt: skip
 
 
 def materials_section(geometry: Geometry) -> Section:
@@ -252,19 +231,11 @@ def scaling_section(geometry: Geometry) -> Section:
 
 
 _SCALING_COLUMNS = {
-    "beams": "h1, h2",
-    "r_mm": "r = a = d (mm)",
-    "h_mm": "h1 h2 (mm)",
-    "slenderness": "a/h1",
-    "strain_ue": "microstrain at 4.4 N",
-    "noise_gain_N_per_ue": "noise N/ue",
-    "yield_N": "yield (N)",
-    "slit_N": "slit closes (N)",
-    "frequency_hz": "lowest mode (Hz)",
-    "condition": "cond",
-    "condition_of_gauges": "1 mm gauges",
-    "condition_of_shift": "U 0.2 mm off",
-}
+    "beams": "h1, h2", "r_mm": "r = a = d (mm)", "h_mm": "h1 h2 (mm)", "slenderness": "a/h1",
+    "strain_ue": "microstrain at 4.4 N", "noise_gain_N_per_ue": "noise N/ue", "yield_N": "yield (N)",
+    "slit_N": "slit closes (N)", "frequency_hz": "lowest mode (Hz)", "condition": "cond",
+    "condition_of_gauges": "1 mm gauges", "condition_of_shift": "U 0.2 mm off",
+}  # fmt: skip
 _SCALING = [
     "Width scales with r. All dimensions scaled: strain per newton grows as 1/r^2, so at half the size 4.4 N make 3600 "
     "microstrain, beyond most foil gauges' converters, and at a third they pass the yield load: such a finger is for "

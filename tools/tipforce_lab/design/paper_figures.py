@@ -121,19 +121,14 @@ def simulate_groove_errors(
         V = fitted @ A.T + rng.normal(0.0, noise_strain, (len(fitted), 3))
         C = np.linalg.inv(np.linalg.lstsq(fitted, V, rcond=None)[0].T)
         readings = F @ A.T + rng.normal(0.0, noise_strain, F.shape)
-        errors[index] = _contact_errors(force_from_strain(C, readings), grooves, P_newtons)
+        found = contacts(force_from_strain(C, readings), pull=True)
+        off = found.P_newtons - P_newtons, found.phi_rad - grooves.phi_rad, found.theta_rad - grooves.theta_rad
+        errors[index] = np.stack(off, axis=-1)
+    errors[..., 1:] = (errors[..., 1:] + np.pi) % (2.0 * np.pi) - np.pi
     C = calibration_matrix(geometry, gauges)
     leverage = np.einsum("ni,ij,nj->n", F, np.linalg.inv(fitted.T @ fitted), F)
     covariances = noise_strain**2 * (1.0 + leverage[:, np.newaxis, np.newaxis]) * (C @ C.T)
     return GrooveErrors(grooves, errors, standard_uncertainties(F, covariances, pull=True))
-
-
-def _contact_errors(F: FloatArray, grooves: Grooves, P_newtons: float) -> FloatArray:
-    estimated = contacts(F, pull=True)
-    off = estimated.P_newtons - P_newtons, estimated.phi_rad - grooves.phi_rad, estimated.theta_rad - grooves.theta_rad
-    errors: FloatArray = np.stack(off, axis=-1)
-    errors[:, 1:] = (errors[:, 1:] + np.pi) % (2.0 * np.pi) - np.pi
-    return errors
 
 
 SHIFTS_MM = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
@@ -147,16 +142,11 @@ def figure_6_section(geometry: Geometry) -> Section:
         conditions = condition_against_shift(geometry, case, np.array(SHIFTS_MM) * 1e-3)
         slopes = slopes_per_mm(geometry, case)
         for index, moved in enumerate(("SG1", "SG2", "SG3", "all")):
-            records.append(
-                {
-                    "case": case,
-                    "moved": moved,
-                    "gauge": LAYOUTS[case][index] if index < 3 else "",
-                    "shift_mm": SHIFTS_MM,
-                    "condition": conditions[index].tolist(),
-                    "slope_per_mm": slopes[index] if index < 3 else sum(slopes),
-                }
-            )
+            gauge, slope = (LAYOUTS[case][index], slopes[index]) if index < 3 else ("", sum(slopes))
+            records.append({
+                "case": case, "moved": moved, "gauge": gauge, "shift_mm": SHIFTS_MM,
+                "condition": conditions[index].tolist(), "slope_per_mm": slope,
+            })  # fmt: skip
     columns = {"case": "case", "moved": "moved", "gauge": "at", "slope_per_mm": "slope 1/mm"}
     columns |= {f"condition.{index}": f"{mm:g} mm" for index, mm in enumerate(SHIFTS_MM)}
     title = "Figure 6. Condition number against the shift of gauges inward along their beams"
@@ -202,29 +192,19 @@ def figure_9_section(geometry: Geometry, noise_ue: float, repeats: int, seed: in
             in_units = zip(_NAMES, values[index] * _UNITS, strict=True)
             record |= {f"{what}_{name}": float(value) for name, value in in_units}
         records.append(record)
-    return Section(
-        "fig9",
+    title = (
         f"Figure 9. Case {FIGURE_9_CASE}, {CALIBRATION_WEIGHT_NEWTONS:g} N, gauge noise {noise_ue:g} microstrain, "
-        f"{repeats} simulated calibrations (seed {seed})",
-        _FIGURE_9_COLUMNS,
-        records,
-        _FIGURE_9_NOTES,
+        f"{repeats} simulated calibrations (seed {seed})"
     )
+    return Section("fig9", title, _FIGURE_9_COLUMNS, records, _FIGURE_9_NOTES)
 
 
 _NAMES, _UNITS = ("P_N", "phi_deg", "theta_deg"), np.array([1.0, degrees(1.0), degrees(1.0)])
 _FIGURE_9_COLUMNS = {
-    "groove": "groove",
-    "theta_deg": "theta",
-    "phi_deg": "phi",
-    "u_P_N": "u(P) N",
-    "std_P_N": "found",
-    "u_phi_deg": "u(phi) deg",
-    "std_phi_deg": "found",
-    "u_theta_deg": "u(theta) deg",
-    "std_theta_deg": "found",
+    "groove": "groove", "theta_deg": "theta", "phi_deg": "phi", "u_P_N": "u(P) N", "std_P_N": "found",
+    "u_phi_deg": "u(phi) deg", "std_phi_deg": "found", "u_theta_deg": "u(theta) deg", "std_theta_deg": "found",
     "max_theta_deg": "largest",
-}
+}  # fmt: skip
 _FIGURE_9_NOTES = [
     "The figure's numbers are not in the paper's text, so this shows the effect of noise only, not their data. "
     "u: first-order standard uncertainty of reading and calibration together; found: standard deviation of the "
@@ -248,36 +228,22 @@ def off_axis_section(geometry: Geometry) -> Section:
             apparent_force, geometry, case, lateral_offset_m=offset_m, misalignment_rad=angle_rad, warping_held=held
         )
         z, centre, inward = placed(along_z), placed(off_centre), placed(along_z, inward_m=0.5 * GAUGE_LENGTH_M)
-        records.append(
-            {
-                "case": case,
-                "placement": name,
-                "lateral_offset_mm": offset_m * 1e3,
-                "misalignment_deg": round(degrees(angle_rad), 9),
-                "warping": "held" if held else "free",
-                "P_per_N_of_z": z.P_newtons,
-                "F2_per_N_of_z": z.F2_newtons,
-                "F_per_N_of_z": z.norm_newtons,
-                "F_per_N_of_z_half_mm_inward": inward.norm_newtons,
-                "P_per_N_and_mm_off_centre": centre.P_newtons,
-                "F_per_N_and_mm_off_centre": centre.norm_newtons,
-            }
-        )
+        records.append({
+            "case": case, "placement": name, "lateral_offset_mm": offset_m * 1e3,
+            "misalignment_deg": round(degrees(angle_rad), 9), "warping": "held" if held else "free",
+            "P_per_N_of_z": z.P_newtons, "F2_per_N_of_z": z.F2_newtons, "F_per_N_of_z": z.norm_newtons,
+            "F_per_N_of_z_half_mm_inward": inward.norm_newtons, "P_per_N_and_mm_off_centre": centre.P_newtons,
+            "F_per_N_and_mm_off_centre": centre.norm_newtons,
+        })  # fmt: skip
     return Section("off-axis", _OFF_AXIS_TITLE, _OFF_AXIS_COLUMNS, records, _OFF_AXIS_NOTES)
 
 
 _OFF_AXIS_TITLE = "Section 3.3. Newtons of apparent force from loads out of the plane, worst theta, phi and signs"
 _OFF_AXIS_COLUMNS = {
-    "case": "case",
-    "placement": "each gauge",
-    "warping": "warping",
-    "P_per_N_of_z": "P per N along z",
-    "F2_per_N_of_z": "F2",
-    "F_per_N_of_z": "|F|",
-    "F_per_N_of_z_half_mm_inward": "|F|, gauges 0.5 mm in",
-    "P_per_N_and_mm_off_centre": "P per N, 1 mm off centre",
-    "F_per_N_and_mm_off_centre": "|F|",
-}
+    "case": "case", "placement": "each gauge", "warping": "warping", "P_per_N_of_z": "P per N along z",
+    "F2_per_N_of_z": "F2", "F_per_N_of_z": "|F|", "F_per_N_of_z_half_mm_inward": "|F|, gauges 0.5 mm in",
+    "P_per_N_and_mm_off_centre": "P per N, 1 mm off centre", "F_per_N_and_mm_off_centre": "|F|",
+}  # fmt: skip
 _OFF_AXIS_NOTES = [
     "The paper: the influence of off-axis loads is intrinsically negligible, because the thin beams hardly bend along "
     "z and because the shear of torsion vanishes at fixed ends. Exactly true for centred, axial gauges: they lie on "

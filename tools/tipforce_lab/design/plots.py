@@ -22,7 +22,7 @@ from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
 from tipforce_lab.design.paper_figures import condition_against_shift, simulate_groove_errors
-from tipforce_lab.design.tables import Section, ranked_layouts
+from tipforce_lab.design.tables import MM, Section, ranked_layouts
 from tipforce_lab.plotting import new_figure, plotting
 
 if TYPE_CHECKING:
@@ -53,7 +53,6 @@ def draw(what: str, directory: Path, kind: str, noise: float, repeats: int, seed
 
     makers: dict[str, list[tuple[str, Callable[[], Figure]]]] = {
         "1": [("cross-section", cross_section)],
-        "2": [],
         "3": [("condition-and-noise", condition_and_noise)],
         "fig6": [("figure-6", figure_6)],
         "fig9": [("grooves", groove_directions), ("figure-9", lambda: figure_9(noise, repeats, seed))],
@@ -61,7 +60,7 @@ def draw(what: str, directory: Path, kind: str, noise: float, repeats: int, seed
     }
     make_folder(directory)
     for name in makers if what == "all" else (what,):
-        for stem, make in makers[name]:
+        for stem, make in makers.get(name, ()):
             path = directory / f"{stem}.{kind}"
             with plotting(STYLE):
                 save_figure(make(), path)
@@ -195,7 +194,6 @@ def draw_sweep(path: Path, section: Section) -> None:
         save_figure(figure, path)
 
 
-MM = 1e3
 LEG_MM, LEG_TOP_MM, SLIT_MM = 2.0, 2.5, 0.25
 """Legs: assumed, outside of a because a = r leaves no space for them. The slit is the paper's cutting line."""
 BODY, BEAM = "#d9d9d9", "#8c8c8c"

@@ -2,104 +2,62 @@
 
 from __future__ import annotations
 
+from tipforce.sensor.structure import published
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
-from tipforce.sensor.structure.published import (
-    CALIBRATION_WEIGHT_NEWTONS,
-    MEASURED_MATRICES,
-    TABLE_2,
-    TABLE_3_MEASUREMENT,
-    TABLE_3_SIMULATION,
-    TABLE_3_THEORY,
-)
 from tipforce.sensor.structure.strain import thin_limit_matrix
+from tipforce_lab.design import tables
 from tipforce_lab.design.paper_figures import shift_to_reach
-from tipforce_lab.design.tables import (
-    THIN_UNIT,
-    Section,
-    condition_numbers_by_unit,
-    nearest_common_shifts,
-    ranked_layouts,
-    reading,
-    rounding_range,
-    shared_gauge_disagreement,
-    table_1,
-    table_2,
-    table_3,
-    ties,
-)
-
-MM = 1e3
-MICRO = 1e6
+from tipforce_lab.design.tables import MICRO, MM, Record, Section
 
 
 def table_1_section(geometry: Geometry) -> Section:
     """Return table 1: formulas, numbers with the paper's signs, and strain per newton with tension positive."""
-    records = [
+    records: list[Record] = [
         {
-            "point": row.point,
-            "symbols": row.symbols,
-            "stress_per_mm": [g * 1e-3 for g in row.per_metre],
+            "point": row.point, "symbols": row.symbols, "stress_per_mm": [g * 1e-3 for g in row.per_metre],
             "strain_ue_per_newton": [g * MICRO for g in row.strain_per_newton],
         }
-        for row in table_1(geometry)
-    ]
-    return Section(
-        "1",
-        "Table 1. sigma = P (g1 sin(phi) + g2 sin(phi - theta) + g3 cos(phi))",
-        {
-            "point": "point",
-            "symbols": "g1, g2, g3 (stress x width / load)",
-            "stress_per_mm": "1/mm, the paper's signs",
-            "strain_ue_per_newton": "microstrain/N, tension +",
-        },
-        records,
-        [
-            "Equations (2) to (15) give exactly these formulas. The stress is per unit width: divide by the width. The "
-            "paper counts tension positive on the horizontal beam (L, R, K_H, S_H) and compression positive on the "
-            "vertical one (T, U, K_V, S_V); a gauge reads one sign, so the strains count tension positive everywhere. "
-            "Condition numbers are the same either way."
-        ],
+        for row in tables.table_1(geometry)
+    ]  # fmt: skip
+    columns = {
+        "point": "point", "symbols": "g1, g2, g3 (stress x width / load)", "stress_per_mm": "1/mm, the paper's signs",
+        "strain_ue_per_newton": "microstrain/N, tension +",
+    }  # fmt: skip
+    note = (
+        "Equations (2) to (15) give exactly these formulas. The stress is per unit width: divide by the width. The "
+        "paper counts tension positive on the horizontal beam (L, R, K_H, S_H) and compression positive on the "
+        "vertical one (T, U, K_V, S_V); a gauge reads one sign, so the strains count tension positive everywhere. "
+        "Condition numbers are the same either way."
     )
+    title = "Table 1. sigma = P (g1 sin(phi) + g2 sin(phi - theta) + g3 cos(phi))"
+    return Section("1", title, columns, records, [note])
 
 
 def table_2_section(geometry: Geometry) -> Section:
     """Return table 2: the largest stresses, maximised over all contacts, beside the printed ones."""
     records = []
-    for row, (g1, g2, g3) in zip(table_2(geometry), (thin_limit_matrix(POINTS) * THIN_UNIT).tolist(), strict=True):
-        printed = TABLE_2[row.point]
-        there = reading((g1, g2, g3), printed.theta_deg, printed.phi_deg)
-        records.append(
-            {
-                "point": row.point,
-                "paper": printed.maximum,
-                "paper_at_deg": [printed.theta_deg, printed.phi_deg],
-                "thin": row.thin.value,
-                "thin_theta_deg": row.thin.theta_deg,
-                "thin_phi_deg": row.thin.phi_deg,
-                "thin_at_paper": abs(there),
-                "actual": row.fabricated.value,
-                "actual_at_deg": [row.fabricated.theta_deg, row.fabricated.phi_deg],
-                "strain_ue": row.strain_per_newton * CALIBRATION_WEIGHT_NEWTONS * MICRO,
-                "explanation": _TABLE_2_DIFFERENCES.get(row.point, ""),
-            }
-        )
+    limits = (thin_limit_matrix(POINTS) * tables.THIN_UNIT).tolist()
+    for row, (g1, g2, g3) in zip(tables.table_2(geometry), limits, strict=True):
+        printed = published.TABLE_2[row.point]
+        there = tables.reading((g1, g2, g3), printed.theta_deg, printed.phi_deg)
+        records.append({
+            "point": row.point, "paper": printed.maximum, "paper_at_deg": [printed.theta_deg, printed.phi_deg],
+            "thin": row.thin.value, "thin_theta_deg": row.thin.theta_deg, "thin_phi_deg": row.thin.phi_deg,
+            "thin_at_paper": abs(there), "actual": row.fabricated.value,
+            "actual_at_deg": [row.fabricated.theta_deg, row.fabricated.phi_deg],
+            "strain_ue": row.strain_per_newton * published.CALIBRATION_WEIGHT_NEWTONS * MICRO,
+            "explanation": _TABLE_2_DIFFERENCES.get(row.point, ""),
+        })  # fmt: skip
     title = "Table 2. Largest stress in units of a P / h1^2, and the contact (theta, phi) where it occurs"
     return Section("2", title, _TABLE_2_COLUMNS, records, _TABLE_2_NOTES)
 
 
 _TABLE_2_COLUMNS = {
-    "point": "point",
-    "paper": "paper",
-    "paper_at_deg": "at (deg)",
-    "thin_at_paper": "ours there",
-    "thin": "ours, thin",
-    "thin_theta_deg": "theta",
-    "thin_phi_deg": "phi",
-    "actual": "actual",
-    "actual_at_deg": "at (deg)",
+    "point": "point", "paper": "paper", "paper_at_deg": "at (deg)", "thin_at_paper": "ours there", "thin": "ours, thin",
+    "thin_theta_deg": "theta", "thin_phi_deg": "phi", "actual": "actual", "actual_at_deg": "at (deg)",
     "strain_ue": "microstrain at 4.4 N",
-}
+}  # fmt: skip
 _TABLE_2_NOTES = [
     "At phi + 180 degrees the stress is the same with the other sign. The printed maxima are right in the thin-beam "
     "limit; the actual ones of the vertical beam are up to 1.6 % larger (h1/2 and direct tension).",
@@ -127,60 +85,40 @@ def table_3_section(geometry: Geometry) -> Section:
     """Return table 3: all three columns beside the recomputed ones, with explanations of the differences."""
     records = []
     for case in CASES:
-        theory, measured = table_3(geometry, case), rounding_range(MEASURED_MATRICES[case])
-        records.append(
-            {
-                "case": case,
-                "gauges": LAYOUTS[case],
-                "paper_theory": TABLE_3_THEORY[case],
-                "thin": theory.thin,
-                "actual": theory.actual,
-                "row_equilibrated": theory.row_equilibrated,
-                "noise_gain_N_per_ue": theory.noise_gain_newtons / MICRO,
-                "by_unit": condition_numbers_by_unit(geometry, case),
-                "paper_simulation": TABLE_3_SIMULATION[case],
-                "simulation_over_theory": TABLE_3_SIMULATION[case] / TABLE_3_THEORY[case],
-                **_simulation_shifts(geometry, case),
-                "paper_measurement": TABLE_3_MEASUREMENT[case],
-                "printed_matrix": measured.printed,
-                "printed_matrix_range": [measured.low, measured.high],
-                "can_be_printed_value": measured.low <= TABLE_3_MEASUREMENT[case] + 0.005
-                and measured.high >= TABLE_3_MEASUREMENT[case] - 0.005,
-            }
-        )
+        theory, measured = tables.table_3(geometry, case), tables.rounding_range(published.MEASURED_MATRICES[case])
+        printed, simulated = published.TABLE_3_MEASUREMENT[case], published.TABLE_3_SIMULATION[case]
+        # The inward shift with which beam theory gives the finite-element column.
+        moving = {"I": LAYOUTS["I"], "II": ("L",), "III": ("L", "R")}[case]
+        shifts = [
+            shift_to_reach(geometry, case, simulated, moving, others) * MM
+            for others in (0.0, 0.0 if case == "I" else 0.5e-3)
+        ]
+        records.append({
+            "case": case, "gauges": LAYOUTS[case], "paper_theory": published.TABLE_3_THEORY[case],
+            "thin": theory.thin, "actual": theory.actual, "row_equilibrated": theory.row_equilibrated,
+            "noise_gain_N_per_ue": theory.noise_gain_newtons / MICRO,
+            "by_unit": tables.condition_numbers_by_unit(geometry, case), "paper_simulation": simulated,
+            "simulation_over_theory": simulated / published.TABLE_3_THEORY[case], "simulation_shift_of": moving,
+            "simulation_shift_mm": shifts[0], "simulation_shift_mm_others_half_mm": shifts[1],
+            "paper_measurement": printed, "printed_matrix": measured.printed,
+            "printed_matrix_range": [measured.low, measured.high],
+            "can_be_printed_value": measured.low <= printed + 0.005 and measured.high >= printed - 0.005,
+        })  # fmt: skip
     return Section("3", "Table 3. Condition numbers", _TABLE_3_COLUMNS, records, _table_3_notes(geometry))
 
 
 _TABLE_3_COLUMNS = {
-    "case": "case",
-    "gauges": "gauges",
-    "paper_theory": "paper: theory",
-    "thin": "ours, thin",
-    "actual": "ours, actual",
-    "paper_simulation": "paper: ANSYS",
-    "simulation_shift_mm": "shift for it (mm)",
-    "paper_measurement": "paper: measured",
-    "printed_matrix": "of the printed matrix",
+    "case": "case", "gauges": "gauges", "paper_theory": "paper: theory", "thin": "ours, thin", "actual": "ours, actual",
+    "paper_simulation": "paper: ANSYS", "simulation_shift_mm": "shift for it (mm)",
+    "paper_measurement": "paper: measured", "printed_matrix": "of the printed matrix",
     "printed_matrix_range": "rounding allows",
-}
-
-
-def _simulation_shifts(geometry: Geometry, case: str) -> dict[str, object]:
-    """Return the inward shift with which beam theory gives the finite-element column."""
-    moving = {"I": LAYOUTS["I"], "II": ("L",), "III": ("L", "R")}[case]
-    target = TABLE_3_SIMULATION[case]
-    others = 0.0 if case == "I" else 0.5e-3
-    return {
-        "simulation_shift_of": moving,
-        "simulation_shift_mm": shift_to_reach(geometry, case, target, moving) * MM,
-        "simulation_shift_mm_others_half_mm": shift_to_reach(geometry, case, target, moving, others) * MM,
-    }
+}  # fmt: skip
 
 
 def _table_3_notes(geometry: Geometry) -> list[str]:
-    apart = shared_gauge_disagreement()
-    measured = {case: rounding_range(MEASURED_MATRICES[case]).printed for case in CASES}
-    common = nearest_common_shifts(geometry, measured)
+    apart = tables.shared_gauge_disagreement()
+    measured = {case: tables.rounding_range(published.MEASURED_MATRICES[case]).printed for case in CASES}
+    common = tables.nearest_common_shifts(geometry, measured)
     moved = ", ".join(f"{point} {value * MM:.2f}" for point, value in common.shifts_m.items())
     return [
         "Theory: the paper prints the thin-beam limit (h1 -> 0 with h2 = sqrt(8/3) h1): 2.5549, 2.6258, 2.6928, cut "
@@ -208,39 +146,28 @@ def _table_3_notes(geometry: Geometry) -> list[str]:
 def ranking_section(geometry: Geometry) -> Section:
     """Return the check of section 3.2's claim: all layouts of three points, by four figures of merit."""
     ranks = {
-        by: {row["gauges"]: 1 + index for index, row in enumerate(ranked_layouts(geometry, by))}
+        by: {row["gauges"]: 1 + index for index, row in enumerate(tables.ranked_layouts(geometry, by))}
         for by in ("row_equilibrated", "noise_gain_N_per_ue")
     }
-    groups = ties(ranked_layouts(geometry, "thin"), "thin")
+    groups = tables.ties(tables.ranked_layouts(geometry, "thin"), "thin")
     tied = {row["gauges"]: 1 + index for index, group in enumerate(groups) for row in group}
-    records = [
+    records: list[Record] = [
         {
-            "rank": 1 + index,
-            **{key: row[key] for key in ("case", "gauges", "mirror", "condition", "thin")},
-            "thin_tie": tied.get(row["gauges"]),
-            "row_equilibrated": row["row_equilibrated"],
+            "rank": 1 + index, **{key: row[key] for key in ("case", "gauges", "mirror", "condition", "thin")},
+            "thin_tie": tied.get(row["gauges"]), "row_equilibrated": row["row_equilibrated"],
             "rank_row_equilibrated": ranks["row_equilibrated"][row["gauges"]],
             "noise_gain_N_per_ue": row["noise_gain_N_per_ue"],
             "rank_noise": ranks["noise_gain_N_per_ue"][row["gauges"]],
         }
-        for index, row in enumerate(ranked_layouts(geometry))
-    ]
+        for index, row in enumerate(tables.ranked_layouts(geometry))
+    ]  # fmt: skip
     columns = {
-        "rank": "rank",
-        "case": "case",
-        "gauges": "gauges",
-        "mirror": "mirror, ties exactly",
-        "condition": "cond",
-        "thin": "thin limit",
-        "thin_tie": "thin tie",
-        "row_equilibrated": "unit rows",
-        "rank_row_equilibrated": "rank",
-        "noise_gain_N_per_ue": "noise N/ue",
-        "rank_noise": "rank",
-    }
-    return Section(
-        "ranking", "Section 3.2. All 56 layouts of three gauges: 28 mirrored pairs", columns, records, _RANKED
-    )
+        "rank": "rank", "case": "case", "gauges": "gauges", "mirror": "mirror, ties exactly", "condition": "cond",
+        "thin": "thin limit", "thin_tie": "thin tie", "row_equilibrated": "unit rows", "rank_row_equilibrated": "rank",
+        "noise_gain_N_per_ue": "noise N/ue", "rank_noise": "rank",
+    }  # fmt: skip
+    title = "Section 3.2. All 56 layouts of three gauges: 28 mirrored pairs"
+    return Section("ranking", title, columns, records, _RANKED)
 
 
 _RANKED = [

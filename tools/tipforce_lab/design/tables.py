@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import atan2, cos, degrees, hypot, pi, radians, sin
+from math import atan2, cos, degrees, hypot, inf, pi, radians, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,6 +33,7 @@ from tipforce.sensor.structure.strain import (
 )
 
 Record = dict[str, Any]
+MM, MICRO = 1e3, 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,11 +194,12 @@ FIGURES = ("condition", "thin", "row_equilibrated", "noise_gain_N_per_ue")
 
 def figures(matrix: FloatArray) -> Record:
     """Return FIGURES of a strain matrix (n, 3) but "thin"; infinite if it cannot separate the three forces."""
-    values = [float("inf")] * 3
-    if int(np.linalg.matrix_rank(matrix)) == 3:
-        gain = noise_gain(np.linalg.pinv(matrix)) / 1e6
-        values = [condition_number(matrix), row_equilibrated_condition_number(matrix), gain]
-    return dict(zip(("condition", "row_equilibrated", "noise_gain_N_per_ue"), values, strict=True))
+    separates = int(np.linalg.matrix_rank(matrix)) == 3
+    return {
+        "condition": condition_number(matrix) if separates else inf,
+        "row_equilibrated": row_equilibrated_condition_number(matrix) if separates else inf,
+        "noise_gain_N_per_ue": noise_gain(np.linalg.pinv(matrix)) / MICRO if separates else inf,
+    }
 
 
 def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
@@ -220,7 +222,7 @@ def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
         thin = condition_number(thin_limit_matrix(points))
         by_mirror[pair] = {
             "case": case, "gauges": points, "mirror": mirror(points), **figures(strain_matrix(geometry, points)),
-            "thin": thin if thin < 1e12 else float("inf"),  # singular: rounding makes it barely regular
+            "thin": thin if thin < 1e12 else inf,  # singular: rounding makes it barely regular
         }  # fmt: skip
     return sorted(by_mirror.values(), key=lambda row: (round(row[by], 9), row["condition"]))
 
