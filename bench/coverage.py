@@ -20,18 +20,21 @@ import numpy.typing as npt
 from bench.measure import arguments, cpu_us, in_turns, table
 
 from tipforce import Calibration, Estimator
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, IntArray
 from tipforce.output_file import save_figure
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import (
-    Limits,
+    Contact,
     contacts,
+    covariances,
     first_order_holds,
     force_vector,
-    miss_uncertainties,
+    forces,
+    is_resolved,
+    miss_deviation,
     standard_uncertainties,
-    status,
+    status_columns,
 )
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, noise_gain, strain_matrix
@@ -140,7 +143,7 @@ def cell(
     )
     inside = np.abs(np.stack(errors, axis=-1)) <= k * u
     flagged = ~first_order_holds(F, covariance)[:, 2]
-    bits = status(estimated, u, miss_uncertainties(F, covariance), Limits(0.0, 0.0, -180.0, 180.0))
+    bits = status(estimated, u, miss_uncertainties(F, covariance), (0.0, 0.0, -180.0, 180.0))
     flagged_by_status = bits & (scalar.THETA_UNRESOLVED | scalar.MISSES_TIP) != 0
     silent = ~inside[:, 2] & ~flagged & ~flagged_by_status
     u_P, u_phi, _ = standard_uncertainties(true_F, typical, pull=pull)
@@ -151,6 +154,25 @@ def cell(
         percentage(flagged), percentage(flagged_by_status), percentage(silent),
         float(np.mean(errors[0]) / bias) if bias > 5.0 * error else float("nan"),
     )  # fmt: skip
+
+
+def miss_uncertainties(F: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Standard uncertainty of |F2| - hypot(F1, F3), newtons (...), of F (..., 3), covariance (3, 3) or (..., 3, 3)."""
+    elements = [covariance[..., i, j] for i in range(3) for j in range(i, 3)]
+    return miss_deviation(forces(*np.moveaxis(F, -1, 0)), covariances(elements))
+
+
+def status(
+    contact: Contact,
+    u: FloatArray,
+    u_miss_newtons: FloatArray | float,
+    limits: tuple[float, float, float, float],
+    was_present: bool = False,
+) -> IntArray:
+    """Bits 0, 4, 5, 6 of contacts (n,) in time order, by their standard uncertainties u (n, 3) or (3,)."""
+    least = scalar.MISS_COVERAGE_FACTOR * u_miss_newtons + scalar.MISS_FLOOR * contact.P_newtons
+    resolved = is_resolved(u[..., 0], u[..., 2])
+    return status_columns(contact, resolved, contact.miss_newtons > least, limits, was_present)
 
 
 def known_matrix(rng: np.random.Generator, trials: int) -> Iterator[Cell]:

@@ -17,14 +17,7 @@ from bench.measure import arguments, table
 from tipforce.arrays import FloatArray
 from tipforce.output_file import save_figure
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.contact.redundancy import (
-    UNCLEAR,
-    alike,
-    detect,
-    detectable_strain,
-    parity,
-    weighted_inverse,
-)
+from tipforce.sensor.contact.redundancy import UNCLEAR, Parity, detect, detectable_strain, parity, weighted_inverse
 from tipforce.sensor.contact.scalar_redundancy import leave_out
 from tipforce.sensor.structure.gauges import GaugePosition, position_matrix
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -37,10 +30,7 @@ P_NEWTONS = 4.4
 CALIBRATION_ROWS = 76
 
 CASE_I = [GaugePosition("H", "left", 0.0), GaugePosition("H", "right", 0.0), GaugePosition("V", "right", 15e-3)]
-FIVE = {
-    "K": CASE_I[0],
-    "S": CASE_I[1],
-    "U": CASE_I[2],
+FIVE = dict(zip("KSU", CASE_I, strict=True)) | {
     "L": GaugePosition("H", "left", 15e-3),
     "V5": GaugePosition("V", "left", 5e-3),
 }
@@ -165,6 +155,25 @@ def weights(calibrations: int, seed: int = SEED) -> dict[str, tuple[float, float
             results[name].append((100.0 * float(alarms), float(error)))
     mean = {name: np.sqrt(np.mean(np.square(pairs), axis=0)) for name, pairs in results.items()}
     return {name: (float(np.mean([a for a, _ in results[name]])), float(mean[name][1])) for name in names}
+
+
+def separation(model: Parity) -> FloatArray:
+    """The sine of the angle between the parity directions of each two gauges: (n, n), 0 to 1.
+
+    0: the two cannot be distinguished. Small: only by a fault that is larger by 1 / sine than the smallest visible
+    one. NaN for gauges whose faults are invisible.
+    """
+    length = np.sqrt(np.where(model.visible > 0.0, model.visible, np.nan))
+    cosine = (model.W / length).T @ (model.W / length)
+    sine: FloatArray = np.sqrt(np.clip((1.0 - cosine) * (1.0 + cosine), 0.0, None))
+    return sine
+
+
+def alike(model: Parity, smallest_sine: float = 1e-6) -> list[tuple[int, int]]:
+    """The pairs of gauges that no fault up to 1 / smallest_sine of the smallest visible one distinguishes."""
+    sine = separation(model)
+    n = len(sine)
+    return [(i, k) for i in range(n) for k in range(i + 1, n) if sine[i, k] < smallest_sine]
 
 
 def layout_table(positions: dict[str, GaugePosition]) -> str:

@@ -23,9 +23,8 @@ from tipforce.arrays import FloatArray
 from tipforce.output_file import save_figure
 from tipforce.sensor.structure.layouts import CASES
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
-from tipforce_lab.fem.gauges import extrapolate_matrix, nearest_place
 from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution, Triangles, triangulate
-from tipforce_lab.fem.plane_stress import Model, solve
+from tipforce_lab.fem.plane_stress import Model, extrapolate_matrix, nearest_place, solve
 from tipforce_lab.report.studies.structure import GAUGES, distance, worst_error
 
 if TYPE_CHECKING:

@@ -15,9 +15,20 @@ from tipforce.arrays import FloatArray
 from tipforce.sensor.structure.gauges import GaugePosition
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
 from tipforce_lab.design.tables import nearest_common
-from tipforce_lab.fem.gauges import Face, Limit, corner_exponent, extrapolate, face, nearest_place, strain_matrix
 from tipforce_lab.fem.mesh import GRADING, STATED, Resolution
-from tipforce_lab.fem.plane_stress import Model, Patch, Solution, solve
+from tipforce_lab.fem.plane_stress import (
+    Face,
+    Limit,
+    Model,
+    Patch,
+    Solution,
+    corner_exponent,
+    extrapolate,
+    face,
+    nearest_place,
+    solve,
+    strain_matrix,
+)
 from tipforce_lab.report.studies.structure import GAUGES
 from tipforce_lab.report.studies.structure import conditions as conditions_of_cases
 

@@ -17,7 +17,7 @@ from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.channels import Channels
 from tipforce.host.decoding import columns, decoder
 from tipforce.host.logs import candump
-from tipforce.sensor.calibration import fit as fitting
+from tipforce.sensor.calibration import regressors
 from tipforce.sensor.contact import estimate, scalar, scalar_condition, scalar_redundancy
 from tipforce.sensor.dynamics import first_order_hold, model
 from tipforce.sensor.structure import plane_frame
@@ -173,7 +173,7 @@ FAULTS: tuple[tuple[str, Any, str, Any], ...] = (
     ("calibration.flipped_in_transit", calibration.Calibration, "commit", _without_crc),
     ("calibration.flipped_in_store", Storage, "read_blob",
      lambda _right: lambda self, name: (self._load(name) or b"")[4:] if self._load else b""),
-    ("fit.plane_of_loads", fitting, "require_seen", _gives(np.zeros(0))),
+    ("fit.plane_of_loads", regressors, "require_seen", _gives(np.zeros(0))),
     ("wire.unknown", columns.Layout, "columns", _no_unknown),
     ("wire.integer16_overflow", Channels, "_status", _silently_clamped),
     ("wire.short_pdo", decoder, "join", _any_length),

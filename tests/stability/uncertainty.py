@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from bench.coverage import miss_uncertainties, status
 
 from fingertip import finger as rig
 from stability.case import Case, Observed
@@ -15,7 +16,7 @@ from tipforce.sensor.contact import estimate, scalar
 from tipforce.sensor.contact.estimate import force_vector
 
 _DRAWS = 40_000
-_LIMITS = estimate.Limits(0.05, 0.02, -180.0, 180.0)
+_LIMITS = (0.05, 0.02, -180.0, 180.0)
 
 
 def cases() -> list[Case]:
@@ -52,7 +53,7 @@ def _no_noise() -> Observed:
     u = estimate.standard_uncertainties(F, nothing, pull=False)
     node = [scalar.uncertainty(a, b, c, (0.0,) * 6, False) for a, b, c in F.tolist()]
     found = estimate.contacts(F, pull=False)
-    bits = estimate.status(found, u, estimate.miss_uncertainties(F, nothing), _LIMITS)
+    bits = status(found, u, miss_uncertainties(F, nothing), _LIMITS)
     held = not u.any() and not np.isnan(u).any() and node == [(0.0, 0.0, 0.0)] * 2
     return Observed(held and bits.tolist() == [1, 1], f"u {u.ravel().tolist()}, status {bits.tolist()}")
 
@@ -62,7 +63,7 @@ def _enormous() -> Observed:
     noise = 10.0 ** np.arange(-6.0, 7.0, 0.5)
     u = np.array([estimate.standard_uncertainties(F, s * s * np.eye(3), pull=False) for s in noise])
     found = estimate.contacts(np.tile(F, (len(noise), 1)), pull=False)
-    bit_4 = estimate.status(found, u, np.zeros(len(noise)), _LIMITS) & scalar.THETA_UNRESOLVED != 0
+    bit_4 = status(found, u, np.zeros(len(noise)), _LIMITS) & scalar.THETA_UNRESOLVED != 0
     f1, f2, f3 = F.tolist()
     node = []
     for variance in (noise * noise).tolist():
@@ -145,7 +146,7 @@ def _tangential_flag() -> Observed:
         for sigma in (1e-4, 1e-3, 1e-2, 0.1, 0.3):
             K = sigma * sigma * np.eye(3)
             u = estimate.standard_uncertainties(F, K, pull=False)
-            bits = estimate.status(estimate.contacts(F, pull=False), u, estimate.miss_uncertainties(F, K), _LIMITS)
+            bits = status(estimate.contacts(F, pull=False), u, miss_uncertainties(F, K), _LIMITS)
             large = bool(u[0, 2] > math.radians(30.0))
             bit_4, holds = bool(bits[0] & scalar.THETA_UNRESOLVED), bool(estimate.first_order_holds(F, K)[0, 2])
             # The curvature of asin over one standard uncertainty: u(x) / cos^2, u(x) = sigma sqrt(1 + x^2) here.
@@ -185,7 +186,7 @@ def _missing() -> Observed:
     rng = np.random.default_rng(9)
     F = np.array([0.6, 1.0, 0.8]) + 0.01 * rng.standard_normal((200_000, 3))
     found = estimate.contacts(F, pull=False)
-    u_miss = estimate.miss_uncertainties(F, 1e-4 * np.eye(3))
+    u_miss = miss_uncertainties(F, 1e-4 * np.eye(3))
     rate = float(np.mean(found.miss_newtons > 3.0 * u_miss))
     held = bits == [0.25 * k > 3.0 for k in range(25)] and rate < 0.002
     return Observed(held, f"first set at {0.25 * bits.index(True):g} u; tangential load at noise: {rate:.2%}")

@@ -103,6 +103,11 @@ def _noise(scene: schema.Scene, **changes: object) -> schema.Scene:
     return replace(scene, noise=replace(scene.noise or schema.Noise(), **changes))
 
 
+def _cold(front_end: schema.FrontEnd) -> schema.FrontEnd:
+    keys = ("temperature_degC", "apparent_microstrain_per_degC", "gain_drift_ppm_per_degC")
+    return replace(front_end, **dict.fromkeys(keys))
+
+
 def _no_output(name: str) -> Callable[[schema.Scene], schema.Scene]:
     return lambda scene: replace(scene, outputs=replace(scene.outputs, **{name: None}))
 
@@ -121,18 +126,7 @@ _TAKE: tuple[tuple[str, Callable[[schema.Scene], schema.Scene]], ...] = (
     # An uncalibrated node sends the same PDOs and computes neither force nor contact.
     ("contact in the node", lambda scene: _nodes(scene, calibration="none")),
     ("decoder", lambda scene: _nodes(scene, pdos=())),
-    (
-        "temperature",
-        lambda scene: replace(
-            scene,
-            front_end=replace(
-                scene.front_end or schema.FrontEnd(),
-                temperature_degC=None,
-                apparent_microstrain_per_degC=None,
-                gain_drift_ppm_per_degC=None,
-            ),
-        ),
-    ),
+    ("temperature", lambda scene: replace(scene, front_end=_cold(scene.front_end or schema.FrontEnd()))),
     ("1/f noise", lambda scene: _noise(scene, one_over_f_microstrain=None)),
     ("front end", lambda scene: replace(scene, front_end=None)),
     ("noise", lambda scene: _noise(scene, gauge_microstrain=None)),
@@ -178,7 +172,10 @@ def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int)
         size = count * len(scene.node_ids)
         sample_s = (min(more) - min(once)) / ((_LENGTHEN - 1) * size)
         each = tuple(elapsed_s / (_LENGTHEN * size) for elapsed_s in more)
-        results.append(Measured(1e6 * sample_s, 1e3 * (min(once) - sample_s * size), each, _P_rms(outcome)))
+        known = [(finger.known[0], finger.rms_error[0]) for finger in outcome.fingers if finger.known[0]]
+        total = sum(count for count, _ in known)
+        P_rms = math.sqrt(sum(count * rms * rms for count, rms in known) / total) if total else math.nan
+        results.append(Measured(1e6 * sample_s, 1e3 * (min(once) - sample_s * size), each, P_rms))
     return results
 
 
@@ -187,12 +184,6 @@ def _timed(scene: schema.Scene, path: Path, syncs: int) -> tuple[float, Outcome]
     started_ns = time.process_time_ns()
     outcome = run_scene(scene, path.parent, options)
     return 1e-9 * (time.process_time_ns() - started_ns), outcome
-
-
-def _P_rms(outcome: Outcome) -> float:
-    known = [(finger.known[0], finger.rms_error[0]) for finger in outcome.fingers if finger.known[0]]
-    total = sum(count for count, _ in known)
-    return math.sqrt(sum(count * rms * rms for count, rms in known) / total) if total else math.nan
 
 
 def _in_folder(scene: schema.Scene, folder: Path) -> schema.Scene:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from bench.fault_detection import alike, separation
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar_redundancy
@@ -16,11 +17,9 @@ from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import (
     NONE,
     UNCLEAR,
-    alike,
     detect,
     detectable_strain,
     parity,
-    separation,
     structure_matrix,
     weighted_inverse,
 )

@@ -6,18 +6,13 @@ from math import inf, nan, pi, radians
 
 import numpy as np
 import pytest
+from bench.coverage import miss_uncertainties, status
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.estimate import (
-    Limits,
-    contacts,
-    miss_uncertainties,
-    standard_uncertainties,
-    status,
-)
+from tipforce.sensor.contact.estimate import check_limits, contacts, standard_uncertainties
 from tipforce.sensor.contact.scalar import (
     CALIBRATED,
     CONTACT_PRESENT,
@@ -35,7 +30,7 @@ from tipforce.sensor.contact.scalar import (
     unknown,
 )
 
-LIMITS = Limits(0.2, 0.1, 0.0, 180.0)
+LIMITS = (0.2, 0.1, 0.0, 180.0)
 ANGLES = UNKNOWN_PHI | UNKNOWN_THETA
 GOOD = CONTACT_PRESENT | CALIBRATED
 
@@ -48,7 +43,7 @@ def bits(
     u_miss: float = 0.01,
     theta: float = 1.0,
     was_present: bool = False,
-    limits: Limits = LIMITS,
+    limits: tuple[float, float, float, float] = LIMITS,
 ) -> int:
     return status_bits(P, u_P, u_theta, miss, u_miss, theta, limits, was_present)
 
@@ -100,7 +95,7 @@ def test_a_load_misses_the_tip_only_beyond_its_uncertainty() -> None:
     ],
 )
 def test_pad(theta_deg: float, pad: tuple[float, float], outside: bool) -> None:
-    found = bits(theta=radians(theta_deg), limits=Limits(0.2, 0.1, *pad))
+    found = bits(theta=radians(theta_deg), limits=(0.2, 0.1, *pad))
     assert found == CONTACT_PRESENT | (OUTSIDE_PAD if outside else 0)
 
 
@@ -154,28 +149,20 @@ def test_arrays_repeat_the_scalar_sample_by_sample(loads: list[tuple[float, floa
     present, expected = start, []
     for k in range(len(F)):
         one = status_bits(
-            float(found.P_newtons[k]),
-            float(u[k, 0]),
-            float(u[k, 2]),
-            float(found.miss_newtons[k]),
-            float(u_miss[k]),
-            float(found.theta_rad[k]),
-            LIMITS,
-            present,
-        )
+            float(found.P_newtons[k]), float(u[k, 0]), float(u[k, 2]), float(found.miss_newtons[k]), float(u_miss[k]),
+            float(found.theta_rad[k]), LIMITS, present,
+        )  # fmt: skip
         present = bool(one & CONTACT_PRESENT)
         expected.append(one)
     assert status(found, u, u_miss, LIMITS, start).tolist() == expected
 
 
 def test_errors() -> None:
-    found = contacts(np.ones((4, 3)), pull=True)
     for limits, name in (
-        (Limits(0.1, 0.2, 0.0, 180.0), "contact_off_newtons = 0.2"),
-        (Limits(nan, 0.2, 0.0, 180.0), "contact_off_newtons"),
-        (Limits(0.2, 0.1, 180.0, 0.0), "theta_min_deg = 180.0"),
+        ((0.1, 0.2, 0.0, 180.0), "contact_off_newtons = 0.2"),
+        ((nan, 0.2, 0.0, 180.0), "contact_off_newtons"),
+        ((0.2, 0.1, 180.0, 0.0), "theta_min_deg = 180.0"),
     ):
         with pytest.raises(InputError, match=name):
-            status(found, np.ones(3), 0.0, limits)
-    assert status(found, np.full(3, 0.1), 0.0, LIMITS).dtype == np.uint8
+            check_limits(limits)
     assert scalar.MISS_COVERAGE_FACTOR == 3.0

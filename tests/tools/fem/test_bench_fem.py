@@ -7,9 +7,8 @@ import pytest
 from bench import fem_studies as studies
 from bench.fem import main
 
-from tipforce_lab.fem.gauges import extrapolate_matrix
 from tipforce_lab.fem.mesh import GRADING, Resolution
-from tipforce_lab.fem.plane_stress import Model, Solution, solve
+from tipforce_lab.fem.plane_stress import Model, Solution, extrapolate_matrix, solve
 from tipforce_lab.report.studies.structure import distance, worst_error
 
 

@@ -11,9 +11,17 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauges import GaugePosition
-from tipforce_lab.fem.gauges import corner_exponent, extrapolate, face, nearest_place, strain_matrix
 from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution
-from tipforce_lab.fem.plane_stress import Model, Solution, solve
+from tipforce_lab.fem.plane_stress import (
+    Model,
+    Solution,
+    corner_exponent,
+    extrapolate,
+    face,
+    nearest_place,
+    solve,
+    strain_matrix,
+)
 
 FloatArray = npt.NDArray[np.float64]
 GAUGES = ("S_H", "U")

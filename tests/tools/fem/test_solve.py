@@ -17,9 +17,8 @@ from tipforce.sensor.structure.gauges import GaugePosition, strain_row
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS, mirror
 from tipforce.sensor.structure.strain import condition_number
-from tipforce_lab.fem.gauges import strain_matrix
 from tipforce_lab.fem.mesh import STATED, Outline, Resolution, triangulate
-from tipforce_lab.fem.plane_stress import Model, Patch, Plane, Solution, _stiffness, solve
+from tipforce_lab.fem.plane_stress import Model, Patch, Plane, Solution, _stiffness, solve, strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -4,16 +4,15 @@ from canopen_device.lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from tipforce_lab.fem.gauges import corner_exponent as corner_exponent
-    from tipforce_lab.fem.gauges import strain_matrix as strain_matrix
     from tipforce_lab.fem.mesh import Resolution as Resolution
     from tipforce_lab.fem.plane_stress import Model as Model
+    from tipforce_lab.fem.plane_stress import corner_exponent as corner_exponent
     from tipforce_lab.fem.plane_stress import solve as solve
+    from tipforce_lab.fem.plane_stress import strain_matrix as strain_matrix
 
 _NAMES = {
-    "plane_stress": ("Model", "solve"),
+    "plane_stress": ("Model", "solve", "corner_exponent", "strain_matrix"),
     "mesh": ("Resolution",),
-    "gauges": ("corner_exponent", "strain_matrix"),
 }
 if not TYPE_CHECKING:
     __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)

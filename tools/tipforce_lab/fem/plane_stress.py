@@ -1,19 +1,26 @@
-"""Plane elasticity of the body with scikit-fem: P2 triangles, one sparse factorisation for three loads.
+"""Plane elasticity of the body with scikit-fem: P2 triangles, one sparse factorisation for three loads; and what gauges
+on the beams' faces read of it: the difference of displacement between a gauge's ends over its length.
 
-Young's modulus and the width are 1 inside; strain and displacement are divided by both at the end.
+Young's modulus and the width are 1 inside; strain and displacement are divided by both at the end. A glued gauge
+averages the strain along its grid. Next to a re-entrant corner strain is infinite at a point, its average over a length
+is not.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.sensor.structure.gauges import Gauge, GaugePosition, gauge_name, place
 from tipforce.sensor.structure.plane_frame import POISSON_RATIO
+from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce_lab.fem.mesh import STATED, Outline, Resolution, Triangles, triangulate
 
 Plane = Literal["stress", "strain"]
@@ -163,3 +170,210 @@ def _resultant(basis: Any, unknowns: Any, forces: FloatArray) -> FloatArray:
     rigid[1, along_y], rigid[2, along_y] = 1.0, x[along_y]
     result: FloatArray = rigid[:, unknowns] @ forces
     return result
+
+
+class Face(NamedTuple):
+    """One straight face of a beam: P2 displacement along it, for F1, F2, F3 = 1."""
+
+    s_m: FloatArray
+    """(m + 1,) ends of the m sides: x on the horizontal beam, y on the vertical."""
+    ends: FloatArray
+    """(m + 1, 3) displacement along the face, times E times width."""
+    middles: FloatArray
+    """(m, 3)."""
+
+    def displacement(self, s_m: npt.ArrayLike) -> FloatArray:
+        """Return the displacement along the face (..., 3) at s_m (...), which lie on the face."""
+        side, t, change, bulge = self._side(s_m)
+        result: FloatArray = self.ends[side] + t * change + 4.0 * t * (1.0 - t) * bulge
+        return result
+
+    def strain(self, s_m: npt.ArrayLike) -> FloatArray:
+        """Return the strain (..., 3) at points s_m (...). It diverges at corners as the mesh is refined."""
+        side, t, change, bulge = self._side(s_m)
+        length = (self.s_m[side + 1] - self.s_m[side])[..., np.newaxis]
+        result: FloatArray = (change + 4.0 * (1.0 - 2.0 * t) * bulge) / length
+        return result
+
+    def _side(self, s_m: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
+        """Return the side of each point, the place on it (..., 1), and along it change and bulge of displacement."""
+        s = np.asarray(s_m, dtype=np.float64)
+        side = np.clip(np.searchsorted(self.s_m, s, side="right") - 1, 0, len(self.s_m) - 2)
+        t = (s - self.s_m[side]) / (self.s_m[side + 1] - self.s_m[side])
+        # Both ends of a side of 1e-9 m nearly agree: the deviation of the middle from their mean is the small term.
+        start, end = self.ends[side], self.ends[side + 1]
+        return side, t[..., np.newaxis], end - start, self.middles[side] - 0.5 * (start + end)
+
+
+def face(solution: Solution, gauge: GaugePosition) -> Face:
+    """Return the face that a gauge is glued to, from corner (or fillet) to corner. Positions as in GaugePosition."""
+    outline = solution.model.outline
+    along, level = _line(outline, gauge)
+    low, high = _span(outline, gauge)
+    starts, middles, ends = solution.faces
+    across = 1 - along
+    thickness = outline.geometry.h1_m if gauge.beam == "H" else outline.geometry.h2_m
+    # Finer than the smallest cell of the other face at the corner.
+    on_line = (np.abs(starts[across] - level) < 1e-12 * thickness) & (np.abs(ends[across] - level) < 1e-12 * thickness)
+    slack = 1e-9 * (high - low)
+    chosen = np.flatnonzero(on_line & (middles[along] > low - slack) & (middles[along] < high + slack))
+    chosen = chosen[np.argsort(middles[along, chosen])]
+    first, middle, last = (motion[along][chosen] for motion in solution.face_motion)
+    backwards = starts[along, chosen] > ends[along, chosen]
+    first, last = np.where(backwards[:, np.newaxis], last, first), np.where(backwards[:, np.newaxis], first, last)
+    left = np.minimum(starts[along, chosen], ends[along, chosen])
+    right = np.maximum(starts[along, chosen], ends[along, chosen])
+    return Face(np.append(left, right[-1]), np.concatenate([first, last[-1:]]), middle)
+
+
+def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: float = GAUGE_LENGTH_M) -> FloatArray:
+    """Return the strain per newton of F, shape (n, 3), tension positive, averaged over the length of each gauge.
+
+    gauges: positions of their middles, or points of Table 1, replaced by nearest_place(). gauge_length_m: 0 for the
+    strain at the point, which converges away from corners only. Raises InputError for a gauge that reaches beyond
+    its face, into a corner or fillet.
+    """
+    if not 0.0 <= gauge_length_m < np.inf:
+        raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
+    rows = [_row(solution, gauge, gauge_length_m) for gauge in gauges]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3) * solution.scale
+
+
+def nearest_place(outline: Outline, point: str, gauge_length_m: float = GAUGE_LENGTH_M) -> GaugePosition:
+    """Return the nearest position of a gauge to a point of Table 1: half its length from the end of the beam, and from
+    the side of the joint, which has no width in Table 1, or from the fillet there.
+
+    At L and R the gauge ends at the leg, even if the face continues under it. Raises InputError for an unknown point.
+    """
+    spot, g = place(outline.geometry, point), outline.geometry
+    fillet = outline.fillet_m
+    if point in ("L", "R"):
+        return spot._replace(position_m=g.a_m - 0.5 * gauge_length_m)
+    if spot.beam == "H":
+        return spot._replace(position_m=0.5 * g.h2_m + fillet + 0.5 * gauge_length_m)
+    if point in ("T", "U"):
+        fillet = fillet if outline.fixture_depth_m > 0.0 else 0.0
+        return spot._replace(position_m=g.d_m - fillet - 0.5 * gauge_length_m)
+    return spot._replace(position_m=fillet + 0.5 * gauge_length_m)
+
+
+def _row(solution: Solution, gauge: Gauge, length_m: float) -> FloatArray:
+    outline = solution.model.outline
+    spot = nearest_place(outline, gauge, length_m) if isinstance(gauge, str) else gauge
+    along, _ = _line(outline, spot)
+    if spot.beam == "H":
+        middle = spot.position_m if spot.side == "right" else -spot.position_m
+    else:
+        middle = -0.5 * outline.geometry.h1_m - spot.position_m
+    low, high = _span(outline, spot)
+    slack = 1e-9 * outline.geometry.a_m
+    if not low - slack <= middle - 0.5 * length_m <= middle + 0.5 * length_m <= high + slack:
+        raise InputError(
+            f"gauge {gauge_name(gauge)} of {1e3 * length_m:g} mm: allowed is a gauge between the corners of its face, "
+            f"{1e3 * low:.3f} and {1e3 * high:.3f} mm along {'xy'[along]}"
+        )
+    surface = face(solution, spot)
+    if length_m == 0.0:
+        return surface.strain(middle)
+    ends = np.clip([middle - 0.5 * length_m, middle + 0.5 * length_m], low, high)
+    first, last = surface.displacement(ends)
+    result: FloatArray = (last - first) / (ends[1] - ends[0])
+    return result
+
+
+def _line(outline: Outline, gauge: GaugePosition) -> tuple[int, float]:
+    """Return the axis along a face, and the face's position on the other axis."""
+    g = outline.geometry
+    if gauge.beam not in ("H", "V") or gauge.side not in ("left", "right") or gauge.face not in ("lower", "upper"):
+        raise InputError(f"gauge {gauge!r}: allowed are beam H or V, side left or right, face lower or upper")
+    if gauge.beam == "H":
+        return 0, (-0.5 if gauge.face == "lower" else 0.5) * g.h1_m
+    return 1, (-0.5 if gauge.side == "left" else 0.5) * g.h2_m
+
+
+def _span(outline: Outline, gauge: GaugePosition) -> tuple[float, float]:
+    """Return both ends of the straight part of a face, along its axis."""
+    g, fillet = outline.geometry, outline.fillet_m
+    if gauge.beam == "V":
+        bottom = outline.foot_m + (fillet if outline.fixture_depth_m > 0.0 else 0.0)
+        return bottom, -0.5 * g.h1_m - fillet
+    if gauge.face == "upper":
+        # No corner at the joint: the vertical beam is on the other face.
+        end = g.a_m - outline.slit_fillet_m
+        return -end, end
+    end = g.a_m if outline.leg_below_m > 0.0 else outline.half_width_m
+    inner = 0.5 * g.h2_m + fillet
+    return (inner, end) if gauge.side == "right" else (-end, -inner)
+
+
+LEAST_ORDER, MOST_ORDER = 0.3, 3.0
+SAFETY = 1.25
+MODES = {"opening": 1.0, "sliding": -1.0}
+"""Williams' two families at a corner with free faces: symmetric and antisymmetric about its bisector."""
+
+
+class Limit(NamedTuple):
+    """The limit of a sequence on meshes of n, 2 n, 4 n."""
+
+    value: float
+    error: float
+    """An estimate: 1.25 times the finest value's distance from its limit (Roache's grid convergence index), with the
+    order limited to 3, that of P2; without an observable order, the larger of the last two changes."""
+    order: float
+    """NaN: the differences do not decrease with one sign, and the value is the finest one."""
+
+
+def extrapolate(values: Sequence[float]) -> Limit:
+    """Return the limit of the last three values, each on a mesh twice as fine as the one before.
+
+    Raises InputError for fewer than three or values that are not finite.
+    """
+    if len(values) < 3 or not all(math.isfinite(value) for value in values):
+        raise InputError(f"values {list(values)!r}: allowed are three or more finite numbers, n, 2 n, 4 n")
+    coarse, middle, fine = (float(value) for value in values[-3:])
+    first, second = middle - coarse, fine - middle
+    ratio = first / second if second != 0.0 else math.inf
+    if not ratio > 2.0**LEAST_ORDER or math.isinf(ratio):
+        return Limit(fine, max(abs(first), abs(second)), math.nan)
+    # fine + second (1 / ratio + 1 / ratio^2 + ...)
+    change = second / (min(ratio, 2.0**MOST_ORDER) - 1.0)
+    return Limit(fine + change, SAFETY * abs(change), math.log2(ratio))
+
+
+def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]:
+    """Return the limit of the last three matrices, n, 2 n, 4 n, and its error, relative in the Frobenius norm.
+
+    One ratio for all entries: entry by entry it would divide by differences that are only rounding. Raises
+    InputError for fewer than three.
+    """
+    if len(values) < 3:
+        raise InputError(f"{len(values)} matrices: allowed are three or more, n, 2 n, 4 n")
+    coarse, middle, fine = values[-3:]
+    ratio = float(np.linalg.norm(middle - coarse) / np.linalg.norm(fine - middle))
+    change = (fine - middle) / max(min(ratio, 2.0**MOST_ORDER) - 1.0, 1.0)
+    return fine + change, SAFETY * float(np.linalg.norm(change) / np.linalg.norm(fine))
+
+
+def corner_exponent(material_angle_rad: float, mode: str) -> float:
+    """Return lambda, displacement ~ r^lambda, of a corner with free faces: Williams (1952).
+
+    It is the smallest root above 1/2 of sin(lambda w) + s lambda sin(w) = 0 with s = 1 (opening) or -1 (sliding)
+    and w the angle of material. 270 degrees: 0.5445 and 0.9085. Raises InputError for an unknown mode, an angle
+    that is not above 180 and below 360 degrees, or one at which this mode is not singular.
+    """
+    from scipy.optimize import brentq
+
+    if mode not in MODES:
+        raise InputError(f"mode {mode!r}: allowed are {', '.join(MODES)}")
+    w, sign = float(material_angle_rad), MODES[mode]
+    if not math.pi < w < 2.0 * math.pi:
+        raise InputError(f"material angle {math.degrees(w):g} degrees: allowed is above 180 and below 360")
+
+    def mismatch(exponent: float) -> float:
+        return math.sin(exponent * w) + sign * exponent * math.sin(w)
+
+    # lambda = 1 is a root of the sliding family, but only a rotation; singular roots are below it.
+    low, high = 0.5, 1.0 - 1e-9
+    if mismatch(low) * mismatch(high) > 0.0:
+        raise InputError(f"material angle {math.degrees(w):g} degrees: the {mode} mode is not singular there")
+    return float(brentq(mismatch, low, high, xtol=1e-15))

@@ -27,7 +27,7 @@ import numpy as np
 from canopen_device.toml_table import convert, read_table
 from tipforce.errors import InputError
 from tipforce.host.configuration.measurements import LARGEST_ANGLE_DEG
-from tipforce.sensor.calibration.identify import FORCES, require_seen
+from tipforce.sensor.calibration.regressors import FORCES, require_seen
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.published import GROOVES_DEG
 

@@ -17,30 +17,13 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
+from tipforce.sensor.calibration import regressors, terms
 from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
-from tipforce.sensor.calibration.identify import FORCES, require_clear, require_seen
 from tipforce.sensor.calibration.outliers import corner, outlying, rejections, suspects
-from tipforce.sensor.calibration.regressors import (
-    OffsetBasis,
-    bad_tares,
-    direction_scatter,
-    grooves,
-    offset_basis,
-    reference_map,
-    tare_groups,
-)
+from tipforce.sensor.calibration.regressors import OffsetBasis
 from tipforce.sensor.calibration.result import Fit, LoadResidual, covariance_of_estimate, kronecker
 from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
 from tipforce.sensor.calibration.statistics import Scales, result
-from tipforce.sensor.calibration.terms import (
-    CHANCE,
-    Temperature,
-    factor,
-    gain_of,
-    nonlinearity,
-    offsets_of,
-    reference_temperature_degC,
-)
 from tipforce.sensor.contact.estimate import force_vector
 
 __all__ = [
@@ -82,22 +65,22 @@ def _with_gain(readings: Readings, model: Model) -> Fit:
     low, high, n = float(T.min()), float(T.max()), readings.strain.shape[1]
     if not change.any():
         unknown = np.full(n, np.nan)
-        none = Temperature(low, low, high, np.zeros(n), unknown, False, 0.0, float("nan"), False)
+        none = terms.Temperature(low, low, high, np.zeros(n), unknown, False, 0.0, float("nan"), False)
         return replace(fitted.fit, temperature=none)
     fitted_gain = False
     for _ in range(MAX_GAIN_PASSES):
-        more, u = gain_of(fitted.problem, fitted.solution, change)
-        significant = abs(gain + more) > u * factor(fitted.fit.dof, CHANCE)
+        more, u = terms.gain_of(fitted.problem, fitted.solution, change)
+        significant = abs(gain + more) > u * terms.factor(fitted.fit.dof, terms.CHANCE)
         if not significant or abs(more) < 0.01 * u:
             break
         gain, fitted_gain = gain + more, True
         fitted = _fitted(readings, model, gain)
-    offsets, u_offsets = offsets_of(
+    offsets, u_offsets = terms.offsets_of(
         fitted.problem, fitted.solution, change, fitted.basis.temperature_span_K, fitted.scales.strain
     )
-    k = factor(fitted.fit.dof)
-    shown = Temperature(
-        reference_temperature_degC(T), low, high, offsets, k * u_offsets, model.temperature,
+    k = terms.factor(fitted.fit.dof)
+    shown = terms.Temperature(
+        terms.reference_temperature_degC(T), low, high, offsets, k * u_offsets, model.temperature,
         gain if fitted_gain else more, k * u, fitted_gain,
     )  # fmt: skip
     return replace(fitted.fit, temperature=shown)
@@ -144,11 +127,11 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
     assert solution is not None
     fit = result(readings, model, scales, basis, problem, solution, singular, outlier, saturated, near)
     largest = float(readings.P_newtons.max())
-    straight = nonlinearity(problem, solution, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
+    straight = terms.nonlinearity(problem, solution, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
     if straight is not None and not straight.significant and outlier.any():
         # A fault that grows with the load is first thrown out as outliers: those rows have a say, too.
         every = problem._replace(observed=counted)
-        other = nonlinearity(every, solution, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
+        other = terms.nonlinearity(every, solution, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
         straight = other if other is not None and rejections(fit, readings) else straight
     fit = replace(fit, nonlinearity=straight, converged=solution.converged and settled)
     return _Fitted(fit, problem, solution, basis, scales)
@@ -180,7 +163,7 @@ def _suspected(readings: Readings, model: Model, scales: Scales, observed: BoolA
     usable: BoolArray = np.asarray(observed.all(axis=1))
     unloaded = readings.P_newtons == 0.0
     if model.drift == "tare" and readings.t_s is not None:
-        out = bad_tares(readings.strain, readings.t_s, unloaded, usable)
+        out = regressors.bad_tares(readings.strain, readings.t_s, unloaded, usable)
     basis = _basis(readings, model, usable & ~out)
     problem = pick(_problem(readings, model, scales, basis, observed, 0.0), ~out)
     if model.drift == "tare":
@@ -193,13 +176,13 @@ def _suspected(readings: Readings, model: Model, scales: Scales, observed: BoolA
 
 
 def _basis(readings: Readings, model: Model, usable: BoolArray) -> OffsetBasis:
-    basis = offset_basis(model.drift, model.offset, readings.t_s, readings.P_newtons == 0.0, usable)
+    basis = regressors.offset_basis(model.drift, model.offset, readings.t_s, readings.P_newtons == 0.0, usable)
     return basis.with_temperature(_change_K(readings)) if model.temperature else basis
 
 
 def _change_K(readings: Readings) -> FloatArray:
     T = readings.temperature_degC
-    return np.zeros(len(readings.P_newtons)) if T is None else T - reference_temperature_degC(T)
+    return np.zeros(len(readings.P_newtons)) if T is None else T - terms.reference_temperature_degC(T)
 
 
 def _problem(
@@ -216,8 +199,8 @@ def _problem(
     return Problem(
         V=readings.strain / scales.strain,
         g=np.concatenate((force_vector(*load) / scales.newtons, basis.columns), axis=1),
-        D=direction_scatter(*load, model.phi_scatter_rad, model.theta_scatter_rad) / scales.newtons,
-        groove=grooves(readings.phi_rad, readings.theta_rad),
+        D=regressors.direction_scatter(*load, model.phi_scatter_rad, model.theta_scatter_rad) / scales.newtons,
+        groove=regressors.grooves(readings.phi_rad, readings.theta_rad),
         weight=np.ones(m) if readings.weight is None else readings.weight,
         observed=observed,
         Sigma=Sigma,
@@ -228,18 +211,18 @@ def _problem(
 
 
 def _require_seen(problem: Problem, basis: OffsetBasis, scales: Scales) -> FloatArray:
-    names = (*FORCES, *basis.names)
+    names = (*regressors.FORCES, *basis.names)
     g, observed = problem.g[:, ~problem.kinks], problem.observed
     if problem.prior_information.any():
         g = np.concatenate((g, np.eye(3, g.shape[1])))
         observed = np.concatenate((observed, np.ones((3, observed.shape[1]), dtype=np.bool_)))
-    return require_seen(g, observed, names, scales.newtons)
+    return regressors.require_seen(g, observed, names, scales.newtons)
 
 
 def _require_clear(solution: Solution, basis: OffsetBasis, scales: Scales) -> None:
-    L = reference_map(basis)
+    L = regressors.reference_map(basis)
     covariance = np.einsum("ip,kplq,jq->kilj", L, solution.covariance, L)
-    require_clear(solution.coefficients @ L.T, covariance, (*FORCES, "offset"), scales.newtons)
+    regressors.require_clear(solution.coefficients @ L.T, covariance, (*regressors.FORCES, "offset"), scales.newtons)
 
 
 SMALLEST_SPAN_K = 0.5
@@ -282,7 +265,7 @@ def _drifts(readings: Readings, model: Model) -> list[str]:
         return ["none"]
     drifts = ["none", "linear"] if np.ptp(readings.t_s) > 0.0 else ["none"]
     usable = np.ones(len(readings.P_newtons), dtype=np.bool_)
-    if len(tare_groups(np.asarray(readings.P_newtons) == 0.0, usable)) > 2:
+    if len(regressors.tare_groups(np.asarray(readings.P_newtons) == 0.0, usable)) > 2:
         drifts.append("tare")
     return drifts
 

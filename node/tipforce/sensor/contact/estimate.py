@@ -64,9 +64,6 @@ def force_from_strain(
     return F
 
 
-StatusArray = npt.NDArray[np.uint8]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Contact:
     """Contacts of n samples; every array has the shape (n,), or (...) for forces of shape (..., 3).
@@ -84,15 +81,6 @@ class Contact:
     """phi - theta, in (-pi, pi]: at most pi/2 in size for a pull, at least pi/2 for a push."""
     miss_newtons: FloatArray
     """Excess of |F2| over hypot(F1, F3), else zero: above zero the contact was taken as tangential."""
-
-
-class Limits(NamedTuple):
-    """Input of a status; a plain tuple of the same order is the input of scalar.status_bits()."""
-
-    contact_on_newtons: float
-    contact_off_newtons: float
-    theta_min_deg: float
-    theta_max_deg: float
 
 
 class Forces(NamedTuple):
@@ -235,13 +223,12 @@ def status_columns(
     contact: Contact,
     resolved: BoolArray,
     misses: BoolArray,
-    limits: Limits | tuple[float, float, float, float],
+    limits: tuple[float, float, float, float],
     was_present: bool,
     counts: BoolArray | bool = True,
 ) -> IntArray:
-    """Return bits 0, 4, 5, 6 of samples in time order; resolved: theta is, by its uncertainty.
-
-    A sample that does not count leaves contact as it was.
+    """Return bits 0, 4, 5, 6 of samples in time order: scalar.status_bits() for each; resolved: theta is, by its
+    uncertainty. A sample that does not count leaves contact as it was.
     """
     on, off, theta_min_deg, theta_max_deg = limits
     P, theta = contact.P_newtons, contact.theta_rad
@@ -300,40 +287,12 @@ def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike
     return np.stack(u[:3], axis=-1)
 
 
-def miss_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArray:
-    """Return the standard uncertainty of |F2| - hypot(F1, F3) in newtons, shape (...).
-
-    F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), N^2. F1 = F3 = 0: the largest value that any direction
-    and correlation can give. Numbers that are not finite give NaN. Raises InputError for other shapes.
-    """
-    return miss_deviation(_forces(F_newtons), _covariances(covariance_F, F_newtons))
-
-
-def status(
-    contact: Contact,
-    uncertainties: npt.ArrayLike,
-    u_miss_newtons: npt.ArrayLike,
-    limits: Limits,
-    was_present: bool = False,
-) -> StatusArray:
-    """Return bits 0, 4, 5, 6 of the status byte for n samples in time order: scalar.status_bits() n times.
-
-    contact: arrays of shape (n,). uncertainties: (n, 3) or (3,) from standard_uncertainties().
-    u_miss_newtons: (n,) or a scalar from miss_uncertainties(). was_present: contact before the first sample.
-    Raises InputError as check_limits() does.
-    """
-    check_limits(limits)
-    u, u_miss = floats("uncertainties", uncertainties), floats("u_miss_newtons", u_miss_newtons)
-    misses = contact.miss_newtons > scalar.MISS_COVERAGE_FACTOR * u_miss + scalar.MISS_FLOOR * contact.P_newtons
-    return status_columns(contact, is_resolved(u[..., 0], u[..., 2]), misses, limits, was_present).astype(np.uint8)
-
-
 def is_resolved(u_P_newtons: FloatArray, u_theta_rad: FloatArray) -> BoolArray:
     """Return whether the uncertainties, (...), leave theta resolved; not where one is NaN."""
     return (u_P_newtons >= 0.0) & (u_theta_rad * scalar.DEGREES <= scalar.THETA_RESOLVED_DEG)
 
 
-def check_limits(limits: Limits | tuple[float, float, float, float]) -> None:
+def check_limits(limits: tuple[float, float, float, float]) -> None:
     """Raise InputError for limits that no sample can be compared with."""
     on, off, theta_min_deg, theta_max_deg = limits
     if not off <= on:

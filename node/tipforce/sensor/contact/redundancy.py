@@ -104,25 +104,6 @@ def parity(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Parity:
     return Parity(np.array(W), np.where(shown, np.square(W).sum(axis=0), 0.0))
 
 
-def separation(model: Parity) -> FloatArray:
-    """Return the sine of the angle between the parity directions of each two gauges: (n, n), 0 to 1.
-
-    0: the two cannot be distinguished. Small: only by a fault that is larger by 1 / sine than the smallest visible
-    one. NaN for gauges whose faults are invisible.
-    """
-    length = np.sqrt(np.where(model.visible > 0.0, model.visible, np.nan))
-    cosine = (model.W / length).T @ (model.W / length)
-    sine: FloatArray = np.sqrt(np.clip((1.0 - cosine) * (1.0 + cosine), 0.0, None))
-    return sine
-
-
-def alike(model: Parity, smallest_sine: float = 1e-6) -> list[tuple[int, int]]:
-    """Return the pairs of gauges that no fault up to 1 / smallest_sine of the smallest visible one distinguishes."""
-    sine = separation(model)
-    n = len(sine)
-    return [(i, k) for i in range(n) for k in range(i + 1, n) if sine[i, k] < smallest_sine]
-
-
 def detectable_strain(
     model: Parity, false_alarm_rate: float = FALSE_ALARM_RATE, *, limit: float | None = None
 ) -> FloatArray:

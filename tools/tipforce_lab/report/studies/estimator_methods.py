@@ -92,49 +92,38 @@ def run_micropython(files: Mapping[str, str], calls: Sequence[str]) -> list[str]
     return done.stdout.splitlines()
 
 
+Estimate = tuple[FloatArray, FloatArray]
+"""P in newtons and theta in degrees, (k,) each."""
+Method = Callable[[], Estimate]
 Arctangent = Callable[[IntArray, IntArray], IntArray]
 
 TURN = 1 << 32
 _RATIO_BITS = 30
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
-    """Widths in bits of the coefficients, the readings and the accumulator, and the arctangent."""
-
-    coefficient_bits: int
-    reading_bits: int
-    accumulator_bits: int
-    arctangent: Arctangent
-
-
-def prepared(C: FloatArray, form: Format) -> tuple[IntArray, float]:
-    """Return (coefficients, newtons per unit of their sum with readings): the largest coefficient fills the format."""
-    per_count = C * (LSB_MICROSTRAIN * 1e-6 * 2.0 ** (COUNT_BITS - form.reading_bits))
-    unit = float(np.abs(per_count).max()) / ((1 << form.coefficient_bits - 1) - 1)
-    return np.rint(per_count / unit).astype(np.int64), unit
-
-
-def estimate(coefficients: IntArray, unit_newtons: float, counts: IntArray, form: Format) -> Estimate:
-    """Return P in newtons and theta in degrees of counts (k, 3) of the 24-bit converter, for a push."""
-    readings = _shifted(counts, COUNT_BITS - form.reading_bits)
-    sums = readings @ coefficients.T
-    if form.accumulator_bits == 32:
-        sums = sums.astype(np.int32).astype(np.int64)  # wraps, as the register does
+def in_integers(given: Contacts, C_bits: int, reading_bits: int, sum_bits: int, arctangent: Arctangent) -> Method:
+    """Return the computation in integers of these widths; the largest coefficient of C fills its own."""
+    per_count = given.C * (LSB_MICROSTRAIN * 1e-6 * 2.0 ** (COUNT_BITS - reading_bits))
+    unit_newtons = float(np.abs(per_count).max()) / ((1 << C_bits - 1) - 1)
+    coefficients = np.rint(per_count / unit_newtons).astype(np.int64).T
     # Sums of three products, cut to 30 bits: then the sum of two squares stays in 63.
-    shift = max(0, form.coefficient_bits + form.reading_bits - 30)
-    F1, F2, F3 = np.moveaxis(_shifted(sums, shift), -1, 0)
-    a1, a2, a3 = np.abs(F1), np.abs(F2), np.abs(F3)
-    large, small = np.maximum(a1, a3), np.minimum(a1, a3)
-    hypotenuse = square_root(large * large + small * small)
-    cosine_squared = (large - a2) * (large + a2) + small * small
-    P = np.where(cosine_squared >= 0, hypotenuse, (hypotenuse + a2) >> 1)
-    cosine = square_root(np.maximum(cosine_squared, 0))
-    theta = form.arctangent(F1, F3) - form.arctangent(F2, -cosine)
-    theta = (theta + TURN // 2) % TURN - TURN // 2
-    P_newtons: FloatArray = P.astype(np.float64) * (unit_newtons * 2.0**shift)
-    theta_deg: FloatArray = theta.astype(np.float64) * (360.0 / TURN)
-    return P_newtons, theta_deg
+    shift = max(0, C_bits + reading_bits - 30)
+
+    def work() -> Estimate:
+        sums = _shifted(given.counts, COUNT_BITS - reading_bits) @ coefficients
+        if sum_bits == 32:
+            sums = sums.astype(np.int32).astype(np.int64)  # wraps, as the register does
+        F1, F2, F3 = np.moveaxis(_shifted(sums, shift), -1, 0)
+        a1, a2, a3 = np.abs(F1), np.abs(F2), np.abs(F3)
+        large, small = np.maximum(a1, a3), np.minimum(a1, a3)
+        hypotenuse = square_root(large * large + small * small)
+        cosine_squared = (large - a2) * (large + a2) + small * small
+        P = np.where(cosine_squared >= 0, hypotenuse, (hypotenuse + a2) >> 1)
+        theta = arctangent(F1, F3) - arctangent(F2, -square_root(np.maximum(cosine_squared, 0)))
+        theta = (theta + TURN // 2) % TURN - TURN // 2
+        return P.astype(np.float64) * (unit_newtons * 2.0**shift), theta.astype(np.float64) * (360.0 / TURN)
+
+    return work
 
 
 def square_root(value: IntArray) -> IntArray:
@@ -194,10 +183,6 @@ def _normalised(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
 def _shifted(value: IntArray, bits: int) -> IntArray:
     return (value + (1 << bits - 1)) >> bits if bits else value
 
-
-Estimate = tuple[FloatArray, FloatArray]
-"""P in newtons and theta in degrees, (k,) each."""
-Method = Callable[[], Estimate]
 
 PULL = False
 

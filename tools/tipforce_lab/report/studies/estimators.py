@@ -36,14 +36,7 @@ Prepare = Callable[[Contacts], methods.Method]
 
 
 def _in_integers(C: int, readings: int, sums: int, arctangent: methods.Arctangent) -> Prepare:
-    """Return the method with these widths in bits."""
-    form = methods.Format(C, readings, sums, arctangent)
-
-    def prepare(given: Contacts) -> methods.Method:
-        coefficients, unit = methods.prepared(given.C, form)
-        return lambda: methods.estimate(coefficients, unit, given.counts, form)
-
-    return prepare
+    return lambda given: methods.in_integers(given, C, readings, sums, arctangent)
 
 
 _METHODS: dict[str, dict[str, Prepare]] = {
@@ -92,22 +85,16 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     angle = _series(results, lambda estimate: errors(estimate[1], usual.theta_deg, 360.0))
     near = _series(results_sliding, lambda estimate: errors(estimate[1], sliding.theta_deg, 360.0))
     off = "largest error of theta (degrees)"
+    remarks = _remarks(_worst(force), _worst(angle), _worst(near), usual.full_scale_newtons, results)
     return [
-        _study(
-            "force", "the force P", "largest error of P / full scale", usual, "and the corners of the converter range",
-            force, _force_remarks(_worst(force), usual.full_scale_newtons), left_out,
-            Need("force P from strain, to 1e-6 of full scale", 1e-6, unfit=(NAIVE32,)),
-        ),
-        _study(
-            "angle", "the contact angle theta", off, usual, "at least 0.1 in |cos(delta)| from tangency",
-            angle, _angle_remarks(_worst(angle), results), left_out,
-            Need("contact angle from strain, to 0.01 degree", 0.01, "degree", (NAIVE32,)),
-        ),
-        _study(
-            "tangent", "theta of contacts that nearly slide", off, sliding, "with |cos(delta)| from 0.001 to 0.1",
-            near, _tangent_remarks(_worst(near), _worst(angle)), left_out,
-            Need("contact angle near tangency, to 0.1 degree", 0.1, "degree", (NAIVE32,)),
-        ),
+        _study(*row, left_out) for row in (
+            ("force", "the force P", "largest error of P / full scale", usual, "and the corners of the converter range",
+             force, remarks[0], Need("force P from strain, to 1e-6 of full scale", 1e-6, unfit=(NAIVE32,))),
+            ("angle", "the contact angle theta", off, usual, "at least 0.1 in |cos(delta)| from tangency",
+             angle, remarks[1], Need("contact angle from strain, to 0.01 degree", 0.01, "degree", (NAIVE32,))),
+            ("tangent", "theta of contacts that nearly slide", off, sliding, "with |cos(delta)| from 0.001 to 0.1",
+             near, remarks[2], Need("contact angle near tangency, to 0.1 degree", 0.1, "degree", (NAIVE32,))),
+        )
     ]  # fmt: skip
 
 
@@ -155,7 +142,7 @@ def _worst(series: tuple[Series, ...]) -> dict[_Setting, float]:
 
 def _study(
     key: str, title: str, error_unit: str, given: Contacts, inputs: str, series: tuple[Series, ...],
-    remarks: list[str], left_out: dict[str, str], need: Need,
+    remarks: list[str], need: Need, left_out: dict[str, str],
 ) -> Study:  # fmt: skip
     reference = (
         f"the formula in decimal arithmetic with {DIGITS} digits, on the same counts and the same float64 C; "
@@ -169,43 +156,41 @@ def _study(
     )  # fmt: skip
 
 
-def _force_remarks(worst: dict[_Setting, float], full_scale_newtons: float) -> list[str]:
-    single, half_lsb = worst[FLOAT32, "float32 C"], 2.0**-COUNT_BITS
-    return [
-        f"Single precision is off by {single:.1e} of full scale at most, {single / half_lsb:.1f} times half a step of "
-        f"a {COUNT_BITS}-bit converter ({half_lsb:.1e}).",
+def _remarks(
+    force: dict[_Setting, float], angle: dict[_Setting, float], near: dict[_Setting, float], full_scale_newtons: float,
+    results: dict[_Setting, _Result],
+) -> tuple[list[str], list[str], list[str]]:  # fmt: skip
+    """Return what the largest errors of the three studies say."""
+    double, single, naive = (FLOAT64, "float64 C"), (FLOAT32, "float32 C"), (NAIVE32, "float32 C")
+    half_lsb = 2.0**-COUNT_BITS
+    of_force = [
+        f"Single precision is off by {force[single]:.1e} of full scale at most, {force[single] / half_lsb:.1f} times "
+        f"half a step of a {COUNT_BITS}-bit converter ({half_lsb:.1e}).",
         f"16-bit coefficients: with a 32-bit accumulator the worst sample is off by "
-        f"{worst[WRAPS, '16-bit C'] * full_scale_newtons:.3g} N, with a 64-bit one by "
-        f"{worst[INT16, '16-bit C'] * full_scale_newtons:.2g} N.",
-        f"The node's INTEGER16 object rounds P to 1 mN: {worst[NODE, 'INTEGER16 object']:.1e} of full scale.",
+        f"{force[WRAPS, '16-bit C'] * full_scale_newtons:.3g} N, with a 64-bit one by "
+        f"{force[INT16, '16-bit C'] * full_scale_newtons:.2g} N.",
+        f"The node's INTEGER16 object rounds P to 1 mN: {force[NODE, 'INTEGER16 object']:.1e} of full scale.",
     ]
-
-
-def _angle_remarks(worst: dict[_Setting, float], results: dict[_Setting, _Result]) -> list[str]:
-    remarks = [
-        f"From 8 to 20 CORDIC iterations the error falls from {worst[INT32, '8 iterations']:.1e} to "
-        f"{worst[INT32, '20 iterations']:.1e} degrees; 28 iterations give {worst[INT32, '28 iterations']:.1e}.",
+    of_angle = [
+        f"From 8 to 20 CORDIC iterations the error falls from {angle[INT32, '8 iterations']:.1e} to "
+        f"{angle[INT32, '20 iterations']:.1e} degrees; 28 iterations give {angle[INT32, '28 iterations']:.1e}.",
         f"An arctangent table of 256 entries with linear interpolation gives "
-        f"{worst[INT32_TABLE, '256 entries']:.1e} degrees.",
-        f"16-bit readings, not the arctangent, hold int16 at {worst[INT16, '16-bit C']:.2g} degrees, for the smallest "
+        f"{angle[INT32_TABLE, '256 entries']:.1e} degrees.",
+        f"16-bit readings, not the arctangent, hold int16 at {angle[INT16, '16-bit C']:.2g} degrees, for the smallest "
         "loads.",
     ]
     there = results.get((MICROPYTHON, _INSIDE))
     if there is not None:
         here = results[NODE, "inside, REAL32 C"].estimate
         apart = max(float(np.abs(b - a).max()) for a, b in zip(there.estimate, here, strict=True))
-        remarks.append(f"The node's code gives the same under MicroPython and CPython, to {apart:.1g} N and degrees.")
-    return remarks
-
-
-def _tangent_remarks(worst: dict[_Setting, float], away: dict[_Setting, float]) -> list[str]:
-    single, double, naive = (FLOAT32, "float32 C"), (FLOAT64, "float64 C"), (NAIVE32, "float32 C")
-    return [
-        f"The error is {worst[double] / away[double]:.0f} times (float64) and {worst[single] / away[single]:.0f} times "
-        f"(float32) what it is away from tangency, and still only {worst[double]:.0e} and {worst[single]:.0e} degrees.",
-        f"With P^2 - F2^2 in place of its factors the largest error is {worst[naive] / worst[single]:.1f} times as "
+        of_angle.append(f"The node's code gives the same under MicroPython and CPython, to {apart:.1g} N and degrees.")
+    near_tangency = [
+        f"The error is {near[double] / angle[double]:.0f} times (float64) and {near[single] / angle[single]:.0f} times "
+        f"(float32) what it is away from tangency, and still only {near[double]:.0e} and {near[single]:.0e} degrees.",
+        f"With P^2 - F2^2 in place of its factors the largest error is {near[naive] / near[single]:.1f} times as "
         "large: the rounding of F = C V decides here, not that of the difference.",
     ]
+    return of_force, of_angle, near_tangency
 
 
 def contacts(rng: np.random.Generator, k: int, sliding: bool = False, corners: bool = False) -> Contacts:

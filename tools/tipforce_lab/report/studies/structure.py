@@ -13,7 +13,7 @@ from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame, FrameModel
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import condition_number, strain_matrix
-from tipforce_lab.fem import gauges as fem
+from tipforce_lab.fem import plane_stress as fem
 from tipforce_lab.fem.mesh import GRADING, STATED, Resolution
 from tipforce_lab.fem.plane_stress import Model, solve
 from tipforce_lab.report.study import Effort, Need, Point, Study, Timing, series_of, timed
