@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from bench.honesty import INVISIBLE, Rig, cells, drifting, false_alarms, row_of, verdict
 
+from sensor.calibration.made import CLEAN, readings, simulated
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import require_degrees, require_order, require_size
 from tipforce.sensor.calibration.distributions import variance_factors
-from tipforce.sensor.calibration.fit import Model, Readings, best_fit, fit_calibration
+from tipforce.sensor.calibration.fit import Model, best_fit, fit_calibration
 from tipforce.sensor.calibration.outliers import rejections
-from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
+from tipforce.sensor.calibration.simulation import simulate
 from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -21,20 +22,8 @@ from tipforce.sensor.structure.layouts import layout
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_lab.report.studies.honesty import GAUGES
 
-CLEAN = Faults(
-    drift_strain=0.0, groove_scatter_rad=0.0, hang_scatter_rad=0.0, outlier_share=0.0, saturation=None
-)  # fmt: skip
 HALF_DEGREE = float(np.radians(0.5))
 STATED = Model(phi_scatter_rad=HALF_DEGREE, theta_scatter_rad=HALF_DEGREE)
-
-
-def simulated(seed: int, faults: Faults = CLEAN) -> Simulated:
-    return simulate(layout("I"), np.random.default_rng(seed), faults)
-
-
-def readings(sim: Simulated, **changes: object) -> Readings:
-    given = Readings(sim.strain, sim.P_newtons, sim.phi_rad, sim.theta_rad, sim.t_s)
-    return replace(given, **changes)  # type: ignore[arg-type]
 
 
 def test_weights_in_one_groove_do_not_average_its_angle_out() -> None:

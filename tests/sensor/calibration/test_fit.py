@@ -1,4 +1,4 @@
-"""The fit against the truth, closed forms and faults of every kind; rounded to what is finer than REAL32."""
+"""The fit against the truth, closed forms and faults of every kind, rounded to what is finer than REAL32."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
+from bench.calibration import CONDITIONS, SEEDS, compare, comparison_rows, coverage, coverage_rows, pooled
+from bench.measure import table
 
+from sensor.calibration.made import CLEAN, readings, simulated
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import (
     Model,
@@ -19,24 +22,14 @@ from tipforce.sensor.calibration.fit import (
     linear_fit,
 )
 from tipforce.sensor.calibration.result import DIGITS, matrix_to_digits, rounded, to_digits
-from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
+from tipforce.sensor.calibration.simulation import Faults, simulate
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import POINTS, layout
 from tipforce.sensor.structure.strain import condition_number, strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
-CLEAN = Faults(drift_strain=0.0, groove_scatter_rad=0.0, hang_scatter_rad=0.0, outlier_share=0.0, saturation=None)
 PLAIN = Model(loss="none")
-
-
-def readings(sim: Simulated, **changes: object) -> Readings:
-    given = Readings(sim.strain, sim.P_newtons, sim.phi_rad, sim.theta_rad, sim.t_s)
-    return replace(given, **changes)  # type: ignore[arg-type]
-
-
-def simulated(seed: int, faults: Faults = CLEAN, gauges: tuple[str, ...] = layout("I")) -> Simulated:
-    return simulate(gauges, np.random.default_rng(seed), faults)
 
 
 @pytest.mark.parametrize("n", [3, 4, 5, 8])
@@ -332,3 +325,35 @@ def test_nothing_that_the_data_show_is_lost() -> None:
         matrix = after.reshape(int(np.sqrt(after.size)), -1)
         assert np.array_equal(matrix, matrix.T), name
         assert np.linalg.eigvalsh(matrix)[0] > 0.0, name
+
+
+def test_twenty_calibrations_beside_the_fit_that_knows() -> None:
+    faults, drift = CONDITIONS["everything"]
+    comparisons = [compare(seed, faults, drift) for seed in range(SEEDS)]
+    assert pooled(comparisons, "fit") <= 1.15 * pooled(comparisons, "oracle")
+    assert pooled(comparisons, "fit_matrix") <= 1.15 * pooled(comparisons, "oracle_matrix")
+    assert pooled(comparisons, "linear") > 10 * pooled(comparisons, "fit")
+    assert sum(run.found for run in comparisons) >= 0.95 * sum(run.outliers for run in comparisons)
+    assert sum(run.falsely for run in comparisons) <= 1
+
+
+@pytest.mark.parametrize(
+    ("condition", "simulations"),
+    [("offset and noise", 40), ("angles of grooves", 25), ("outliers", 25), ("everything", 25)],
+)
+def test_intervals_hold_what_they_promise(condition: str, simulations: int) -> None:
+    held = coverage(condition, simulations)
+    # Two points, as for 2000 simulations, and what so few may be off by chance.
+    assert 90.0 < held.matrix < 99.0
+    assert 90.0 < held.force < 99.0
+    assert held.false_alarm < 8.0
+
+
+def test_the_command_prints_its_tables() -> None:
+    faults, drift = CONDITIONS["offset and noise"]
+    rows = comparison_rows([compare(0, faults, drift, "none")])
+    assert rows[0][:2] == ["0", "I"]
+    assert rows[-1][0] == "all"
+    text = table(["a"] * 5, coverage_rows([coverage("linear drift", 3)]))
+    assert text.splitlines()[2].startswith("| linear drift |")
+    assert len({len(line) for line in table(["seed"] * 9, rows, markdown=False).splitlines()}) == 1

@@ -22,14 +22,12 @@ QUADRANT = [(0, theta) for theta in (5, 15, 30, 45, 60)] + [(90, theta) for thet
 TARE = [(0.0, 0, 0)]
 
 
-def fitted(rows: list[tuple[float, int, int]], model: Model | None = None, dead: int | None = None) -> Fit:
+def fitted(rows: list[tuple[float, int, int]], model: Model | None = None) -> Fit:
     """Fit of readings with 1 microstrain of noise and 20 of offset; rows of (P, phi, theta) in degrees."""
     P, phi, theta = np.array(rows, dtype=np.float64).T
     load = P, np.radians(phi), np.radians(theta)
     noise = 1e-6 * np.random.default_rng(0).normal(size=(len(P), 3))
     V = force_vector(*load) @ A.T + 20e-6
-    if dead is not None:
-        V[:, dead] = 0.0
     return fit_calibration(Readings(V + noise, *load, t_s=np.arange(len(P), dtype=np.float64)), model)
 
 
@@ -112,17 +110,6 @@ def test_no_times_no_drift() -> None:
     model = Model(drift="linear", saturation_strain=np.inf)
     with pytest.raises(InputError, match="every row has t_s = 5"):
         fit_calibration(Readings(np.ones((3, 3)), P, phi, theta, np.full(3, 5.0)), model)
-
-
-def test_a_dead_gauge_and_a_doubled_one_are_named() -> None:
-    rows = [*one_weight(QUADRANT), *TARE, *TARE]
-    with pytest.raises(InputError, match="SG2 responds to no load"):
-        fitted(rows, dead=1)
-    P, phi, theta = np.array(rows, dtype=np.float64).T
-    load = P, np.radians(phi), np.radians(theta)
-    V = force_vector(*load) @ A[[0, 1, 1]].T + 1e-6 * np.random.default_rng(1).normal(size=(len(P), 3))
-    with pytest.raises(InputError, match="do not respond to a load along"):
-        fit_calibration(Readings(V, *load))
 
 
 def test_a_gauge_that_is_always_saturated_is_named() -> None:

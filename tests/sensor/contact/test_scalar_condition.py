@@ -1,4 +1,4 @@
-"""condition_number(), by which the node itself refuses a bad matrix, against numpy's singular values."""
+"""What the node computes alone: a condition number, against numpy's; the bound with which it saves u_theta."""
 
 import math
 
@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.scalar_condition import condition_number
 
 REAL32 = st.floats(-1e6, 1e6, width=32)
@@ -55,14 +56,41 @@ def test_singular_matrix_has_no_usable_condition_number(rows: list[list[float]])
     assert condition_number(rows) > 1e15
 
 
-def test_zero_row_and_zero_matrix_are_infinite() -> None:
-    assert condition_number([[0.0] * 3] * 3) == math.inf
-    assert condition_number([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]) == math.inf
-
-
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_element_not_finite_gives_nan(value: float) -> None:
     for k in range(9):
         flat = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
         flat[k] = value
         assert math.isnan(condition_number([flat[0:3], flat[3:6], flat[6:9]]))
+
+
+Covariance = tuple[float, float, float, float, float, float]
+
+
+@settings(max_examples=400)
+@given(
+    st.floats(-1, 1), st.floats(-math.pi, math.pi), st.floats(-15, 6), st.floats(-6, 1), st.integers(0, 1 << 32),
+    st.booleans(),
+)  # fmt: skip
+def test_what_is_clearly_resolved_is_resolved(
+    sine: float, phi: float, exponent: float, noise: float, seed: int, pull: bool
+) -> None:
+    P = 10.0**exponent
+    root = np.random.default_rng(seed).normal(size=(3, 3)) * P * 10.0**noise
+    matrix = root @ root.T
+    cov: Covariance = tuple(matrix[np.triu_indices(3)].tolist())
+    F1, F2, F3 = P * math.sin(phi), P * sine, P * math.cos(phi)
+    found, *_ = scalar.contact(F1, F2, F3, pull)
+    _, _, u_theta = scalar.uncertainty(F1, F2, F3, cov, pull)
+    if scalar.clearly_resolved(found, F2, cov):
+        assert math.degrees(u_theta) < scalar.THETA_RESOLVED_DEG
+
+
+def test_a_good_sensor_is_clearly_resolved_and_numbers_that_are_none_never() -> None:
+    cov: Covariance = (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)
+    assert scalar.clearly_resolved(1.0, 0.7, cov)
+    assert not scalar.clearly_resolved(1.0, 1.0, cov)
+    assert not scalar.clearly_resolved(0.0, 0.0, cov)
+    assert not scalar.clearly_resolved(math.nan, 0.0, cov)
+    assert not scalar.clearly_resolved(1.0, 0.0, (math.nan, 0.0, 0.0, 1e-6, 0.0, 1e-6))
+    assert not scalar.clearly_resolved(1.0, math.inf, cov)

@@ -154,21 +154,6 @@ def test_numbers_that_are_not_finite_give_nan_alone_in_their_row() -> None:
     assert isnan(scalar.uncertainty(1.0, 0.2, 0.3, (inf, 0.0, 0.0, 1.0, 0.0, 1.0), True)[2])
 
 
-@pytest.mark.parametrize("P", [1e-300, 1e-150, 1.0, 1e150, 1e300])
-def test_scale_of_force_and_noise_is_free(P: float) -> None:
-    F = force_vector(P, 1.0, 0.4)
-    reference = standard_uncertainties(force_vector(1.0, 1.0, 0.4), np.eye(3) * 1e-8, pull=True)
-    if 1e-152 < P < 1e154:
-        u = standard_uncertainties(F, np.eye(3) * 1e-8 * P * P, pull=True)
-        np.testing.assert_allclose(u / [P, 1, 1], reference, rtol=1e-12)
-    F1, F2, F3 = F.tolist()
-    u_P, u_phi, u_theta = scalar.uncertainty(F1, F2, F3, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0), True)
-    assert u_P == pytest.approx(1.0)
-    assert u_phi == pytest.approx(1.0 / P)
-    assert u_theta >= u_phi or P == 1e300
-    assert standard_uncertainties(F, np.eye(3), pull=True) == pytest.approx([u_P, u_phi, u_theta], rel=1e-12)
-
-
 def test_overflow_is_infinite_and_zero_noise_is_zero() -> None:
     huge = (1e300, 0.0, 0.0, 1e300, 0.0, 1e300)
     assert scalar.uncertainty(1e-300, 0.0, 1e-300, huge, True)[1] == inf

@@ -1,4 +1,4 @@
-"""Tables 1 to 3 and the ranking of layouts: formulas, maxima by search, and what the printed digits allow."""
+"""Tables 1 to 3 recomputed, what the paper prints, and figure 9's grooves with their simulated errors."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
+from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.gauges import shifted_matrix
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, mirror
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
 from tipforce.sensor.structure.strain import stress_coefficients, thin_limit_matrix
+from tipforce_lab.design.paper_figures import simulate_groove_errors
 from tipforce_lab.design.tables import (
     SYMBOLS,
     THIN_UNIT,
-    condition_numbers_by_unit,
     maximum_over_contacts,
     nearest_common_shifts,
     ranked_layouts,
@@ -87,15 +88,6 @@ def test_actual_maxima_against_a_search() -> None:
         assert row.fabricated.value == pytest.approx(row.thin.value, rel=0.017)
 
 
-def test_table_3_theory_and_units() -> None:
-    assert [round(table_3(FABRICATED, case).actual, 3) for case in CASES] == [2.510, 2.610, 2.711]
-    assert [round(table_3(FABRICATED, case).thin, 3) for case in CASES] == [2.555, 2.626, 2.693]
-    by_unit = condition_numbers_by_unit(FABRICATED, "I")
-    assert by_unit["M/r"] == pytest.approx(2.510, abs=5e-4)
-    assert by_unit["N mm"] == pytest.approx(8.07, abs=5e-3)
-    assert by_unit["N m"] == pytest.approx(158.2, abs=0.05)
-
-
 def test_ranking() -> None:
     rows = ranked_layouts(FABRICATED)
     assert len(rows) == 28
@@ -150,3 +142,43 @@ def test_no_common_gauge_shift_gives_the_measured_condition_numbers() -> None:
 
 def test_maximum_of_nothing() -> None:
     assert maximum_over_contacts((0.0, 0.0, 0.0)) == pytest.approx((0.0, nan, 0.0), nan_ok=True)
+
+
+def test_grooves_pull_outward() -> None:
+    grooves = paper_grooves()
+    assert len(grooves.theta_rad) == 19
+    assert int(grooves.along_x.sum()) == 10
+    assert (np.cos(grooves.phi_rad - grooves.theta_rad) > 0.49).all()  # |phi - theta| up to 60 degrees
+    assert np.degrees(grooves.phi_rad[:10]).tolist() == [0.0] * 5 + [180.0] * 5
+    assert set(np.degrees(grooves.phi_rad[10:])) == {90.0}
+
+
+def test_errors_have_the_stated_uncertainty() -> None:
+    found = simulate_groove_errors(FABRICATED, "I", 2e-6, repeats=1500, seed=5)
+    ratio = found.errors.std(axis=0) / found.standard_uncertainties
+    assert ratio.shape == (19, 3)
+    assert np.abs(ratio - 1.0).max() < 0.09  # 1500 runs: 1.8 % standard error each, 57 numbers
+    covered = (np.abs(found.errors) < 1.96 * found.standard_uncertainties).mean()
+    assert covered == pytest.approx(0.95, abs=0.01)
+
+
+def test_theta_is_worst_where_the_rope_pulls_tangentially() -> None:
+    found = simulate_groove_errors(FABRICATED, "I", 2e-6, repeats=1, seed=6)
+    u_theta = found.standard_uncertainties[:, 2]
+    assert u_theta[4] > 2.0 * u_theta[0]  # x-grooves at 60 and 5 degrees
+    assert found.standard_uncertainties[18, 0] > 1.4 * found.standard_uncertainties[14, 0]  # extrapolated y-groove
+
+
+def test_same_seed_same_errors_and_noise_scales() -> None:
+    one, two = (simulate_groove_errors(FABRICATED, "III", 1e-6, repeats=3, seed=7) for _ in range(2))
+    np.testing.assert_array_equal(one.errors, two.errors)
+    double = simulate_groove_errors(FABRICATED, "III", 2e-6, repeats=3, seed=7)
+    np.testing.assert_allclose(double.standard_uncertainties, 2.0 * one.standard_uncertainties, rtol=0.05)
+
+
+def test_refuses() -> None:
+    for noise, repeats in ((0.0, 1), (-1e-6, 1), (float("nan"), 1), (1e-6, 0)):
+        with pytest.raises(InputError, match="allowed are positive numbers"):
+            simulate_groove_errors(FABRICATED, "I", noise, repeats=repeats, seed=1)
+    with pytest.raises(InputError, match="layouts of 3 gauges"):
+        simulate_groove_errors(FABRICATED, ("L", "R", "U", "T"), 1e-6, repeats=1, seed=1)

@@ -1,16 +1,18 @@
-"""Table 1 against the paper's equations (2) to (15), and the numbers that follow from it."""
+"""Table 1 against the paper's equations (2) to (15), the numbers that follow; what a geometry and a layout accept."""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import FrozenInstanceError, replace
 from math import cos, pi, sin
 
 import numpy as np
 import pytest
 
+from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, mirror
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, layout, layout_code, mirror
 from tipforce.sensor.structure.strain import (
     calibration_matrix,
     condition_number,
@@ -138,3 +140,44 @@ def test_thin_beam_ratio_equalises_the_stresses() -> None:
     phi, theta = np.meshgrid(np.radians(np.arange(-180, 181)), np.radians(np.arange(0, 181)))
     largest = np.abs(thin @ force_vector(1.0, phi, theta).reshape(-1, 3).T).max(axis=1)
     assert largest == pytest.approx([3.0] * 4, rel=1e-3)
+
+
+def test_geometry_is_frozen_and_has_a_thin_limit() -> None:
+    with pytest.raises(FrozenInstanceError):
+        FABRICATED.a_m = 1.0  # type: ignore[misc]
+    thin = FABRICATED.thin(1e-6)
+    assert thin.h2_m == THIN_BEAM_RATIO * 1e-6
+    assert replace(thin, h1_m=FABRICATED.h1_m, h2_m=FABRICATED.h2_m) == FABRICATED
+    with pytest.raises(InputError, match="h1_m"):
+        FABRICATED.thin(0.0)
+
+
+def test_named_layouts_and_their_mirrors() -> None:
+    for name in ("I", "II", "III"):
+        assert layout(name) == LAYOUTS[name]
+        assert mirror(name) == layout(name + "'")
+        assert mirror(mirror(name)) == layout(name)
+
+
+@pytest.mark.parametrize(
+    ("gauges", "code"),
+    [("I", 1), ("II", 2), ("III", 3), ("I'", 255), (["L", "R", "U"], 3), (["U", "R", "L"], 255), (POINTS, 255)],
+)
+def test_layout_codes(gauges: str | list[str], code: int) -> None:
+    assert layout_code(gauges) == code
+
+
+@pytest.mark.parametrize(
+    ("gauges", "message"),
+    [
+        ("IV", "layout 'IV' is not known: allowed are I, II, III, I', II', III'"),
+        (("L", "R", "X"), "gauge point 'X' is not known: allowed are L, R, T, U, K_H, S_H, K_V, S_V"),
+        (("L", "R"), "a layout of 2 gauge points: allowed are 3 to 8"),
+        (("L", "R", "U", "R"), "gauge point R is given more than once"),
+        ((*POINTS, "L"), "a layout of 9 gauge points: allowed are 3 to 8"),
+    ],
+)
+def test_layout_refuses(gauges: str | tuple[str, ...], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        layout(gauges)
+    assert message in str(error.value)

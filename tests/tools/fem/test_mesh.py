@@ -21,6 +21,13 @@ ODD = Outline(replace(FABRICATED, a_m=11e-3, d_m=17e-3, r_m=19e-3, h1_m=0.5e-3, 
 OUTLINES = [STATED, THIN_LEGS, ROUND, HALF_ROUND, LOW_LEGS, NO_FIXTURE, ODD]
 
 
+def areas_m2(mesh: Triangles) -> np.ndarray:
+    """The signed areas, positive for a triangle that is not inverted."""
+    p, q, s = (mesh.points_m[:, index] for index in mesh.corners)
+    result: np.ndarray = 0.5 * ((q[0] - p[0]) * (s[1] - p[1]) - (s[0] - p[0]) * (q[1] - p[1]))
+    return result
+
+
 def area_with_arcs(outline: Outline) -> float:
     """The area of the cross-section, in closed form."""
     outer, radius = outline.half_width_m, outline.tip_radius_m
@@ -60,7 +67,7 @@ def _on_fillet(cx: float, cy: float, fx: float, fy: float, radius: float, x: np.
 @pytest.mark.parametrize("outline", OUTLINES)
 def test_no_triangle_is_inverted_and_the_area_is_exact(outline: Outline, cells: int, grading: float) -> None:
     mesh = triangulate(outline, Resolution(cells, grading))
-    areas = mesh.areas_m2()
+    areas = areas_m2(mesh)
     assert areas.min() > 0.0
     assert areas.sum() == pytest.approx(area_with_chords(outline, mesh), rel=1e-12)
 
@@ -68,8 +75,7 @@ def test_no_triangle_is_inverted_and_the_area_is_exact(outline: Outline, cells: 
 @pytest.mark.parametrize("outline", [STATED, ROUND])
 def test_the_area_tends_to_that_of_the_arcs(outline: Outline) -> None:
     errors = [
-        abs(triangulate(outline, Resolution(n, 1.0)).areas_m2().sum() / area_with_arcs(outline) - 1.0)
-        for n in (2, 4, 8)
+        abs(areas_m2(triangulate(outline, Resolution(n, 1.0))).sum() / area_with_arcs(outline) - 1.0) for n in (2, 4, 8)
     ]
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     assert orders == pytest.approx(2.0, abs=0.3)
@@ -107,7 +113,7 @@ def test_graded_cells_do_not_get_long_and_thin() -> None:
     near = np.abs(p - corner[:, :, np.newaxis]).max(axis=(0, 1)) < 0.05e-3
     sides = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=0)[:, near]
     assert near.sum() > 50
-    assert (sides.max(axis=0) ** 2 / mesh.areas_m2()[near]).max() < 60.0
+    assert (sides.max(axis=0) ** 2 / areas_m2(mesh)[near]).max() < 60.0
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from tipforce.sensor.structure.layouts import LAYOUTS, mirror
 from tipforce.sensor.structure.strain import condition_number
 from tipforce_lab.fem.mesh import STATED, Outline, Resolution, triangulate
 from tipforce_lab.fem.plane_stress import Model, Patch, Plane, Solution, _stiffness, solve, strain_matrix
+from tools.fem.test_mesh import areas_m2
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -51,7 +52,7 @@ def test_patch(plane: Plane) -> None:
     else:
         density = ((1.0 - nu) * (exx**2 + eyy**2) + 2.0 * nu * exx * eyy) / (1.0 + nu) / (1.0 - 2.0 * nu)
     density += gxy**2 * 0.5 / (1.0 + nu)
-    assert u @ force == pytest.approx(density * mesh.areas_m2().sum(), rel=1e-9)
+    assert u @ force == pytest.approx(density * areas_m2(mesh).sum(), rel=1e-9)
 
 
 @pytest.mark.parametrize("theta_deg", [None, 40.0])

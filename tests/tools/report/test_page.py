@@ -95,7 +95,7 @@ def test_verdict_and_advice_come_first(html: str, report: Report) -> None:
     assert places == sorted(places)
     assert "3 references that are code of the project agree with an independent computation within 3.0e-12" in html
     assert "In 0 of 1 cases of fault and gauges no way to show values shows more wrong ones as ok" in html
-    assert "in 1 at least one does. The reasons are known and listed. one shows the fewest." in html
+    assert "; in 1 at least one shows more, for reasons that are known and listed. Fewest: one." in html
     assert "none is exact enough" in html
     first, second, *_ = advice_table(report).rows
     # Good enough are 2 and 3 cells, "rms" and exact; the least time decides, not the least error.
@@ -108,7 +108,7 @@ def test_a_wrong_row_without_a_reason_is_in_the_verdict() -> None:
     report.studies.append(study("near"))
     report.grids.append(grid(held=False))
     assert not report.sound()
-    assert "Too many, without a known reason: drift, <3>." in verdict(report)[0]
+    assert "in 1 at least one shows more, without a known reason in drift, <3>." in verdict(report)[0]
     assert report.grids[0].rows[0].held is False
     assert '<td data-name="two" class="broken">80 % ok, 7 wrong</td>' in page._grid(report.grids[0])
 

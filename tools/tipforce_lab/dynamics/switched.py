@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tipforce.arrays import BoolArray, FloatArray
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import Modes, compliances
 from tipforce.sensor.structure.geometry import Geometry
@@ -274,8 +274,6 @@ class SlitStop(NamedTuple):
     """(3, k): what stop forces add to the elastic force in the arms."""
     vertical_per_newton: FloatArray
     """(3, k): and in the vertical beam."""
-    right_arm: BoolArray
-    """(k,): False for the left arm."""
     fraction: FloatArray
     """(k,): place along the arm, 0 at the joint."""
 
@@ -299,16 +297,16 @@ def slit_stop(
     s = frame.slit_closure(xi).reshape(-1, 3)
     bending = g.youngs_modulus_pascals * g.width_m * g.h1_m**3 / 12.0
     own = np.kron(np.eye(2), _held_beam(xi) * g.a_m**3 / bending) + np.eye(2 * len(xi)) / stiffness
-    places = np.repeat([False, True], len(xi)), np.tile(xi, 2)
+    places = np.tile(xi, 2)
     if len(modes.omega_rad_s) > 3:
         # The joint's motion is a state: a stop force acts on the tip's motion relative to it, nothing in between.
-        return SlitStop(s, gap_m, own, np.zeros((3, len(s))), np.zeros((3, len(s))), *places)
+        return SlitStop(s, gap_m, own, np.zeros((3, len(s))), np.zeros((3, len(s))), places)
     arms, vertical = compliances(frame)
     arm_stiffness, stiffness_of_both = np.linalg.inv(arms), np.linalg.inv(arms + vertical)
     behind = s @ (arm_stiffness - stiffness_of_both) @ s.T
     return SlitStop(
         s, gap_m, own + 0.5 * (behind + behind.T),
-        (stiffness_of_both - arm_stiffness) @ s.T, stiffness_of_both @ s.T, *places,
+        (stiffness_of_both - arm_stiffness) @ s.T, stiffness_of_both @ s.T, places,
     )  # fmt: skip
 
 

@@ -213,12 +213,6 @@ class Triangles:
     corners: IntArray
     """(3, number of triangles), counter-clockwise."""
 
-    def areas_m2(self) -> FloatArray:
-        """Return the signed areas, positive for a triangle that is not inverted."""
-        p, q, s = (self.points_m[:, index] for index in self.corners)
-        result: FloatArray = 0.5 * ((q[0] - p[0]) * (s[1] - p[1]) - (s[0] - p[0]) * (q[1] - p[1]))
-        return result
-
 
 class Grid(NamedTuple):
     """Grid lines before the mapping; in the tip heights are those at x = a."""

@@ -101,11 +101,11 @@ def _grid(grid: Grid) -> str:
     broken = [row.name for row in grid.rows if not row.held]
     over = sum(any(row.over) for row in grid.rows)
     _, least = sums_of(grid.methods, grid.rows)
-    known = f"Too many, without a known reason: {'; '.join(broken)}." if broken else "The reasons are known and listed."
+    known = f"without a known reason in {'; '.join(broken)}" if broken else "for reasons that are known and listed"
+    more = f"; in {over} at least one shows more, {known}" if over else ""
     return (
         f"In {len(grid.rows) - over} of {len(grid.rows)} cases of fault and gauges no way to show values shows more "
-        f"wrong ones as ok than allowed (1 in 10,000, or one row), in {over} at least one does. {known} {least} shows "
-        "the fewest."
+        f"wrong ones as ok than allowed (1 in 10,000, or one row){more}. Fewest: {least}."
     )
 
 

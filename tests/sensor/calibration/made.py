@@ -1,0 +1,22 @@
+"""Simulated calibrations for the tests of the fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tipforce.sensor.calibration.data import Readings
+from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
+from tipforce.sensor.structure.layouts import layout
+
+CLEAN = Faults(drift_strain=0.0, groove_scatter_rad=0.0, hang_scatter_rad=0.0, outlier_share=0.0, saturation=None)
+
+
+def readings(sim: Simulated, **changes: object) -> Readings:
+    given = Readings(sim.strain, sim.P_newtons, sim.phi_rad, sim.theta_rad, sim.t_s)
+    return replace(given, **changes)  # type: ignore[arg-type]
+
+
+def simulated(seed: int, faults: Faults = CLEAN, gauges: tuple[str, ...] = layout("I")) -> Simulated:
+    return simulate(gauges, np.random.default_rng(seed), faults)
