@@ -296,7 +296,10 @@ def slit_stop(
     xi = contact_fractions(frame)
     s = frame.slit_closure(xi).reshape(-1, 3)
     bending = g.youngs_modulus_pascals * g.width_m * g.h1_m**3 / 12.0
-    own = np.kron(np.eye(2), _held_beam(xi) * g.a_m**3 / bending) + np.eye(2 * len(xi)) / stiffness
+    # Deflection at one place per unit force at another, of a beam with held ends: times E I / length^3.
+    x, y = np.minimum.outer(xi, xi), np.maximum.outer(xi, xi)
+    held = x**2 * (1.0 - y) ** 2 * (3.0 * y - x - 2.0 * x * y) / 6.0
+    own = np.kron(np.eye(2), held * g.a_m**3 / bending) + np.eye(2 * len(xi)) / stiffness
     places = np.tile(xi, 2)
     if len(modes.omega_rad_s) > 3:
         # The joint's motion is a state: a stop force acts on the tip's motion relative to it, nothing in between.
@@ -326,10 +329,3 @@ def contact_fractions(frame: Frame) -> FloatArray:
         chosen.append(int(np.argmax(closures[:, int(np.argmax(late))])))
     fractions: FloatArray = _FRACTIONS[np.sort(chosen)]
     return fractions
-
-
-def _held_beam(xi: FloatArray) -> FloatArray:
-    """Deflection at one place per unit force at another, (k, k), of a beam with held ends: times E I / length^3."""
-    x, y = np.minimum.outer(xi, xi), np.maximum.outer(xi, xi)
-    bend: FloatArray = x**2 * (1.0 - y) ** 2 * (3.0 * y - x - 2.0 * x * y) / 6.0
-    return bend

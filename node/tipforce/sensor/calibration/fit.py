@@ -113,7 +113,8 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
         problem = pick(_problem(readings, model, scales, basis, counted, gain_per_K), keep)
         singular = _require_seen(problem, basis, scales)
         solution = solve(problem, model.loss, corner(V.shape[1]), solution)
-        _require_clear(solution, basis, scales)
+        at_reference = regressors.at_reference(basis, solution.coefficients, solution.covariance)
+        regressors.require_clear(*at_reference, (*regressors.FORCES, "offset"), scales.newtons)
         before, near_before = outlier, near
         outlier = outlying(problem, solution, counted)
         # A tare that is odd beside its loads yet fits between its neighbours comes and goes: it is kept.
@@ -217,12 +218,6 @@ def _require_seen(problem: Problem, basis: OffsetBasis, scales: Scales) -> Float
         g = np.concatenate((g, np.eye(3, g.shape[1])))
         observed = np.concatenate((observed, np.ones((3, observed.shape[1]), dtype=np.bool_)))
     return regressors.require_seen(g, observed, names, scales.newtons)
-
-
-def _require_clear(solution: Solution, basis: OffsetBasis, scales: Scales) -> None:
-    L = regressors.reference_map(basis)
-    covariance = np.einsum("ip,kplq,jq->kilj", L, solution.covariance, L)
-    regressors.require_clear(solution.coefficients @ L.T, covariance, (*regressors.FORCES, "offset"), scales.newtons)
 
 
 SMALLEST_SPAN_K = 0.5

@@ -152,10 +152,12 @@ def rejections(fit: Fit, readings: Readings) -> list[str]:
         )
     places = _places(readings)
     for words, rows in places:
-        here, count = int((out & rows).sum()), int(rows.sum())
-        if here >= 3 and _at_least(here, int(out.sum()), count, m) < CHANCE / len(places):
+        here, count, left_out = int((out & rows).sum()), int(rows.sum()), int(out.sum())
+        # Hypergeometric: the chance that at least so many of the rows left out fall on these.
+        ways = sum(comb(count, k) * comb(m - count, left_out - k) for k in range(here, min(left_out, count) + 1))
+        if here >= 3 and ways / comb(m, left_out) < CHANCE / len(places):
             reasons.append(
-                f"{here} of the {int(out.sum())} rows left out are {words} ({count} of {m} rows): a fault that depends "
+                f"{here} of the {left_out} rows left out are {words} ({count} of {m} rows): a fault that depends "
                 "on it is no outlier"
             )
     return reasons
@@ -181,9 +183,3 @@ def _places(readings: Readings) -> list[tuple[str, BoolArray]]:
         rows = loaded & (np.abs(readings.phi_rad - phi) < 1e-6)
         places.append((f"of loads along phi {np.degrees(phi):g} degrees", np.asarray(rows)))
     return [(words, rows) for words, rows in places if 0 < rows.sum() < 0.7 * len(P)]
-
-
-def _at_least(here: int, out: int, count: int, m: int) -> float:
-    """The chance that of ``out`` rows among m at least ``here`` fall on ``count`` given ones (hypergeometric)."""
-    ways = sum(comb(count, k) * comb(m - count, out - k) for k in range(here, min(out, count) + 1))
-    return ways / comb(m, out)

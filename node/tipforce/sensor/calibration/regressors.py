@@ -169,6 +169,12 @@ def reference_map(basis: OffsetBasis) -> FloatArray:
     return L
 
 
+def at_reference(basis: OffsetBasis, coefficients: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return rows of A with the offset at the last row, (n, 3 or 4), and their covariance, of a gauge's unknowns."""
+    L = reference_map(basis)
+    return coefficients @ L.T, np.einsum("ip,kplq,jq->kilj", L, covariance, L)
+
+
 SMALLEST_RATIO = 1e-7
 """Singular value of the design, relative to the largest, below which a direction is not seen at all."""
 LARGEST_SHARE = 0.25

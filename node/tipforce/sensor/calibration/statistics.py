@@ -10,7 +10,7 @@ from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import Model, Readings
 from tipforce.sensor.calibration.distributions import f_quantile, t_quantile, variance_factors
-from tipforce.sensor.calibration.regressors import OffsetBasis, reference_map
+from tipforce.sensor.calibration.regressors import OffsetBasis, at_reference, reference_map
 from tipforce.sensor.calibration.result import Fit, LoadResidual
 from tipforce.sensor.calibration.solve import Problem, Solution
 from tipforce.sensor.contact.estimate import force_vector
@@ -65,12 +65,12 @@ def result(
 ) -> Fit:
     """Return the Fit in SI units. Left out were rows, ``outlier`` (m,), and readings, (m, n)."""
     L = reference_map(basis)
-    at_reference = solution.coefficients @ L.T * scales.strain
-    A = at_reference[:, :3] / scales.newtons
+    rows, solved = at_reference(basis, solution.coefficients, solution.covariance)
+    rows = rows * scales.strain
+    A = rows[:, :3] / scales.newtons
     n = A.shape[0]
     unit = np.array([1.0 / scales.newtons] * 3 + [1.0] * (len(L) - 3)) * scales.strain
     covariance = np.zeros((n, 4, n, 4))
-    solved = np.einsum("ip,kplq,jq->kilj", L, solution.covariance, L)
     covariance[:, : len(L), :, : len(L)] = solved * unit[:, np.newaxis, np.newaxis] * unit
     Sigma = solution.Sigma * scales.strain**2
     # By the covariance that the record holds: from the two a node with more than three gauges gets A back.
@@ -81,7 +81,7 @@ def result(
     return Fit(
         C=C,
         A=A,
-        offset_strain=at_reference[:, 3] if len(L) == 4 else np.zeros(n),
+        offset_strain=rows[:, 3] if len(L) == 4 else np.zeros(n),
         C_uncertainty=matrix_uncertainty(A, C, Sigma, covariance[:, :3, :, :3]),
         coverage_factor=t_quantile(0.975, noise_dof),
         noise_covariance_strain2=Sigma,

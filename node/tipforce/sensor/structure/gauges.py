@@ -65,7 +65,11 @@ def strain_row(
     horizontal beam the straight line from equation (4) to (3) and from (11) to (10). Raises InputError for an
     unknown beam, side or face, or a position off the beam.
     """
-    _check_place(beam, side, face)
+    if beam not in ("H", "V") or side not in ("left", "right") or face not in ("lower", "upper"):
+        raise InputError(
+            f"gauge place beam {beam!r}, side {side!r}, face {face!r}: allowed are H or V, left or right, "
+            "lower or upper"
+        )
     length = geometry.a_m if beam == "H" else geometry.d_m
     s = floats("position_m", position_m)
     if not bool(np.all((s >= -_SLACK * length) & (s <= (1.0 + _SLACK) * length))):
@@ -135,14 +139,6 @@ def _vertical(geometry: Geometry, sign: float, s: FloatArray) -> tuple[FloatArra
     axial = np.full_like(s, 1.0 / h2)
     moment = np.full_like(s, sign * 6.0 * r / h2 / h2)
     return axial, moment, -sign * 6.0 * (s + 0.5 * h1) / h2 / h2
-
-
-def _check_place(beam: str, side: str, face: str) -> None:
-    if beam not in ("H", "V") or side not in ("left", "right") or face not in ("lower", "upper"):
-        raise InputError(
-            f"gauge place beam {beam!r}, side {side!r}, face {face!r}: allowed are H or V, left or right, "
-            "lower or upper"
-        )
 
 
 Gauge = str | GaugePosition
