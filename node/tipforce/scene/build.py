@@ -23,7 +23,7 @@ from tipforce.scene.delivered import commit_calibration, download, structure_cal
 from tipforce.scene.loads import LoadHistory, Triple, load_of
 from tipforce.scene.registry import Pdo, chosen_parts, node_pdos
 from tipforce.sensor.structure.layouts import layout
-from tipforce.sources.simulated import SimulatedSource
+from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration
@@ -32,7 +32,9 @@ if TYPE_CHECKING:
 
     Frame = tuple[int, bytes]
 
-FAULTS = {"stuck": 1, "open": 2, "saturate": 3, "silent": 4, "drift": 5}  # 2200h:1
+FAULTS: dict[schema.FaultKind, int] = {
+    "stuck": STUCK, "open": OPEN, "saturate": SATURATED, "silent": SILENT, "drift": DRIFT,
+}  # fmt: skip
 _FRONT_END = {
     "bits": "bits", "gain": "gain", "reference_volts": "reference_volts", "temperature": "temperature_degC",
     "apparent_strain": "apparent_microstrain_per_degC", "gain_drift_ppm": "gain_drift_ppm_per_degC",

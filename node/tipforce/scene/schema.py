@@ -15,6 +15,7 @@ NodeId = Annotated[int, Meta(ge=1, le=127)]
 Microstrain = Annotated[float, Meta(gt=0.0, le=1e6)]
 Angle = Annotated[float, Meta(ge=-360.0, le=360.0)]
 Pdo = Literal["gauges", "contact", "force", "health"]
+FaultKind = Literal["stuck", "open", "saturate", "silent", "drift"]
 NodeIds = tuple[NodeId, ...]
 
 
@@ -166,7 +167,7 @@ class Slit(_Table, frozen=True, kw_only=True):
 class Fault(_Table, frozen=True, kw_only=True):
     """[[faults]]: faults injected through object 2200h, from at_s until until_s."""
 
-    kind: Literal["stuck", "open", "saturate", "silent", "drift"]
+    kind: FaultKind
     nodes: NodeIds
     at_s: NotNegative
     until_s: Positive | None = None

@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import get_args
 
 import numpy as np
 
@@ -57,9 +57,7 @@ NODE, NODE_FAULTS, DECODE, ESTIMATE, BARE = (
     "tipforce estimate, no temperature",
 )  # fmt: skip
 METHODS = (NODE, NODE_FAULTS, DECODE, ESTIMATE, BARE)
-KINDS: tuple[Literal["stuck", "open", "saturate", "silent", "drift"], ...] = (
-    "stuck", "open", "saturate", "silent", "drift",
-)  # fmt: skip
+KINDS: tuple[schema.FaultKind, ...] = get_args(schema.FaultKind)
 FAULTS = ("none", *KINDS, "warm", "overload", "1/f noise", "vibration")
 """The kinds of [[faults]], and what other tables of a scene do to the reading."""
 
