@@ -6,7 +6,6 @@ import binascii
 import itertools
 import struct
 import tomllib
-from datetime import date
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -82,9 +81,10 @@ def test_covariance_of_force() -> None:
     np.testing.assert_allclose(calibration.covariance_F, ROUNDING_STRAIN2 * calibration.C @ calibration.C.T)
 
 
-@pytest.mark.parametrize("length", [0, 105, 157, 159, 1000])
+@pytest.mark.parametrize("length", [0, 105, 106, 157, 159, 1000])
 def test_a_record_of_no_length(length: int) -> None:
-    with pytest.raises(InputError, match=rf"a calibration record of {length} bytes: with 3 gauges it has 158"):
+    allowed = "is of version 1: allowed is version 2" if length == 106 else ": with 3 gauges it has 158"
+    with pytest.raises(InputError, match=rf"a calibration record of {length} bytes ?{allowed}"):
         Calibration.from_record(bytes(length))
 
 
@@ -133,6 +133,7 @@ def test_fit_statistics_are_kept_out_of_the_record(tmp_path: Path) -> None:
     path = tmp_path / "cal.toml"
     write_calibration(path, beam_calibration(), fit={"condition_number": 4.2, "rows": 57})
     assert "[fit]" in path.read_text()
+    assert "date = 2026-01-02\n" in path.read_text()  # a date of TOML
     assert read_calibration(path).record() == beam_calibration().record()
 
 
@@ -208,11 +209,6 @@ def test_what_a_file_has_no_words_for_is_not_written(tmp_path: Path, changes: di
     assert not (tmp_path / "cal.toml").exists()
 
 
-def test_the_date_is_a_toml_date(tmp_path: Path) -> None:
-    write_calibration(tmp_path / "cal.toml", beam_calibration(date=20260102))
-    assert f"date = {date(2026, 1, 2).isoformat()}\n" in (tmp_path / "cal.toml").read_text()
-
-
 VERSION_2: dict[str, Any] = {
     "calibrated_force_newtons": 5.0,
     "overload_force_newtons": 19.5,
@@ -249,11 +245,6 @@ def test_a_file_of_version_1_is_read_by_its_own_crc(tmp_path: Path) -> None:
     assert found.record() == beam_calibration().record()
 
 
-def test_a_record_of_version_1_is_refused() -> None:
-    with pytest.raises(InputError, match="a calibration record of 106 bytes is of version 1: allowed is version 2"):
-        Calibration.from_record(bytes(106))
-
-
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
@@ -262,13 +253,9 @@ def test_a_record_of_version_1_is_refused() -> None:
         ({"converter_limit_strain": np.array([1.0, -1.0, 1.0])}, "calibration converter_limit_strain: -1, allowed"),
         ({"gain_temperature_per_K": np.inf}, "calibration gain_temperature_per_K: inf is not finite"),
         ({"temperature_min_degC": 3.0, "temperature_max_degC": 2.0}, "temperature_min_degC: 3 is above"),
+        ({"converter_limit_strain": np.ones(2)}, r"converter_limit_strain: shape \(2,\), allowed is \(3,\)"),
     ],
 )
 def test_validity_that_a_node_would_refuse(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(InputError, match=text):
         beam_calibration(**changes).check()
-
-
-def test_a_converter_limit_for_another_number_of_gauges() -> None:
-    with pytest.raises(InputError, match=r"converter_limit_strain: shape \(2,\), allowed is \(3,\)"):
-        beam_calibration(converter_limit_strain=np.ones(2))

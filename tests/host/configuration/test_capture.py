@@ -186,11 +186,8 @@ def test_pdos_alone_are_missing() -> None:
         capture = reader.capture(10)
         assert capture.count == 0
         assert capture.silent >= 5
-
-
-def test_too_few_samples() -> None:
-    with connected(finger()) as (connection, _), pytest.raises(InputError, match="allowed are 2 or more"):
-        GaugeReader(connection, 5, 3).capture(1)
+        with pytest.raises(InputError, match="a capture of 1 samples: allowed are 2 or more"):
+            reader.capture(1)
 
 
 def test_nobody_there() -> None:

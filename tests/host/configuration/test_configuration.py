@@ -99,9 +99,6 @@ def test_a_mapping_by_names_or_numbers_has_its_length(tmp_path: Path) -> None:
         (0x1A00, 3): 0x21210008,
         (0x1A00, 4): 0x61300820,
     }
-
-
-def test_an_empty_mapping_maps_nothing(tmp_path: Path) -> None:
     assert values(read_text(tmp_path, '[objects]\n"tpdo1.mapping" = []\n')) == {(0x1A00, 0): 0}
 
 
@@ -130,6 +127,7 @@ def test_an_empty_mapping_maps_nothing(tmp_path: Path) -> None:
             "calibration.offset:2 (0x2101:02): 1e+39 does not fit",
         ),
         ('[objects]\n"heartbeat.producer_ms" = [1]\n', "heartbeat.producer_ms:1"),
+        ('[objects]\n"tpdo1.cob_id" = 0x185\n', "bit 30 must be set: 0x40000185"),
         ('[objects]\n"tpdo1.mapping" = ["speed"]\n', "no object is called 'speed'"),
         ('[objects]\n"tpdo1.mapping" = [-1]\n', "tpdo1.mapping:1 (0x1A00:01): -1 does not fit UNSIGNED32"),
         ('[objects]\n"status" = 1\n', "status (0x2120:00) is ro and cannot be configured"),
@@ -152,6 +150,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "bad.dcf").write_text("nothing of the kind\n")
     with pytest.raises(InputError, match=r"bad\.dcf: no \[section\] in it"):
         read_configuration(tmp_path / "bad.dcf", NODE)
+    with pytest.raises(InputError, match=r"tipforce-3\.eds: no object is set"):
+        read_configuration(Path(__file__).parents[3] / "eds" / "tipforce-3.eds", NODE)
     (tmp_path / "bad.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(InputError, match=r"bad\.toml: "):
         read_configuration(tmp_path / "bad.toml", NODE)
@@ -256,11 +256,6 @@ def test_a_refusal_puts_back_what_was_there(tmp_path: Path, sdo: SdoChannel) -> 
     assert [sdo.read(od.TPDO1_MAPPING[k]) for k in (1, 2, 3)] == mapping
 
 
-def test_a_tpdo_cob_id_without_bit_30_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="bit 30 must be set: 0x40000185"):
-        read_text(tmp_path, '[objects]\n"tpdo1.cob_id" = 0x185\n')
-
-
 PLACES = {
     place: row.type
     for place, row in entries(3, False).items()
@@ -316,13 +311,6 @@ def test_a_dcf_goes_to_a_node(tmp_path: Path, sdo: SdoChannel) -> None:
     assert verify_configuration(sdo, configuration) == []
     assert sdo.read(od.HEARTBEAT_PRODUCER_MS) == 123
     assert sdo.read(od.TPDO1_COB_ID) == 0xC0000185
-
-
-def test_an_eds_sets_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "node.eds"
-    path.write_bytes((Path(__file__).parents[3] / "eds" / "tipforce-3.eds").read_bytes())
-    with pytest.raises(InputError, match=r"node\.eds: no object is set"):
-        read_configuration(path, NODE)
 
 
 def test_a_foreign_dcf_names_the_file_and_the_object(tmp_path: Path) -> None:

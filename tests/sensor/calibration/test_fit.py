@@ -302,14 +302,9 @@ def test_all_values_are_rounded_to_the_place_of_the_largest() -> None:
     assert to_digits([0.0, -0.0]).tolist() == [0.0, 0.0]
     assert np.isnan(to_digits([np.nan, 1.0])[0])
     assert to_digits(2.0 / 3.0, 3) == 0.667
-
-
-def test_rows_are_rounded_by_themselves() -> None:
+    # The rows of a matrix by themselves.
     assert matrix_to_digits([[1e6 / 3, 1.0], [1e-3 / 3, 1.0]]).tolist() == [[333333.333, 1.0], [0.00033333, 1.0]]
-
-
-def test_the_place_is_finer_than_the_nodes_numbers() -> None:
-    assert np.finfo(np.float32).eps > 10.0 ** (1 - DIGITS) / 2
+    assert np.finfo(np.float32).eps > 10.0 ** (1 - DIGITS) / 2  # finer than the node's numbers
 
 
 def test_nothing_that_the_data_show_is_lost() -> None:
