@@ -11,6 +11,9 @@ from canopen_conformance.cases.sdo import BEAT, NAMES, not_written
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import STOP, Abort
 
+# fmt: off
+# A table: a case is its header, and below it its steps.
+
 upload = Service("sdo_block")
 download = Service("sdo_block_download")
 
@@ -134,9 +137,9 @@ def refused_initiate(dut: Dut, index: int, block_size: int, code: int) -> None:
     check(answer == struct.pack("<BHBI", 0x80, index, 0, code), f"abort {code:08X}h", answer.hex(" "))
 
 
-upload.each(
-    "block_size_refused 7.2.4.3.13: block size {0} at the initiate: 05040002h", ((0x1008, 0),), [(0,), (128,), (255,)]
-)(lambda size: do.run(refused_initiate, 0x1008, size, Abort.BLOCK_SIZE))
+for size in (0, 128, 255):
+    upload(f"block_size_refused 7.2.4.3.13: block size {size} at the initiate: 05040002h", ((0x1008, 0),),
+        do.run(refused_initiate, 0x1008, size, Abort.BLOCK_SIZE))
 
 
 @upload("7.2.4.3.14: block size {0} in an answer: 05040002h", each=[(0,), (128,)])
@@ -155,7 +158,7 @@ def without_crc(dut: Dut) -> None:
 
 @upload("7.2.4.3.13: refused at the initiate: {2}", each=[
     (0xFFFF, Abort.NO_OBJECT, "no object"), (None, Abort.WRITE_ONLY, "a write-only object"),
-])  # fmt: skip
+])
 def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
     if index is None:
         index = dut.product.write_only_index if dut.product and dut.is_of_product() else None
@@ -166,7 +169,7 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
 
 @upload("7.2.4.3.17: the client aborts {1}: no answer, the transfer is over", each=[
     (False, "before the start"), (True, "after a block"),
-])  # fmt: skip
+])
 def aborted(dut: Dut, started: bool, _when: str) -> None:
     index = begun_upload(dut, started)
     dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
@@ -174,16 +177,12 @@ def aborted(dut: Dut, started: bool, _when: str) -> None:
     dut.ask("40 00 10 00", "43 00 10 00 *")
 
 
-upload("stopped 7.3.2.3: stop ends a block upload without a word")(
-    do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.no_sdo()
-)
-
-
-@upload("7.2.4.3.17: a block command without a transfer: 05040001h", each=[("A1",), ("A2",), ("A3",), ("C1",)])
-def no_transfer(dut: Dut, command: str) -> None:
-    initiate(dut, 0x1000, 127)
-    dut.request("80 00 10 00 00 00 00 08")
-    dut.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND))
+upload("stopped 7.3.2.3: stop ends a block upload without a word", (),
+    do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.no_sdo())
+for command in ("A1", "A2", "A3", "C1"):
+    upload("no_transfer 7.2.4.3.17: a block command without a transfer: 05040001h", (),
+        do.run(initiate, 0x1000, 127), do.request("80 00 10 00 00 00 00 08"),
+        do.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND)))
 
 
 VALUE = b"\x34\x12"
@@ -219,69 +218,42 @@ def one_segment(dut: Dut, size: int | None = 2, crc: bool = True) -> None:
     dut.answer("A2 01 .. 00 00 00 00 00")
 
 
-download.each("download 7.2.4.3.9: one segment, {1}", BEAT, [(2, "size stated"), (None, "size not stated")])(
-    lambda size, _how: (
-        do.run(one_segment, size),
-        do.run(end_block_download, VALUE),
-        do.answer("A1"),
-        do.holds("H", 0x1017, 0, 0x1234),
-    )
-)
-download("without_crc 7.2.4.3.16: a client without CRC: what stands in its place is not looked at", BEAT)(
-    do.run(one_segment, crc=False),
-    do.run(end_block_download, VALUE, crc=0xBEEF),
-    do.answer("A1"),
-    do.holds("H", 0x1017, 0, 0x1234),
-)
-download("bad_crc 7.2.4.3.16: a wrong CRC: 05040004h, nothing is written", BEAT)(
-    not_written(
-        one_segment,
-        do.run(end_block_download, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1),
-        do.aborted(0x1017, 0, Abort.CRC_ERROR),
-    )
-)
-download.each(
-    "size_mismatch 7.2.4.3.11: {1} bytes at the end than stated",
-    BEAT,
-    [(4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)],
-)(
-    lambda unused, _how, code: not_written(
-        one_segment,
-        do.run(end_block_download, (VALUE + bytes(5))[: 7 - unused], unused),
-        do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH),
-    )
-)
-download("sequence_zero 7.2.4.3.10: segment number 0: 05040003h", BEAT)(
-    do.run(begin_block_download, 0x1017, 2), do.request("00 34 12"), do.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER)
-)
+for stated, how in ((2, "size stated"), (None, "size not stated")):
+    download(f"download 7.2.4.3.9: one segment, {how}", BEAT,
+        do.run(one_segment, stated), do.run(end_block_download, VALUE), do.answer("A1"),
+        do.holds("H", 0x1017, 0, 0x1234))
+download("without_crc 7.2.4.3.16: a client without CRC: what stands in its place is not looked at", BEAT,
+    do.run(one_segment, crc=False), do.run(end_block_download, VALUE, crc=0xBEEF), do.answer("A1"),
+    do.holds("H", 0x1017, 0, 0x1234))
+download("bad_crc 7.2.4.3.16: a wrong CRC: 05040004h, nothing is written", BEAT,
+    not_written(one_segment, do.run(end_block_download, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1),
+        do.aborted(0x1017, 0, Abort.CRC_ERROR)))
+for unused, how, code in ((4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)):
+    download(f"size_mismatch 7.2.4.3.11: {how} bytes at the end than stated", BEAT,
+        not_written(one_segment, do.run(end_block_download, (VALUE + bytes(5))[: 7 - unused], unused),
+            do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)))
+download("sequence_zero 7.2.4.3.10: segment number 0: 05040003h", BEAT,
+    do.run(begin_block_download, 0x1017, 2), do.request("00 34 12"), do.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER))
 
 
 @download("7.2.4.3.9: refused at the initiate: {3}", each=[
     (0x1000, 4, Abort.READ_ONLY, "a read-only object"), (0xFFFF, 4, Abort.NO_OBJECT, "no object"),
-])  # fmt: skip
+])
 def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why: str) -> None:
     codes = (code,) if dut.is_of_product() else (code, Abort.UNKNOWN_COMMAND)  # a device may know no block transfer
     dut.request(struct.pack("<BHBI", 0xC6, index, 0, size))
     dut.aborted(index, 0, *codes)
 
 
-download.each(
-    "aborted 7.2.4.3.17: the client aborts {1}: no answer, nothing is written",
-    BEAT,
-    [(do.run(begin_block_download, 0x1017, 2), "before the first segment"), (one_segment, "before the end")],
-)(lambda begun, _when: not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.no_sdo()))
-download("refused_value 7.2.4.3.11: a refused value is refused at the end", ((0x1019, 0),))(
-    do.run(begin_block_download, 0x1019, 1),
-    do.run(segment, 1, b"\xf1", True),
-    do.answer("A2 01 .."),
-    do.run(end_block_download, b"\xf1"),
-    do.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE),
-    do.holds("B", 0x1019, 0, 0),
-)
-download("afterwards 7.2.4.3.9: after a block download another transfer goes as ever", BEAT)(
-    one_segment,
-    do.run(end_block_download, VALUE),
-    do.answer("A1"),
-    do.ask("40 17 10 00", "4B 17 10 00 34 12"),
-    do.ask("2B 17 10 00 00 00", "60 17 10 00"),
-)
+for begun, when in (
+    (do.run(begin_block_download, 0x1017, 2), "before the first segment"), (one_segment, "before the end"),
+):
+    download(f"aborted 7.2.4.3.17: the client aborts {when}: no answer, nothing is written", BEAT,
+        not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.no_sdo()))
+download("refused_value 7.2.4.3.11: a refused value is refused at the end", ((0x1019, 0),),
+    do.run(begin_block_download, 0x1019, 1), do.run(segment, 1, b"\xf1", True), do.answer("A2 01 .."),
+    do.run(end_block_download, b"\xf1"), do.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE),
+    do.holds("B", 0x1019, 0, 0))
+download("afterwards 7.2.4.3.9: after a block download another transfer goes as ever", BEAT,
+    one_segment, do.run(end_block_download, VALUE), do.answer("A1"), do.ask("40 17 10 00", "4B 17 10 00 34 12"),
+    do.ask("2B 17 10 00 00 00", "60 17 10 00"))
