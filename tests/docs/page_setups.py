@@ -26,6 +26,7 @@ from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
 from canopen_device.running.store import FileStore
 from docs.runner import Terminal
+from sources.iio_tree import Tree
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
@@ -197,15 +198,10 @@ class Bench:
 
     def __init__(self, folder: Path, bus: dict[str, Any]) -> None:
         self.bus = bus
-        self.chip = folder / "devices" / "spi0.0" / "iio:device0"
-        self.devices = folder / "bus"
-        self.devices.mkdir(parents=True)
-        (self.chip / "scan_elements").mkdir(parents=True)
-        (self.devices / "iio:device0").symlink_to(self.chip.absolute())
-        (self.chip / "name").write_text("ad7124-4\n")
-        (self.chip / "in_voltage_scale").write_text("0.0503540\n")
-        for k in range(3):
-            (self.chip / "scan_elements" / f"in_voltage{k}_type").write_text("be:u16/16>>0\n")
+        folder.mkdir()
+        tree, channels = Tree(folder.absolute()), {f"voltage{k}": 0 for k in range(3)}
+        self.chip = tree.add(0, "spi0.0", channels, "ad7124-4", "be:u16/16>>0", in_voltage_scale="0.0503540")
+        self.devices = tree.root
         self.stopped = threading.Event()
         self.thread = threading.Thread()
         self.gauges_read([0.0, 0.0, 0.0])

@@ -1,15 +1,11 @@
-"""The drive: each transition of CiA 402-2, its modes, limits, faults; and canopen's BaseNode402 on a virtual bus."""
+"""The drive: each transition of CiA 402-2, its modes, limits, faults. tests/vcan has canopen's BaseNode402 with it."""
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
-import canopen
 import pytest
-from canopen.profiles.p402 import BaseNode402
 
-import tipforce
 from canopen_device.eds import read_eds
 from canopen_device.machine import Drive, SimulatedDevice
 from canopen_device.machine import cia402 as drive_module
@@ -178,37 +174,3 @@ def test_a_file_that_is_no_drive_is_refused() -> None:
         SimulatedDevice(read_eds(eds, 5), Drive())
     assert read_eds(shipped_eds("cia402"), 5).warnings == []
     assert drive_module.Drive is Drive
-
-
-def test_base_node_402_drives_it_on_a_virtual_bus(monkeypatch: pytest.MonkeyPatch) -> None:
-    for limit in [name for name in vars(BaseNode402) if name.startswith("TIMEOUT_")]:
-        monkeypatch.setattr(BaseNode402, limit, 60.0)  # seconds
-    network = canopen.Network()
-    network.connect(interface="virtual", channel="machine-402")
-    try:
-        with tipforce.simulated_device("cia402", 5, network) as drive:
-            node = BaseNode402(5, str(shipped_eds("cia402")))
-            network.add_node(node)
-            node.sdo[0x1017].raw = 20
-            node.nmt.wait_for_heartbeat(60)
-            node.setup_402_state_machine()
-            node.nmt.state = "OPERATIONAL"
-            node.op_mode = "PROFILED POSITION"
-            node.state = "OPERATION ENABLED"
-            node.sdo[0x607A].raw = 700
-            node.controlword = 0x1F
-            deadline_s = time.monotonic() + 60
-            while not (node.check_statusword() & 0x400 and node.sdo[0x6064].raw == 700):
-                assert time.monotonic() < deadline_s
-                time.sleep(0.01)
-            drive.application.fail(0x3210)  # type: ignore[attr-defined]
-            while node.state != "FAULT":
-                assert time.monotonic() < deadline_s
-                time.sleep(0.01)
-                node.check_statusword()
-            assert node.sdo[0x603F].raw == 0x3210
-            node.reset_from_fault()
-            assert node.state == "OPERATION ENABLED"
-            assert drive[0x6064] == 700
-    finally:
-        network.disconnect()
