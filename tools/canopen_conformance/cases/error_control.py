@@ -18,7 +18,7 @@ PRODUCER = ((0x1017, 0),)
 CONSUMER = ((0x1016, 1), (0x1014, 0), (0x1001, 0))
 GUARDING = ((0x100C, 0), (0x100D, 0), (0x1017, 0))
 WATCHED = 0x70  # a node-id that nobody on the bus is likely to have
-BEHAVIOUR = (*CONSUMER, (0x1029, 1), (0x1017, 0))
+NAMES = dict(wire.STATES)
 
 
 def watch(dut: Dut, ms: int, node_id: int = WATCHED, sub: int = 1) -> None:
@@ -66,25 +66,15 @@ heartbeat("returned 7.2.7.1: a heartbeat that returns cures: EMCY 0000h, and 100
     do.run(watch, 30), lost, do.send(0x700 + WATCHED, "05"), do.emcy("00 00 00 *"), do.holds("B", 0x1001, 0, 0))
 heartbeat("watched_again 7.2.8.2.2.3: a heartbeat that returned is watched again", CONSUMER,
     do.run(watch, 20), lost, do.send(0x700 + WATCHED, "05"), do.emcy("00 00 *"), lost)
-
-
-@heartbeat("7.5.2.32: 1029h:1 = {0}: a lost heartbeat in {2} leads to {4}", BEHAVIOUR, each=[
-    (0, wire.OPERATIONAL, "OPERATIONAL", wire.PRE_OPERATIONAL, "PRE-OPERATIONAL"),
-    (1, wire.OPERATIONAL, "OPERATIONAL", wire.OPERATIONAL, "OPERATIONAL"),
-    (2, wire.OPERATIONAL, "OPERATIONAL", wire.STOPPED, "STOPPED"),
-    (0, wire.PRE_OPERATIONAL, "PRE-OPERATIONAL", wire.PRE_OPERATIONAL, "PRE-OPERATIONAL"),
-    (0, wire.STOPPED, "STOPPED", wire.STOPPED, "STOPPED"),
-])
-def behaviour(dut: Dut, value: int, before: int, _in: str, after: int, _to: str) -> None:
-    dut.put("B", 0x1029, 1, value)
-    dut.beat()
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 30)
-    dut.enter(before)
-    dut.send(0x700 + WATCHED, "05")
-    dut.sleep(60 + dut.link.tolerance_ms)
-    dut.state(after)
-
-
+for value, before, after in (
+    (0, wire.OPERATIONAL, wire.PRE_OPERATIONAL), (1, wire.OPERATIONAL, wire.OPERATIONAL),
+    (2, wire.OPERATIONAL, wire.STOPPED), (0, wire.PRE_OPERATIONAL, wire.PRE_OPERATIONAL),
+    (0, wire.STOPPED, wire.STOPPED),
+):
+    heartbeat(f"behaviour 7.5.2.32: 1029h:1 = {value}: a lost heartbeat in {NAMES[before]} leads to {NAMES[after]}",
+        (*CONSUMER, (0x1029, 1), (0x1017, 0)),
+        do.put("B", 0x1029, 1, value), do.beat(), do.put("I", 0x1016, 1, WATCHED << 16 | 30), do.enter(before),
+        do.send(0x700 + WATCHED, "05"), lambda dut: dut.sleep(60 + dut.link.tolerance_ms), do.state(after))
 for frame, why in (
     ((0, "05 05"), "two bytes"), ((0, ""), "no data"), ((wire.REMOTE_FLAG, ""), "a remote frame"),
     ((1, "05"), "of another node"),

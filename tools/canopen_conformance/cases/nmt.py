@@ -7,9 +7,9 @@ from itertools import product
 
 from canopen_conformance import steps as do
 from canopen_conformance import wire
-from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance.case import NotApplicableError, Service
 from canopen_conformance.cases.emcy import break_sync
-from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1
+from canopen_conformance.cases.pdo import TIME_U32, TPDO1, enable_tpdo1, mapped_rpdo1, rpdo_was, set_time
 from canopen_conformance.dut import Dut
 
 # fmt: off
@@ -81,32 +81,14 @@ for before, state in wire.STATES:
         TPDO1,
         do.run(enable_tpdo1, 1), do.enter(before), do.send(0x080),
         do.pdo() if before == wire.OPERATIONAL else do.no_pdo())
-
-
-@case("7.3.2.3: TPDOs stop when OPERATIONAL is left, and go on when it is entered again", TPDO1)
-def tpdo_leave_and_return(dut: Dut) -> None:
-    enable_tpdo1(dut, transmission=1)
-    for command in (wire.ENTER_PRE_OPERATIONAL, wire.STOP):
-        dut.nmt(wire.START)
-        dut.send(0x080)
-        dut.pdo()
-        dut.nmt(command)
-        dut.send(0x080)
-        dut.no_pdo()
-
-
-@case("7.3.2.3: an RPDO in {1}: {2}", ((0x1013, 0), (0x1400, 1), (0x1600, 0)), each=[
-    (*wire.STATES[0], "ignored"), (*wire.STATES[1], "taken"),
-])
-def rpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
-    mapped_rpdo1(dut, 0x10130020)
-    dut.put("I", 0x1013, 0, 0)
-    dut.enter(state)
-    dut.send_pdo(struct.pack("<I", 0x70000000))
-    time_us = dut.integer("I", 0x1013)
-    check((time_us >= 0x70000000) == (does == "taken"), f"the RPDO {does}", f"1013h = {time_us:08X}h")
-
-
+case("tpdo_leave_and_return 7.3.2.3: TPDOs stop when OPERATIONAL is left, and go on when it is entered again", TPDO1,
+    do.run(enable_tpdo1, 1),
+    *(step for command in (wire.ENTER_PRE_OPERATIONAL, wire.STOP) for step in (
+        do.nmt(wire.START), do.send(0x080), do.pdo(), do.nmt(command), do.send(0x080), do.no_pdo())))
+for (before, state), does in zip(wire.STATES, ("ignored", "taken"), strict=False):
+    case(f"rpdo_by_state 7.3.2.3: an RPDO in {state}: {does}", ((0x1013, 0), (0x1400, 1), (0x1600, 0)),
+        do.run(mapped_rpdo1, TIME_U32), set_time, do.enter(before), do.send_pdo(struct.pack("<I", 0x70000000)),
+        do.run(rpdo_was, does, 0x70000000))
 case("emcy_waits 7.3.2.3: an EMCY waits while STOPPED and comes after it", ((0x1014, 0), (0x1016, 1)),
     do.put("I", 0x1016, 1, 0x700000 | 40), do.send(0x770, "05"), do.nmt(wire.STOP), do.no_emcy(ms=100),
     do.nmt(wire.ENTER_PRE_OPERATIONAL), do.emcy("30 81 *"))
@@ -114,11 +96,8 @@ case("sync_stopped 7.3.2.3: SYNC is not looked at in STOPPED", ((0x1005, 0), (0x
     do.nmt(wire.STOP), break_sync, do.nmt(wire.ENTER_PRE_OPERATIONAL), do.no_emcy())
 
 
-@case(
-    "CiA 302-2 1F80h: bit 2 clear and stored: OPERATIONAL by itself after boot-up",
-    ((0x1F80, 0), (0x1010, 2), (0x1011, 2), (0x1017, 0)),
-    persistent=True,
-)
+@case("CiA 302-2 1F80h: bit 2 clear and stored: OPERATIONAL by itself after boot-up",
+    ((0x1F80, 0), (0x1010, 2), (0x1011, 2), (0x1017, 0)), persistent=True)
 def self_start(dut: Dut) -> None:
     dut.waits_for_start()
     try:

@@ -179,6 +179,12 @@ def high_resolution(dut: Dut, at_least: int, below: int) -> None:
     check(at_least <= time_us < below, f"1013h in {at_least:08X}h..{below:08X}h", f"{time_us:08X}h")
 
 
+def rpdo_was(dut: Dut, fate: str, value: int) -> None:
+    """Whether the RPDO that sets 1013h was "taken"."""
+    time_us = dut.integer("I", TIME)
+    check((time_us >= value) == (fate == "taken"), f"the RPDO {fate}", f"1013h = {time_us:08X}h")
+
+
 set_time = do.put("I", TIME, 0, 0)  # so that what an RPDO brings shows
 sends_6 = do.send_pdo(struct.pack("<I", 0x60000000))
 took_6 = do.run(high_resolution, 0x60000000, 0x61000000)

@@ -59,14 +59,14 @@ def moved(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
     dut.holds("I", communication, 1, new)
 
 
-@case("7.3.5: {2} with the restricted CAN-ID {3:03X}h: 06090030h", EITHER, each=[
-    (*pdo, can_id) for pdo in BOTH for can_id in RESTRICTED
-])
-def restricted(dut: Dut, communication: int, _mapping: int, _name: str, can_id: int) -> None:
-    flags = disable_pdo(dut, communication) & NO_RTR
-    dut.refuses("I", communication, 1, can_id | flags, Abort.INVALID_VALUE)
+def refused_cob_id(dut: Dut, communication: int, mask: int, bits: int = 0) -> None:
+    """Another COB-ID is refused: what the mask leaves of the present one, and these bits."""
+    dut.refuses("I", communication, 1, disable_pdo(dut, communication) & mask | bits, Abort.INVALID_VALUE)
 
 
+for (communication, _, name), can_id in product(BOTH, RESTRICTED):
+    case(f"restricted 7.3.5: {name} with the restricted CAN-ID {can_id:03X}h: 06090030h", EITHER,
+        do.run(refused_cob_id, communication, NO_RTR, can_id))
 for (communication, _, name), value in product(BOTH, (241, 246, 251)):
     case(f"reserved_type 7.5.2.35: {name}: transmission type {value} is reserved: 06090030h", EITHER,
         do.refuses("B", communication, 2, value, Abort.INVALID_VALUE, Abort.TOO_HIGH))
@@ -110,17 +110,10 @@ def maps_nothing(dut: Dut, communication: int, mapping: int, _name: str, word: i
         dut.refuses("I", mapping, 1, word, Abort.NO_OBJECT, Abort.NO_SUB, Abort.NOT_MAPPABLE)
 
 
-@case("7.5.2.36: more than 64 bits: 06040042h", RPDO1)
-def too_many_bits(dut: Dut) -> None:
-    disable_pdo(dut, 0x1400)
-    dut.put("B", 0x1600, 0, 0)
-    for sub, word in enumerate((0x00070020, 0x00070020, 0x00050008), 1):
-        dut.put("I", 0x1600, sub, word)
-    dut.refuses("B", 0x1600, 0, 3, Abort.PDO_LENGTH)
-    dut.holds("B", 0x1600, 0, 0)
-    dut.put("B", 0x1600, 0, 2)
-
-
+case("too_many_bits 7.5.2.36: more than 64 bits: 06040042h", RPDO1,
+    do.run(disable_pdo, 0x1400), do.put("B", 0x1600, 0, 0),
+    *(do.put("I", 0x1600, sub, word) for sub, word in enumerate((0x00070020, 0x00070020, 0x00050008), 1)),
+    do.refuses("B", 0x1600, 0, 3, Abort.PDO_LENGTH), do.holds("B", 0x1600, 0, 0), do.put("B", 0x1600, 0, 2))
 for communication, mapping, name in BOTH:
     case(f"too_many_entries 7.5.2.36: {name}: more entries than there are sub-indices is refused", EITHER,
         do.run(disable_pdo, communication), do.put("B", mapping, 0, 0),

@@ -6,7 +6,16 @@ import struct
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import Service, check
-from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1, start_tpdo1
+from canopen_conformance.cases.pdo import (
+    TIME_U32,
+    TPDO1,
+    enable_tpdo1,
+    mapped_rpdo1,
+    rpdo_was,
+    sends_6,
+    set_time,
+    start_tpdo1,
+)
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import REMOTE_FLAG, START, STATES, Abort
 
@@ -38,30 +47,16 @@ for value in (1, 241, 255):
 for value in (0, 2, 240):
     sync(f"overflow_taken 7.5.2.22: 1019h = {value} is taken", ((0x1019, 0),),
         do.accepts("B", 0x1019, 0, value), do.holds("B", 0x1019, 0, value))
-
-
-@sync("7.2.5.3.1: with 1019h a SYNC with its counter acts", COUNTER)
-def counted(dut: Dut) -> None:
-    enable_tpdo1(dut, 1)
-    dut.put("B", 0x1019, 0, 10)
-    dut.nmt(START)
-    for counter in (1, 2, 10, 1):
-        dut.send(0x080, bytes((counter,)))
-        dut.pdo()
-
-
-@sync("7.2.5.3.1: SYNC of {1}: EMCY 8240h, and no TPDO", LENGTH, each=[
-    ((0, "01"), "one byte without 1019h"), ((0, "01 02 03 04 05 06 07 08"), "eight bytes without 1019h"),
-    ((10, ""), "no data with 1019h"), ((10, "01 02"), "two bytes with 1019h"),
-])
-def wrong_length(dut: Dut, what: tuple[int, str], _shown: str) -> None:
-    overflow, data = what
-    enable_tpdo1(dut, 1)
-    dut.put("B", 0x1019, 0, overflow)
-    dut.nmt(START)
-    dut.send(0x080, data)
-    dut.emcy("40 82 *")
-    dut.no_pdo()
+sync("counted 7.2.5.3.1: with 1019h a SYNC with its counter acts", COUNTER,
+    do.run(enable_tpdo1, 1), do.put("B", 0x1019, 0, 10), do.nmt(START),
+    *(step for counter in (1, 2, 10, 1) for step in (do.send(0x080, bytes((counter,))), do.pdo())))
+for overflow, data, what in (
+    (0, "01", "one byte without 1019h"), (0, "01 02 03 04 05 06 07 08", "eight bytes without 1019h"),
+    (10, "", "no data with 1019h"), (10, "01 02", "two bytes with 1019h"),
+):
+    sync(f"wrong_length 7.2.5.3.1: SYNC of {what}: EMCY 8240h, and no TPDO", LENGTH,
+        do.run(enable_tpdo1, 1), do.put("B", 0x1019, 0, overflow), do.nmt(START), do.send(0x080, data),
+        do.emcy("40 82 *"), do.no_pdo())
 
 
 @sync("7.5.2.37: SYNC start value {1}, type {0}: the first TPDO goes with that counter", COUNTER, each=[
@@ -83,23 +78,11 @@ sync("start_without_counter 7.5.2.37: without a counter the start value has no m
     do.run(start_tpdo1, 1, sync_start=5), do.send(0x080), do.pdo())
 
 
-WINDOW = ((0x1007, 0), (0x1013, 0), (0x1400, 1), (0x1600, 0))
-
-
-@sync("7.5.2.7: a synchronous RPDO {1} the window of 1007h is {2}", WINDOW, each=[
-    (10, "within", "taken"), (150, "after", "discarded"),
-])
-def window(dut: Dut, wait_ms: int, _when: str, fate: str) -> None:
-    mapped_rpdo1(dut, 0x10130020, transmission=1)
-    dut.put("I", 0x1007, 0, 80000)
-    dut.nmt(START)
-    dut.put("I", 0x1013, 0, 0)
-    dut.send(0x080)
-    dut.sleep(wait_ms)
-    dut.send_pdo(struct.pack("<I", 0x60000000))
-    dut.send(0x080)
-    time_us = dut.integer("I", 0x1013)
-    check((time_us >= 0x60000000) == (fate == "taken"), f"the RPDO {fate}", f"1013h = {time_us:08X}h")
+for wait_ms, when, fate in ((10, "within", "taken"), (150, "after", "discarded")):
+    sync(f"window 7.5.2.7: a synchronous RPDO {when} the window of 1007h is {fate}",
+        ((0x1007, 0), (0x1013, 0), (0x1400, 1), (0x1600, 0)),
+        do.run(mapped_rpdo1, TIME_U32, transmission=1), do.put("I", 0x1007, 0, 80000), do.nmt(START), set_time,
+        do.send(0x080), do.sleep(wait_ms), sends_6, do.send(0x080), do.run(rpdo_was, fate, 0x60000000))
 
 
 TIME = ((0x1012, 0),)

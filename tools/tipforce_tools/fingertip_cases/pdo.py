@@ -8,7 +8,7 @@ from itertools import product
 from canopen_conformance import steps as do
 from canopen_conformance.case import Service, check
 from canopen_conformance.cases import pdo
-from canopen_conformance.cases.pdo_parameters import BOTH, EITHER, NO_RTR
+from canopen_conformance.cases.pdo_parameters import BOTH, EITHER, NO_RTR, refused_cob_id
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, REMOTE_FLAG, START, Abort
 
@@ -21,20 +21,11 @@ tpdo = Service("tpdo", own=True)
 interrupts_404 = Service("interrupts_404", standard="CiA 404", own=True)
 
 
-@pdo_parameters("7.5.2.35: {2}: a 29-bit CAN-ID is not offered: 06090030h", EITHER, each=[
-    (*pdo, bits) for pdo in BOTH for bits in (0x20000000, 0x800)
-])
-def extended(dut: Dut, communication: int, _mapping: int, _name: str, bits: int) -> None:
-    cob_id = pdo.disable_pdo(dut, communication)
-    dut.refuses("I", communication, 1, cob_id | bits, Abort.INVALID_VALUE)
-
-
-@pdo_parameters("7.5.2.37: a TPDO that answers to remote frames is not offered: 06090030h", pdo.TPDO1)
-def rtr(dut: Dut) -> None:
-    cob_id = pdo.disable_pdo(dut, 0x1800)
-    dut.refuses("I", 0x1800, 1, cob_id & ~NO_RTR, Abort.INVALID_VALUE)
-
-
+for (communication, _, name), bits in product(BOTH, (0x20000000, 0x800)):
+    pdo_parameters(f"extended 7.5.2.35: {name}: a 29-bit CAN-ID is not offered: 06090030h", EITHER,
+        do.run(refused_cob_id, communication, ~0, bits))
+pdo_parameters("rtr 7.5.2.37: a TPDO that answers to remote frames is not offered: 06090030h", pdo.TPDO1,
+    do.run(refused_cob_id, 0x1800, ~NO_RTR))
 for (communication, _, name), value in product(BOTH, (252, 253)):
     pdo_parameters(f"rtr_type 7.5.2.37: {name}: transmission type {value} (by remote frame) is refused", EITHER,
         do.refuses("B", communication, 2, value, Abort.INVALID_VALUE))
@@ -124,18 +115,10 @@ def shift(dut: Dut, microstrain: float) -> None:
     dut.put("f", 0x6124, 1, microstrain)
 
 
-@interrupts_404("6133h: a change of {0} microstrain with a delta of 100: {1}", NEEDS, each=[
-    (150.0, "sent"), (-150.0, "sent"), (50.0, "silent"),
-])
-def delta(dut: Dut, change: float, what: str) -> None:
-    dut.put("f", 0x6133, 1, 100.0)
-    begin(dut)
-    shift(dut, change)
-    if what == "sent":
-        dut.pdo(within_ms=SAMPLE_MS)
-    dut.no_pdo(ms=SAMPLE_MS)
-
-
+for change, what in ((150.0, "sent"), (-150.0, "sent"), (50.0, "silent")):
+    interrupts_404(f"delta 6133h: a change of {change} microstrain with a delta of 100: {what}", NEEDS,
+        do.put("f", 0x6133, 1, 100.0), begin, do.run(shift, change),
+        *([do.pdo(within_ms=SAMPLE_MS)] if what == "sent" else []), do.no_pdo(ms=SAMPLE_MS))
 interrupts_404("delta_off 6133h: delta 0: no interrupt", NEEDS,
     begin, do.run(shift, 1000.0), do.no_pdo(ms=SAMPLE_MS))
 interrupts_404("delta_sum 6133h: small changes add up to a delta", NEEDS,
@@ -143,18 +126,10 @@ interrupts_404("delta_sum 6133h: small changes add up to a delta", NEEDS,
     do.pdo(within_ms=SAMPLE_MS))
 
 
-@interrupts_404("{0:04X}h: the limit {0:04X}h is passed, and passed again: one TPDO each", NEEDS, each=[
-    (0x6135, 200.0), (0x6134, -200.0),
-])
-def limit(dut: Dut, index: int, value: float) -> None:
-    dut.put("f", index, 1, value)
-    begin(dut)
-    for microstrain in (1.5 * value, 0.0):
-        shift(dut, microstrain)
-        dut.pdo(within_ms=SAMPLE_MS)
-        dut.no_pdo(ms=SAMPLE_MS)
-
-
+for index, limit in ((0x6135, 200.0), (0x6134, -200.0)):
+    interrupts_404(f"limit {index:04X}h: the limit {index:04X}h is passed, and passed again: one TPDO each", NEEDS,
+        do.put("f", index, 1, limit), begin, *(step for microstrain in (1.5 * limit, 0.0) for step in (
+            do.run(shift, microstrain), do.pdo(within_ms=SAMPLE_MS), do.no_pdo(ms=SAMPLE_MS))))
 interrupts_404("hysteresis 6136h: the hysteresis holds a value outside until it is well inside", NEEDS,
     do.put("f", 0x6135, 1, 200.0), do.put("f", 0x6136, 1, 100.0), begin, do.run(shift, 250.0),
     do.pdo(within_ms=SAMPLE_MS), do.run(shift, 150.0), do.no_pdo(ms=SAMPLE_MS), do.run(shift, 50.0),
