@@ -113,10 +113,10 @@ def test_velocity_cyclic_modes_and_limits() -> None:
     axis.advance(10_000)
     assert -2000 < int(axis.simulated[0x606C]) < 0
     axis.advance(90_000)
-    assert (axis.simulated[0x606C], axis.bit(10)) == (-2000, 1)
+    assert (axis.simulated[0x606C], axis.bit(10), axis.bit(12)) == (-2000, 1, 0)
     axis.control(ENABLE | 0x100)  # halt
     axis.advance(100_000)
-    assert axis.simulated[0x606C] == 0
+    assert (axis.simulated[0x606C], axis.bit(12)) == (0, 1)
     axis.store(0x6060, 8)
     axis.store(0x607A, 123)
     axis.control(ENABLE)
