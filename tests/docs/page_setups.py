@@ -202,8 +202,7 @@ class Bench:
         tree, channels = Tree(folder.absolute()), {f"voltage{k}": 0 for k in range(3)}
         self.chip = tree.add(0, "spi0.0", channels, "ad7124-4", "be:u16/16>>0", in_voltage_scale="0.0503540")
         self.devices = tree.root
-        self.stopped = threading.Event()
-        self.thread = threading.Thread()
+        self.node = contextlib.ExitStack()
         self.gauges_read([0.0, 0.0, 0.0])
 
     def gauges_read(self, microstrains: list[float]) -> None:
@@ -225,22 +224,13 @@ class Bench:
         source = open_iio("spi0.0", "finger.toml", 3, bridge, Capture("poll"), self.devices)
         store = FileStore(Path("node-5.json").absolute())
         device = fingertip_node(5, source, serial=5, save=store.save, load=store.load)
-        bus = can.Bus(**self.bus)
-        self.stopped = threading.Event()
-        stopped = self.stopped.is_set
-
-        def work() -> None:
-            loop.run([device], PythonCanPort(bus), stopped)
-            bus.shutdown()
-
-        self.thread = threading.Thread(target=work)
-        self.thread.start()
+        bus = self.node.enter_context(can.Bus(**self.bus))
+        self.node.enter_context(loop.running([device], PythonCanPort(bus)))
         time.sleep(0.15)
 
     def stop_node(self) -> None:
         """End it."""
-        self.stopped.set()
-        self.thread.join()
+        self.node.close()
 
     def disconnect(self) -> None:
         """Take the converter away."""
