@@ -133,6 +133,21 @@ def test_velocity_cyclic_modes_and_limits() -> None:
     assert any(data[:1] == b"\x80" for can_id, data in sent if can_id == 0x585)
 
 
+def test_homing_by_a_move_ends_at_zero_with_the_offset() -> None:
+    axis = Axis()
+    for key, value in ((0x6060, 8), (0x607A, 500), (0x607C, 25), (0x6098, 17)):
+        axis.store(key, value)
+    axis.control(SHUTDOWN, ENABLE)
+    axis.advance(6000)
+    axis.store(0x6060, 6)
+    axis.control(0x1F)
+    assert (axis.simulated[0x6064], axis.bit(10), axis.bit(12)) == (500, 0, 0)
+    axis.advance(4000)
+    assert 25 < int(axis.simulated[0x6064]) < 500
+    axis.advance(2_000_000)
+    assert (axis.simulated[0x6064], axis.bit(10), axis.bit(12)) == (25, 1, 1)
+
+
 def test_a_fault_stops_the_drive_and_is_reset_by_a_rising_edge() -> None:
     axis = Axis()
     axis.store(0x6060, 3)
