@@ -129,14 +129,15 @@ SEGMENT_BYTES = 7
 NAMES = (0x1008, 0x1009, 0x100A)
 
 
-def begin_upload(dut: Dut, above: int = 4) -> tuple[int, int]:
-    """Initiate a segmented upload of a string of more than ``above`` bytes; (index, stated size)."""
+def begin_upload(dut: Dut, above: int = 4) -> int:
+    """Initiate a segmented upload of a string of more than ``above`` bytes; its stated size."""
     for index in NAMES:
         answer = dut.ask(struct.pack("<BHB", 0x40, index, 0))
         if answer[0] == 0x41:
             size = int(struct.unpack("<I", answer[4:])[0])
             if size > above:
-                return index, size
+                dut.upload_index = index
+                return size
             dut.read_segments()
     raise NotApplicableError(f"no string that is longer than {above} bytes")
 
@@ -148,51 +149,29 @@ def begin_download(dut: Dut, size: int | None = 2) -> None:
 
 @segmented("7.2.4.3.7: all segments: the toggle bit alternates from 0, the stated size comes")
 def upload(dut: Dut) -> None:
-    _index, size = begin_upload(dut)
+    size = begin_upload(dut)
     size_read = len(dut.read_segments())
     check(size_read == size, f"{size} bytes", f"{size_read}")
 
-
-@segmented("7.2.4.3.7: a wrong toggle bit {1}: 05030000h, and the transfer is over", each=[
-    (0, "at first"), (1, "later"),
-])
-def upload_toggle(dut: Dut, segments: int, _when: str) -> None:
-    index, _size = begin_upload(dut, max(4, SEGMENT_BYTES * segments))
-    for _ in range(segments):
-        dut.ask("60", "0. *")
-    dut.request("60" if segments else "70")
-    dut.aborted(index, 0, Abort.TOGGLE_BIT)
-    over(dut)
-
-
+for segments, when in ((0, "at first"), (1, "later")):
+    segmented(f"upload_toggle 7.2.4.3.7: a wrong toggle bit {when}: 05030000h, and the transfer is over", (),
+        do.run(begin_upload, max(4, SEGMENT_BYTES * segments)), do.repeat(segments, do.ask("60", "0. *")),
+        do.request("60" if segments else "70"), do.upload_aborted(Abort.TOGGLE_BIT), over)
 segmented("upload_over 7.2.4.3.7: after the last segment the transfer is over", (),
     begin_upload, do.read_segments(), over)
-
-
-@segmented("7.2.4.3.17: the client aborts an upload: no answer, the transfer is over")
-def upload_abort(dut: Dut) -> None:
-    index, _size = begin_upload(dut)
-    dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
-    dut.no_sdo()
-    over(dut)
-
-
-@segmented("7.2.4.3.17: a download segment during an upload: 05040001h")
-def upload_wrong_segment(dut: Dut) -> None:
-    index, _size = begin_upload(dut)
-    dut.request("00")
-    dut.aborted(index, 0, Abort.UNKNOWN_COMMAND)
-
-
+segmented("upload_abort 7.2.4.3.17: the client aborts an upload: no answer, the transfer is over", (),
+    begin_upload, do.abort_upload(), do.no_sdo(), over)
+segmented("upload_wrong_segment 7.2.4.3.17: a download segment during an upload: 05040001h", (),
+    begin_upload, do.request("00"), do.upload_aborted(Abort.UNKNOWN_COMMAND))
 segmented("upload_reset 7.2.8.2.1.6: reset communication ends a transfer", (),
     begin_upload, do.reset(RESET_COMMUNICATION), over)
 
 
 @segmented("7.2.4.3.7: the value is taken at the initiate: a string read twice is the same")
 def upload_twice(dut: Dut) -> None:
-    index, _size = begin_upload(dut)
+    begin_upload(dut)
     first = dut.read_segments()
-    check(dut.read(index) == first, "the same string", "another one")
+    check(dut.read(dut.upload_index) == first, "the same string", "another one")
 
 
 for stated, how in ((2, "size stated"), (None, "size not stated")):

@@ -26,8 +26,8 @@ def initiate(dut: Dut, index: int, block_size: int, switch: int = 0, crc: bool =
     return answer
 
 
-def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> tuple[int, bytes]:
-    """Initiate the block upload of a string of several segments; (index, what a segmented upload gives)."""
+def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> bytes:
+    """Initiate the block upload of a string of several segments; return what a segmented upload gives."""
     for index in NAMES:
         data = dut.try_read(index)
         if isinstance(data, bytes) and len(data) > 7:
@@ -36,17 +36,17 @@ def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> tuple[int
                 raise CheckError(f"C0h (with bits 1, 2) and {index:04X}h", answer.hex(" "))
             if answer[0] & 2 and answer[4:] != struct.pack("<I", len(data)):
                 raise CheckError(f"size {len(data)}", answer[4:].hex(" "))
-            return index, data
+            dut.upload_index = index
+            return data
     raise NotApplicableError("no string of several segments")
 
 
-def begun_upload(dut: Dut, started: bool = True) -> int:
-    """Initiate a block upload of one segment a block, and (``started``) receive the first; the index."""
-    index, _data = begin_block_upload(dut, 1)
+def begun_upload(dut: Dut, started: bool = True) -> None:
+    """Initiate a block upload of one segment a block, and (``started``) receive the first."""
+    begin_block_upload(dut, 1)
     if started:
         dut.request("A3")
         block(dut, 1, False)
-    return index
 
 
 def block(dut: Dut, count: int, last: bool) -> bytes:
@@ -85,14 +85,14 @@ def last_block(dut: Dut, data: bytes, begin: int = 0, crc: bool = True) -> None:
 
 @upload("7.2.4.3.13: one block: size, segments, end with CRC")
 def sdo_block_upload(dut: Dut) -> None:
-    _index, data = begin_block_upload(dut, 127)
+    data = begin_block_upload(dut, 127)
     dut.request("A3")
     last_block(dut, data)
 
 
 @upload("7.2.4.3.14: blocks of one segment")
 def blocks_of_one(dut: Dut) -> None:
-    _index, data = begin_block_upload(dut, 1)
+    data = begin_block_upload(dut, 1)
     dut.request("A3")
     count = segments(data)
     for number in range(1, count + 1):
@@ -105,7 +105,7 @@ def blocks_of_one(dut: Dut) -> None:
 
 @upload("7.2.4.3.14: the client changes the block size from block to block")
 def changed_block_size(dut: Dut) -> None:
-    _index, data = begin_block_upload(dut, 1)
+    data = begin_block_upload(dut, 1)
     dut.request("A3")
     check(block(dut, 1, False) == data[:7], data[:7].hex(" "), "another segment")
     dut.request("A2 01 7F")
@@ -114,7 +114,7 @@ def changed_block_size(dut: Dut) -> None:
 
 @upload("7.2.4.3.14: ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
 def resend(dut: Dut, received: int) -> None:
-    _index, data = begin_block_upload(dut, 2)
+    data = begin_block_upload(dut, 2)
     dut.request("A3")
     block(dut, 2, segments(data) == 2)
     dut.request(f"A2 {received:02X} 7F")
@@ -123,7 +123,7 @@ def resend(dut: Dut, received: int) -> None:
 
 @upload("7.2.4.3.14: the last block is lost: ackseq 0, and it comes again")
 def resend_last(dut: Dut) -> None:
-    _index, data = begin_block_upload(dut, 127)
+    data = begin_block_upload(dut, 127)
     dut.request("A3")
     for _ in range(2):
         block(dut, segments(data), True)
@@ -140,18 +140,13 @@ def refused_initiate(dut: Dut, index: int, block_size: int, code: int) -> None:
 for size in (0, 128, 255):
     upload(f"block_size_refused 7.2.4.3.13: block size {size} at the initiate: 05040002h", ((0x1008, 0),),
         do.run(refused_initiate, 0x1008, size, Abort.BLOCK_SIZE))
-
-
-@upload("7.2.4.3.14: block size {0} in an answer: 05040002h", each=[(0,), (128,)])
-def block_size_refused_later(dut: Dut, size: int) -> None:
-    index = begun_upload(dut)
-    dut.request(f"A2 01 {size:02X}")
-    dut.aborted(index, 0, Abort.BLOCK_SIZE)
-
+for size in (0, 128):
+    upload(f"block_size_refused_later 7.2.4.3.14: block size {size} in an answer: 05040002h", (),
+        begun_upload, do.request(f"A2 01 {size:02X}"), do.upload_aborted(Abort.BLOCK_SIZE))
 
 @upload("7.2.4.3.16: a client without CRC finds 0 in its place")
 def without_crc(dut: Dut) -> None:
-    _index, data = begin_block_upload(dut, 127, crc=False)
+    data = begin_block_upload(dut, 127, crc=False)
     dut.request("A3")
     last_block(dut, data, crc=False)
 
@@ -167,16 +162,9 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
     refused_initiate(dut, index, 127, code)
 
 
-@upload("7.2.4.3.17: the client aborts {1}: no answer, the transfer is over", each=[
-    (False, "before the start"), (True, "after a block"),
-])
-def aborted(dut: Dut, started: bool, _when: str) -> None:
-    index = begun_upload(dut, started)
-    dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
-    dut.no_sdo()
-    dut.ask("40 00 10 00", "43 00 10 00 *")
-
-
+for started, when in ((False, "before the start"), (True, "after a block")):
+    upload(f"aborted 7.2.4.3.17: the client aborts {when}: no answer, the transfer is over", (),
+        do.run(begun_upload, started), do.abort_upload(), do.no_sdo(), do.ask("40 00 10 00", "43 00 10 00 *"))
 upload("stopped 7.3.2.3: stop ends a block upload without a word", (),
     do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.no_sdo())
 for command in ("A1", "A2", "A3", "C1"):

@@ -33,20 +33,15 @@ RECORD = ((0x2141, 0),)
 
 @segmented("7.2.4.2.5: a new initiate gives up the upload that went on")
 def upload_restart(dut: Dut) -> None:
-    _index, size = begin_upload(dut)
+    size = begin_upload(dut)
     dut.ask("60", "0. *")
     begin_upload(dut)
     size_read = len(dut.read_segments())
     check(size_read == size, f"{size} bytes from the start", f"{size_read}")
 
 
-@segmented("7.2.4.3.17: a silent client: 05040000h, and the transfer is over")
-def upload_timeout(dut: Dut) -> None:
-    index, _size = begin_upload(dut)
-    dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
-    over(dut)
-
-
+segmented("upload_timeout 7.2.4.3.17: a silent client: 05040000h, and the transfer is over", (),
+    begin_upload, do.upload_aborted(Abort.TIMED_OUT, within_ms=1200), over)
 segmented("upload_patience 7.2.4.3.17: each request gives the client its time anew", (),
     begin_upload, do.no_sdo(ms=700), do.ask("60", "0. *"), do.no_sdo(ms=700),
     do.ask("70", lambda data: data[0] & 0xF0 == 0x10))
@@ -77,14 +72,8 @@ def download_many(dut: Dut) -> None:
 
 
 LONG = ((0x1021, 0),)
-
-
-@block_upload("7.2.4.3.14: ackseq beyond what was sent: 05040003h")
-def acknowledged_too_much(dut: Dut) -> None:
-    index = sdo_block.begun_upload(dut)
-    dut.request("A2 02 7F")
-    dut.aborted(index, 0, Abort.SEQUENCE_NUMBER)
-
+block_upload("acknowledged_too_much 7.2.4.3.14: ackseq beyond what was sent: 05040003h", (),
+    sdo_block.begun_upload, do.request("A2 02 7F"), do.upload_aborted(Abort.SEQUENCE_NUMBER))
 
 @block_upload("7.2.4.3.13: protocol switch: {0} bytes and pst {1} give a {2} upload", ((0x1000, 0),), each=[
     (4, 4, "expedited"), (4, 255, "expedited"), (4, 3, "block"), (4, 0, "block"),
@@ -118,24 +107,15 @@ def full_block(dut: Dut) -> None:
 
 block_upload("restart 7.2.4.2.13: an initiate gives up the block upload that went on", (),
     sdo_block.begun_upload, do.ask("40 00 10 00", "43 00 10 00 *"))
-
-
-@block_upload("7.2.4.3.17: {1}: 05040001h", each=[
+for command, why in (
     ("A2 01 7F", "an answer before the start"), ("A1", "an end before the start"),
     ("60", "a segment of another transfer"),
-])
-def wrong_command(dut: Dut, request: str, _why: str) -> None:
-    index = sdo_block.begun_upload(dut, False)
-    dut.request(request)
-    dut.aborted(index, 0, Abort.UNKNOWN_COMMAND)
-
-
-@block_upload("7.2.4.3.17: a client that is silent {1}: 05040000h", each=[
-    (False, "before the start"), (True, "after a block"),
-])
-def silent_client(dut: Dut, started: bool, _when: str) -> None:
-    index = sdo_block.begun_upload(dut, started)
-    dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
+):
+    block_upload(f"wrong_command 7.2.4.3.17: {why}: 05040001h", (),
+        do.run(sdo_block.begun_upload, False), do.request(command), do.upload_aborted(Abort.UNKNOWN_COMMAND))
+for started, when in ((False, "before the start"), (True, "after a block")):
+    block_upload(f"silent_client 7.2.4.3.17: a client that is silent {when}: 05040000h", (),
+        do.run(sdo_block.begun_upload, started), do.upload_aborted(Abort.TIMED_OUT, within_ms=1200))
 
 
 def begin_record(dut: Dut) -> tuple[bytes, int]:
