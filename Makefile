@@ -78,12 +78,10 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.optimise
 	$(PYTHON) -m bench.fem
 	.venv/bin/tipforce report -o build/report
-	.venv/bin/tipforce vcan -- $(PYTHON) -m bench.documents cases > build/conformance.md
-	$(PYTHON) -m bench.documents conformance build/conformance.md
 
 generate: bootstrap-test ## write the committed files generated from the object dictionary and the command line
 	@$(PYTHON) -m tipforce.dictionary.generate
-	@$(PYTHON) -m bench.documents commands
+	@$(PYTHON) -m bench.documents generated
 
 clean: ## remove .venv, caches and build results
 	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

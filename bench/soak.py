@@ -20,7 +20,7 @@ from pathlib import Path
 import can
 import numpy as np
 from bench.hand import NOISE_MICROSTRAIN, brought_up
-from bench.measure import arguments, background, resident_bytes
+from bench.measure import arguments, resident_bytes
 
 from canopen_device.core import communication
 from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
@@ -110,7 +110,7 @@ def stored_fingers(count: int, seed: int) -> list[Finger]:
         plan, network = HandPlan(heartbeat_ms=100, store=True), {"interface": "virtual", "channel": channel}
         with (
             can.Bus(interface="virtual", channel=channel) as bus,
-            background(lambda stop: loop.run(devices, PythonCanPort(bus), stop.is_set)),
+            loop.running(devices, PythonCanPort(bus)),
             brought_up(Path(folder), dict.fromkeys(stores, ""), plan, network),
         ):
             pass

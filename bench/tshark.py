@@ -20,7 +20,7 @@ import can
 import canopen
 from bench.decode import write_log
 from bench.fuzz import STRAIN_PER_NEWTON
-from bench.measure import ROOT, arguments, background
+from bench.measure import ROOT, arguments
 
 from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
@@ -49,7 +49,7 @@ def session(log: Path) -> int:
     ):
         notifier = can.Notifier(log_bus, [recorded.append])
         port = PythonCanPort(node_bus)
-        with background(lambda stop: loop.run([device], port, stop.is_set)), canopen.Network() as network:
+        with loop.running([device], port), canopen.Network() as network:
             network.connect(interface="virtual", channel="tshark")
             heard, identity = network.lss.fast_scan()
             if not heard or identity[1] != product_code(3, True):

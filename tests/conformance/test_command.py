@@ -2,7 +2,6 @@
 
 import json
 import signal
-import threading
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,13 +25,8 @@ ON_BUS = ("conformance", "--node-id", "5", "-i", "virtual", "-c", CHANNEL)
 @pytest.fixture
 def node() -> Iterator[None]:
     """Node 5 on a virtual bus, in a thread."""
-    ended = threading.Event()
-    with can.Bus(interface="virtual", channel=CHANNEL) as bus:
-        thread = threading.Thread(target=loop.run, args=([core_node()], PythonCanPort(bus), ended.is_set))
-        thread.start()
+    with can.Bus(interface="virtual", channel=CHANNEL) as bus, loop.running([core_node()], PythonCanPort(bus)):
         yield
-        ended.set()
-        thread.join()
 
 
 def failing() -> Result:

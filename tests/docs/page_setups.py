@@ -26,6 +26,7 @@ from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
 from canopen_device.running.store import FileStore
 from docs.runner import Terminal
+from sources.iio_tree import Tree
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
@@ -197,17 +198,11 @@ class Bench:
 
     def __init__(self, folder: Path, bus: dict[str, Any]) -> None:
         self.bus = bus
-        self.chip = folder / "devices" / "spi0.0" / "iio:device0"
-        self.devices = folder / "bus"
-        self.devices.mkdir(parents=True)
-        (self.chip / "scan_elements").mkdir(parents=True)
-        (self.devices / "iio:device0").symlink_to(self.chip.absolute())
-        (self.chip / "name").write_text("ad7124-4\n")
-        (self.chip / "in_voltage_scale").write_text("0.0503540\n")
-        for k in range(3):
-            (self.chip / "scan_elements" / f"in_voltage{k}_type").write_text("be:u16/16>>0\n")
-        self.stopped = threading.Event()
-        self.thread = threading.Thread()
+        folder.mkdir()
+        tree, channels = Tree(folder.absolute()), {f"voltage{k}": 0 for k in range(3)}
+        self.chip = tree.add(0, "spi0.0", channels, "ad7124-4", "be:u16/16>>0", in_voltage_scale="0.0503540")
+        self.devices = tree.root
+        self.node = contextlib.ExitStack()
         self.gauges_read([0.0, 0.0, 0.0])
 
     def gauges_read(self, microstrains: list[float]) -> None:
@@ -229,22 +224,13 @@ class Bench:
         source = open_iio("spi0.0", "finger.toml", 3, bridge, Capture("poll"), self.devices)
         store = FileStore(Path("node-5.json").absolute())
         device = fingertip_node(5, source, serial=5, save=store.save, load=store.load)
-        bus = can.Bus(**self.bus)
-        self.stopped = threading.Event()
-        stopped = self.stopped.is_set
-
-        def work() -> None:
-            loop.run([device], PythonCanPort(bus), stopped)
-            bus.shutdown()
-
-        self.thread = threading.Thread(target=work)
-        self.thread.start()
+        bus = self.node.enter_context(can.Bus(**self.bus))
+        self.node.enter_context(loop.running([device], PythonCanPort(bus)))
         time.sleep(0.15)
 
     def stop_node(self) -> None:
         """End it."""
-        self.stopped.set()
-        self.thread.join()
+        self.node.close()
 
     def disconnect(self) -> None:
         """Take the converter away."""

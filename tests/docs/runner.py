@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from tipforce_tools.cli.main import main
+from tipforce_tools.cli.main import COMMANDS, command_parser, main
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
 _BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$|^<!-- test: (.*?) -->$", re.MULTILINE | re.DOTALL)
@@ -120,3 +120,12 @@ def command_lines(page: Path) -> list[str]:
                     if words.startswith("tipforce "):
                         lines.append(words)
     return lines
+
+
+def check_command(words: list[str]) -> None:
+    """SystemExit or AssertionError for a `tipforce` command that does not exist or does not take these words."""
+    if words[0] == "--completion":
+        assert words[1:] in (["bash"], ["zsh"], ["fish"])
+        return
+    assert words[0] in COMMANDS, words
+    command_parser(words[0]).parse_args(words[1:])

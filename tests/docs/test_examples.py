@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from docs.page_setups import SETUPS
-from docs.runner import command_lines, examples, run_page
-from docs.test_workflows import check_command
+from docs.runner import check_command, command_lines, examples, run_page
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted(path for folder in (".", "docs", "dbc", "eds") for path in (ROOT / folder).glob("*.md"))

@@ -1,20 +1,37 @@
-"""The five programs of docs/python.md run as they stand: short, and with public names only."""
+"""The programs of docs/python.md, its recipes for other packages and the example tests run as a user runs them."""
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import tipforce
+from tipforce_tools.cli.main import main
 
-PAGE = Path(__file__).parents[2] / "docs" / "python.md"
-BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.M | re.S)
+DOCS = Path(__file__).parents[2] / "docs"
+BLOCKS = re.findall(r"^```python\n(.*?)^```", (DOCS / "python.md").read_text(encoding="utf-8"), re.M | re.S)
+DATA_FRAMES = {
+    match[1]: block for block in BLOCKS if (match := re.match(r"import (pandas|polars)\n", block)) is not None
+}
 PROGRAMS = [block for block in BLOCKS if "import tipforce\n" in block]
 LOAD = (4.4, 90.0, 45.0)
+TWO_FINGERS = """\
+(1700000000.000000) can0 080#
+(1700000000.000120) can0 285#2E1129239A110303
+(1700000000.000240) can0 286#D0072823E8030303
+(1700000000.001000) can0 080#
+(1700000000.001120) can0 285#3011282394110304
+(1700000000.001240) can0 286#0500008000801204
+"""
 LOG = "(1700000000.000120) can0 285#2E1129239A110303\n(1700000000.001120) can0 285#3011282394110305\n"
 
 
@@ -84,3 +101,33 @@ def test_asyncio(finger: tipforce.SimulatedBus) -> None:
     contacts = [one for one in shown if isinstance(one, tipforce.Contact)]
     assert all(contact.ok for contact in contacts[:5])
     assert all(a.counter != b.counter for a, b in itertools.pairwise(contacts))
+
+
+def test_a_recipe_for_each_package() -> None:
+    assert list(DATA_FRAMES) == ["pandas", "polars"]
+    for name, code in DATA_FRAMES.items():
+        compile(code, f"python.md, {name}", "exec")
+
+
+@pytest.mark.parametrize("name", DATA_FRAMES)
+def test_decoded_with(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if importlib.util.find_spec(name) is None:
+        pytest.skip(f"{name} is not installed: its three lines were compiled, not run")
+    monkeypatch.chdir(tmp_path)
+    Path("run.log").write_text(TWO_FINGERS)
+    assert main(["decode", "run.log", "-q", "-o", "run.parquet"]) == 0
+    space: dict[str, Any] = {}
+    exec(DATA_FRAMES[name], space)
+    assert space["result"] == [{"node": 5, "P_N": 4.4, "known": 2}, {"node": 6, "P_N": 2.0, "known": 1}]
+
+
+@pytest.mark.parametrize("name", ["test_hand.py", "test_master.py"])
+def test_an_example_test_runs_where_a_user_copies_it(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text((DOCS / "examples" / name).read_text())
+    plain = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST_", "CAN_"))}
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", name],
+        cwd=tmp_path, env=plain, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    assert "3 passed" in done.stdout

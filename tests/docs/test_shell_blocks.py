@@ -30,7 +30,7 @@ NEEDS = {
     "root, or the home of the user": r"^(install|mkdir|systemctl|journalctl) |/etc/|~/|fpath",
     "a key": r"program\.key",
 }
-"""Why a line is not run here. tests/vcan and tests/docs/test_recipes.py run some of them."""
+"""Why a line is not run here. tests/vcan and tests/docs/test_python_page.py run some of them."""
 
 
 def lines_of(page: Path) -> list[str]:

@@ -50,30 +50,6 @@ def test_wide_integers_reals_and_strings_in_pdos(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-def test_event_and_inhibit_times(tmp_path: Path) -> None:
-    found = described(
-        tmp_path,
-        text(var("2000", 5, "rw", "7"), pdo(0x1800, "$NODEID+0x180", 255, 0x20000008, event_ms=50, inhibit=100)),
-    )
-    talk = Talk(found)
-    talk.say("""\
-        > 000#0105
-        < 185#07
-        + 49999
-        + 1
-        < 185#07
-        > 605#2F00200009000000
-        < 585#6000200000000000
-    """)
-    talk.device.tpdos.request(1)
-    talk.due_us = talk.now_us
-    talk.say("""\
-        + 9999
-        + 1
-        < 185#09
-    """)
-
-
 def test_sync_production_with_a_counter(tmp_path: Path) -> None:
     objects = (
         SYNC, var("1006", 7, "rw", "1000"), var("1019", 5, "rw", "3"), var("2000", 5, "rw", "7"),

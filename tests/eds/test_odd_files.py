@@ -232,6 +232,7 @@ def test_encodings(tmp_path: Path) -> None:
         (content.encode("utf-16"), "UTF-16"),
         (content.encode("utf-16-le"), "UTF-16"),
         (content.encode("utf-16-be"), "UTF-16"),
+        (b"\xfe\xff" + content.encode("utf-16-be"), "UTF-16"),
     ):
         found = described(tmp_path, encoded)
         assert [said in line for line in found.warnings] == [True]

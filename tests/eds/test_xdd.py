@@ -99,6 +99,8 @@ def test_an_xdc_configures_one_node(tmp_path: Path) -> None:
             "a document type of its own",
         ),
         ("index=", "number=", "no object in it"),
+        ("utf-8", "zz", r"a\.xdd:1: no XML: unknown encoding: zz"),
+        ("utf-8", "utf-7", r"a\.xdd:1: no XML: multi-byte encodings are not supported"),
     ],
 )
 def test_what_is_no_xdd_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:

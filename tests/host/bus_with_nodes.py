@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -60,27 +59,10 @@ def new_channel() -> str:
 @contextlib.contextmanager
 def running(devices: Sequence[Device], channel: str) -> Iterator[None]:
     """Nodes that one thread runs on ``channel``; an exception in their loop fails the test."""
-    stopped = threading.Event()
-    failures: list[BaseException] = []
-    with can.Bus(interface="virtual", channel=channel) as bus:
-
-        def work() -> None:
-            try:
-                loop.run(devices, PythonCanPort(bus), stopped.is_set)
-            except BaseException as error:
-                failures.append(error)
-
-        thread = threading.Thread(target=work, name="nodes")
-        thread.start()
-        try:
+    with can.Bus(interface="virtual", channel=channel) as bus, can.Bus(interface="virtual", channel=channel) as waker:
+        wake = can.Message(arbitration_id=_WAKE, is_extended_id=False)
+        with loop.running(devices, PythonCanPort(bus), lambda: waker.send(wake)):
             yield
-        finally:
-            stopped.set()
-            with can.Bus(interface="virtual", channel=channel) as waker:
-                waker.send(can.Message(arbitration_id=_WAKE, is_extended_id=False))
-            thread.join()
-    if failures:
-        raise failures[0]
 
 
 @contextlib.contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
@@ -163,21 +162,6 @@ class _Port:
 @contextlib.contextmanager
 def running(board: Board, bus: can.BusABC) -> Iterator[None]:
     """A thread that runs the node of a board on ``bus``; an exception in it fails the test."""
-    stopped = threading.Event()
-    failures: list[BaseException] = []
     devices = [board.device]
-
-    def work() -> None:
-        try:
-            loop.run(devices, _Port(board, devices, PythonCanPort(bus)), stopped.is_set)
-        except BaseException as error:
-            failures.append(error)
-
-    thread = threading.Thread(target=work, name="board")
-    thread.start()
-    try:
+    with loop.running(devices, _Port(board, devices, PythonCanPort(bus))):
         yield
-    finally:
-        stopped.set()
-        thread.join()
-    assert not failures, failures

@@ -1,15 +1,11 @@
-"""The drive: each transition of CiA 402-2, its modes, limits, faults; and canopen's BaseNode402 on a virtual bus."""
+"""The drive: each transition of CiA 402-2, its modes, limits, faults. tests/vcan has canopen's BaseNode402 with it."""
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
-import canopen
 import pytest
-from canopen.profiles.p402 import BaseNode402
 
-import tipforce
 from canopen_device.eds import read_eds
 from canopen_device.machine import Drive, SimulatedDevice
 from canopen_device.machine import cia402 as drive_module
@@ -117,10 +113,10 @@ def test_velocity_cyclic_modes_and_limits() -> None:
     axis.advance(10_000)
     assert -2000 < int(axis.simulated[0x606C]) < 0
     axis.advance(90_000)
-    assert (axis.simulated[0x606C], axis.bit(10)) == (-2000, 1)
+    assert (axis.simulated[0x606C], axis.bit(10), axis.bit(12)) == (-2000, 1, 0)
     axis.control(ENABLE | 0x100)  # halt
     axis.advance(100_000)
-    assert axis.simulated[0x606C] == 0
+    assert (axis.simulated[0x606C], axis.bit(12)) == (0, 1)
     axis.store(0x6060, 8)
     axis.store(0x607A, 123)
     axis.control(ENABLE)
@@ -135,6 +131,21 @@ def test_velocity_cyclic_modes_and_limits() -> None:
     assert (axis.simulated[0x6064], axis.bit(10), axis.bit(12)) == (0, 1, 1)
     sent = axis.step([(0x605, bytes.fromhex("2f60600004000000"))])  # profile torque: not supported
     assert any(data[:1] == b"\x80" for can_id, data in sent if can_id == 0x585)
+
+
+def test_homing_by_a_move_ends_at_zero_with_the_offset() -> None:
+    axis = Axis()
+    for key, value in ((0x6060, 8), (0x607A, 500), (0x607C, 25), (0x6098, 17)):
+        axis.store(key, value)
+    axis.control(SHUTDOWN, ENABLE)
+    axis.advance(6000)
+    axis.store(0x6060, 6)
+    axis.control(0x1F)
+    assert (axis.simulated[0x6064], axis.bit(10), axis.bit(12)) == (500, 0, 0)
+    axis.advance(4000)
+    assert 25 < int(axis.simulated[0x6064]) < 500
+    axis.advance(2_000_000)
+    assert (axis.simulated[0x6064], axis.bit(10), axis.bit(12)) == (25, 1, 1)
 
 
 def test_a_fault_stops_the_drive_and_is_reset_by_a_rising_edge() -> None:
@@ -178,37 +189,3 @@ def test_a_file_that_is_no_drive_is_refused() -> None:
         SimulatedDevice(read_eds(eds, 5), Drive())
     assert read_eds(shipped_eds("cia402"), 5).warnings == []
     assert drive_module.Drive is Drive
-
-
-def test_base_node_402_drives_it_on_a_virtual_bus(monkeypatch: pytest.MonkeyPatch) -> None:
-    for limit in [name for name in vars(BaseNode402) if name.startswith("TIMEOUT_")]:
-        monkeypatch.setattr(BaseNode402, limit, 60.0)  # seconds
-    network = canopen.Network()
-    network.connect(interface="virtual", channel="machine-402")
-    try:
-        with tipforce.simulated_device("cia402", 5, network) as drive:
-            node = BaseNode402(5, str(shipped_eds("cia402")))
-            network.add_node(node)
-            node.sdo[0x1017].raw = 20
-            node.nmt.wait_for_heartbeat(60)
-            node.setup_402_state_machine()
-            node.nmt.state = "OPERATIONAL"
-            node.op_mode = "PROFILED POSITION"
-            node.state = "OPERATION ENABLED"
-            node.sdo[0x607A].raw = 700
-            node.controlword = 0x1F
-            deadline_s = time.monotonic() + 60
-            while not (node.check_statusword() & 0x400 and node.sdo[0x6064].raw == 700):
-                assert time.monotonic() < deadline_s
-                time.sleep(0.01)
-            drive.application.fail(0x3210)  # type: ignore[attr-defined]
-            while node.state != "FAULT":
-                assert time.monotonic() < deadline_s
-                time.sleep(0.01)
-                node.check_statusword()
-            assert node.sdo[0x603F].raw == 0x3210
-            node.reset_from_fault()
-            assert node.state == "OPERATION ENABLED"
-            assert drive[0x6064] == 700
-    finally:
-        network.disconnect()

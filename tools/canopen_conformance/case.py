@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import partial
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
     from canopen_conformance.dut import Dut
 
 Step: TypeAlias = "Callable[[Dut], object]"
-Needs: TypeAlias = Sequence[tuple[int, int]] | Callable[..., Sequence[tuple[int, int]]]
-"""The (index, sub-index) that must exist, or a function that returns them for a row."""
+Needs: TypeAlias = Sequence[tuple[int, int]]
+"""The (index, sub-index) that must exist."""
 
 
 class CheckError(Exception):
@@ -78,72 +79,58 @@ _HEADER = re.compile(r"(?:(?!tipforce )([a-z]\w*) )?((?:CiA \S+ |tipforce )?\S+)
 class Service:
     """The cases of a service of the standard, in the module that declares them; ``own`` as in Case.
 
-    A case has the header "clause: title" or "name clause: title"; a clause that is a number alone is of ``standard``.
+    A case has the header "name clause: title"; a clause that is a number alone is of ``standard``. Cases of the same
+    name are numbered.
     """
 
     def __init__(self, name: str, own: bool = False, standard: str = "CiA 301") -> None:
         self.name = name
-        self.cases: list[Case] = []
         self._own = own
         self._standard = standard
+        self._cases: dict[str, list[Case]] = {}
+
+    @property
+    def cases(self) -> Iterator[Case]:
+        """The cases in the order of their declaration."""
+        for same in self._cases.values():
+            for number, case in enumerate(same, 1):
+                yield replace(case, name=f"{case.name}.{number}") if len(same) > 1 else case
 
     def __call__(
         self,
         header: str,
         needs: Needs = (),
-        *,
+        *steps: Step,
         each: Sequence[tuple[Any, ...]] = ((),),
         persistent: bool = False,
         error_frames: bool = False,
-    ) -> Callable[..., Callable[..., object]]:
-        """Declare a case by its steps, called with the Dut in their order; a decorator of a single one.
+    ) -> Callable[[Callable[..., object]], Callable[..., object]]:
+        """Declare a case by its steps, called with the Dut in their order; without steps, by the decorated function.
 
-        With ``each`` one per row: arguments of a step after the Dut, and of clause and title. Its name is the service,
-        that of the header, or of the first step without the service, and the number of the row.
+        With ``each`` one per row: arguments of the function after the Dut, and of clause and title. A header without
+        a name is named as the function, without the service.
         """
         match = _HEADER.fullmatch(header)
         if match is None:
             raise ValueError(f"{header!r}: the form of a case is 'name clause: title'")
         clause = match[2] if " " in match[2] else f"{self._standard} {match[2]}"
 
-        def declare(*steps: Callable[..., object]) -> Callable[..., object]:
-            name = f"{self.name}.{match[1] or steps[0].__name__.removeprefix(f'{self.name}_')}"
-            for number, row in enumerate(each, 1):
-                self.cases.append(
-                    Case(
-                        name + (f".{number}" if len(each) > 1 else ""),
-                        clause.format(*row),
-                        match[3].format(*row),
-                        lambda dut, row=row: [step(dut, *row) for step in steps],  # type: ignore[misc]
-                        tuple(needs(*row) if callable(needs) else needs),
-                        persistent,
-                        self._own,
-                        error_frames,
-                    )
-                )
-            return steps[0]
+        def declare(function: Callable[..., object]) -> Callable[..., object]:
+            name = f"{self.name}.{match[1] or function.__name__.removeprefix(f'{self.name}_')}"
+            for row in each:
+                body = partial(_with_row, function, row)
+                at, title = (text.format(*row) if row else text for text in (clause, match[3]))
+                case = Case(name, at, title, body, tuple(needs), persistent, self._own, error_frames)
+                self._cases.setdefault(name, []).append(case)
+            return function
 
+        if steps:
+            declare(lambda dut: [step(dut) for step in steps])
         return declare
 
-    def each(
-        self,
-        header: str,
-        needs: Needs,
-        rows: Sequence[tuple[Any, ...]],
-        *,
-        persistent: bool = False,
-    ) -> Callable[[Callable[..., Step | tuple[Step, ...]]], object]:
-        """Declare a case per row by a function of its values that returns the step, or the steps."""
 
-        def declare(steps: Callable[..., Step | tuple[Step, ...]]) -> object:
-            def body(dut: Dut, *row: object) -> None:
-                taken = steps(*row)
-                for step in taken if isinstance(taken, tuple) else (taken,):
-                    step(dut)
-
-            return self(header, needs, each=rows, persistent=persistent)(body)
-
-        return declare
+def _with_row(function: Callable[..., object], row: tuple[Any, ...], dut: Dut) -> object:
+    return function(dut, *row)
 
 
 def all_cases(*packages: ModuleType) -> list[Case]:

@@ -25,13 +25,13 @@ _SLOW_RESET_MS = 250
 class Dut(Frames):
     """One device on a link, with its present node-id. ``product``: of the caller's own cases, if it has any.
 
-    ``pdo_id``: CAN-ID of the PDO that a case has set up.
+    ``pdo_id``: CAN-ID of the PDO that a case has set up. ``upload_index``: object of the upload that it has begun.
     """
 
     def __init__(self, link: Link, node_id: int, product: Product | None = None) -> None:
         super().__init__(link, node_id)
         self.product = product
-        self.pdo_id = 0
+        self.pdo_id = self.upload_index = 0
         self._survey: dict[tuple[int, int], bool] = {}
         self._of_product: bool | None = None
         self._starts_by_itself: bool | None = None
@@ -201,6 +201,14 @@ class Dut(Frames):
         shown = " or ".join(f"{code:08X}h" for code in codes)
         right = data[:4] == struct.pack("<BHB", 0x80, index, sub) and int.from_bytes(data[4:], "little") in codes
         check(right, f"abort {shown} of {index:04X}h:{sub:02X}", data.hex(" ").upper())
+
+    def upload_aborted(self, *codes: int, within_ms: float = 1000) -> None:
+        """Check that the next SDO frame aborts the upload that the case has begun."""
+        self.aborted(self.upload_index, 0, *codes, within_ms=within_ms)
+
+    def abort_upload(self) -> None:
+        """Abort the upload that the case has begun."""
+        self.request(struct.pack("<BHBI", 0x80, self.upload_index, 0, Abort.GENERAL_ERROR))
 
     def no_sdo(self, ms: float = 30) -> None:
         """Check that the device sends no SDO frame."""

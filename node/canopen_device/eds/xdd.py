@@ -192,6 +192,8 @@ def read_xdd(path: str | Path, content: bytes) -> EdsFile:
         reader.parser.Parse(content, True)
     except expat.ExpatError as error:
         raise InputError(f"{path}:{error.lineno}: no XML: {expat.ErrorString(error.code)}") from None
+    except (LookupError, ValueError) as error:
+        raise InputError(f"{path}:1: no XML: {error}") from None  # of the encoding that the file states
     return reader.file()
 
 

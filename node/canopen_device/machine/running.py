@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import itertools
 import os
-import threading
+import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -149,36 +149,19 @@ def simulated_device(
 def simulated_devices(devices: Sequence[SimulatedDevice], bus: Any = None) -> Iterator[Sequence[SimulatedDevice]]:
     """Run several devices on one bus, as ``simulated_device`` does one."""
     options, connection, owned = _connection(bus)
-    stopped, booted = threading.Event(), threading.Event()
-    failures: list[BaseException] = []
     for device in devices:
         device.shared, device.bus_options = True, options
-
-    def ended() -> bool:
-        if all(device.now_s > 0.0 for device in devices):
-            booted.set()
-        return stopped.is_set()
-
-    def run() -> None:
-        try:
-            loop.run(devices, PythonCanPort(connection), ended)
-        except BaseException as error:
-            failures.append(error)
-        finally:
-            booted.set()
-
-    thread = threading.Thread(target=run, name="simulated devices", daemon=True)
-    thread.start()
     try:
-        booted.wait(_BOOT_S)
-        yield devices
+        with loop.running(devices, PythonCanPort(connection)) as thread:
+            limit_s = time.monotonic() + _BOOT_S
+            while not all(device.now_s > 0.0 for device in devices):
+                if not thread.is_alive() or time.monotonic() > limit_s:
+                    break
+                time.sleep(0.001)
+            yield devices
     finally:
-        stopped.set()
-        thread.join()
         if owned:
             connection.shutdown()
-    if failures:
-        raise failures[0]
 
 
 def _connection(bus: Any) -> tuple[dict[str, Any], can.BusABC, bool]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Protocol
 
 from canopen_device.core import codes
@@ -63,6 +65,34 @@ def run(devices: Sequence[Runnable], port: Port, stop: Callable[[], bool] = lamb
         due_us = _step(devices, port, frames)
         frame = port.receive(min(max(0.0, (due_us - now_us()) * 1e-6), _IDLE_S))
         frames = [] if frame is None else [frame]
+
+
+@contextmanager
+def running(
+    devices: Sequence[Runnable], port: Port, wake: Callable[[], object] = lambda: None
+) -> Iterator[threading.Thread]:
+    """Run ``devices`` in a thread while the block lasts; at its end raise the error that ended them, if any.
+
+    ``wake`` is called at the end: a frame that it sends to the port ends the wait there at once.
+    """
+    stopped, failures = threading.Event(), list[BaseException]()
+
+    def work() -> None:
+        try:
+            run(devices, port, stopped.is_set)
+        except BaseException as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=work, name="devices", daemon=True)
+    thread.start()
+    try:
+        yield thread
+    finally:
+        stopped.set()
+        wake()
+        thread.join()
+    if failures:
+        raise failures[0]
 
 
 def say_stopped(devices: Sequence[Device], port: Port) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -181,15 +180,8 @@ def _running(fingers: Sequence[Finger], port: loop.Port) -> Iterator[None]:
     """Run the booted nodes in a separate thread."""
     for finger in fingers:
         port.send(finger.boot(loop.now_us()))
-    stopped = threading.Event()
-    devices = [finger.device for finger in fingers]
-    thread = threading.Thread(target=loop.run, args=(devices, port, stopped.is_set), name="nodes")
-    thread.start()
-    try:
+    with loop.running([finger.device for finger in fingers], port):
         yield
-    finally:
-        stopped.set()
-        thread.join()
 
 
 def _acts(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
-import threading
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -48,13 +48,12 @@ class SimulatedBus(Bus):
             "channel": f"tipforce-{os.getpid()}-{next(_numbers)}",
         }
         self._sources = dict(sources)
-        self._stopped = threading.Event()
-        self._failures: list[BaseException] = []
         super().__init__(open_bus(**self.bus_options))
-        self._nodes_bus = open_bus(**self.bus_options)
-        port = PythonCanPort(self._nodes_bus)
-        self._thread = threading.Thread(target=self._run, args=(list(devices.values()), port), name="simulated fingers")
-        self._thread.start()
+        nodes_bus = open_bus(**self.bus_options)
+        self._closing = contextlib.ExitStack()
+        self._closing.callback(nodes_bus.shutdown)
+        self._closing.callback(super().close)
+        self._closing.enter_context(loop.running(list(devices.values()), PythonCanPort(nodes_bus), self._wake))
         self.wait_for({codes.HEARTBEAT_BASE + node_id for node_id in devices}, timeout_s=5.0)
 
     @property
@@ -80,15 +79,7 @@ class SimulatedBus(Bus):
 
     def close(self) -> None:
         """Stop the fingers and close the bus. Raises the error that ended their loop, if any."""
-        if not self._stopped.is_set():
-            self._stopped.set()
-            if self.bus_options.get("interface") == "virtual":
-                self.send(_WAKE_COB_ID, b"")  # not an identifier of a node: it ends the loop's wait
-            self._thread.join()
-            super().close()
-            self._nodes_bus.shutdown()
-        if self._failures:
-            raise self._failures[0]
+        self._closing.close()
 
     def __enter__(self) -> SimulatedBus:
         return self
@@ -96,11 +87,9 @@ class SimulatedBus(Bus):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _run(self, devices: Sequence[Device], port: PythonCanPort) -> None:
-        try:
-            loop.run(devices, port, self._stopped.is_set)
-        except BaseException as error:
-            self._failures.append(error)
+    def _wake(self) -> None:
+        if self.bus_options.get("interface") == "virtual":
+            self.send(_WAKE_COB_ID, b"")  # not an identifier of a node
 
     def _source(self, node_id: int) -> SimulatedSource:
         if node_id not in self._sources:

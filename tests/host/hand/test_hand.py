@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -37,7 +36,7 @@ class Fingers:
         self.channel, self.folder = channel, folder
         self.devices: dict[int, Device] = {}
         self.sources: dict[int, SimulatedSource] = {}
-        self._stops: dict[int, tuple[threading.Event, threading.Thread]] = {}
+        self._powered: dict[int, contextlib.ExitStack] = {}
 
     def switch_on(self, serial: int, node_id: int, forget: bool = False) -> None:
         """Power a node: its parameters come from its store, unless it forgets."""
@@ -47,25 +46,18 @@ class Fingers:
         save, load = (None, None) if forget else (files.save, files.load)
         self.devices[serial] = fingertip_node(node_id, source, serial=serial, save=save, load=load)
         self.sources[serial] = source
-        stop = threading.Event()
-        thread = threading.Thread(target=self._run, args=(self.devices[serial], stop), name=f"node {serial}")
-        self._stops[serial] = stop, thread
-        thread.start()
+        self._powered[serial] = power = contextlib.ExitStack()
+        bus = power.enter_context(can.Bus(interface="virtual", channel=self.channel))
+        power.enter_context(loop.running([self.devices[serial]], PythonCanPort(bus)))
 
     def switch_off(self, serial: int) -> None:
         """Cut its power."""
-        stop, thread = self._stops.pop(serial)
-        stop.set()
-        thread.join()
+        self._powered.pop(serial).close()
 
     def close(self) -> None:
         """All off."""
-        for serial in list(self._stops):
+        for serial in list(self._powered):
             self.switch_off(serial)
-
-    def _run(self, device: Device, stop: threading.Event) -> None:
-        with can.Bus(interface="virtual", channel=self.channel) as bus:
-            loop.run([device], PythonCanPort(bus), stop.is_set)
 
 
 @pytest.fixture

@@ -8,6 +8,9 @@ from canopen_conformance.case import Service
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import Abort
 
+# fmt: off
+# A table: a case is its header, and below it its steps.
+
 heartbeat = Service("error_control")
 guarding = Service("node_guarding")
 
@@ -15,7 +18,7 @@ PRODUCER = ((0x1017, 0),)
 CONSUMER = ((0x1016, 1), (0x1014, 0), (0x1001, 0))
 GUARDING = ((0x100C, 0), (0x100D, 0), (0x1017, 0))
 WATCHED = 0x70  # a node-id that nobody on the bus is likely to have
-BEHAVIOUR = (*CONSUMER, (0x1029, 1), (0x1017, 0))
+NAMES = dict(wire.STATES)
 
 
 def watch(dut: Dut, ms: int, node_id: int = WATCHED, sub: int = 1) -> None:
@@ -29,98 +32,55 @@ def lost(dut: Dut, within_ms: int = 100) -> None:
     dut.emcy(lambda d: len(d) == 8 and d[:2] == b"\x30\x81" and d[2] & 0x11 == 0x11, within_ms)
 
 
-heartbeat.each("period 7.2.8.3.2.2: a heartbeat each {0} ms", PRODUCER, [(20,), (50,), (110,)])(
-    lambda ms: (do.accepts("H", 0x1017, 0, ms), do.each_ms(ms, 3, "three periods of", do.heartbeat("7F", 2 * ms)))
-)
-heartbeat.each("heartbeat_state 7.2.8.3.2.2: the heartbeat in {1} carries {0:02X}h", PRODUCER, wire.STATES)(
-    lambda state, _name: (do.beat(), do.enter(state), do.state(state))
-)
-heartbeat("producer_off 7.5.2.20: 1017h = 0 ends the heartbeat", PRODUCER)(
-    do.beat(), do.heartbeat(), do.put("H", 0x1017, 0, 0), do.forget(), do.no_heartbeat(ms=80)
-)
-heartbeat("new_period 7.5.2.20: a new period holds from the write on", PRODUCER)(
-    do.put("H", 0x1017, 0, 5000), do.forget(), do.put("H", 0x1017, 0, 40), do.heartbeat("7F", 40)
-)
-
-
-@heartbeat("7.5.2.20: {1} bytes for 1017h are refused", PRODUCER, each=[("B", 1), ("I", 4)])
-def producer_size(dut: Dut, kind: str, size: int) -> None:
-    dut.refuses(kind, 0x1017, 0, 100, Abort.WRONG_LENGTH, Abort.TOO_LONG if size > 2 else Abort.TOO_SHORT)
-
-
-heartbeat("consumer_read_back 7.5.2.19: 1016h is read back as written", CONSUMER)(
-    do.put("I", 0x1016, 1, WATCHED << 16 | 1234), do.holds("I", 0x1016, 1, WATCHED << 16 | 1234)
-)
-heartbeat("consumer_twice 7.5.2.19: a node-id in two entries is refused with 06040043h", (*CONSUMER, (0x1016, 2)))(
-    do.put("I", 0x1016, 1, WATCHED << 16 | 1000),
-    do.refuses("I", 0x1016, 2, WATCHED << 16 | 500, Abort.INCOMPATIBLE),
-    do.holds("I", 0x1016, 2, 0),
-)
-heartbeat("consumer_twice_off 7.5.2.19: the same node-id with time 0 is no second watch", (*CONSUMER, (0x1016, 2)))(
-    do.put("I", 0x1016, 1, WATCHED << 16 | 1000),
-    do.put("I", 0x1016, 2, WATCHED << 16),
-    do.put("I", 0x1016, 1, WATCHED << 16 | 500),
-)
-heartbeat("not_before_first 7.2.8.3.2.2: nobody is missed before a first heartbeat", CONSUMER)(
-    do.put("I", 0x1016, 1, WATCHED << 16 | 20), do.no_emcy(ms=100)
-)
-heartbeat("lost_heartbeat 7.2.8.2.2.3: a lost heartbeat: EMCY 8130h after the consumer time", CONSUMER)(
-    do.run(watch, 100), do.after(100, "consumer time", do.emcy("30 81 *", 200))
-)
-heartbeat("lost_once 7.2.8.2.2.3: a lost heartbeat is reported once", CONSUMER)(
-    do.run(watch, 20), lost, do.no_emcy(ms=80)
-)
-heartbeat("in_time 7.2.8.2.2.3: heartbeats in time: no EMCY; the time runs from the last one", CONSUMER)(
-    do.run(watch, 150),
-    do.repeat(4, do.no_emcy(ms=60), do.send(0x700 + WATCHED, "05")),
-    do.no_emcy(ms=60),
-    do.run(lost, 200),
-)
-heartbeat("returned 7.2.7.1: a heartbeat that returns cures: EMCY 0000h, and 1001h is clear", CONSUMER)(
-    do.run(watch, 30), lost, do.send(0x700 + WATCHED, "05"), do.emcy("00 00 00 *"), do.holds("B", 0x1001, 0, 0)
-)
-heartbeat("watched_again 7.2.8.2.2.3: a heartbeat that returned is watched again", CONSUMER)(
-    do.run(watch, 20), lost, do.send(0x700 + WATCHED, "05"), do.emcy("00 00 *"), lost
-)
-
-
-@heartbeat(
-    "7.5.2.32: 1029h:1 = {0}: a lost heartbeat in {2} leads to {4}",
-    BEHAVIOUR,
-    each=[
-        (0, wire.OPERATIONAL, "OPERATIONAL", wire.PRE_OPERATIONAL, "PRE-OPERATIONAL"),
-        (1, wire.OPERATIONAL, "OPERATIONAL", wire.OPERATIONAL, "OPERATIONAL"),
-        (2, wire.OPERATIONAL, "OPERATIONAL", wire.STOPPED, "STOPPED"),
-        (0, wire.PRE_OPERATIONAL, "PRE-OPERATIONAL", wire.PRE_OPERATIONAL, "PRE-OPERATIONAL"),
-        (0, wire.STOPPED, "STOPPED", wire.STOPPED, "STOPPED"),
-    ],
-)
-def behaviour(dut: Dut, value: int, before: int, _in: str, after: int, _to: str) -> None:
-    dut.put("B", 0x1029, 1, value)
-    dut.beat()
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 30)
-    dut.enter(before)
-    dut.send(0x700 + WATCHED, "05")
-    dut.sleep(60 + dut.link.tolerance_ms)
-    dut.state(after)
-
-
-heartbeat.each(
-    "no_heartbeat 7.2.8.3.2.2: no heartbeat: {1}",
-    CONSUMER,
-    [
-        ((0, "05 05"), "two bytes"),
-        ((0, ""), "no data"),
-        ((wire.REMOTE_FLAG, ""), "a remote frame"),
-        ((1, "05"), "of another node"),
-    ],
-)(
-    lambda frame, _why: (
-        do.put("I", 0x1016, 1, WATCHED << 16 | 20),
-        do.send(frame[0] + 0x700 + WATCHED, frame[1]),
-        do.no_emcy(ms=80),
-    )
-)
+for ms in (20, 50, 110):
+    heartbeat(f"period 7.2.8.3.2.2: a heartbeat each {ms} ms", PRODUCER,
+        do.accepts("H", 0x1017, 0, ms), do.each_ms(ms, 3, "three periods of", do.heartbeat("7F", 2 * ms)))
+for state, name in wire.STATES:
+    heartbeat(f"heartbeat_state 7.2.8.3.2.2: the heartbeat in {name} carries {state:02X}h", PRODUCER,
+        do.beat(), do.enter(state), do.state(state))
+heartbeat("producer_off 7.5.2.20: 1017h = 0 ends the heartbeat", PRODUCER,
+    do.beat(), do.heartbeat(), do.put("H", 0x1017, 0, 0), do.forget(), do.no_heartbeat(ms=80))
+heartbeat("new_period 7.5.2.20: a new period holds from the write on", PRODUCER,
+    do.put("H", 0x1017, 0, 5000), do.forget(), do.put("H", 0x1017, 0, 40), do.heartbeat("7F", 40))
+for kind, size in (("B", 1), ("I", 4)):
+    heartbeat(f"producer_size 7.5.2.20: {size} bytes for 1017h are refused", PRODUCER,
+        do.refuses(kind, 0x1017, 0, 100, Abort.WRONG_LENGTH, Abort.TOO_LONG if size > 2 else Abort.TOO_SHORT))
+heartbeat("consumer_read_back 7.5.2.19: 1016h is read back as written", CONSUMER,
+    do.put("I", 0x1016, 1, WATCHED << 16 | 1234), do.holds("I", 0x1016, 1, WATCHED << 16 | 1234))
+heartbeat("consumer_twice 7.5.2.19: a node-id in two entries is refused with 06040043h", (*CONSUMER, (0x1016, 2)),
+    do.put("I", 0x1016, 1, WATCHED << 16 | 1000), do.refuses("I", 0x1016, 2, WATCHED << 16 | 500, Abort.INCOMPATIBLE),
+    do.holds("I", 0x1016, 2, 0))
+heartbeat("consumer_twice_off 7.5.2.19: the same node-id with time 0 is no second watch", (*CONSUMER, (0x1016, 2)),
+    do.put("I", 0x1016, 1, WATCHED << 16 | 1000), do.put("I", 0x1016, 2, WATCHED << 16),
+    do.put("I", 0x1016, 1, WATCHED << 16 | 500))
+heartbeat("not_before_first 7.2.8.3.2.2: nobody is missed before a first heartbeat", CONSUMER,
+    do.put("I", 0x1016, 1, WATCHED << 16 | 20), do.no_emcy(ms=100))
+heartbeat("lost_heartbeat 7.2.8.2.2.3: a lost heartbeat: EMCY 8130h after the consumer time", CONSUMER,
+    do.run(watch, 100), do.after(100, "consumer time", do.emcy("30 81 *", 200)))
+heartbeat("lost_once 7.2.8.2.2.3: a lost heartbeat is reported once", CONSUMER,
+    do.run(watch, 20), lost, do.no_emcy(ms=80))
+heartbeat("in_time 7.2.8.2.2.3: heartbeats in time: no EMCY; the time runs from the last one", CONSUMER,
+    do.run(watch, 150), do.repeat(4, do.no_emcy(ms=60), do.send(0x700 + WATCHED, "05")), do.no_emcy(ms=60),
+    do.run(lost, 200))
+heartbeat("returned 7.2.7.1: a heartbeat that returns cures: EMCY 0000h, and 1001h is clear", CONSUMER,
+    do.run(watch, 30), lost, do.send(0x700 + WATCHED, "05"), do.emcy("00 00 00 *"), do.holds("B", 0x1001, 0, 0))
+heartbeat("watched_again 7.2.8.2.2.3: a heartbeat that returned is watched again", CONSUMER,
+    do.run(watch, 20), lost, do.send(0x700 + WATCHED, "05"), do.emcy("00 00 *"), lost)
+for value, before, after in (
+    (0, wire.OPERATIONAL, wire.PRE_OPERATIONAL), (1, wire.OPERATIONAL, wire.OPERATIONAL),
+    (2, wire.OPERATIONAL, wire.STOPPED), (0, wire.PRE_OPERATIONAL, wire.PRE_OPERATIONAL),
+    (0, wire.STOPPED, wire.STOPPED),
+):
+    heartbeat(f"behaviour 7.5.2.32: 1029h:1 = {value}: a lost heartbeat in {NAMES[before]} leads to {NAMES[after]}",
+        (*CONSUMER, (0x1029, 1), (0x1017, 0)),
+        do.put("B", 0x1029, 1, value), do.beat(), do.put("I", 0x1016, 1, WATCHED << 16 | 30), do.enter(before),
+        do.send(0x700 + WATCHED, "05"), lambda dut: dut.sleep(60 + dut.link.tolerance_ms), do.state(after))
+for frame, why in (
+    ((0, "05 05"), "two bytes"), ((0, ""), "no data"), ((wire.REMOTE_FLAG, ""), "a remote frame"),
+    ((1, "05"), "of another node"),
+):
+    heartbeat(f"no_heartbeat 7.2.8.3.2.2: no heartbeat: {why}", CONSUMER,
+        do.put("I", 0x1016, 1, WATCHED << 16 | 20), do.send(frame[0] + 0x700 + WATCHED, frame[1]), do.no_emcy(ms=80))
 
 
 @heartbeat("7.5.2.19: four nodes are watched, each for itself", (*CONSUMER, (0x1016, 4)))
@@ -134,15 +94,12 @@ def four(dut: Dut) -> None:
     lost(dut, 250)
 
 
-heartbeat("watch_off 7.5.2.19: an entry set to 0 is watched no more", CONSUMER)(
-    do.run(watch, 60), do.put("I", 0x1016, 1, 0), do.no_emcy(ms=120)
-)
-heartbeat("lost_then_off 7.5.2.19: a lost node whose entry is set to 0 is an error no more", CONSUMER)(
-    do.run(watch, 20), lost, do.put("I", 0x1016, 1, 0), do.holds("B", 0x1001, 0, 0)
-)
-heartbeat("watch_reset 7.2.8.2.1.6: reset communication ends every watch", CONSUMER)(
-    do.run(watch, 60), do.reset(wire.RESET_COMMUNICATION), do.no_emcy(ms=120)
-)
+heartbeat("watch_off 7.5.2.19: an entry set to 0 is watched no more", CONSUMER,
+    do.run(watch, 60), do.put("I", 0x1016, 1, 0), do.no_emcy(ms=120))
+heartbeat("lost_then_off 7.5.2.19: a lost node whose entry is set to 0 is an error no more", CONSUMER,
+    do.run(watch, 20), lost, do.put("I", 0x1016, 1, 0), do.holds("B", 0x1001, 0, 0))
+heartbeat("watch_reset 7.2.8.2.1.6: reset communication ends every watch", CONSUMER,
+    do.run(watch, 60), do.reset(wire.RESET_COMMUNICATION), do.no_emcy(ms=120))
 
 
 def guard(dut: Dut, wanted: str) -> None:
@@ -159,58 +116,30 @@ def life(dut: Dut, guard_ms: int, factor: int) -> None:
     dut.forget()
 
 
-guarding("toggle 7.2.8.3.2.1: the answer carries the state; the toggle bit starts at 0 and alternates", GUARDING)(
-    do.run(life, 0, 0), do.repeat(2, do.run(guard, "7F"), do.run(guard, "FF"))
-)
-guarding.each("guarding_state 7.2.8.3.2.1: guarding in {1}", GUARDING, wire.STATES[1:])(
-    lambda state, _name: (
-        do.run(life, 0, 0),
-        do.run(guard, "7F"),
-        do.enter(state),
-        do.run(guard, f"{state | 0x80:02X}"),
-        do.run(guard, f"{state:02X}"),
-    )
-)
-guarding("toggle_reset 7.2.8.3.2.1: reset communication sets the toggle bit to 0", GUARDING)(
-    do.run(life, 0, 0), do.run(guard, "7F"), do.reset(wire.RESET_COMMUNICATION), do.run(life, 0, 0), do.run(guard, "7F")
-)
-guarding("life_lost 7.2.8.2.2.2: the life time runs out: EMCY 8130h; the next remote frame cures", GUARDING)(
-    do.run(life, 30, 2),
-    do.run(guard, "7F"),
-    do.after(60, "life time", do.emcy("30 81 *", 120)),
-    do.run(guard, "FF"),
-    do.emcy("00 00 *"),
-)
-guarding("life_in_time 7.2.8.2.2.2: remote frames in time: no life guarding error", GUARDING)(
-    do.run(life, 50, 3), *(step for wanted in ("7F", "FF", "7F") for step in (do.run(guard, wanted), do.no_emcy(ms=80)))
-)
-
-
-@guarding("7.2.8.2.2.2: no life guarding before the first remote frame, nor with {0}", GUARDING, each=[
-    ("guard time 0", 0, 3), ("life time factor 0", 20, 0),
-])  # fmt: skip
-def life_off(dut: Dut, _which: str, guard_ms: int, factor: int) -> None:
-    life(dut, 20, 1)
-    dut.no_emcy(ms=60)
-    life(dut, guard_ms, factor)
-    guard(dut, "7F")
-    dut.no_emcy(ms=90)
-
-
-guarding("life_ended 7.5.2.11: guard time set to 0 ends life guarding that runs", GUARDING)(
-    do.run(life, 60, 1), do.run(guard, "7F"), do.put("H", 0x100C, 0, 0), do.no_emcy(ms=120)
-)
-guarding("heartbeat_ends_life 7.2.8.2.2: a heartbeat that is switched on ends life guarding that runs", GUARDING)(
-    do.run(life, 60, 1), do.run(guard, "7F"), do.put("H", 0x1017, 0, 5000), do.no_emcy(ms=120)
-)
-guarding("life_behaviour 7.5.2.32: life guarding lost in OPERATIONAL: PRE-OPERATIONAL", (*GUARDING, (0x1029, 1)))(
-    do.put("B", 0x1029, 1, 0),
-    do.run(life, 30, 1),
-    do.nmt(wire.START),
-    do.run(guard, "05"),
-    do.emcy("30 81 *", 100),
-    do.run(guard, "FF"),
-)
-guarding("no_guard 7.2.8.3.2.1: a data frame on the guarding identifier is not answered", GUARDING)(
-    do.run(life, 0, 0), do.nmt(wire.STOP), lambda dut: dut.send(0x700 + dut.node_id), do.no_heartbeat()
-)
+guarding("toggle 7.2.8.3.2.1: the answer carries the state; the toggle bit starts at 0 and alternates", GUARDING,
+    do.run(life, 0, 0), do.repeat(2, do.run(guard, "7F"), do.run(guard, "FF")))
+for state, name in wire.STATES[1:]:
+    guarding(f"guarding_state 7.2.8.3.2.1: guarding in {name}", GUARDING,
+        do.run(life, 0, 0), do.run(guard, "7F"), do.enter(state), do.run(guard, f"{state | 0x80:02X}"),
+        do.run(guard, f"{state:02X}"))
+guarding("toggle_reset 7.2.8.3.2.1: reset communication sets the toggle bit to 0", GUARDING,
+    do.run(life, 0, 0), do.run(guard, "7F"), do.reset(wire.RESET_COMMUNICATION), do.run(life, 0, 0),
+    do.run(guard, "7F"))
+guarding("life_lost 7.2.8.2.2.2: the life time runs out: EMCY 8130h; the next remote frame cures", GUARDING,
+    do.run(life, 30, 2), do.run(guard, "7F"), do.after(60, "life time", do.emcy("30 81 *", 120)), do.run(guard, "FF"),
+    do.emcy("00 00 *"))
+guarding("life_in_time 7.2.8.2.2.2: remote frames in time: no life guarding error", GUARDING,
+    do.run(life, 50, 3),
+    *(step for wanted in ("7F", "FF", "7F") for step in (do.run(guard, wanted), do.no_emcy(ms=80))))
+for which, guard_ms, factor in (("guard time 0", 0, 3), ("life time factor 0", 20, 0)):
+    guarding(f"life_off 7.2.8.2.2.2: no life guarding before the first remote frame, nor with {which}", GUARDING,
+        do.run(life, 20, 1), do.no_emcy(ms=60), do.run(life, guard_ms, factor), do.run(guard, "7F"), do.no_emcy(ms=90))
+guarding("life_ended 7.5.2.11: guard time set to 0 ends life guarding that runs", GUARDING,
+    do.run(life, 60, 1), do.run(guard, "7F"), do.put("H", 0x100C, 0, 0), do.no_emcy(ms=120))
+guarding("heartbeat_ends_life 7.2.8.2.2: a heartbeat that is switched on ends life guarding that runs", GUARDING,
+    do.run(life, 60, 1), do.run(guard, "7F"), do.put("H", 0x1017, 0, 5000), do.no_emcy(ms=120))
+guarding("life_behaviour 7.5.2.32: life guarding lost in OPERATIONAL: PRE-OPERATIONAL", (*GUARDING, (0x1029, 1)),
+    do.put("B", 0x1029, 1, 0), do.run(life, 30, 1), do.nmt(wire.START), do.run(guard, "05"), do.emcy("30 81 *", 100),
+    do.run(guard, "FF"))
+guarding("no_guard 7.2.8.3.2.1: a data frame on the guarding identifier is not answered", GUARDING,
+    do.run(life, 0, 0), do.nmt(wire.STOP), lambda dut: dut.send(0x700 + dut.node_id), do.no_heartbeat())

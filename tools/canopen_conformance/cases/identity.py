@@ -5,38 +5,45 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import product
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.pdo import TPDO1, check_mapped
+from canopen_conformance.cases.sdo import NAMES
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, RESETS, START, Abort
 
+# fmt: off
+# A table: a case is its header, and below it its steps.
+
 identity = Service("identity")
 storage = Service("storage")
+SERVER = ((0x1200, 1), (0x1200, 2))
 
 
-identity("device_type 7.5.2.1: 1000h is there, an UNSIGNED32, and stays the same")(do.unchanged("I", 0x1000, 0))
-identity("error_register 7.5.2.2: 1001h is there, an UNSIGNED8")(do.integer("B", 0x1001))
-identity("status_register 7.5.2.3: 1002h is an UNSIGNED32 that cannot be written", ((0x1002, 0),))(
-    do.integer("I", 0x1002), do.refuses("I", 0x1002, 0, 0, Abort.READ_ONLY)
-)
+identity("device_type 7.5.2.1: 1000h is there, an UNSIGNED32, and stays the same", (),
+    do.unchanged("I", 0x1000, 0))
+identity("error_register 7.5.2.2: 1001h is there, an UNSIGNED8", (),
+    do.integer("B", 0x1001))
+identity("status_register 7.5.2.3: 1002h is an UNSIGNED32 that cannot be written", ((0x1002, 0),),
+    do.integer("I", 0x1002), do.refuses("I", 0x1002, 0, 0, Abort.READ_ONLY))
 
 
-NAMES = [(0x1008,), (0x1009,), (0x100A,)]
-
-
-@identity("7.5.2.8: {0:04X}h is a text of visible characters", lambda index: ((index, 0),), each=NAMES)
-def name(dut: Dut, index: int) -> None:
+def visible(dut: Dut, index: int) -> None:
+    """The text of an object has visible characters alone; not applicable to an empty one."""
     data = dut.read(index)
     if not data.rstrip(b"\0"):
         raise NotApplicableError(f"{index:04X}h is empty")
     check(not any(not 0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")), "visible characters", data.hex(" "))
 
 
-identity.each("name_constant 7.5.2.8: {0:04X}h cannot be written", lambda index: ((index, 0),), NAMES)(
-    lambda index: do.refuses_bytes(index, 0, b"abcd", Abort.READ_ONLY)
-)
+for index in NAMES:
+    identity(f"name 7.5.2.8: {index:04X}h is a text of visible characters", ((index, 0),),
+        do.run(visible, index))
+for index in NAMES:
+    identity(f"name_constant 7.5.2.8: {index:04X}h cannot be written", ((index, 0),),
+        do.refuses_bytes(index, 0, b"abcd", Abort.READ_ONLY))
 
 
 @identity("7.5.2.21: 1018h has the vendor-ID, and one to four entries")
@@ -48,25 +55,24 @@ def identity_identity(dut: Dut) -> None:
             dut.integer("I", 0x1018, sub)
 
 
-identity.each(
-    "identity_constant 7.5.2.21: 1018h:{0} cannot be written", lambda sub: ((0x1018, sub),), [(1,), (2,), (3,), (4,)]
-)(lambda sub: do.refuses("I", 0x1018, sub, 1, Abort.READ_ONLY))
-identity.each(
-    "configuration_date 7.5.2.23: 1020h:{0} is written and read back", ((0x1020, 1), (0x1020, 2)), [(1,), (2,)]
-)(lambda sub: (do.put("I", 0x1020, sub, 0x12345678), do.holds("I", 0x1020, sub, 0x12345678)))
+for sub in (1, 2, 3, 4):
+    identity(f"identity_constant 7.5.2.21: 1018h:{sub} cannot be written", ((0x1018, sub),),
+        do.refuses("I", 0x1018, sub, 1, Abort.READ_ONLY))
+for sub in (1, 2):
+    identity(f"configuration_date 7.5.2.23: 1020h:{sub} is written and read back", ((0x1020, 1), (0x1020, 2)),
+        do.put("I", 0x1020, sub, 0x12345678), do.holds("I", 0x1020, sub, 0x12345678))
+identity("configuration_lost 7.5.2.23: 1020h is lost with what it speaks of, unless stored", ((0x1020, 1),),
+    do.unchanged("I", 0x1020, 1, lambda dut: dut.put("I", 0x1020, 1, dut.integer("I", 0x1020, 1) ^ 0xFF), do.reset()))
 
 
-identity("configuration_lost 7.5.2.23: 1020h is lost with what it speaks of, unless stored", ((0x1020, 1),))(
-    do.unchanged("I", 0x1020, 1, lambda dut: dut.put("I", 0x1020, 1, dut.integer("I", 0x1020, 1) ^ 0xFF), do.reset())
-)
-identity.each(
-    "sdo_server 7.5.2.33: 1200h:{0} is the pre-defined COB-ID {1:03X}h + node-id",
-    ((0x1200, 1), (0x1200, 2)),
-    [(1, 0x600), (2, 0x580)],
-)(lambda sub, base: lambda dut: dut.holds("I", 0x1200, sub, base + dut.node_id))
-identity.each("sdo_server_constant 7.5.2.33: 1200h:{0} cannot be written", ((0x1200, 1), (0x1200, 2)), [(1,), (2,)])(
-    lambda sub: lambda dut: dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, Abort.READ_ONLY)
-)
+@identity("7.5.2.33: 1200h:{0} is the pre-defined COB-ID {1:03X}h + node-id", SERVER, each=[(1, 0x600), (2, 0x580)])
+def sdo_server(dut: Dut, sub: int, base: int) -> None:
+    dut.holds("I", 0x1200, sub, base + dut.node_id)
+
+
+@identity("7.5.2.33: 1200h:{0} cannot be written", SERVER, each=[(1,), (2,)])
+def sdo_server_constant(dut: Dut, sub: int) -> None:
+    dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, Abort.READ_ONLY)
 
 
 def predefined(dut: Dut, index: int, base: int) -> None:
@@ -79,14 +85,11 @@ def predefined(dut: Dut, index: int, base: int) -> None:
     check(cob_id & 0x80000000 or cob_id & 0x7FF == base + dut.node_id, f"{base + dut.node_id:03X}h", f"{cob_id:08X}h")
 
 
-identity.each(
-    "predefined_tpdo 7.3.3: the COB-ID of TPDO{0} is the pre-defined one, unless it is disabled",
-    (),
-    [(1,), (2,), (3,), (4,)],
-)(lambda number: do.run(predefined, 0x1800 + number - 1, 0x80 + 0x100 * number))
-identity("predefined_rpdo 7.3.3: the COB-ID of RPDO1 is the pre-defined one, unless it is disabled")(
-    do.run(predefined, 0x1400, 0x200)
-)
+for number in (1, 2, 3, 4):
+    identity(f"predefined_tpdo 7.3.3: the COB-ID of TPDO{number} is the pre-defined one, unless it is disabled", (),
+        do.run(predefined, 0x1800 + number - 1, 0x80 + 0x100 * number))
+identity("predefined_rpdo 7.3.3: the COB-ID of RPDO1 is the pre-defined one, unless it is disabled", (),
+    do.run(predefined, 0x1400, 0x200))
 
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
@@ -114,56 +117,36 @@ def store(dut: Dut, sub: int) -> None:
     check(not code, "parameters stored", f"abort {code:08X}h")
 
 
-storage.each(
-    "wrong_signature 7.5.2.13: {1} with a wrong signature ({2}): 08000020h",
-    GROUP,
-    [(index, name, signature) for index, name in BOTH for signature in ("evas", "SAVE", "loaf", "abcd")],
-)(lambda index, _name, signature: do.refuses_bytes(index, 1, signature.encode(), *WRONG_SIGNATURE))
-storage.each(
-    "other_signature 7.5.2.13: the signature of the other object is a wrong one",
-    GROUP,
-    [(0x1010, LOAD), (0x1011, SAVE)],
-)(lambda index, signature: do.refuses("I", index, 1, signature, *WRONG_SIGNATURE))
-storage.each("size 7.5.2.13: {1}: two bytes are refused by their length", GROUP, BOTH)(
-    lambda index, _name: do.refuses("H", index, 1, 0x6173, Abort.TOO_SHORT, Abort.WRONG_LENGTH)
-)
-storage.each("no_group 7.5.2.13: {1} of a group that is not there: 06090011h", GROUP, BOTH)(
-    lambda index, _name: lambda dut: dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB)
-)
-storage.each("not_stored 7.5.2.13: what is not stored is lost by {1}", ((0x1016, 1),), RESETS)(
-    lambda command, _name: do.unchanged("I", 0x1016, 1, do.put("I", 0x1016, 1, VALUE), do.reset(command))
-)
+for (index, name), word in product(BOTH, ("evas", "SAVE", "loaf", "abcd")):
+    storage(f"wrong_signature 7.5.2.13: {name} with a wrong signature ({word}): 08000020h", GROUP,
+        do.refuses_bytes(index, 1, word.encode(), *WRONG_SIGNATURE))
+for index, signature in ((0x1010, LOAD), (0x1011, SAVE)):
+    storage("other_signature 7.5.2.13: the signature of the other object is a wrong one", GROUP,
+        do.refuses("I", index, 1, signature, *WRONG_SIGNATURE))
+for index, name in BOTH:
+    storage(f"size 7.5.2.13: {name}: two bytes are refused by their length", GROUP,
+        do.refuses("H", index, 1, 0x6173, Abort.TOO_SHORT, Abort.WRONG_LENGTH))
 
 
-@storage(
-    "7.5.2.13: 1010h:{0} stores communication parameters for {2}",
-    lambda sub, _command, _name: (*ALL, (0x1010, sub)),
-    persistent=True,
-    each=[(sub, *command) for sub in (1, 2) for command in RESETS],
-)
-def stored(dut: Dut, sub: int, command: int, _name: str) -> None:
-    with restored(dut):
-        dut.put("I", 0x1016, 1, VALUE)
-        store(dut, sub)
-        dut.put("I", 0x1016, 1, 0)
-        dut.reset(command)
-        dut.holds("I", 0x1016, 1, VALUE)
+@storage("7.5.2.13: {1} of a group that is not there: 06090011h", GROUP, each=BOTH)
+def no_group(dut: Dut, index: int, _name: str) -> None:
+    dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB)
 
 
-@storage(
-    "7.5.2.14: 1011h:{0} changes nothing before a reset, then brings the defaults",
-    lambda sub: (*ALL, (0x1011, sub)),
-    persistent=True,
-    each=[(1,), (2,)],
-)
-def restore(dut: Dut, sub: int) -> None:
-    with restored(dut):
-        dut.put("I", 0x1016, 1, VALUE)
-        store(dut, 1)
-        dut.put("I", 0x1011, sub, LOAD)
-        dut.holds("I", 0x1016, 1, VALUE)
-        dut.reset(RESET_COMMUNICATION if sub == 2 else RESET_NODE)
-        dut.holds("I", 0x1016, 1, 0)
+for command, name in RESETS:
+    storage(f"not_stored 7.5.2.13: what is not stored is lost by {name}", ((0x1016, 1),),
+        do.unchanged("I", 0x1016, 1, do.put("I", 0x1016, 1, VALUE), do.reset(command)))
+
+
+for sub, (command, name) in product((1, 2), RESETS):
+    storage(f"stored 7.5.2.13: 1010h:{sub} stores communication parameters for {name}", (*ALL, (0x1010, sub)),
+        do.within(restored, do.put("I", 0x1016, 1, VALUE), do.run(store, sub), do.put("I", 0x1016, 1, 0),
+            do.reset(command), do.holds("I", 0x1016, 1, VALUE)), persistent=True)
+for sub, command in ((1, RESET_NODE), (2, RESET_COMMUNICATION)):
+    storage(f"restore 7.5.2.14: 1011h:{sub} changes nothing before a reset, then brings the defaults",
+        (*ALL, (0x1011, sub)),
+        do.within(restored, do.put("I", 0x1016, 1, VALUE), do.run(store, 1), do.put("I", 0x1011, sub, LOAD),
+            do.holds("I", 0x1016, 1, VALUE), do.reset(command), do.holds("I", 0x1016, 1, 0)), persistent=True)
 
 
 @storage("7.5.2.13: PDO parameters are stored, and the PDO works as stored", ((0x1010, 2), *TPDO1), persistent=True)

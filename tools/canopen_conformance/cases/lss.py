@@ -15,6 +15,9 @@ from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, STOP
 
+# fmt: off
+# A table: a case is its header, and below it its steps.
+
 case = Service("lss", standard="CiA 305")
 numbered = Service("lss_identify", standard="CiA 305")
 unnumbered = Service("lss_unconfigured", standard="CiA 305")
@@ -87,12 +90,11 @@ def global_configuration(dut: Dut) -> None:
         raise NotApplicableError("no LSS slave")
 
 
-case("global_waiting 6.3.1: switch state global, waiting: inquiries are not answered", IDENTITY)(
-    do.within(configuring), do.run(say, 0x5E), do.silence(SLAVE)
-)
-case.each("global_mode 6.3.1: switch state global with mode {0} does nothing", IDENTITY, [(2,), (255,)])(
-    lambda mode: (do.run(say, 0x04, mode), do.run(say, 0x5E), do.silence(SLAVE))
-)
+case("global_waiting 6.3.1: switch state global, waiting: inquiries are not answered", IDENTITY,
+    do.within(configuring), do.run(say, 0x5E), do.silence(SLAVE))
+for mode in (2, 255):
+    case(f"global_mode 6.3.1: switch state global with mode {mode} does nothing", IDENTITY,
+        do.run(say, 0x04, mode), do.run(say, 0x5E), do.silence(SLAVE))
 
 
 @case("6.3.2: switch state selective: answer 44h, then configuration", IDENTITY)
@@ -113,12 +115,10 @@ def selective_other(dut: Dut, part: int, _name: str) -> None:
     dut.silence(SLAVE)
 
 
-case("selective_incomplete 6.3.2: switch state selective without its first request: silence", IDENTITY)(
-    lambda dut: say_each(dut, 0x40, list(enumerate(identity(dut)))[1:]), do.silence(SLAVE)
-)
-case("selective_order 6.3.2: switch state selective in another order: silence", IDENTITY)(
-    lambda dut: say_each(dut, 0x40, reversed(list(enumerate(identity(dut))))), do.silence(SLAVE)
-)
+case("selective_incomplete 6.3.2: switch state selective without its first request: silence", IDENTITY,
+    lambda dut: say_each(dut, 0x40, list(enumerate(identity(dut)))[1:]), do.silence(SLAVE))
+case("selective_order 6.3.2: switch state selective in another order: silence", IDENTITY,
+    lambda dut: say_each(dut, 0x40, reversed(list(enumerate(identity(dut))))), do.silence(SLAVE))
 
 
 @case("6.3.2: after a wrong selection the right one selects", IDENTITY)
@@ -137,21 +137,19 @@ def inquire(dut: Dut, part: int, _name: str) -> None:
         dut.expect(SLAVE, struct.pack("<BIxxx", 0x5A + part, own[part]).hex())
 
 
-case("inquire_node_id 6.5: inquire node-id", IDENTITY)(
-    do.within(configuring, do.run(say, 0x5E), lambda dut: dut.expect(SLAVE, f"5E {dut.node_id:02X} 00 00 00 00 00 00"))
-)
-case.each(
-    "inquire_waiting 6.5: an inquiry in the waiting state is not answered", IDENTITY, [(0x5A,), (0x5D,), (0x5E,)]
-)(lambda service: (do.run(say, service), do.silence(SLAVE)))
-case.each("unknown 6.5: an unknown service is not answered", IDENTITY, [(0x00,), (0x60,), (0xFF,)])(
-    lambda service: do.within(configuring, do.run(say, service), do.silence(SLAVE))
-)
-case.each("length 6.2: a request of {0} bytes is passed over", IDENTITY, [(0,), (1,), (7,)])(
-    lambda size: do.within(configuring, do.send(MASTER, (b"\x5e" + bytes(7))[:size]), do.silence(SLAVE))
-)
-case("reset 6.2: reset communication leads back to the waiting state", IDENTITY)(
-    do.within(configuring, do.reset(RESET_COMMUNICATION), do.run(say, 0x5E), do.silence(SLAVE))
-)
+case("inquire_node_id 6.5: inquire node-id", IDENTITY,
+    do.within(configuring, do.run(say, 0x5E), lambda dut: dut.expect(SLAVE, f"5E {dut.node_id:02X} 00 00 00 00 00 00")))
+for service in (0x5A, 0x5D, 0x5E):
+    case("inquire_waiting 6.5: an inquiry in the waiting state is not answered", IDENTITY,
+        do.run(say, service), do.silence(SLAVE))
+for service in (0x00, 0x60, 0xFF):
+    case("unknown 6.5: an unknown service is not answered", IDENTITY,
+        do.within(configuring, do.run(say, service), do.silence(SLAVE)))
+for size in (0, 1, 7):
+    case(f"length 6.2: a request of {size} bytes is passed over", IDENTITY,
+        do.within(configuring, do.send(MASTER, (b"\x5e" + bytes(7))[:size]), do.silence(SLAVE)))
+case("reset 6.2: reset communication leads back to the waiting state", IDENTITY,
+    do.within(configuring, do.reset(RESET_COMMUNICATION), do.run(say, 0x5E), do.silence(SLAVE)))
 
 
 @case("CiA 301 7.3.2.3: LSS is served in STOPPED, and nothing else is", IDENTITY)
@@ -163,14 +161,14 @@ def stopped(dut: Dut) -> None:
         dut.expect(SLAVE, f"5E {dut.node_id:02X} *")
 
 
-case.each(
-    "node_id_refused 6.4.1: configure node-id {0}: out of range, error 1", IDENTITY, [(0,), (128,), (200,), (254,)]
-)(lambda node_id: do.within(configuring, do.run(say, 0x11, node_id), do.expect(SLAVE, "11 01 00 00 00 00 00 00")))
+for node_id in (0, 128, 200, 254):
+    case(f"node_id_refused 6.4.1: configure node-id {node_id}: out of range, error 1", IDENTITY,
+        do.within(configuring, do.run(say, 0x11, node_id), do.expect(SLAVE, "11 01 00 00 00 00 00 00")))
 
 
 @case("6.4.1: configure node-id {0}: taken, and not in use before a reset", IDENTITY, persistent=True, each=[
     (1,), (127,), (255,),
-])  # fmt: skip
+])
 def node_id_taken(dut: Dut, node_id: int) -> None:
     with configuring(dut):
         try:
@@ -215,24 +213,15 @@ def restore_node_id(dut: Dut, own: list[int], node_id: int) -> None:
     dut.boot_up()
 
 
-@case("6.4.2: configure bit timing, table {0}, index {1}: error {2}", IDENTITY, persistent=True, each=[
-    *((0, index, 0) for index in (0, 2, 3, 4, 8)), (0, 5, 1), (0, 10, 1), (1, 0, 1),
-])  # fmt: skip
-def bit_timing(dut: Dut, table: int, index: int, error: int) -> None:
-    with configuring(dut):
-        say(dut, 0x13, table, index)
-        dut.expect(SLAVE, f"13 {error:02X} *")
-        say(dut, 0x13, 0, 0)
-
-
-case("store 6.4.3: store configuration: error 0", IDENTITY, persistent=True)(
-    do.within(configuring, do.run(say, 0x17), do.expect(SLAVE, "17 00 00 00 00 00 00 00", 2000))
-)
-case.each(
-    "configure_waiting 6.4: configuration services in the waiting state do nothing",
-    IDENTITY,
-    [(0x11, OTHER_ID), (0x13, 0), (0x17, 0)],
-)(lambda service, value: (do.run(say, service, value), do.silence(SLAVE), do.reset(RESET_COMMUNICATION)))
+for table, index, error in (*((0, index, 0) for index in (0, 2, 3, 4, 8)), (0, 5, 1), (0, 10, 1), (1, 0, 1)):
+    case(f"bit_timing 6.4.2: configure bit timing, table {table}, index {index}: error {error}", IDENTITY,
+        do.within(configuring, do.run(say, 0x13, table, index), do.expect(SLAVE, f"13 {error:02X} *"),
+            do.run(say, 0x13, 0, 0)), persistent=True)
+case("store 6.4.3: store configuration: error 0", IDENTITY,
+    do.within(configuring, do.run(say, 0x17), do.expect(SLAVE, "17 00 00 00 00 00 00 00", 2000)), persistent=True)
+for service, value in ((0x11, OTHER_ID), (0x13, 0), (0x17, 0)):
+    case("configure_waiting 6.4: configuration services in the waiting state do nothing", IDENTITY,
+        do.run(say, service, value), do.silence(SLAVE), do.reset(RESET_COMMUNICATION))
 
 
 def identify(dut: Dut, numbers: list[int]) -> None:
@@ -260,10 +249,9 @@ def identified_in_range(dut: Dut) -> None:
 
 
 @numbered("6.6.1: identify remote slave: {2} is not this device's: silence", IDENTITY, each=[
-    (0, 1, "the vendor-ID"), (1, 1, "the product code"),
-    (2, 1, "a revision from above"), (3, -1, "a revision to below"),
-    (4, 1, "a serial number from above"), (5, -1, "a serial number to below"),
-])  # fmt: skip
+    (0, 1, "the vendor-ID"), (1, 1, "the product code"), (2, 1, "a revision from above"),
+    (3, -1, "a revision to below"), (4, 1, "a serial number from above"), (5, -1, "a serial number to below"),
+])
 def not_identified(dut: Dut, part: int, step: int, _name: str) -> None:
     numbers = ranges(identity(dut))
     numbers[part] += step
@@ -273,15 +261,12 @@ def not_identified(dut: Dut, part: int, step: int, _name: str) -> None:
     dut.silence(SLAVE)
 
 
-numbered("identify_order 6.6.1: identify remote slave in another order: silence", IDENTITY)(
-    lambda dut: say_each(dut, 0x46, reversed(list(enumerate(ranges(identity(dut)))))), do.silence(SLAVE)
-)
-numbered("configured 6.6.3: identify non-configured remote slave: a device with a node-id is silent")(
-    do.run(say, 0x4C), do.silence(SLAVE)
-)
-numbered("configured_fastscan 6.6.4: fastscan: a device with a node-id is silent")(
-    do.run(say, 0x51, 0, 0, 0, 0, 0x80), do.silence(SLAVE)
-)
+numbered("identify_order 6.6.1: identify remote slave in another order: silence", IDENTITY,
+    lambda dut: say_each(dut, 0x46, reversed(list(enumerate(ranges(identity(dut)))))), do.silence(SLAVE))
+numbered("configured 6.6.3: identify non-configured remote slave: a device with a node-id is silent", (),
+    do.run(say, 0x4C), do.silence(SLAVE))
+numbered("configured_fastscan 6.6.4: fastscan: a device with a node-id is silent", (),
+    do.run(say, 0x51, 0, 0, 0, 0, 0x80), do.silence(SLAVE))
 
 
 @contextmanager
@@ -319,9 +304,8 @@ def silent(dut: Dut) -> None:
         dut.silence(0x580 + old, 0x700 + old, 0x80 + old, 0x700 + UNCONFIGURED)
 
 
-unnumbered("identify 6.6.3: identify non-configured remote slave: answer 50h", IDENTITY, persistent=True)(
-    do.within(unconfigured, do.run(say, 0x4C), do.expect(SLAVE, "50 00 00 00 00 00 00 00"))
-)
+unnumbered("identify 6.6.3: identify non-configured remote slave: answer 50h", IDENTITY,
+    do.within(unconfigured, do.run(say, 0x4C), do.expect(SLAVE, "50 00 00 00 00 00 00 00")), persistent=True)
 
 
 @unnumbered("6.5: inquire node-id: 255", IDENTITY, persistent=True)
@@ -369,7 +353,7 @@ def fastscan(dut: Dut) -> None:
 
 @unnumbered("6.6.4: fastscan with another {1}: silence", IDENTITY, persistent=True, each=[
     (0, "vendor-ID"), (1, "product code"),
-])  # fmt: skip
+])
 def fastscan_other(dut: Dut, part: int, _name: str) -> None:
     with unconfigured(dut) as own:
         start_scan(dut)

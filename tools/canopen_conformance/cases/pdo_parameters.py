@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.pdo import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import OPERATIONAL, RESET_COMMUNICATION, Abort
+
+# fmt: off
+# A table: a case is its header, and below it its steps.
 
 case = Service("pdo_parameters")
 
@@ -54,47 +59,31 @@ def moved(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
     dut.holds("I", communication, 1, new)
 
 
-@case("7.3.5: {2} with the restricted CAN-ID {3:03X}h: 06090030h", EITHER, each=[
-    (*pdo, can_id) for pdo in BOTH for can_id in RESTRICTED
-])  # fmt: skip
-def restricted(dut: Dut, communication: int, _mapping: int, _name: str, can_id: int) -> None:
-    flags = disable_pdo(dut, communication) & NO_RTR
-    dut.refuses("I", communication, 1, can_id | flags, Abort.INVALID_VALUE)
+def refused_cob_id(dut: Dut, communication: int, mask: int, bits: int = 0) -> None:
+    """Another COB-ID is refused: what the mask leaves of the present one, and these bits."""
+    dut.refuses("I", communication, 1, disable_pdo(dut, communication) & mask | bits, Abort.INVALID_VALUE)
 
 
-@case("7.5.2.35: {2}: transmission type {3} is reserved: 06090030h", EITHER, each=[
-    (*pdo, value) for pdo in BOTH for value in (241, 246, 251)
-])  # fmt: skip
-def reserved_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int) -> None:
-    dut.refuses("B", communication, 2, value, Abort.INVALID_VALUE, Abort.TOO_HIGH)
-
-
-@case("7.5.2.35: {2}: transmission type {3} is taken", EITHER, each=[
-    (*pdo, value) for pdo in BOTH for value in (0, 1, 240, 254, 255)
-])  # fmt: skip
-def allowed_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int) -> None:
-    disable_pdo(dut, communication)
-    dut.put("B", communication, 2, value)
-    dut.holds("B", communication, 2, value)
-
-
-@case("7.5.2.37: {1} is not changed while the TPDO is valid", (*TPDO1, (0x1800, 3), (0x1800, 6)), each=[
-    (3, "inhibit time", "H"), (6, "SYNC start value", "B"),
-])  # fmt: skip
-def not_while_valid(dut: Dut, sub: int, _name: str, kind: str) -> None:
-    enable_tpdo1(dut, 255)
-    dut.refuses(kind, 0x1800, sub, 5, *WHILE_VALID)
-    dut.holds(kind, 0x1800, sub, 0)
-
-
-case("start_value 7.5.2.37: SYNC start value 241 is refused", ((0x1800, 6),))(
-    do.run(disable_pdo, 0x1800), do.refuses("B", 0x1800, 6, 241, Abort.TOO_HIGH, Abort.INVALID_VALUE)
-)
+for (communication, _, name), can_id in product(BOTH, RESTRICTED):
+    case(f"restricted 7.3.5: {name} with the restricted CAN-ID {can_id:03X}h: 06090030h", EITHER,
+        do.run(refused_cob_id, communication, NO_RTR, can_id))
+for (communication, _, name), value in product(BOTH, (241, 246, 251)):
+    case(f"reserved_type 7.5.2.35: {name}: transmission type {value} is reserved: 06090030h", EITHER,
+        do.refuses("B", communication, 2, value, Abort.INVALID_VALUE, Abort.TOO_HIGH))
+for (communication, _, name), value in product(BOTH, (0, 1, 240, 254, 255)):
+    case(f"allowed_type 7.5.2.35: {name}: transmission type {value} is taken", EITHER,
+        do.run(disable_pdo, communication), do.put("B", communication, 2, value),
+        do.holds("B", communication, 2, value))
+for sub, name, kind in ((3, "inhibit time", "H"), (6, "SYNC start value", "B")):
+    case(f"not_while_valid 7.5.2.37: {name} is not changed while the TPDO is valid", (*TPDO1, (0x1800, 3), (0x1800, 6)),
+        do.run(enable_tpdo1, 255), do.refuses(kind, 0x1800, sub, 5, *WHILE_VALID), do.holds(kind, 0x1800, sub, 0))
+case("start_value 7.5.2.37: SYNC start value 241 is refused", ((0x1800, 6),),
+    do.run(disable_pdo, 0x1800), do.refuses("B", 0x1800, 6, 241, Abort.TOO_HIGH, Abort.INVALID_VALUE))
 
 
 @case("7.5.2.36: {2}: {4} is not written while the PDO is valid", EITHER, each=[
     (*pdo, sub, name) for pdo in BOTH for sub, name in ((0, "the number of entries"), (1, "an entry"))
-])  # fmt: skip
+])
 def mapping_while_valid(dut: Dut, communication: int, mapping: int, _name: str, sub: int, _what: str) -> None:
     dut.put("I", communication, 1, disable_pdo(dut, communication))
     dut.refuses("I" if sub else "B", mapping, sub, 0, *WHILE_VALID)
@@ -110,7 +99,7 @@ def entry_while_mapped(dut: Dut, communication: int, mapping: int, _name: str) -
 
 @case("7.5.2.36: {2}: an object that is not there: {4}", EITHER, each=[
     (*pdo, word, name) for pdo in BOTH for word, name in ((0xFFFF0008, "no index"), (0x10187708, "no sub-index"))
-])  # fmt: skip
+])
 def maps_nothing(dut: Dut, communication: int, mapping: int, _name: str, word: int, _what: str) -> None:
     disable_pdo(dut, communication)
     dut.put("B", mapping, 0, 0)
@@ -121,32 +110,20 @@ def maps_nothing(dut: Dut, communication: int, mapping: int, _name: str, word: i
         dut.refuses("I", mapping, 1, word, Abort.NO_OBJECT, Abort.NO_SUB, Abort.NOT_MAPPABLE)
 
 
-@case("7.5.2.36: more than 64 bits: 06040042h", RPDO1)
-def too_many_bits(dut: Dut) -> None:
-    disable_pdo(dut, 0x1400)
-    dut.put("B", 0x1600, 0, 0)
-    for sub, word in enumerate((0x00070020, 0x00070020, 0x00050008), 1):
-        dut.put("I", 0x1600, sub, word)
-    dut.refuses("B", 0x1600, 0, 3, Abort.PDO_LENGTH)
-    dut.holds("B", 0x1600, 0, 0)
-    dut.put("B", 0x1600, 0, 2)
-
-
-@case("7.5.2.36: {2}: more entries than there are sub-indices is refused", EITHER, each=BOTH)
-def too_many_entries(dut: Dut, communication: int, mapping: int, _name: str) -> None:
-    disable_pdo(dut, communication)
-    dut.put("B", mapping, 0, 0)
-    dut.refuses("B", mapping, 0, 65, Abort.PDO_LENGTH, Abort.TOO_HIGH, Abort.INVALID_VALUE)
-
-
-case.each("dummy 7.4.7.1: dummy types fill an RPDO", RPDO1, [(U8, 8), (U16, 16), (U32, 32), (2, 8), (3, 16), (4, 32)])(
-    lambda index, bits: do.run(mapped_rpdo1, index << 16 | bits)
-)
-case("dummy_tpdo 7.4.7.1: dummy types are not for a TPDO", TPDO1)(
-    do.run(disable_pdo, 0x1800),
-    do.put("B", 0x1A00, 0, 0),
-    do.refuses("I", 0x1A00, 1, 0x00050008, Abort.NO_OBJECT, Abort.NOT_MAPPABLE),
-)
+case("too_many_bits 7.5.2.36: more than 64 bits: 06040042h", RPDO1,
+    do.run(disable_pdo, 0x1400), do.put("B", 0x1600, 0, 0),
+    *(do.put("I", 0x1600, sub, word) for sub, word in enumerate((0x00070020, 0x00070020, 0x00050008), 1)),
+    do.refuses("B", 0x1600, 0, 3, Abort.PDO_LENGTH), do.holds("B", 0x1600, 0, 0), do.put("B", 0x1600, 0, 2))
+for communication, mapping, name in BOTH:
+    case(f"too_many_entries 7.5.2.36: {name}: more entries than there are sub-indices is refused", EITHER,
+        do.run(disable_pdo, communication), do.put("B", mapping, 0, 0),
+        do.refuses("B", mapping, 0, 65, Abort.PDO_LENGTH, Abort.TOO_HIGH, Abort.INVALID_VALUE))
+for index, bits in ((U8, 8), (U16, 16), (U32, 32), (2, 8), (3, 16), (4, 32)):
+    case("dummy 7.4.7.1: dummy types fill an RPDO", RPDO1,
+        do.run(mapped_rpdo1, index << 16 | bits))
+case("dummy_tpdo 7.4.7.1: dummy types are not for a TPDO", TPDO1,
+    do.run(disable_pdo, 0x1800), do.put("B", 0x1A00, 0, 0),
+    do.refuses("I", 0x1A00, 1, 0x00050008, Abort.NO_OBJECT, Abort.NOT_MAPPABLE))
 
 
 @case("7.5.2.38: a refused mapping leaves the one before", TPDO1)
@@ -171,9 +148,6 @@ def restored(dut: Dut) -> None:
         dut.holds(*entry, value)
 
 
-case("operational 7.5.2.37: PDO parameters are written in OPERATIONAL too", TPDO1)(
-    do.enter(OPERATIONAL),
-    do.run(enable_tpdo1, 1),
-    do.send(0x080),
-    lambda dut: dut.expect(dut.integer("I", 0x1800, 1) & 0x7FF),
-)
+case("operational 7.5.2.37: PDO parameters are written in OPERATIONAL too", TPDO1,
+    do.enter(OPERATIONAL), do.run(enable_tpdo1, 1), do.send(0x080),
+    lambda dut: dut.expect(dut.integer("I", 0x1800, 1) & 0x7FF))

@@ -11,6 +11,9 @@ from canopen_conformance.cases.sdo import BEAT, NAMES, not_written
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import STOP, Abort
 
+# fmt: off
+# A table: a case is its header, and below it its steps.
+
 upload = Service("sdo_block")
 download = Service("sdo_block_download")
 
@@ -23,8 +26,8 @@ def initiate(dut: Dut, index: int, block_size: int, switch: int = 0, crc: bool =
     return answer
 
 
-def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> tuple[int, bytes]:
-    """Initiate the block upload of a string of several segments; (index, what a segmented upload gives)."""
+def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> bytes:
+    """Initiate the block upload of a string of several segments; return what a segmented upload gives."""
     for index in NAMES:
         data = dut.try_read(index)
         if isinstance(data, bytes) and len(data) > 7:
@@ -33,17 +36,17 @@ def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> tuple[int
                 raise CheckError(f"C0h (with bits 1, 2) and {index:04X}h", answer.hex(" "))
             if answer[0] & 2 and answer[4:] != struct.pack("<I", len(data)):
                 raise CheckError(f"size {len(data)}", answer[4:].hex(" "))
-            return index, data
+            dut.upload_index = index
+            return data
     raise NotApplicableError("no string of several segments")
 
 
-def begun_upload(dut: Dut, started: bool = True) -> int:
-    """Initiate a block upload of one segment a block, and (``started``) receive the first; the index."""
-    index, _data = begin_block_upload(dut, 1)
+def begun_upload(dut: Dut, started: bool = True) -> None:
+    """Initiate a block upload of one segment a block, and (``started``) receive the first."""
+    begin_block_upload(dut, 1)
     if started:
         dut.request("A3")
         block(dut, 1, False)
-    return index
 
 
 def block(dut: Dut, count: int, last: bool) -> bytes:
@@ -82,14 +85,14 @@ def last_block(dut: Dut, data: bytes, begin: int = 0, crc: bool = True) -> None:
 
 @upload("7.2.4.3.13: one block: size, segments, end with CRC")
 def sdo_block_upload(dut: Dut) -> None:
-    _index, data = begin_block_upload(dut, 127)
+    data = begin_block_upload(dut, 127)
     dut.request("A3")
     last_block(dut, data)
 
 
 @upload("7.2.4.3.14: blocks of one segment")
 def blocks_of_one(dut: Dut) -> None:
-    _index, data = begin_block_upload(dut, 1)
+    data = begin_block_upload(dut, 1)
     dut.request("A3")
     count = segments(data)
     for number in range(1, count + 1):
@@ -102,7 +105,7 @@ def blocks_of_one(dut: Dut) -> None:
 
 @upload("7.2.4.3.14: the client changes the block size from block to block")
 def changed_block_size(dut: Dut) -> None:
-    _index, data = begin_block_upload(dut, 1)
+    data = begin_block_upload(dut, 1)
     dut.request("A3")
     check(block(dut, 1, False) == data[:7], data[:7].hex(" "), "another segment")
     dut.request("A2 01 7F")
@@ -111,7 +114,7 @@ def changed_block_size(dut: Dut) -> None:
 
 @upload("7.2.4.3.14: ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
 def resend(dut: Dut, received: int) -> None:
-    _index, data = begin_block_upload(dut, 2)
+    data = begin_block_upload(dut, 2)
     dut.request("A3")
     block(dut, 2, segments(data) == 2)
     dut.request(f"A2 {received:02X} 7F")
@@ -120,7 +123,7 @@ def resend(dut: Dut, received: int) -> None:
 
 @upload("7.2.4.3.14: the last block is lost: ackseq 0, and it comes again")
 def resend_last(dut: Dut) -> None:
-    _index, data = begin_block_upload(dut, 127)
+    data = begin_block_upload(dut, 127)
     dut.request("A3")
     for _ in range(2):
         block(dut, segments(data), True)
@@ -134,28 +137,23 @@ def refused_initiate(dut: Dut, index: int, block_size: int, code: int) -> None:
     check(answer == struct.pack("<BHBI", 0x80, index, 0, code), f"abort {code:08X}h", answer.hex(" "))
 
 
-upload.each(
-    "block_size_refused 7.2.4.3.13: block size {0} at the initiate: 05040002h", ((0x1008, 0),), [(0,), (128,), (255,)]
-)(lambda size: do.run(refused_initiate, 0x1008, size, Abort.BLOCK_SIZE))
-
-
-@upload("7.2.4.3.14: block size {0} in an answer: 05040002h", each=[(0,), (128,)])
-def block_size_refused_later(dut: Dut, size: int) -> None:
-    index = begun_upload(dut)
-    dut.request(f"A2 01 {size:02X}")
-    dut.aborted(index, 0, Abort.BLOCK_SIZE)
-
+for size in (0, 128, 255):
+    upload(f"block_size_refused 7.2.4.3.13: block size {size} at the initiate: 05040002h", ((0x1008, 0),),
+        do.run(refused_initiate, 0x1008, size, Abort.BLOCK_SIZE))
+for size in (0, 128):
+    upload(f"block_size_refused_later 7.2.4.3.14: block size {size} in an answer: 05040002h", (),
+        begun_upload, do.request(f"A2 01 {size:02X}"), do.upload_aborted(Abort.BLOCK_SIZE))
 
 @upload("7.2.4.3.16: a client without CRC finds 0 in its place")
 def without_crc(dut: Dut) -> None:
-    _index, data = begin_block_upload(dut, 127, crc=False)
+    data = begin_block_upload(dut, 127, crc=False)
     dut.request("A3")
     last_block(dut, data, crc=False)
 
 
 @upload("7.2.4.3.13: refused at the initiate: {2}", each=[
     (0xFFFF, Abort.NO_OBJECT, "no object"), (None, Abort.WRITE_ONLY, "a write-only object"),
-])  # fmt: skip
+])
 def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
     if index is None:
         index = dut.product.write_only_index if dut.product and dut.is_of_product() else None
@@ -164,26 +162,15 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
     refused_initiate(dut, index, 127, code)
 
 
-@upload("7.2.4.3.17: the client aborts {1}: no answer, the transfer is over", each=[
-    (False, "before the start"), (True, "after a block"),
-])  # fmt: skip
-def aborted(dut: Dut, started: bool, _when: str) -> None:
-    index = begun_upload(dut, started)
-    dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
-    dut.no_sdo()
-    dut.ask("40 00 10 00", "43 00 10 00 *")
-
-
-upload("stopped 7.3.2.3: stop ends a block upload without a word")(
-    do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.no_sdo()
-)
-
-
-@upload("7.2.4.3.17: a block command without a transfer: 05040001h", each=[("A1",), ("A2",), ("A3",), ("C1",)])
-def no_transfer(dut: Dut, command: str) -> None:
-    initiate(dut, 0x1000, 127)
-    dut.request("80 00 10 00 00 00 00 08")
-    dut.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND))
+for started, when in ((False, "before the start"), (True, "after a block")):
+    upload(f"aborted 7.2.4.3.17: the client aborts {when}: no answer, the transfer is over", (),
+        do.run(begun_upload, started), do.abort_upload(), do.no_sdo(), do.ask("40 00 10 00", "43 00 10 00 *"))
+upload("stopped 7.3.2.3: stop ends a block upload without a word", (),
+    do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.no_sdo())
+for command in ("A1", "A2", "A3", "C1"):
+    upload("no_transfer 7.2.4.3.17: a block command without a transfer: 05040001h", (),
+        do.run(initiate, 0x1000, 127), do.request("80 00 10 00 00 00 00 08"),
+        do.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND)))
 
 
 VALUE = b"\x34\x12"
@@ -219,69 +206,42 @@ def one_segment(dut: Dut, size: int | None = 2, crc: bool = True) -> None:
     dut.answer("A2 01 .. 00 00 00 00 00")
 
 
-download.each("download 7.2.4.3.9: one segment, {1}", BEAT, [(2, "size stated"), (None, "size not stated")])(
-    lambda size, _how: (
-        do.run(one_segment, size),
-        do.run(end_block_download, VALUE),
-        do.answer("A1"),
-        do.holds("H", 0x1017, 0, 0x1234),
-    )
-)
-download("without_crc 7.2.4.3.16: a client without CRC: what stands in its place is not looked at", BEAT)(
-    do.run(one_segment, crc=False),
-    do.run(end_block_download, VALUE, crc=0xBEEF),
-    do.answer("A1"),
-    do.holds("H", 0x1017, 0, 0x1234),
-)
-download("bad_crc 7.2.4.3.16: a wrong CRC: 05040004h, nothing is written", BEAT)(
-    not_written(
-        one_segment,
-        do.run(end_block_download, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1),
-        do.aborted(0x1017, 0, Abort.CRC_ERROR),
-    )
-)
-download.each(
-    "size_mismatch 7.2.4.3.11: {1} bytes at the end than stated",
-    BEAT,
-    [(4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)],
-)(
-    lambda unused, _how, code: not_written(
-        one_segment,
-        do.run(end_block_download, (VALUE + bytes(5))[: 7 - unused], unused),
-        do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH),
-    )
-)
-download("sequence_zero 7.2.4.3.10: segment number 0: 05040003h", BEAT)(
-    do.run(begin_block_download, 0x1017, 2), do.request("00 34 12"), do.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER)
-)
+for stated, how in ((2, "size stated"), (None, "size not stated")):
+    download(f"download 7.2.4.3.9: one segment, {how}", BEAT,
+        do.run(one_segment, stated), do.run(end_block_download, VALUE), do.answer("A1"),
+        do.holds("H", 0x1017, 0, 0x1234))
+download("without_crc 7.2.4.3.16: a client without CRC: what stands in its place is not looked at", BEAT,
+    do.run(one_segment, crc=False), do.run(end_block_download, VALUE, crc=0xBEEF), do.answer("A1"),
+    do.holds("H", 0x1017, 0, 0x1234))
+download("bad_crc 7.2.4.3.16: a wrong CRC: 05040004h, nothing is written", BEAT,
+    not_written(one_segment, do.run(end_block_download, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1),
+        do.aborted(0x1017, 0, Abort.CRC_ERROR)))
+for unused, how, code in ((4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)):
+    download(f"size_mismatch 7.2.4.3.11: {how} bytes at the end than stated", BEAT,
+        not_written(one_segment, do.run(end_block_download, (VALUE + bytes(5))[: 7 - unused], unused),
+            do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)))
+download("sequence_zero 7.2.4.3.10: segment number 0: 05040003h", BEAT,
+    do.run(begin_block_download, 0x1017, 2), do.request("00 34 12"), do.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER))
 
 
 @download("7.2.4.3.9: refused at the initiate: {3}", each=[
     (0x1000, 4, Abort.READ_ONLY, "a read-only object"), (0xFFFF, 4, Abort.NO_OBJECT, "no object"),
-])  # fmt: skip
+])
 def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why: str) -> None:
     codes = (code,) if dut.is_of_product() else (code, Abort.UNKNOWN_COMMAND)  # a device may know no block transfer
     dut.request(struct.pack("<BHBI", 0xC6, index, 0, size))
     dut.aborted(index, 0, *codes)
 
 
-download.each(
-    "aborted 7.2.4.3.17: the client aborts {1}: no answer, nothing is written",
-    BEAT,
-    [(do.run(begin_block_download, 0x1017, 2), "before the first segment"), (one_segment, "before the end")],
-)(lambda begun, _when: not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.no_sdo()))
-download("refused_value 7.2.4.3.11: a refused value is refused at the end", ((0x1019, 0),))(
-    do.run(begin_block_download, 0x1019, 1),
-    do.run(segment, 1, b"\xf1", True),
-    do.answer("A2 01 .."),
-    do.run(end_block_download, b"\xf1"),
-    do.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE),
-    do.holds("B", 0x1019, 0, 0),
-)
-download("afterwards 7.2.4.3.9: after a block download another transfer goes as ever", BEAT)(
-    one_segment,
-    do.run(end_block_download, VALUE),
-    do.answer("A1"),
-    do.ask("40 17 10 00", "4B 17 10 00 34 12"),
-    do.ask("2B 17 10 00 00 00", "60 17 10 00"),
-)
+for begun, when in (
+    (do.run(begin_block_download, 0x1017, 2), "before the first segment"), (one_segment, "before the end"),
+):
+    download(f"aborted 7.2.4.3.17: the client aborts {when}: no answer, nothing is written", BEAT,
+        not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.no_sdo()))
+download("refused_value 7.2.4.3.11: a refused value is refused at the end", ((0x1019, 0),),
+    do.run(begin_block_download, 0x1019, 1), do.run(segment, 1, b"\xf1", True), do.answer("A2 01 .."),
+    do.run(end_block_download, b"\xf1"), do.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE),
+    do.holds("B", 0x1019, 0, 0))
+download("afterwards 7.2.4.3.9: after a block download another transfer goes as ever", BEAT,
+    one_segment, do.run(end_block_download, VALUE), do.answer("A1"), do.ask("40 17 10 00", "4B 17 10 00 34 12"),
+    do.ask("2B 17 10 00 00 00", "60 17 10 00"))

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import datetime
 import statistics
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -148,20 +147,13 @@ def _nodes(seed: int) -> Iterator[Bus]:
     for k, case in enumerate(CASES):
         store, source = MemoryStore(), simulated_source(case, seed + k)
         devices.append(fingertip_node(k + 1, source, serial=k + 1, save=store.save, load=store.load))
-    stopped = threading.Event()
     with (
         can.Bus(interface="virtual", channel=channel) as node_bus,
         Bus(can.Bus(interface="virtual", channel=channel)) as connection,
+        loop.running(devices, PythonCanPort(node_bus)),
     ):
-        port = PythonCanPort(node_bus)
-        thread = threading.Thread(target=loop.run, args=(devices, port, stopped.is_set), name="nodes")
-        thread.start()
-        try:
-            connection.wait_for({codes.HEARTBEAT_BASE + device.node_id for device in devices})
-            yield connection
-        finally:
-            stopped.set()
-            thread.join()
+        connection.wait_for({codes.HEARTBEAT_BASE + device.node_id for device in devices})
+        yield connection
 
 
 def _calibrate(connection: Bus, node_id: int, calibration: Calibration, say: Callable[[str], None]) -> None:

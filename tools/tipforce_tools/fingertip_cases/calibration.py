@@ -16,6 +16,9 @@ from canopen_device.core import codes
 from tipforce.dictionary import table, table_objects
 from tipforce_tools.fingertip_cases.profile import gauges, settle
 
+# fmt: off
+# A table: a case is its header, and below it its steps.
+
 calibration = Service("calibration", standard="tipforce", own=True)
 validity = Service("validity", standard="tipforce", own=True)
 
@@ -81,7 +84,7 @@ def staged(dut: Dut) -> None:
 
 @calibration("2141h: a record of {0:+d} bytes is refused, the staged one stays", each=[
     (1, Abort.TOO_LONG), (-1, Abort.TOO_SHORT),
-])  # fmt: skip
+])
 def staged_size(dut: Dut, more: int, code: int) -> None:
     data = record(dut)
     stage(dut, data)
@@ -135,50 +138,34 @@ def staged_only(dut: Dut) -> None:
     check(dut.read(0x2140) == data, "the committed record", "another one")
 
 
-calibration.each("wrong_signature 2104h: a wrong signature: 08000020h", (), [(0,), (0x74696D64,), (0x65766173,)])(
-    lambda signature: (stage_record, do.refuses("I", 0x2104, 0, signature, Abort.NOT_STORED))
-)
-calibration("wrong_crc 2104h: CRC mismatch: 06040043h")(
-    stage_record, do.put("I", 0x2103, 1, 1), do.run(refused, Abort.INCOMPATIBLE)
-)
-calibration("late_write 2104h: a write after the CRC was given: 06040043h")(
-    stage_record, do.put("f", 0x2101, 1, 1e-6), do.run(refused, Abort.INCOMPATIBLE)
-)
-calibration.each(
-    "not_finite 2104h: {1} may be staged, and is not committed: 06090030h",
-    (),
-    [
-        ("x2100_2", "NaN in the matrix", math.nan),
-        ("x2101_1", "infinity in an offset", math.inf),
-        ("x2106_1", "NaN in the covariance", math.nan),
-        ("x2110_1", "NaN as tip radius", math.nan),
-    ],
-)(lambda field, _what, value: do.run(not_committed, Abort.INVALID_VALUE, **{field: value}))
-calibration.each(
-    "contradiction 2104h: {0}: 06090030h",
-    (),
-    [
-        ("theta minimum above maximum", {"x2110_2": 20.0, "x2110_3": 10.0}),
-        ("contact-off above contact-on", {"x2110_5": 0.6}),
-    ],
-)(lambda _what, fields: do.run(not_committed, Abort.INVALID_VALUE, **fields))
-calibration.each(
-    "ill_conditioned 2104h: {0} matrix: 06090031h", (), [("a singular", 0.0), ("an ill-conditioned", 0.1)]
-)(lambda _what, value: do.run(not_committed, Abort.TOO_HIGH, x2100_1=value))
-
-
-calibration("condition_limit 2105h: a lower condition limit refuses what was allowed")(
-    lambda dut: stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN)),
-    do.put("f", 0x2105, 1, 3.0),
-    do.run(refused, Abort.TOO_HIGH),
-    do.put("f", 0x2105, 1, 5.0),
-    do.put("I", 0x2104, 0, table.SIGNATURE_COMMIT),
-)
-calibration.each(
-    "condition_limit_range 2105h: a condition limit of {0} is refused",
-    (),
-    [(0.5, Abort.TOO_LOW), (math.nan, Abort.INVALID_VALUE)],
-)(lambda value, code: do.refuses("f", 0x2105, 1, value, code))
+for signature in (0, 0x74696D64, 0x65766173):
+    calibration("wrong_signature 2104h: a wrong signature: 08000020h", (),
+        stage_record, do.refuses("I", 0x2104, 0, signature, Abort.NOT_STORED))
+calibration("wrong_crc 2104h: CRC mismatch: 06040043h", (),
+    stage_record, do.put("I", 0x2103, 1, 1), do.run(refused, Abort.INCOMPATIBLE))
+calibration("late_write 2104h: a write after the CRC was given: 06040043h", (),
+    stage_record, do.put("f", 0x2101, 1, 1e-6), do.run(refused, Abort.INCOMPATIBLE))
+for field, what, value in (
+    ("x2100_2", "NaN in the matrix", math.nan), ("x2101_1", "infinity in an offset", math.inf),
+    ("x2106_1", "NaN in the covariance", math.nan), ("x2110_1", "NaN as tip radius", math.nan),
+):
+    calibration(f"not_finite 2104h: {what} may be staged, and is not committed: 06090030h", (),
+        do.run(not_committed, Abort.INVALID_VALUE, **{field: value}))
+for what, fields in (
+    ("theta minimum above maximum", {"x2110_2": 20.0, "x2110_3": 10.0}),
+    ("contact-off above contact-on", {"x2110_5": 0.6}),
+):
+    calibration(f"contradiction 2104h: {what}: 06090030h", (),
+        do.run(not_committed, Abort.INVALID_VALUE, **fields))
+for what, value in (("a singular", 0.0), ("an ill-conditioned", 0.1)):
+    calibration(f"ill_conditioned 2104h: {what} matrix: 06090031h", (),
+        do.run(not_committed, Abort.TOO_HIGH, x2100_1=value))
+calibration("condition_limit 2105h: a lower condition limit refuses what was allowed", (),
+    lambda dut: stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN)), do.put("f", 0x2105, 1, 3.0),
+    do.run(refused, Abort.TOO_HIGH), do.put("f", 0x2105, 1, 5.0), do.put("I", 0x2104, 0, table.SIGNATURE_COMMIT))
+for value, code in ((0.5, Abort.TOO_LOW), (math.nan, Abort.INVALID_VALUE)):
+    calibration(f"condition_limit_range 2105h: a condition limit of {value} is refused", (),
+        do.refuses("f", 0x2105, 1, value, code))
 
 
 @contextmanager
@@ -206,15 +193,13 @@ def locked(dut: Dut) -> None:
     dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
 
 
-calibration.each("lock_kept 2105h: the lock outlives {1}", (), RESETS)(
-    lambda command, _name: do.within(with_lock, do.reset(command), do.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE))
-)
-calibration("wrong_unlock 2105h: unlocking with a wrong signature: 08000020h, still locked")(
-    do.within(with_lock, do.refuses("I", 0x2105, 3, 0x6E65706E, Abort.NOT_STORED), do.holds("B", 0x2105, 2, 1))
-)
-calibration("active_read_only 2140h: the active record cannot be written")(
-    lambda dut: dut.refuses_bytes(0x2140, 0, record(dut), Abort.READ_ONLY)
-)
+for command, name in RESETS:
+    calibration(f"lock_kept 2105h: the lock outlives {name}", (),
+        do.within(with_lock, do.reset(command), do.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)))
+calibration("wrong_unlock 2105h: unlocking with a wrong signature: 08000020h, still locked", (),
+    do.within(with_lock, do.refuses("I", 0x2105, 3, 0x6E65706E, Abort.NOT_STORED), do.holds("B", 0x2105, 2, 1)))
+calibration("active_read_only 2140h: the active record cannot be written", (),
+    lambda dut: dut.refuses_bytes(0x2140, 0, record(dut), Abort.READ_ONLY))
 
 
 def loaded(dut: Dut, newtons: float) -> None:
@@ -236,11 +221,9 @@ def contact(dut: Dut) -> None:
         raise CheckError("contact present, F1 = 5 N, P = 5 N", f"F1 {force}, P {magnitude}")
 
 
-calibration("zero_in_contact CiA 404 6125h: autozero is refused while contact is present: 08000022h")(
-    do.run(loaded, 5.0),
-    do.refuses("I", 0x6125, 1, table.SIGNATURE_ZERO, Abort.DEVICE_STATE),
-    do.refuses("H", 0x2130, 0, table.COMMAND_ZERO, Abort.DEVICE_STATE),
-)
+calibration("zero_in_contact CiA 404 6125h: autozero is refused while contact is present: 08000022h", (),
+    do.run(loaded, 5.0), do.refuses("I", 0x6125, 1, table.SIGNATURE_ZERO, Abort.DEVICE_STATE),
+    do.refuses("H", 0x2130, 0, table.COMMAND_ZERO, Abort.DEVICE_STATE))
 
 
 @calibration("CiA 404 6139h: autotare takes the force as zero; command 2 clears it")
@@ -275,28 +258,28 @@ BEYOND, OVERLOAD = 1 << table.FAULT_BEYOND_CALIBRATED, 1 << table.FAULT_OVERLOAD
 
 @validity("2104h: a matrix of {0:g} N per unit strain: 0{1:X}h", each=[
     (1e-6 * NEWTONS_PER_STRAIN, Abort.TOO_LOW), (1e6 * NEWTONS_PER_STRAIN, Abort.TOO_HIGH),
-])  # fmt: skip
+])
 def matrix_size(dut: Dut, newtons_per_strain: float, code: int) -> None:
     n = gauges(dut)
     not_committed(dut, code, **{f"x2100_{sub}": newtons_per_strain for sub in (1, n + 2, 2 * n + 3)})
 
 
-@validity("{0}h: {1} may be staged, and is not committed: 06090030h", each=[
+for index, what, field, value in (
     ("2112", "a calibrated force below zero", "x2112_1", -1.0),
     ("2112", "an overload force below zero", "x2112_2", -1.0),
     ("2112", "a lowest temperature above the highest", "x2112_3", 1.0),
     ("2112", "a model uncertainty below zero", "x2112_5", -0.1), ("2112", "NaN as a force", "x2112_1", math.nan),
     ("2113", "a converter limit below zero", "x2113_1", -1e-3), ("2114", "an infinite offset", "x2114_1", math.inf),
     ("2115", "NaN as gain", "x2115_0", math.nan), ("2116", "a limit below zero", "x2116_0", -1.0),
-])  # fmt: skip
-def not_valid(dut: Dut, _object: str, _what: str, field: str, value: float) -> None:
-    not_committed(dut, Abort.INVALID_VALUE, **{field: value})
+):
+    validity(f"not_valid {index}h: {what} may be staged, and is not committed: 06090030h", (),
+        do.run(not_committed, Abort.INVALID_VALUE, **{field: value}))
 
 
 @validity("2112h: {0}: bit {1} of 2124h", each=[
     ("beyond the calibrated force the value stays", 13, "x2112_1"),
     ("beyond the overload force it is unknown", 15, "x2112_2"),
-])  # fmt: skip
+])
 def forces(dut: Dut, _what: str, bit: int, field: str) -> None:
     loaded(dut, 5.0)
     commit(dut, record(dut, **{field: 4.0}))
@@ -320,7 +303,7 @@ def converter_limit(dut: Dut) -> None:
 
 @validity("6149h: {0} outside its span: 6150h {2:02X}h, and the value is {3}", each=[
     ("a gauge", 1, 3, "unknown"), ("P", 0, 3, "shown"),
-])  # fmt: skip
+])
 def span(dut: Dut, _what: str, sub: int, status: int, shown: str) -> None:
     loaded(dut, 5.0)
     sub = sub or gauges(dut) + 4
@@ -333,13 +316,13 @@ def span(dut: Dut, _what: str, sub: int, status: int, shown: str) -> None:
 
 
 @validity("2126h: {0} counts where it changes a value, and only then", each=[
-    ("a process value offset", "f", 0x6124, 1, 7.0), ("a span", "f", 0x6149, 1, 999.0),
-    ("a filter", "B", 0x61A0, 1, 1), ("a transmission type", "B", 0x1802, 2, 7), ("1019h", "B", 0x1019, 0, 9),
+    ("a process value offset", "f", 0x6124, 1, 7.0), ("a span", "f", 0x6149, 1, 999.0), ("a filter", "B", 0x61A0, 1, 1),
+    ("a transmission type", "B", 0x1802, 2, 7), ("1019h", "B", 0x1019, 0, 9),
     ("the identifier of SYNC", "I", 0x1005, 0, 0x91), ("that of EMCY", "I", 0x1014, 0, 0x80000091),
     ("the heartbeat", "H", 0x1017, 0, 997), ("an inhibit time", "H", 0x1802, 3, 5),
     ("an event timer", "H", 0x1802, 5, 500), ("a SYNC start value", "B", 0x1802, 6, 3),
     ("a limit of an interrupt", "f", 0x6135, 1, 5.0),
-])  # fmt: skip
+])
 def counted(dut: Dut, _what: str, kind: str, index: int, sub: int, value: float) -> None:
     before = dut.integer("B", 0x2126)
     dut.put(kind, index, sub, value)
@@ -350,7 +333,7 @@ def counted(dut: Dut, _what: str, kind: str, index: int, sub: int, value: float)
 
 @validity("2126h: {0} written back as it was read does not count", each=[
     ("an interrupt limit", 0x6135, 1), ("its INTEGER16 form", 0x7135, 1), ("a span", 0x6148, 4), ("1005h", 0x1005, 0),
-])  # fmt: skip
+])
 def written_back(dut: Dut, _what: str, index: int, sub: int) -> None:
     before = dut.integer("B", 0x2126)
     abort = dut.try_write(index, sub, dut.read(index, sub))
@@ -373,6 +356,5 @@ def counted_commands(dut: Dut) -> None:
     dut.holds("B", 0x2126, 0, before + 3 & 0xFF)
 
 
-validity("counter_at_boot 2126h: 0 after a boot")(
-    do.put("f", 0x6124, 1, 7.0), do.reset(RESET_NODE), do.holds("B", 0x2126, 0, 0)
-)
+validity("counter_at_boot 2126h: 0 after a boot", (),
+    do.put("f", 0x6124, 1, 7.0), do.reset(RESET_NODE), do.holds("B", 0x2126, 0, 0))

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import struct
+from itertools import product
 
 from canopen_conformance import steps as do
 from canopen_conformance.case import Service, check
 from canopen_conformance.cases import pdo
-from canopen_conformance.cases.pdo_parameters import BOTH, EITHER, NO_RTR
+from canopen_conformance.cases.pdo_parameters import BOTH, EITHER, NO_RTR, refused_cob_id
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, REMOTE_FLAG, START, Abort
+
+# fmt: off
+# A table: a case is its header, and below it its steps.
 
 pdo_parameters = Service("pdo_parameters", own=True)
 rpdo = Service("rpdo", own=True)
@@ -17,69 +21,37 @@ tpdo = Service("tpdo", own=True)
 interrupts_404 = Service("interrupts_404", standard="CiA 404", own=True)
 
 
-@pdo_parameters("7.5.2.35: {2}: a 29-bit CAN-ID is not offered: 06090030h", EITHER, each=[
-    (*pdo, bits) for pdo in BOTH for bits in (0x20000000, 0x800)
-])  # fmt: skip
-def extended(dut: Dut, communication: int, _mapping: int, _name: str, bits: int) -> None:
-    cob_id = pdo.disable_pdo(dut, communication)
-    dut.refuses("I", communication, 1, cob_id | bits, Abort.INVALID_VALUE)
-
-
-@pdo_parameters("7.5.2.37: a TPDO that answers to remote frames is not offered: 06090030h", pdo.TPDO1)
-def rtr(dut: Dut) -> None:
-    cob_id = pdo.disable_pdo(dut, 0x1800)
-    dut.refuses("I", 0x1800, 1, cob_id & ~NO_RTR, Abort.INVALID_VALUE)
-
-
-pdo_parameters.each(
-    "rtr_type 7.5.2.37: {2}: transmission type {3} (by remote frame) is refused",
-    EITHER,
-    [(*pdo, value) for pdo in BOTH for value in (252, 253)],
-)(lambda communication, _mapping, _name, value: do.refuses("B", communication, 2, value, Abort.INVALID_VALUE))
-
-
-@pdo_parameters("7.5.2.36: 06040041h: {3}", EITHER, each=[
+for (communication, _, name), bits in product(BOTH, (0x20000000, 0x800)):
+    pdo_parameters(f"extended 7.5.2.35: {name}: a 29-bit CAN-ID is not offered: 06090030h", EITHER,
+        do.run(refused_cob_id, communication, ~0, bits))
+pdo_parameters("rtr 7.5.2.37: a TPDO that answers to remote frames is not offered: 06090030h", pdo.TPDO1,
+    do.run(refused_cob_id, 0x1800, ~NO_RTR))
+for (communication, _, name), value in product(BOTH, (252, 253)):
+    pdo_parameters(f"rtr_type 7.5.2.37: {name}: transmission type {value} (by remote frame) is refused", EITHER,
+        do.refuses("B", communication, 2, value, Abort.INVALID_VALUE))
+for communication, mapping, word, what in (
     (0x1800, 0x1A00, 0x10000020, "1000h is not mappable"),
     (0x1800, 0x1A00, 0x21040020, "a write-only object in a TPDO"),
     (0x1400, 0x1600, 0x21200008, "a read-only object in an RPDO"),
     (0x1800, 0x1A00, 0x71300108, "another length than the object's in a TPDO"),
     (0x1400, 0x1600, 0x21300008, "another length than the object's in an RPDO"),
     (0x1400, 0x1600, 0x00050010, "another length than the dummy type's"),
-])  # fmt: skip
-def not_mappable(dut: Dut, communication: int, mapping: int, word: int, _what: str) -> None:
-    pdo.disable_pdo(dut, communication)
-    dut.put("B", mapping, 0, 0)
-    dut.refuses("I", mapping, 1, word, Abort.NOT_MAPPABLE)
-
-
-@pdo_parameters("7.5.2.36: {2}: an entry of 0 counted in is refused", EITHER, each=BOTH)
-def empty_entry(dut: Dut, communication: int, mapping: int, _name: str) -> None:
-    pdo.disable_pdo(dut, communication)
-    dut.put("B", mapping, 0, 0)
-    dut.put("I", mapping, 1, 0)
-    dut.refuses("B", mapping, 0, 1, Abort.NO_OBJECT, Abort.NOT_MAPPABLE)
-
-
-rpdo("forgotten 7.2.2.2: what waited for a SYNC is forgotten when OPERATIONAL is left", pdo.HIGH_RESOLUTION)(
-    do.run(pdo.start_rpdo1, pdo.TIME_U32, transmission=1),
-    pdo.set_time,
-    do.send_pdo(struct.pack("<I", 0x60000000)),
-    do.nmt(ENTER_PRE_OPERATIONAL),
-    do.nmt(START),
-    do.send(0x080),
-    do.run(pdo.high_resolution, 0, 0x60000000),
-)
-rpdo("length_cured 7.2.7.1: an RPDO of the right length cures 8210h", (*pdo.HIGH_RESOLUTION, (0x1014, 0)))(
+):
+    pdo_parameters(f"not_mappable 7.5.2.36: 06040041h: {what}", EITHER,
+        do.run(pdo.disable_pdo, communication), do.put("B", mapping, 0, 0),
+        do.refuses("I", mapping, 1, word, Abort.NOT_MAPPABLE))
+for communication, mapping, name in BOTH:
+    pdo_parameters(f"empty_entry 7.5.2.36: {name}: an entry of 0 counted in is refused", EITHER,
+        do.run(pdo.disable_pdo, communication), do.put("B", mapping, 0, 0), do.put("I", mapping, 1, 0),
+        do.refuses("B", mapping, 0, 1, Abort.NO_OBJECT, Abort.NOT_MAPPABLE))
+rpdo("forgotten 7.2.2.2: what waited for a SYNC is forgotten when OPERATIONAL is left", pdo.HIGH_RESOLUTION,
+    do.run(pdo.start_rpdo1, pdo.TIME_U32, transmission=1), pdo.set_time, do.send_pdo(struct.pack("<I", 0x60000000)),
+    do.nmt(ENTER_PRE_OPERATIONAL), do.nmt(START), do.send(0x080), do.run(pdo.high_resolution, 0, 0x60000000))
+rpdo("length_cured 7.2.7.1: an RPDO of the right length cures 8210h", (*pdo.HIGH_RESOLUTION, (0x1014, 0)),
     do.run(pdo.start_rpdo1, pdo.TIME_U32),
-    do.repeat(2, do.send_pdo(), do.emcy("10 82 *"), do.send_pdo(bytes(4)), do.emcy("00 00 00 *")),
-)
-tpdo("cyclic_240 7.2.2.2: type 240: silent for the 200 SYNCs after a TPDO", pdo.TPDO1)(
-    do.run(pdo.start_tpdo1, 240),
-    do.repeat(239, do.send(0x080)),
-    do.no_pdo(ms=50),
-    do.send(0x080),
-    do.pdo(),
-)
+    do.repeat(2, do.send_pdo(), do.emcy("10 82 *"), do.send_pdo(bytes(4)), do.emcy("00 00 00 *")))
+tpdo("cyclic_240 7.2.2.2: type 240: silent for the 200 SYNCs after a TPDO", pdo.TPDO1,
+    do.run(pdo.start_tpdo1, 240), do.repeat(239, do.send(0x080)), do.no_pdo(ms=50), do.send(0x080), do.pdo())
 
 
 @tpdo("7.2.2.2: the SYNCs count anew when OPERATIONAL is entered", pdo.TPDO1)
@@ -93,22 +65,14 @@ def counted_anew(dut: Dut) -> None:
     check(answered == [3], "an answer to the third SYNC", f"answers to SYNC {answered}")
 
 
-tpdo("acyclic 7.2.2.2: type 0: silent at a SYNC while there was no event", pdo.TPDO1)(
-    do.run(pdo.start_tpdo1, 0),
-    do.send(0x080),
-    lambda dut: dut.sleep(dut.link.tolerance_ms),
-    do.forget_pdo(),
-    do.repeat(3, do.send(0x080)),
-    do.no_pdo(),
-)
-tpdo.each("first_values 7.2.2.2: type {0}: sent once when OPERATIONAL is entered", pdo.TPDO1, [(254,), (255,)])(
-    lambda transmission: (do.run(pdo.start_tpdo1, transmission), do.pdo(), do.no_pdo())
-)
-
-
-tpdo("remote_frame 7.2.2.5.2: a remote frame is not answered by a TPDO without RTR", pdo.TPDO1)(
-    do.run(pdo.start_tpdo1, 1), lambda dut: dut.send(dut.pdo_id | REMOTE_FLAG), do.no_pdo()
-)
+tpdo("acyclic 7.2.2.2: type 0: silent at a SYNC while there was no event", pdo.TPDO1,
+    do.run(pdo.start_tpdo1, 0), do.send(0x080), lambda dut: dut.sleep(dut.link.tolerance_ms), do.forget_pdo(),
+    do.repeat(3, do.send(0x080)), do.no_pdo())
+for transmission in (254, 255):
+    tpdo(f"first_values 7.2.2.2: type {transmission}: sent once when OPERATIONAL is entered", pdo.TPDO1,
+        do.run(pdo.start_tpdo1, transmission), do.pdo(), do.no_pdo())
+tpdo("remote_frame 7.2.2.5.2: a remote frame is not answered by a TPDO without RTR", pdo.TPDO1,
+    do.run(pdo.start_tpdo1, 1), lambda dut: dut.send(dut.pdo_id | REMOTE_FLAG), do.no_pdo())
 
 
 @tpdo("7.5.2.38: a new mapping: contents in the order of the entries, little-endian", pdo.TPDO1)
@@ -151,66 +115,29 @@ def shift(dut: Dut, microstrain: float) -> None:
     dut.put("f", 0x6124, 1, microstrain)
 
 
-@interrupts_404("6133h: a change of {0} microstrain with a delta of 100: {1}", NEEDS, each=[
-    (150.0, "sent"), (-150.0, "sent"), (50.0, "silent"),
-])  # fmt: skip
-def delta(dut: Dut, change: float, what: str) -> None:
-    dut.put("f", 0x6133, 1, 100.0)
-    begin(dut)
-    shift(dut, change)
-    if what == "sent":
-        dut.pdo(within_ms=SAMPLE_MS)
-    dut.no_pdo(ms=SAMPLE_MS)
+for change, what in ((150.0, "sent"), (-150.0, "sent"), (50.0, "silent")):
+    interrupts_404(f"delta 6133h: a change of {change} microstrain with a delta of 100: {what}", NEEDS,
+        do.put("f", 0x6133, 1, 100.0), begin, do.run(shift, change),
+        *([do.pdo(within_ms=SAMPLE_MS)] if what == "sent" else []), do.no_pdo(ms=SAMPLE_MS))
+interrupts_404("delta_off 6133h: delta 0: no interrupt", NEEDS,
+    begin, do.run(shift, 1000.0), do.no_pdo(ms=SAMPLE_MS))
+interrupts_404("delta_sum 6133h: small changes add up to a delta", NEEDS,
+    do.put("f", 0x6133, 1, 100.0), begin, do.run(shift, 60.0), do.no_pdo(ms=SAMPLE_MS), do.run(shift, 120.0),
+    do.pdo(within_ms=SAMPLE_MS))
 
 
-interrupts_404("delta_off 6133h: delta 0: no interrupt", NEEDS)(begin, do.run(shift, 1000.0), do.no_pdo(ms=SAMPLE_MS))
-interrupts_404("delta_sum 6133h: small changes add up to a delta", NEEDS)(
-    do.put("f", 0x6133, 1, 100.0),
-    begin,
-    do.run(shift, 60.0),
-    do.no_pdo(ms=SAMPLE_MS),
-    do.run(shift, 120.0),
-    do.pdo(within_ms=SAMPLE_MS),
-)
-
-
-@interrupts_404("{0:04X}h: the limit {0:04X}h is passed, and passed again: one TPDO each", NEEDS, each=[
-    (0x6135, 200.0), (0x6134, -200.0),
-])  # fmt: skip
-def limit(dut: Dut, index: int, value: float) -> None:
-    dut.put("f", index, 1, value)
-    begin(dut)
-    for microstrain in (1.5 * value, 0.0):
-        shift(dut, microstrain)
-        dut.pdo(within_ms=SAMPLE_MS)
-        dut.no_pdo(ms=SAMPLE_MS)
-
-
-interrupts_404("hysteresis 6136h: the hysteresis holds a value outside until it is well inside", NEEDS)(
-    do.put("f", 0x6135, 1, 200.0),
-    do.put("f", 0x6136, 1, 100.0),
-    begin,
-    do.run(shift, 250.0),
-    do.pdo(within_ms=SAMPLE_MS),
-    do.run(shift, 150.0),
-    do.no_pdo(ms=SAMPLE_MS),
-    do.run(shift, 50.0),
-    do.pdo(within_ms=SAMPLE_MS),
-)
-interrupts_404("acyclic CiA 301 7.2.2.2: type 0: an interrupt is sent with the next SYNC, once", NEEDS)(
-    do.put("f", 0x6133, 1, 100.0),
-    do.run(begin, 0),
-    do.send(0x080),
-    lambda dut: dut.sleep(dut.link.tolerance_ms),
-    do.forget_pdo(),
-    do.run(shift, 150.0),
-    do.sleep(5),
-    do.send(0x080),
-    do.pdo(),
-    do.sleep(5),
-    do.send(0x080),
-    do.no_pdo(),
-)
+for index, limit in ((0x6135, 200.0), (0x6134, -200.0)):
+    interrupts_404(f"limit {index:04X}h: the limit {index:04X}h is passed, and passed again: one TPDO each", NEEDS,
+        do.put("f", index, 1, limit), begin, *(step for microstrain in (1.5 * limit, 0.0) for step in (
+            do.run(shift, microstrain), do.pdo(within_ms=SAMPLE_MS), do.no_pdo(ms=SAMPLE_MS))))
+interrupts_404("hysteresis 6136h: the hysteresis holds a value outside until it is well inside", NEEDS,
+    do.put("f", 0x6135, 1, 200.0), do.put("f", 0x6136, 1, 100.0), begin, do.run(shift, 250.0),
+    do.pdo(within_ms=SAMPLE_MS), do.run(shift, 150.0), do.no_pdo(ms=SAMPLE_MS), do.run(shift, 50.0),
+    do.pdo(within_ms=SAMPLE_MS))
+interrupts_404("acyclic CiA 301 7.2.2.2: type 0: an interrupt is sent with the next SYNC, once", NEEDS,
+    do.put("f", 0x6133, 1, 100.0), do.run(begin, 0), do.send(0x080), lambda dut: dut.sleep(dut.link.tolerance_ms),
+    do.forget_pdo(), do.run(shift, 150.0), do.sleep(5), do.send(0x080), do.pdo(), do.sleep(5), do.send(0x080),
+    do.no_pdo())
 
 
 @interrupts_404(
@@ -282,15 +209,14 @@ def stale(dut: Dut) -> None:
     check(second[1] == first[1] and second[0] & 8, "bit 3, and the same counter", f"{first.hex()} {second.hex()}")
 
 
-interrupts_404.each(
-    "command_refused tipforce 2130h: command {0}: {1:08X}h", (), [(4, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)]
-)(lambda value, code: do.refuses("H", 0x2130, 0, value, code))
+for value, code in ((4, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)):
+    interrupts_404(f"command_refused tipforce 2130h: command {value}: {code:08X}h", (),
+        do.refuses("H", 0x2130, 0, value, code))
 
 
-@interrupts_404(
-    "tipforce 2120h: a {0}-byte object is read as its type says",
-    each=[(1, 0x2120), (1, 0x2121), (2, 0x2122), (2, 0x2123), (2, 0x2124)],
-)
+@interrupts_404("tipforce 2120h: a {0}-byte object is read as its type says", each=[
+    (1, 0x2120), (1, 0x2121), (2, 0x2122), (2, 0x2123), (2, 0x2124),
+])
 def live_sizes(dut: Dut, size: int, index: int) -> None:
     check(len(dut.read(index)) == size, f"{size} bytes", "another size")
 

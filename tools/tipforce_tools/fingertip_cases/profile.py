@@ -10,6 +10,9 @@ from canopen_conformance.dut import Dut
 from canopen_conformance.wire import Abort
 from tipforce.dictionary import table
 
+# fmt: off
+# A table: a case is its header, and below it its steps.
+
 profile_404 = Service("profile_404", standard="CiA 404", own=True)
 settings_404 = Service("settings_404", standard="CiA 404", own=True)
 
@@ -38,31 +41,37 @@ def uncalibrated(dut: Dut) -> None:
 settle = do.sleep(NEWEST_MS)  # after it the next read takes a new sample
 
 
+def channel_holds(dut: Dut, kind: str, index: int, part: str, value: int) -> None:
+    """The sub-index of a channel of this kind reads as ``value``."""
+    dut.holds(kind, index, channel(dut, part), value)
+
+
+def counts(dut: Dut, index: int, more: int) -> None:
+    """Sub-index 0 counts the gauges and so many more channels."""
+    dut.holds("B", index, 0, gauges(dut) + more)
+
+
 for header, kind, index, values in (
-    ("sensor_type 6110h: the sensor type of a {0}", "H", 0x6110, (70, 10001, 10002, 10003, 10003)),
-    ("unit 6131h: the unit of a {0}", "I", 0x6131, (0xFA010100, 0x210000, 0x210000, 0x410000, 0x410000)),
-    ("digits 6132h: the decimal digits of a {0}", "B", 0x6132, (1, 3, 3, 2, 2)),
+    ("sensor_type 6110h: the sensor type", "H", 0x6110, (70, 10001, 10002, 10003, 10003)),
+    ("unit 6131h: the unit", "I", 0x6131, (0xFA010100, 0x210000, 0x210000, 0x410000, 0x410000)),
+    ("digits 6132h: the decimal digits", "B", 0x6132, (1, 3, 3, 2, 2)),
 ):
-    profile_404.each(header, (), [(part, kind, index, value) for part, value in zip(PARTS, values, strict=True)])(
-        lambda part, kind, index, value: lambda dut: dut.holds(kind, index, channel(dut, part), value)
-    )
-
-
-@profile_404("{0:04X}h: sub-index 0 of {0:04X}h counts {1}", each=[
-    *((index, "all channels") for index in (0x6110, 0x6112, 0x6114, 0x6130, 0x6131, 0x6132, 0x6150, 0x7130, 0x9130)),
-    *((index, "the gauges") for index in (0x6100, 0x6120, 0x6124, 0x6125, 0x61A0, 0x7100, 0x9100)),
-])  # fmt: skip
-def count(dut: Dut, index: int, which: str) -> None:
-    dut.holds("B", index, 0, gauges(dut) + (6 if which == "all channels" else 0))
-
-
-profile_404.each(
-    "read_only {0:04X}h: {0:04X}h cannot be written",
-    (),
-    list(
-        zip((0x6100, 0x6110, 0x6130, 0x6131, 0x6132, 0x6150, 0x7100, 0x7130, 0x9100, 0x9130), "fHfIBBhhii", strict=True)
-    ),
-)(lambda index, kind: do.refuses(kind, index, 1, 0, Abort.READ_ONLY))
+    for part, value in zip(PARTS, values, strict=True):
+        profile_404(f"{header} of a {part}", (),
+            do.run(channel_holds, kind, index, part, value))
+for which, more, indices in (
+    ("all channels", 6, (0x6110, 0x6112, 0x6114, 0x6130, 0x6131, 0x6132, 0x6150, 0x7130, 0x9130)),
+    ("the gauges", 0, (0x6100, 0x6120, 0x6124, 0x6125, 0x61A0, 0x7100, 0x9100)),
+):
+    for index in indices:
+        profile_404(f"count {index:04X}h: sub-index 0 of {index:04X}h counts {which}", (),
+            do.run(counts, index, more))
+for index, kind in (
+    (0x6100, "f"), (0x6110, "H"), (0x6130, "f"), (0x6131, "I"), (0x6132, "B"), (0x6150, "B"), (0x7100, "h"),
+    (0x7130, "h"), (0x9100, "i"), (0x9130, "i"),
+):
+    profile_404(f"read_only {index:04X}h: {index:04X}h cannot be written", (),
+        do.refuses(kind, index, 1, 0, Abort.READ_ONLY))
 
 
 def in_form(value: float, digits: int, kind: str) -> int:
@@ -86,7 +95,7 @@ SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148
 
 @profile_404("6{0:03X}h: 6{0:03X}h, 7{0:03X}h and 9{0:03X}h are one value, written through {1}", each=[
     (offset, form) for offset in SETTINGS for form in ("REAL32", "INTEGER16", "INTEGER32")
-])  # fmt: skip
+])
 def setting_forms(dut: Dut, offset: int, form: str) -> None:
     counts = offset in (0x120, 0x122)
     scale = 1 if counts else 10
@@ -98,21 +107,18 @@ def setting_forms(dut: Dut, offset: int, form: str) -> None:
     check(abs(real - (210 if counts else 210.5)) <= 1e-4, "210.5 (counts: 210)", str(real))
 
 
-profile_404.each(
-    "setting_saturates 7124h: a value that INTEGER16 cannot hold reads as its end", (), [(1e6, 0x7FFF), (-1e6, -0x7FFF)]
-)(
-    lambda value, shown: (
-        do.put("f", 0x6124, 1, value), do.holds("h", 0x7124, 1, shown), do.holds("i", 0x9124, 1, round(value * 10)),
-    )
-)  # fmt: skip
-profile_404.each("not_finite 6130h: {0} is not finite: 06090030h", (), [(math.nan,), (math.inf,), (-math.inf,)])(
-    lambda value: tuple(do.refuses("f", index, 1, value, Abort.INVALID_VALUE) for index in (0x6124, 0x6133, 0x6148))
-)
+for microstrain, shown in ((1e6, 0x7FFF), (-1e6, -0x7FFF)):
+    profile_404("setting_saturates 7124h: a value that INTEGER16 cannot hold reads as its end", (),
+        do.put("f", 0x6124, 1, microstrain), do.holds("h", 0x7124, 1, shown),
+        do.holds("i", 0x9124, 1, round(microstrain * 10)))
+for number in (math.nan, math.inf, -math.inf):
+    profile_404(f"not_finite 6130h: {number} is not finite: 06090030h", (),
+        *(do.refuses("f", index, 1, number, Abort.INVALID_VALUE) for index in (0x6124, 0x6133, 0x6148)))
 
 
 @profile_404("6150h: without calibration a {0} is not valid, and unknown in every form", each=[
     (part,) for part in PARTS[1:]
-])  # fmt: skip
+])
 def unknown(dut: Dut, part: str) -> None:
     uncalibrated(dut)
     sub = channel(dut, part)
@@ -124,12 +130,13 @@ def unknown(dut: Dut, part: str) -> None:
     check(math.isnan(value), "NaN", str(value))
 
 
-profile_404("gauge_valid 6150h: a gauge is valid without calibration")(settle, do.holds("B", 0x6150, 1, 0))
+profile_404("gauge_valid 6150h: a gauge is valid without calibration", (),
+    settle, do.holds("B", 0x6150, 1, 0))
 
 
 @profile_404("6150h: a gauge beyond INTEGER16: overload {1:02X}h, 7130h at its end, 6130h and 9130h as they are", each=[
     (5000.0, 3, 0x7FFF), (-5000.0, 5, -0x7FFF),
-])  # fmt: skip
+])
 def overload(dut: Dut, microstrain: float, status: int, shown: int) -> None:
     dut.put("f", 0x6124, 1, microstrain)
     settle(dut)
@@ -141,7 +148,7 @@ def overload(dut: Dut, microstrain: float, status: int, shown: int) -> None:
 
 @profile_404("6150h: simulated fault {0}: gauge 1 {1}", SIMULATED, each=[
     (3, "saturated", 0x7FFF, 3), (2, "open", table.UNKNOWN_I16, 1), (4, "silent", table.UNKNOWN_I16, 1),
-])  # fmt: skip
+])
 def fault(dut: Dut, number: int, _name: str, shown: int, status: int) -> None:
     try:
         settle(dut)
@@ -169,31 +176,30 @@ def load(dut: Dut) -> None:
             dut.put("f", 0x2201, sub, value)
 
 
-settings_404.each("operating_mode 6112h: operating mode {0} is refused", (), [(0, Abort.TOO_LOW), (2, Abort.TOO_HIGH)])(
-    lambda value, code: do.refuses("B", 0x6112, 1, value, code)
-)
+for value, code in ((0, Abort.TOO_LOW), (2, Abort.TOO_HIGH)):
+    settings_404(f"operating_mode 6112h: operating mode {value} is refused", (),
+        do.refuses("B", 0x6112, 1, value, code))
 
 
-settings_404("sample_period 6114h: the sample period of one channel is that of all")(
-    do.put("I", 0x6114, 2, 1000),
-    lambda dut: [dut.holds("I", 0x6114, sub, 1000) for sub in (1, 3, gauges(dut) + 6)],
-)
-settings_404.each(
-    "sample_period_range 6114h: a sample period of {0} microseconds is refused",
-    (),
-    [(0, Abort.TOO_LOW), (99, Abort.TOO_LOW), (1000001, Abort.TOO_HIGH)],
-)(lambda value, code: do.refuses("I", 0x6114, 1, value, code))
+@settings_404("6114h: the sample period of one channel is that of all")
+def sample_period(dut: Dut) -> None:
+    dut.put("I", 0x6114, 2, 1000)
+    for sub in (1, 3, gauges(dut) + 6):
+        dut.holds("I", 0x6114, sub, 1000)
 
 
-settings_404.each(
-    "scaling_points 6120h: two scaling points at one field value: 06090030h, the first stays",
-    (),
-    [(0x6120, 0x6122), (0x6122, 0x6120)],
-)(
-    lambda index, other: do.unchanged(
-        "f", index, 1, lambda dut: dut.refuses("f", index, 1, dut.number("f", other, 1), Abort.INVALID_VALUE)
-    )
-)
+for value, code in ((0, Abort.TOO_LOW), (99, Abort.TOO_LOW), (1000001, Abort.TOO_HIGH)):
+    settings_404(f"sample_period_range 6114h: a sample period of {value} microseconds is refused", (),
+        do.refuses("I", 0x6114, 1, value, code))
+
+
+@settings_404("6120h: two scaling points at one field value: 06090030h, the first stays", each=[
+    (0x6120, 0x6122), (0x6122, 0x6120),
+])
+def scaling_points(dut: Dut, index: int, other: int) -> None:
+    before = dut.number("f", index, 1)
+    dut.refuses("f", index, 1, dut.number("f", other, 1), Abort.INVALID_VALUE)
+    dut.holds("f", index, 1, before)
 
 
 @settings_404("6130h: process value = scaled field value + offset")
@@ -217,20 +223,17 @@ def filter_type(dut: Dut, value: int) -> None:
     dut.holds("B", 0x61A0, 1, 0)
 
 
-settings_404.each(
-    "filter_type_refused 61A0h: filter type {0} is refused",
-    (),
-    [(3, Abort.INVALID_VALUE), (99, Abort.INVALID_VALUE), (101, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)],
-)(lambda value, code: (do.refuses("B", 0x61A0, 1, value, code), do.holds("B", 0x61A0, 1, 0)))
-settings_404("filter_of_contact 61A0h: a contact channel has no filter: 06090011h")(
+for value, code in ((3, Abort.INVALID_VALUE), (99, Abort.INVALID_VALUE), (101, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)):
+    settings_404(f"filter_type_refused 61A0h: filter type {value} is refused", (),
+        do.refuses("B", 0x61A0, 1, value, code), do.holds("B", 0x61A0, 1, 0))
+settings_404("filter_of_contact 61A0h: a contact channel has no filter: 06090011h", (),
     lambda dut: dut.refuses("B", 0x61A0, gauges(dut) + 1, 1, Abort.NO_SUB),
-    lambda dut: dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, Abort.NO_SUB),
-)
+    lambda dut: dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, Abort.NO_SUB))
 
 
 @settings_404("61A1h: a moving average takes {0} values: {1}", each=[
     (256, "taken", 0), (257, "06090031h", Abort.TOO_HIGH), (65535, "06090031h", Abort.TOO_HIGH),
-])  # fmt: skip
+])
 def filter_window(dut: Dut, value: int, _shown: str, code: int) -> None:
     dut.put("B", 0x61A0, 1, 1)
     if code:
@@ -240,12 +243,10 @@ def filter_window(dut: Dut, value: int, _shown: str, code: int) -> None:
     dut.holds("H", 0x61A1, 1, 1 if code else value)
 
 
-@settings_404("61A1h: filter type {0} takes the constant 65535", each=[(2,), (100,)])
-def filter_longest(dut: Dut, kind: int) -> None:
-    dut.put("H", 0x61A1, 1, 65535)
-    dut.put("B", 0x61A0, 1, kind)
-    dut.refuses("B", 0x61A0, 1, 1, Abort.INVALID_VALUE)  # no moving average of so many
-    dut.holds("B", 0x61A0, 1, kind)
+for longest in (2, 100):
+    settings_404(f"filter_longest 61A1h: filter type {longest} takes the constant 65535", (),
+        do.put("H", 0x61A1, 1, 65535), do.put("B", 0x61A0, 1, longest),
+        do.refuses("B", 0x61A0, 1, 1, Abort.INVALID_VALUE), do.holds("B", 0x61A0, 1, longest))
 
 
 @settings_404("61A1h: a repeating average of {0} conversions of 1 ms is unknown until then", each=[(300,)])
@@ -260,9 +261,8 @@ def filter_block(dut: Dut, values: int) -> None:
     check(not math.isnan(dut.number("f", 0x6130, 1)), "6130h:1 known after the first average", "NaN")
 
 
-settings_404("autozero_signature 6125h: autozero with a wrong signature: 08000020h")(
-    do.refuses("I", 0x6125, 1, 0x6F72657B, Abort.NOT_STORED)
-)
+settings_404("autozero_signature 6125h: autozero with a wrong signature: 08000020h", (),
+    do.refuses("I", 0x6125, 1, 0x6F72657B, Abort.NOT_STORED))
 
 
 @settings_404("6125h: autozero brings the gauge to zero by 6124h alone")
@@ -285,6 +285,5 @@ def autotare_signature(dut: Dut) -> None:
     dut.refuses("I", 0x6139, 1, table.SIGNATURE_TARA, Abort.NO_SUB)
 
 
-settings_404("autotare_unknown 6139h: autotare without calibration: 08000022h")(
-    uncalibrated, lambda dut: dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, Abort.DEVICE_STATE)
-)
+settings_404("autotare_unknown 6139h: autotare without calibration: 08000022h", (),
+    uncalibrated, lambda dut: dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, Abort.DEVICE_STATE))

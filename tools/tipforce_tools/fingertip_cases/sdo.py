@@ -11,22 +11,21 @@ from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload, no
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import Abort
 
+# fmt: off
+# A table: a case is its header, and below it its steps.
+
 sdo = Service("sdo", own=True)
 segmented = Service("sdo_segmented", own=True)
 block_upload = Service("sdo_block", own=True)
 download = Service("sdo_block_download", own=True)
 
 
-sdo.each(
-    "write_only 7.2.4.3.17: 06010001h: a read of {0:04X}h:{1}, which can only be written",
-    (),
-    [(0x2104, 0), (0x2105, 3), (0x6125, 1)],
-)(lambda index, sub: (do.request(struct.pack("<BHB", 0x40, index, sub)), do.aborted(index, sub, Abort.WRITE_ONLY)))
-sdo.each(
-    "value_low 7.2.4.3.17: 06090032h: a value below the limit of {0:04X}h:{1}",
-    (),
-    [(0x6114, 1, "I", 99), (0x6112, 1, "B", 0), (0x61A1, 1, "H", 0)],
-)(lambda index, sub, kind, value: do.unchanged(kind, index, sub, do.refuses(kind, index, sub, value, Abort.TOO_LOW)))
+for index, sub in ((0x2104, 0), (0x2105, 3), (0x6125, 1)):
+    sdo(f"write_only 7.2.4.3.17: 06010001h: a read of {index:04X}h:{sub}, which can only be written", (),
+        do.request(struct.pack("<BHB", 0x40, index, sub)), do.aborted(index, sub, Abort.WRITE_ONLY))
+for index, sub, kind, value in ((0x6114, 1, "I", 99), (0x6112, 1, "B", 0), (0x61A1, 1, "H", 0)):
+    sdo(f"value_low 7.2.4.3.17: 06090032h: a value below the limit of {index:04X}h:{sub}", (),
+        do.unchanged(kind, index, sub, do.refuses(kind, index, sub, value, Abort.TOO_LOW)))
 
 
 RECORD = ((0x2141, 0),)
@@ -34,59 +33,35 @@ RECORD = ((0x2141, 0),)
 
 @segmented("7.2.4.2.5: a new initiate gives up the upload that went on")
 def upload_restart(dut: Dut) -> None:
-    _index, size = begin_upload(dut)
+    size = begin_upload(dut)
     dut.ask("60", "0. *")
     begin_upload(dut)
     size_read = len(dut.read_segments())
     check(size_read == size, f"{size} bytes from the start", f"{size_read}")
 
 
-@segmented("7.2.4.3.17: a silent client: 05040000h, and the transfer is over")
-def upload_timeout(dut: Dut) -> None:
-    index, _size = begin_upload(dut)
-    dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
-    over(dut)
-
-
-segmented("upload_patience 7.2.4.3.17: each request gives the client its time anew")(
-    begin_upload,
-    do.no_sdo(ms=700),
-    do.ask("60", "0. *"),
-    do.no_sdo(ms=700),
-    do.ask("70", lambda data: data[0] & 0xF0 == 0x10),
-)
-segmented.each(
-    "download_stated 7.2.4.3.3: a stated size that the object cannot have is refused at the initiate",
-    (),
-    [
-        (0x1017, 1, Abort.TOO_SHORT),
-        (0x1017, 3, Abort.TOO_LONG),
-        (0x2141, 5, Abort.TOO_SHORT),
-        (0x2141, 0x10000, Abort.TOO_LONG),
-        (0x1017, 0, Abort.TOO_SHORT),
-    ],
-)(lambda index, size, code: (do.request(struct.pack("<BHBI", 0x21, index, 0, size)), do.aborted(index, 0, code)))
-segmented.each(
-    "download_refused 7.2.4.3.3: refused at the initiate: {3}",
-    (),
-    [
-        (0x1008, 0, Abort.READ_ONLY, "a read-only object"),
-        (0xFFFF, 0, Abort.NO_OBJECT, "no object"),
-        (0x1018, 9, Abort.NO_SUB, "no sub-index"),
-    ],
-)(
-    lambda index, sub, code, _why: (
-        do.request(struct.pack("<BHBI", 0x21, index, sub, 20)),
-        do.aborted(index, sub, code),
-        do.ask("00", lambda data: data[0] == 0x80),
-    )
-)
-segmented("download_restart 7.2.4.2.2: a new initiate gives up the download that went on", BEAT)(
-    begin_download, do.ask("0C 99", "20"), begin_download, do.ask("0B 34 12", "20"), do.holds("H", 0x1017, 0, 0x1234)
-)
-segmented("download_timeout 7.2.4.3.17: a silent client: 05040000h, nothing is written", BEAT)(
-    not_written(begin_download, do.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200))
-)
+segmented("upload_timeout 7.2.4.3.17: a silent client: 05040000h, and the transfer is over", (),
+    begin_upload, do.upload_aborted(Abort.TIMED_OUT, within_ms=1200), over)
+segmented("upload_patience 7.2.4.3.17: each request gives the client its time anew", (),
+    begin_upload, do.no_sdo(ms=700), do.ask("60", "0. *"), do.no_sdo(ms=700),
+    do.ask("70", lambda data: data[0] & 0xF0 == 0x10))
+for index, size, code in (
+    (0x1017, 1, Abort.TOO_SHORT), (0x1017, 3, Abort.TOO_LONG), (0x2141, 5, Abort.TOO_SHORT),
+    (0x2141, 0x10000, Abort.TOO_LONG), (0x1017, 0, Abort.TOO_SHORT),
+):
+    segmented("download_stated 7.2.4.3.3: a stated size that the object cannot have is refused at the initiate", (),
+        do.request(struct.pack("<BHBI", 0x21, index, 0, size)), do.aborted(index, 0, code))
+for index, sub, code, why in (
+    (0x1008, 0, Abort.READ_ONLY, "a read-only object"), (0xFFFF, 0, Abort.NO_OBJECT, "no object"),
+    (0x1018, 9, Abort.NO_SUB, "no sub-index"),
+):
+    segmented(f"download_refused 7.2.4.3.3: refused at the initiate: {why}", (),
+        do.request(struct.pack("<BHBI", 0x21, index, sub, 20)), do.aborted(index, sub, code),
+        do.ask("00", lambda data: data[0] == 0x80))
+segmented("download_restart 7.2.4.2.2: a new initiate gives up the download that went on", BEAT,
+    begin_download, do.ask("0C 99", "20"), begin_download, do.ask("0B 34 12", "20"), do.holds("H", 0x1017, 0, 0x1234))
+segmented("download_timeout 7.2.4.3.17: a silent client: 05040000h, nothing is written", BEAT,
+    not_written(begin_download, do.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)))
 
 
 @segmented("7.2.4.3.4: many segments: a whole record is written and read back", RECORD)
@@ -97,20 +72,12 @@ def download_many(dut: Dut) -> None:
 
 
 LONG = ((0x1021, 0),)
+block_upload("acknowledged_too_much 7.2.4.3.14: ackseq beyond what was sent: 05040003h", (),
+    sdo_block.begun_upload, do.request("A2 02 7F"), do.upload_aborted(Abort.SEQUENCE_NUMBER))
 
-
-@block_upload("7.2.4.3.14: ackseq beyond what was sent: 05040003h")
-def acknowledged_too_much(dut: Dut) -> None:
-    index = sdo_block.begun_upload(dut)
-    dut.request("A2 02 7F")
-    dut.aborted(index, 0, Abort.SEQUENCE_NUMBER)
-
-
-@block_upload(
-    "7.2.4.3.13: protocol switch: {0} bytes and pst {1} give a {2} upload",
-    ((0x1000, 0),),
-    each=[(4, 4, "expedited"), (4, 255, "expedited"), (4, 3, "block"), (4, 0, "block")],
-)
+@block_upload("7.2.4.3.13: protocol switch: {0} bytes and pst {1} give a {2} upload", ((0x1000, 0),), each=[
+    (4, 4, "expedited"), (4, 255, "expedited"), (4, 3, "block"), (4, 0, "block"),
+])
 def protocol_switch(dut: Dut, _size: int, switch: int, how: str) -> None:
     answer = sdo_block.initiate(dut, 0x1000, 127, switch)
     wanted = 0x43 if how == "expedited" else 0xC6
@@ -138,29 +105,17 @@ def full_block(dut: Dut) -> None:
         check(part == first[offset : offset + 7], part.hex(" "), first[offset : offset + 7].hex(" "))
 
 
-block_upload("restart 7.2.4.2.13: an initiate gives up the block upload that went on")(
-    sdo_block.begun_upload, do.ask("40 00 10 00", "43 00 10 00 *")
-)
-
-
-@block_upload("7.2.4.3.17: {1}: 05040001h", each=[
-    ("A2 01 7F", "an answer before the start"),
-    ("A1", "an end before the start"),
+block_upload("restart 7.2.4.2.13: an initiate gives up the block upload that went on", (),
+    sdo_block.begun_upload, do.ask("40 00 10 00", "43 00 10 00 *"))
+for command, why in (
+    ("A2 01 7F", "an answer before the start"), ("A1", "an end before the start"),
     ("60", "a segment of another transfer"),
-])  # fmt: skip
-def wrong_command(dut: Dut, request: str, _why: str) -> None:
-    index = sdo_block.begun_upload(dut, False)
-    dut.request(request)
-    dut.aborted(index, 0, Abort.UNKNOWN_COMMAND)
-
-
-@block_upload(
-    "7.2.4.3.17: a client that is silent {1}: 05040000h",
-    each=[(False, "before the start"), (True, "after a block")],
-)
-def silent_client(dut: Dut, started: bool, _when: str) -> None:
-    index = sdo_block.begun_upload(dut, started)
-    dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
+):
+    block_upload(f"wrong_command 7.2.4.3.17: {why}: 05040001h", (),
+        do.run(sdo_block.begun_upload, False), do.request(command), do.upload_aborted(Abort.UNKNOWN_COMMAND))
+for started, when in ((False, "before the start"), (True, "after a block")):
+    block_upload(f"silent_client 7.2.4.3.17: a client that is silent {when}: 05040000h", (),
+        do.run(sdo_block.begun_upload, started), do.upload_aborted(Abort.TIMED_OUT, within_ms=1200))
 
 
 def begin_record(dut: Dut) -> tuple[bytes, int]:
@@ -218,23 +173,18 @@ def lost_last(dut: Dut) -> None:
     dut.answer("A1")
 
 
-download.each("too_much 7.2.4.3.10: more data than stated: {0:08X}h, before the end", BEAT, [(Abort.TOO_LONG,)])(
-    lambda code: (
-        do.run(sdo_block.begin_block_download, 0x1017, 2),
-        do.run(sdo_block.segment, 1, bytes(7)),
-        do.aborted(0x1017, 0, code),
-    )
-)
-download.each(
-    "refused_size 7.2.4.3.9: a size that the object cannot have is refused at the initiate",
-    BEAT,
-    [(1, Abort.TOO_SHORT), (3, Abort.TOO_LONG), (0xFFFFFFFF, Abort.TOO_LONG)],
-)(lambda size, code: (do.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size)), do.aborted(0x1017, 0, code)))
+for code in (Abort.TOO_LONG,):
+    download(f"too_much 7.2.4.3.10: more data than stated: {code:08X}h, before the end", BEAT,
+        do.run(sdo_block.begin_block_download, 0x1017, 2), do.run(sdo_block.segment, 1, bytes(7)),
+        do.aborted(0x1017, 0, code))
+for size, code in ((1, Abort.TOO_SHORT), (3, Abort.TOO_LONG), (0xFFFFFFFF, Abort.TOO_LONG)):
+    download("refused_size 7.2.4.3.9: a size that the object cannot have is refused at the initiate", BEAT,
+        do.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size)), do.aborted(0x1017, 0, code))
 
 
 @download("7.2.4.3.17: a client that is silent {1}: 05040000h", BEAT, each=[
     (False, "during a block"), (True, "before the end"),
-])  # fmt: skip
+])
 def sdo_block_download_silent_client(dut: Dut, sent: bool, _when: str) -> None:
     if sent:
         sdo_block.one_segment(dut)
@@ -244,6 +194,5 @@ def sdo_block_download_silent_client(dut: Dut, sent: bool, _when: str) -> None:
     dut.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)
 
 
-download("wrong_end 7.2.4.3.11: no end but another command: 05040001h", BEAT)(
-    sdo_block.one_segment, do.request("C2"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
-)
+download("wrong_end 7.2.4.3.11: no end but another command: 05040001h", BEAT,
+    sdo_block.one_segment, do.request("C2"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND))

@@ -1,1 +1,0 @@
-"""Nets under a change of the whole layout; `python -m bench.nets --help`."""
