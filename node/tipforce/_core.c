@@ -2,7 +2,7 @@
 
    These are the fast bodies of Python functions that do the same. `parse` leaves lines that are not of the plain
    forms below to host/logs/candump.py, which alone judges them; `join` is join_here of host/decoding/sample_rule.py,
-   `extract` columns_of of host/decoding/columns.py. Without this module everything works, slower. Limited API of
+   `rows` leaves what does not follow to samples/rows.py, `extract` is columns_of of host/decoding/columns.py. Without this module everything works, slower. Limited API of
    Python 3.11: one build for all later versions. */
 
 #define PY_SSIZE_T_CLEAN
@@ -474,6 +474,132 @@ static PyObject *join(PyObject *module, PyObject *args) {
     return result;
 }
 
+/* --- rows of a hand ----------------------------------------------------------------------------- */
+
+enum { SYNC_ID = 0x80, STANDARD_IDS = 2048 };
+
+typedef struct { /* STEADY of rows.py: the row of the last SYNC, and by slot the answers to it */
+    int64_t is_open, last, number, modulus, sync_ns, period_ns, gap_rows, awaited;
+    uint64_t slots[]; /* the words, then whether there is one */
+} Steady;
+
+typedef struct { /* ANSWER of rows.py, by slot */
+    uint64_t stale;
+    int64_t length, shift;
+} Answer;
+
+/* Return the whole row (t_ns, number, words, reasons, states), of which all have the last two. */
+static PyObject *whole_row(const Steady *state, Py_ssize_t slots, PyObject *reasons, PyObject *states) {
+    PyObject *words = PyTuple_New(slots);
+    for (Py_ssize_t k = 0; words && k < slots; k++) {
+        PyObject *word = PyLong_FromUnsignedLongLong(state->slots[k]);
+        if (!word || PyTuple_SetItem(words, k, word) < 0) {
+            Py_DECREF(words);
+            return NULL;
+        }
+    }
+    if (!words)
+        return NULL;
+    return Py_BuildValue("(LLNOO)", (long long)state->sync_ns, (long long)state->number, words, reasons, states);
+}
+
+/* Return whether every element of a list is True. */
+static int all_true(PyObject *list) {
+    Py_ssize_t count = PyList_Size(list), k = 0;
+    while (k < count && PyList_GetItem(list, k) == Py_True)
+        k++;
+    return k == count;
+}
+
+/* Open the row of a SYNC; return whether it is the one that follows the last, whose row is whole. */
+static int open_row(Steady *state, Py_ssize_t slots, const Byte *frame, int64_t most_gap_rows) {
+    int64_t number = frame[16], t_ns = time_of(frame);
+    if (state->is_open || frame[12] != 1 || number != state->number % state->modulus + 1)
+        return 0;
+    state->is_open = 1;
+    state->last++;
+    state->number = number;
+    state->period_ns = (int64_t)((uint64_t)t_ns - (uint64_t)state->sync_ns);
+    state->sync_ns = t_ns;
+    state->gap_rows += state->gap_rows < most_gap_rows;
+    state->awaited = slots;
+    memset(state->slots + slots, 0, (size_t)slots * 8);
+    return 1;
+}
+
+PyDoc_STRVAR(rows_doc,
+"rows(frames, state, index, answers, most_gap_rows, shown, other, now_s, whole, reasons, states) -> done\n\n"
+"Process frames while each SYNC follows the last and each answer is to it; append whole rows to the list ``whole``.\n"
+"Return the bytes before the first frame for which that is not so: see RowAssembler of samples/rows.py. ``other`` is\n"
+"called with what is neither a SYNC nor an answer, and may change ``shown``.");
+
+static PyObject *rows(PyObject *module, PyObject *args) {
+    Py_buffer frames, memory, index, answers;
+    PyObject *shown, *other, *now_s, *whole, *reasons, *states, *result = NULL;
+    Py_ssize_t at = 0;
+    long long most_gap_rows;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "y*w*y*y*LO!OOO!OO", &frames, &memory, &index, &answers, &most_gap_rows,
+                          &PyList_Type, &shown, &other, &now_s, &PyList_Type, &whole, &reasons, &states))
+        return NULL;
+    Py_ssize_t count = frames.len / FRAME_BYTES, slots = answers.len / (Py_ssize_t)sizeof(Answer);
+    Steady *state = memory.buf;
+    const uint16_t *slot_of = index.buf; /* by identifier: the slot and 1 */
+    const Answer *answer_of = answers.buf;
+    int failed = memory.len != (Py_ssize_t)sizeof *state + 16 * slots || index.len != 2 * STANDARD_IDS;
+    if (failed || state->modulus < 2) {
+        PyErr_SetString(PyExc_ValueError, "rows: arguments");
+        failed = 1;
+    }
+    for (int steady = !failed && all_true(shown); steady && !failed && at < count; at += steady) {
+        const Byte *frame = (const Byte *)frames.buf + at * FRAME_BYTES;
+        uint32_t can_id;
+        uint64_t word;
+        memcpy(&can_id, frame + 8, sizeof can_id);
+        memcpy(&word, frame + 16, sizeof word);
+        Py_ssize_t slot = can_id < STANDARD_IDS ? (Py_ssize_t)slot_of[can_id] - 1 : -1;
+        if (slot >= slots) {
+            PyErr_SetString(PyExc_ValueError, "rows: index");
+            failed = 1;
+        } else if (slot >= 0) {
+            const Answer *answer = &answer_of[slot];
+            if (frame[12] < answer->length)
+                continue;
+            int64_t counter = (int64_t)(word >> answer->shift & 0xFF);
+            uint64_t *is_present = &state->slots[slots + slot];
+            steady = state->is_open && counter == state->number && !*is_present && !(word & answer->stale);
+            if (!steady)
+                continue;
+            state->slots[slot] = word;
+            *is_present = 1;
+            if (!--state->awaited) {
+                PyObject *row = whole_row(state, slots, reasons, states);
+                failed = !row || PyList_Append(whole, row) < 0;
+                Py_XDECREF(row);
+                state->is_open = 0;
+            }
+        } else if (can_id == SYNC_ID)
+            steady = open_row(state, slots, frame, most_gap_rows);
+        else {
+            PyObject *none = PyObject_CallFunction(other, "LIiKO", (long long)time_of(frame), can_id, frame[12],
+                                                   (unsigned long long)word, now_s);
+            failed = !none;
+            Py_XDECREF(none);
+            if (!failed && !all_true(shown)) { /* what is not shown is not for this loop */
+                at++;
+                break;
+            }
+        }
+    }
+    if (!failed)
+        result = PyLong_FromSsize_t(at * FRAME_BYTES);
+    PyBuffer_Release(&frames);
+    PyBuffer_Release(&memory);
+    PyBuffer_Release(&index);
+    PyBuffer_Release(&answers);
+    return result;
+}
+
 /* --- columns of signals ----------------------------------------------------------------------- */
 
 enum { FLAG, INTEGER, NUMBER, REAL };
@@ -590,6 +716,7 @@ static PyObject *extract(PyObject *module, PyObject *args) {
 static PyMethodDef METHODS[] = {
     {"parse", parse, METH_VARARGS, parse_doc},
     {"join", join, METH_VARARGS, join_doc},
+    {"rows", rows, METH_VARARGS, rows_doc},
     {"extract", extract, METH_VARARGS, extract_doc},
     {NULL, NULL, 0, NULL},
 };
@@ -603,7 +730,7 @@ PyMODINIT_FUNC PyInit__core(void) {
         HEX[(Byte)"0123456789ABCDEF"[k]] = (Byte)k;
     }
     PyObject *module = PyModule_Create(&MODULE);
-    if (module && PyModule_AddIntConstant(module, "INTERFACE", 4) < 0) {
+    if (module && PyModule_AddIntConstant(module, "INTERFACE", 5) < 0) {
         Py_DECREF(module);
         return NULL;
     }

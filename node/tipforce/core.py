@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-INTERFACE = 4
+INTERFACE = 5
 """Of _core.c: one built from another version of it is not used."""
 
 

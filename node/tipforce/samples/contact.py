@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
 
+Fields = Mapping[str, Callable[[Any, int], Any]]
+"""By name of a field what makes it of a row and the place of the finger in it."""
+
+
+_set = object.__setattr__  # of a frozen class
+
+
+class _MadeLater:
+    __slots__ = ("_source",)
+    _source: tuple[Fields, Any, int]
+
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class Contact(_MadeLater):
     """One sample of one finger. NaN stands for unknown; ``reason`` says why.
 
     ``u_...`` are standard uncertainties (1 sigma) from the gauge noise of the calibration, NaN where no calibration is
@@ -38,6 +51,22 @@ class Contact:
     """Name of the finger in its hand file."""
     missing: str = ""
     """Why there is no sample, where ``status`` is NO_ANSWER for another reason than that none came."""
+
+    @staticmethod
+    def of_row(fields: Fields, row: object, place: int) -> Contact:
+        """Return a contact whose fields are made when they are first read."""
+        contact: Contact = object.__new__(Contact)
+        _set(contact, "_source", (fields, row, place))
+        return contact
+
+    def __getattr__(self, name: str) -> Any:
+        """Make a field. Raises AttributeError for another name."""
+        if name not in Contact.__slots__:
+            raise AttributeError(f"Contact has no {name!r}")
+        fields, row, place = self._source
+        value = fields[name](row, place)
+        _set(self, name, value)
+        return value
 
     @property
     def present(self) -> bool:

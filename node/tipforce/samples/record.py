@@ -6,22 +6,23 @@ What frames carry is kept as raw words; a column is made when it is first read.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.dictionary import table
-from tipforce.dictionary.signals import Message
+from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.columns import Layout
+from tipforce.host.decoding.columns import Layout, divisor_of
 from tipforce.host.decoding.decoder import Columns
 from tipforce.host.decoding.health import NAMES
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block, contact_values, status_of, uncertainties
-from tipforce.samples.contact import Contact
+from tipforce.samples.contact import Contact, Fields
 from tipforce.samples.reasons import Status
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,12 +44,22 @@ class Pdo:
         self.fault_mask = sum(1 << bit for bit in bits.values()) if whole else 0
         """Of 2124h, if the PDO has it."""
         self.fault_shift = min((start[name] - bit for name, bit in bits.items()), default=0)
+        self.start = start
+        """By name of a signal its first bit."""
+        self.raw = {signal.name: _raw(signal) for signal in message.signals}
+        """The same: see ``_raw``."""
         self._layout = Layout(signal for signal in message.signals if signal.name != COUNTER)
         self.names = self._layout.names
 
     def columns(self, words: Sequence[int]) -> Mapping[str, Column]:
         """Return by name each signal (n,) of words (n,), a PDO's data as a little-endian number."""
         return self._layout.columns(np.array(words, dtype="<u8"))
+
+
+def _raw(signal: Signal) -> tuple[int, int, int, int | None, int]:
+    """Return the place of a number, its mask, sign bit and unknown value, and what it is divided by."""
+    mask = (1 << signal.bits) - 1
+    return signal.start_bit, mask, signal.signed * (mask + 1 >> 1), signal.unknown, divisor_of(signal) or 1
 
 
 class Samples:
@@ -135,8 +146,7 @@ class Samples:
         for (t_ns, node_id, counter, reason, status), (contact, u, gauges) in zip(heads, rest, strict=True):
             name = (names or {}).get(node_id, "")
             if reason != reasons.PRESENT:
-                missing = "" if reason == reasons.NO_RESPONSE else reasons.OF_ROW[reason]
-                yield Contact(node_id, t_ns * 1e-9, -1, *_UNKNOWN, Status.NO_ANSWER, name=name, missing=missing)
+                yield missing_contact(node_id, t_ns, reason, name)
                 continue
             P, phi, theta = contact
             u_P, u_phi, u_theta = u
@@ -146,20 +156,14 @@ class Samples:
             )  # fmt: skip
 
 
-class RawRow:
-    """One SYNC, and the answers to it by slot: message and finger. ``number`` 0: the SYNC has none."""
+def missing_contact(node_id: int, t_ns: int, reason: int, name: str) -> Contact:
+    """Return the contact of a finger that is missing for a reason, an index of ``reasons.OF_ROW``."""
+    missing = "" if reason == reasons.NO_RESPONSE else reasons.OF_ROW[reason]
+    return Contact(node_id, t_ns * 1e-9, -1, *_UNKNOWN, Status.NO_ANSWER, name=name, missing=missing)
 
-    __slots__ = ("number", "opened_s", "reasons", "received", "stale", "states", "t_ns", "words")
 
-    def __init__(self, t_ns: int, opened_s: float, number: int, received: bool, slots: int) -> None:
-        self.t_ns = t_ns
-        self.opened_s = opened_s
-        self.number = number
-        self.received = received
-        self.stale = False  # an answer is
-        self.words = [0] * slots
-        self.states = [0] * slots
-        self.reasons: list[int] = []  # by finger, when the row closes
+Row = tuple[int, int, Sequence[int], Sequence[int], Sequence[int]]
+"""A closed row: time and number of the SYNC (0: none), words by slot (message, finger), reasons by finger, states."""
 
 
 class Rows:
@@ -169,36 +173,36 @@ class Rows:
     unit, NaN if the node marks them unknown or the finger is missing; flags as bool, False if missing.
     """
 
-    def __init__(self, first: int, raw: list[RawRow], node_ids: Sequence[int], pdos: Sequence[Pdo]) -> None:
+    def __init__(self, first: int, raw: list[Row], node_ids: Sequence[int], pdos: Sequence[Pdo]) -> None:
         """Closed rows of the answers ``pdos`` of ``node_ids``; a column is made when it is first read."""
         self.first = first
         """Number of the first row since the start of the hand; 0 in a block without rows."""
-        self._raw, self._node_ids, self._pdos = raw, node_ids, pdos
+        self.raw, self.pdos, self._node_ids = raw, pdos, node_ids
 
     def __len__(self) -> int:
-        return len(self._raw)
+        return len(self.raw)
 
     @cached_property
     def sync_ns(self) -> npt.NDArray[np.int64]:
         """(m,) receive time of each SYNC; interpolated for one that was not received."""
-        return np.array([row.t_ns for row in self._raw], dtype=np.int64)
+        return np.array([t_ns for t_ns, *_ in self.raw], dtype=np.int64)
 
     @cached_property
     def numbered(self) -> npt.NDArray[np.bool_]:
         """(m,) the SYNC carried a number, and each answer repeats it; False: the pairing is assumed from the order."""
-        return np.array([row.number > 0 for row in self._raw], dtype=np.bool_)
+        return np.array([number > 0 for _, number, *_ in self.raw], dtype=np.bool_)
 
     @cached_property
     def counter(self) -> npt.NDArray[np.int64]:
         """(m, k) 2121h: the SYNC's number, or a sample counter 0..255; -1 where missing."""
-        shift = self._pdos[0].counter_shift
-        pairs = (zip(row.words, row.reasons, strict=False) for row in self._raw)
+        shift = self.pdos[0].counter_shift
+        pairs = (zip(words, reasons, strict=False) for _, _, words, reasons, _ in self.raw)
         return self._of_fingers([[-1 if why else word >> shift & 0xFF for word, why in row] for row in pairs], np.int64)
 
     @cached_property
     def reason(self) -> npt.NDArray[np.uint8]:
         """(m, k) why the finger is missing, as an index of ``reasons.OF_ROW``; PRESENT where it is not."""
-        return self._of_fingers([row.reasons for row in self._raw], np.uint8)
+        return self._of_fingers([row_reasons for _, _, _, row_reasons, _ in self.raw], np.uint8)
 
     @cached_property
     def missing(self) -> npt.NDArray[np.bool_]:
@@ -209,9 +213,13 @@ class Rows:
     @cached_property
     def columns(self) -> Mapping[str, Column]:
         """Every signal of the PDOs by name, (m, k) each."""
-        return RowColumns(self._raw, self._node_ids, self._pdos)
+        return RowColumns(self.raw, self._node_ids, self.pdos)
 
-    def _of_fingers(self, values: list[list[int]], kind: type[np.generic]) -> npt.NDArray[Any]:
+    def __iter__(self) -> Iterator[Row]:
+        """Yield the rows as they were closed."""
+        return iter(self.raw)
+
+    def _of_fingers(self, values: list[Any], kind: type[np.generic]) -> npt.NDArray[Any]:
         return np.array(values, dtype=kind).reshape(len(values), len(self._node_ids))
 
     def samples(
@@ -247,9 +255,10 @@ class Rows:
 class RowColumns(Mapping[str, Column]):
     """The signals of rows by name, (m, k) each."""
 
-    def __init__(self, raw: list[RawRow], node_ids: Sequence[int], pdos: Sequence[Pdo]) -> None:
+    def __init__(self, raw: list[Row], node_ids: Sequence[int], pdos: Sequence[Pdo]) -> None:
         self._raw, self._fingers, self._pdos = raw, len(node_ids), pdos
-        self._missing = [row.reasons for row in raw] if any(any(row.reasons) for row in raw) else None
+        missing = [row_reasons for _, _, _, row_reasons, _ in raw]
+        self._missing = missing if any(map(any, missing)) else None
         self._of_pdo: dict[int, Any] = {}
         self._made: dict[str, Column] = {}
         self._pdo_of = {name: number for number, pdo in enumerate(pdos) for name in pdo.names}
@@ -271,11 +280,116 @@ class RowColumns(Mapping[str, Column]):
     def _signals(self, number: int) -> Any:
         if number not in self._of_pdo:
             part = slice(number * self._fingers, (number + 1) * self._fingers)
-            self._of_pdo[number] = self._pdos[number].columns([word for row in self._raw for word in row.words[part]])
+            self._of_pdo[number] = self._pdos[number].columns(
+                [word for _, _, words, _, _ in self._raw for word in words[part]]
+            )
         return self._of_pdo[number]
 
 
 def joined(rows: list[Rows]) -> Rows:
     """Return consecutive blocks of rows as one."""
-    raw = [row for block in rows for row in block._raw]
-    return Rows(rows[0].first, raw, rows[0]._node_ids, rows[0]._pdos)
+    raw = [row for block in rows for row in block.raw]
+    return Rows(rows[0].first, raw, rows[0]._node_ids, rows[0].pdos)
+
+
+class ContactsOfRow(Sequence[Contact]):
+    """The contacts of one row; a field of one is made when it is first read."""
+
+    __slots__ = ("_made", "_of_rows", "_uncertainties", "row")
+
+    def __init__(self, of_rows: RowContacts, row: Row) -> None:
+        self._of_rows, self.row, self._made = of_rows, row, dict[int, Contact]()
+        self._uncertainties: list[list[float]] = []
+
+    def __len__(self) -> int:
+        return len(self.row[3])
+
+    def __getitem__(self, place: Any) -> Any:
+        """Return the contact at a place; always the same object."""
+        contact = self._made.get(place)
+        if contact is None:
+            reason = self.row[3][place]
+            if reason == reasons.PRESENT:
+                contact = Contact.of_row(self._of_rows.fields, self, place)
+            else:
+                contact = self._of_rows.missing(self.row[0], place, reason)
+            self._made[place] = contact
+        return contact
+
+    def uncertainty(self, place: int, quantity: int) -> float:
+        """Return that of P, phi or theta of a contact; see ``Samples``."""
+        if not self._uncertainties:
+            self._uncertainties = self._of_rows.samples(self.row).uncertainties.tolist()
+        return self._uncertainties[place][quantity]
+
+
+class RowContacts:
+    """Makes the contacts of rows, each field when it is read; ``names`` and ``calibrations``: of ``node_ids``.
+
+    Contacts that no PDO carries are computed, all at once.
+    """
+
+    def __init__(
+        self, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = ()
+    ) -> None:
+        self._node_ids, self._calibrations = node_ids, calibrations or [None] * len(node_ids)
+        self._names = [name or f"finger {node_id}" for name, node_id in zip(names, node_ids, strict=True)]
+        self.places: dict[str | int, int] = {name: place for place, name in enumerate(self._names)}
+        self.places |= {node_id: place for place, node_id in enumerate(node_ids)}
+        """By name and by node-id: the place in a row."""
+        self._pdos: Sequence[Pdo] = ()
+        self.fields: Fields = {}
+        """How each field of a contact is made of its row."""
+
+    def of(self, rows: Rows) -> list[Sequence[Contact]]:
+        """Return the contacts of each row."""
+        if rows.pdos is not self._pdos:
+            self._pdos, self.fields = rows.pdos, self._made_of(rows.pdos)
+        if self.fields:
+            return [ContactsOfRow(self, row) for row in rows.raw]
+        named = dict(zip(self._node_ids, self._names, strict=True))
+        contacts = rows.samples(self._calibrations).contacts(named)
+        return [tuple(islice(contacts, len(named))) for _ in rows.raw]
+
+    def samples(self, row: Row) -> Samples:
+        """Return a row as samples."""
+        return Rows(0, [row], self._node_ids, self._pdos).samples(self._calibrations)
+
+    def missing(self, t_ns: int, place: int, reason: int) -> Contact:
+        """Return the contact of a finger that is missing in a row."""
+        return missing_contact(self._node_ids[place], t_ns, reason, self._names[place])
+
+    def _made_of(self, pdos: Sequence[Pdo]) -> Fields:
+        """Return how each field is made of a row; nothing if the contact has to be computed."""
+        k, number_of = len(self._node_ids), {name: number for number, pdo in enumerate(pdos) for name in pdo.names}
+        if not number_of.keys() >= {"P", "phi", "theta"}:
+            return {}
+
+        def value(name: str) -> Callable[[ContactsOfRow, int], float]:
+            first = number_of[name] * k
+            shift, mask, sign, unknown, divisor = pdos[number_of[name]].raw[name]
+
+            def made(of: ContactsOfRow, place: int) -> float:
+                raw = (of.row[2][first + place] >> shift & mask ^ sign) - sign
+                return math.nan if raw == unknown else raw / divisor
+
+            return made
+
+        flag = table.STATUS_BITS[0][0]
+        status, shift, counter = number_of[flag] * k, pdos[number_of[flag]].start[flag], pdos[0].counter_shift
+        gauges = [value(name) for name in sorted(number_of) if name[:2] == "SG"]
+        return {
+            "node_id": lambda _of, place: self._node_ids[place],
+            "t_s": lambda of, _place: of.row[0] * 1e-9,
+            "counter": lambda of, place: of.row[2][place] >> counter & 0xFF,
+            "P_newtons": value("P"),
+            "phi_deg": value("phi"),
+            "theta_deg": value("theta"),
+            "u_P_newtons": lambda of, place: of.uncertainty(place, 0),
+            "u_phi_deg": lambda of, place: of.uncertainty(place, 1),
+            "u_theta_deg": lambda of, place: of.uncertainty(place, 2),
+            "status": lambda of, place: Status(of.row[2][status + place] >> shift & 0xFF),
+            "microstrain": lambda of, place: tuple(gauge(of, place) for gauge in gauges),
+            "name": lambda _of, place: self._names[place],
+            "missing": lambda _of, _place: "",
+        }

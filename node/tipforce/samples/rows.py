@@ -6,6 +6,8 @@ last SYNC before it. A finger that was missing may still send the answer to the 
 until the next SYNC, and two different answers in it are both discarded.
 
 Frames are processed one after another, as raw words: a bus gives a few at a time, for which numpy's calls cost more.
+While each SYNC follows the last and every answer is to it, the compiled core does so (``rows`` of _core.c), with a
+state of its own; the first other frame brings the state back (``_leave``), and the loop here goes on.
 """
 
 from __future__ import annotations
@@ -13,16 +15,19 @@ from __future__ import annotations
 import math
 import struct
 import threading
+from array import array
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from canopen_device.core.codes import SYNC_COB_ID
+from canopen_device.core.codes import STANDARD_MASK, SYNC_COB_ID
+from tipforce.core import core
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.samples.reasons import CHANGED, DOUBTFUL, MIXED, NO_RESPONSE, PRESENT
-from tipforce.samples.record import Pdo, RawRow, Rows
+from tipforce.samples.record import Pdo, Row, Rows
 from tipforce.samples.sync_numbers import LARGEST, RESTARTED, SyncNumbers
 
 FrameArray = npt.NDArray[np.void]
@@ -36,6 +41,8 @@ _REASON = (NO_RESPONSE, PRESENT, DOUBTFUL, CHANGED)  # by state
 _ANY_NUMBER = 0, 1  # end of a count and its modulus, where the numbers of the count are not known
 _NO_TIME = -math.inf  # between the frames of a call no row times out: its answer may be among them
 _FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
+_STEADY, _ANSWER = 8, struct.Struct("<Qqq")  # Steady and Answer of _core.c
+_WORD_MASK = (1 << 64) - 1
 
 
 @dataclass(slots=True)
@@ -64,6 +71,22 @@ class Tally:
     def __post_init__(self) -> None:
         zeros = np.zeros((7, len(self.node_ids)), dtype=np.int64)
         self.missing, self.delayed, self.late, self.mixed, self.repeated, self.doubtful, self.changed = zeros
+
+
+class _OpenRow:
+    """One SYNC, and the answers to it by slot: message and finger. ``number`` 0: the SYNC has none."""
+
+    __slots__ = ("number", "opened_s", "reasons", "received", "stale", "states", "t_ns", "words")
+
+    def __init__(self, t_ns: int, opened_s: float, number: int, received: bool, slots: int) -> None:
+        self.t_ns = t_ns
+        self.opened_s = opened_s
+        self.number = number
+        self.received = received
+        self.stale = False  # an answer is
+        self.words = [0] * slots
+        self.states = [0] * slots
+        self.reasons: Sequence[int] = ()  # by finger, when the row closes
 
 
 class RowAssembler:
@@ -97,13 +120,14 @@ class RowAssembler:
             for number, pdo in enumerate(self._pdos)
             for k, node_id in enumerate(self.node_ids)
         }  # fmt: skip
-        self._rows: dict[int, RawRow] = {}  # open ones, and emitted ones that a late answer may belong to
+        self._rows: dict[int, _OpenRow] = {}  # open ones, and closed ones of which the next SYNC decides an answer
+        self._past: deque[Row] = deque(maxlen=LARGEST)  # the last ones, to which a late answer may belong
         # By row and slot, answers that the next SYNC decides on: the last row when it arrived, word, state if right.
         self._held: dict[tuple[int, int], tuple[int, int, int]] = {}
         self._latest = [-1] * self._slots  # the last row with an answer
         self._first = 0  # the first open row
         self._last = -1  # the row of the last SYNC
-        self._current = RawRow(0, 0.0, 0, False, self._slots)  # of that SYNC
+        self._current = _OpenRow(0, 0.0, 0, False, self._slots)  # of that SYNC
         self._direct = -1  # an answer with this counter is to that SYNC
         self._epoch = 0  # the first row of this count
         # Rows that may be made of SYNCs that were not received: at most as many as SYNCs were, and LARGEST. So random
@@ -116,61 +140,134 @@ class RowAssembler:
         self._opened_s = math.inf  # of the first open row
         self._changed = False  # by another thread: rows may be ready
         self._unsettled = [True] * fingers  # missing in the last row; matters without numbers
-        self._all_live, self._all_present = [_LIVE] * self._slots, [PRESENT] * fingers
-        self._judged: RawRow | None = None  # the last one
-        self._closed: list[RawRow] = []  # and not emitted
-        self._nothing = self._emit()
+        self._all_live, self._all_present = [_LIVE] * self._slots, (PRESENT,) * fingers
+        self._closed: list[Row] = []  # and not emitted
+        self._nothing = Rows(0, [], self.node_ids, self._pdos)
+        self._inside = False  # the core has the state
+        self._steady = array("q", bytes(8 * (_STEADY + 2 * self._slots)))
+        places = sorted(self._answers.values())
+        self._answer_of = b"".join(_ANSWER.pack(stale, least, shift) for _, _, least, shift, stale in places)
+        slot_of = array("H", bytes(2 * (STANDARD_MASK + 1)))
+        for can_id, (slot, *_) in self._answers.items():
+            slot_of[can_id] = slot + 1
+        self._slot_of = slot_of.tobytes()
 
     def expect(self, node_id: int, present: bool) -> None:
         """Wait for a finger in each row, or not: one that is not operational. For any thread."""
         with self.lock:
+            self._leave()
             (self._absent.discard if present else self._absent.add)(self.node_ids.index(node_id))
             self._await()
             self._changed = True
 
     def restart(self) -> int:
         """End the open rows; return the number of the next SYNC, far from those that late answers may have."""
-        self._numbers.number = (self._numbers.number + AHEAD) % LARGEST or LARGEST
-        self._epoch, self._direct, self._changed = self._last + 1, -1, True
-        return self._numbers.number % LARGEST + 1
+        with self.lock:
+            self._leave()
+            self._numbers.number = (self._numbers.number + AHEAD) % LARGEST or LARGEST
+            self._epoch, self._direct, self._changed = self._last + 1, -1, True
+            return self._numbers.number % LARGEST + 1
 
     def add(self, frames: FrameArray, now_s: float) -> Rows:
         """Process received frames, FRAME (n,); return the rows that are complete or timed out, often none.
 
         ``now_s`` is a monotonic time. Call it without frames too, to detect an unanswered SYNC.
         """
+        data = frames.tobytes()
         with self.lock:
-            place_of = self._answers.get
-            for t_ns, can_id, length, word in _FIELDS.iter_unpack(frames.tobytes()):
-                place = place_of(can_id)
-                if place is None:
-                    if can_id == SYNC_COB_ID:
-                        self._sync(word & 0xFF if length == 1 else 0, t_ns, now_s)
-                    else:
-                        self._other(can_id, length, word, now_s)
-                    continue
-                slot, k, least, shift, stale = place
-                if length < least or self._last < 0:
-                    continue
-                row, counter = self._current, word >> shift & 0xFF
-                if counter == self._direct and not row.states[slot] and self.shown[k] and self._first <= self._last:
-                    row.words[slot], row.states[slot] = word, _LIVE
-                    if word & stale:
-                        row.stale = True
-                    if self._latest[slot] < self._first:
-                        self._awaited -= 1
-                    self._latest[slot] = self._last
-                else:
-                    self._answer(slot, k, word, counter, t_ns)
-                if not self._awaited or self._absent:
-                    self._close(_NO_TIME)
+            if self._inside or self._enter():
+                data = self._feed(data, now_s)
+            if data:
+                self._process(data, now_s)
             if self._changed or now_s - self._opened_s >= self._wait_s:
+                self._leave()
                 self._changed = False
                 self._close(now_s)
-            return self._emit() if self._closed else self._nothing
+            if not self._closed:
+                return self._nothing
+            rows, self._closed = self._closed, []
+            self.tally.rows += len(rows)
+            return Rows(self._first - len(rows), rows, self.node_ids, self._pdos)
 
-    def _other(self, can_id: int, length: int, word: int, now_s: float) -> None:
+    def _process(self, data: bytes, now_s: float) -> None:
+        """Process the bytes of FRAME (n,)."""
+        place_of = self._answers.get
+        for t_ns, can_id, length, word in _FIELDS.iter_unpack(data):
+            place = place_of(can_id)
+            if place is None:
+                if can_id == SYNC_COB_ID:
+                    self._sync(word & 0xFF if length == 1 else 0, t_ns, now_s)
+                else:
+                    self._other(t_ns, can_id, length, word, now_s)
+                continue
+            slot, k, least, shift, stale = place
+            if length < least or self._last < 0:
+                continue
+            row, counter = self._current, word >> shift & 0xFF
+            if counter == self._direct and not row.states[slot] and self.shown[k] and self._first <= self._last:
+                row.words[slot], row.states[slot] = word, _LIVE
+                if word & stale:
+                    row.stale = True
+                if self._latest[slot] < self._first:
+                    self._awaited -= 1
+                self._latest[slot] = self._last
+            else:
+                self._answer(slot, k, word, counter, t_ns)
+            if not self._awaited or self._absent:
+                self._close(_NO_TIME)
+
+    def _other(self, t_ns: int, can_id: int, length: int, word: int, now_s: float) -> None:
         """Take a frame that is neither a SYNC nor an answer; ``word``: its data, little-endian."""
+
+    # --- the core ---------------------------------------------------------------------------------------------------
+
+    def _enter(self) -> bool:
+        """Give the state to the core, if no row is open and all is as it should be; return whether it has it."""
+        numbers = self._numbers
+        clean = self._first > self._last >= 0 and self._own_sync and numbers.number and numbers.modulus > 1
+        if core is None or not clean or self._held or self._ended or self._absent or self._changed:
+            return False
+        state = 0, self._last, numbers.number, numbers.modulus, numbers.last_ns, numbers.period_ns, self._gap_rows
+        self._steady[: len(state)] = array("q", state)
+        self._inside = True
+        return True
+
+    def _feed(self, data: bytes, now_s: float) -> bytes:
+        """Process the bytes of FRAME (n,) by the core, up to the first frame that is not for it; return the rest."""
+        state, closed, last = self._steady, self._closed, self._steady[1]
+        done: int = core.rows(
+            data, state, self._slot_of, self._answer_of, LARGEST, self.shown, self._other, now_s, closed,
+            self._all_present, self._all_live,
+        )  # fmt: skip
+        if closed:
+            self._past.extend(closed)
+        if not state[0]:
+            self._first, self._opened_s = state[1] + 1, math.inf
+        elif state[1] != last:
+            self._first, self._opened_s = state[1], now_s
+        if done == len(data):
+            return b""
+        self._leave()
+        return data[done:]
+
+    def _leave(self) -> None:
+        """Take the state back from the core."""
+        if not self._inside:
+            return
+        self._inside = False
+        state, slots, numbers = self._steady, self._slots, self._numbers
+        is_open, self._last, numbers.number, numbers.modulus, numbers.last_ns, numbers.period_ns = state[:6]
+        self._gap_rows, self._awaited, self._direct = state[6], slots, numbers.number
+        self._first, self._latest[:] = self._last + 1, [self._last] * slots
+        if is_open:
+            row = _OpenRow(numbers.last_ns, self._opened_s, numbers.number, True, slots)
+            present = state[_STEADY + slots :].tolist()
+            row.words = [word & _WORD_MASK for word in state[_STEADY : _STEADY + slots]]
+            row.states = [_LIVE if is_present else _EMPTY for is_present in present]
+            row.words = [word if is_present else 0 for word, is_present in zip(row.words, present, strict=True)]
+            self._first, self._awaited, self._current = self._last, state[7], row
+            self._rows = {self._last: row}  # answers are held for none
+            self._latest[:] = [self._last - (not is_present) for is_present in present]
 
     # --- SYNCs ------------------------------------------------------------------------------------------------------
 
@@ -197,7 +294,7 @@ class RowAssembler:
         if steps > 1:
             self._missed(steps, before_ns, t_ns, now_s)
         self._last = last + steps
-        self._current = self._rows[self._last] = RawRow(t_ns, now_s, number, True, self._slots)
+        self._current = self._rows[self._last] = _OpenRow(t_ns, now_s, number, True, self._slots)
         self._opened_s = min(self._opened_s, now_s)
         self._direct = number if number and self._own_sync and not (self._ended or self._absent) else -1
         if self._held:
@@ -210,7 +307,7 @@ class RowAssembler:
         for k in range(1, steps):
             missed_ns = before_ns + (t_ns - before_ns) * k // steps
             missed = (self._numbers.number - steps + k - 1) % self._numbers.modulus + 1
-            self._rows[self._last + k] = RawRow(missed_ns, now_s, missed, False, self._slots)
+            self._rows[self._last + k] = _OpenRow(missed_ns, now_s, missed, False, self._slots)
         self.tally.unreceived += steps - 1
         self._gap_rows -= steps - 1
 
@@ -244,8 +341,11 @@ class RowAssembler:
             if self._first <= row < last:
                 self.tally.delayed[k] += 1
         if row < self._first or row < self._epoch:
-            past = self._rows.get(row)
-            if past is None or past.states[slot] != _LIVE or past.words[slot] != word:
+            words: Sequence[int] = self._rows[row].words if row >= self._first else ()
+            states: Sequence[int] = self._rows[row].states if row >= self._first else ()
+            if -len(self._past) <= row - self._first < 0:
+                *_, words, _, states = self._past[row - self._first]
+            if not states or states[slot] != _LIVE or words[slot] != word:
                 self.tally.late[k] += 1
                 self._unsettled[k] = True
         elif held and (row > last or self._rows[row].states[slot] == _EMPTY):
@@ -330,14 +430,15 @@ class RowAssembler:
         end = self._ready(now_s)
         for number in range(self._first, end):
             row = self._rows[number]
-            self._judge(row)
-            self._closed.append(row)
             self._rows.pop(number - LARGEST, None)
+            self._judge(row)
+            self._closed.append((row.t_ns, row.number, row.words, row.reasons, row.states))
+            self._past.append(self._closed[-1])
         if end > self._first:
             self._first = end
             self._await()
 
-    def _judge(self, row: RawRow) -> None:
+    def _judge(self, row: _OpenRow) -> None:
         """Store why each finger is missing in a row, and count."""
         if row.states == self._all_live and row.number and len(self._pdos) == 1:
             row.reasons = self._all_present
@@ -356,31 +457,33 @@ class RowAssembler:
             for k, word in enumerate(row.words[-len(self.node_ids) :]):
                 if word & self._pdos[-1].stale_mask and row.reasons[k] == PRESENT:
                     self.tally.repeated[k] += 1
-        self._judged = row
 
-    def _join(self, row: RawRow, why: list[int]) -> None:
+    def _join(self, row: _OpenRow, why: list[int]) -> None:
         """Add the reasons of the messages after the first."""
-        counters, fingers = self._counters(row), len(self.node_ids)
+        counters, fingers = self._counters(row.words), len(self.node_ids)
         for at in range(fingers, self._slots):
             k = at % fingers
             why[k] = max(why[k], _REASON[row.states[at]])
             if why[k] == PRESENT and row.words[at] >> self._pdos[at // fingers].counter_shift & 0xFF != counters[k]:
                 why[k] = MIXED
 
-    def _find_repeats(self, row: RawRow, why: list[int]) -> None:
+    def _find_repeats(self, row: _OpenRow, why: list[int]) -> None:
         """Without numbers: a counter that stands still and is not marked stale is that of a duplicate."""
-        before, counters = self._judged, self._counters(row)
+        if not self._past:
+            return
+        *_, words_before, reasons_before, _ = self._past[-1]
+        counters = self._counters(row.words)
         words, stale = row.words[-len(self.node_ids) :], self._pdos[-1].stale_mask
-        for k, counter in enumerate(() if before is None else self._counters(before)):
-            if before is None or before.reasons[k] == NO_RESPONSE:
+        for k, counter in enumerate(self._counters(words_before)):
+            if reasons_before[k] == NO_RESPONSE:
                 continue
             if counters[k] == counter and why[k] == PRESENT and not words[k] & stale:
                 why[k] = DOUBTFUL
                 self.tally.doubtful[k] += 1
 
-    def _counters(self, row: RawRow) -> list[int]:
+    def _counters(self, words: Sequence[int]) -> list[int]:
         shift = self._pdos[0].counter_shift
-        return [word >> shift & 0xFF for word in row.words[: len(self.node_ids)]]
+        return [word >> shift & 0xFF for word in words[: len(self.node_ids)]]
 
     def _count(self, why: list[int]) -> None:
         self._unsettled = [reason != PRESENT for reason in why]
@@ -388,9 +491,3 @@ class RowAssembler:
             self.tally.missing[k] += reason != PRESENT
             self.tally.mixed[k] += reason == MIXED
             self.tally.changed[k] += reason == CHANGED
-
-    def _emit(self) -> Rows:
-        """Return the closed rows."""
-        rows, self._closed = self._closed, []
-        self.tally.rows += len(rows)
-        return Rows(self._first - len(rows), rows, self.node_ids, self._pdos)

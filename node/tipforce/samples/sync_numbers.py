@@ -24,7 +24,7 @@ class SyncNumbers:
         self.last_ns = 0
         self.gap_periods = 0
         """Between the last two SYNCs, by their times; LARGEST and more: any number of SYNCs was not received."""
-        self._period_ns = 0
+        self.period_ns = 0
         self._ended = 0  # the number before an unexpected 1: the second time it is the overflow value
 
     @property
@@ -34,9 +34,9 @@ class SyncNumbers:
 
     def reachable(self, t_ns: int) -> int:
         """Return the number that a count which restarted after the last SYNC can have reached at a time; 0: none."""
-        if self._own or not self._period_ns:
+        if self._own or not self.period_ns:
             return 0
-        return round((t_ns - self.last_ns) / self._period_ns)
+        return round((t_ns - self.last_ns) / self.period_ns)
 
     def step(self, number: int, t_ns: int) -> int:
         """Return the distance of the SYNC with ``number`` (0: none) at ``t_ns`` from the last; RESTARTED if unknown."""
@@ -47,10 +47,10 @@ class SyncNumbers:
         if not number or not before:
             return 1 if number == before else RESTARTED
         steps = (number - before) % self.modulus
-        if self._period_ns or steps == 1:
-            self.gap_periods = round(gap_ns / (self._period_ns or gap_ns or 1))
+        if self.period_ns or steps == 1:
+            self.gap_periods = round(gap_ns / (self.period_ns or gap_ns or 1))
         if steps == 1:
-            self._period_ns = gap_ns
+            self.period_ns = gap_ns
         if number > self.modulus:
             self.modulus = LARGEST
             return RESTARTED

@@ -10,12 +10,12 @@ import pytest
 from tipforce.host.hand import rows as module
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.rows import Delivery
-from tipforce.samples.record import RawRow, Rows
+from tipforce.samples.record import Rows
 
 
 def block(first: int, count: int = 1) -> Rows:
     """Rows numbered from ``first``."""
-    return Rows(first, [RawRow(first + k, 0.0, 0, True, 1) for k in range(count)], (1,), ())
+    return Rows(first, [(first + k, 0, [0], [0], [1]) for k in range(count)], (1,), ())
 
 
 def test_two_consumers_get_all_from_when_they_asked() -> None:

@@ -163,18 +163,19 @@ def _print_event(args: argparse.Namespace, hand: Hand, event: Event) -> None:
 
 def _rows(args: argparse.Namespace, hand: Hand) -> None:
     from tipforce.host.hand.rows import rows_one_by_one
+    from tipforce.samples.record import RowContacts
 
     hand.start()
     deadline_s = None if args.seconds is None else time.monotonic() + args.seconds
     shown_s = 0.0
-    names = [finger.name for finger in hand.file.finger]
+    made = RowContacts(hand.node_ids, [finger.name for finger in hand.file.finger])
     for rows in hand.blocks(args.seconds):
         if args.json:
-            for row, contacts in enumerate(rows_one_by_one(rows, hand.node_ids, names)):
+            for row, contacts in enumerate(rows_one_by_one(rows, made)):
                 common.print_json(_record(rows, row, contacts))
         elif time.monotonic() - shown_s >= 1.0:
             shown_s = time.monotonic()
-            print(_line(hand, rows_one_by_one(rows, hand.node_ids, names)[-1]), flush=True)
+            print(_line(hand, rows_one_by_one(rows, made)[-1]), flush=True)
         if deadline_s is not None and time.monotonic() >= deadline_s:
             break
 

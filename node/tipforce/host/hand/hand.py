@@ -25,7 +25,7 @@ from canopen_device.core import emcy
 from canopen_device.core.codes import OPERATIONAL
 from tipforce.errors import EnvironmentLackError, InputError, RefusedError, TipforceError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up, side_by_side
 from tipforce.host.hand.events import BabbleWatch, Event, Supervisor, waited_s
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
@@ -35,13 +35,14 @@ from tipforce.host.hand.rows import Collector, Delivery, HandRows, RowStream
 from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
-from tipforce.samples.record import Rows
+from tipforce.samples.record import RowContacts, Rows
 from tipforce.samples.rows import Tally
 from tipforce.samples.sync_numbers import LARGEST
 
 HEARTBEATS_MISSED = 2.5  # heartbeat time-out in periods
 REOPEN_S = 0.1
 _TICK_S = 0.01
+_SUPERVISE_S = 0.005  # without a frame that says something of a finger
 _MOST_OLD_BATCHES = 1000
 _RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
 _HEALTH_SILENT_S = 1.5e-3 * HEALTH_MS  # then 2126h is read
@@ -83,6 +84,7 @@ class Hand:
         self._queue = RecoveryQueue(self._recovery.recover)
         self._babbling = BabbleWatch(plan.sync_hz)
         self._probe_s = self._heard_s = 0.0  # of the next LSS search; all frames up to then were read
+        self._supervise_s = 0.0  # of the next look at what did not come
         self._nodes: set[int] | None = None  # all on the bus, by the bring-up
         self._end_sync: Callable[[], None] = lambda: None
         self._thread: threading.Thread | None = None
@@ -165,7 +167,7 @@ class Hand:
         """
         names = [finger.name for finger in self.file.finger]
         calibrations = [self.calibration(finger) for finger in self.file.finger]
-        return HandRows(self._delivery.rows(timeout_s), self.node_ids, names, calibrations)
+        return HandRows(self._delivery.rows(timeout_s), RowContacts(self.node_ids, names, calibrations))
 
     def calibration(self, finger: FingerPlan) -> Calibration | None:
         """Return the calibration for the uncertainties: the file's, else the node's own; None if it is unknown."""
@@ -298,15 +300,21 @@ class Hand:
             self._collector.trust.suspect(self.node_ids, [COUNTER])
         rows = self._collector.add(frames, now_s)
         if len(rows):
-            self._collector.trust.count_rows(rows.reason, now_s)
-            self._jitter.add(rows.sync_ns)
+            self._collector.trust.count_rows([row[3] for row in rows.raw], now_s)
+            self._jitter.add([row[0] for row in rows.raw])
             self._delivery.put(rows)
         self._supervise(frames, now_s)
 
     def _supervise(self, frames: FrameArray, now_s: float) -> None:
         """Judge what frames say of the fingers, also that none came: events, and the recoveries they call for."""
         self._heard_s = max(self._heard_s, now_s - waited_s(frames, time.time_ns()))
-        for event in self._supervisor.add(frames, self._heard_s) + self._babbling.add(frames, now_s):
+        events, others = self._babbling.add(frames, now_s), self._collector.others
+        if others or now_s >= self._supervise_s:
+            self._supervise_s = now_s + _SUPERVISE_S
+            events = self._supervisor.add(frame_array(others), self._heard_s) + events
+        elif not events:
+            return
+        for event in events:
             self._delivery.event(event)
             self._react(event)
         trust, states = self._collector.trust, self._supervisor.states

@@ -16,8 +16,6 @@ from statistics import median
 from typing import Any
 
 import can
-import numpy as np
-import numpy.typing as npt
 
 from canopen_device.core.codes import FUNCTION_MASK, HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from tipforce.dictionary import objects
@@ -229,9 +227,9 @@ class Jitter:
         self._sum_ns = self._largest_ns = 0
         self._periods = 0
 
-    def add(self, sync_ns: npt.NDArray[np.int64]) -> None:
-        """Add the times of further SYNCs (m,), in order."""
-        times = ([] if self._last_ns is None else [self._last_ns]) + sync_ns.tolist()
+    def add(self, sync_ns: Sequence[int]) -> None:
+        """Add the times of further SYNCs, in order."""
+        times = [*([] if self._last_ns is None else [self._last_ns]), *sync_ns]
         periods = [after - before for before, after in pairwise(times)]
         if times:
             self._last_ns = times[-1]

@@ -8,20 +8,22 @@ import time
 import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
-from itertools import islice
 from typing import TypeVar
 
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.frames.frame_array import FrameArray, RawFrame
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.trust import Trust
 from tipforce.samples.contact import Contact
-from tipforce.samples.record import Rows
+from tipforce.samples.record import RowContacts, Rows
 from tipforce.samples.rows import RowAssembler
 
 
 class Collector(RowAssembler):
-    """See RowAssembler; ``trust`` sees every frame that is neither an answer nor a SYNC, in the order of the bus."""
+    """See RowAssembler; ``trust`` sees every frame that is neither an answer nor a SYNC, in the order of the bus.
+
+    ``others``: these frames, of the last call.
+    """
 
     def __init__(
         self, node_ids: Sequence[int], messages: Sequence[str] = ("Contact",), gauges: int = 3,
@@ -31,8 +33,16 @@ class Collector(RowAssembler):
         health = next(message for message in tpdo_messages(gauges) if message.name == "Health")
         self.trust = Trust(self.node_ids, {can_id: k for can_id, (_, k, *_) in self._answers.items()}, health, gauges)
         self.lock, self.shown = self.trust.lock, self.trust.shown
+        self.others: list[RawFrame] = []
 
-    def _other(self, can_id: int, length: int, word: int, now_s: float) -> None:
+    def add(self, frames: FrameArray, now_s: float) -> Rows:
+        """See RowAssembler."""
+        if self.others:
+            self.others = []
+        return super().add(frames, now_s)
+
+    def _other(self, t_ns: int, can_id: int, length: int, word: int, now_s: float) -> None:
+        self.others.append((t_ns, can_id, word.to_bytes(8, "little")[: min(length, 8)]))
         if can_id in self.trust.ids:
             self.trust.note(can_id, length, word, now_s)
 
@@ -43,31 +53,41 @@ class HandRow(Mapping[str, Contact]):
     A finger without an answer is included: its ``status`` is NO_ANSWER and its values are NaN.
     """
 
-    def __init__(self, number: int, t_s: float, contacts: Sequence[Contact], pairing: str = "numbered") -> None:
+    def __init__(
+        self, number: int, t_s: float, contacts: Sequence[Contact], pairing: str = "numbered",
+        places: Mapping[str | int, int] | None = None,
+    ) -> None:  # fmt: skip
+        """``places``: by name and by node-id the place of a finger in ``contacts``."""
         self.number = number
         """Number of the row since the start of the hand."""
         self.t_s = t_s
         """Time of the SYNC, seconds of the epoch."""
         self.pairing = pairing
         """"numbered": each contact carries the number of this SYNC; "assumed": it came after this SYNC."""
-        self.contacts = tuple(contacts)
+        self._contacts = contacts
+        if places is None:
+            by_name: dict[str | int, int] = {contact.name: place for place, contact in enumerate(contacts)}
+            places = by_name | {contact.node_id: place for place, contact in enumerate(contacts)}
+        self._places = places
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
         """In the order of the hand file."""
-        self._by_name = {contact.name: contact for contact in contacts}
-        self._by_id = {contact.node_id: contact for contact in contacts}
+        return tuple(self._contacts)
 
     def __getitem__(self, finger: str | int) -> Contact:
         """Return the contact of a finger, by name or node-id. Raises KeyError, whose text names the fingers."""
-        contact = self._by_id.get(finger) if isinstance(finger, int) else self._by_name.get(finger)
-        if contact is None:
+        place = self._places.get(finger)
+        if place is None:
             known = ", ".join(f"{contact.name} ({contact.node_id})" for contact in self.contacts)
             raise KeyError(f"{finger!r}: the hand has {known}")
-        return contact
+        return self._contacts[place]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._by_name)
+        return (contact.name for contact in self._contacts)
 
     def __len__(self) -> int:
-        return len(self.contacts)
+        return len(self._contacts)
 
     def __str__(self) -> str:
         return " | ".join(f"{contact.name}: {contact}" for contact in self.contacts)
@@ -76,37 +96,29 @@ class HandRow(Mapping[str, Contact]):
 class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
     """Rows from its creation on; see ``Hand.rows``."""
 
-    def __init__(
-        self, blocks: RowStream, node_ids: Sequence[int], names: Sequence[str],
-        calibrations: Sequence[Calibration | None],
-    ) -> None:  # fmt: skip
-        self._blocks, self._fingers = blocks, (node_ids, names, calibrations)
+    def __init__(self, blocks: RowStream, contacts: RowContacts) -> None:
+        self._blocks, self._contacts = blocks, contacts
         self._waiting: deque[HandRow] = deque()
 
     def __next__(self) -> HandRow:
         """Return the next row. Raises StopIteration when the hand has stopped, or the error that ended it."""
         while not self._waiting:
-            self._waiting += rows_one_by_one(next(self._blocks), *self._fingers)
+            self._waiting += rows_one_by_one(next(self._blocks), self._contacts)
         return self._waiting.popleft()
 
     async def __anext__(self) -> HandRow:
         """Return the next row; the event loop runs meanwhile."""
         while not self._waiting:
-            self._waiting += rows_one_by_one(await anext(self._blocks), *self._fingers)
+            self._waiting += rows_one_by_one(await anext(self._blocks), self._contacts)
         return self._waiting.popleft()
 
 
-def rows_one_by_one(
-    rows: Rows, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = ()
-) -> list[HandRow]:
-    """Return each row of a block; ``names`` and ``calibrations``, for the uncertainties, as ``node_ids``."""
-    named = {node_id: name or f"finger {node_id}" for name, node_id in zip(names, node_ids, strict=True)}
-    contacts = rows.samples(calibrations or [None] * len(named)).contacts(named)
+def rows_one_by_one(rows: Rows, contacts: RowContacts) -> list[HandRow]:
+    """Return each row of a block."""
+    places = contacts.places
     return [
-        HandRow(number, t_ns * 1e-9, list(islice(contacts, len(named))), "numbered" if numbered else "assumed")
-        for number, (t_ns, numbered) in enumerate(
-            zip(rows.sync_ns.tolist(), rows.numbered.tolist(), strict=True), rows.first
-        )
+        HandRow(number, row[0] * 1e-9, of_row, "numbered" if row[1] else "assumed", places)
+        for number, (row, of_row) in enumerate(zip(rows.raw, contacts.of(rows), strict=True), rows.first)
     ]
 
 

@@ -14,9 +14,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from canopen_device.core import codes, communication, emcy
 from tipforce.dictionary import indices, objects, table
 from tipforce.dictionary.entries import Entry, entries
@@ -213,15 +210,15 @@ class Trust:
         """Return whether the values of a finger are shown."""
         return self.shown[self._node_ids.index(node_id)]
 
-    def count_rows(self, reasons: npt.NDArray[np.uint8], now_s: float) -> None:
-        """Note the reasons (m, k) of rows."""
+    def count_rows(self, reasons: Sequence[Sequence[int]], now_s: float) -> None:
+        """Note the reasons of rows, by finger."""
         with self.lock:
             self._row += len(reasons)
             self._period_s, self._row_s = min(now_s - self._row_s, 10.0), now_s
-            for k, finger in enumerate(self._fingers):
-                if (reasons[:, k] == PRESENT).any():
+            for finger, of_finger in zip(self._fingers, zip(*reasons, strict=True), strict=True):
+                if PRESENT in of_finger:
                     finger.shown_row = self._row
-                if (reasons[:, k] != NO_RESPONSE).any() or not self.shown[k]:
+                if of_finger.count(NO_RESPONSE) < len(of_finger) or not self.shown[finger.column]:
                     finger.answered_row, finger.answered_s, finger.unanswered = self._row, now_s, False
 
     def take_unanswered(self, now_s: float, limit_s: float) -> list[int]:

@@ -125,21 +125,21 @@ class LoadMeter:
 
     def __init__(self, bit_rate: int = DEFAULT_BIT_RATE) -> None:
         self._bit_rate = bit_rate
-        self._batches: deque[tuple[float, int, int]] = deque()  # time, and bits without and with stuffing
+        self._batches: deque[tuple[float, FrameArray]] = deque()
 
     def add(self, frames: FrameArray, now_s: float) -> None:
         """Add received frames, FRAME (n,), and a monotonic time."""
         if not len(frames):
             return
-        self._batches.append((now_s, *range_of_bits(frames)))
+        self._batches.append((now_s, frames))
         while self._batches[0][0] < now_s - _WINDOW_S:
             self._batches.popleft()
 
     def load(self, now_s: float) -> tuple[float, float]:
         """Return the fraction of the bit rate, without stuff bits and with their maximum. From any thread."""
-        recent = [batch for batch in self._batches.copy() if batch[0] >= now_s - _WINDOW_S]
-        bits = self._bit_rate * _WINDOW_S
-        return sum(least for _, least, _ in recent) / bits, sum(most for _, _, most in recent) / bits
+        recent = [frames for t_s, frames in self._batches.copy() if t_s >= now_s - _WINDOW_S]
+        least, most = range_of_bits(np.concatenate(recent)) if recent else (0, 0)
+        return least / (self._bit_rate * _WINDOW_S), most / (self._bit_rate * _WINDOW_S)
 
 
 def budget_lines(budget: Budget) -> list[str]:
