@@ -1,27 +1,44 @@
 """A whole hand over loopback sockets: what is lost, late or mixed at full rate, how regular the SYNC is, what it costs.
 
-    python -m bench.hand    5 fingers at 1 kHz, 15 at 400 Hz, 600 s each; build/bench/hand-performance.md
+    python -m bench.hand           5 fingers at 1 kHz, 15 at 400 Hz, 600 s each; build/bench/hand-performance.md
+    python -m bench.hand --rows    what a row of five fingers costs, beside plain struct code; instructions by valgrind
 
 The host is a real Hand with the receiver of SocketCAN; see loopback.py for the bus.
 """
 
 from __future__ import annotations
 
+import argparse
+import shutil
+import struct
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
+from math import inf, nan
 from pathlib import Path
+from statistics import median
+from typing import cast
 
 import numpy as np
-from bench.loopback import LoopbackLink, may_hurry
-from bench.measure import Meter, arguments, machine, table, write_page
+from bench.loopback import LoopbackLink, connected_pair, may_hurry
+from bench.measure import Meter, arguments, cpu_us, in_turns, machine, table, write_page
 
+from canopen_device.can_frame import CAN_FRAME
+from canopen_device.core.codes import SYNC_COB_ID, TPDO_BASES
 from tipforce.host.configuration.calibration import write_calibration
+from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand, Statistics
 from tipforce.host.hand.link import Link
+from tipforce.host.hand.rows import Collector, HandRows, rows_one_by_one
+from tipforce.host.live.receive import SocketReceiver
+from tipforce.samples.record import RowContacts
 from tipforce.scene import beam_calibration
 
 SECONDS = 600.0
@@ -97,6 +114,118 @@ def measure(fingers: int, sync_hz: float, seconds: float, sync: str = "process",
     )  # fmt: skip
 
 
+FINGERS = ("thumb", "index", "middle", "ring", "little")
+_PDO = struct.Struct("<hhhBB")
+_RECORD = struct.Struct("<qIB3x8s")
+
+
+def row_frames(rows: int) -> list[tuple[int, int, bytes]]:
+    """Numbered SYNCs, and a Contact PDO of each finger."""
+    frames = []
+    for row in range(rows):
+        number, t_ns = row % 240 + 1, row * 1_000_000
+        frames.append((t_ns, SYNC_COB_ID, bytes((number,))))
+        for k in range(len(FINGERS)):
+            data = _PDO.pack(1000 + row % 500 + k, 4500 - row % 100, 3000, 3, number)
+            frames.append((t_ns + 100_000 * (k + 1), TPDO_BASES[1] + 1 + k, data))
+    return frames
+
+
+def plain_rows(calls: list[FrameArray]) -> int:
+    """What a user writes with struct for the same: P, phi and theta of all fingers by name, from whole rows."""
+    names = {TPDO_BASES[1] + 1 + k: name for k, name in enumerate(FINGERS)}
+    row: dict[str, tuple[float, float, float, int]] = {}
+    number, count, newtons = -1, 0, 0.0
+    for frames in calls:
+        for _, can_id, length, data in _RECORD.iter_unpack(frames.tobytes()):
+            if can_id == SYNC_COB_ID:
+                number, row = data[0], {}
+            elif can_id in names and length == 8:
+                P, phi, theta, status, counter = _PDO.unpack(data)
+                if counter == number:
+                    row[names[can_id]] = (
+                        P / 1000 if P != -0x8000 else nan, phi / 100 if phi != -0x8000 else nan,
+                        theta / 100 if theta != -0x8000 else nan, status,
+                    )  # fmt: skip
+                    if len(row) == len(FINGERS):
+                        newtons, count = newtons + row["thumb"][0], count + 1
+    return count
+
+
+def product_rows(calls: list[FrameArray]) -> int:
+    """Frames to rows to ``row["thumb"].P_newtons``."""
+    collector = Collector(range(1, len(FINGERS) + 1), own_sync=True)
+    contacts = RowContacts(collector.node_ids, FINGERS, [CALIBRATION] * len(FINGERS))
+    count, newtons, now_s = 0, 0.0, 0.0
+    for frames in calls:
+        now_s += 1e-4
+        rows = collector.add(frames, now_s)
+        if len(rows):
+            for row in rows_one_by_one(rows, contacts):
+                newtons, count = newtons + row["thumb"].P_newtons, count + 1
+    return count
+
+
+class SocketPair:
+    """A link whose frames come from a socket; each ``feed`` sends those of a row."""
+
+    owned, dropped = True, 0
+
+    def __init__(self, rows: int) -> None:
+        receiver, self._sender = connected_pair()
+        self._receiver = SocketReceiver(receiver, "loopback", tick_s=0.0)
+        self._frames = [CAN_FRAME.pack(can_id, len(data), data) for _, can_id, data in row_frames(rows)]
+
+    def feed(self, row: int) -> None:
+        """Send the frames of a row."""
+        for frame in self._frames[6 * row : 6 * row + 6]:
+            self._sender.send(frame)
+
+    def receive(self, timeout_s: float) -> FrameArray:
+        return self._receiver.receive(timeout_s)
+
+
+def running_rows(rows: int, receives: bool = True) -> int:
+    """The same by a running Hand, from the socket to ``row["thumb"].P_newtons``; else the frames are only sent."""
+    link = SocketPair(rows)
+    plans = tuple(FingerPlan(node_id=k + 1, name=name) for k, name in enumerate(FINGERS))
+    hand = Hand(HandFile(finger=plans, hand=HandPlan(sync_hz=1000.0), bus={}, folder="."), cast("Link", link))
+    made = HandRows(hand.blocks(0.0), RowContacts(hand.node_ids, FINGERS, [CALIBRATION] * len(FINGERS)))
+    hand._probe_s, newtons, count = inf, 0.0, 0  # no finger is lost
+    for row in range(rows):
+        link.feed(row)
+        if receives:
+            hand._step(0.0)
+            if row:  # the first SYNC has no number before it
+                newtons, count = newtons + next(made)["thumb"].P_newtons, count + 1
+    return count
+
+
+def row_costs(rounds: int = 15) -> list[list[str]]:
+    """Microseconds of processor time a row, and what each way costs of plain struct code's; taken in turns."""
+    found = []
+    for frames_a_call in (6, 1):
+        frames = row_frames(1000)
+        calls = [frame_array(frames[at : at + frames_a_call]) for at in range(0, len(frames), frames_a_call)]
+        ways = {"plain struct": plain_rows, "tipforce": product_rows}
+        figures = in_turns({name: partial(cpu_us, partial(way, calls)) for name, way in ways.items()}, rounds)
+        plain, ours = (median(us) for us in figures.values())
+        found.append([str(frames_a_call), f"{plain:.2f}", f"{ours:.2f}", f"{ours / plain:.2f}"])
+    return found
+
+
+def instructions() -> float:
+    """Instructions a row, by valgrind, of the running hand without those of sending."""
+    counts = {}
+    for rows, way in product((200, 700), ("", "-sent")):
+        words = [sys.executable, "-m", "bench.hand", f"--step{way}", str(rows)]
+        valgrind = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *words]
+        said = subprocess.run(valgrind, check=True, capture_output=True, text=True).stderr
+        counts[rows, way] = int(said.partition("Collected :")[2].split()[0])
+    both, sent = (counts[700, way] - counts[200, way] for way in ("", "-sent"))
+    return (both - sent) / 500
+
+
 def row(outcome: Outcome) -> list[str]:
     """A row of the table of losses."""
     tally = outcome.statistics.tally
@@ -129,7 +258,18 @@ JITTER_HEADER = ["hand", "sent by a", "periods", "skipped", "mean period", "p50"
 def main() -> int:
     parser = arguments(__doc__, "--realtime")
     parser.add_argument("--sync", choices=("process", "thread"), default="process", help="what sends the SYNC")
+    parser.add_argument("--rows", action="store_true", help="only what a row costs")
+    parser.add_argument("--step", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--step-sent", type=int, help=argparse.SUPPRESS)
     args = parser.parse_args()
+    if args.step or args.step_sent:
+        running_rows(args.step or args.step_sent, bool(args.step))
+        return 0
+    if args.rows:
+        print(table(["frames a call", "plain struct, us a row", "tipforce", "ratio"], row_costs(), markdown=False))
+        if shutil.which("valgrind"):
+            print(f"{instructions():,.0f} instructions a row, from the socket to row['thumb'].P_newtons")
+        return 0
     if args.realtime and not may_hurry():
         parser.error("--realtime: not permitted here; run it as root, or with `ulimit -r 10` allowed")
     on, outcomes = machine("python-can", "canopen"), []

@@ -10,6 +10,11 @@
 #include <Python.h>
 #include <stdint.h>
 #include <string.h>
+#ifdef __linux__
+#include <errno.h>
+#include <sys/socket.h>
+#include <time.h>
+#endif
 
 #if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
 #error "FRAME is little-endian"
@@ -600,6 +605,77 @@ static PyObject *rows(PyObject *module, PyObject *args) {
     return result;
 }
 
+/* --- datagrams of a socket ---------------------------------------------------------------------- */
+
+#ifdef __linux__
+enum { STAMP = 35, DROPS = 40 }; /* SO_TIMESTAMPNS, SO_RXQ_OVFL */
+
+/* Return the control message of a kind, NULL for none. */
+static const void *control_of(struct msghdr *header, int kind) {
+    struct cmsghdr *control = CMSG_FIRSTHDR(header);
+    while (control && (control->cmsg_level != SOL_SOCKET || control->cmsg_type != kind))
+        control = CMSG_NXTHDR(header, control);
+    return control ? CMSG_DATA(control) : NULL;
+}
+
+/* Store a datagram, a struct can_frame, as a frame: bytes behind its data are not defined. */
+static void store_frame(struct msghdr *header, Byte *frame) {
+    const struct timespec *stamp = control_of(header, STAMP);
+    struct timespec now;
+    if (!stamp) {
+        clock_gettime(CLOCK_REALTIME, &now);
+        stamp = &now;
+    }
+    int64_t t_ns = (int64_t)stamp->tv_sec * (int64_t)SECOND_NS + stamp->tv_nsec;
+    memcpy(frame, &t_ns, 8);
+    memcpy(frame + 8, header->msg_iov->iov_base, 16);
+    if (frame[12] > DATA_BYTES)
+        frame[12] = DATA_BYTES;
+    memset(frame + 13, 0, 3);
+    frame[14] = header->msg_flags & MSG_DONTROUTE ? 1 : 0; /* SENT of frame_array.py */
+    memset(frame + 16 + frame[12], 0, (size_t)(DATA_BYTES - frame[12]));
+}
+
+PyDoc_STRVAR(receive_doc,
+"receive(fd, headers, control_bytes, room) -> (count, plain, drops)\n\n"
+"Read the waiting datagrams by recvmmsg, without giving up the interpreter. If all are classic frames\n"
+"(plain), store them in ``room``, FRAME (n,), and prepare ``headers`` for the next call. ``drops``: what the\n"
+"kernel says with the last of them, -1 for nothing. Raises OSError.");
+
+static PyObject *receive(PyObject *module, PyObject *args) {
+    int fd, is_plain = 1;
+    Py_buffer headers, room;
+    Py_ssize_t control_bytes;
+    long long drops = -1;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "iw*nw*", &fd, &headers, &control_bytes, &room))
+        return NULL;
+    struct mmsghdr *datagrams = headers.buf;
+    Py_ssize_t capacity = headers.len / (Py_ssize_t)sizeof *datagrams;
+    int fits = room.len >= capacity * FRAME_BYTES;
+    int count = fits ? recvmmsg(fd, datagrams, (unsigned)capacity, MSG_DONTWAIT, NULL) : -1;
+    if (!fits)
+        PyErr_SetString(PyExc_ValueError, "receive: arguments");
+    else if (count < 0 && (errno == EAGAIN || errno == EWOULDBLOCK || errno == EINTR))
+        count = 0;
+    else if (count < 0)
+        PyErr_SetFromErrno(PyExc_OSError);
+    for (int k = 0; k < count && is_plain; k++)
+        is_plain = datagrams[k].msg_len == 16 && !(datagrams[k].msg_hdr.msg_flags & ~(MSG_DONTROUTE | MSG_CONFIRM));
+    for (int k = 0; k < count && is_plain; k++) {
+        struct msghdr *header = &datagrams[k].msg_hdr;
+        const uint32_t *dropped = k + 1 == count ? control_of(header, DROPS) : NULL;
+        if (dropped)
+            drops = *dropped;
+        store_frame(header, (Byte *)room.buf + k * FRAME_BYTES);
+        header->msg_controllen = (size_t)control_bytes;
+    }
+    PyBuffer_Release(&headers);
+    PyBuffer_Release(&room);
+    return count < 0 ? NULL : Py_BuildValue("iiL", count, is_plain, drops);
+}
+#endif
+
 /* --- columns of signals ----------------------------------------------------------------------- */
 
 enum { FLAG, INTEGER, NUMBER, REAL };
@@ -718,6 +794,9 @@ static PyMethodDef METHODS[] = {
     {"join", join, METH_VARARGS, join_doc},
     {"rows", rows, METH_VARARGS, rows_doc},
     {"extract", extract, METH_VARARGS, extract_doc},
+#ifdef __linux__
+    {"receive", receive, METH_VARARGS, receive_doc},
+#endif
     {NULL, NULL, 0, NULL},
 };
 

@@ -153,10 +153,10 @@ def test_contacts_of_a_row_are_those_of_its_columns(seed: int) -> None:
     for at in range(0, len(frames), 50):
         rows = body.add(frame_array(frames[at : at + 50]), at * 1e-3)
         expected = list(rows.samples(calibrations).contacts(named))
-        made = [contact for row in contacts.of(rows) for contact in row]
+        made = [contact for row in rows_one_by_one(rows, contacts) for contact in row.contacts]
         assert [repr(contact) for contact in made] == [repr(contact) for contact in expected]
         for row in rows_one_by_one(rows, contacts):
             assert [contact.name for contact in row.contacts] == list(row) == list(named.values())
             assert all(row[n] is row[name] for n, name in named.items())
     with pytest.raises(AttributeError, match="no 'force'"):
-        _ = made[0].force  # type: ignore[attr-defined]
+        _ = made[0].force

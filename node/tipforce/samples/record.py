@@ -165,6 +165,8 @@ def missing_contact(node_id: int, t_ns: int, reason: int, name: str) -> Contact:
 Row = tuple[int, int, Sequence[int], Sequence[int], Sequence[int]]
 """A closed row: time and number of the SYNC (0: none), words by slot (message, finger), reasons by finger, states."""
 
+_NO_ROW: Row = 0, 0, (), (), ()
+
 
 class Rows:
     """m rows of k fingers, in the order of the SYNCs and of the hand's node-ids.
@@ -292,37 +294,6 @@ def joined(rows: list[Rows]) -> Rows:
     return Rows(rows[0].first, raw, rows[0]._node_ids, rows[0].pdos)
 
 
-class ContactsOfRow(Sequence[Contact]):
-    """The contacts of one row; a field of one is made when it is first read."""
-
-    __slots__ = ("_made", "_of_rows", "_uncertainties", "row")
-
-    def __init__(self, of_rows: RowContacts, row: Row) -> None:
-        self._of_rows, self.row, self._made = of_rows, row, dict[int, Contact]()
-        self._uncertainties: list[list[float]] = []
-
-    def __len__(self) -> int:
-        return len(self.row[3])
-
-    def __getitem__(self, place: Any) -> Any:
-        """Return the contact at a place; always the same object."""
-        contact = self._made.get(place)
-        if contact is None:
-            reason = self.row[3][place]
-            if reason == reasons.PRESENT:
-                contact = Contact.of_row(self._of_rows.fields, self, place)
-            else:
-                contact = self._of_rows.missing(self.row[0], place, reason)
-            self._made[place] = contact
-        return contact
-
-    def uncertainty(self, place: int, quantity: int) -> float:
-        """Return that of P, phi or theta of a contact; see ``Samples``."""
-        if not self._uncertainties:
-            self._uncertainties = self._of_rows.samples(self.row).uncertainties.tolist()
-        return self._uncertainties[place][quantity]
-
-
 class RowContacts:
     """Makes the contacts of rows, each field when it is read; ``names`` and ``calibrations``: of ``node_ids``.
 
@@ -338,26 +309,34 @@ class RowContacts:
         self.places |= {node_id: place for place, node_id in enumerate(node_ids)}
         """By name and by node-id: the place in a row."""
         self._pdos: Sequence[Pdo] = ()
-        self.fields: Fields = {}
-        """How each field of a contact is made of its row."""
+        self._fields: Fields = {}
+        self._computed: tuple[Row, Any] = _NO_ROW, None
 
-    def of(self, rows: Rows) -> list[Sequence[Contact]]:
-        """Return the contacts of each row."""
+    def of(self, rows: Rows) -> Iterator[dict[int, Contact]]:
+        """Return by place the contacts of each row that have to be computed; the others are to be made."""
         if rows.pdos is not self._pdos:
-            self._pdos, self.fields = rows.pdos, self._made_of(rows.pdos)
-        if self.fields:
-            return [ContactsOfRow(self, row) for row in rows.raw]
+            self._pdos, self._fields = rows.pdos, self._made_of(rows.pdos)
+        if self._fields:
+            return ({} for _ in rows.raw)
         named = dict(zip(self._node_ids, self._names, strict=True))
         contacts = rows.samples(self._calibrations).contacts(named)
-        return [tuple(islice(contacts, len(named))) for _ in rows.raw]
+        return (dict(enumerate(islice(contacts, len(named)))) for _ in rows.raw)
 
-    def samples(self, row: Row) -> Samples:
-        """Return a row as samples."""
-        return Rows(0, [row], self._node_ids, self._pdos).samples(self._calibrations)
+    def make(self, row: Row, place: int) -> Contact:
+        """Return the contact at a place of a row."""
+        reason = row[3][place]
+        if reason != reasons.PRESENT:
+            return missing_contact(self._node_ids[place], row[0], reason, self._names[place])
+        return Contact.of_row(self._fields, row, place)
 
-    def missing(self, t_ns: int, place: int, reason: int) -> Contact:
-        """Return the contact of a finger that is missing in a row."""
-        return missing_contact(self._node_ids[place], t_ns, reason, self._names[place])
+    def _uncertainty(self, row: Row, place: int, quantity: int) -> float:
+        """Return that of P, phi or theta; those of a row are computed together."""
+        computed, u = self._computed
+        if computed is not row:
+            u = Rows(0, [row], self._node_ids, self._pdos).samples(self._calibrations).uncertainties.tolist()
+            self._computed = row, u
+        value: float = u[place][quantity]
+        return value
 
     def _made_of(self, pdos: Sequence[Pdo]) -> Fields:
         """Return how each field is made of a row; nothing if the contact has to be computed."""
@@ -365,12 +344,12 @@ class RowContacts:
         if not number_of.keys() >= {"P", "phi", "theta"}:
             return {}
 
-        def value(name: str) -> Callable[[ContactsOfRow, int], float]:
+        def value(name: str) -> Callable[[Row, int], float]:
             first = number_of[name] * k
             shift, mask, sign, unknown, divisor = pdos[number_of[name]].raw[name]
 
-            def made(of: ContactsOfRow, place: int) -> float:
-                raw = (of.row[2][first + place] >> shift & mask ^ sign) - sign
+            def made(row: Row, place: int) -> float:
+                raw = (row[2][first + place] >> shift & mask ^ sign) - sign
                 return math.nan if raw == unknown else raw / divisor
 
             return made
@@ -379,17 +358,17 @@ class RowContacts:
         status, shift, counter = number_of[flag] * k, pdos[number_of[flag]].start[flag], pdos[0].counter_shift
         gauges = [value(name) for name in sorted(number_of) if name[:2] == "SG"]
         return {
-            "node_id": lambda _of, place: self._node_ids[place],
-            "t_s": lambda of, _place: of.row[0] * 1e-9,
-            "counter": lambda of, place: of.row[2][place] >> counter & 0xFF,
+            "node_id": lambda _row, place: self._node_ids[place],
+            "t_s": lambda row, _place: row[0] * 1e-9,
+            "counter": lambda row, place: row[2][place] >> counter & 0xFF,
             "P_newtons": value("P"),
             "phi_deg": value("phi"),
             "theta_deg": value("theta"),
-            "u_P_newtons": lambda of, place: of.uncertainty(place, 0),
-            "u_phi_deg": lambda of, place: of.uncertainty(place, 1),
-            "u_theta_deg": lambda of, place: of.uncertainty(place, 2),
-            "status": lambda of, place: Status(of.row[2][status + place] >> shift & 0xFF),
-            "microstrain": lambda of, place: tuple(gauge(of, place) for gauge in gauges),
-            "name": lambda _of, place: self._names[place],
-            "missing": lambda _of, _place: "",
+            "u_P_newtons": lambda row, place: self._uncertainty(row, place, 0),
+            "u_phi_deg": lambda row, place: self._uncertainty(row, place, 1),
+            "u_theta_deg": lambda row, place: self._uncertainty(row, place, 2),
+            "status": lambda row, place: Status(row[2][status + place] >> shift & 0xFF),
+            "microstrain": lambda row, place: tuple(gauge(row, place) for gauge in gauges),
+            "name": lambda _row, place: self._names[place],
+            "missing": lambda _row, _place: "",
         }

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.core import core
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.frames.frame_array import SENT
@@ -30,6 +31,15 @@ needs_recvmmsg = pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system 
 def can_frame(can_id: int, data: bytes, length: int | None = None) -> bytes:
     """struct can_frame; what lies behind ``length`` is not zero, as a careless sender leaves it."""
     return struct.pack("=IB3x8s", can_id, len(data) if length is None else length, data)
+
+
+@pytest.fixture(autouse=True, params=["core", "ctypes"])
+def _body(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What reads the datagrams."""
+    if request.param == "ctypes":
+        monkeypatch.setattr(recvmmsg, "core", None)
+    elif core is None:
+        pytest.skip("needs the compiled core")
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from tipforce.host.frames.frame_array import FrameArray, RawFrame
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.trust import Trust
 from tipforce.samples.contact import Contact
-from tipforce.samples.record import RowContacts, Rows
+from tipforce.samples.record import Row, RowContacts, Rows
 from tipforce.samples.rows import RowAssembler
 
 
@@ -53,27 +53,26 @@ class HandRow(Mapping[str, Contact]):
     A finger without an answer is included: its ``status`` is NO_ANSWER and its values are NaN.
     """
 
-    def __init__(
-        self, number: int, t_s: float, contacts: Sequence[Contact], pairing: str = "numbered",
-        places: Mapping[str | int, int] | None = None,
-    ) -> None:  # fmt: skip
-        """``places``: by name and by node-id the place of a finger in ``contacts``."""
-        self.number = number
-        """Number of the row since the start of the hand."""
-        self.t_s = t_s
-        """Time of the SYNC, seconds of the epoch."""
-        self.pairing = pairing
-        """"numbered": each contact carries the number of this SYNC; "assumed": it came after this SYNC."""
-        self._contacts = contacts
-        if places is None:
-            by_name: dict[str | int, int] = {contact.name: place for place, contact in enumerate(contacts)}
-            places = by_name | {contact.node_id: place for place, contact in enumerate(contacts)}
-        self._places = places
+    __slots__ = ("_contacts", "_made", "_places", "_row", "number", "pairing", "t_s")
+    number: int
+    """Number of the row since the start of the hand."""
+    t_s: float
+    """Time of the SYNC, seconds of the epoch."""
+    _contacts: RowContacts
+    _row: Row
+    pairing: str
+    """"numbered": each contact carries the number of this SYNC; "assumed": it came after this SYNC."""
+
+    def __init__(self, number: int, t_s: float, contacts: Sequence[Contact], pairing: str = "numbered") -> None:
+        self.number, self.t_s, self.pairing = number, t_s, pairing
+        self._made = dict(enumerate(contacts))
+        by_name: dict[str | int, int] = {contact.name: place for place, contact in enumerate(contacts)}
+        self._places = by_name | {contact.node_id: place for place, contact in enumerate(contacts)}
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
         """In the order of the hand file."""
-        return tuple(self._contacts)
+        return tuple(self[finger] for finger in self._places if isinstance(finger, int))
 
     def __getitem__(self, finger: str | int) -> Contact:
         """Return the contact of a finger, by name or node-id. Raises KeyError, whose text names the fingers."""
@@ -81,13 +80,16 @@ class HandRow(Mapping[str, Contact]):
         if place is None:
             known = ", ".join(f"{contact.name} ({contact.node_id})" for contact in self.contacts)
             raise KeyError(f"{finger!r}: the hand has {known}")
-        return self._contacts[place]
+        contact = self._made.get(place)
+        if contact is None:
+            contact = self._made[place] = self._contacts.make(self._row, place)
+        return contact
 
     def __iter__(self) -> Iterator[str]:
-        return (contact.name for contact in self._contacts)
+        return (contact.name for contact in self.contacts)
 
     def __len__(self) -> int:
-        return len(self._contacts)
+        return sum(isinstance(finger, int) for finger in self._places)
 
     def __str__(self) -> str:
         return " | ".join(f"{contact.name}: {contact}" for contact in self.contacts)
@@ -114,12 +116,14 @@ class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
 
 
 def rows_one_by_one(rows: Rows, contacts: RowContacts) -> list[HandRow]:
-    """Return each row of a block."""
-    places = contacts.places
-    return [
-        HandRow(number, row[0] * 1e-9, of_row, "numbered" if row[1] else "assumed", places)
-        for number, (row, of_row) in enumerate(zip(rows.raw, contacts.of(rows), strict=True), rows.first)
-    ]
+    """Return each row of a block; a contact of one is made when it is first read."""
+    one_by_one = []
+    for number, (raw, made) in enumerate(zip(rows.raw, contacts.of(rows), strict=True), rows.first):
+        row = HandRow.__new__(HandRow)
+        row.number, row.t_s, row.pairing = number, raw[0] * 1e-9, "numbered" if raw[1] else "assumed"
+        row._row, row._made, row._contacts, row._places = raw, made, contacts, contacts.places
+        one_by_one.append(row)
+    return one_by_one
 
 
 T = TypeVar("T")

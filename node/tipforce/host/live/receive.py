@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
+from tipforce.host.frames.frame_array import SENT, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
 from tipforce.host.live import recvmmsg
 from tipforce.host.live.receiver import TICK_S, InterfaceDownError, Receiver, Selection, ShortSwitchInterval
@@ -108,8 +108,7 @@ class SocketReceiver(Receiver):
         self._name_of_index: dict[int, int] = {}
         self._tick_s = tick_s
         self._next_s = 0.0
-        self._frame_memory: FrameArray = np.zeros(capacity, dtype=FRAME)
-        self._words = self._frame_memory.view(np.uint64).reshape(capacity, 3)  # a time and a struct can_frame
+        self._words = self._batch.frames.view(np.uint64).reshape(capacity, 3)  # a time and a struct can_frame
         self._one_interface: Interfaces = np.zeros(capacity, dtype=np.uint16)
         self._one_interface.flags.writeable = False
         self._poll = select.poll()
@@ -132,6 +131,8 @@ class SocketReceiver(Receiver):
     def receive(self, timeout_s: float | None = None) -> FrameArray:
         """See Receiver."""
         count = self._read(timeout_s)
+        if self._batch.done:
+            return self._batch.frames[:count].copy()
         plain = self._batch.plain(count)
         frames, _ = self._frames(count, plain)
         if not plain:
@@ -142,6 +143,10 @@ class SocketReceiver(Receiver):
     def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
         """See Receiver."""
         count = self._read(timeout_s)
+        if self._batch.done:
+            frames = self._batch.frames[:count].copy()
+            sent = frames["flags"] == SENT
+            return CandumpBlock(frames, self._one_interface[:count], tuple(self._names), sent)
         plain = self._batch.plain(count)
         frames, interface = self._frames(count, plain)
         sent = self._batch.sent(count)
@@ -191,7 +196,7 @@ class SocketReceiver(Receiver):
             length = np.minimum(length, _FULL)
             words[:, 1] = head & ~(_BYTE << _LENGTH_SHIFT) | length << _LENGTH_SHIFT
             words[:, 2] &= _KEEP[length]  # bytes after the data are undefined
-        return self._frame_memory[:count].copy(), interface
+        return self._batch.frames[:count].copy(), interface
 
     def _interfaces(self, count: int) -> Interfaces:
         index = self._batch.interfaces[:count].tolist()

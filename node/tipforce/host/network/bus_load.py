@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ LIMIT = 0.8
 """Share of the bit rate with worst-case stuffing: above it the lowest priority may miss a SYNC period."""
 
 _WINDOW_S = 1.0  # of the load of a live bus
+_FEW, _WAIT_S = 256, 0.02  # frames of a batch that waits for others, and how long
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,25 +123,41 @@ def range_of_bits(frames: FrameArray) -> tuple[int, int]:
 
 
 class LoadMeter:
-    """Load of a live bus over the last second, at negligible cost for a receive loop."""
+    """Load of a live bus over the last second, at negligible cost for a receive loop: small batches wait."""
 
     def __init__(self, bit_rate: int = DEFAULT_BIT_RATE) -> None:
-        self._bit_rate = bit_rate
-        self._batches: deque[tuple[float, FrameArray]] = deque()
+        self._bit_rate, self._lock = bit_rate, threading.Lock()
+        self._counted: deque[tuple[float, int, int]] = deque()  # time, and bits without and with stuffing
+        self._waiting: list[FrameArray] = []
+        self._waiting_since_s = 0.0
 
     def add(self, frames: FrameArray, now_s: float) -> None:
         """Add received frames, FRAME (n,), and a monotonic time."""
         if not len(frames):
             return
-        self._batches.append((now_s, frames))
-        while self._batches[0][0] < now_s - _WINDOW_S:
-            self._batches.popleft()
+        with self._lock:
+            if now_s - self._waiting_since_s > _WAIT_S:
+                self._count()
+            if not self._waiting:
+                self._waiting_since_s = now_s
+            self._waiting.append(frames)
+            if len(frames) > _FEW:
+                self._count()
+
+    def _count(self) -> None:
+        if self._waiting:
+            self._counted.append((self._waiting_since_s, *range_of_bits(np.concatenate(self._waiting))))
+            self._waiting = []
+        while self._counted and self._counted[0][0] < self._waiting_since_s - _WINDOW_S:
+            self._counted.popleft()
 
     def load(self, now_s: float) -> tuple[float, float]:
         """Return the fraction of the bit rate, without stuff bits and with their maximum. From any thread."""
-        recent = [frames for t_s, frames in self._batches.copy() if t_s >= now_s - _WINDOW_S]
-        least, most = range_of_bits(np.concatenate(recent)) if recent else (0, 0)
-        return least / (self._bit_rate * _WINDOW_S), most / (self._bit_rate * _WINDOW_S)
+        with self._lock:
+            self._count()
+            recent = [batch for batch in self._counted if batch[0] >= now_s - _WINDOW_S]
+        bits = self._bit_rate * _WINDOW_S
+        return sum(least for _, least, _ in recent) / bits, sum(most for _, _, most in recent) / bits
 
 
 def budget_lines(budget: Budget) -> list[str]:
