@@ -483,9 +483,9 @@ static PyObject *join(PyObject *module, PyObject *args) {
 
 enum { SYNC_ID = 0x80, STANDARD_IDS = 2048 };
 
-typedef struct { /* STEADY of rows.py: the row of the last SYNC, and by slot the answers to it */
+typedef struct { /* the row of the last SYNC; by slot the answers to it, and whether there is one; Answer; slot_of */
     int64_t is_open, last, number, modulus, sync_ns, period_ns, gap_rows, awaited;
-    uint64_t slots[]; /* the words, then whether there is one */
+    uint64_t slots[];
 } Steady;
 
 typedef struct { /* ANSWER of rows.py, by slot */
@@ -533,29 +533,37 @@ static int open_row(Steady *state, Py_ssize_t slots, const Byte *frame, int64_t 
 }
 
 PyDoc_STRVAR(rows_doc,
-"rows(frames, state, index, answers, most_gap_rows, shown, other, now_s, whole, reasons, states) -> done\n\n"
+"rows(frames, state, most_gap_rows, shown, other, now_s, whole, reasons, states) -> done\n\n"
 "Process frames while each SYNC follows the last and each answer is to it; append whole rows to the list ``whole``.\n"
 "Return the bytes before the first frame for which that is not so: see RowAssembler of samples/rows.py. ``other`` is\n"
 "called with what is neither a SYNC nor an answer, and may change ``shown``.");
 
-static PyObject *rows(PyObject *module, PyObject *args) {
-    Py_buffer frames, memory, index, answers;
-    PyObject *shown, *other, *now_s, *whole, *reasons, *states, *result = NULL;
+static PyObject *rows(PyObject *module, PyObject *const *args, Py_ssize_t given) {
+    Py_buffer frames, memory;
+    PyObject *result = NULL;
     Py_ssize_t at = 0;
-    long long most_gap_rows;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*w*y*y*LO!OOO!OO", &frames, &memory, &index, &answers, &most_gap_rows,
-                          &PyList_Type, &shown, &other, &now_s, &PyList_Type, &whole, &reasons, &states))
+    if (given != 9 || !PyList_Check(args[3]) || !PyList_Check(args[6])) {
+        PyErr_SetString(PyExc_TypeError, "rows: arguments");
         return NULL;
-    Py_ssize_t count = frames.len / FRAME_BYTES, slots = answers.len / (Py_ssize_t)sizeof(Answer);
-    Steady *state = memory.buf;
-    const uint16_t *slot_of = index.buf; /* by identifier: the slot and 1 */
-    const Answer *answer_of = answers.buf;
-    int failed = memory.len != (Py_ssize_t)sizeof *state + 16 * slots || index.len != 2 * STANDARD_IDS;
-    if (failed || state->modulus < 2) {
-        PyErr_SetString(PyExc_ValueError, "rows: arguments");
-        failed = 1;
     }
+    PyObject *shown = args[3], *other = args[4], *now_s = args[5], *whole = args[6], *reasons = args[7];
+    PyObject *states = args[8];
+    long long most_gap_rows = PyLong_AsLongLong(args[2]);
+    if (PyErr_Occurred() || PyObject_GetBuffer(args[0], &frames, PyBUF_SIMPLE) < 0)
+        return NULL;
+    if (PyObject_GetBuffer(args[1], &memory, PyBUF_WRITABLE) < 0) {
+        PyBuffer_Release(&frames);
+        return NULL;
+    }
+    const Py_ssize_t fixed = (Py_ssize_t)sizeof(Steady) + 2 * STANDARD_IDS, each = 16 + (Py_ssize_t)sizeof(Answer);
+    Py_ssize_t count = frames.len / FRAME_BYTES, slots = (memory.len - fixed) / each;
+    Steady *state = memory.buf;
+    const Answer *answer_of = (const Answer *)(state->slots + 2 * slots);
+    const uint16_t *slot_of = (const uint16_t *)(answer_of + slots); /* by identifier: the slot and 1 */
+    int failed = memory.len != fixed + each * slots || memory.len < fixed || state->modulus < 2;
+    if (failed)
+        PyErr_SetString(PyExc_ValueError, "rows: arguments");
     for (int steady = !failed && all_true(shown); steady && !failed && at < count; at += steady) {
         const Byte *frame = (const Byte *)frames.buf + at * FRAME_BYTES;
         uint32_t can_id;
@@ -600,8 +608,6 @@ static PyObject *rows(PyObject *module, PyObject *args) {
         result = PyLong_FromSsize_t(at * FRAME_BYTES);
     PyBuffer_Release(&frames);
     PyBuffer_Release(&memory);
-    PyBuffer_Release(&index);
-    PyBuffer_Release(&answers);
     return result;
 }
 
@@ -792,7 +798,7 @@ static PyObject *extract(PyObject *module, PyObject *args) {
 static PyMethodDef METHODS[] = {
     {"parse", parse, METH_VARARGS, parse_doc},
     {"join", join, METH_VARARGS, join_doc},
-    {"rows", rows, METH_VARARGS, rows_doc},
+    {"rows", (PyCFunction)(void (*)(void))rows, METH_FASTCALL, rows_doc},
     {"extract", extract, METH_VARARGS, extract_doc},
 #ifdef __linux__
     {"receive", receive, METH_VARARGS, receive_doc},

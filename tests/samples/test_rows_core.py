@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
+from array import array
 from dataclasses import astuple
 from typing import Any
 
@@ -121,19 +122,22 @@ def test_the_core_refuses_what_does_not_fit() -> None:
     """A state, an index or a modulus that no assembler has."""
     whole: list[Any] = []
     body = Collector((1, 2), own_sync=True)
-    good = [b"", body._steady, body._slot_of, body._answer_of, 240, [True], None, 0.0, whole, (), ()]
+    good: list[Any] = [b"", body._steady, 240, [True], None, 0.0, whole, (), ()]
     body._steady[3] = 240
     assert core.rows(*good) == 0
-    for place, value in ((1, body._steady[:-1]), (2, b"\0"), (3, body._answer_of[:24])):
+    for memory in (body._steady[:-1], body._steady[:5], array("q")):
         with pytest.raises(ValueError, match="rows: arguments"):
-            core.rows(*good[:place], value, *good[place + 1 :])
+            core.rows(b"", memory, *good[2:])
+    for arguments in (good[:-1], [*good[:3], (True,), *good[4:]], [*good[:6], (), (), ()]):
+        with pytest.raises(TypeError, match="rows: arguments"):
+            core.rows(*arguments)
     body._steady[3] = 1
     with pytest.raises(ValueError, match="rows: arguments"):
         core.rows(*good)
     body._steady[3] = 240
-    frame = frame_array([(0, 0x281, bytes(8))]).tobytes()
+    body._steady[-512:] = array("q", b"\7\0" * 2048)
     with pytest.raises(ValueError, match="rows: index"):
-        core.rows(frame, body._steady, b"\7\0" * 2048, *good[3:])
+        core.rows(frame_array([(0, 0x281, bytes(8))]).tobytes(), *good[1:])
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -14,7 +14,7 @@ Fields = Mapping[str, Callable[[Any, int], Any]]
 """By name of a field what makes it of a row and the place of the finger in it."""
 
 
-_set = object.__setattr__  # of a frozen class
+_new, _set = object.__new__, object.__setattr__  # of a frozen class
 
 
 class _MadeLater:
@@ -54,9 +54,10 @@ class Contact(_MadeLater):
 
     @staticmethod
     def of_row(fields: Fields, row: object, place: int) -> Contact:
-        """Return a contact whose fields are made when they are first read."""
-        contact: Contact = object.__new__(Contact)
+        """Return a contact whose fields are made when they are first read, but for the one that everybody reads."""
+        contact: Contact = _new(Contact)
         _set(contact, "_source", (fields, row, place))
+        _set(contact, "P_newtons", fields["P_newtons"](row, place))
         return contact
 
     def __getattr__(self, name: str) -> Any:

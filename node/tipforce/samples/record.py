@@ -312,15 +312,15 @@ class RowContacts:
         self._fields: Fields = {}
         self._computed: tuple[Row, Any] = _NO_ROW, None
 
-    def of(self, rows: Rows) -> Iterator[dict[int, Contact]]:
-        """Return by place the contacts of each row that have to be computed; the others are to be made."""
+    def computed(self, rows: Rows) -> list[dict[int, Contact]]:
+        """Return by place the contacts of each row; an empty list if they are to be made."""
         if rows.pdos is not self._pdos:
             self._pdos, self._fields = rows.pdos, self._made_of(rows.pdos)
         if self._fields:
-            return ({} for _ in rows.raw)
+            return []
         named = dict(zip(self._node_ids, self._names, strict=True))
         contacts = rows.samples(self._calibrations).contacts(named)
-        return (dict(enumerate(islice(contacts, len(named)))) for _ in rows.raw)
+        return [dict(enumerate(islice(contacts, len(named)))) for _ in rows.raw]
 
     def make(self, row: Row, place: int) -> Contact:
         """Return the contact at a place of a row."""

@@ -144,13 +144,11 @@ class RowAssembler:
         self._closed: list[Row] = []  # and not emitted
         self._nothing = Rows(0, [], self.node_ids, self._pdos)
         self._inside = False  # the core has the state
-        self._steady = array("q", bytes(8 * (_STEADY + 2 * self._slots)))
-        places = sorted(self._answers.values())
-        self._answer_of = b"".join(_ANSWER.pack(stale, least, shift) for _, _, least, shift, stale in places)
         slot_of = array("H", bytes(2 * (STANDARD_MASK + 1)))
         for can_id, (slot, *_) in self._answers.items():
             slot_of[can_id] = slot + 1
-        self._slot_of = slot_of.tobytes()
+        answers = [_ANSWER.pack(stale, least, shift) for _, _, least, shift, stale in sorted(self._answers.values())]
+        self._steady = array("q", bytes(8 * (_STEADY + 2 * self._slots)) + b"".join(answers) + slot_of.tobytes())
 
     def expect(self, node_id: int, present: bool) -> None:
         """Wait for a finger in each row, or not: one that is not operational. For any thread."""
@@ -236,9 +234,8 @@ class RowAssembler:
         """Process the bytes of FRAME (n,) by the core, up to the first frame that is not for it; return the rest."""
         state, closed, last = self._steady, self._closed, self._steady[1]
         done: int = core.rows(
-            data, state, self._slot_of, self._answer_of, LARGEST, self.shown, self._other, now_s, closed,
-            self._all_present, self._all_live,
-        )  # fmt: skip
+            data, state, LARGEST, self.shown, self._other, now_s, closed, self._all_present, self._all_live
+        )
         if closed:
             self._past.extend(closed)
         if not state[0]:
@@ -261,7 +258,7 @@ class RowAssembler:
         self._first, self._latest[:] = self._last + 1, [self._last] * slots
         if is_open:
             row = _OpenRow(numbers.last_ns, self._opened_s, numbers.number, True, slots)
-            present = state[_STEADY + slots :].tolist()
+            present = state[_STEADY + slots : _STEADY + 2 * slots].tolist()
             row.words = [word & _WORD_MASK for word in state[_STEADY : _STEADY + slots]]
             row.states = [_LIVE if is_present else _EMPTY for is_present in present]
             row.words = [word if is_present else 0 for word, is_present in zip(row.words, present, strict=True)]

@@ -312,6 +312,7 @@ class Hand:
         if others or now_s >= self._supervise_s:
             self._supervise_s = now_s + _SUPERVISE_S
             events = self._supervisor.add(frame_array(others), self._heard_s) + events
+            others.clear()
         elif not events:
             return
         for event in events:

@@ -8,21 +8,24 @@ import time
 import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.host.frames.frame_array import FrameArray, RawFrame
+from tipforce.host.frames.frame_array import RawFrame
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.trust import Trust
 from tipforce.samples.contact import Contact
 from tipforce.samples.record import Row, RowContacts, Rows
 from tipforce.samples.rows import RowAssembler
 
+_MOST_OTHERS = 10_000
+_new = object.__new__
+
 
 class Collector(RowAssembler):
     """See RowAssembler; ``trust`` sees every frame that is neither an answer nor a SYNC, in the order of the bus.
 
-    ``others``: these frames, of the last call.
+    ``others``: the last of these frames, for the caller to take.
     """
 
     def __init__(
@@ -33,18 +36,22 @@ class Collector(RowAssembler):
         health = next(message for message in tpdo_messages(gauges) if message.name == "Health")
         self.trust = Trust(self.node_ids, {can_id: k for can_id, (_, k, *_) in self._answers.items()}, health, gauges)
         self.lock, self.shown = self.trust.lock, self.trust.shown
-        self.others: list[RawFrame] = []
-
-    def add(self, frames: FrameArray, now_s: float) -> Rows:
-        """See RowAssembler."""
-        if self.others:
-            self.others = []
-        return super().add(frames, now_s)
+        self.others: deque[RawFrame] = deque(maxlen=_MOST_OTHERS)
 
     def _other(self, t_ns: int, can_id: int, length: int, word: int, now_s: float) -> None:
         self.others.append((t_ns, can_id, word.to_bytes(8, "little")[: min(length, 8)]))
         if can_id in self.trust.ids:
             self.trust.note(can_id, length, word, now_s)
+
+
+class _Given:
+    """The places of contacts that are given."""
+
+    __slots__ = ("places",)
+
+    def __init__(self, contacts: Sequence[Contact]) -> None:
+        self.places: dict[str | int, int] = {contact.name: place for place, contact in enumerate(contacts)}
+        self.places |= {contact.node_id: place for place, contact in enumerate(contacts)}
 
 
 class HandRow(Mapping[str, Contact]):
@@ -53,30 +60,38 @@ class HandRow(Mapping[str, Contact]):
     A finger without an answer is included: its ``status`` is NO_ANSWER and its values are NaN.
     """
 
-    __slots__ = ("_contacts", "_made", "_places", "_row", "number", "pairing", "t_s")
+    __slots__ = ("_contacts", "_made", "_row", "number", "pairing", "t_s")
     number: int
     """Number of the row since the start of the hand."""
     t_s: float
     """Time of the SYNC, seconds of the epoch."""
-    _contacts: RowContacts
-    _row: Row
     pairing: str
     """"numbered": each contact carries the number of this SYNC; "assumed": it came after this SYNC."""
+    _contacts: Any
+    _row: Row
 
     def __init__(self, number: int, t_s: float, contacts: Sequence[Contact], pairing: str = "numbered") -> None:
         self.number, self.t_s, self.pairing = number, t_s, pairing
-        self._made = dict(enumerate(contacts))
-        by_name: dict[str | int, int] = {contact.name: place for place, contact in enumerate(contacts)}
-        self._places = by_name | {contact.node_id: place for place, contact in enumerate(contacts)}
+        self._contacts, self._made = _Given(contacts), dict(enumerate(contacts))
+
+    def __getattr__(self, name: str) -> Any:
+        """Make ``t_s`` and ``pairing`` of a row when they are first read."""
+        if name == "t_s":
+            self.t_s = self._row[0] * 1e-9
+            return self.t_s
+        if name == "pairing":
+            self.pairing = "numbered" if self._row[1] else "assumed"
+            return self.pairing
+        raise AttributeError(f"HandRow has no {name!r}")
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
         """In the order of the hand file."""
-        return tuple(self[finger] for finger in self._places if isinstance(finger, int))
+        return tuple(self[finger] for finger in self._contacts.places if isinstance(finger, int))
 
     def __getitem__(self, finger: str | int) -> Contact:
         """Return the contact of a finger, by name or node-id. Raises KeyError, whose text names the fingers."""
-        place = self._places.get(finger)
+        place = self._contacts.places.get(finger)
         if place is None:
             known = ", ".join(f"{contact.name} ({contact.node_id})" for contact in self.contacts)
             raise KeyError(f"{finger!r}: the hand has {known}")
@@ -89,7 +104,7 @@ class HandRow(Mapping[str, Contact]):
         return (contact.name for contact in self.contacts)
 
     def __len__(self) -> int:
-        return sum(isinstance(finger, int) for finger in self._places)
+        return sum(isinstance(finger, int) for finger in self._contacts.places)
 
     def __str__(self) -> str:
         return " | ".join(f"{contact.name}: {contact}" for contact in self.contacts)
@@ -116,12 +131,12 @@ class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
 
 
 def rows_one_by_one(rows: Rows, contacts: RowContacts) -> list[HandRow]:
-    """Return each row of a block; a contact of one is made when it is first read."""
-    one_by_one = []
-    for number, (raw, made) in enumerate(zip(rows.raw, contacts.of(rows), strict=True), rows.first):
-        row = HandRow.__new__(HandRow)
-        row.number, row.t_s, row.pairing = number, raw[0] * 1e-9, "numbered" if raw[1] else "assumed"
-        row._row, row._made, row._contacts, row._places = raw, made, contacts, contacts.places
+    """Return each row of a block; what is read of one is made when it is first read."""
+    computed, one_by_one = contacts.computed(rows), list[HandRow]()
+    for raw in rows.raw:
+        row = _new(HandRow)
+        row.number, row._row, row._contacts = rows.first + len(one_by_one), raw, contacts
+        row._made = computed[len(one_by_one)] if computed else {}
         one_by_one.append(row)
     return one_by_one
 
