@@ -14,6 +14,7 @@ import pytest
 from tipforce.core import core
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.rows import Collector, rows_one_by_one
+from tipforce.host.hand.trust import COUNTER
 from tipforce.samples.record import RowContacts, Rows
 from tipforce.scene import beam_calibration
 
@@ -63,8 +64,9 @@ class Bus:
         if pick.random() < 0.3:
             pick.shuffle(answers)
         frames += answers
-        if pick.random() < 0.05:
-            other = pick.choice((0x701, 0x333, 0x80000281, 0x40000281, 0x481, 0x081))
+        if pick.random() < 0.1:
+            health = 0x480 + pick.randint(1, self.fingers)
+            other = pick.choice((0x701, 0x333, 0x80000281, 0x40000281, 0x081, *[health] * 5))
             data = pick.choice((b"\5", b"\0", struct.pack("<hHHBB", 2300, 1, 0, pick.choice((0, 0, 0, 1)), 0)))
             frames.insert(pick.randint(0, len(frames)), (self.t_ns, other, data))
         return late + frames if pick.random() < 0.5 else frames + late
@@ -90,7 +92,7 @@ def test_both_bodies_make_the_same_rows_in_any_calls(part: int) -> None:
         bus, own = Bus(pick), pick.random() < 0.9
         options: Any = range(1, bus.fingers + 1), bus.messages, 3, pick.choice((0.002, 0.02, 0.5)), own
         bodies = Collector(*options), InPython(*options)
-        waiting, now_s = list[Frame](), 0.0
+        waiting, now_s, known = list[Frame](), 0.0, pick.choice(({}, {COUNTER: 0}))
         for _ in range(150):
             waiting += bus.frames()
             while len(waiting) > pick.choice((0, 0, 4, 40)):
@@ -110,7 +112,7 @@ def test_both_bodies_make_the_same_rows_in_any_calls(part: int) -> None:
             if pick.random() < 0.03:
                 node_id, hides = pick.randint(1, bus.fingers), pick.random() < 0.2
                 for body in bodies:
-                    body.trust.hide(node_id) if hides else body.trust.learn(node_id, {})
+                    body.trust.hide(node_id) if hides else body.trust.learn(node_id, known)
         assert tally(bodies[0]) == tally(bodies[1]), seed
         assert bodies[0].shown == bodies[1].shown
     assert closed > 1400
