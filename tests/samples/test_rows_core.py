@@ -67,7 +67,7 @@ class Bus:
         if pick.random() < 0.1:
             health = 0x480 + pick.randint(1, self.fingers)
             other = pick.choice((0x701, 0x333, 0x80000281, 0x40000281, 0x081, *[health] * 5))
-            data = pick.choice((b"\5", b"\0", struct.pack("<hHHBB", 2300, 1, 0, pick.choice((0, 0, 0, 1)), 0)))
+            data = pick.choice((b"\5", b"\0", struct.pack("<hHHBB", 2300, 1, 0, pick.choice((0,) * 9 + (1,)), 0)))
             frames.insert(pick.randint(0, len(frames)), (self.t_ns, other, data))
         return late + frames if pick.random() < 0.5 else frames + late
 
@@ -92,7 +92,7 @@ def test_both_bodies_make_the_same_rows_in_any_calls(part: int) -> None:
         bus, own = Bus(pick), pick.random() < 0.9
         options: Any = range(1, bus.fingers + 1), bus.messages, 3, pick.choice((0.002, 0.02, 0.5)), own
         bodies = Collector(*options), InPython(*options)
-        waiting, now_s, known = list[Frame](), 0.0, pick.choice(({}, {COUNTER: 0}))
+        waiting, now_s, known = list[Frame](), 0.0, pick.choice(({}, {}, {COUNTER: 0}))
         for _ in range(150):
             waiting += bus.frames()
             while len(waiting) > pick.choice((0, 0, 4, 40)):
@@ -116,7 +116,7 @@ def test_both_bodies_make_the_same_rows_in_any_calls(part: int) -> None:
         assert tally(bodies[0]) == tally(bodies[1]), seed
         assert bodies[0].shown == bodies[1].shown
     assert closed > 1400
-    assert of_core > 500
+    assert of_core > 300
 
 
 @needs_core
