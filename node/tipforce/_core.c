@@ -2,8 +2,8 @@
 
    These are the fast bodies of Python functions that do the same. `parse` leaves lines that are not of the plain
    forms below to host/logs/candump.py, which alone judges them; `join` is join_here of host/decoding/sample_rule.py,
-   `rows` leaves what does not follow to samples/rows.py, `extract` is columns_of of host/decoding/columns.py. Without this module everything works, slower. Limited API of
-   Python 3.11: one build for all later versions. */
+   `extract` columns_of of host/decoding/columns.py; `rows` leaves what does not follow to samples/rows.py. Without
+   this module everything works, slower. Limited API of Python 3.11: one build for all later versions. */
 
 #define PY_SSIZE_T_CLEAN
 #define Py_LIMITED_API 0x030B0000
