@@ -84,6 +84,10 @@ class HandRow(Mapping[str, Contact]):
             return self.pairing
         raise AttributeError(f"HandRow has no {name!r}")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies and other processes get the values."""
+        return HandRow, (self.number, self.t_s, self.contacts, self.pairing)
+
     @property
     def contacts(self) -> tuple[Contact, ...]:
         """In the order of the hand file."""
