@@ -26,6 +26,12 @@ def put_back_process_state() -> Iterator[None]:
         logger.setLevel(level)
 
 
+@pytest.fixture(autouse=True)
+def no_interface(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a flag a command finds no bus, also on a machine with one."""
+    monkeypatch.setattr("tipforce.host.network.interfaces.interfaces", dict)
+
+
 @pytest.fixture
 def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
     """The devices that the loop was given; it ends at once, as by Ctrl-C."""

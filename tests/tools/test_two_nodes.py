@@ -8,7 +8,6 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import can
 import numpy as np
@@ -21,7 +20,7 @@ from tipforce.dictionary import objects as od
 from tipforce.errors import DuplicateNodeError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
-from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.events import Supervisor
 from tipforce.host.hand.file import HandPlan
 from tipforce.host.hand.hand import Hand
@@ -32,9 +31,9 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 from tipforce.watching.bus_monitor import BusMonitor
+from tipforce.watching.findings import Observed, findings
 from tipforce.watching.watcher import Finger, Watcher
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor.command import bus_checks, heard
 from tools.rig import Printed
 
 SAID = "two nodes respond as node 5"
@@ -165,24 +164,14 @@ def test_doctor_the_page_and_a_hand_say_it_of_frames(service: str, tmp_path: Pat
     with open_log(str(log_of(service, tmp_path))) as log:
         frames = np.concatenate(list(log))
     cause = SERVICES[service][1]
-    assert [(one.state, one.finding) for one in heard(frames) if one.state == "fail"] == [("fail", cause)]
+    seen = Observed()
+    seen.take(frames)
+    assert [finding.finding for finding in findings(seen) if finding.state == "fail"] == [cause]
     said = [] if service == "SDO" else [cause]  # their own SDO channels say that: those see all requests
     _, events = Watcher(Finger, fingers=[Finger(5)]).add(frames, 0.0)
     assert [event.text.partition(":")[0] for event in events if event.kind == "duplicate"] == said
     events = Supervisor([5]).add(frames, 0.0)
     assert [event.text.partition(":")[0] for event in events if event.kind == "duplicate"] == said
-
-
-def test_doctor_listens_longer_where_heartbeats_are_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
-    slept: list[float] = []
-    clock = SimpleNamespace(sleep=slept.append, monotonic=lambda: sum(slept))
-    monkeypatch.setattr("tipforce_tools.cli.listening.time", clock)
-    monkeypatch.setattr("tipforce_tools.doctor.command.BEATS_S", 0.5)
-    for beats, longer in ((1, 0.0), (2, 0.5), (10, 0.5), (11, 0.0)):
-        slept.clear()
-        monkeypatch.setattr(FrameBuffer, "can_ids", lambda _self, n=beats: [0x706, 0x185, 0x185, *[0x705] * n])
-        list(bus_checks({"interface": "virtual", "channel": new_channel()}, 0.1))
-        assert slept == [0.1, longer]
 
 
 def test_monitor_sees_the_samples_of_two_nodes() -> None:

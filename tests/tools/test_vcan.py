@@ -46,7 +46,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[str]]]:
 
 
 def fake_kernel(monkeypatch: pytest.MonkeyPatch, *, up: Sequence[str] = (), can_make: bool = False) -> None:
-    monkeypatch.setattr(host, "is_up", lambda name: name in up)
+    monkeypatch.setattr("tipforce.host.network.interfaces.interfaces", lambda: dict.fromkeys(up, True))
     monkeypatch.setattr(host, "can_make", lambda _interfaces: can_make)
 
 

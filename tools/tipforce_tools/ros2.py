@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.common import bus_options
+from tipforce_tools.cli.common import find_bus
 from tipforce_tools.cli.listening import add_sync_argument, check_sync, commissioned, counted, listening
 
 if TYPE_CHECKING:
@@ -126,9 +126,10 @@ def _feed(args: argparse.Namespace) -> Feed:
     if args.source is None or args.no_bring_up:
         return listening(args, hand_file)[0]
     if hand_file is not None:
+        from tipforce.host.hand.file import read_hand
         from tipforce.host.hand.hand import Hand
 
-        feed = commissioned(args, Hand.from_file(hand_file, **bus_options(args)))
+        feed = commissioned(args, Hand.from_file(hand_file, **find_bus(args, read_hand(hand_file).bus)))
         feed.take(0.0)  # reported already
         return feed
     from tipforce.host.logs.reader import open_log

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import threading
+import time
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -51,9 +52,13 @@ def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
 def run_scan(args: argparse.Namespace) -> int:
     """Print a line for each node; return 5 if there is none. Raises DuplicateNodeError for two with one node-id."""
     from tipforce.host.network.find import find_nodes
+    from tipforce.watching.findings import Observed, findings
 
     with common.open_connection(args) as connection:
-        nodes, remedies = find_nodes(connection, args.nodes, args.wait), common.Remedies(args)
+        begun_s = time.monotonic()
+        seen = Observed(duplicates=connection.duplicates)
+        nodes = find_nodes(connection, args.nodes, args.wait, seen.count)
+        seen.heard_s = time.monotonic() - begun_s
         for node in nodes:
             line = f"{common.shown_id(node.node_id):>11}  {node.state:15}  "
             if node.duplicate:
@@ -62,11 +67,18 @@ def run_scan(args: argparse.Namespace) -> int:
                 faults = f"  faults: {node.faults}" if node.faults else ""
                 line += f"{node.device:24}  serial {node.serial:<10}  {node.calibration:28}  EDS {node.eds}{faults}"
             common.print_record(args, asdict(node), line)
-            remedies.note(node.node_id, node.calibration)
-        if duplicates := [node.duplicate for node in nodes if node.duplicate]:
+        seen.add_nodes(nodes)
+        seen.link = common.link_of(args)
+        duplicates = [node.duplicate for node in nodes if node.duplicate]
+        said = findings(seen)
+        for finding in said:
+            if finding.topic != "faults" and str(finding) not in duplicates:
+                common.note(args, str(finding))
+        if duplicates:
             raise DuplicateNodeError("; ".join(duplicates))
     if not nodes:
-        common.note(args, "no node responded: is the bus powered and terminated, is the bit rate right?")
+        why = "" if said else ": is the bus powered and terminated, is the bit rate right?"
+        common.note(args, f"no node responded{why}")
     return 0 if nodes else 5
 
 
@@ -85,7 +97,10 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_read(args: argparse.Namespace) -> int:
     """Print ``count`` new samples of each finger: 0. Raises NoResponseError for a finger that gives none in time."""
-    remedies = common.Remedies(args)
+    from tipforce.samples.reasons import NOT_CALIBRATED
+    from tipforce.watching.findings import not_calibrated
+
+    bare: set[int] = set()
     with common.open_connection(args) as connection:
         for _ in range(args.count):
             for node_id in args.ids:
@@ -96,7 +111,9 @@ def run_read(args: argparse.Namespace) -> int:
                 record["microstrain"] = list(contact.microstrain)
                 u = f"u(P) {contact.u_P_newtons:.3f} N"
                 common.print_record(args, record, f"{common.shown_id(contact.node_id):>11}  {contact}  {u}")
-                remedies.note(contact.node_id, contact.reason)
+                if NOT_CALIBRATED in contact.reason and node_id not in bare:
+                    bare.add(node_id)
+                    common.note(args, str(not_calibrated(node_id)))
                 if not args.json:
                     sys.stdout.flush()
     return 0
@@ -167,12 +184,11 @@ def run_nmt(args: argparse.Namespace) -> int:
 
     Raises NoResponseError for a node that does not report the state in time, after printing those that do.
     """
-    from tipforce.host.network.bus import Bus
     from tipforce.host.network.nmt import NotReachedError, command_and_wait
 
     if args.wait is not None and not args.ids:
         raise InputError("nmt all --wait: needs node-ids, for example 1-5")
-    with Bus(common.open_bus(args)) as connection:
+    with common.open_connection(args) as connection:
         if args.wait is None:
             for node_id in args.ids or [0]:
                 connection.nmt(args.command, node_id)
@@ -216,13 +232,12 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_lss(args: argparse.Namespace) -> int:
     """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
-    from tipforce.host.network.bus import Bus
     from tipforce.host.network.lss import LssMaster
 
     _check_lss(args)
     if args.action == "store" or args.store:
         common.confirm(args, "this replaces the stored node-id")
-    with Bus(common.open_bus(args)) as connection, LssMaster(connection, args.lss_timeout) as master:
+    with common.open_connection(args) as connection, LssMaster(connection, args.lss_timeout) as master:
         if args.action == "scan":
             address = master.fastscan()
             if address is None:

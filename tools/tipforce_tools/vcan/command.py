@@ -91,11 +91,13 @@ def choose(interfaces: Sequence[str], place: str = "auto") -> str:
 
     `place` restricts the choice. Raises EnvironmentLackError when it is ``"host"`` and this kernel has no vcan.
     """
+    from tipforce.host.network.interfaces import interfaces as can_interfaces
     from tipforce_tools.vcan import host
 
     if place == "uml":
         return "uml"
-    if all(host.is_up(name) for name in interfaces):
+    known = can_interfaces()
+    if all(known.get(name) for name in interfaces):
         return "direct"
     if host.can_make(interfaces):
         return "namespace"

@@ -1,13 +1,11 @@
 """This machine: its programs and packages, its kernel's vcan; a command on it, with or without a network namespace."""
 
 import contextlib
-import fcntl
 import os
 import re
 import shutil
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import tempfile
@@ -33,10 +31,6 @@ _PROGRAMS = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod",
 _MACHINES = ("x86_64", "i686", "i586", "i386")  # Debian builds the package for these
 _MODULES = Path("/usr/lib/uml/modules")
 SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-_SIOCGIFFLAGS = 0x8913  # linux/sockios.h
-_SIOCGIFHWADDR = 0x8927
-_IFF_UP = 1
-_ARPHRD_CAN = 280  # linux/if_arp.h
 
 # Run inside a separate network namespace: NAME... -- COMMAND. A new sysfs mount shows the namespace's interfaces.
 _MAKE_BUSES = """set -e
@@ -74,18 +68,6 @@ def require_parts() -> None:
             "this kernel has no vcan, and User-mode Linux, which has it, is not installed completely: install it with "
             f"`apt-get install -y {' '.join(lacking)}` (as root); {ELSEWHERE}"
         )
-
-
-def is_up(interface: str) -> bool:
-    """Return whether a CAN interface of this name exists in this network namespace and is up."""
-    request = struct.pack("16s24x", interface.encode())
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
-        try:
-            flags = struct.unpack_from("H", fcntl.ioctl(asker, _SIOCGIFFLAGS, request), 16)[0]
-            kind = struct.unpack_from("H", fcntl.ioctl(asker, _SIOCGIFHWADDR, request), 16)[0]
-        except OSError:
-            return False
-    return bool(flags & _IFF_UP) and kind == _ARPHRD_CAN
 
 
 def namespace_command(interfaces: Sequence[str], command: Sequence[str]) -> list[str]:

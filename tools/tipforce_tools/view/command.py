@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.common import bus_options
 
 if TYPE_CHECKING:
     from tipforce_tools.view.guard import Guard
@@ -84,9 +83,11 @@ def _source(args: argparse.Namespace, path: Path | None) -> Iterator[Source]:
         common.note(args, f"{path}: running the scene")
         source = scene_source(path, maker, args.start_s, args.end_s)
     elif is_table:
+        from tipforce.host.hand.file import read_hand
         from tipforce.host.hand.hand import Hand
 
-        source = LiveSource(commissioned(args, Hand.from_file(path, **bus_options(args)), fallback), path.name)
+        hand = Hand.from_file(path, **common.find_bus(args, read_hand(path).bus))
+        source = LiveSource(commissioned(args, hand, fallback), path.name)
     elif str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
     else:
