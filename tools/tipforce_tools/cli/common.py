@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.interfaces import Link
 
+_LINE_S = 10.0
 _BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 
 
@@ -355,11 +356,23 @@ def note(args: argparse.Namespace, text: str) -> None:
 def progress(
     args: argparse.Namespace, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
 ) -> Iterator[Callable[..., None]]:
-    """Show a progress bar on stderr if it is a terminal, not with -q; call the result after each of ``total`` steps,
-    or with the number of steps since the last call; with ``absolute`` with the number of all steps so far.
+    """Show a progress bar on stderr, or if that is no terminal a line each 10 s; nothing with -q.
+
+    Call the result after each of ``total`` steps, or with the number of steps since the last call; with ``absolute``
+    with the number of all steps so far.
     """
     if args.quiet or not sys.stderr.isatty():
-        yield lambda _steps=1: None
+        begun_s = said_s = time.monotonic()
+        done = 0.0
+
+        def count(steps: float = 1) -> None:
+            nonlocal done, said_s
+            done = steps if absolute else done + steps
+            if not args.quiet and time.monotonic() >= said_s + _LINE_S:
+                said_s = time.monotonic()
+                note(args, f"{what.strip()}: {done:g} of {total:g}, {said_s - begun_s:.0f} s")
+
+        yield count
         return
     from rich.progress import Progress
 

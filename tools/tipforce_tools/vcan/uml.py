@@ -36,6 +36,7 @@ from tipforce_tools.vcan.host import (
 PIPE_CLOSED = 141  # 128 + SIGPIPE: the shell's exit code for a writer whose reader closed the pipe
 BOOT_LIMIT_S = 120.0
 HALT_LIMIT_S = 10.0
+_LINE_S = 10.0  # between two lines while it boots
 _COMPILERS = ("gcc", "cc", "clang")
 _INSTALL = "`apt-get install -y gcc libc6-dev` (as root)"
 
@@ -134,10 +135,13 @@ class _Machine:
 
     def follow(self, timeout_s: float | None) -> int:
         """Copy the output until the machine has halted; return the command's exit code."""
-        begin = quiet_since = time.monotonic()
+        begin = quiet_since = said = time.monotonic()
         while True:
             ended = self.process.poll() is not None
             now = time.monotonic()
+            if now - said > _LINE_S and self._file("started") is None:
+                said = now
+                print(f"tipforce vcan: User-mode Linux boots, {now - begin:.0f} s\r", file=sys.stderr)
             if self._copy_output():
                 quiet_since = time.monotonic()
             elif ended or (self._file("status") and now - quiet_since > HALT_LIMIT_S):
