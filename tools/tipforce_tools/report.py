@@ -24,7 +24,9 @@ packages are left out: pip install "tipforce[report]". Exit code 1: a claim did 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce report`."""
     parser.epilog = EPILOG
-    parser.add_argument("--quick", action="store_true", help="fewer samples and runs: 75 s of processor time, not ten minutes")
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer samples and runs: 75 s of processor time, not ten minutes"
+    )
     parser.add_argument("--only", metavar="KEY[,KEY]", help="studies, stability, or cases by key, area or pattern")
     parser.add_argument("--list", action="store_true", help="list studies and cases without running them")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write a page, report.jsonl and plots there")

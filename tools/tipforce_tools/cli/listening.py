@@ -91,7 +91,7 @@ class Hints:
         found = []
         for name, seen in named.items():
             seen.heard_s = time.monotonic() - self._begun_s
-            with suppress(BlockingIOError, KeyError):
+            with suppress(OSError, KeyError):  # none is waiting, or the interface is down
                 while self._errors[name].recv(72, socket.MSG_DONTWAIT):
                     seen.errors += 1
             if name in self._errors and (seen.errors or (not seen.frames and seen.heard_s >= SILENT_S)):

@@ -15,7 +15,7 @@ from tipforce_tools.cli.common import (
     progress,
     whole_number,
 )
-from tipforce_tools.view.command import add_page_arguments
+from tipforce_tools.view.serving import add_page_arguments, page_guard, serve
 
 if TYPE_CHECKING:
     from tipforce_tools.demo.job import Result
@@ -69,7 +69,6 @@ def _view(args: argparse.Namespace) -> int:
     """Serve the page with the scene of a hand, in a loop, until Ctrl-C. Its time is simulated: no row is missing."""
     from tipforce.shipped_files import file_or_shipped
     from tipforce.watching.watcher import finger_maker
-    from tipforce_tools.view.command import page_guard, serve
     from tipforce_tools.view.sources import scene_source
 
     guard = page_guard(args)
