@@ -28,11 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit code 1: an expectation of the scene ([[expect]]) did not hold.\n"
         "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
     )
-    parser.add_argument(
-        "scene",
-        metavar="SCENE",
-        help="a TOML file, or a shipped scene: grasp",
-    )
+    parser.add_argument("scene", metavar="SCENE", help="a TOML file, or a shipped scene: grasp")
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
     parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")
     parser.add_argument("-o", "--log", metavar="LOG", help="write every frame to this file, as candump -L does")

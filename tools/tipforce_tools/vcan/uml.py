@@ -71,10 +71,7 @@ def run_in_uml(
     require_parts()
     terminal = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
     terminate_as_interrupt()
-    with (
-        tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as name,
-        _terminal_kept(terminal),
-    ):
+    with tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as name, _terminal_kept(terminal):
         folder = Path(name)
         _write_request(folder, command, interfaces, writable, terminal)
         try:
