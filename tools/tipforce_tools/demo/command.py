@@ -6,15 +6,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
-from tipforce_tools.cli.common import (
-    add_output_arguments,
-    note,
-    print_json,
-    print_record,
-    print_rows,
-    progress,
-    whole_number,
-)
+from tipforce_tools.cli import common
 from tipforce_tools.view.serving import add_page_arguments, page_guard, serve
 
 if TYPE_CHECKING:
@@ -30,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "over all comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution."
     )
     parser.add_argument(
-        "--seed", type=whole_number, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)"
+        "--seed", type=common.whole_number, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)"
     )
     parser.add_argument(
         "--spoil", action="store_true", help="corrupt one element of each calibration matrix: the demo must fail"
@@ -39,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     shown.add_argument("--table", action="store_true", help="print each load: true, estimated, error, uncertainty")
     shown.add_argument("--view", action="store_true", help="instead, serve a web page with a moving simulated hand")
     add_page_arguments(parser)
-    add_output_arguments(parser)
+    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -52,11 +44,11 @@ def run(args: argparse.Namespace) -> int:
 
     started_s = time.monotonic()
     results: list[Result] = []
-    with progress(args, "loads", 2 * len(GROOVES_DEG)) as advance:
-        for result in run_demo(args.seed, args.spoil, lambda line: note(args, line), advance):
+    with common.progress(args, "loads", 2 * len(GROOVES_DEG)) as advance:
+        for result in run_demo(args.seed, args.spoil, lambda line: common.note(args, line), advance):
             results.append(result)
             if args.json:
-                print_json(_record(result))
+                common.print_json(_record(result))
     shown = [result for result in results if args.table or not (result.inside and result.host_agrees)]
     for case in () if args.json else CASES:
         of_case = [result for result in shown if result.case == case]
@@ -100,7 +92,7 @@ def _print_table(args: argparse.Namespace, case: str, results: list[Result]) -> 
             ]
         rows.append([*cells, "ok" if ok else "OUT"])
     title = f"Case {case}: applied, estimated by the node, error, standard uncertainty"
-    print_rows(args, title, [">sense", *headings, ">"], rows, [None if ok else "bold red" for ok in good])
+    common.print_rows(args, title, [">sense", *headings, ">"], rows, [None if ok else "bold red" for ok in good])
 
 
 def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) -> int:
@@ -123,5 +115,5 @@ def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) 
         f"errors outside their bound: {outside}; host estimates that differ from the node's: {disagree}\n"
         f"{'PASS' if ok else 'FAIL'} in {elapsed_s:.1f} s"
     )
-    print_record(args, record, text)
+    common.print_record(args, record, text)
     return 0 if ok else 1
