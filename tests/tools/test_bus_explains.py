@@ -13,18 +13,13 @@ from types import SimpleNamespace
 import pytest
 from bench.measure import background
 
-from canopen_device.core.node import Device
 from host.bus_with_nodes import beam_calibration, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError
-from tipforce.fingertip.node import fingertip_node
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.interfaces import Link, link_of
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
-from tipforce.sources.simulated import SimulatedSource
 from tipforce.watching.findings import Observed, findings
 from tipforce_tools.cli.main import main
 
@@ -43,11 +38,6 @@ COMMANDS = (
     "view --port 0",
     "doctor --listen 0.3",
 )
-
-
-def node(serial: int, node_id: int = 5) -> Device:
-    source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist(), 1.0, seed=serial)
-    return fingertip_node(node_id, source, serial=serial)
 
 
 @pytest.fixture(autouse=True)
@@ -72,7 +62,7 @@ def situation(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
     name, channel = request.param, new_channel()
     with ExitStack() as opened:
         if name != "silent":
-            nodes = [node(1005), *([node(1006)] if name == "two nodes" else [])]
+            nodes = [finger(5), *([finger(5, serial=1006, seed=2)] if name == "two nodes" else [])]
             connection = opened.enter_context(Bus.open(channel, "virtual"))
             opened.enter_context(running(nodes, channel))
             connection.wait_for({0x705})

@@ -14,11 +14,9 @@ import numpy as np
 import pytest
 
 from canopen_device.core.node import Device
-from canopen_device.running.store import FileStore
-from host.bus_with_nodes import beam_calibration, connected, new_channel, running
+from host.bus_with_nodes import beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.errors import DuplicateNodeError
-from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.events import Supervisor
@@ -27,9 +25,6 @@ from tipforce.host.hand.hand import Hand
 from tipforce.host.logs.reader import open_log
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.faulty_bus import Faults, FaultyBus
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
-from tipforce.sources.simulated import SimulatedSource
 from tipforce.watching.bus_monitor import BusMonitor
 from tipforce.watching.findings import Observed, findings
 from tipforce.watching.watcher import Finger, Watcher
@@ -61,11 +56,8 @@ SPEAKING = (
 
 
 def node(serial: int, folder: Path | None = None) -> Device:
-    source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist(), 1.0, seed=serial)
-    store = None if folder is None else FileStore(folder / f"{serial}.json")
-    return fingertip_node(
-        5, source, serial=serial, save=store.save if store else None, load=store.load if store else None
-    )
+    store = None if folder is None else folder / f"{serial}.json"
+    return finger(5, store=store, noise_microstrain=1.0, seed=serial, serial=serial)
 
 
 @pytest.fixture(scope="module", params=[1006, 1005], ids=["other serial", "same serial"])
