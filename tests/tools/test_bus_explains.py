@@ -95,6 +95,11 @@ def test_the_first_command_names_cause_and_remedy(
         assert code == (name in ("two nodes", "not calibrated"))
 
 
+def test_what_a_filter_leaves_out_is_not_missing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", f"{new_channel()},185:7FF", "--decode", "-T", "500", "-i", "virtual"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize("command", ["hand check FILE", "doctor FILE --listen 0.3"])
 def test_swapped_serial_numbers(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The remedy that is named helps."""
@@ -130,7 +135,7 @@ def link(**data: object) -> Link:
         (Observed(errors=7, link=link()), "of the nodes (500000 bit/s here)", "set can0 up type can bitrate 1000000"),
         (
             Observed(heard_s=3.0, link=link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0})),
-            "can0 counts errors and no frame",
+            "error-passive, errors sent 128, received 0, and no frame",
             "set can0 up type can bitrate 1000000",
         ),
         (Observed(heard_s=3.0, link=link(state="BUS-OFF")), "can0 is bus-off", "type can restart"),

@@ -60,7 +60,7 @@ def test_a_bus_that_does_not_open(printed: Printed) -> None:
         (can_link(), "ok", "up, 500000 bit/s", ""),
         (can_link() | {"flags": ["NOARP"]}, "fail", "down, 500000", "ip link set can0 up type can bitrate 500000"),
         (can_link(state="BUS-OFF"), "fail", "bus-off", "type can restart"),
-        (can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0}), "fail", "sent 128", "terminators"),
+        (can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0}), "fail", "sent 128", "bitrate 1000000"),
         (can_link() | {"txqlen": 10}, "note", "queue of 10", "txqueuelen 1000"),
         (UP | {"linkinfo": {"info_kind": "vcan"}, "txqlen": 10}, "ok", "up, virtual", ""),
     ],

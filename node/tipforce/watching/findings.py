@@ -136,9 +136,11 @@ def of_the_wire(seen: Observed) -> Iterator[Finding]:
         step = f"sudo ip link set {name} type can restart; restart-ms 100 restarts automatically"
         yield Finding("traffic", "fail", f"{name} is bus-off", step)
     elif not seen.frames and (seen.errors or (link is not None and link.disturbed)):
-        counted = f"{seen.errors} error frames" if seen.errors else f"{name} counts errors"
+        counted = f"{seen.errors} error frames"
+        if link is not None and not seen.errors:
+            counted = f"{link.state.lower()}, errors sent {link.errors_sent}, received {link.errors_received}"
         at = f" ({link.bit_rate} bit/s here)" if link is not None and link.bit_rate else ""
-        cause = f"another bit rate than that of the nodes{at}, or no node acknowledges: {counted} and no frame"
+        cause = f"another bit rate than that of the nodes{at}, or no node acknowledges: {counted}, and no frame"
         step = f"`sudo ip link set {name} down && sudo ip link set {name} up type can bitrate {RATE}`"
         yield Finding("traffic", "fail", cause, f"-b {RATE}" if link is None else step)
     elif seen.errors:

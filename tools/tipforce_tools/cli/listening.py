@@ -44,6 +44,9 @@ def check_sync(args: Namespace, source: object) -> None:
         raise InputError(f"--sync: {source} is no bus to listen to; leave the flag out")
 
 
+_HINT_S = 0.5
+
+
 class Hints:
     """What a bus lacks to which a command listens; ``seen``: by interface. ``say`` gets each line once."""
 
@@ -100,9 +103,6 @@ class Hints:
         return found
 
 
-_HINT_S = 0.5
-
-
 def _group(
     args: Namespace,
     buses: Sequence[dict[str, Any]],
@@ -152,7 +152,8 @@ def open_targets(
 ) -> ReceiverGroup:
     """Listen to ``targets``, each on its channel; without targets, to the bus that the flags name.
 
-    ``tick_s`` is the minimum time between two batches (None: that of a live display); ``hints`` see the frames.
+    ``tick_s`` is the minimum time between two batches (None: that of a live display). ``hints`` see the frames of buses
+    without filters.
 
     Raises EnvironmentLackError if a bus cannot be opened, after closing the others.
     """
@@ -161,6 +162,8 @@ def open_targets(
     options = common.find_bus(args, named=bool(targets))
     buses = [{**options, "channel": target.channel} for target in targets] or [options]
     selections = [target.selection for target in targets] or [Selection()]
+    if any(selection.filters for selection in selections):
+        hints = None  # what a filter leaves out is not missing
     return _group(args, buses, selections, TICK_S if tick_s is None else tick_s, hints)
 
 

@@ -10,13 +10,14 @@ import socket
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.core import core, how_to_build
 from tipforce.errors import TipforceError
 from tipforce.host.network.interfaces import Link, interfaces, links
-from tipforce.watching.findings import RATE, Finding
+from tipforce.watching.findings import RATE, Finding, Observed, of_the_wire
 
 if TYPE_CHECKING:
     from tipforce.sources.iio_sysfs import Device
@@ -69,11 +70,7 @@ def interface_check(link: Link) -> Finding:
         rate = "" if link.virtual else f" type can bitrate {link.bit_rate or RATE}"
         return Finding(topic, "fail", f"down, {kind}", f"sudo ip link set {link.name} up{rate}")
     if link.state not in ("", "ERROR-ACTIVE"):
-        finding = f"{link.state.lower()} (errors sent {link.errors_sent}, received {link.errors_received})"
-        step = "no acknowledgement, or different bit rates: check power, the two 120 ohm terminators, CAN-H and CAN-L"
-        if link.state == "BUS-OFF":
-            step = f"sudo ip link set {link.name} type can restart; restart-ms 100 restarts automatically"
-        return Finding(topic, "fail", finding, step)
+        return replace(next(of_the_wire(Observed(link=link))), topic=topic)
     if not link.virtual and link.queue is not None and link.queue < SHORT_QUEUE:
         step = f"sudo ip link set {link.name} txqueuelen 1000"
         return Finding(topic, "note", f"up, {kind}, transmit queue of {link.queue} frames", step)
