@@ -93,7 +93,7 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
         "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
         "design": (_DESIGN, "recompute the paper's tables, sweep and optimise the structure"),
         "report": ("tipforce_tools.report", "measure error against run time, and check extreme cases"),
-        "doctor": ("tipforce_tools.doctor.command", "find what this machine lacks for a working bus"),
+        "doctor": ("tipforce_tools.doctor.command", "find what this machine and its bus lack"),
     },
 }
 COMMANDS = {name: entry for commands in GROUPS.values() for name, entry in commands.items()}
