@@ -132,7 +132,11 @@ def link(**data: object) -> Link:
     ("seen", "finding", "step"),
     [
         (Observed(errors=7), "another bit rate than that of the nodes, or no node acknowledges: 7 error", "-b 1000000"),
-        (Observed(errors=7, link=link()), "of the nodes (500000 bit/s here)", "set can0 up type can bitrate 1000000"),
+        (
+            Observed(errors=7, link=link()),
+            "(500000 bit/s here), or no node acknowledges: 7 error frames, and",
+            "set can0 up type can bitrate 1000000",
+        ),
         (
             Observed(heard_s=3.0, link=link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0})),
             "error-passive, errors sent 128, received 0, and no frame",

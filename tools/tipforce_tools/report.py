@@ -24,15 +24,11 @@ packages are left out: pip install "tipforce[report]". Exit code 1: a claim did 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce report`."""
     parser.epilog = EPILOG
-    parser.add_argument(
-        "--quick", action="store_true", help="fewer samples and runs: 75 s of processor time, not ten minutes"
-    )
+    parser.add_argument("--quick", action="store_true", help="less of all: 75 s of processor time, not ten minutes")
     parser.add_argument("--only", metavar="KEY[,KEY]", help="studies, stability, or cases by key, area or pattern")
     parser.add_argument("--list", action="store_true", help="list studies and cases without running them")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write a page, report.jsonl and plots there")
-    parser.add_argument(
-        "--seed", type=common.whole_number, default=None, metavar="N", help="of all random numbers (default: fixed)"
-    )
+    parser.add_argument("--seed", type=common.whole_number, metavar="N", help="of all random numbers (default: fixed)")
     parser.add_argument("--date", metavar="TEXT", help="date printed in the report (default: now)")
     common.add_output_arguments(parser)
 

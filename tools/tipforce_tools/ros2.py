@@ -38,21 +38,14 @@ ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and CYCLONEDDS_
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce ros2`."""
     parser.description, parser.epilog = DESCRIPTION, EPILOG
-    parser.add_argument(
-        "source",
-        nargs="?",
-        type=common.InputFile(),
-        metavar="HAND.toml|LOG",
-        help="a hand file, or a log (default: listen to the bus)",
-    )
+    what = "a hand file, or a log (default: listen to the bus)"
+    parser.add_argument("source", nargs="?", type=common.InputFile(), metavar="HAND.toml|LOG", help=what)
     parser.add_argument("--namespace", default="/tipforce", metavar="NS", help="of the topics (default %(default)s)")
     parser.add_argument("--domain", type=int, metavar="N", help="ROS 2 domain (default: ROS_DOMAIN_ID, else 0)")
     parser.add_argument("--allow-tare", action="store_true", help="hand file: subscribe to the topics .../tare")
     parser.add_argument("--no-bring-up", action="store_true", help="hand file: only listen, change nothing")
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="bus or log: only these, 1,2,5-9")
-    parser.add_argument(
-        "--gauges", type=int, default=3, metavar="N", help="bus or log: of each finger, 3 to 8 (default 3)"
-    )
+    parser.add_argument("--gauges", type=int, default=3, metavar="N", help="bus or log: of a finger, 3 to 8 (3)")
     add_sync_argument(parser)
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="log: times recorded speed (default 1)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this time")

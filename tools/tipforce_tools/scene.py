@@ -32,9 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
     parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")
     parser.add_argument("-o", "--log", metavar="LOG", help="write every frame to this file, as candump -L does")
-    parser.add_argument(
-        "--explain", action="store_true", help="run nothing: list what the scene builds, what it leaves out, and why"
-    )
+    parser.add_argument("--explain", action="store_true", help="run nothing: list what is built and left out, and why")
     parser.add_argument("--cost", action="store_true", help="--explain: also measure each part's run and import time")
     parser.add_argument("--realtime", action="store_true", help="without -i and -c: on a bus inside this process")
     add_bus_name_arguments(parser)

@@ -37,9 +37,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--json", action="store_true", help="print JSON lines on stdout")
     group.add_argument("-q", "--quiet", action="store_true", help="print only errors on stderr")
     group.add_argument("-v", "--verbose", action="store_true", help="print more on stderr")
-    group.add_argument(
-        "--color", choices=("auto", "always", "never"), default="auto", help="default: auto, which follows NO_COLOR"
-    )
+    group.add_argument("--color", choices=("auto", "always", "never"), default="auto", help="auto follows NO_COLOR")
 
 
 def set_up_logging(args: argparse.Namespace) -> None:
@@ -69,9 +67,7 @@ def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
     bus_flags.add_bus_arguments(parser)
     group = parser.add_argument_group("SDO")
     add_numbers(group, ("--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", timeout))
-    group.add_argument(
-        "--retries", type=whole_number, default=2, metavar="N", help="after a timeout (default %(default)s)"
-    )
+    group.add_argument("--retries", type=whole_number, default=2, metavar="N", help="after a timeout (%(default)s)")
     add_output_arguments(parser)
 
 

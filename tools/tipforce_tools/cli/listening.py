@@ -33,9 +33,7 @@ _sync_hz = common.number_within(0.0, 10_000.0, "is above 0 up to 10000 Hz", over
 
 def add_sync_argument(parser: argparse.ArgumentParser) -> None:
     """`--sync HZ`, of all that listen to a bus."""
-    parser.add_argument(
-        "--sync", type=_sync_hz, metavar="HZ", help="bus: also send SYNCs, where no other device sends them"
-    )
+    parser.add_argument("--sync", type=_sync_hz, metavar="HZ", help="bus: also send SYNCs, where nobody else does")
 
 
 def check_sync(args: Namespace, source: object) -> None:

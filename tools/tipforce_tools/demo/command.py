@@ -24,9 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=common.whole_number, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)"
     )
-    parser.add_argument(
-        "--spoil", action="store_true", help="corrupt one element of each calibration matrix: the demo must fail"
-    )
+    parser.add_argument("--spoil", action="store_true", help="corrupt an element of each matrix: the demo must fail")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--table", action="store_true", help="print each load: true, estimated, error, uncertainty")
     shown.add_argument("--view", action="store_true", help="instead, serve a web page with a moving simulated hand")

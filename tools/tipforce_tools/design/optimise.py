@@ -41,9 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--load", 4.4, "N", "of every push (default %(default)s)", float),
     )
     group = parser.add_argument_group("limits")
-    group.add_argument(
-        "--envelope", default="30,30.2", metavar="X,Y", help="mm: 2 r across, d + h1/2 + r high (%(default)s)"
-    )
+    group.add_argument("--envelope", default="30,30.2", metavar="X,Y", help="mm: 2 r by d + h1/2 + r (%(default)s)")
     common.add_numbers(
         group,
         ("--width", 10.0, "MM", "of the beams (default %(default)s)", float),

@@ -336,9 +336,7 @@ def add_firmware_install_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_ids(parser)
     parser.add_argument("file", type=common.InputFile(), metavar="FILE", help="program image")
-    parser.add_argument(
-        "--allow-downgrade", action="store_true", help="install an image that is older than the program"
-    )
+    parser.add_argument("--allow-downgrade", action="store_true", help="install an image older than the program")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     parser.set_defaults(timeout=3.0)  # a node checks the complete image before it responds to the last block

@@ -31,9 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce vcan` to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument(
-        "--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (default: %(default)s)"
-    )
+    parser.add_argument("--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (%(default)s)")
     parser.add_argument("--memory", default="2G", metavar="SIZE", help="of User-mode Linux (default: %(default)s)")
     parser.add_argument("--timeout", type=common.seconds, metavar="S", help="end COMMAND after S seconds, exit with 1")
     parser.add_argument("--attach", action="store_true", help="run COMMAND on the buses of a running `tipforce vcan`")
@@ -45,9 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     places.add_argument(
         "--host", dest="place", action="store_const", const="host", help="use this kernel; an error if it has no vcan"
     )
-    parser.add_argument(
-        "command", nargs=argparse.REMAINDER, metavar="-- COMMAND ...", help="default: a shell, on a terminal"
-    )
+    parser.add_argument("command", nargs=argparse.REMAINDER, metavar="-- COMMAND ...", help="default: a shell")
 
 
 def run(args: argparse.Namespace) -> int:
