@@ -197,3 +197,6 @@ def test_the_interface_is_the_only_one_that_is_up(
     err = capsys.readouterr().err
     assert said in err
     assert ("it would open" in err and "can0" in err) == said.startswith("bus")
+    if command == "scan":  # a channel alone is an interface of the kernel
+        assert main(["scan", "-c", "can7"]) == 2
+        assert re.search("would open .*can7", capsys.readouterr().err)

@@ -42,13 +42,19 @@ def run(args: argparse.Namespace) -> int:
         _print_list(args)
         return 0
     effort = Effort(args.quick) if args.seed is None else Effort(args.quick, args.seed)
-    if args.output is not None:
-        _require_output(args.output)
+    if args.output is not None:  # before minutes of work: matplotlib and the folder of the page
+        from tipforce.output_file import make_folder
+        from tipforce_lab.report.page import write
+        from tipforce_lab.report.plots import plotting
+
+        with plotting():
+            make_folder(args.output)
     date = args.date or datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
     job = Run(selected(args.only), effort, date)
     _carry_out(job, args)
     if args.output is not None:
-        _write(job, args)
+        page, *others = write(job.report, args.output, common.json_line)
+        common.note(args, f"written: {page}, and {len(others)} more files")
     return 0 if job.report.sound() else 1
 
 
@@ -66,16 +72,6 @@ def _print_list(args: argparse.Namespace) -> None:
             print(f"{key:36} {kind:8} {what}")
 
 
-def _require_output(directory: Path) -> None:
-    """Check, before minutes of work, matplotlib and the folder of the page. Raises the errors of plots and mkdir."""
-    from tipforce.output_file import make_folder
-    from tipforce_lab.report.plots import plotting
-
-    with plotting():
-        pass
-    make_folder(directory)
-
-
 def _carry_out(job: Run, args: argparse.Namespace) -> None:
     from tipforce_lab.report import text
 
@@ -91,10 +87,3 @@ def _carry_out(job: Run, args: argparse.Namespace) -> None:
         common.note(args, text.summary(job.report))
     else:
         text.print_report(common.console(args), job.report)
-
-
-def _write(job: Run, args: argparse.Namespace) -> None:
-    from tipforce_lab.report.page import write
-
-    page, *others = write(job.report, args.output, common.json_line)
-    common.note(args, f"written: {page}, and {len(others)} more files")

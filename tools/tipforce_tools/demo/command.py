@@ -46,7 +46,11 @@ def run(args: argparse.Namespace) -> int:
         for result in run_demo(args.seed, args.spoil, lambda line: common.note(args, line), advance):
             results.append(result)
             if args.json:
-                common.print_json(_record(result))
+                record: dict[str, object] = {"case": result.case, "sense": result.sense}
+                for name in ("applied", "estimated", "error", "u", "bound", "host", "host_bound"):
+                    for quantity, value in zip(("P_N", "phi_deg", "theta_deg"), getattr(result, name), strict=True):
+                        record[f"{name}_{quantity}"] = float(value)
+                common.print_json(record | {"inside": result.inside, "host_agrees": result.host_agrees})
     shown = [result for result in results if args.table or not (result.inside and result.host_agrees)]
     for case in () if args.json else CASES:
         of_case = [result for result in shown if result.case == case]
@@ -65,14 +69,6 @@ def _view(args: argparse.Namespace) -> int:
     source = scene_source(file_or_shipped("hand", "scenes"), finger_maker())
     source.loops = True
     return serve(args, source, guard)
-
-
-def _record(result: Result) -> dict[str, object]:
-    record: dict[str, object] = {"case": result.case, "sense": result.sense}
-    for name in ("applied", "estimated", "error", "u", "bound", "host", "host_bound"):
-        for quantity, value in zip(("P_N", "phi_deg", "theta_deg"), getattr(result, name), strict=True):
-            record[f"{name}_{quantity}"] = float(value)
-    return record | {"inside": result.inside, "host_agrees": result.host_agrees}
 
 
 def _print_table(args: argparse.Namespace, case: str, results: list[Result]) -> None:

@@ -173,7 +173,8 @@ def _sentences(args: argparse.Namespace, outcome: Outcome) -> list[str]:
 
     best, first, least = outcome.best, outcome.paper[0], outcome.condition_only
     lines = [
-        f"{best.name}: u(theta) {_change(best, reference)} against case {reference.name}, condition number "
+        f"{best.name}: u(theta) {100 * (_ratio(best, reference, 'u_theta_deg') - 1):+.1f} % against case "
+        f"{reference.name}, condition number "
         f"{best.theory.condition_number:.3f} against {reference.theory.condition_number:.3f}"
         for reference in outcome.paper
         if reference.name in ("I", "I glued")
@@ -223,7 +224,3 @@ def _summary(args: argparse.Namespace, outcome: Outcome) -> dict[str, object]:
 def _ratio(entry: Assessment, reference: Assessment, figure: str) -> float:
     below = float(getattr(reference.theory, figure))
     return float(getattr(entry.theory, figure)) / below if below else float("nan")
-
-
-def _change(entry: Assessment, reference: Assessment) -> str:
-    return f"{100 * (_ratio(entry, reference, 'u_theta_deg') - 1):+.1f} %"

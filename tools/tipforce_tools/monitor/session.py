@@ -173,14 +173,11 @@ COLUMNS = ("node", "Hz", "period ms p50/p99/max", "age", *QUANTITIES, "status", 
 
 def record(buses: Sequence[BusView], t_s: float | None, bitrate: int) -> dict[str, Any]:
     """Return one JSON record: all buses at a time in seconds."""
-    return {"t": t_s, "buses": [_bus_record(bus, bitrate) for bus in buses]}
-
-
-def _bus_record(bus: BusView, bitrate: int) -> dict[str, Any]:
-    fields = asdict(bus)
-    least, worst = fields.pop("least_bits_hz"), fields.pop("worst_bits_hz")
-    fields["load_percent"] = [round(100 * bits / bitrate, 2) for bits in (least, worst)]
-    return fields
+    records = []
+    for fields in map(asdict, buses):
+        loads = fields.pop("least_bits_hz"), fields.pop("worst_bits_hz")
+        records.append(fields | {"load_percent": [round(100 * bits / bitrate, 2) for bits in loads]})
+    return {"t": t_s, "buses": records}
 
 
 def headline(bus: BusView, bitrate: int) -> str:

@@ -166,17 +166,13 @@ def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce nmt preop all -i socketcan -c can0             (one frame, for every node on the bus)"
     )
     add_choice(parser, "command", NMT_COMMANDS)
-    parser.add_argument("ids", type=_ids_or_all, metavar="IDS", help="10, 0x0A, 1,2,5-9 or all")
+    ids = lambda text: [] if text == "all" else common.node_ids(text)  # noqa: E731
+    parser.add_argument("ids", type=ids, metavar="IDS", help="10, 0x0A, 1,2,5-9 or all")
     parser.add_argument(
         "--wait", nargs="?", type=common.timeout, const=10.0, metavar="S",
         help="repeat the command until each heartbeat confirms it, for this long (%(const)s s unless given)",
     )  # fmt: skip
     common.add_bus_arguments(parser)
-
-
-def _ids_or_all(text: str) -> list[int]:
-    """Parse node-ids; an empty list means all."""
-    return [] if text == "all" else common.node_ids(text)
 
 
 def run_nmt(args: argparse.Namespace) -> int:

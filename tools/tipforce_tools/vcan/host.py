@@ -195,7 +195,11 @@ def run_with_vcan(
     """
     from tipforce_tools.vcan import uml
 
-    _check(interfaces)
+    for name in interfaces:
+        if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
+            raise InputError(f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -")
+    if not interfaces or len(set(interfaces)) != len(interfaces):
+        raise InputError(f"--interfaces {','.join(interfaces)}: expected distinct names, for example vcan0,vcan1")
     uml.memory_bytes(memory)
     if shutil.which(command[0]) is None:
         print(f"tipforce vcan: {visible(command[0])}: command not found", file=sys.stderr)
@@ -213,11 +217,3 @@ def run_with_vcan(
     if chosen == "uml":
         return uml.run_in_uml(command, interfaces, memory, timeout_s, writable)
     return run_here(namespace_command(interfaces, command) if chosen == "namespace" else command, timeout_s)
-
-
-def _check(interfaces: Sequence[str]) -> None:
-    for name in interfaces:
-        if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
-            raise InputError(f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -")
-    if not interfaces or len(set(interfaces)) != len(interfaces):
-        raise InputError(f"--interfaces {','.join(interfaces)}: expected distinct names, for example vcan0,vcan1")
