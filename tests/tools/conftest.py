@@ -27,9 +27,10 @@ def put_back_process_state() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def no_interface(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a flag a command finds no bus, also on a machine with one."""
+def any_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a flag a command finds no bus, also on a machine with one; no line of progress on a slow one."""
     monkeypatch.setattr("tipforce.host.network.interfaces.interfaces", dict)
+    monkeypatch.setattr("tipforce_tools.cli.common._LINE_S", float("inf"))
 
 
 @pytest.fixture
