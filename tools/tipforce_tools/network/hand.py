@@ -98,17 +98,16 @@ def _compared_with_bus(args: argparse.Namespace, file: HandFile) -> int:
     try:
         options = common.find_bus(args, file.bus)
         with Bus(open_bus(**options)) as connection:
-            nodes = find_nodes(connection, file.node_ids, 0.5)
             seen = Observed(duplicates=connection.duplicates)
+            seen.add_nodes(find_nodes(connection, file.node_ids))
     except EnvironmentLackError:
         if common.bus_options(args):
             raise
         return 0
-    seen.add_nodes(nodes)
     seen.calibrated.clear()  # `hand up` calibrates
-    absent = {plan.node_id: plan.label for plan in file.finger} | {node.node_id: "" for node in nodes}
-    if labels := ", ".join(filter(None, absent.values())):
-        common.note(args, f"no response on the bus: {labels}")
+    known = {*seen.serials, *seen.duplicates.found}
+    if labels := ", ".join(plan.label for plan in file.finger if plan.node_id not in known):
+        common.note(args, f"no identity on the bus: {labels}")
     wrong = [finding for finding in findings(seen, wanted=file.finger) if finding.topic != "faults"]
     for finding in wrong:
         common.note(args, str(finding))
