@@ -71,11 +71,15 @@ def situation(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
                 FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
             if name in ("no SYNC", "not calibrated"):
                 connection.nmt("start", 5)
-            if name == "not calibrated":
+            if name in ("not calibrated", "two nodes"):
 
                 def send(stop: Callable[[float], bool]) -> None:
+                    """SYNCs; or requests of the serial number, to which two nodes respond."""
                     while not stop(0.02):
-                        connection.sync()
+                        if name == "not calibrated":
+                            connection.sync()
+                        else:
+                            connection.send(0x605, b"\x40\x18\x10\x04\0\0\0\0")
 
                 opened.enter_context(background(lambda stop: send(stop.wait)))
         yield name, channel
