@@ -74,7 +74,7 @@ def test_the_namespace_command_makes_every_bus_before_it_runs_the_command(
     monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
 ) -> None:
     fake_kernel(monkeypatch, can_make=True)
-    assert host.run_with_vcan(["true", "-x"], interfaces=["a0", "b1"]) == 3
+    assert uml.run_with_vcan(["true", "-x"], interfaces=["a0", "b1"]) == 3
     ((place, words),) = asked
     assert place == "here"
     assert {"--net", "--mount"} <= set(words)
@@ -169,7 +169,7 @@ def test_where_there_is_no_linux_one_line_says_what_works(monkeypatch: pytest.Mo
 def test_a_command_that_is_not_there_is_127_before_anything_boots(
     asked: list[tuple[str, list[str]]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert host.run_with_vcan(["no-such-program-here"]) == 127
+    assert uml.run_with_vcan(["no-such-program-here"]) == 127
     assert asked == []
     assert capsys.readouterr().err == "tipforce vcan: no-such-program-here: command not found\n"
 

@@ -37,7 +37,7 @@ def amx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def run_inside(code: str, writable: bool = False) -> int:
     command = [sys.executable, "-c", code]
-    return host.run_with_vcan(command, place="uml", timeout_s=120.0, memory="512M", writable=writable)
+    return uml.run_with_vcan(command, place="uml", timeout_s=120.0, memory="512M", writable=writable)
 
 
 def test_without_the_library_that_processor_shows_the_fault(amx: str, monkeypatch: pytest.MonkeyPatch) -> None:

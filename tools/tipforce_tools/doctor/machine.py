@@ -94,7 +94,7 @@ def _can_raw() -> Finding:
 
 def trial() -> int:
     """Run `true` with the buses; return its exit code. Raises EnvironmentLackError."""
-    from tipforce_tools.vcan.host import run_with_vcan
+    from tipforce_tools.vcan.uml import run_with_vcan
 
     return run_with_vcan(["true"], interfaces=INTERFACES, timeout_s=120.0)
 

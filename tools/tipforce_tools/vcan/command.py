@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         from tipforce_tools.vcan.uml import run_attached
 
         return run_attached(command, _shell, args.timeout)
-    from tipforce_tools.vcan.host import run_with_vcan
+    from tipforce_tools.vcan.uml import run_with_vcan
 
     return run_with_vcan(
         command or _shell(),

@@ -12,8 +12,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from canopen_device.visible_text import visible
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import EnvironmentLackError
 from tipforce.host.network.interfaces import interfaces as can_interfaces
 from tipforce_tools.cli.main import terminate_as_interrupt
 
@@ -29,8 +28,8 @@ ELSEWHERE = (
 )
 
 NOT_FOUND = 127  # what a shell reports for a command that it cannot find
-_KEPT = "--rw: files that you write are kept"
-_LOST = "files that you write are lost on exit (--rw keeps them)"
+KEPT = "--rw: files that you write are kept"
+LOST = "files that you write are lost on exit (--rw keeps them)"
 
 # program (or file) -> the Debian package that contains it
 _PROGRAMS = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod", "setsid": "util-linux"}
@@ -173,47 +172,3 @@ def choose(interfaces: Sequence[str], place: str = "auto") -> str:
             "`modprobe vcan` shows whether the kernel has it; without --host, User-mode Linux is used"
         )
     return "uml"
-
-
-def run_with_vcan(
-    command: Sequence[str],
-    *,
-    interfaces: Sequence[str] = ("vcan0", "vcan1"),
-    memory: str = "2G",
-    timeout_s: float | None = None,
-    place: str = "auto",
-    writable: bool = False,
-    announced: bool = False,
-) -> int:
-    """Run `command` where all `interfaces` are vcan buses and up; return the command's own exit code.
-
-    Directory and environment are the caller's. Besides the command's own codes: 127 if it is not found, 126 if it
-    cannot be started, 128 + n if signal n ended it, 130 after SIGINT or SIGTERM to this process, 1 (with a message
-    on stderr) after `timeout_s`. `memory` and `writable` (let the command write the caller's files) apply to
-    User-mode Linux only. `announced`: first print on stderr where the command runs. Raises InputError for an
-    unusable argument and EnvironmentLackError if the machine cannot provide vcan; its text names what to install.
-    """
-    from tipforce_tools.vcan import uml
-
-    for name in interfaces:
-        if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
-            raise InputError(f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -")
-    if not interfaces or len(set(interfaces)) != len(interfaces):
-        raise InputError(f"--interfaces {','.join(interfaces)}: expected distinct names, for example vcan0,vcan1")
-    uml.memory_bytes(memory)
-    if shutil.which(command[0]) is None:
-        print(f"tipforce vcan: {visible(command[0])}: command not found", file=sys.stderr)
-        return NOT_FOUND
-    # Flush, so that earlier output precedes that of the command.
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
-    chosen = choose(interfaces, place)
-    if announced:
-        exit_words = "`exit` ends the shell"
-        if chosen == "uml":
-            exit_words = f"you are root; {_KEPT if writable else _LOST}"
-        kernel = "User-mode Linux" if chosen == "uml" else "this kernel"
-        print(f"tipforce vcan: {kernel}, with {', '.join(interfaces)}; {exit_words}", file=sys.stderr, flush=True)
-    if chosen == "uml":
-        return uml.run_in_uml(command, interfaces, memory, timeout_s, writable)
-    return run_here(namespace_command(interfaces, command) if chosen == "namespace" else command, timeout_s)
