@@ -61,7 +61,7 @@ def page() -> str:
         parser = command_parser(name)
         choices = next((action.choices for action in parser._actions if isinstance(action.choices, Mapping)), None)
         parsers = {name: parser} if choices is None else {
-            f"{name} {action}": actions.action_parser(name, action, choices) for action in choices
+            f"{name} {action}": actions.parser_of(f"{name} {action}", *choices[action]) for action in choices
         }  # fmt: skip
         for path, of_path in parsers.items():
             parts += _section(path, of_path, _groups(shared))

@@ -18,11 +18,30 @@ die() {
     exit 1
 }
 
-# logged STEP COMMAND...: print the step; write its output to the log, and show the end of the log on failure.
+# logged STEP COMMAND...: print the step; write its output to the log, and show the end of the log on failure. While it
+# runs, its seconds: on a terminal in one line, elsewhere a line each 10 s.
 logged() {
+    local worker last=0
     say "$1"
     mkdir -p .venv
-    if ! "${@:2}" </dev/null >"$log" 2>&1; then
+    "${@:2}" </dev/null >"$log" 2>&1 &
+    worker=$!
+    trap 'kill "$worker" 2>/dev/null; exit 130' INT TERM # the shell gives a background process no Ctrl-C
+    SECONDS=0
+    while kill -0 "$worker" 2>/dev/null; do
+        sleep 0.1
+        if [ -t 2 ] && [ "$SECONDS" != "$last" ]; then
+            printf '\r%d s ' "$SECONDS" >&2
+        elif [ ! -t 2 ] && [ "$SECONDS" -ge $((last + 10)) ]; then
+            say "$1: $SECONDS s"
+        else
+            continue
+        fi
+        last=$SECONDS
+    done
+    [ ! -t 2 ] || printf '\r' >&2
+    trap - INT TERM
+    if ! wait "$worker"; then
         tail -n 40 "$log" >&2
         die "failed: ${*:2} (full output in $log)"
     fi

@@ -80,13 +80,23 @@ def connected(
 
 
 def finger(
-    node_id: int = 5, case: str = "I", store: Path | None = None, noise_microstrain: float = 0.0, seed: int = 1
+    node_id: int = 5,
+    case: str = "I",
+    store: Path | None = None,
+    noise_microstrain: float = 0.0,
+    seed: int = 1,
+    *,
+    serial: int = 0,
 ) -> Device:
-    """A simulated fingertip; without noise, unless asked for."""
+    """A simulated fingertip; without noise, unless asked for. Its serial number is 1000 + node-id, unless given."""
     source = SimulatedSource(strain_matrix(FABRICATED, case).tolist(), noise_microstrain, seed=seed)
     files = None if store is None else FileStore(store)
     return fingertip_node(
-        node_id, source, serial=1000 + node_id, save=files.save if files else None, load=files.load if files else None
+        node_id,
+        source,
+        serial=serial or 1000 + node_id,
+        save=files.save if files else None,
+        load=files.load if files else None,
     )
 
 

@@ -76,9 +76,9 @@ def test_frames_of_one_sync_come_in_order(tmp_path: Path) -> None:
     run(read_scene(SCENES / "grasp.toml"), duration_s=0.004, log=str(path))
     heads = [line.rpartition("#")[0] for line in path.read_text().splitlines()]
     nodes = range(1, 6)
-    boot = [f"(0000000000.000000) sim0 70{k}" for k in nodes] + ["(0000000000.000000) sim0 000"]
+    boot = [f"(1767225600.000000) sim0 70{k}" for k in nodes] + ["(1767225600.000000) sim0 000"]
     syncs = [
-        [f"(0000000000.00{t}000) sim0 080", *(f"(0000000000.00{t}000) sim0 {pdo}8{k}" for k in nodes for pdo in (1, 2))]
+        [f"(1767225600.00{t}000) sim0 080", *(f"(1767225600.00{t}000) sim0 {pdo}8{k}" for k in nodes for pdo in (1, 2))]
         for t in (2, 4)
     ]
     assert heads == boot + syncs[0] + syncs[1]
@@ -99,7 +99,7 @@ def test_errors_are_what_the_frames_say_against_the_load(tmp_path: Path) -> None
             can_id, data = frame.split("#")
             if int(can_id, 16) != 0x280 + finger.node_id:
                 continue
-            applied = load.at(float(stamp[1:-1]))
+            applied = load.at(float(f"{int(stamp[1:11]) - 1767225600}{stamp[11:18]}"))
             for k, per_unit in enumerate((1000.0, 100.0, 100.0)):
                 raw = int.from_bytes(bytes.fromhex(data)[2 * k : 2 * k + 2], "little", signed=True)
                 known[k] += raw != -0x8000

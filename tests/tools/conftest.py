@@ -26,6 +26,13 @@ def put_back_process_state() -> Iterator[None]:
         logger.setLevel(level)
 
 
+@pytest.fixture(autouse=True)
+def any_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a flag a command finds no bus, also on a machine with one; no line of progress on a slow one."""
+    monkeypatch.setattr("tipforce.host.network.interfaces.interfaces", dict)
+    monkeypatch.setattr("tipforce_tools.cli.common._LINE_S", float("inf"))
+
+
 @pytest.fixture
 def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
     """The devices that the loop was given; it ends at once, as by Ctrl-C."""

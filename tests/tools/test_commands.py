@@ -46,7 +46,8 @@ def bus_words(bench: tuple[Bus, str]) -> tuple[str, ...]:
 def test_scan(tipforce: Tipforce) -> None:
     code, out, err = tipforce("scan", "--wait", "0.3")
     hint = "node {0} (0x0{0}): not calibrated: tipforce calibrate apply CAL.toml --node {0}\n"
-    assert (code, err) == (0, hint.format(5) + hint.format(6))
+    started = "nodes 5-6: not started: tipforce nmt start 5-6 --wait\n"
+    assert (code, err) == (0, started + hint.format(5) + hint.format(6))
     lines = out.splitlines()
     assert len(lines) == 2
     assert lines[0].split() == [
@@ -68,6 +69,7 @@ def test_scan_as_json(tipforce: Tipforce) -> None:
         "faults": "",
         "eds": "match",
         "duplicate": "",
+        "product": 0x54500103,
     }
 
 

@@ -177,3 +177,14 @@ def test_colour(
         out, err = capsys.readouterr()
         assert ("\x1b[1;31m" in (err if stderr else out)) is coloured
         assert ("\x1b" in out + err) is coloured  # plain is plain: not bold, either
+
+
+@pytest.mark.parametrize(("quiet", "absolute", "said"), [(False, False, "5"), (False, True, "3"), (True, True, "")])
+def test_a_pipe_gets_lines_of_progress(
+    quiet: bool, absolute: bool, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(common, "_LINE_S", 0.0)
+    with common.progress(argparse.Namespace(quiet=quiet), "loads", 9, absolute=absolute) as advance:
+        advance(2)
+        advance(3)
+    assert capsys.readouterr().err.endswith(f"loads: {said} of 9, 0 s\n" if said else "")

@@ -405,30 +405,6 @@ def test_on_a_bus(capsys: pytest.CaptureFixture[str]) -> None:
     assert (of_node["node_id"], of_node["readings"]["P"]["value"], of_node["lost"]) == (5, 1.5, 0)
 
 
-HEARTBEAT = 0x705
-
-
-@pytest.mark.parametrize(
-    ("frames", "line"),
-    [
-        (contacts(20), ""),
-        (
-            [(t, *contact_pdo(5, NAN, NAN, NAN, 0, t)) for t in range(0, 200, 10)],
-            "not calibrated: tipforce calibrate apply CAL.toml --node 5",
-        ),
-        ([(0, HEARTBEAT, b"\x7f")], "not operational: tipforce nmt start 5 --wait"),
-        ([(0, HEARTBEAT, b"\5")], "no SYNC: --sync 100"),
-        ([*contacts(20, status=7), (100, HEARTBEAT, b"\5")], ""),
-    ],
-)
-def test_the_command_that_makes_values_known_is_named(frames: list[tuple[int, int, bytes]], line: str) -> None:
-    """Below the table of a bus; not in that of a log, of which no command changes a value."""
-    views = fed(frames).views(T0 + 200 * MS)
-    assert [
-        text for text in session.plain(views, 1_000_000, live=True) if text not in session.plain(views, 1_000_000)
-    ] == ([f"node 5 (0x05): {line}"] if line else [])
-
-
 @pytest.mark.parametrize("width", [250, 80])
 def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
     from rich.console import Console
@@ -438,14 +414,14 @@ def test_the_screen_shows_what_the_text_shows(width: int, log: Path) -> None:
         for frames in reader:
             watched.feed(frames, reader.channels)
     views, stream = watched.views(), io.StringIO()
-    tables = session.tables(views, 1_000_000, "the foot", 80 if width == 80 else session.WIDE)
+    tables = session.tables(views, 1_000_000, ["what is missing"], "the foot", 80 if width == 80 else session.WIDE)
     Console(file=stream, width=width, no_color=True).print(tables)
     lines = stream.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     (node,) = views[0].nodes
     row = session.cells(node)
     if width == 250:
-        for cell in (*row, session.headline(views[0], 1_000_000), "the foot"):
+        for cell in (*row, session.headline(views[0], 1_000_000), "what is missing", "the foot"):
             assert cell in stream.getvalue()
         assert " ".join("\n".join(session.plain(views, 1_000_000)).split()).startswith("vcan0: ")
         return

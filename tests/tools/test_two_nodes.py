@@ -8,33 +8,27 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import can
 import numpy as np
 import pytest
 
 from canopen_device.core.node import Device
-from canopen_device.running.store import FileStore
-from host.bus_with_nodes import beam_calibration, connected, new_channel, running
+from host.bus_with_nodes import beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.errors import DuplicateNodeError
-from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
-from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.events import Supervisor
 from tipforce.host.hand.file import HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.host.logs.reader import open_log
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.faulty_bus import Faults, FaultyBus
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
-from tipforce.sources.simulated import SimulatedSource
 from tipforce.watching.bus_monitor import BusMonitor
+from tipforce.watching.findings import Observed, findings
 from tipforce.watching.watcher import Finger, Watcher
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor.command import bus_checks, heard
 from tools.rig import Printed
 
 SAID = "two nodes respond as node 5"
@@ -62,11 +56,8 @@ SPEAKING = (
 
 
 def node(serial: int, folder: Path | None = None) -> Device:
-    source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist(), 1.0, seed=serial)
-    store = None if folder is None else FileStore(folder / f"{serial}.json")
-    return fingertip_node(
-        5, source, serial=serial, save=store.save if store else None, load=store.load if store else None
-    )
+    store = None if folder is None else folder / f"{serial}.json"
+    return finger(5, store=store, noise_microstrain=1.0, seed=serial, serial=serial)
 
 
 @pytest.fixture(scope="module", params=[1006, 1005], ids=["other serial", "same serial"])
@@ -165,24 +156,14 @@ def test_doctor_the_page_and_a_hand_say_it_of_frames(service: str, tmp_path: Pat
     with open_log(str(log_of(service, tmp_path))) as log:
         frames = np.concatenate(list(log))
     cause = SERVICES[service][1]
-    assert [(one.state, one.finding) for one in heard(frames) if one.state == "fail"] == [("fail", cause)]
+    seen = Observed()
+    seen.take(frames)
+    assert [finding.finding for finding in findings(seen) if finding.state == "fail"] == [cause]
     said = [] if service == "SDO" else [cause]  # their own SDO channels say that: those see all requests
     _, events = Watcher(Finger, fingers=[Finger(5)]).add(frames, 0.0)
     assert [event.text.partition(":")[0] for event in events if event.kind == "duplicate"] == said
     events = Supervisor([5]).add(frames, 0.0)
     assert [event.text.partition(":")[0] for event in events if event.kind == "duplicate"] == said
-
-
-def test_doctor_listens_longer_where_heartbeats_are_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
-    slept: list[float] = []
-    clock = SimpleNamespace(sleep=slept.append, monotonic=lambda: sum(slept))
-    monkeypatch.setattr("tipforce_tools.cli.listening.time", clock)
-    monkeypatch.setattr("tipforce_tools.doctor.command.BEATS_S", 0.5)
-    for beats, longer in ((1, 0.0), (2, 0.5), (10, 0.5), (11, 0.0)):
-        slept.clear()
-        monkeypatch.setattr(FrameBuffer, "can_ids", lambda _self, n=beats: [0x706, 0x185, 0x185, *[0x705] * n])
-        list(bus_checks({"interface": "virtual", "channel": new_channel()}, 0.1))
-        assert slept == [0.1, longer]
 
 
 def test_monitor_sees_the_samples_of_two_nodes() -> None:

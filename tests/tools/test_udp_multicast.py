@@ -83,12 +83,18 @@ def test_a_machine_without_a_route() -> None:
 
 
 def test_doctor_opens_it() -> None:
-    words = ("-c", "import tipforce_tools.doctor.machine as v; print(*v.multicast_checks())")
+    words = ("-c", "import tipforce_tools.doctor.machine as v; print(*map(repr, v.multicast_checks()))")
     assert "state='ok'" in in_namespace(ROUTE, *words).stdout
     assert "ip route add" in in_namespace("", *words).stdout
 
 
-def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr("can.interfaces.udp_multicast.utils.msgpack", None)
-    assert main(["scan", "-i", "udp_multicast"]) == 2
-    assert capsys.readouterr().err == "tipforce: udp_multicast needs msgpack: pip install msgpack\n"
+@pytest.mark.parametrize(
+    ("interface", "module", "package"),
+    [("udp_multicast", "udp_multicast.utils.msgpack", "msgpack"), ("slcan", "slcan.serial", "pyserial")],
+)
+def test_a_missing_package_is_named(
+    interface: str, module: str, package: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(f"can.interfaces.{module}", None)
+    assert main(["scan", "-i", interface, "-c", "/dev/none"]) == 2
+    assert capsys.readouterr().err == f"tipforce: {interface} needs {package}: pip install {package}\n"

@@ -46,7 +46,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[str]]]:
 
 
 def fake_kernel(monkeypatch: pytest.MonkeyPatch, *, up: Sequence[str] = (), can_make: bool = False) -> None:
-    monkeypatch.setattr(host, "is_up", lambda name: name in up)
+    monkeypatch.setattr("tipforce_tools.vcan.host.can_interfaces", lambda: dict.fromkeys(up, True))
     monkeypatch.setattr(host, "can_make", lambda _interfaces: can_make)
 
 
@@ -61,20 +61,20 @@ def test_the_place_follows_from_the_kernel(
     up: Sequence[str], can_make: bool, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake_kernel(monkeypatch, up=up, can_make=can_make)
-    assert command.choose(["vcan0", "vcan1"]) == place
+    assert host.choose(["vcan0", "vcan1"]) == place
 
 
 def test_host_forced_on_a_kernel_without_vcan_says_what_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_kernel(monkeypatch)
     with pytest.raises(EnvironmentLackError, match=r"vcan0, vcan1 cannot be created.*modprobe vcan"):
-        command.choose(["vcan0", "vcan1"], "host")
+        host.choose(["vcan0", "vcan1"], "host")
 
 
 def test_the_namespace_command_makes_every_bus_before_it_runs_the_command(
     monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
 ) -> None:
     fake_kernel(monkeypatch, can_make=True)
-    assert command.run_with_vcan(["true", "-x"], interfaces=["a0", "b1"]) == 3
+    assert uml.run_with_vcan(["true", "-x"], interfaces=["a0", "b1"]) == 3
     ((place, words),) = asked
     assert place == "here"
     assert {"--net", "--mount"} <= set(words)
@@ -169,7 +169,7 @@ def test_where_there_is_no_linux_one_line_says_what_works(monkeypatch: pytest.Mo
 def test_a_command_that_is_not_there_is_127_before_anything_boots(
     asked: list[tuple[str, list[str]]], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert command.run_with_vcan(["no-such-program-here"]) == 127
+    assert uml.run_with_vcan(["no-such-program-here"]) == 127
     assert asked == []
     assert capsys.readouterr().err == "tipforce vcan: no-such-program-here: command not found\n"
 

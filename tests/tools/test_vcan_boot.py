@@ -14,9 +14,7 @@ import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.doctor.machine import vcan_checks
-from tipforce_tools.vcan import command as vcan_command
 from tipforce_tools.vcan import host, uml
-from tipforce_tools.vcan.attach import run_attached
 
 FILES = 600
 LACKING = host.missing_packages() if sys.platform == "linux" else ["Linux"]
@@ -39,7 +37,7 @@ def amx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def run_inside(code: str, writable: bool = False) -> int:
     command = [sys.executable, "-c", code]
-    return vcan_command.run_with_vcan(command, place="uml", timeout_s=120.0, memory="512M", writable=writable)
+    return uml.run_with_vcan(command, place="uml", timeout_s=120.0, memory="512M", writable=writable)
 
 
 def test_without_the_library_that_processor_shows_the_fault(amx: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,7 +95,7 @@ def test_a_command_is_attached_to_a_running_machine(
     with tempfile.TemporaryDirectory(prefix="v", dir="/tmp") as folder, monkeypatch.context() as patch:
         patch.setattr(tempfile, "tempdir", folder)
         with pytest.raises(EnvironmentLackError, match="no `tipforce vcan` of yours runs"):
-            run_attached(["true"], list)
+            uml.run_attached(["true"], list)
         words = ["vcan", "--uml", "--memory", "512M", "--", "sleep", "60"]
         machine = subprocess.Popen(
             [sys.executable, "-m", "tipforce_tools.cli.main", *words], env={**os.environ, "TMPDIR": folder}
@@ -108,10 +106,10 @@ def test_a_command_is_attached_to_a_running_machine(
                 time.sleep(0.1)
             code = "cat /sys/class/net/vcan1/type; echo $TOLD >&2; exit 7"
             patch.setenv("TOLD", "two words")
-            assert run_attached(["bash", "-c", code], list, 60.0) == 7
+            assert uml.run_attached(["bash", "-c", code], list, 60.0) == 7
             assert capfd.readouterr() == ("280\n", "two words\n")
             with pytest.raises(InputError, match="no second shell in User-mode Linux"):
-                run_attached([], lambda: ["bash"])
+                uml.run_attached([], lambda: ["bash"])
             assert machine.poll() is None
         finally:
             machine.terminate()

@@ -74,7 +74,7 @@ for _name, (_matrix, _variance, _covariance, _) in NO_SENSOR.items():
 NOBODY = "-i virtual -c nobody --timeout 0.01 --retries 0"
 NODE = "node --node-id 5 -i virtual -c x"
 NO_LOG = "prose.txt: no frames in it; is it a log? line 1: 'these are no frames'"
-NO_BUS = "no bus given: use -i and -c, as in -i socketcan -c can0"
+NO_BUS = "no bus given: no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0"
 
 WRONG: list[tuple[str, int, str]] = [
     # usage

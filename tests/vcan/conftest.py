@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tipforce.host.network.bus import Bus
-from tipforce_tools.vcan.host import is_up
+from tipforce.host.network.interfaces import interfaces
 from vcan.support import Command, Launch, RawBus, running_node
 
 BUSES = ("vcan0", "vcan1")
@@ -18,7 +18,7 @@ PEERS = ("candump", "cansend", "cangen")
 
 def pytest_collection_modifyitems() -> None:
     """Without the buses nothing here can hold: say so once, and fail, rather than skip in silence."""
-    down = [name for name in BUSES if not is_up(name)]
+    down = [name for name in BUSES if not interfaces().get(name)]
     if down:
         raise pytest.UsageError(
             f"tests/vcan needs {' and '.join(BUSES)}; not up here: {', '.join(down)}; "

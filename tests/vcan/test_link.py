@@ -12,6 +12,7 @@ from vcan.adc import in_user_mode_linux
 from vcan.support import NODE_ID, SYNC, Launch, RawBus, running_node, wait_until
 
 CHANNEL = "vcan1"
+ERROR = 0x20000088
 SCENE = """\
 duration_s = 6.0
 sync_hz = 50
@@ -32,6 +33,26 @@ theta_deg = 80
 def _own_kernel() -> None:
     if not in_user_mode_linux():
         pytest.skip("sets an interface down: only on a kernel of its own, `tipforce vcan --uml -- ...`")
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["scan --nodes 5", "read 5", "monitor --once 2", "dump --decode -T 3000", "log -o LOG --seconds 2", "doctor"],
+)
+def test_another_bit_rate_is_named_on_the_only_interface_that_is_up(
+    words: str, bus: RawBus, launch: Launch, tmp_path: Path
+) -> None:
+    """Without a flag; the controller of another bit rate sees errors (linux/can/error.h: protocol, bus error)."""
+    set_link("down")
+    try:
+        command = launch(*words.replace("LOG", str(tmp_path / "run.log")).split())
+        wait_until(lambda: command.ended, words, lambda: bus.send(ERROR, b"\0\0\x08\0\0\0\0\0"))
+    finally:
+        set_link("up")
+    text = command.stderr + command.stdout
+    assert "-c vcan0, the only CAN interface that is up" in text
+    assert "another bit rate than that of the nodes, or no node acknowledges: " in text
+    assert "`sudo ip link set vcan0 down && sudo ip link set vcan0 up type can bitrate 1000000`" in text
 
 
 def set_link(state: str) -> None:

@@ -18,7 +18,7 @@ from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver, open_receiver, open_socket
 from tipforce.host.live.receiver import Filter, Selection
 from vcan.support import WAIT_S, Command, Launch, RawBus, wait_until
-from vcan.test_dump_options import EVERYTHING, fd_bus, listening_candump, sockets_listening, traffic
+from vcan.test_dump_options import EVERYTHING, fd_bus, listening_candump, traffic
 
 STORM = 20_000
 PART = 100  # frames in one go; in User-mode Linux the receiver has the same one processor as the sender
@@ -27,9 +27,8 @@ PART = 100  # frames in one go; in User-mode Linux the receiver has the same one
 @contextmanager
 def logging(launch: Launch, path: Path, *words: str) -> Iterator[Command]:
     """`tipforce log` that listens; SIGTERM ends it."""
-    before = sockets_listening()
     command = launch("log", "-o", str(path), *words)
-    wait_until(lambda: sockets_listening() > before, "log does not listen")
+    wait_until(lambda: "recording to" in command.stderr, "log does not listen")
     yield command
     assert command.end() == 130, command.stderr
     assert "Traceback" not in command.stderr

@@ -49,10 +49,3 @@ def test_stopped_node_is_silent_and_heartbeats_say_so(bus: RawBus) -> None:
     cansend("080#")
     frames = bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x04"))
     assert pdos(frames) == []
-
-
-def test_reset_communication_gives_a_boot_up_message(bus: RawBus) -> None:
-    cansend("000#8205")
-    frames = bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\0"))
-    assert pdos(frames) == []
-    assert sync_by_cansend(bus) == []

@@ -6,12 +6,13 @@ import argparse
 import math
 import re
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.listening import StopSignals, add_sync_argument, counted, open_targets
+from tipforce_tools.cli.listening import Hints, StopSignals, add_sync_argument, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     path = Path(args.output or default_name(time.time()))
     with (
         StopSignals() as stop,
-        open_targets(targets, args, tick_s=TICK_S) as receiver,
+        open_targets(targets, args, tick_s=TICK_S, hints=Hints(partial(common.note, args))) as receiver,
         Recorder(path, limit_bytes=args.rotate_size, limit_s=args.rotate_time, overwrite=args.overwrite) as recorder,
     ):
         common.note(args, f"tipforce log: recording to {recorder.paths[0]}")

@@ -43,9 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--source", default="sim", metavar="SOURCE", help=f"{KINDS} (default %(default)s)")
     parser.add_argument("--layout", default="I", metavar="I|II|III|FILE", help="gauge layout (default %(default)s)")
     parser.add_argument("--store", metavar="FILE", help="of stored parameters; without it 1010h refuses")
-    parser.add_argument(
-        "--serial", type=common.unsigned32, default=0, metavar="N", help="serial number, 1018h:4 (default: node-id)"
-    )
+    parser.add_argument("--serial", type=common.unsigned32, default=0, metavar="N", help="1018h:4 (default: node-id)")
     _add_source_arguments(parser)
     group = parser.add_argument_group("operation")
     group.add_argument("--priority", type=int, metavar="N", help="SCHED_FIFO, 1 to 99 (80 is usual)")
@@ -74,9 +72,7 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--bits", type=int, choices=(16, 24), default=16, help="of the converter (default %(default)s)")
     group.add_argument("--offset", default="", metavar="UE,UE,...", help="unloaded reading of each gauge, microstrain")
-    group.add_argument(
-        "--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons and degrees (default %(default)s)"
-    )
+    group.add_argument("--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons, degrees (default %(default)s)")
     group.add_argument("--seed", type=common.whole_number, default=0, help="of the noise (default %(default)s)")
     group.add_argument(
         "--uncalibrated", action="store_true",

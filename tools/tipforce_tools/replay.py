@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce.errors import InputError, TipforceError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.listening import StopSignals, counted, resolved_options
+from tipforce_tools.cli.listening import StopSignals, counted
 from tipforce_tools.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
@@ -270,7 +270,7 @@ class Buses:
         for pair in args.assignments:
             write, _, log = pair.partition("=")
             self._targets_of.setdefault(log, []).append(write)
-        self._options = resolved_options(args, named=bool(args.assignments) or not getattr(args, "channel", None))
+        self._options = common.find_bus(args, named=bool(args.assignments) or not getattr(args, "channel", None))
         self._only = self._options.get("channel") if not args.assignments else None
         self.sent = 0
         self.left_out: Counter[str] = Counter()

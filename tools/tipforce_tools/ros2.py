@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.common import bus_options
+from tipforce_tools.cli.common import find_bus
 from tipforce_tools.cli.listening import add_sync_argument, check_sync, commissioned, counted, listening
 
 if TYPE_CHECKING:
@@ -38,21 +38,14 @@ ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and CYCLONEDDS_
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce ros2`."""
     parser.description, parser.epilog = DESCRIPTION, EPILOG
-    parser.add_argument(
-        "source",
-        nargs="?",
-        type=common.InputFile(),
-        metavar="HAND.toml|LOG",
-        help="a hand file, or a log (default: listen to the bus)",
-    )
+    what = "a hand file, or a log (default: listen to the bus)"
+    parser.add_argument("source", nargs="?", type=common.InputFile(), metavar="HAND.toml|LOG", help=what)
     parser.add_argument("--namespace", default="/tipforce", metavar="NS", help="of the topics (default %(default)s)")
     parser.add_argument("--domain", type=int, metavar="N", help="ROS 2 domain (default: ROS_DOMAIN_ID, else 0)")
     parser.add_argument("--allow-tare", action="store_true", help="hand file: subscribe to the topics .../tare")
     parser.add_argument("--no-bring-up", action="store_true", help="hand file: only listen, change nothing")
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="bus or log: only these, 1,2,5-9")
-    parser.add_argument(
-        "--gauges", type=int, default=3, metavar="N", help="bus or log: of each finger, 3 to 8 (default 3)"
-    )
+    parser.add_argument("--gauges", type=int, default=3, metavar="N", help="bus or log: of a finger, 3 to 8 (3)")
     add_sync_argument(parser)
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="log: times recorded speed (default 1)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this time")
@@ -126,9 +119,10 @@ def _feed(args: argparse.Namespace) -> Feed:
     if args.source is None or args.no_bring_up:
         return listening(args, hand_file)[0]
     if hand_file is not None:
+        from tipforce.host.hand.file import read_hand
         from tipforce.host.hand.hand import Hand
 
-        feed = commissioned(args, Hand.from_file(hand_file, **bus_options(args)))
+        feed = commissioned(args, Hand.from_file(hand_file, **find_bus(args, read_hand(hand_file).bus)))
         feed.take(0.0)  # reported already
         return feed
     from tipforce.host.logs.reader import open_log

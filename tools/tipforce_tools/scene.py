@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from tipforce.scene.registry import Identifier
     from tipforce.scene.results import Check, FingerResult
-    from tipforce.scene.run import Options, Outcome
+    from tipforce.scene.run import Outcome
     from tipforce.scene.schema import Scene
 
 _KEYS = ("P_N", "phi_deg", "theta_deg")
@@ -28,17 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit code 1: an expectation of the scene ([[expect]]) did not hold.\n"
         "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
     )
-    parser.add_argument(
-        "scene",
-        metavar="SCENE",
-        help="a TOML file, or a shipped scene: grasp",
-    )
+    parser.add_argument("scene", metavar="SCENE", help="a TOML file, or a shipped scene: grasp")
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
     parser.add_argument("--seed", type=common.whole_number, metavar="N", help="instead of the scene's seed")
     parser.add_argument("-o", "--log", metavar="LOG", help="write every frame to this file, as candump -L does")
-    parser.add_argument(
-        "--explain", action="store_true", help="run nothing: list what the scene builds, what it leaves out, and why"
-    )
+    parser.add_argument("--explain", action="store_true", help="run nothing: list what is built and left out, and why")
     parser.add_argument("--cost", action="store_true", help="--explain: also measure each part's run and import time")
     parser.add_argument("--realtime", action="store_true", help="without -i and -c: on a bus inside this process")
     add_bus_name_arguments(parser)
@@ -54,9 +48,11 @@ def run(args: argparse.Namespace) -> int:
     scene = read_scene(path)
     if args.explain:
         return _explain(args, path, scene)
-    from tipforce.scene.run import run_scene
+    from tipforce.scene.run import Options, run_scene
+    from tipforce.scene.schema import Bus
 
-    options = _options(args)
+    bus = common.bus_options(args)
+    options = Options(args.duration, args.seed, args.log, Bus(**bus) if bus else None, args.realtime)
     if bus_load(scene)[0] > 1.0:
         common.note(
             args, f"{path}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load"
@@ -78,38 +74,21 @@ def run(args: argparse.Namespace) -> int:
     return 0 if outcome.ok else 1
 
 
-def _options(args: argparse.Namespace) -> Options:
-    from tipforce.scene.run import Options
-    from tipforce.scene.schema import Bus
-
-    bus = common.bus_options(args)
-    return Options(args.duration, args.seed, args.log, Bus(**bus) if bus else None, args.realtime)
-
-
 def _print_fingers(args: argparse.Namespace, title: str, outcome: Outcome) -> None:
     rows = []
     for finger in outcome.fingers:
         columns = (finger.applied_end, finger.estimated_end, finger.rms_error, finger.max_error)
         values = [
-            "\n".join(_number(value, digits) for value, digits in zip(triple, _DIGITS, strict=True))
+            "\n".join(f"{value:.{digits}f}".replace("nan", "-") for value, digits in zip(triple, _DIGITS, strict=True))
             for triple in columns
         ]
         samples = f"{finger.samples}\nof {finger.syncs}"
-        node = common.shown_id(finger.node_id)
-        rows.append([node, samples, "P N\nphi deg\ntheta deg", *values, _remarks(finger), _counts(finger.emcy)])
+        node, symbols = common.shown_id(finger.node_id), "P N\nphi deg\ntheta deg"
+        closed = {"slit closed: not linear": finger.slit_closed} if finger.slit_closed else {}
+        rows.append([node, samples, symbols, *values, _counts(finger.missing | closed), _counts(finger.emcy)])
     title = f"{title}: at the end, and errors over all samples with a known value"
     headings = (">node", ">samples", "", ">applied", ">estimated", ">RMS error", ">max error", "missing", "EMCY")
     common.print_rows(args, title, headings, rows, lines=True)
-
-
-def _number(value: float, digits: int) -> str:
-    return "-" if value != value else f"{value:.{digits}f}"  # noqa: PLR0124 (NaN)
-
-
-def _remarks(finger: FingerResult) -> str:
-    """Return the missing values with their reasons, and the limits of the simulation that were exceeded."""
-    closed = {"slit closed: not linear": finger.slit_closed} if finger.slit_closed else {}
-    return _counts({**finger.missing, **closed})
 
 
 def _counts(counts: dict[str, int]) -> str:

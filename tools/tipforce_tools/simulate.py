@@ -25,9 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce simulate`."""
     parser.epilog = EPILOG
     parser.add_argument("files", nargs="+", metavar="FILE", help="EDS, DCF or XDD files, cia402, or one TOML file")
-    parser.add_argument(
-        "--node-id", type=common.node_ids, default=None, metavar="IDS", help="5, or 1,2,5-9; one for each file"
-    )
+    parser.add_argument("--node-id", type=common.node_ids, metavar="IDS", help="5, or 1,2,5-9: one for each file")
     parser.add_argument("--application", default="", metavar="NAME", help="cia402, or FILE:CLASS")
     parser.add_argument("--store", metavar="FILE", default="", help="file of stored parameters, for one node")
     parser.add_argument(

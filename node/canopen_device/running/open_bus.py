@@ -35,5 +35,7 @@ def open_bus(options: Mapping[str, Any], unnamed: str = _UNNAMED, failed: str = 
         if "interface" not in given and 'type "None"' in str(error):  # no interface is given anywhere
             raise EnvironmentLackError(f"no bus given: {unnamed}") from None
         interface = given.get("interface", "from python-can's configuration")
+        if "serial module is not installed" in str(error):
+            raise EnvironmentLackError(f"{interface} needs pyserial: pip install pyserial") from None
         channel = given.get("channel", "(default)")
         raise EnvironmentLackError(f"interface {interface}, channel {channel}: {error}; {failed}") from None

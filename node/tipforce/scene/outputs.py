@@ -28,7 +28,9 @@ class Recording:
     Raises InputError for an unusable path of the log, WriteError when it cannot be written; then an old log stays.
     """
 
-    def __init__(self, log: str | Path | None = None, interface: str = "sim0") -> None:
+    def __init__(self, log: str | Path | None = None, interface: str = "sim0", start_ns: int = 0) -> None:
+        """``start_ns``: time 0 in the log, nanoseconds of the epoch."""
+        self.start_ns = start_ns
         self.counts: dict[int, int] = {}
         """Frames by COB-ID."""
         self._rows: list[RawFrame] = []
@@ -64,8 +66,10 @@ class Recording:
             from tipforce.host.logs.candump import CandumpBlock
 
             interface, sent = np.zeros(len(frames), np.uint16), np.zeros(len(frames), np.bool_)
+            dated = frames.copy()
+            dated["t_ns"] += self.start_ns
             try:
-                block = CandumpBlock(frames, interface, (self._interface,), sent)
+                block = CandumpBlock(dated, interface, (self._interface,), sent)
                 self._file.write("\n".join([*self._format.lines(block), ""]))
             except OSError as error:
                 raise self._log.failed(error) from error

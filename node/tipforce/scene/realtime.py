@@ -143,6 +143,7 @@ def run_on_bus(
         opened.callback(notifier.stop)
         with _running(fingers, port):
             master.epoch_ns, start_s = time.time_ns(), time.monotonic()
+            recording.start_ns = master.epoch_ns
             clock_us = loop.now_us()
             for finger in fingers:
                 finger.clock.start_us = clock_us - clock_us % finger.group.sample_period_us

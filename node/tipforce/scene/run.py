@@ -90,7 +90,7 @@ def run_scene(
     fingers = build(scene, folder)
     on_bus = scene.bus is not None or options.realtime
     name = "sim0" if scene.bus is None else scene.bus.channel or scene.bus.interface or "can"
-    with Recording(scene.outputs.log, name) as recording:
+    with Recording(scene.outputs.log, name, round(scene.start.timestamp()) * 1_000_000_000) as recording:
         if on_bus:
             from tipforce.scene.realtime import run_on_bus
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Annotated, Literal
 
 import msgspec
@@ -223,6 +224,8 @@ class Scene(_Table, frozen=True, kw_only=True):
 
     duration_s: Annotated[float, Meta(gt=0.0, le=86_400.0)]
     nodes: tuple[Nodes, ...]
+    start: Annotated[datetime, Meta(tz=True)] = datetime(2026, 1, 1, tzinfo=UTC)
+    """Date of time 0 in the log. Fixed, so that a seed gives the same bytes; in real time the clock gives the date."""
     title: str = ""
     sync_hz: Annotated[float, Meta(gt=0.0, le=10_000.0)] | None = None
     """Without it there is no SYNC."""

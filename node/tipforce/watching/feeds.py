@@ -59,6 +59,8 @@ class Feed:
         """Batches lost because they were not taken in time."""
         self.arrived_s = 0.0
         """Monotonic time at which the newest rows arrived."""
+        self.hints: list[str] = []
+        """What the bus lacks, to be shown and removed."""
 
     def take(self, timeout_s: float) -> tuple[list[Block], list[Event]]:
         """Return what has arrived, after waiting for it up to a timeout. Raises the error that ended the reception."""

@@ -65,12 +65,15 @@ def test_who_is_there_and_how(connection: Bus) -> None:
     assert list(found) == [5, 6, 7, 20, 21, 22]
     crc = beam_calibration().crc32()
     assert found[5] == FoundNode(
-        5, "pre-operational", "simulated fingertip, 3 gauges", 1005, f"0x{crc:08X} generation 1", "match"
+        5, "pre-operational", "simulated fingertip, 3 gauges", 1005, f"0x{crc:08X} generation 1", "match",
+        product=0x54500103,
+    )  # fmt: skip
+    assert found[6] == FoundNode(
+        6, "operational", "simulated fingertip, 3 gauges", 1006, "not calibrated", "match", product=0x54500103
     )
-    assert found[6] == FoundNode(6, "operational", "simulated fingertip, 3 gauges", 1006, "not calibrated", "match")
     assert found[7] == FoundNode(7, "stopped", "no SDO in this state", 0, "unknown", "unknown")
     assert found[20] == FoundNode(
-        20, "pre-operational", "product 0x0000CAFE", 99, "not a fingertip", "no: another device"
+        20, "pre-operational", "product 0x0000CAFE", 99, "not a fingertip", "no: another device", product=0xCAFE
     )
     assert found[21].device == "no identity object"
     assert found[22].device == "unknown object format"

@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the budget; return 0."""
     _check(args)
-    from tipforce_lab.design.error_budget import budget
+    from tipforce_lab.design.error_budget import Causes, budget
 
     calibration = None
     if args.file is not None:
@@ -85,7 +85,10 @@ def run(args: argparse.Namespace) -> int:
         calibration = read_calibration(args.file)
     sensor = _sensor(args, calibration)
     loads = _loads(args, calibration, sensor.pull)
-    causes = _causes(args, calibration)
+    if calibration is None and args.noise is None:
+        args.noise = 1.0
+    given = ((field, getattr(args, flag[2:].replace("-", "_")), unit) for flag, _, _, field, unit in _FLAGS)
+    causes = Causes(**{field: value * unit for field, value, unit in given if value is not None})
     error_budget = budget(sensor, loads, causes)
     if args.output:
         from tipforce_lab.design.error_budget import plot
@@ -164,21 +167,6 @@ def _loads(args: argparse.Namespace, calibration: Calibration | None, pull: bool
         return Loads(*(np.array([value]) for value in (args.load, np.radians(args.phi), np.radians(args.theta))))
     pad = (0.0, 180.0) if calibration is None else (calibration.theta_min_deg, calibration.theta_max_deg)
     return pad_loads(args.load, *pad, pull=pull)
-
-
-def _given(args: argparse.Namespace) -> dict[str, float | None]:
-    """Return the sizes of the causes by flag, in the unit of the flag; None for the default."""
-    return {flag: getattr(args, flag[2:].replace("-", "_")) for flag, *_ in _FLAGS}
-
-
-def _causes(args: argparse.Namespace, calibration: Calibration | None) -> Causes:
-    from tipforce_lab.design.error_budget import Causes
-
-    given = _given(args)
-    if calibration is None and args.noise is None:
-        given["--noise"] = 1.0
-    sizes = {field: value * unit for flag, _, _, field, unit in _FLAGS if (value := given[flag]) is not None}
-    return Causes(**sizes)
 
 
 def _records(error_budget: Budget) -> list[dict[str, object]]:

@@ -23,9 +23,7 @@ def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="where the gauges sit (for the file and the prior)")
     add_model_arguments(parser)
     parser.add_argument("--sense", choices=("push", "pull"), help="load sense of the file (default: that of the data)")
-    parser.add_argument(
-        "--serial", type=common.unsigned32, default=0, metavar="N", help="serial number of the fingertip"
-    )
+    parser.add_argument("--serial", type=common.unsigned32, default=0, metavar="N", help="serial number of the finger")
     parser.add_argument("--date", type=_date, metavar="YYYY-MM-DD", help="default: today")
     parser.add_argument(
         "--strict", action="store_true", help="write no file and exit 1 if a row is bad, or the fit is in doubt"
@@ -51,19 +49,13 @@ def add_model_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_numbers(
         group, ("--angle-scatter", 0.5, "DEG", scatter, common.number_within(0.0, 20.0, "is 0 to 20 degrees"))
     )
-    group.add_argument(
-        "--drift", choices=("none", "tare", "linear"),
-        help="of the offsets (default: the best predictor)",
-    )  # fmt: skip
+    group.add_argument("--drift", choices=("none", "tare", "linear"), help="of the offsets (default: best predictor)")
     group.add_argument(
         "--loss", choices=("huber", "soft-l1", "none"), default="huber",
         help="of rows that disagree (default %(default)s)",
     )  # fmt: skip
     common.add_numbers(group, ("--noise", None, "UE", "gauge noise in microstrain (default: estimated)", above_0))
-    group.add_argument(
-        "--saturation", type=_limit, metavar="UE|none",
-        help="converter limit in microstrain; none: not reached",
-    )  # fmt: skip
+    group.add_argument("--saturation", type=_limit, metavar="UE|none", help="converter limit, microstrain")
     common.add_numbers(group, ("--yield-stress", None, "MPA", "for the overload force (with --layout)", above_0))
     group.add_argument("--no-offset", action="store_true", help="readings are zero unloaded: fit no offset")
     group.add_argument("--prior", choices=("beam",), help="lean on beam theory; needs --layout")

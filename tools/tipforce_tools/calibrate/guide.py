@@ -62,7 +62,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Execute the plan; return 0 if it is done or the user quits, 1 if a capture of --auto was refused."""
     steps = _plan(args)
-    _check(args)
+    # What would otherwise fail after an hour of weights.
+    if not MIN_SAMPLES <= args.samples <= MAX_SAMPLES:
+        raise InputError(f"--samples {args.samples}: allowed is {MIN_SAMPLES} to {MAX_SAMPLES}")
+    if args.output:
+        check_output(args.output, CALIBRATION)
+    if args.angle_scatter is None:
+        args.angle_scatter = AUTO_SCATTER_DEG if args.auto else HAND_SCATTER_DEG
     with common.open_connection(args) as connection:
         client, reader, identity = _checked_node(connection, args)
         try:
@@ -148,13 +154,3 @@ def _plan(args: argparse.Namespace) -> tuple[Step, ...]:
     if args.plan:
         return file_plan(args.plan)
     return groove_plan(args.weights or DEFAULT_WEIGHTS, args.grooves or "paper")
-
-
-def _check(args: argparse.Namespace) -> None:
-    """Check flags that would otherwise fail after an hour of weights."""
-    if not MIN_SAMPLES <= args.samples <= MAX_SAMPLES:
-        raise InputError(f"--samples {args.samples}: allowed is {MIN_SAMPLES} to {MAX_SAMPLES}")
-    if args.output:
-        check_output(args.output, CALIBRATION)
-    if args.angle_scatter is None:
-        args.angle_scatter = AUTO_SCATTER_DEG if args.auto else HAND_SCATTER_DEG

@@ -176,7 +176,8 @@ class Walk:
         """Capture until the result is good: with --auto a limited number of times, otherwise the user decides."""
         for _ in range(_AUTO_TRIES if self._args.auto else 1):
             try:
-                self._apply(step)
+                for entry, value in zip(_LOAD, step.load[:3], strict=True) if self._args.auto else ():
+                    self._sdo.write(entry, value)
                 with common.progress(self._args, "  capture", self._args.samples, absolute=True) as advance:
                     capture = self._reader.capture(self._args.samples, advance)
             except NoResponseError as error:
@@ -248,11 +249,6 @@ class Walk:
         """Print a line for the user; with -q only if prompts follow, which need it."""
         if not (self._args.quiet and self._args.auto):
             print(text, file=sys.stderr)
-
-    def _apply(self, step: Step) -> None:
-        if self._args.auto:
-            for entry, value in zip(_LOAD, step.load[:3], strict=True):
-                self._sdo.write(entry, value)
 
     @contextlib.contextmanager
     def _self_loading(self) -> Iterator[None]:

@@ -142,30 +142,20 @@ def add_choice(parser: argparse.ArgumentParser, dest: str, summaries: Mapping[st
         parser.choice, parser.choice_name = summaries, dest
 
 
-def add_action(parser: argparse.ArgumentParser, command: str, actions: Actions) -> None:
-    """Add the action. Its flags belong to its own parser: the bus flags alone take a fifth of a second to build."""
-    summaries = {name: summary for name, (_, summary) in actions.items()}
-    if isinstance(parser, CommandParser):
-        parser.choice = summaries
+def parser_of(path: str, place: str | Actions, summary: str) -> CommandParser:
+    """Return the parser of the words after `tipforce PATH`; of a command with actions, of the action alone.
+
+    The flags of an action belong to its own parser: the bus flags alone take a fifth of a second to build.
+    """
+    parser = CommandParser(prog=f"tipforce {path}", description=summary[0].upper() + summary[1:] + ".")
+    # argparse's own pattern takes -1.5e-3 and -1,0,0 for unknown flags.
+    parser._negative_number_matcher = re.compile(r"-\.?\d")
+    if isinstance(place, str):
+        functions(place)[0](parser)
+        return parser
+    parser.choice = {name: text for name, (_, text) in place.items()}
     parser.epilog = (
-        f"actions:\n{lines(summaries)}\n\n`tipforce {command} ACTION --help` lists the options of an action."
+        f"actions:\n{lines(parser.choice)}\n\n`tipforce {path} ACTION --help` lists the options of an action."
     )
-    parser.add_argument("action", choices=actions, metavar="ACTION", help=", ".join(actions))
-    parser.add_argument("words", nargs=argparse.REMAINDER, metavar="...", help="options of the action")
-
-
-def run_action(args: argparse.Namespace, command: str, actions: Actions) -> int:
-    """Run the action and return its exit code."""
-    parser = action_parser(command, args.action, actions)
-    parsed = parser.parse_intermixed_args(args.words, argparse.Namespace(action=args.action))
-    check_files(parser, parsed)
-    return run_place(actions[args.action][0], parsed)
-
-
-def action_parser(command: str, action: str, actions: Actions) -> CommandParser:
-    """Return the parser of the words after `tipforce COMMAND ACTION`."""
-    place, summary = actions[action]
-    description = summary[0].upper() + summary[1:] + "."
-    parser = CommandParser(prog=f"tipforce {command} {action}", description=description)
-    functions(place)[0](parser)
+    parser.add_argument("action", choices=place, metavar="ACTION", help=", ".join(place))
     return parser

@@ -9,13 +9,14 @@ import os
 import re
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from tipforce.errors import DuplicateNodeError, InputError, TipforceError
+from tipforce.errors import DuplicateNodeError, EnvironmentLackError, InputError, TipforceError
 from tipforce_tools.cli.output import rich_console, visible_streams
 
 if TYPE_CHECKING:
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from tipforce.host.network.bus import Bus
+    from tipforce.host.network.interfaces import Link
 
+_LINE_S = 10.0
 _BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 
 
@@ -34,9 +37,7 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--json", action="store_true", help="print JSON lines on stdout")
     group.add_argument("-q", "--quiet", action="store_true", help="print only errors on stderr")
     group.add_argument("-v", "--verbose", action="store_true", help="print more on stderr")
-    group.add_argument(
-        "--color", choices=("auto", "always", "never"), default="auto", help="default: auto, which follows NO_COLOR"
-    )
+    group.add_argument("--color", choices=("auto", "always", "never"), default="auto", help="auto follows NO_COLOR")
 
 
 def set_up_logging(args: argparse.Namespace) -> None:
@@ -66,9 +67,7 @@ def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
     bus_flags.add_bus_arguments(parser)
     group = parser.add_argument_group("SDO")
     add_numbers(group, ("--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", timeout))
-    group.add_argument(
-        "--retries", type=whole_number, default=2, metavar="N", help="after a timeout (default %(default)s)"
-    )
+    group.add_argument("--retries", type=whole_number, default=2, metavar="N", help="after a timeout (%(default)s)")
     add_output_arguments(parser)
 
 
@@ -78,27 +77,102 @@ def bus_options(args: argparse.Namespace) -> dict[str, Any]:
     return options | getattr(args, "bus_kwargs", {})
 
 
+def find_bus(
+    args: argparse.Namespace, of_file: Mapping[str, Any] | None = None, *, named: bool = False
+) -> dict[str, Any]:
+    """Return the bus of the flags, of a file, or of python-can's files and environment, as keywords of ``can.Bus``.
+
+    Without any, that of the only SocketCAN interface that is up, which a line on stderr names. A channel alone is such
+    an interface, also one ``named`` without a flag: `dump vcan0`. Raises EnvironmentLackError naming the interfaces.
+    """
+    options = {**(of_file or {}), **bus_options(args)}
+    if "interface" in options and (named or "channel" in options):
+        return options
+    import can.util
+
+    configured: Mapping[str, Any] = {}
+    try:
+        configured = can.util.load_config(config=dict(options))
+    except can.CanInterfaceNotImplementedError as error:
+        if "interface" in options or 'type "None"' not in str(error):  # open_bus says why
+            return options
+    options |= {key: configured[key] for key in ("interface", "channel") if configured.get(key) is not None}
+    if "interface" in options or not (named or sys.platform == "linux"):
+        return options
+    if not named and "channel" not in options:
+        options["channel"] = args.channel = _only_interface(args)
+    options["interface"] = "socketcan"
+    if not named:
+        args.interface = "socketcan"
+    return options
+
+
+def _only_interface(args: argparse.Namespace) -> str:
+    from tipforce.host.network.interfaces import interfaces
+
+    known = interfaces()
+    up = [name for name, is_up in known.items() if is_up]
+    if len(up) == 1:
+        note(args, f"bus: -i socketcan -c {up[0]}, the only CAN interface that is up")
+        return up[0]
+    if up:
+        reason = f"{', '.join(up)} are up: add -i socketcan -c {up[0]}"
+    elif known:
+        name = next(iter(known))
+        reason = f"{', '.join(known)} down; `sudo ip link set {name} up type can bitrate 1000000`"
+    else:
+        reason = (
+            "no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0, or set CAN_INTERFACE and "
+            "CAN_CHANNEL; `tipforce vcan` has buses without hardware"
+        )
+    raise EnvironmentLackError(f"no bus given: {reason}")
+
+
 def open_bus(args: argparse.Namespace) -> can.BusABC:
-    """Open the bus named by the flags, python-can's configuration files and the environment."""
+    """Open the bus that ``find_bus`` returns."""
     from tipforce.host.network.open_bus import open_bus as open_bus_by_options
 
-    return open_bus_by_options(**bus_options(args))
+    return open_bus_by_options(**find_bus(args))
 
 
 @contextmanager
 def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
-    """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one."""
+    """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one.
+
+    After another error a line on stderr says what is wrong with the bus as a whole.
+    """
     from tipforce.host.network.bus import Bus
 
-    with Bus(open_bus(args), args.timeout, args.retries) as connection:
+    patience = (args.timeout, args.retries) if hasattr(args, "retries") else ()
+    with Bus(open_bus(args), *patience) as connection:
+        begun_s = time.monotonic()
         try:
             yield connection
         except DuplicateNodeError:
             raise
         except TipforceError:
             connection.check_duplicates()  # the cause of the error
+            note_wire(args, connection, begun_s)
             raise
         connection.check_duplicates()
+
+
+def link_of(args: argparse.Namespace) -> Link | None:
+    """Return what the kernel says of the interface of the bus."""
+    from tipforce.host.network.interfaces import links
+
+    options = find_bus(args)
+    return links().get(str(options.get("channel"))) if options.get("interface") == "socketcan" else None
+
+
+def note_wire(args: argparse.Namespace, connection: Bus, begun_s: float) -> None:
+    """Say on stderr what is wrong below the nodes, by what was received since ``begun_s``."""
+    from tipforce.watching.findings import Observed, of_the_wire
+
+    seen = Observed(heard_s=time.monotonic() - begun_s, link=link_of(args))
+    seen.count(connection.buffer.take_all())
+    for finding in of_the_wire(seen):
+        note(args, str(finding))
 
 
 def number(text: str) -> float:
@@ -274,44 +348,27 @@ def note(args: argparse.Namespace, text: str) -> None:
         print(text, file=sys.stderr)
 
 
-_REMEDIES = {
-    "not calibrated": "tipforce calibrate apply CAL.toml --node {}",
-    "not operational": "tipforce nmt start {} --wait",
-    "no SYNC": "--sync 100",
-}
-"""By a word of what makes values unknown: the command or the flag that ends it."""
-
-
-def remedy(reason: str, node_id: int) -> str:
-    """Return `not calibrated: tipforce calibrate apply CAL.toml --node 5`; "" for a reason that no command ends."""
-    word = next((word for word in _REMEDIES if word in reason), "")
-    return f"{word}: {_REMEDIES[word].format(node_id)}" if word else ""
-
-
-class Remedies:
-    """Notes on stderr, each once."""
-
-    def __init__(self, args: argparse.Namespace) -> None:
-        self._args = args
-        self._noted: set[str] = set()
-
-    def note(self, node_id: int, reason: str) -> None:
-        """Say what ends a reason, if a command does."""
-        text = remedy(reason, node_id)
-        if text and text not in self._noted:
-            self._noted.add(text)
-            note(self._args, f"{shown_node(node_id)}: {text}")
-
-
 @contextmanager
 def progress(
     args: argparse.Namespace, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
 ) -> Iterator[Callable[..., None]]:
-    """Show a progress bar on stderr if it is a terminal, not with -q; call the result after each of ``total`` steps,
-    or with the number of steps since the last call; with ``absolute`` with the number of all steps so far.
+    """Show a progress bar on stderr, or if that is no terminal a line each 10 s; nothing with -q.
+
+    Call the result after each of ``total`` steps, or with the number of steps since the last call; with ``absolute``
+    with the number of all steps so far.
     """
     if args.quiet or not sys.stderr.isatty():
-        yield lambda _steps=1: None
+        begun_s = said_s = time.monotonic()
+        done = 0.0
+
+        def count(steps: float = 1) -> None:
+            nonlocal done, said_s
+            done = steps if absolute else done + steps
+            if not args.quiet and time.monotonic() >= said_s + _LINE_S:
+                said_s = time.monotonic()
+                note(args, f"{what.strip()}: {done:g} of {total:g}, {said_s - begun_s:.0f} s")
+
+        yield count
         return
     from rich.progress import Progress
 

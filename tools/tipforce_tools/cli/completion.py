@@ -101,7 +101,7 @@ def root_parser(shell: str, parsers: Parsers) -> argparse.ArgumentParser:
             continue
         actions = commands.add_parser(name, help=summary).add_subparsers()
         for action, (_, text) in table.items():
-            parent = _with_values(shared.action_parser(name, action, table), shell)
+            parent = _with_values(shared.parser_of(f"{name} {action}", *table[action]), shell)
             actions.add_parser(action, help=text, add_help=False, parents=[parent])
     return root
 

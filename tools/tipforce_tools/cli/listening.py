@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import math
 import signal
+import socket
 import time
 from argparse import Namespace
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Self
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.common import bus_options
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import can
-
-    from tipforce.host.frames.frame_array import FrameArray
+    from tipforce.host.frames.frame_block import CandumpBlock
+    from tipforce.host.hand.bring_up import FingerReport
     from tipforce.host.hand.hand import Hand
     from tipforce.host.live.receiver import ReceiverGroup, Selection
     from tipforce.host.live.targets import Target
     from tipforce.watching.feeds import FrameFeed, HandFeed
+    from tipforce.watching.findings import Finding, Observed
     from tipforce.watching.watcher import Fallback
 
 
@@ -32,9 +33,7 @@ _sync_hz = common.number_within(0.0, 10_000.0, "is above 0 up to 10000 Hz", over
 
 def add_sync_argument(parser: argparse.ArgumentParser) -> None:
     """`--sync HZ`, of all that listen to a bus."""
-    parser.add_argument(
-        "--sync", type=_sync_hz, metavar="HZ", help="bus: also send SYNCs, where no other device sends them"
-    )
+    parser.add_argument("--sync", type=_sync_hz, metavar="HZ", help="bus: also send SYNCs, where nobody else does")
 
 
 def check_sync(args: Namespace, source: object) -> None:
@@ -43,20 +42,97 @@ def check_sync(args: Namespace, source: object) -> None:
         raise InputError(f"--sync: {source} is no bus to listen to; leave the flag out")
 
 
+_HINT_S = 0.5
+
+
+class Hints:
+    """What a bus lacks to which a command listens; ``seen``: by interface. ``say`` gets each line once."""
+
+    def __init__(self, say: Callable[[str], object]) -> None:
+        self._say = say
+        self.seen: dict[str, Observed] = {}
+        self._errors: dict[str, socket.socket] = {}
+        self._said: set[str] = set()
+        self._begun_s = self._due_s = time.monotonic()
+
+    def watch(self, buses: Sequence[Mapping[str, Any]], opened: ExitStack) -> None:
+        """Watch also for silence, and for error frames on SocketCAN, which the filters of the listener exclude."""
+        from tipforce.host.live.receive import open_socket
+        from tipforce.host.live.receiver import Filter, Selection
+        from tipforce.watching.findings import Observed
+
+        for options in buses:
+            channel = str(options.get("channel") or "")
+            self.seen[channel] = Observed()
+            if options.get("interface") == "socketcan" and channel not in ("", "any"):
+                no_frame = Selection((Filter(0, 0, inverse=True),), error_mask=0x1FFFFFFF)
+                self._errors[channel] = opened.enter_context(open_socket(channel, no_frame))
+
+    def take(self, block: CandumpBlock) -> None:
+        """Take frames as they arrive; twice a second say what is new."""
+        from tipforce.arrays import occurring
+        from tipforce.watching.findings import Observed
+
+        for number in occurring(block.interface):
+            seen = self.seen.setdefault(block.names[number], Observed())
+            seen.take(block.frames[block.interface == number])
+        if time.monotonic() >= self._due_s:
+            self._due_s = time.monotonic() + _HINT_S
+            for finding in self.findings():
+                if finding.next_step not in self._said:  # numbers in the text change
+                    self._said.add(finding.next_step)
+                    self._say(str(finding))
+
+    def findings(self) -> list[Finding]:
+        """Return what is missing now."""
+        from tipforce.host.network.interfaces import links
+        from tipforce.watching.findings import OWN_SYNC, SILENT_S, findings
+
+        named = {name: seen for name, seen in self.seen.items() if name or len(self.seen) == 1}
+        found = []
+        for name, seen in named.items():
+            seen.heard_s = time.monotonic() - self._begun_s
+            with suppress(OSError, KeyError):  # none is waiting, or the interface is down
+                while self._errors[name].recv(72, socket.MSG_DONTWAIT):
+                    seen.errors += 1
+            if name in self._errors and (seen.errors or (not seen.frames and seen.heard_s >= SILENT_S)):
+                seen.link = seen.link or links().get(name)
+            found += [finding for finding in findings(seen, OWN_SYNC) if finding.topic != "faults"]
+        return found
+
+
 def _group(
-    args: Namespace, buses: Sequence[dict[str, Any]], selections: Sequence[Selection | None], tick_s: float
+    args: Namespace,
+    buses: Sequence[dict[str, Any]],
+    selections: Sequence[Selection | None],
+    tick_s: float,
+    hints: Hints | None,
 ) -> ReceiverGroup:
     """Listen to each bus for its selection; with --sync send SYNCs on each until the group is closed."""
     from tipforce.host.live.receive import open_receiver
     from tipforce.host.live.receiver import ReceiverGroup
+
+    class HintingGroup(ReceiverGroup):
+        """Shows ``hints`` what it receives; returns from a wait for them."""
+
+        def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
+            assert hints is not None
+            end_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
+            while True:
+                left_s = max(end_s - time.monotonic(), 0.0)
+                block = super().receive_block(min(left_s, _HINT_S))
+                hints.take(block)
+                if len(block) or left_s <= _HINT_S:
+                    return block
 
     with ExitStack() as opened:
         receivers = [
             opened.enter_context(open_receiver(options, selection, tick_s=tick_s))
             for options, selection in zip(buses, selections, strict=True)
         ]
+        if hints is not None:
+            hints.watch(buses, opened)
         sync_hz: float | None = getattr(args, "sync", None)
-        stops: list[Callable[[], None]] = []
         if sync_hz:
             from tipforce.host.hand.link import kernel_sync
             from tipforce.host.network.open_bus import open_bus
@@ -64,49 +140,29 @@ def _group(
             for options in buses:
                 bus = opened.enter_context(open_bus(**options))
                 kernel_sync(bus, 1.0 / sync_hz, [b""])
-                stops.append(bus.shutdown)
-        opened.pop_all()
-    return ReceiverGroup(receivers, tick_s=tick_s, at_end=stops)
+        at_end = opened.pop_all()
+    group = ReceiverGroup if hints is None else HintingGroup
+    return group(receivers, tick_s=tick_s, at_end=[at_end.close])
 
 
-def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | None = None) -> ReceiverGroup:
+def open_targets(
+    targets: Sequence[Target], args: Namespace, *, tick_s: float | None = None, hints: Hints | None = None
+) -> ReceiverGroup:
     """Listen to ``targets``, each on its channel; without targets, to the bus that the flags name.
 
-    ``tick_s`` is the minimum time between two batches (None: that of a live display).
+    ``tick_s`` is the minimum time between two batches (None: that of a live display). ``hints`` see the frames of buses
+    without filters.
 
     Raises EnvironmentLackError if a bus cannot be opened, after closing the others.
     """
     from tipforce.host.live.receiver import TICK_S, Selection
 
-    options = resolved_options(args, named=bool(targets))
+    options = common.find_bus(args, named=bool(targets))
     buses = [{**options, "channel": target.channel} for target in targets] or [options]
     selections = [target.selection for target in targets] or [Selection()]
-    return _group(args, buses, selections, TICK_S if tick_s is None else tick_s)
-
-
-def frames_heard(
-    bus: can.BusABC, listen_s: float, further_s: Callable[[Iterable[int]], float] = lambda _can_ids: 0.0
-) -> tuple[FrameArray, float]:
-    """Listen so long, then ``further_s`` of the identifiers heard; return the frames, FRAME (n,), and the time.
-
-    Raises EnvironmentLackError for a bus that fails.
-    """
-    import can
-
-    from tipforce.host.frames.frame_array import FrameBuffer
-
-    buffer = FrameBuffer()
-    notifier = can.Notifier(bus, [buffer], timeout=0.1)
-    try:
-        started_s = time.monotonic()
-        time.sleep(listen_s)
-        time.sleep(further_s(buffer.can_ids()))
-        elapsed_s = time.monotonic() - started_s
-    finally:
-        notifier.stop()
-    if notifier.exception is not None:
-        raise EnvironmentLackError(f"failed while listening: {notifier.exception}; is the adapter plugged in?")
-    return buffer.take_all(), elapsed_s
+    if any(selection.filters for selection in selections):
+        hints = None  # what a filter leaves out is not missing
+    return _group(args, buses, selections, TICK_S if tick_s is None else tick_s, hints)
 
 
 def listening(
@@ -125,14 +181,28 @@ def listening(
 
     fingers: tuple[Finger, ...] = ()
     if hand_file is None:
-        options, gauges, maker = resolved_options(args, named=False), args.gauges, finger_maker(args.nodes, fallback)
+        options, gauges, maker = common.find_bus(args), args.gauges, finger_maker(args.nodes, fallback)
     else:
         file = read_hand(hand_file)
-        options, gauges, maker = {**file.bus, **bus_options(args)}, file.finger[0].gauges, finger_maker(())
+        options, gauges, maker = common.find_bus(args, file.bus), file.finger[0].gauges, finger_maker(())
         fingers = hand_fingers(file, fallback)
-    source = BusSource(_group(args, [options], [None], TICK_S))
+
+    def say(text: str) -> None:
+        common.note(args, text)
+        feed.hints.append(text)
+
+    source = BusSource(_group(args, [options], [None], TICK_S, Hints(say)))
     feed = FrameFeed(source, maker, gauges, fingers, int(options.get("bitrate") or DEFAULT_BIT_RATE))
     return feed, str(options.get("channel") or options.get("interface") or "bus")
+
+
+def note_missing(args: Namespace, report: FingerReport) -> None:
+    """Print on stderr what a finger lacks that came up."""
+    from tipforce.samples.reasons import NOT_CALIBRATED
+    from tipforce.watching.findings import not_calibrated
+
+    if NOT_CALIBRATED in report.note:
+        common.note(args, str(not_calibrated(report.plan.node_id)))
 
 
 def commissioned(args: Namespace, hand: Hand, fallback: Fallback | None = None) -> HandFeed:
@@ -142,37 +212,15 @@ def commissioned(args: Namespace, hand: Hand, fallback: Fallback | None = None) 
 
     try:
         feed = HandFeed(hand, ())
-        remedies = common.Remedies(args)
         for report in hand.bring_up():
             common.note(args, str(report))
-            remedies.note(report.plan.node_id, report.note)
+            note_missing(args, report)
         feed.fingers = hand_fingers(hand, fallback)
         hand.start()
     except BaseException:
         hand.close()
         raise
     return feed
-
-
-def resolved_options(args: Namespace, *, named: bool) -> dict[str, Any]:
-    """Return the bus options of the flags, completed from python-can's files and environment.
-
-    A channel ``named`` on the command line is a SocketCAN interface by default, so that `dump vcan0` works as
-    `candump vcan0` does.
-    """
-    import can
-
-    options = bus_options(args)
-    if "interface" in options and (named or "channel" in options):
-        return options
-    try:
-        configured = can.util.load_config()
-    except can.CanInterfaceNotImplementedError:
-        return {"interface": "socketcan", **options} if named else options
-    for key in ("interface", "channel"):
-        if configured.get(key) is not None:
-            options.setdefault(key, configured[key])
-    return options
 
 
 def counted(number: int, what: str) -> str:

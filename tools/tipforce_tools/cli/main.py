@@ -93,7 +93,7 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
         "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
         "design": (_DESIGN, "recompute the paper's tables, sweep and optimise the structure"),
         "report": ("tipforce_tools.report", "measure error against run time, and check extreme cases"),
-        "doctor": ("tipforce_tools.doctor.command", "find what this machine lacks for a working bus"),
+        "doctor": ("tipforce_tools.doctor.command", "find what this machine and its bus lack"),
     },
 }
 COMMANDS = {name: entry for commands in GROUPS.values() for name, entry in commands.items()}
@@ -200,15 +200,17 @@ def _run(name: str, words: list[str]) -> int:
         near = difflib.get_close_matches(name, [*COMMANDS, *TOP_FLAGS], 3, cutoff=0.7)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
-    from tipforce_tools.cli.actions import check_files, run_action, run_place
+    from tipforce_tools.cli.actions import check_files, parser_of, run_place
 
-    parser = command_parser(name)
+    place, parser = COMMANDS[name][0], command_parser(name)
+    if not isinstance(place, str):
+        action = parser.parse_args(words[:1]).action
+        parser, words, place = parser_of(f"{name} {action}", *place[action]), words[1:], place[action][0]
     # Flags may come between the positional words, but not inside another program's command line.
     passes_on = any(action.nargs == "..." for action in parser._actions)  # argparse.REMAINDER
     args = parser.parse_args(words) if passes_on else parser.parse_intermixed_args(words)
     check_files(parser, args)
-    place = COMMANDS[name][0]
-    return run_place(place, args) if isinstance(place, str) else run_action(args, name, place)
+    return run_place(place, args)
 
 
 def all_parsers() -> dict[str, tuple[str, CommandParser]]:
@@ -218,19 +220,9 @@ def all_parsers() -> dict[str, tuple[str, CommandParser]]:
 
 def command_parser(name: str) -> CommandParser:
     """Return the parser of the command ``name`` of COMMANDS."""
-    import re
+    from tipforce_tools.cli.actions import parser_of
 
-    from tipforce_tools.cli.actions import CommandParser, add_action, functions
-
-    place, summary = COMMANDS[name]
-    parser = CommandParser(prog=f"tipforce {name}", description=summary[0].upper() + summary[1:] + ".")
-    # argparse's own pattern takes -1.5e-3 and -1,0,0 for unknown flags.
-    parser._negative_number_matcher = re.compile(r"-\.?\d")
-    if isinstance(place, str):
-        functions(place)[0](parser)
-    else:
-        add_action(parser, name, place)
-    return parser
+    return parser_of(name, *COMMANDS[name])
 
 
 def _exit_code(error: TipforceError) -> int:

@@ -123,8 +123,9 @@ def mark_levels_for_journal() -> None:
 def open_port(args: argparse.Namespace) -> tuple[Port, str]:
     """Return the port and its name: kernel sockets for SocketCAN, python-can for every other interface."""
     from canopen_device.running.ports import PythonCanPort, SocketCanPort
+    from tipforce.host.network.open_bus import open_bus
 
-    options = common.bus_options(args)
+    options = common.find_bus(args)
     if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:
         try:
             return SocketCanPort(options["channel"]), options["channel"]
@@ -133,7 +134,7 @@ def open_port(args: argparse.Namespace) -> tuple[Port, str]:
                 f"interface socketcan, channel {options['channel']}: {error.strerror}; `ip -br link` lists interfaces; "
                 "`tipforce vcan -- ...` provides vcan"
             ) from error
-    bus = common.open_bus(args)
+    bus = open_bus(**options)
     return PythonCanPort(bus), str(bus.channel_info)
 
 

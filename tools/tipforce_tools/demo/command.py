@@ -6,16 +6,8 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
-from tipforce_tools.cli.common import (
-    add_output_arguments,
-    note,
-    print_json,
-    print_record,
-    print_rows,
-    progress,
-    whole_number,
-)
-from tipforce_tools.view.command import add_page_arguments
+from tipforce_tools.cli import common
+from tipforce_tools.view.serving import add_page_arguments, page_guard, serve
 
 if TYPE_CHECKING:
     from tipforce_tools.demo.job import Result
@@ -30,16 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "over all comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution."
     )
     parser.add_argument(
-        "--seed", type=whole_number, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)"
+        "--seed", type=common.whole_number, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)"
     )
-    parser.add_argument(
-        "--spoil", action="store_true", help="corrupt one element of each calibration matrix: the demo must fail"
-    )
+    parser.add_argument("--spoil", action="store_true", help="corrupt an element of each matrix: the demo must fail")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--table", action="store_true", help="print each load: true, estimated, error, uncertainty")
     shown.add_argument("--view", action="store_true", help="instead, serve a web page with a moving simulated hand")
     add_page_arguments(parser)
-    add_output_arguments(parser)
+    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -52,11 +42,15 @@ def run(args: argparse.Namespace) -> int:
 
     started_s = time.monotonic()
     results: list[Result] = []
-    with progress(args, "loads", 2 * len(GROOVES_DEG)) as advance:
-        for result in run_demo(args.seed, args.spoil, lambda line: note(args, line), advance):
+    with common.progress(args, "loads", 2 * len(GROOVES_DEG)) as advance:
+        for result in run_demo(args.seed, args.spoil, lambda line: common.note(args, line), advance):
             results.append(result)
             if args.json:
-                print_json(_record(result))
+                record: dict[str, object] = {"case": result.case, "sense": result.sense}
+                for name in ("applied", "estimated", "error", "u", "bound", "host", "host_bound"):
+                    for quantity, value in zip(("P_N", "phi_deg", "theta_deg"), getattr(result, name), strict=True):
+                        record[f"{name}_{quantity}"] = float(value)
+                common.print_json(record | {"inside": result.inside, "host_agrees": result.host_agrees})
     shown = [result for result in results if args.table or not (result.inside and result.host_agrees)]
     for case in () if args.json else CASES:
         of_case = [result for result in shown if result.case == case]
@@ -69,21 +63,12 @@ def _view(args: argparse.Namespace) -> int:
     """Serve the page with the scene of a hand, in a loop, until Ctrl-C. Its time is simulated: no row is missing."""
     from tipforce.shipped_files import file_or_shipped
     from tipforce.watching.watcher import finger_maker
-    from tipforce_tools.view.command import page_guard, serve
     from tipforce_tools.view.sources import scene_source
 
     guard = page_guard(args)
     source = scene_source(file_or_shipped("hand", "scenes"), finger_maker())
     source.loops = True
     return serve(args, source, guard)
-
-
-def _record(result: Result) -> dict[str, object]:
-    record: dict[str, object] = {"case": result.case, "sense": result.sense}
-    for name in ("applied", "estimated", "error", "u", "bound", "host", "host_bound"):
-        for quantity, value in zip(("P_N", "phi_deg", "theta_deg"), getattr(result, name), strict=True):
-            record[f"{name}_{quantity}"] = float(value)
-    return record | {"inside": result.inside, "host_agrees": result.host_agrees}
 
 
 def _print_table(args: argparse.Namespace, case: str, results: list[Result]) -> None:
@@ -101,7 +86,7 @@ def _print_table(args: argparse.Namespace, case: str, results: list[Result]) -> 
             ]
         rows.append([*cells, "ok" if ok else "OUT"])
     title = f"Case {case}: applied, estimated by the node, error, standard uncertainty"
-    print_rows(args, title, [">sense", *headings, ">"], rows, [None if ok else "bold red" for ok in good])
+    common.print_rows(args, title, [">sense", *headings, ">"], rows, [None if ok else "bold red" for ok in good])
 
 
 def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) -> int:
@@ -124,5 +109,5 @@ def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) 
         f"errors outside their bound: {outside}; host estimates that differ from the node's: {disagree}\n"
         f"{'PASS' if ok else 'FAIL'} in {elapsed_s:.1f} s"
     )
-    print_record(args, record, text)
+    common.print_record(args, record, text)
     return 0 if ok else 1

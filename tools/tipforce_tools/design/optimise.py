@@ -41,9 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--load", 4.4, "N", "of every push (default %(default)s)", float),
     )
     group = parser.add_argument_group("limits")
-    group.add_argument(
-        "--envelope", default="30,30.2", metavar="X,Y", help="mm: 2 r across, d + h1/2 + r high (%(default)s)"
-    )
+    group.add_argument("--envelope", default="30,30.2", metavar="X,Y", help="mm: 2 r by d + h1/2 + r (%(default)s)")
     common.add_numbers(
         group,
         ("--width", 10.0, "MM", "of the beams (default %(default)s)", float),
@@ -175,7 +173,8 @@ def _sentences(args: argparse.Namespace, outcome: Outcome) -> list[str]:
 
     best, first, least = outcome.best, outcome.paper[0], outcome.condition_only
     lines = [
-        f"{best.name}: u(theta) {_change(best, reference)} against case {reference.name}, condition number "
+        f"{best.name}: u(theta) {100 * (_ratio(best, reference, 'u_theta_deg') - 1):+.1f} % against case "
+        f"{reference.name}, condition number "
         f"{best.theory.condition_number:.3f} against {reference.theory.condition_number:.3f}"
         for reference in outcome.paper
         if reference.name in ("I", "I glued")
@@ -225,7 +224,3 @@ def _summary(args: argparse.Namespace, outcome: Outcome) -> dict[str, object]:
 def _ratio(entry: Assessment, reference: Assessment, figure: str) -> float:
     below = float(getattr(reference.theory, figure))
     return float(getattr(entry.theory, figure)) / below if below else float("nan")
-
-
-def _change(entry: Assessment, reference: Assessment) -> str:
-    return f"{100 * (_ratio(entry, reference, 'u_theta_deg') - 1):+.1f} %"

@@ -36,14 +36,10 @@ def add_table_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce design table all -o figures"
     )
     parser.add_argument("what", nargs="?", choices=(*TABLES, "all"), default="all", help="default: all")
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="DIR", help="also write the figures to this directory (needs matplotlib)"
-    )
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="also write the figures (needs matplotlib)")
     parser.add_argument("--format", choices=("svg", "png"), default="svg", help="of the figures (default: svg)")
     group = parser.add_argument_group("figure 9")
-    group.add_argument(
-        "--noise", type=float, default=5.0, metavar="UE", help="gauge noise in microstrain (default %(default)s)"
-    )
+    group.add_argument("--noise", type=float, default=5.0, metavar="UE", help="of a gauge, microstrain (%(default)s)")
     group.add_argument("--repeats", type=int, default=400, metavar="N", help="calibrations (default %(default)s)")
     group.add_argument("--seed", type=common.whole_number, default=9, help="of the noise (default %(default)s)")
     common.add_output_arguments(parser)
@@ -94,9 +90,7 @@ def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--from", type=float, dest="start", metavar="MM", help="default: half the dimension, or 0")
     parser.add_argument("--to", type=float, dest="stop", metavar="MM", help="default: 1.5 times it, or 5")
     parser.add_argument("--steps", type=int, default=21, metavar="N", help="number of values (default %(default)s)")
-    parser.add_argument(
-        "--layout", default="I", metavar="I|II|III|FILE", help="gauges and dimensions (default %(default)s)"
-    )
+    parser.add_argument("--layout", default="I", metavar="I|II|III|FILE", help="gauges, dimensions (%(default)s)")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="also write a plot, .svg or .png")
     common.add_output_arguments(parser)
 

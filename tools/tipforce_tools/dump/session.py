@@ -31,9 +31,8 @@ from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.live.targets import STDIN, Target, select, split_targets
 from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
-from tipforce.samples.reasons import NOT_CALIBRATED
 from tipforce_tools.cli import common
-from tipforce_tools.cli.listening import check_sync, counted
+from tipforce_tools.cli.listening import Hints, check_sync, counted, open_targets
 from tipforce_tools.cli.log_flags import eds_files
 
 if TYPE_CHECKING:
@@ -63,7 +62,7 @@ class Session:
 
     def __init__(self, args: Namespace, targets: tuple[Target, ...], *, live: bool) -> None:
         self._args = args
-        self._live, self._remedies = live, common.Remedies(args)
+        self._live = live
         eds = eds_files(args.eds or ())
         self.decoder = _decoder(args.gauges, eds) if args.decode or args.verbose else None
         names = eds_names(eds, fingertip_names(args.gauges)) if eds else fingertip_names(args.gauges)
@@ -103,7 +102,7 @@ class Session:
         services: Iterable[Service] = ()
         if self.services is not None:
             services = self.services.describe(block.frames, block.interface)
-            for number in set(block.interface.tolist()):
+            for number in () if self._live else set(block.interface.tolist()):  # live the hints say it
                 watch = self._duplicates.setdefault(number, DuplicateNodes())
                 for duplicate in watch.add(block.frames[block.interface == number]):
                     common.note(self._args, f"tipforce dump: {duplicate}")
@@ -111,10 +110,6 @@ class Session:
         if text:
             sys.stdout.write(text)
             sys.stdout.flush()
-        for samples in decoded.values() if self._live and self._args.decode else ():
-            calibrated = samples.columns.get("calibrated")
-            if calibrated is not None and not calibrated.all():
-                self._remedies.note(samples.node_id, NOT_CALIBRATED)
 
     def _count(self, frames: FrameArray, decoded: dict[Key, Samples]) -> None:
         """Count the decoded frames, each by the modulus in force where it was received."""
@@ -179,9 +174,8 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
 
 
 def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) -> None:
-    from tipforce_tools.cli.listening import open_targets
-
-    with open_targets(targets, args) as receiver:
+    hints = Hints(partial(common.note, args)) if args.decode else None
+    with open_targets(targets, args, hints=hints) as receiver:
         try:
             for block in _live_blocks(receiver, args):
                 if not session.show(block):

@@ -29,22 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce monitor` and python-can's bus flags to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument(
-        "targets",
-        nargs="*",
-        type=common.TARGET,
-        metavar="CHANNEL[,FILTER...] | LOG | -",
-        help="buses, filters, or a log",
-    )
+    targets = "CHANNEL[,FILTER...] | LOG | -"
+    parser.add_argument("targets", nargs="*", type=common.TARGET, metavar=targets, help="buses, filters, or a log")
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="1,2,5-9 (default: all)")
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
-    parser.add_argument(
-        "--interval", type=_seconds, metavar="S", help="time between tables (default: 0.25 s) or JSON lines (1 s)"
-    )
+    parser.add_argument("--interval", type=_seconds, metavar="S", help="between tables (0.25 s) or JSON lines (1 s)")
     parser.add_argument("--once", type=_seconds, metavar="S", help="print one table after S seconds, and end")
-    parser.add_argument(
-        "--speed", type=_speed, default=math.inf, metavar="X", help="log: times recorded speed (default: no waiting)"
-    )
+    parser.add_argument("--speed", type=_speed, default=math.inf, metavar="X", help="log: times recorded speed (inf)")
     parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
     add_sync_argument(parser)
     add_eds_argument(parser)

@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from tipforce.watching.bus_monitor import QUANTITIES, BusView, Monitor, NodeView
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import shown_id
-from tipforce_tools.cli.listening import StopSignals, check_sync, counted, open_targets
+from tipforce_tools.cli.listening import Hints, StopSignals, check_sync, counted, open_targets
 from tipforce_tools.cli.log_flags import eds_files
 from tipforce_tools.cli.main import INTERRUPTED
 
@@ -47,8 +47,9 @@ def monitor(args: Namespace) -> int:
     interval_s = args.interval or (_SCREEN_S if screen else _LINE_S)
     with ExitStack() as opened:
         stop = opened.enter_context(StopSignals())
-        source, log = _source(args, log_name, targets, interval_s, opened)
-        show = opened.enter_context(_screen(args, interval_s, log is None)) if screen else _lines(args, log is None)
+        hints = Hints(lambda _text: None)
+        source, log = _source(args, log_name, targets, interval_s, opened, hints)
+        show = opened.enter_context(_screen(args, interval_s, hints)) if screen else _lines(args, hints)
         each = show if screen or (args.json and args.once is None) else None
         shown = run(watched, source, stop, interval_s, each, args.once or math.inf)
         if log is not None and source.ended and log.bad and not watched.frames:
@@ -102,12 +103,17 @@ def run(
 
 
 def _source(
-    args: Namespace, name: Path | str | None, targets: tuple[Target, ...], interval_s: float, opened: ExitStack
+    args: Namespace,
+    name: Path | str | None,
+    targets: tuple[Target, ...],
+    interval_s: float,
+    opened: ExitStack,
+    hints: Hints,
 ) -> tuple[FrameSource, LogReader | None]:
     if name is None:
         if args.follow or args.speed != math.inf:
             raise InputError("--follow and --speed: need a log")
-        return BusSource(opened.enter_context(open_targets(targets, args))), None
+        return BusSource(opened.enter_context(open_targets(targets, args, hints=hints))), None
     if targets:
         raise InputError(f"{targets[0].channel}: not allowed with the log {name}; --nodes selects from a log")
     from tipforce.host.logs.reader import open_log
@@ -120,7 +126,7 @@ def _source(
     return LogSource(log, args.speed, step_ns), log
 
 
-def _lines(args: Namespace, live: bool) -> Show:
+def _lines(args: Namespace, hints: Hints) -> Show:
     """Print the state: a JSON line, or the plain table."""
 
     def show(watched: Monitor, now_ns: int | None) -> None:
@@ -129,14 +135,14 @@ def _lines(args: Namespace, live: bool) -> Show:
         if args.json:
             common.print_json(record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
         else:
-            print("\n".join(plain(buses, bitrate, live)) or "no frames received")
+            print("\n".join([*plain(buses, bitrate), *_missing(hints, buses)]))
         sys.stdout.flush()
 
     return show
 
 
 @contextmanager
-def _screen(args: Namespace, interval_s: float, live: bool) -> Iterator[Show]:
+def _screen(args: Namespace, interval_s: float, hints: Hints) -> Iterator[Show]:
     """Show the live table; the last one stays on the screen."""
     from rich.live import Live
 
@@ -146,7 +152,9 @@ def _screen(args: Namespace, interval_s: float, live: bool) -> Iterator[Show]:
         def show(watched: Monitor, now_ns: int | None) -> None:
             foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; Ctrl-C ends"
             buses = watched.views(now_ns)
-            picture = tables(buses, getattr(args, "bitrate", BITRATE), foot, screen.console.width, live)
+            picture = tables(
+                buses, getattr(args, "bitrate", BITRATE), _missing(hints, buses), foot, screen.console.width
+            )
             screen.update(picture, refresh=True)
 
         yield show
@@ -165,14 +173,11 @@ COLUMNS = ("node", "Hz", "period ms p50/p99/max", "age", *QUANTITIES, "status", 
 
 def record(buses: Sequence[BusView], t_s: float | None, bitrate: int) -> dict[str, Any]:
     """Return one JSON record: all buses at a time in seconds."""
-    return {"t": t_s, "buses": [_bus_record(bus, bitrate) for bus in buses]}
-
-
-def _bus_record(bus: BusView, bitrate: int) -> dict[str, Any]:
-    fields = asdict(bus)
-    least, worst = fields.pop("least_bits_hz"), fields.pop("worst_bits_hz")
-    fields["load_percent"] = [round(100 * bits / bitrate, 2) for bits in (least, worst)]
-    return fields
+    records = []
+    for fields in map(asdict, buses):
+        loads = fields.pop("least_bits_hz"), fields.pop("worst_bits_hz")
+        records.append(fields | {"load_percent": [round(100 * bits / bitrate, 2) for bits in loads]})
+    return {"t": t_s, "buses": records}
 
 
 def headline(bus: BusView, bitrate: int) -> str:
@@ -218,22 +223,13 @@ def _seconds(seconds: float) -> str:
     return f"{seconds * 1000:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"
 
 
-def remedies(bus: BusView) -> list[str]:
-    """Return a line for each node of which a command makes the unknown values known."""
-    lines = []
-    for node in bus.nodes:
-        P = node.readings.get(QUANTITIES[0])
-        reason = P.reason if P is not None else ""
-        if node.nmt in ("pre-operational", "stopped"):
-            reason = "not operational"
-        elif P is not None and not node.rate_hz and not bus.sync_hz:
-            reason = "no SYNC"
-        if text := common.remedy(reason, node.node_id):
-            lines.append(f"{common.shown_node(node.node_id)}: {text}")
-    return lines
+def _missing(hints: Hints, buses: Sequence[BusView]) -> list[str]:
+    """Return the lines of the hints; the view of a bus has the duplicates."""
+    duplicates = {node.duplicate for bus in buses for node in bus.nodes}
+    return [text for text in map(str, hints.findings()) if text not in duplicates]
 
 
-def plain(buses: Sequence[BusView], bitrate: int, live: bool = False) -> Iterator[str]:
+def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
     """Yield lines of text with columns of minimum width."""
     for bus in buses:
         yield headline(bus, bitrate)
@@ -242,13 +238,17 @@ def plain(buses: Sequence[BusView], bitrate: int, live: bool = False) -> Iterato
         for row in rows:
             yield "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
         yield from (node.duplicate for node in bus.nodes if node.duplicate)
-        yield from remedies(bus) if live else ()
         if not bus.nodes:
             yield "no node found yet"
+    if not buses:
+        yield "no frames received"
 
 
-def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE, live: bool = False) -> Group:
-    """Return the table for a terminal of ``width`` characters: a narrow one has no borders, no rate, and no periods."""
+def tables(buses: Sequence[BusView], bitrate: int, lines: Iterable[str], foot: str, width: int = WIDE) -> Group:
+    """Return the table for a terminal of ``width`` characters: a narrow one has no borders, no rate, and no periods.
+
+    ``lines`` and ``foot`` follow it.
+    """
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
@@ -269,8 +269,7 @@ def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE,
             row = (Text(texts[k], style=_style(texts[k])) for k in kept)
             table.add_row(*row, style="dim" if node.stale else "")
         parts += [table, *(Text(node.duplicate, style="bold red") for node in bus.nodes if node.duplicate)]
-        parts += [Text(line) for line in remedies(bus)] if live else []
-    return Group(*parts, Text(foot, style="dim"))
+    return Group(*parts, *map(Text, lines), Text(foot, style="dim"))
 
 
 def _style(text: str) -> str:

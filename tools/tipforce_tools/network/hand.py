@@ -8,8 +8,10 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from tipforce.errors import EnvironmentLackError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
+from tipforce_tools.cli.listening import note_missing
 
 if TYPE_CHECKING:
     from tipforce.host.hand.bring_up import FingerReport
@@ -34,7 +36,7 @@ EXAMPLE = """
 
 
 ACTIONS = {
-    "check": "read the file and the files that it names, compute the bus load; needs no bus",
+    "check": "read the file and those that it names, compute the bus load; compare serial numbers, if there is a bus",
     "up": "find the fingers, assign node-ids by LSS, configure, verify, calibrate, start; exit code 1 if one failed",
     "run": "as up, then SYNC, rows and events until Ctrl-C; a finger that reboots is configured again",
 }
@@ -64,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
     _note_load(args, file)
     if file.hand.store:
         common.confirm(args, f"{args.file}: store = true replaces the stored parameters of the fingers")
-    return _up(args)
+    return _up(args, file)
 
 
 def _check(args: argparse.Namespace, file: HandFile) -> int:
@@ -83,7 +85,33 @@ def _check(args: argparse.Namespace, file: HandFile) -> int:
             f"{common.shown_id(finger.node_id):>11}  {finger.name:10} {serial:17} {settings} settings, {own}",
         )  # fmt: skip
     _note_load(args, file)
-    return 0
+    return _compared_with_bus(args, file)
+
+
+def _compared_with_bus(args: argparse.Namespace, file: HandFile) -> int:
+    """Say on stderr where the nodes of a bus, if there is one, differ from the file; return 1 for swapped fingers."""
+    from tipforce.host.network.bus import Bus
+    from tipforce.host.network.find import find_nodes
+    from tipforce.host.network.open_bus import open_bus
+    from tipforce.watching.findings import Observed, findings
+
+    try:
+        options = common.find_bus(args, file.bus)
+        with Bus(open_bus(**options)) as connection:
+            seen = Observed(duplicates=connection.duplicates)
+            seen.add_nodes(find_nodes(connection, file.node_ids))
+    except EnvironmentLackError:
+        if common.bus_options(args):
+            raise
+        return 0
+    seen.calibrated.clear()  # `hand up` calibrates
+    known = {*seen.serials, *seen.duplicates.found}
+    if labels := ", ".join(plan.label for plan in file.finger if plan.node_id not in known):
+        common.note(args, f"no identity on the bus: {labels}")
+    wrong = [finding for finding in findings(seen, wanted=file.finger) if finding.topic != "faults"]
+    for finding in wrong:
+        common.note(args, str(finding))
+    return 1 if wrong else 0
 
 
 def _note_load(args: argparse.Namespace, file: HandFile) -> None:
@@ -109,12 +137,12 @@ def _note_load(args: argparse.Namespace, file: HandFile) -> None:
     common.note(args, "\n".join(lines))
 
 
-def _up(args: argparse.Namespace) -> int:
+def _up(args: argparse.Namespace, file: HandFile) -> int:
     from tipforce.host.hand.hand import Hand
     from tipforce_tools.cli.main import terminate_as_interrupt
 
     terminate_as_interrupt()
-    with Hand.from_file(args.file, **common.bus_options(args)) as hand:
+    with Hand.from_file(file, **common.find_bus(args, file.bus)) as hand:
         hand.on_event(lambda event: _print_event(args, hand, event))
         started_s = time.monotonic()
         reports = hand.bring_up()
@@ -131,7 +159,6 @@ def _up(args: argparse.Namespace) -> int:
 
 
 def _print_reports(args: argparse.Namespace, reports: list[FingerReport], elapsed_s: float) -> None:
-    remedies = common.Remedies(args)
     for report in reports:
         if args.json and args.action == "up":
             common.print_json(
@@ -141,7 +168,7 @@ def _print_reports(args: argparse.Namespace, reports: list[FingerReport], elapse
             )  # fmt: skip
         else:
             print(report, file=sys.stdout if args.action == "up" else sys.stderr)
-        remedies.note(report.plan.node_id, report.note)
+        note_missing(args, report)
     up = sum(report.ok for report in reports)
     common.note(args, f"{up} of {len(reports)} fingers up in {elapsed_s:.1f} s")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import threading
+import time
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -51,9 +52,13 @@ def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
 def run_scan(args: argparse.Namespace) -> int:
     """Print a line for each node; return 5 if there is none. Raises DuplicateNodeError for two with one node-id."""
     from tipforce.host.network.find import find_nodes
+    from tipforce.watching.findings import Observed, findings
 
     with common.open_connection(args) as connection:
-        nodes, remedies = find_nodes(connection, args.nodes, args.wait), common.Remedies(args)
+        begun_s = time.monotonic()
+        seen = Observed(duplicates=connection.duplicates)
+        nodes = find_nodes(connection, args.nodes, args.wait, seen.count)
+        seen.heard_s = time.monotonic() - begun_s
         for node in nodes:
             line = f"{common.shown_id(node.node_id):>11}  {node.state:15}  "
             if node.duplicate:
@@ -62,11 +67,18 @@ def run_scan(args: argparse.Namespace) -> int:
                 faults = f"  faults: {node.faults}" if node.faults else ""
                 line += f"{node.device:24}  serial {node.serial:<10}  {node.calibration:28}  EDS {node.eds}{faults}"
             common.print_record(args, asdict(node), line)
-            remedies.note(node.node_id, node.calibration)
-        if duplicates := [node.duplicate for node in nodes if node.duplicate]:
+        seen.add_nodes(nodes)
+        seen.link = common.link_of(args)
+        duplicates = [node.duplicate for node in nodes if node.duplicate]
+        said = findings(seen)
+        for finding in said:
+            if finding.topic != "faults" and str(finding) not in duplicates:
+                common.note(args, str(finding))
+        if duplicates:
             raise DuplicateNodeError("; ".join(duplicates))
     if not nodes:
-        common.note(args, "no node responded: is the bus powered and terminated, is the bit rate right?")
+        why = "" if said else ": is the bus powered and terminated, is the bit rate right?"
+        common.note(args, f"no node responded{why}")
     return 0 if nodes else 5
 
 
@@ -85,7 +97,10 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_read(args: argparse.Namespace) -> int:
     """Print ``count`` new samples of each finger: 0. Raises NoResponseError for a finger that gives none in time."""
-    remedies = common.Remedies(args)
+    from tipforce.samples.reasons import NOT_CALIBRATED
+    from tipforce.watching.findings import not_calibrated
+
+    bare: set[int] = set()
     with common.open_connection(args) as connection:
         for _ in range(args.count):
             for node_id in args.ids:
@@ -96,7 +111,9 @@ def run_read(args: argparse.Namespace) -> int:
                 record["microstrain"] = list(contact.microstrain)
                 u = f"u(P) {contact.u_P_newtons:.3f} N"
                 common.print_record(args, record, f"{common.shown_id(contact.node_id):>11}  {contact}  {u}")
-                remedies.note(contact.node_id, contact.reason)
+                if NOT_CALIBRATED in contact.reason and node_id not in bare:
+                    bare.add(node_id)
+                    common.note(args, str(not_calibrated(node_id)))
                 if not args.json:
                     sys.stdout.flush()
     return 0
@@ -149,7 +166,8 @@ def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce nmt preop all -i socketcan -c can0             (one frame, for every node on the bus)"
     )
     add_choice(parser, "command", NMT_COMMANDS)
-    parser.add_argument("ids", type=_ids_or_all, metavar="IDS", help="10, 0x0A, 1,2,5-9 or all")
+    ids = lambda text: [] if text == "all" else common.node_ids(text)  # noqa: E731
+    parser.add_argument("ids", type=ids, metavar="IDS", help="10, 0x0A, 1,2,5-9 or all")
     parser.add_argument(
         "--wait", nargs="?", type=common.timeout, const=10.0, metavar="S",
         help="repeat the command until each heartbeat confirms it, for this long (%(const)s s unless given)",
@@ -157,22 +175,16 @@ def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_bus_arguments(parser)
 
 
-def _ids_or_all(text: str) -> list[int]:
-    """Parse node-ids; an empty list means all."""
-    return [] if text == "all" else common.node_ids(text)
-
-
 def run_nmt(args: argparse.Namespace) -> int:
     """Send the command; with --wait print the state of each node.
 
     Raises NoResponseError for a node that does not report the state in time, after printing those that do.
     """
-    from tipforce.host.network.bus import Bus
     from tipforce.host.network.nmt import NotReachedError, command_and_wait
 
     if args.wait is not None and not args.ids:
         raise InputError("nmt all --wait: needs node-ids, for example 1-5")
-    with Bus(common.open_bus(args)) as connection:
+    with common.open_connection(args) as connection:
         if args.wait is None:
             for node_id in args.ids or [0]:
                 connection.nmt(args.command, node_id)
@@ -216,13 +228,12 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_lss(args: argparse.Namespace) -> int:
     """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
-    from tipforce.host.network.bus import Bus
     from tipforce.host.network.lss import LssMaster
 
     _check_lss(args)
     if args.action == "store" or args.store:
         common.confirm(args, "this replaces the stored node-id")
-    with Bus(common.open_bus(args)) as connection, LssMaster(connection, args.lss_timeout) as master:
+    with common.open_connection(args) as connection, LssMaster(connection, args.lss_timeout) as master:
         if args.action == "scan":
             address = master.fastscan()
             if address is None:
@@ -321,9 +332,7 @@ def add_firmware_install_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_ids(parser)
     parser.add_argument("file", type=common.InputFile(), metavar="FILE", help="program image")
-    parser.add_argument(
-        "--allow-downgrade", action="store_true", help="install an image that is older than the program"
-    )
+    parser.add_argument("--allow-downgrade", action="store_true", help="install an image older than the program")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     parser.set_defaults(timeout=3.0)  # a node checks the complete image before it responds to the last block

@@ -2,12 +2,9 @@
 
 import argparse
 import os
-import re
 import shutil
 import sys
-from collections.abc import Sequence
 
-from canopen_device.visible_text import visible
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.cli import common
 
@@ -28,18 +25,13 @@ signal n ended it, 130 interrupted
   tipforce vcan --interfaces can0,can1,can2 -- python -m pytest tests/vcan
   tipforce vcan --attach -- tipforce scan -i socketcan -c vcan0          from another terminal
 """
-NOT_FOUND = 127  # what a shell reports for a command that it cannot find
-_KEPT = "--rw: files that you write are kept"
-_LOST = "files that you write are lost on exit (--rw keeps them)"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce vcan` to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument(
-        "--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (default: %(default)s)"
-    )
+    parser.add_argument("--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (%(default)s)")
     parser.add_argument("--memory", default="2G", metavar="SIZE", help="of User-mode Linux (default: %(default)s)")
     parser.add_argument("--timeout", type=common.seconds, metavar="S", help="end COMMAND after S seconds, exit with 1")
     parser.add_argument("--attach", action="store_true", help="run COMMAND on the buses of a running `tipforce vcan`")
@@ -51,9 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     places.add_argument(
         "--host", dest="place", action="store_const", const="host", help="use this kernel; an error if it has no vcan"
     )
-    parser.add_argument(
-        "command", nargs=argparse.REMAINDER, metavar="-- COMMAND ...", help="default: a shell, on a terminal"
-    )
+    parser.add_argument("command", nargs=argparse.REMAINDER, metavar="-- COMMAND ...", help="default: a shell")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -65,9 +55,11 @@ def run(args: argparse.Namespace) -> int:
         )
     command = args.command[1:] if args.command[:1] == ["--"] else args.command
     if args.attach:
-        from tipforce_tools.vcan.attach import run_attached
+        from tipforce_tools.vcan.uml import run_attached
 
         return run_attached(command, _shell, args.timeout)
+    from tipforce_tools.vcan.uml import run_with_vcan
+
     return run_with_vcan(
         command or _shell(),
         interfaces=[name.strip() for name in args.interfaces.split(",")],
@@ -84,72 +76,3 @@ def _shell() -> list[str]:
         raise InputError("no command, and stdin is not a terminal: add one after --, `tipforce vcan -- COMMAND ...`")
     shell = os.environ.get("SHELL", "")
     return [shell if shutil.which(shell) else "bash"]
-
-
-def choose(interfaces: Sequence[str], place: str = "auto") -> str:
-    """Return ``"direct"`` (the interfaces are up), ``"namespace"`` (this kernel can create them) or ``"uml"``.
-
-    `place` restricts the choice. Raises EnvironmentLackError when it is ``"host"`` and this kernel has no vcan.
-    """
-    from tipforce_tools.vcan import host
-
-    if place == "uml":
-        return "uml"
-    if all(host.is_up(name) for name in interfaces):
-        return "direct"
-    if host.can_make(interfaces):
-        return "namespace"
-    if place == "host":
-        raise EnvironmentLackError(
-            f"--host: {', '.join(interfaces)} cannot be created on kernel {os.uname().release}. As root, "
-            "`modprobe vcan` shows whether the kernel has it; without --host, User-mode Linux is used"
-        )
-    return "uml"
-
-
-def run_with_vcan(
-    command: Sequence[str],
-    *,
-    interfaces: Sequence[str] = ("vcan0", "vcan1"),
-    memory: str = "2G",
-    timeout_s: float | None = None,
-    place: str = "auto",
-    writable: bool = False,
-    announced: bool = False,
-) -> int:
-    """Run `command` where all `interfaces` are vcan buses and up; return the command's own exit code.
-
-    Directory and environment are the caller's. Besides the command's own codes: 127 if it is not found, 126 if it
-    cannot be started, 128 + n if signal n ended it, 130 after SIGINT or SIGTERM to this process, 1 (with a message
-    on stderr) after `timeout_s`. `memory` and `writable` (let the command write the caller's files) apply to
-    User-mode Linux only. `announced`: first print on stderr where the command runs. Raises InputError for an
-    unusable argument and EnvironmentLackError if the machine cannot provide vcan; its text names what to install.
-    """
-    from tipforce_tools.vcan import host, uml
-
-    _check(interfaces)
-    uml.memory_bytes(memory)
-    if shutil.which(command[0]) is None:
-        print(f"tipforce vcan: {visible(command[0])}: command not found", file=sys.stderr)
-        return NOT_FOUND
-    # Flush, so that earlier output precedes that of the command.
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
-    chosen = choose(interfaces, place)
-    if announced:
-        exit_words = "`exit` ends the shell"
-        if chosen == "uml":
-            exit_words = f"you are root; {_KEPT if writable else _LOST}"
-        kernel = "User-mode Linux" if chosen == "uml" else "this kernel"
-        print(f"tipforce vcan: {kernel}, with {', '.join(interfaces)}; {exit_words}", file=sys.stderr, flush=True)
-    if chosen == "uml":
-        return uml.run_in_uml(command, interfaces, memory, timeout_s, writable)
-    return host.run_here(host.namespace_command(interfaces, command) if chosen == "namespace" else command, timeout_s)
-
-
-def _check(interfaces: Sequence[str]) -> None:
-    for name in interfaces:
-        if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
-            raise InputError(f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -")
-    if not interfaces or len(set(interfaces)) != len(interfaces):
-        raise InputError(f"--interfaces {','.join(interfaces)}: expected distinct names, for example vcan0,vcan1")

@@ -1,13 +1,11 @@
-"""This machine: its programs and packages, its kernel's vcan; a command on it, with or without a network namespace."""
+"""Where a command finds vcan: this machine, its programs, a namespace of its kernel; else User-mode Linux."""
 
 import contextlib
-import fcntl
 import os
 import re
 import shutil
 import signal
 import socket
-import struct
 import subprocess
 import sys
 import tempfile
@@ -15,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tipforce.errors import EnvironmentLackError
+from tipforce.host.network.interfaces import interfaces as can_interfaces
 from tipforce_tools.cli.main import terminate_as_interrupt
 
 INTERRUPTED = 130
@@ -28,15 +27,15 @@ ELSEWHERE = (
     "vcan works on any machine whose kernel has it (`sudo modprobe vcan`)"
 )
 
+NOT_FOUND = 127  # what a shell reports for a command that it cannot find
+KEPT = "--rw: files that you write are kept"
+LOST = "files that you write are lost on exit (--rw keeps them)"
+
 # program (or file) -> the Debian package that contains it
 _PROGRAMS = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod", "setsid": "util-linux"}
 _MACHINES = ("x86_64", "i686", "i586", "i386")  # Debian builds the package for these
 _MODULES = Path("/usr/lib/uml/modules")
 SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-_SIOCGIFFLAGS = 0x8913  # linux/sockios.h
-_SIOCGIFHWADDR = 0x8927
-_IFF_UP = 1
-_ARPHRD_CAN = 280  # linux/if_arp.h
 
 # Run inside a separate network namespace: NAME... -- COMMAND. A new sysfs mount shows the namespace's interfaces.
 _MAKE_BUSES = """set -e
@@ -74,18 +73,6 @@ def require_parts() -> None:
             "this kernel has no vcan, and User-mode Linux, which has it, is not installed completely: install it with "
             f"`apt-get install -y {' '.join(lacking)}` (as root); {ELSEWHERE}"
         )
-
-
-def is_up(interface: str) -> bool:
-    """Return whether a CAN interface of this name exists in this network namespace and is up."""
-    request = struct.pack("16s24x", interface.encode())
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
-        try:
-            flags = struct.unpack_from("H", fcntl.ioctl(asker, _SIOCGIFFLAGS, request), 16)[0]
-            kind = struct.unpack_from("H", fcntl.ioctl(asker, _SIOCGIFHWADDR, request), 16)[0]
-        except OSError:
-            return False
-    return bool(flags & _IFF_UP) and kind == _ARPHRD_CAN
 
 
 def namespace_command(interfaces: Sequence[str], command: Sequence[str]) -> list[str]:
@@ -165,3 +152,23 @@ def _end(process: "subprocess.Popen[bytes]", own_group: bool) -> None:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(5.0)
             return
+
+
+def choose(interfaces: Sequence[str], place: str = "auto") -> str:
+    """Return ``"direct"`` (the interfaces are up), ``"namespace"`` (this kernel can create them) or ``"uml"``.
+
+    `place` restricts the choice. Raises EnvironmentLackError when it is ``"host"`` and this kernel has no vcan.
+    """
+    if place == "uml":
+        return "uml"
+    known = can_interfaces()
+    if all(known.get(name) for name in interfaces):
+        return "direct"
+    if can_make(interfaces):
+        return "namespace"
+    if place == "host":
+        raise EnvironmentLackError(
+            f"--host: {', '.join(interfaces)} cannot be created on kernel {os.uname().release}. As root, "
+            "`modprobe vcan` shows whether the kernel has it; without --host, User-mode Linux is used"
+        )
+    return "uml"

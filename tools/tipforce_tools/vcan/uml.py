@@ -16,26 +16,32 @@ import sys
 import tempfile
 import termios
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import IO
 
+from canopen_device.visible_text import visible
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.cli.main import terminate_as_interrupt
+from tipforce_tools.vcan import host
 from tipforce_tools.vcan.host import (
     ELSEWHERE,
     INTERRUPTED,
     PREFIX,
+    PROCESS,
     SYSTEM_PATH,
     find_program,
     require_parts,
+    run_here,
     short_temporary_folder,
 )
 
 PIPE_CLOSED = 141  # 128 + SIGPIPE: the shell's exit code for a writer whose reader closed the pipe
 BOOT_LIMIT_S = 120.0
 HALT_LIMIT_S = 10.0
+_LOOK_S = 0.05
+_LINE_S = 10.0  # between two lines while it boots
 _COMPILERS = ("gcc", "cc", "clang")
 _INSTALL = "`apt-get install -y gcc libc6-dev` (as root)"
 
@@ -70,10 +76,7 @@ def run_in_uml(
     require_parts()
     terminal = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
     terminate_as_interrupt()
-    with (
-        tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as name,
-        _terminal_kept(terminal),
-    ):
+    with tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as name, _terminal_kept(terminal):
         folder = Path(name)
         _write_request(folder, command, interfaces, writable, terminal)
         try:
@@ -134,10 +137,13 @@ class _Machine:
 
     def follow(self, timeout_s: float | None) -> int:
         """Copy the output until the machine has halted; return the command's exit code."""
-        begin = quiet_since = time.monotonic()
+        begin = quiet_since = said = time.monotonic()
         while True:
             ended = self.process.poll() is not None
             now = time.monotonic()
+            if now - said > _LINE_S and self._file("started") is None:
+                said = now
+                print(f"tipforce vcan: User-mode Linux boots, {now - begin:.0f} s\r", file=sys.stderr)
             if self._copy_output():
                 quiet_since = time.monotonic()
             elif ended or (self._file("status") and now - quiet_since > HALT_LIMIT_S):
@@ -315,3 +321,98 @@ def preloading(folder: Path) -> dict[str, str]:
             raise
         print(f"tipforce vcan: {error}; this processor does not need it", file=sys.stderr)
         return {}
+
+
+def run_with_vcan(
+    command: Sequence[str],
+    *,
+    interfaces: Sequence[str] = ("vcan0", "vcan1"),
+    memory: str = "2G",
+    timeout_s: float | None = None,
+    place: str = "auto",
+    writable: bool = False,
+    announced: bool = False,
+) -> int:
+    """Run `command` where all `interfaces` are vcan buses and up; return the command's own exit code.
+
+    Directory and environment are the caller's. Besides the command's own codes: 127 if it is not found, 126 if it
+    cannot be started, 128 + n if signal n ended it, 130 after SIGINT or SIGTERM to this process, 1 (with a message
+    on stderr) after `timeout_s`. `memory` and `writable` (let the command write the caller's files) apply to
+    User-mode Linux only. `announced`: first print on stderr where the command runs. Raises InputError for an
+    unusable argument and EnvironmentLackError if the machine cannot provide vcan; its text names what to install.
+    """
+    for name in interfaces:
+        if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
+            raise InputError(f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -")
+    if not interfaces or len(set(interfaces)) != len(interfaces):
+        raise InputError(f"--interfaces {','.join(interfaces)}: expected distinct names, for example vcan0,vcan1")
+    memory_bytes(memory)
+    if shutil.which(command[0]) is None:
+        print(f"tipforce vcan: {visible(command[0])}: command not found", file=sys.stderr)
+        return host.NOT_FOUND
+    # Flush, so that earlier output precedes that of the command.
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    chosen = host.choose(interfaces, place)
+    if announced:
+        exit_words = "`exit` ends the shell"
+        if chosen == "uml":
+            exit_words = f"you are root; {host.KEPT if writable else host.LOST}"
+        kernel = "User-mode Linux" if chosen == "uml" else "this kernel"
+        print(f"tipforce vcan: {kernel}, with {', '.join(interfaces)}; {exit_words}", file=sys.stderr, flush=True)
+    if chosen == "uml":
+        return run_in_uml(command, interfaces, memory, timeout_s, writable)
+    return host.run_here(host.namespace_command(interfaces, command) if chosen == "namespace" else command, timeout_s)
+
+
+# --- a command beside that of a running `tipforce vcan`, on the same buses -----------------------------------------
+# Each run has a folder: of this kernel it holds the number of the process, of User-mode Linux all that is exchanged.
+
+
+def run_attached(command: Sequence[str], shell: Callable[[], list[str]], timeout_s: float | None = None) -> int:
+    """Run ``command``, or ``shell()``, on the buses of the latest `tipforce vcan` of this user; return its exit code.
+
+    In User-mode Linux its stdin is /dev/null, so that a shell is refused with InputError. Raises EnvironmentLackError
+    if none runs.
+    """
+    folders = sorted(Path(short_temporary_folder()).glob(f"{PREFIX}*"), key=lambda path: path.stat().st_mtime)
+    for folder in reversed([folder for folder in folders if folder.stat().st_uid == os.geteuid()]):
+        of_namespace, of_machine = folder / PROCESS, folder / "machine" / "pid"
+        process = next((path.read_text().strip() for path in (of_namespace, of_machine) if path.exists()), "")
+        if not process or not Path("/proc", process).exists():  # it was killed
+            continue
+        if of_namespace.exists():
+            user = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
+            enter = [find_program("nsenter") or "nsenter", "--target", process, *user, "--net", "--mount"]
+            return run_here([*enter, f"--wdns={os.getcwd()}", "--", *(command or shell())], timeout_s)
+        if (folder / "started").exists() and not (folder / "status").exists():
+            if not command:
+                raise InputError("--attach: no second shell in User-mode Linux, which has one terminal; add -- COMMAND")
+            return _in_machine(folder, command, timeout_s)
+    raise EnvironmentLackError("--attach: no `tipforce vcan` of yours runs; start one in another terminal")
+
+
+def _in_machine(folder: Path, command: Sequence[str], timeout_s: float | None) -> int:
+    """Leave the request in the folder, where the machine looks for it; copy the output until it has a status."""
+    place = Path(tempfile.mkdtemp(prefix="attach-", dir=folder))
+    write_list(place / "settings", [os.getcwd()])
+    write_list(place / "command", command)
+    write_list(place / "environment", [name + b"=" + value for name, value in os.environb.items()])
+    outputs = [((place / name), stream) for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr))]
+    for path, _ in outputs:
+        path.touch()
+    (place / "ready").touch()
+    end_s = time.monotonic() + (timeout_s or float("inf"))
+    with contextlib.ExitStack() as opened:
+        files = [(opened.enter_context(path.open("rb")), stream) for path, stream in outputs]
+        while True:
+            status = (place / "status").read_text() if (place / "status").exists() else ""
+            for file, stream in files:
+                stream.flush()
+                os.write(stream.fileno(), file.read())
+            if status.strip():
+                return int(status)
+            if not folder.exists() or (folder / "status").exists() or time.monotonic() > end_s:
+                print("tipforce vcan: the command was ended, with its machine or after --timeout", file=sys.stderr)
+                return 1
+            time.sleep(_LOOK_S)

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.common import bus_options
+from tipforce_tools.view.serving import add_page_arguments, page_guard, serve
 
 if TYPE_CHECKING:
-    from tipforce_tools.view.guard import Guard
     from tipforce_tools.view.sources import Source
 
-DEFAULT_PORT = 8404
 _MOST_SECONDS = 1e9
 
 
@@ -48,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--from", dest="start_s", type=float, default=0.0, metavar="S", help="start, seconds from its beginning"
     )
     group.add_argument("--to", dest="end_s", type=float, metavar="S", help="end, likewise")
-    add_page_arguments(parser)
+    add_page_arguments(parser).add_argument("--allow-writes", action="store_true", help="allow the page to tare")
     common.add_bus_arguments(parser)
 
 
@@ -84,64 +80,14 @@ def _source(args: argparse.Namespace, path: Path | None) -> Iterator[Source]:
         common.note(args, f"{path}: running the scene")
         source = scene_source(path, maker, args.start_s, args.end_s)
     elif is_table:
+        from tipforce.host.hand.file import read_hand
         from tipforce.host.hand.hand import Hand
 
-        source = LiveSource(commissioned(args, Hand.from_file(path, **bus_options(args)), fallback), path.name)
+        hand = Hand.from_file(path, **common.find_bus(args, read_hand(path).bus))
+        source = LiveSource(commissioned(args, hand, fallback), path.name)
     elif str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
     else:
         source = LogSource(path, maker, args.gauges, args.start_s, args.end_s)
     with contextlib.closing(source):
         yield source
-
-
-def add_page_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of the page's server."""
-    group = parser.add_argument_group("page")
-    group.add_argument(
-        "--port", type=int, default=DEFAULT_PORT, metavar="N", help="default %(default)s; 0: any free port"
-    )
-    group.add_argument(
-        "--host", default="", metavar="ADDRESS", help="address to serve on, default loopback; others need --token"
-    )
-    group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
-    group.add_argument("--allow-writes", action="store_true", help="allow the page to tare")
-    group.add_argument("--open", action="store_true", help="open the page in the browser")
-
-
-def page_guard(args: argparse.Namespace) -> Guard:
-    """Return the access rules of the page, before anything is opened. Raises InputError."""
-    from tipforce_tools.view.guard import Guard, access_token, host_names
-
-    if not 0 <= args.port <= 65535:
-        raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
-    host = args.host or "127.0.0.1"
-    return Guard(access_token=access_token(host, args.token), hosts=host_names(host), allow_writes=args.allow_writes)
-
-
-def serve(args: argparse.Namespace, source: Source, guard: Guard) -> int:
-    """Serve the page of a source until Ctrl-C or SIGTERM."""
-    from tipforce_tools.cli.main import terminate_as_interrupt
-    from tipforce_tools.view.server import ViewServer
-
-    server = ViewServer(source, guard, (args.host,) if args.host else ("127.0.0.1", "::1"), args.port)
-    terminate_as_interrupt()
-    server.start()
-    try:
-        if args.json:
-            common.print_json({"url": server.url})
-        else:
-            print(server.url)
-        sys.stdout.flush()
-        access = "read and tare" if args.allow_writes and not source.no_tare else "read-only"
-        common.note(args, f"{source.title}: {access}; Ctrl-C ends it")
-        if args.open:
-            import webbrowser
-
-            webbrowser.open(server.url)
-        while True:
-            time.sleep(3600)
-    except KeyboardInterrupt:
-        return 0
-    finally:
-        server.close()

@@ -22,8 +22,8 @@ from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
 from tipforce.watching.feeds import Counters, Feed
+from tipforce.watching.findings import not_calibrated
 from tipforce.watching.watcher import Finger, FingerMaker, Watcher, with_layout
-from tipforce_tools.cli import common
 from tipforce_tools.view.history import MAX_BYTES, row_bytes
 from tipforce_tools.view.model import Model
 
@@ -96,6 +96,8 @@ class LiveSource(Source):
             self._note_uncalibrated(block.status)
         for event in events:
             model.add_event(time.time_ns(), event.node_id, event.kind, event.text)
+        while self.feed.hints:
+            model.add_event(time.time_ns(), 0, "hint", self.feed.hints.pop(0))
         model.counters = self.feed.counters()
         model.nmt = [self.feed.state(finger.node_id) for finger in fingers]
 
@@ -105,7 +107,7 @@ class LiveSource(Source):
         for finger, is_bare in zip(self.model.fingers, bare.tolist(), strict=False):
             if is_bare and finger.calibration is None and finger.node_id not in self._bare:
                 self._bare.add(finger.node_id)
-                text = common.remedy(reasons.NOT_CALIBRATED, finger.node_id)
+                text = f"{reasons.NOT_CALIBRATED}: {not_calibrated(finger.node_id).next_step}"
                 self.model.add_event(time.time_ns(), finger.node_id, "hint", text)
 
     def tare(self, node_id: int) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,7 @@ from tipforce.host.network.sdo import checked_time
 from tipforce.samples import reasons
 
 if TYPE_CHECKING:
+    from tipforce.host.frames.frame_array import FrameArray
     from tipforce.host.network.bus import Bus
 
 FIND_S = 0.25
@@ -45,13 +46,20 @@ class FoundNode:
     """Its faults (2124h), in words."""
     duplicate: str = ""
     """What shows that two nodes use this node-id, and what to do."""
+    product: int = 0
+    """Its product code (1018h:2); 0 where it is unknown."""
 
 
-def find_nodes(connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2) -> list[FoundNode]:
+def find_nodes(
+    connection: Bus,
+    node_ids: Iterable[int],
+    wait_s: float = 1.2,
+    observe: Callable[[FrameArray], object] = lambda _frames: None,
+) -> list[FoundNode]:
     """Request 1000h from every node-id, listen for ``wait_s`` to responses and heartbeats, then identify the nodes.
 
     A node that only sends heartbeats (STOPPED: no SDO) is listed too. The wait ends when every node-id has sent both.
-    Raises InputError for node-ids outside 1..127.
+    ``observe`` is called with the frames that arrive. Raises InputError for node-ids outside 1..127.
     """
     wanted = set(node_ids)
     if not wanted <= set(range(1, 128)):
@@ -63,7 +71,9 @@ def find_nodes(connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2) ->
     while not ended:
         left_s = end_s - time.monotonic()
         time.sleep(max(min(_STEP_S, left_s), 0.0))
-        for frame in connection.buffer.take_all():
+        frames = connection.buffer.take_all()
+        observe(frames)
+        for frame in frames:
             can_id = int(frame["can_id"])
             service, node_id = can_id & ~codes.NODE_ID_MASK, can_id & codes.NODE_ID_MASK
             if node_id in wanted and service == codes.SDO_RESPONSE_BASE:
@@ -120,13 +130,18 @@ def _identified(client: FingertipClient, state_name: str) -> FoundNode:
     identity = client.identity()
     if not identity.is_fingertip:
         device = f"product 0x{identity.product:08X}"
-        return FoundNode(client.node_id, state_name, device, identity.serial, "not a fingertip", "no: another device")
+        return FoundNode(
+            client.node_id, state_name, device, identity.serial, "not a fingertip", "no: another device",
+            product=identity.product,
+        )  # fmt: skip
     crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
     generation = client.sdo.read(od.CALIBRATION_GENERATION)
-    calibration = f"0x{crc:08X} generation {generation}" if crc else "not calibrated"
+    calibration = f"0x{crc:08X} generation {generation}" if crc else reasons.NOT_CALIBRATED
     faults = ", ".join(reasons.of_faults(client.sdo.read(od.FAULTS)))
     eds = "match"
     if identity.revision >> 16 != REVISION >> 16:
         eds = f"no: revision 0x{identity.revision:08X}, expected 0x{REVISION:08X}"
     device = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges"
-    return FoundNode(client.node_id, state_name, device, identity.serial, calibration, eds, faults)
+    return FoundNode(
+        client.node_id, state_name, device, identity.serial, calibration, eds, faults, product=identity.product
+    )
