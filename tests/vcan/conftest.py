@@ -13,7 +13,7 @@ from tipforce_tools.vcan.host import is_up
 from vcan.support import Command, Launch, RawBus, running_node
 
 BUSES = ("vcan0", "vcan1")
-PEERS = ("candump", "cansend", "cangen")
+PEERS = ("candump", "cangen")
 
 
 def pytest_collection_modifyitems() -> None:
