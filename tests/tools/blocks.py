@@ -8,6 +8,8 @@ from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.recorder import open_writer
 
+CONTACTS_LOG = "".join(f"({1700000000 + k / 1000:.6f}) vcan0 285#2E1129239A1103{k:02X}\n" for k in range(50))
+"""A contact of node 5 every millisecond."""
 MIXED_LOG = """\
 (1700000000.000000) vcan0 285#2E1129239A110303
 (1700000000.000100) vcan0 285##52E1129239A110303

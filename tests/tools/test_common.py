@@ -107,13 +107,7 @@ class Terminal(io.StringIO):
 
 @pytest.mark.parametrize(
     "words",
-    [
-        "--yes -i socketcan -c can0",
-        "-y",
-        "-i virtual -c x",
-        "-i udp_multicast -c 239.0.0.1",
-        "-i socketcan -c vcan0",
-    ],
+    ["--yes -i socketcan -c can0", "-y", "-i virtual -c x", "-i udp_multicast -c 239.0.0.1", "-i socketcan -c vcan0"],
 )
 def test_nobody_is_asked(words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO())

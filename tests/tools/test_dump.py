@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from tipforce_tools.cli.main import main
+from tools.rig import Ended, Printed, Tipforce
 
 GOOD = """\
 (1700000000.000000) vcan0 285#2E1129239A110303
@@ -31,8 +32,18 @@ def log(tmp_path: Path) -> Path:
     return path
 
 
-def piped(text: str, *words: str) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([*DUMP, *words], input=text, capture_output=True, text=True, timeout=60, check=False)
+@pytest.fixture
+def piped(tipforce: Tipforce, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Tipforce:
+    """`tipforce dump` of a text on stdin, in this process; pipes proper are at the end of this file."""
+
+    def run(text: object, *words: object) -> Ended:
+        path = tmp_path / "stdin"
+        path.write_text(str(text))
+        with path.open() as stdin:
+            monkeypatch.setattr(sys, "stdin", stdin)
+            return tipforce("dump", *words)
+
+    return run
 
 
 def records(text: str) -> list[dict[str, Any]]:
@@ -70,9 +81,8 @@ SHOWN = {
 
 
 @pytest.mark.parametrize("words", SHOWN)
-def test_text(words: str, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", *words.split(), str(log)]) == 0
-    assert capsys.readouterr() == (SHOWN[words], "")
+def test_text(words: str, log: Path, printed: Printed) -> None:
+    assert printed(0, ["dump", *words.split(), str(log)]) == (SHOWN[words], "")
 
 
 @pytest.mark.parametrize(
@@ -89,9 +99,8 @@ def test_timestamps(flag: str, starts: list[str], log: Path, capsys: pytest.Capt
         assert line.startswith(start + "  ")
 
 
-def test_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "--json", "--decode", str(log)]) == 0
-    found = records(capsys.readouterr().out)
+def test_json(log: Path, printed: Printed) -> None:
+    found = records(printed(0, ["dump", "--json", "--decode", str(log)]).out)
     assert found[0] == {
         "t": 1700000000.0,
         "interface": "vcan0",
@@ -116,15 +125,15 @@ def test_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert found[6]["id"] == "12345678"
 
 
-def test_json_without_decode_and_without_time() -> None:
+def test_json_without_decode_and_without_time(piped: Tipforce) -> None:
     done = piped("  vcan0  285   [8]  2E 11 29 23 9A 11 03 03\n", "--json", "-")
-    assert records(done.stdout) == [{"t": None, "interface": "vcan0", "id": "285", "data": "2E1129239A110303"}]
+    assert done.records == [{"t": None, "interface": "vcan0", "id": "285", "data": "2E1129239A110303"}]
 
 
-def test_health_and_more_gauges() -> None:
+def test_health_and_more_gauges(piped: Tipforce) -> None:
     health = "(1700000000.000000) vcan0 485#FFFFFFFF01080701\n"
     done = piped(health, "--decode", "--gauges", "8", "-L", "-")
-    assert done.stdout == health[:-1] + (
+    assert done.out == health[:-1] + (
         "  node 5 (0x05) Health  temperature=-0.01 degC u_P=unknown configuration_counter=7 error_register=1 "
         "SG1_fault fault_supply\n"
     )
@@ -148,9 +157,8 @@ def test_health_and_more_gauges() -> None:
         (["can7"], 0),
     ],
 )
-def test_filters(targets: list[str], shown: int, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", *targets, str(log)]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == shown
+def test_filters(targets: list[str], shown: int, log: Path, printed: Printed) -> None:
+    assert len(printed(0, ["dump", *targets, str(log)]).out.splitlines()) == shown
 
 
 FD = """\
@@ -189,39 +197,39 @@ def test_can_fd_frames_are_shown_counted_and_filtered_but_not_decoded(
     assert "values" in found[1]
 
 
-def test_what_was_left_out_is_told_at_the_end() -> None:
+def test_what_was_left_out_is_told_at_the_end(piped: Tipforce) -> None:
     text = GOOD + "rubbish\nmore\n(1700000000.000000) vcan0 123##50001\n(1700000000.0) vcan0 123#00\n"
     done = piped(text + "(1700000002.000000) vcan0 285#00\n", "--decode", "-")
-    assert (done.returncode, len(done.stdout.splitlines())) == (0, 9)
-    assert "  vcan0       123  [02]  00 01\n" in done.stdout
-    lines = done.stderr.splitlines()
+    assert (done.code, len(done.out.splitlines())) == (0, 9)
+    assert "  vcan0       123  [02]  00 01\n" in done.out
+    lines = done.err.splitlines()
     assert lines[0].startswith(
         "tipforce dump: 3 bad lines left out (2 not a candump line, 1 timestamp), first line 8: 'rubbish': "
     )
     assert lines[1:] == ["tipforce dump: node 5 (0x05) Contact: 1 frame shorter than the mapping, not decoded"]
-    assert piped(text, "-q", "-").stderr == ""
+    assert piped(text, "-q", "-").err == ""
 
 
-def test_verbose_counts_messages_and_lost_samples() -> None:
+def test_verbose_counts_messages_and_lost_samples(piped: Tipforce) -> None:
     text = "".join(f"(1700000000.{k:06d}) vcan0 285#00000000000002{k:02X}\n" for k in (0, 1, 1, 5))
-    lines = piped(text, "-v", "-").stderr.splitlines()
+    lines = piped(text, "-v", "-").err.splitlines()
     assert lines[-1] == "tipforce dump: node 5 (0x05) Contact: 4 frames, 3 samples lost"
 
 
-def test_verbose_counts_by_the_numbers_of_the_syncs() -> None:
+def test_verbose_counts_by_the_numbers_of_the_syncs(piped: Tipforce) -> None:
     sent = [("080", "")] + [("080", f"{k:02X}") for k in (239, 240, 1, 2, 4)]
     frames = [(f"{can_id}#{data}", f"285#00000000000002{data or 'F0'}") for can_id, data in sent]
     text = "".join(f"(1700000000.{k:06d}) vcan0 {one}\n" for k, one in enumerate(sum(frames, ())))
-    lines = piped(text, "-v", "-").stderr.splitlines()
+    lines = piped(text, "-v", "-").err.splitlines()
     assert lines[-1] == "tipforce dump: node 5 (0x05) Contact: 6 frames, 1 sample lost"
 
 
-def test_strict_stops_at_the_first_bad_line() -> None:
+def test_strict_stops_at_the_first_bad_line(piped: Tipforce) -> None:
     good = GOOD.splitlines(keepends=True)
     done = piped(good[0] + "rubbish\n" + good[1], "--strict", "-L", "-")
-    assert (done.returncode, done.stdout) == (1, good[0])
-    assert done.stderr.startswith("tipforce dump: line 2: 'rubbish': not a candump line: expected ")
-    assert piped(GOOD, "--strict", "-").returncode == 0
+    assert (done.code, done.out) == (1, good[0])
+    assert done.err.startswith("tipforce dump: line 2: 'rubbish': not a candump line: expected ")
+    assert piped(GOOD, "--strict", "-").code == 0
 
 
 def test_bytes_that_are_no_text() -> None:
@@ -231,8 +239,8 @@ def test_bytes_that_are_no_text() -> None:
     assert b"no frames in it; is it a log?" in done.stderr
 
 
-def test_a_last_line_without_its_end() -> None:
-    assert piped(GOOD.rstrip("\n"), "-L", "-").stdout == GOOD
+def test_a_last_line_without_its_end(piped: Tipforce) -> None:
+    assert piped(GOOD.rstrip("\n"), "-L", "-").out == GOOD
 
 
 def test_a_closed_pipe_ends_quietly(tmp_path: Path) -> None:

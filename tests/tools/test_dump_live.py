@@ -21,7 +21,7 @@ from tipforce.host.live.receiver import Selection
 from tipforce.host.live.targets import Target
 from tipforce_tools.cli.listening import open_targets
 from tipforce_tools.cli.main import main
-from tools.rig import message, sending
+from tools.rig import Printed, message, sending
 
 CONTACT = bytes.fromhex("2E1129239A110303")
 
@@ -69,9 +69,8 @@ def test_two_buses_align(capsys: pytest.CaptureFixture[str]) -> None:
     assert set(capsys.readouterr().out.splitlines()) == {"      d  181   [0] ", "  dump3  182   [0] "}
 
 
-def test_silence_ends_it(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["dump", "-i", "virtual", "-c", "dump4", "-T", "100"]) == 0
-    assert capsys.readouterr().out == ""
+def test_silence_ends_it(printed: Printed) -> None:
+    assert printed(0, ["dump", "-i", "virtual", "-c", "dump4", "-T", "100"]).out == ""
 
 
 def test_a_bus_that_is_not_there() -> None:
@@ -83,13 +82,12 @@ def test_a_bus_that_is_not_there() -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_a_bus_that_fails_later(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bus_that_fails_later(monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
     def fail(_bus: object, _timeout_s: float) -> None:
         raise can.CanOperationError("the interface went down")
 
     monkeypatch.setattr("can.interfaces.virtual.VirtualBus.recv", fail)
-    assert main(["dump", "-i", "virtual", "-c", "dump5"]) == 2
-    assert "the interface went down" in capsys.readouterr().err
+    assert "the interface went down" in printed(2, ["dump", "-i", "virtual", "-c", "dump5"]).err
 
 
 @pytest.fixture
@@ -140,7 +138,7 @@ def test_socketcan_frames(buses: dict[str, socket.socket], capsys: pytest.Captur
 
 @pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
 def test_an_interface_that_goes_down(
-    buses: dict[str, socket.socket], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    buses: dict[str, socket.socket], monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
     down = [OSError(errno.ENETDOWN, "Network is down")]
     read = recvmmsg.DatagramBatch.read
@@ -152,13 +150,11 @@ def test_an_interface_that_goes_down(
         return read(batch)
 
     monkeypatch.setattr(recvmmsg.DatagramBatch, "read", fail_once)
-    assert main(["dump", "-D", "-n", "1", "vcan0"]) == 0
-    out, err = capsys.readouterr()
+    out, err = printed(0, ["dump", "-D", "-n", "1", "vcan0"])
     assert out == "  vcan0  123   [0] \n"
     assert "vcan0: interface down" in err
     down.append(OSError(errno.ENETDOWN, "Network is down"))
-    assert main(["dump", "-n", "1", "vcan0"]) == 2
-    assert "vcan0: interface down" in capsys.readouterr().err
+    assert "vcan0: interface down" in printed(2, ["dump", "-n", "1", "vcan0"]).err
 
 
 @pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.host.configuration.calibration import Calibration, write_calibration
-from tipforce.host.configuration.measurements import Measurements, write_measurements
+from tipforce.host.configuration.measurements import write_measurements
 from tipforce.host.decoding import estimator
 from tipforce.sensor.calibration.simulation import Faults, simulate
 from tipforce.sensor.contact.estimate import force_vector
@@ -21,6 +21,7 @@ from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.cli.main import main
 from tipforce_tools.estimate import COLUMNS
 from tools.rig import Printed
+from tools.test_calibrate_fit import measured
 
 FloatArray = npt.NDArray[np.float64]
 A = strain_matrix(FABRICATED, "I")
@@ -209,9 +210,7 @@ def test_status_words_and_what_they_make_unknown(calibration: Path, capsys: pyte
 def test_the_fit_table_widens_the_uncertainty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sim = simulate("I", np.random.default_rng(3), Faults(outlier_share=0.0, saturation=None))
     data, path = tmp_path / "data.csv", tmp_path / "cal.toml"
-    m = len(sim.strain)
-    load = sim.P_newtons, sim.phi_rad, sim.theta_rad
-    write_measurements(data, Measurements(np.arange(m) + 2, sim.strain, *load, sim.t_s, None, None, None, (), ()))
+    write_measurements(data, measured(sim))
     assert main(["calibrate", "fit", str(data), "-o", str(path), "-q"]) == 0
     capsys.readouterr()
     gauges = ",".join(str(value * 1e6) for value in sim.strain[3])

@@ -13,6 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from tipforce.errors import InputError
+from tipforce.host.configuration.calibration import write_calibration
+from tipforce.scene import beam_calibration
 from tipforce.watching.watcher import Finger
 from tipforce_tools.cli import common
 from tipforce_tools.cli.main import main
@@ -116,26 +118,13 @@ def test_a_scene_is_viewed_as_the_log_that_it_writes(scene: Path, tmp_path: Path
 
 def test_gauges_of_a_decoded_log_are_measurements(log: Path, tmp_path: Path, printed: Printed) -> None:
     calibration, gauges, both = (str(tmp_path / name) for name in ("cal.toml", "gauges.csv", "both.csv"))
-    _write_calibration(calibration)
+    write_calibration(calibration, beam_calibration("II"))
     assert main(["decode", str(log), "--nodes", "5", "--signals", "SG1,SG2,SG3", "-q", "-o", gauges]) == 0
     rows = [json.loads(line) for line in printed(0, ["estimate", calibration, gauges, "--json", "-q"]).out.splitlines()]
     assert len(rows) == 20
     assert all(abs(row["P_N"] - 2.0) < 0.01 and row["status"] == "ok" for row in rows)
     assert main(["decode", str(log), "--nodes", "5", "-q", "-o", both]) == 0
     assert "SG1_ue beside P_N: this is a decoded log" in printed(2, ["estimate", calibration, both]).err
-
-
-def _write_calibration(path: str) -> None:
-    import numpy as np
-
-    from tipforce.host.configuration.calibration import Calibration, write_calibration
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce.sensor.structure.strain import calibration_matrix
-
-    C = calibration_matrix(FABRICATED, "II")
-    write_calibration(
-        path, Calibration(C, np.zeros(3), 1e-14 * np.eye(3), serial=5, pull=False, calibrated_force_newtons=10.0)
-    )
 
 
 ARGS = Namespace(color="never")

@@ -85,17 +85,15 @@ def test_run_prints_rows_and_counts(hand: tuple[Fingers, Path], printed: Printed
 
 
 def test_an_uncalibrated_finger_is_named_and_its_rows_say_why(
-    hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str]
+    hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str], printed: Printed
 ) -> None:
     path = hand[1]
     path.write_text(path.read_text().replace('calibration = "cal.toml"', "", 1))
-    assert main(["hand", "up", str(path)]) == 0
-    out, err = capsys.readouterr()
+    out, err = printed(0, ["hand", "up", str(path)])
     assert "thumb (1): up, not calibrated: P, phi and theta are unknown" in out
     assert "node 1 (0x01): not calibrated: tipforce calibrate apply CAL.toml --node 1\n" in err
     assert main(["hand", "run", str(path), "--seconds", "0.3", "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith('{"row"')]
     assert rows[-1]["1"]["P"] is None
     assert rows[-1]["1"]["reason"].startswith("not calibrated")
-    assert main(["hand", "run", str(path), "--seconds", "0.3"]) == 0
-    assert "thumb: not calibrated" in capsys.readouterr().out
+    assert "thumb: not calibrated" in printed(0, ["hand", "run", str(path), "--seconds", "0.3"]).out

@@ -61,10 +61,7 @@ def test_the_examples_of_the_documentation(tmp_path: Path) -> None:
 
 
 WRONG_PLACES = [
-    (
-        '{ beam = "X", side = "left", position_mm = 1 }',
-        "points[3].beam is 'X': invalid enum value 'X'; allowed: H, V",
-    ),
+    ('{ beam = "X", side = "left", position_mm = 1 }', "points[3].beam is 'X': invalid enum value 'X'; allowed: H, V"),
     (
         '{ beam = "H", side = "up", position_mm = 1 }',
         "points[3].side is 'up': invalid enum value 'up'; allowed: left, right",
@@ -74,10 +71,7 @@ WRONG_PLACES = [
     ('{ beam = "H", side = "left", position_mm = 15.1 }', "allowed is 0 to 0.015 m from the joint"),
     ('{ beam = "V", side = "left", position_mm = -0.1 }', "allowed is 0 to 0.015 m from the joint"),
     ('{ beam = "V", side = "left", position_mm = nan }', "allowed is 0 to 0.015 m from the joint"),
-    (
-        '{ beam = "V", side = "left", position_mm = 1, face = "upper" }',
-        "face = 'upper' on beam V: allowed on beam H",
-    ),
+    ('{ beam = "V", side = "left", position_mm = 1, face = "upper" }', "face = 'upper' on beam V: allowed on beam H"),
     ('{ beam = "V", side = "right", position_mm = 15 }', "V right 15.00 is given more than once"),
     ('"X"', "gauge point 'X' is not known"),
 ]
@@ -118,10 +112,7 @@ WRONG_TEXTS = [
     ('points = ["K_H", "S_H", "X"]', "gauge point X is not known: allowed are L, R"),
     ('points = ["K_H", "S_H", "K_H"]', "K_H is given more than once"),
     ("points = 5", "points is 5: allowed is a list"),
-    (
-        'points = ["L", "R", "U"]\ngauges = 3',
-        "gauges: no such key; allowed: points, gauge_length_mm, geometry, bridge",
-    ),
+    ('points = ["L", "R", "U"]\ngauges = 3', "gauges: no such key; allowed: points, gauge_length_mm, geometry, bridge"),
     ('points = ["L", "R", "U"]\n[geometry]\nr_m = "x"', "geometry.a_m is missing"),
     ('points = ["L", "R", 5]', "points[3] is 5: expected str | table, got int"),
     ('points = ["L", "R", "U"]\ngeometry = 5', "geometry is 5: allowed is a table"),

@@ -65,19 +65,7 @@ def test_version(flag: str, printed: Printed) -> None:
 
 
 # Commands that do something when nothing more is said.
-RUN_ALONE = [
-    "decode",
-    "demo",
-    "doctor",
-    "dump",
-    "export",
-    "log",
-    "monitor",
-    "report",
-    "ros2",
-    "vcan",
-    "view",
-]
+RUN_ALONE = ["decode", "demo", "doctor", "dump", "export", "log", "monitor", "report", "ros2", "vcan", "view"]
 
 
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - set(RUN_ALONE)))

@@ -65,9 +65,6 @@ def test_a_layout_file_with_more_gauges(devices: list[Device], tmp_path: Path) -
     assert devices[0].od.get(0x1018, 2) == 0x54500104
 
 
-SYNC, RESET_NODE = (0x80, b""), (0x000, b"\x81\5")
-
-
 POINTS = 'points = ["K_H", "S_H", "U"]\n'
 BRIDGE = f"""{POINTS}[bridge]
 kind = "full"

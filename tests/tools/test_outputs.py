@@ -19,10 +19,10 @@ from tipforce.output_file import CALIBRATION, NewFile, new_file, write_file
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
 from tipforce_tools.cli.main import main
+from tools.blocks import CONTACTS_LOG
 from tools.test_calibrate_fit import measured
 from tools.test_log import counting
 
-LOG = "".join(f"({1700000000 + k / 1000:.6f}) vcan0 285#2E1129239A1103{k:02X}\n" for k in range(50))
 SCENE = """
 duration_s = 0.05
 sync_hz = 200
@@ -87,7 +87,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_calibration(folder / "cal.toml", beam_calibration("I", pull=True))
     write_measurements(folder / "data.csv", measured(simulate("I", np.random.default_rng(4))))
     (folder / "readings.csv").write_text("SG1,SG2,SG3\n" + 50 * "-125.0,728.7,323.6\n")
-    (folder / "run.log").write_text(LOG)
+    (folder / "run.log").write_text(CONTACTS_LOG)
     for name, outputs in (("scene", ""), ("table", 'table = "table.csv"\n'), ("plot", 'plot = "scene.svg"\n')):
         (folder / f"{name}.toml").write_text(SCENE + outputs)
     return folder
@@ -128,7 +128,7 @@ def test_a_failed_write_leaves_the_dataset(
     inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "other.log").write_text(LOG.replace("(17", "(18"))
+    (tmp_path / "other.log").write_text(CONTACTS_LOG.replace("(17", "(18"))
     assert main(["decode", str(inputs / "run.log"), "-q", "-o", "parts/"]) == 0
     before = files(tmp_path)
     with full_disk():
@@ -141,12 +141,12 @@ def test_a_recording_that_replaces_another_is_kept_beside_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "run.log"
-    path.write_text(LOG)
+    path.write_text(CONTACTS_LOG)
     words = ["log", "-i", "virtual", "outputs1", "-o", str(path), "--overwrite", "-q"]
     with counting("outputs1"), full_disk(2000):
         assert main(words) == 1
     assert "File too large; the frames so far are in" in capsys.readouterr().err
-    assert path.read_text() == LOG
+    assert path.read_text() == CONTACTS_LOG
     (beside,) = set(tmp_path.iterdir()) - {path}
     assert beside.stat().st_size == 2000
     with counting("outputs1"):

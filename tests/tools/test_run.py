@@ -104,17 +104,15 @@ def test_costs_are_those_of_the_parts_that_are_built() -> None:
 
 
 def test_a_shipped_scene_is_found_by_name(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], printed: Printed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("static", "static.toml"):
         assert main(["run", name, "--json", "-q"]) == 0
         assert records(capsys)[-1]["ok"]
-    assert main(["run", "--explain", "static", "--json"]) == 0
-    assert capsys.readouterr().out
+    assert printed(0, ["run", "--explain", "static", "--json"]).out
     (tmp_path / "static.toml").write_text("[[")
-    assert main(["run", "static.toml"]) == 2
-    assert "scene static.toml: " in capsys.readouterr().err
+    assert "scene static.toml: " in printed(2, ["run", "static.toml"]).err
 
 
 @pytest.mark.parametrize("words", [("run",), ("run", "--explain"), ("view",)])

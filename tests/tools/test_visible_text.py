@@ -20,6 +20,7 @@ from host.logs.test_pcap import block, socketcan
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce_tools.cli.main import COMMANDS, main
+from tools.blocks import CONTACTS_LOG
 
 CONTROLS = "".join(map(chr, (*range(1, 9), *range(11, 32), *range(127, 160)))) + "\u200f\u202e\u2066\u2028"
 HOSTILE = f"A\x1b[31mB\x1b]0;t\x07[bold]C[/] {CONTROLS}\nINJECTED line\r\x9b1mD\tE"
@@ -39,8 +40,7 @@ EDS += var("1018sub2", 7, "ro", "1") + var("100A", 9, "const", "x")
 for place in ("1F56", "1F57"):
     EDS += record(place, var(f"{place}sub0", 5, "const", "1"), var(f"{place}sub1", 7, "ro", "0"))
 EDS += var("2002", 9, "rw", KEY).replace("P2002", f"Q{KEY}")
-LOG = "".join(f"({1700000000 + k / 1000:.6f}) vcan0 285#2E1129239A1103{k:02X}\n" for k in range(50))
-NAMED_LOG = LOG.replace("vcan0", "".join(one for one in NAME if not one.isspace() and one > " "))
+NAMED_LOG = CONTACTS_LOG.replace("vcan0", "".join(one for one in NAME if not one.isspace() and one > " "))
 SCENE = f"""
 title = {QUOTED}
 duration_s = 0.02
@@ -59,7 +59,7 @@ P_error_N = 0.001
 FILES = {
     "any.eds": EDS,
     "run.log": NAMED_LOG,
-    "comment.log": f"# {NAME}\n" + LOG + f"{NAME}\n(1700000001.0) {NAME} 123#00\n",
+    "comment.log": f"# {NAME}\n" + CONTACTS_LOG + f"{NAME}\n(1700000001.0) {NAME} 123#00\n",
     "noise.asc": NAME,
     "scene.toml": SCENE,
     "markup.toml": SCENE.replace(QUOTED, json.dumps(MARKUP)),
@@ -73,7 +73,7 @@ FILES = {
     "readings.csv": f"SG1,SG2,SG3,{KEY}\n1,2,3,{KEY}\n{KEY},1,2,3\n",
     "data.csv": f"SG1,SG2,SG3,P_N,phi_deg,theta_deg\n{KEY},1,2,3,4,5\n",
     NAME: NAME,
-    f"{NAME}.log": LOG,
+    f"{NAME}.log": CONTACTS_LOG,
 }
 BUS = "-i virtual -c BUS"
 NODE = f"{BUS} --timeout 0.2 --retries 1"

@@ -24,6 +24,7 @@ REPOSITORY = Path(__file__).parents[2]
 NODE_ID = 5
 SYNC, NMT = 0x80, 0x000
 SDO_REQUEST, SDO_ANSWER, HEARTBEAT = 0x600, 0x580, 0x700
+OPERATIONAL_BEAT = (HEARTBEAT + NODE_ID, b"\x05")
 _FRAME = struct.Struct("=IB3x8s")  # struct can_frame, linux/can.h
 _numbers = itertools.count()
 
@@ -96,6 +97,20 @@ class RawBus:
         """What the node has sent so far: all before its answer to one SDO request, because it answers in order."""
         self.send(SDO_REQUEST + node_id, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0)))
         return self.until(lambda frame: frame[0] == SDO_ANSWER + node_id)[:-1]
+
+
+def start_with_fast_heartbeats(bus: RawBus) -> None:
+    """Operational, with a heartbeat every 20 ms (1017h): a clock of the node's own, and it soon notices a lost bus."""
+    bus.send(SDO_REQUEST + NODE_ID, b"\x2b\x17\x10\0\x14\0\0\0")
+    bus.until(lambda frame: frame[0] == SDO_ANSWER + NODE_ID)
+    bus.send(NMT, bytes((1, NODE_ID)))
+    bus.until(lambda frame: frame == OPERATIONAL_BEAT)
+
+
+def answers_a_sync(bus: RawBus) -> bool:
+    """Does the node send its PDOs to a SYNC?"""
+    bus.send(SYNC)
+    return {0x180 + NODE_ID, 0x280 + NODE_ID} <= {can_id for can_id, _ in bus.answers()}
 
 
 def is_boot_up(node_id: int) -> Callable[[Frame], bool]:

@@ -20,17 +20,7 @@ from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import SdoChannel
 from tipforce.sensor.structure.published import GROOVES_DEG
 from tipforce_tools.demo.job import case_calibration
-from vcan.support import (
-    NODE_ID,
-    REPOSITORY,
-    SYNC,
-    WAIT_S,
-    Command,
-    RawBus,
-    peer,
-    tipforce,
-    wait_until,
-)
+from vcan.support import NODE_ID, REPOSITORY, SYNC, WAIT_S, Command, RawBus, peer, tipforce, wait_until
 
 DBC = REPOSITORY / "dbc" / "tipforce.dbc"
 MARKER = 0x7FE  # an identifier that is no message of the DBC

@@ -29,7 +29,17 @@ from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from vcan.adc import ADDRESSES, COUNTS, Adcs, in_user_mode_linux, load_modules
-from vcan.support import HEARTBEAT, NODE_ID, SYNC, Command, Frame, RawBus, running_node, wait_until
+from vcan.support import (
+    HEARTBEAT,
+    NODE_ID,
+    SYNC,
+    Command,
+    Frame,
+    RawBus,
+    running_node,
+    start_with_fast_heartbeats,
+    wait_until,
+)  # fmt: skip
 
 LAYOUT = """\
 points = ["K_H", "S_H", "U"]
@@ -156,10 +166,7 @@ def flags(folder: Path, devices: str) -> tuple[str, ...]:
 @pytest.fixture
 def rig(adcs: Adcs, iio_node: Command, bus: RawBus) -> Rig:
     assert iio_node.stdout == ""
-    bus.send(0x600 + NODE_ID, b"\x2b\x17\x10\0" + struct.pack("<HH", HEARTBEAT_MS, 0))
-    bus.until(lambda frame: frame[0] == 0x580 + NODE_ID)
-    bus.send(0x000, bytes((1, NODE_ID)))
-    bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x05"))
+    start_with_fast_heartbeats(bus)
     return Rig(adcs, bus)
 
 

@@ -16,7 +16,20 @@ from tipforce.errors import SdoAbortError
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce_tools.demo.job import case_calibration
-from vcan.support import HEARTBEAT, NODE_ID, SDO_REQUEST, SYNC, WAIT_S, Command, RawBus, running_node, wait_until
+from vcan.support import (
+    HEARTBEAT,
+    NODE_ID,
+    OPERATIONAL_BEAT,
+    SDO_REQUEST,
+    WAIT_S,
+    Command,
+    Launch,
+    RawBus,
+    answers_a_sync,
+    running_node,
+    start_with_fast_heartbeats,
+    wait_until,
+)  # fmt: skip
 
 STORE_CALIBRATION = b"\x23\x10\x10\x04save"  # SDO download, expedited, 1010h:4
 OWN_BUS = "tipforce0"
@@ -37,7 +50,10 @@ def active_crc(connection: Bus) -> int:
 
 
 @pytest.mark.parametrize(("number", "fresh"), [(signal.SIGTERM, False), (signal.SIGINT, True)])
-def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(tmp_path: Path, number: int, fresh: bool) -> None:
+def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(
+    bus: RawBus, tmp_path: Path, number: int, fresh: bool
+) -> None:
+    """Its last frame says that it stopped."""
     before = receivers("vcan0")
     with running_node(tmp_path, fresh=fresh) as node:
         assert receivers("vcan0") == before + 1
@@ -45,22 +61,14 @@ def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(tmp_path: Path, num
         assert receivers("vcan0") == before
         assert "Traceback" not in node.stderr
         assert node.stdout == ""
+    bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x04"))
 
 
-def test_interface_that_does_not_exist_is_said_at_once(launch_node: list[Command], tmp_path: Path) -> None:
-    launch_node.append(Command(["node", "--node-id", "5", "-i", "socketcan", "-c", "nosuchbus0"], tmp_path))
-    assert launch_node[0].wait() == 2
-    assert "nosuchbus0" in launch_node[0].stderr
-    assert "Traceback" not in launch_node[0].stderr
-
-
-@pytest.fixture
-def launch_node() -> Iterator[list[Command]]:
-    """Nodes that are not expected to boot; ended with the test."""
-    started: list[Command] = []
-    yield started
-    for command in started:
-        command.close()
+def test_interface_that_does_not_exist_is_said_at_once(launch: Launch) -> None:
+    node = launch("node", "--node-id", "5", "-i", "socketcan", "-c", "nosuchbus0")
+    assert node.wait() == 2
+    assert "nosuchbus0" in node.stderr
+    assert "Traceback" not in node.stderr
 
 
 # What it keeps
@@ -135,43 +143,32 @@ def own_bus() -> Iterator[str]:
     subprocess.run(["ip", "link", "del", OWN_BUS], check=False, capture_output=True, timeout=WAIT_S)
 
 
-def start_with_fast_heartbeats(channel: str) -> None:
-    """Operational, and 1017h = 20 ms, so that the node soon notices that it can't send."""
-    with RawBus(channel) as bus:
-        bus.send(SDO_REQUEST + NODE_ID, b"\x2b\x17\x10\0\x14\0\0\0")
-        bus.until(lambda frame: frame[0] == 0x580 + NODE_ID)
-        bus.send(0x000, bytes((1, NODE_ID)))
-        bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x05"))
-
-
 def still_operational(channel: str, node: Command) -> None:
     """It sends heartbeats in the state that it was in (so it was not restarted), and answers a SYNC."""
     with RawBus(channel) as bus:
-        bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x05"))
-        bus.send(SYNC)
-        assert {0x180 + NODE_ID, 0x280 + NODE_ID} <= {can_id for can_id, _ in bus.answers()}
+        bus.until(lambda frame: frame == OPERATIONAL_BEAT)
+        assert answers_a_sync(bus)
     wait_until(lambda: "up again" in node.stderr, "no word that the interface is up again")
     assert node.end() == 0
 
 
-def test_node_outlives_its_interface_going_down_and_up(own_bus: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("away", "back", "said"),
+    [
+        (["set", OWN_BUS, "down"], [], "Network is down"),
+        (["del", OWN_BUS], ["add", "dev", OWN_BUS, "type", "vcan"], "continues when it is up again"),
+    ],
+    ids=["down", "deleted"],
+)
+def test_node_outlives_its_interface(own_bus: str, tmp_path: Path, away: list[str], back: list[str], said: str) -> None:
     with running_node(tmp_path, channel=own_bus) as node:
-        start_with_fast_heartbeats(own_bus)
-        ip("set", own_bus, "down")
-        wait_until(lambda: "Network is down" in node.stderr, "no word that the interface is down")
+        with RawBus(own_bus) as bus:
+            start_with_fast_heartbeats(bus)
+        ip(*away)
+        wait_until(lambda: said in node.stderr, "no word that the interface is gone")
         time.sleep(0.2)  # ten heartbeats that can't be sent
+        if back:
+            ip(*back)
         ip("set", own_bus, "up")
         still_operational(own_bus, node)
-        assert node.stderr.count("Network is down") == 1
-
-
-def test_node_outlives_its_interface_going_away_and_coming_back(own_bus: str, tmp_path: Path) -> None:
-    with running_node(tmp_path, channel=own_bus) as node:
-        start_with_fast_heartbeats(own_bus)
-        ip("del", own_bus)
-        wait_until(lambda: "continues when it is up again" in node.stderr, "no word that the interface is gone")
-        time.sleep(0.2)
-        ip("add", "dev", own_bus, "type", "vcan")
-        ip("set", own_bus, "up")
-        still_operational(own_bus, node)
-        assert node.stderr.count("continues when it is up again") == 1
+        assert node.stderr.count(said) == 1

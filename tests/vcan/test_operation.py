@@ -1,10 +1,9 @@
-"""The node in operation: a disk that is full or read-only, a clock that is set, its end, and its scheduling."""
+"""The node in operation: a disk that is full or read-only, a clock that is set, and its scheduling."""
 
 from __future__ import annotations
 
 import os
 import signal
-import struct
 import subprocess
 import time
 from collections.abc import Iterator
@@ -17,9 +16,15 @@ from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce_tools.demo.job import case_calibration
 from vcan.adc import in_user_mode_linux
-from vcan.support import HEARTBEAT, NODE_ID, SDO_ANSWER, SDO_REQUEST, SYNC, RawBus, running_node
-
-OPERATIONAL_BEAT = (HEARTBEAT + NODE_ID, b"\x05")
+from vcan.support import (
+    NMT,
+    NODE_ID,
+    OPERATIONAL_BEAT,
+    RawBus,
+    answers_a_sync,
+    running_node,
+    start_with_fast_heartbeats,
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -51,11 +56,10 @@ def remount(disk: Path, mode: str) -> None:
     subprocess.run(["mount", "-o", f"remount,{mode}", str(disk)], check=True, capture_output=True)
 
 
-def answers_a_sync() -> None:
+def still_answers() -> None:
     with RawBus() as bus:  # a new one: what came before must not pass for an answer
-        bus.send(0x000, bytes((1, NODE_ID)))
-        bus.send(SYNC)
-        assert {0x180 + NODE_ID, 0x280 + NODE_ID} <= {can_id for can_id, _ in bus.answers()}
+        bus.send(NMT, bytes((1, NODE_ID)))
+        assert answers_a_sync(bus)
 
 
 @pytest.mark.parametrize(("trouble", "message"), [("full", "No space left on device"), ("read-only", "Read-only file")])
@@ -75,7 +79,7 @@ def test_a_disk_that_takes_nothing_costs_nothing_but_the_storing(
             assert refused.value.code == 0x06060000
         assert node.stderr.count(message) == 1
         assert client.verify_calibration(second) == [], "what is active stays active"
-        answers_a_sync()
+        still_answers()
         assert node.end(signal.SIGKILL) == -signal.SIGKILL
     (disk / "ballast").unlink() if trouble == "full" else remount(disk, "rw")
     with running_node(tmp_path, *store):
@@ -89,10 +93,7 @@ def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
     if not in_user_mode_linux():
         pytest.skip("sets the time of day: only on a kernel of its own, `tipforce vcan --uml -- ...`")
     with running_node(tmp_path) as node:
-        bus.send(SDO_REQUEST + NODE_ID, b"\x2b\x17\x10\0" + struct.pack("<HH", 20, 0))
-        bus.until(lambda frame: frame[0] == SDO_ANSWER + NODE_ID)
-        bus.send(0x000, bytes((1, NODE_ID)))
-        bus.until(lambda frame: frame == OPERATIONAL_BEAT)
+        start_with_fast_heartbeats(bus)
         before = time.clock_gettime(time.CLOCK_REALTIME)
         began = time.monotonic()
         try:
@@ -104,16 +105,8 @@ def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
             time.clock_settime(time.CLOCK_REALTIME, before + time.monotonic() - began)
         # Thirty heartbeats of 20 ms: less would be a burst after a step forward. The lower bound alone is no timing.
         assert time.monotonic() - began > 0.5
-        answers_a_sync()
+        still_answers()
         assert node.end() == 0
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_the_last_frame_of_a_node_says_that_it_stopped(bus: RawBus, tmp_path: Path, number: int) -> None:
-    with running_node(tmp_path) as node:
-        assert node.end(number) == 0
-    frames = bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x04"))
-    assert frames[-1] == (HEARTBEAT + NODE_ID, b"\x04")
 
 
 def test_priority_and_locked_memory_as_root(tmp_path: Path) -> None:
