@@ -117,17 +117,13 @@ def test_a_mapping_read_at_once_has_the_values_of_each_entry(n: int) -> None:
         talk.source.load = load
         talk.source.set_fault(pick.choice((0, 0, 0, 3, 2)), 1, 0.0, talk.now_us)
         talk.sync()
-        for index in (0x7130, 0x9130):
-            for first, count in ((1, n), (n + 1, 3), (n + 4, 3), (2, 1)):
-                channels = [(index, first + k) for k in range(count)]
-                for keys in (channels, [*channels, (0x2120, 0), (0x2121, 0)]):
-                    assert od.row is not None
-                    read = od.row(keys)
-                    assert read is not None
-                    assert read() == [od.get(*key) for key in keys]
-    assert od.row is not None
-    assert od.row([(0x7130, 1), (0x7130, 3)]) is None
-    assert od.row([(0x6130, 1)]) is None
+        for first in (1, 2, n + 1, n + 4):
+            keys = [(0x7130, first + k) for k in range(3)] + [(0x2120, 0), (0x2121, 0)]
+            pack = od.packer(keys)
+            assert pack is not None
+            assert pack() == struct.pack("<hhhBB", *[od.get(*key) for key in keys])
+    assert od.packer([(0x7130, 1), (0x7130, 2), (0x7130, 4), (0x2120, 0), (0x2121, 0)]) is None
+    assert od.packer([(0x6130, 1)]) is None
 
 
 @pytest.mark.parametrize(("sign", "end", "status"), [(1, 32767, 3), (-1, -32767, 5)])
