@@ -154,11 +154,12 @@ def main(word: str = "") -> None:
     if word == "--json":
         print(json.dumps({name: calls(work) / units for name, units, work in paths()}))
     elif word == "--instructions":
-        valgrind = "valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null"
-        for name, units, _ in paths():
-            texts = [output(True, f"{name}*{runs}", *valgrind) for runs in (11, 1)]
-            most, least = (int(text.split("Collected :")[1].split()[0]) for text in texts)
-            print(f"{name:40}{(most - least) / 10 / units:15,.0f} instructions", flush=True)
+        with tempfile.TemporaryDirectory() as folder:
+            valgrind = "valgrind", "--tool=callgrind", f"--callgrind-out-file={folder}/out"
+            for name, units, _ in paths():
+                texts = [output(True, f"{name}*{runs}", *valgrind) for runs in (11, 1)]
+                most, least = (int(text.split("Collected :")[1].split()[0]) for text in texts)
+                print(f"{name:40}{(most - least) / 10 / units:15,.0f} instructions", flush=True)
     elif word:
         name, _, runs = word.partition("*")
         work = next(work for path, _, work in paths() if path == name)
