@@ -24,6 +24,7 @@ from bench.scale import many_parts
 from tipforce import Estimator
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.rows import Collector, rows_one_by_one
+from tipforce.samples.record import RowContacts
 from tipforce.scene.delivered import structure_calibration
 from tipforce.sensor.structure.geometry import FABRICATED
 
@@ -52,14 +53,15 @@ def gauges(count: int) -> Callable[[], float]:
 
 def fingers(count: int) -> Callable[[], float]:
     """500 rows of so many fingers, each row fed at once."""
-    node_ids, names = range(1, count + 1), [f"finger {k}" for k in range(count)]
+    node_ids = range(1, count + 1)
+    contacts = RowContacts(node_ids, [f"finger {k}" for k in node_ids])
     rows = [frame_array([(10**9 + k * 10**6, 0x280 + node_id, CONTACT + bytes((k & 255,))) for node_id in node_ids])
             for k in range(500)]  # fmt: skip
 
     def run() -> None:
         collector = Collector(node_ids)
         for k, row in enumerate(rows):
-            rows_one_by_one(collector.add(row, 1.0 + 1e-3 * k), node_ids, names)
+            rows_one_by_one(collector.add(row, 1.0 + 1e-3 * k), contacts)
 
     return partial(cpu_s, run)
 
