@@ -62,6 +62,8 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.decode
 	$(PYTHON) -m bench.decode --check
 	$(PYTHON) -m bench.scale
+	$(PYTHON) -m bench.exponents
+	$(PYTHON) tests/test_costs.py --instructions
 	TIPFORCE_KILLS=100 TIPFORCE_CLUSTER=4 $(PYTHON) -m pytest -q tests/tools/decode/test_dataset.py tests/running \
 		tests/microcontroller/test_programs.py -k "kill or power_cuts" -o faulthandler_timeout=0
 	TIPFORCE_ALL_CASES=1 $(PYTHON) -m pytest -q tests/micropython/test_replay.py -k conformance

@@ -13,6 +13,7 @@ import contextlib
 import gc
 import io
 import itertools
+import math
 import multiprocessing
 import select
 import socket
@@ -42,7 +43,6 @@ from canopen_device.eds.load import device_of
 from canopen_device.eds.reader import read_eds
 from canopen_device.running import loop, ports
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.sample import Sample
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
@@ -54,6 +54,8 @@ SYNC_PERIOD_US = 2000
 TPDO1, TPDO2 = 1, 2
 SYNC = CAN_FRAME.pack(0x80, 0, b"")
 ROUNDS, WARM_UP, SYNCS = 5, 20, 1500  # of the latencies
+RAW_FRAME, RAW_PDO = struct.Struct("=IB3x8s"), struct.Struct("<hhhBB")
+RAW_STRAIN = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))  # of three gauges, per newton
 
 
 def _stored(record: bytes) -> dict[str, bytes]:
@@ -219,27 +221,26 @@ def run_tipforce(bus: socket.socket, nodes: int) -> None:
 
 
 def run_raw(bus: socket.socket, nodes: int) -> None:
-    """By hand, with the same gauges, the same estimate and the same two PDOs, and no CANopen at all."""
-    fingers = []
-    for k in range(nodes):
-        application: Any = calibrated_node(k + 1).application
-        fingers.append((k + 1, application.source, application.channels.scaling, application.calibration.active))
-    present, readings, counter = [False] * nodes, [finger[1].read(0) for finger in fingers], 0
+    """By hand, nothing of the product: gauges with noise, F = C V, P, phi and theta, two PDOs, no CANopen at all."""
+    draw, noise = Random(1).gauss, 0.2e-6
+    C = [[1.0 / row[column] if column == k else 0.0 for k, row in enumerate(RAW_STRAIN)] for column in range(3)]
+    true = [sum(c * f for c, f in zip(row, (0.342, 0.174, 0.940), strict=True)) for row in RAW_STRAIN]
+    counter = 0
     while True:  # the shortest loop there is that can also wait for a time
-        if not select.select([bus], [], [], 0.2)[0] or CAN_FRAME.unpack(bus.recv(16))[0] != 0x80:
+        if not select.select([bus], [], [], 0.2)[0] or RAW_FRAME.unpack(bus.recv(16))[0] != 0x80:
             continue
-        now_us = loop.now_us()
         counter = counter + 1 & 0xFF
-        for k, (node_id, source, scaling, active) in enumerate(fingers):
-            readings[k] = source.read(now_us) or readings[k]
-            sample = Sample(readings[k], scaling, active, was_present=present[k])
-            status = sample.status()
-            present[k] = bool(status & 1)
-            strains = [round(10 * strain) for strain in sample.microstrains]
-            P, phi, theta, _ = sample.contact()
-            bus.send(CAN_FRAME.pack(0x180 + node_id, 8, struct.pack("<hhhBB", *strains, status, counter)))
-            contact = (round(1000 * P), round(5729.578 * phi), round(5729.578 * theta)) if status & 1 else (-32768,) * 3
-            bus.send(CAN_FRAME.pack(0x280 + node_id, 8, struct.pack("<hhhBB", *contact, status, counter)))
+        for node_id in range(1, nodes + 1):
+            V = [strain + draw(0.0, noise) for strain in true]
+            f1, f2, f3 = [sum([c * v for c, v in zip(row, V, strict=True)]) for row in C]
+            P = math.hypot(f1, f3)
+            phi = math.atan2(f1, f3)
+            theta = phi - math.asin(max(-1.0, min(1.0, f2 / P)))
+            status = 3 if P > 0.05 else 2
+            gauges = [round(1e7 * v) for v in V]
+            bus.send(RAW_FRAME.pack(0x180 + node_id, 8, RAW_PDO.pack(*gauges, status, counter)))
+            contact = round(1000 * P), round(math.degrees(phi) * 100), round(math.degrees(theta) * 100)
+            bus.send(RAW_FRAME.pack(0x280 + node_id, 8, RAW_PDO.pack(*contact, status, counter)))
 
 
 def run_local_node(bus: socket.socket, nodes: int) -> None:
@@ -270,7 +271,7 @@ def run_local_node(bus: socket.socket, nodes: int) -> None:
 Runner = Callable[[socket.socket, int], None]
 LOOPS: tuple[tuple[str, Runner], ...] = (
     ("fingertip node", run_tipforce),
-    ("raw socket loop, same measurement by hand", run_raw),
+    ("independent loop in plain Python", run_raw),
     ("canopen LocalNode, same values set", run_local_node),
 )
 
@@ -317,15 +318,17 @@ class Process:
         self._bus.close()
 
 
-def latencies(nodes: int, syncs: int, period_s: float) -> dict[str, list[list[float]]]:
-    """Latencies in microseconds of each loop, by turn."""
+def latencies(nodes: int, syncs: int, period_s: float) -> dict[str, list[tuple[list[float], float]]]:
+    """(latencies, processor time of the nodes a SYNC) in microseconds of each loop, by turn."""
 
-    def turn(process: Process) -> list[float]:
-        values = []
-        for _ in range(syncs // ROUNDS + WARM_UP):
+    def turn(process: Process) -> tuple[list[float], float]:
+        values, count = [], syncs // ROUNDS + WARM_UP
+        before_s = process.meter.cpu_s
+        for _ in range(count):
             time.sleep(period_s)
             values.append(process.sync_us())
-        return [value for value in values[WARM_UP:] if value is not None]
+        cpu_us = 1e6 * (process.meter.cpu_s - before_s) / count
+        return [value for value in values[WARM_UP:] if value is not None], cpu_us
 
     processes = {what: Process(runner, nodes) for what, runner in LOOPS}
     turns = in_turns({what: partial(turn, process) for what, process in processes.items()}, ROUNDS)
@@ -335,16 +338,19 @@ def latencies(nodes: int, syncs: int, period_s: float) -> dict[str, list[list[fl
 
 
 def report_latency(nodes: int, syncs: int = SYNCS) -> list[str]:
-    """Median, p99, max of each loop, and the ratios of the medians."""
+    """Median, p99, max, processor time of each loop; ours over it: medians of the turns and their range, totals."""
     turns = latencies(nodes, syncs, 0.002)
     lines = [f"SYNC to last TPDO, {nodes} nodes with TPDO1+TPDO2, {syncs} SYNCs each, microseconds"]
-    own = statistics.median(itertools.chain(*turns[LOOPS[0][0]]))
+    own = turns[LOOPS[0][0]]
     for what, of_loop in turns.items():
-        values, medians = sorted(itertools.chain(*of_loop)), [statistics.median(turn) for turn in of_loop]
-        median, p99 = statistics.median(values), values[min(len(values) - 1, int(0.99 * len(values)))]
+        values = sorted(itertools.chain(*[values for values, _ in of_loop]))
+        p99, cpu_us = values[min(len(values) - 1, int(0.99 * len(values)))], sum(us for _, us in of_loop)
+        pairs = zip(own, of_loop, strict=True)
+        ratios = [statistics.median(ours) / statistics.median(other) for (ours, _), (other, _) in pairs]
         lines.append(
-            f"  {what:<44}median {median:7.0f} ({min(medians):.0f}-{max(medians):.0f})  p99 {p99:7.0f}  "
-            f"max {values[-1]:8.0f}  ours / this {own / median:5.2f}"
+            f"  {what:<36}median {statistics.median(values):6.0f}  p99 {p99:6.0f}  max {values[-1]:7.0f}  "
+            f"processor {cpu_us / ROUNDS:6.0f}; ours / this {statistics.median(ratios):5.2f} "
+            f"({min(ratios):.2f}-{max(ratios):.2f}), processor {sum(us for _, us in own) / cpu_us:5.2f}"
         )
     return lines
 

@@ -27,14 +27,5 @@ if TYPE_CHECKING:
     from canopen_device.errors import InputError as InputError
     from canopen_device.machine.device import SimulatedDevice as SimulatedDevice
     from canopen_device.machine.running import simulated_device as simulated_device
-
-_NAMES = {
-    "core.node": ("Application", "Device"),
-    "core.object_dictionary": ("ObjectDictionary",),
-    "eds.load": ("EdsWarning", "device_from_eds"),
-    "errors": ("CanopenDeviceError", "InputError"),
-    "machine.device": ("SimulatedDevice",),
-    "machine.running": ("simulated_device",),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

@@ -2,28 +2,28 @@
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 
 def lazy(
-    package: str, names: "dict[str, tuple[str, ...]]"
+    package: "Mapping[str, object]",
 ) -> "tuple[Callable[[str], object], Callable[[], list[str]], list[str]]":
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package.
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, whose globals are given.
 
-    ``names``: by module below the package, or "/" and another package. A name is followed by ":" and that in the
-    module, where it is another one.
+    The names are those that its source imports for type checkers, one a line: "    from MODULE import NAME as PUBLIC".
     """
+    spec: object = package["__spec__"]
+    source: str = spec.loader.get_source(spec.name)  # type: ignore[attr-defined]
     places: dict[str, tuple[str, str]] = {}
-    for module, of_module in names.items():
-        path = module[1:] if module.startswith("/") else package + "." + module
-        for text in of_module:
-            name, _, own = text.partition(":")
-            places[name] = path, own or name
+    for line in source.splitlines():
+        words = line.split()
+        if words[:1] == ["from"] and words[4:5] == ["as"]:
+            places[words[5]] = words[1], words[3]
 
-    def get(name: str) -> object:
-        if name not in places:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        path, own = places[name]
-        return getattr(__import__(path, None, None, (own,)), own)
+    def get(public: str) -> object:
+        if public not in places:
+            raise AttributeError(f"module {package['__name__']!r} has no attribute {public!r}")
+        path, name = places[public]
+        return getattr(__import__(path, None, None, (name,)), name)
 
     return get, lambda: sorted(places), sorted(places)

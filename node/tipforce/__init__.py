@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from canopen_device.eds.load import device_from_eds as device_from_eds
     from canopen_device.machine.device import SimulatedDevice as SimulatedDevice
     from canopen_device.machine.running import simulated_device as simulated_device
-    from tipforce.dictionary.table import SOFTWARE_VERSION
+    from tipforce.dictionary.table import SOFTWARE_VERSION as __version__  # noqa: N811
     from tipforce.errors import DuplicateNodeError as DuplicateNodeError
     from tipforce.errors import EnvironmentLackError as EnvironmentLackError
     from tipforce.errors import InputError as InputError
@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from tipforce.host.hand.hand import Hand as Hand
     from tipforce.host.hand.rows import HandRow as HandRow
     from tipforce.host.network.bus import Bus as Bus
+    from tipforce.host.network.bus import open_connection as open
     from tipforce.host.network.finger import Finger as Finger
     from tipforce.samples.contact import Contact as Contact
     from tipforce.samples.reasons import Status as Status
@@ -65,33 +66,6 @@ if TYPE_CHECKING:
     from tipforce.sensor.calibration.data import Readings as Readings
     from tipforce.sensor.calibration.fit import fit_calibration as fit_calibration
 
-    open, __version__ = Bus.open, SOFTWARE_VERSION
-
-_NAMES = {
-    "host.network.bus": ("open:open_connection", "Bus"),
-    "host.network.finger": ("Finger",),
-    "samples.contact": ("Contact",),
-    "host.decoding.estimator": ("Contacts", "Estimator", "estimate"),
-    "samples.reasons": ("Status",),
-    "host.hand.hand": ("Hand",),
-    "host.hand.rows": ("HandRow",),
-    "host.configuration.calibration": ("Calibration",),
-    "sensor.calibration.fit": ("fit_calibration",),
-    "sensor.calibration.data": ("Readings",),
-    "host.decoding.log": ("read_log", "Log", "NodeLog"),
-    "scene.simulated_bus": ("simulated_finger", "simulated_hand", "SimulatedBus"),
-    "/canopen_device": ("device_from_eds", "EdsWarning", "simulated_device", "SimulatedDevice"),
-    "errors": (
-        "TipforceError",
-        "InputError",
-        "NoResponseError",
-        "NoNewSampleError",
-        "SdoAbortError",
-        "RefusedError",
-        "DuplicateNodeError",
-        "EnvironmentLackError",
-    ),
-    "dictionary.table": ("__version__:SOFTWARE_VERSION",),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+    __all__ = ["__version__", "open"]  # "as" exports only what keeps its name
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

@@ -17,14 +17,8 @@ INTEGERS = [t for t in types.TYPES.values() if t.limits is not None and t.letter
 
 def test_codes_are_those_of_cia_301() -> None:
     codes = {t.name: t.code for t in types.TYPES.values()}
-    assert codes["UNSIGNED8"] == 5
-    assert codes["UNSIGNED16"] == 6
-    assert codes["UNSIGNED32"] == 7
-    assert codes["REAL32"] == 8
-    assert codes["INTEGER16"] == 3
-    assert codes["INTEGER32"] == 4
-    assert codes["VISIBLE_STRING"] == 9
-    assert codes["DOMAIN"] == 15
+    expected = {"INTEGER16": 3, "INTEGER32": 4, "UNSIGNED8": 5, "UNSIGNED16": 6, "UNSIGNED32": 7, "REAL32": 8}
+    assert codes | expected | {"VISIBLE_STRING": 9, "DOMAIN": 15} == codes
 
 
 @pytest.mark.parametrize(

@@ -110,24 +110,23 @@ def test_a_mapping_read_at_once_has_the_values_of_each_entry(n: int) -> None:
     """The default PDOs are packed by one function; it must give what the entries give one by one."""
     talk, pick = finger(n), random.Random(5)
     od = talk.device.od
-    loads = [PUSH, (0.0, 0.0, 0.0), (40.0, 90.0, 0.0), (1.0, 180.0, 170.0)]
+    loads = [PUSH, (0.0, 0.0, 0.0), (40.0, 90.0, 0.0), (1.0, 180.0, 170.0), (30.0, -179.998, -170.0), (25.0, 0.0, 90.0)]
     angle = (-180.0, 180.0)
     loads += [(10.0 ** pick.uniform(-3.0, 1.7), pick.uniform(*angle), pick.uniform(*angle)) for _ in range(60)]
-    for load in loads:
+    for k, load in enumerate(loads):
         talk.source.load = load
-        talk.source.set_fault(pick.choice((0, 0, 0, 3, 2)), 1, 0.0, talk.now_us)
+        talk.source.set_fault(0 if k < 8 else pick.choice((0, 0, 0, 3, 2)), 1, 0.0, talk.now_us)
         talk.sync()
-        for index in (0x7130, 0x9130):
-            for first, count in ((1, n), (n + 1, 3), (n + 4, 3), (2, 1)):
-                channels = [(index, first + k) for k in range(count)]
-                for keys in (channels, [*channels, (0x2120, 0), (0x2121, 0)]):
-                    assert od.row is not None
-                    read = od.row(keys)
-                    assert read is not None
-                    assert read() == [od.get(*key) for key in keys]
-    assert od.row is not None
-    assert od.row([(0x7130, 1), (0x7130, 3)]) is None
-    assert od.row([(0x6130, 1)]) is None
+        if k == 5:  # F2 = -25 N is zero from now on
+            assert talk.put("H", 0x2130, 0, 1) == 0
+            loads[6] = 25.0, 0.0, -90.0
+        for first in (1, 2, n + 1, n + 4):
+            keys = [(0x7130, first + k) for k in range(3)] + [(0x2120, 0), (0x2121, 0)]
+            pack = od.packer(keys)
+            assert pack is not None
+            assert pack() == struct.pack("<hhhBB", *[od.get(*key) for key in keys])
+    assert od.packer([(0x7130, 1), (0x7130, 2), (0x7130, 4), (0x2120, 0), (0x2121, 0)]) is None
+    assert od.packer([(0x6130, 1)]) is None
 
 
 @pytest.mark.parametrize(("sign", "end", "status"), [(1, 32767, 3), (-1, -32767, 5)])

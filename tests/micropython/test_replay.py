@@ -1,11 +1,13 @@
 """The same conversations on CPython and on MicroPython: every frame, due time, request and stored byte the same."""
 
+import os
+
 import pytest
 
+from conformance.fingertip import NODE_ID, SERIAL, all_cases, core_eds, run_in_process
 from micropython import engine, recording, scripts
-from micropython.cases import conformance_recordings
 from micropython.random_frames import random_recording
-from micropython.recording import Recording
+from micropython.recording import RecordedDevice, Recording
 
 RANDOM_SEEDS, RANDOM_STEPS = range(4), 2500
 
@@ -23,6 +25,17 @@ def test_random_frames() -> None:
     recordings = [random_recording(seed, RANDOM_STEPS) for seed in RANDOM_SEEDS]
     assert sum(sum(one.frames()) for one in recordings) > 20_000
     recording.assert_same(recordings, engine.sources())
+
+
+def conformance_recordings() -> list[Recording]:
+    """Every third case, or each with TIPFORCE_ALL_CASES=1 (``make long``), on a node of ``fingertip.core_node``."""
+    recordings = []
+    for case in all_cases()[:: 1 if os.environ.get("TIPFORCE_ALL_CASES") else 3]:
+        device = RecordedDevice(case.name, NODE_ID, eds=core_eds().decode(), serial=SERIAL)
+        _result, link = run_in_process(case, device)
+        assert len(link.steps) == len(device.recording.steps)
+        recordings.append(device.recording)
+    return recordings
 
 
 def test_the_conformance_suite() -> None:

@@ -182,6 +182,22 @@ def test_supply_fault_reported_by_the_front_end() -> None:
     assert device.od.get(0x2122) == UNKNOWN
 
 
+def test_a_temperature_beyond_the_range_is_said_once_and_its_end() -> None:
+    talk = finger(emcy=True)
+    for temperature, codes in ((8001, [0x4210]), (8001, []), (2300, [0]), (2300, []), (-2001, [0x4210])):
+        talk.source.temperature = temperature
+        talk.sync()
+        assert talk.emcy() == codes, temperature
+
+
+def test_equal_readings_that_are_not_in_a_row_freeze_nothing() -> None:
+    source = Bare()
+    talk = finger(source=source, calibrated=record(noise_strain=NOISE * 1e-6))
+    for k in range(200):
+        source.next = Reading((k // 2, k, -k), 0, 2500)
+        assert not talk.sync().status & FAULT
+
+
 @pytest.mark.parametrize("node_id", [0, 128, -1])
 def test_node_id_out_of_range(node_id: int) -> None:
     with pytest.raises(ValueError, match="allowed 1 to 127"):

@@ -17,14 +17,5 @@ if TYPE_CHECKING:
     from tipforce_lab.dynamics.integrators import frequency_of_error as frequency_of_error
     from tipforce_lab.dynamics.integrators import rk4_stability_limit as rk4_stability_limit
     from tipforce_lab.dynamics.switched import slit_stop as slit_stop
-
-_NAMES = {
-    "design.error_budget": ("budget",),
-    "design.tables": ("shared_gauge_disagreement", "condition_numbers_by_unit", "table_1", "table_2", "table_3"),
-    "design.paper_figures": ("shift_to_reach",),
-    "dynamics.impact": ("Striker", "impact", "overload"),
-    "dynamics.integrators": ("frequency_of_error", "rk4_stability_limit"),
-    "dynamics.switched": ("slit_stop",),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

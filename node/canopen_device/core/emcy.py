@@ -6,6 +6,7 @@ An error is raised once and cleared once; in between it is active and sets its b
 import struct
 
 from . import codes, communication
+from .timed import Timed
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -25,11 +26,11 @@ HISTORY_LENGTH = 8  # of a device without 1003h
 MAX_WAITING = 64  # limit of messages queued by the inhibit time or in STOPPED: bounds memory
 
 
-class Emcy:
+class Emcy(Timed):
     """Raise and clear errors; ``register`` is the value of 1001h."""
 
     def __init__(self, device: "Device") -> None:
-        self._device = device
+        super().__init__(device)
         self._history: "list[int]" = []
         self._active: "dict[tuple[int, int], int]" = {}
         self.reset(True)
@@ -148,14 +149,14 @@ FIRST_RESTART_US, LAST_RESTART_US = 100000, 10000000  # bus-off recovery backs o
 OVERRUN_QUIET_US = 1000000  # an overrun has ended when none occurred for this time
 
 
-class BusFaults:
+class BusFaults(Timed):
     """Monitor the bus; ``off`` is true while the controller is bus-off and cannot send."""
 
     def __init__(self, device: "Device") -> None:
-        self._device = device
+        super().__init__(device)
         self.off = False
         self._wait_us, self._back_us = FIRST_RESTART_US, 0
-        self.due_us = self._restart_at_us = self._overrun_until_us = codes.NEVER_US
+        self._restart_at_us = self._overrun_until_us = codes.NEVER_US
 
     def receive(self, can_id: int, data: bytes) -> None:
         """Process an error frame."""

@@ -2,6 +2,7 @@
 
 from . import codes, communication
 from .emcy import COMMUNICATION, HEARTBEAT_LOST
+from .timed import Timed
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -14,11 +15,11 @@ if TYPE_CHECKING:
 MASTER = 0  # detail of the EMCY: the lost node is the one that guards
 
 
-class NodeGuarding:
+class NodeGuarding(Timed):
     """Respond to the master's remote frames with state and toggle bit; report when they stop."""
 
     def __init__(self, device: "Device") -> None:
-        self._device = device
+        super().__init__(device)
         self.reset()
 
     def reset(self) -> None:
@@ -48,12 +49,11 @@ class NodeGuarding:
         return 1000 * od.integer(communication.GUARD_TIME) * od.integer(communication.LIFE_TIME_FACTOR)
 
 
-class HeartbeatProducer:
+class HeartbeatProducer(Timed):
     """Send the NMT state every 1017h milliseconds; the boot-up message counts as the first heartbeat."""
 
     def __init__(self, device: "Device") -> None:
-        self._device = device
-        self.due_us = codes.NEVER_US
+        super().__init__(device)
         device.od.writers[communication.PRODUCER_HEARTBEAT] = self._write_period
 
     def reset(self) -> None:
@@ -77,15 +77,14 @@ class HeartbeatProducer:
         self.due_us = self._device.now_us + 1000 * period_ms if period_ms else codes.NEVER_US
 
 
-class HeartbeatConsumer:
+class HeartbeatConsumer(Timed):
     """Monitor up to four nodes, each from its first heartbeat on."""
 
     def __init__(self, device: "Device") -> None:
-        self._device = device
+        super().__init__(device)
         self._periods: "dict[int, int]" = {}  # node-id -> microseconds
         self._deadlines: "dict[int, int]" = {}  # node-id -> time at which its heartbeat is overdue
         self._lost: "list[int]" = []
-        self.due_us = codes.NEVER_US
         device.od.writers[communication.CONSUMER_HEARTBEAT] = self._write
 
     def reset(self) -> None:

@@ -116,6 +116,8 @@ class Device:
         self._outbox: "list[Frame]" = []
         self._routes: "dict[int, Callable[[bytes], None]]" = {}
         self._booted = False
+        self.is_rescheduled = True  # a service has another due time
+        self._due_us = codes.NEVER_US  # of all services
         self.wear = WearBudget(self)
         self.storage = Storage(self, save, load)
         self.nmt = Nmt(self)
@@ -168,18 +170,18 @@ class Device:
 
     def _expire(self, now_us: int) -> int:
         """Run the services that are due; return the next due time of all."""
-        never_us = due_us = codes.NEVER_US
         application = self.application
-        if application is not None:
-            if application.due_us <= now_us:
-                application.expire(now_us)
-            due_us = application.due_us
-        for service in self._timed:
-            if service.due_us < never_us:  # few are: this comparison is the cost of an idle step
+        if application is not None and application.due_us <= now_us:
+            application.expire(now_us)
+        if self.is_rescheduled or self._due_us <= now_us:  # not at most SYNCs
+            for service in self._timed:
                 if service.due_us <= now_us:
                     service.expire(now_us)
-                due_us = min(due_us, service.due_us)
-        return due_us
+            self.is_rescheduled = False
+            self._due_us = min([service.due_us for service in self._timed])
+        if application is not None and application.due_us < self._due_us:
+            return application.due_us
+        return self._due_us
 
     def send(self, can_id: int, data: bytes) -> None:
         """Queue a frame of a service. During bus-off it is dropped: it would be stale when the bus recovers."""

@@ -83,9 +83,9 @@ class ObjectDictionary:
     stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts. ``sinks[index](sub, size)``
     returns an abort code, or what takes a long download in parts (``sdo_server.Sink``). ``dummies`` are the types that
     an RPDO may map as placeholders (7.4.7.1). ``changed()`` is called after a write that changes the bytes of an entry
-    with the flag COUNTED; ``edited`` is set by a change of any setting but 1020h. ``row(keys)`` returns a faster reader
-    of all values of a TPDO's mapping, or None. ``views`` reads (index, sub) and writes (index, sub, value) the entries
-    with the flag VIEW that have no hook of their own: they hold no value.
+    with the flag COUNTED; ``edited`` is set by a change of any setting but 1020h. ``packer(keys)`` returns a function
+    that packs a TPDO with this mapping, or None where it has no faster one. ``views`` reads (index, sub) and writes
+    (index, sub, value) the entries with the flag VIEW that have no hook of their own: they hold no value.
     """
 
     def __init__(self, node_id: int) -> None:
@@ -100,7 +100,7 @@ class ObjectDictionary:
         self.changed: "Callable[[], None] | None" = None
         self.edited = False
         self.views: "tuple[Callable[[int, int], Value], Callable[[int, int, Value], int]] | None" = None
-        self.row: "Callable[[list[tuple[int, int]]], Callable[[], list[Value]] | None] | None" = None
+        self.packer: "Callable[[list[tuple[int, int]]], Callable[[], bytes] | None]" = lambda _keys: None
 
     def add(self, index: int, sub: int, entry: "Entry") -> "Entry":
         """Declare an entry: (type, access, flags, default, low, high). It starts at its default.

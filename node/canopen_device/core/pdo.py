@@ -3,6 +3,7 @@
 from . import codes, communication
 from .emcy import COMMUNICATION, PDO_LENGTH, RPDO_TIMEOUT
 from .object_dictionary import RPDO, SIZES
+from .timed import Timed
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -150,12 +151,11 @@ class ReceivePdo(Pdo):
         self.deadline_us = codes.NEVER_US
 
 
-class ReceivePdos:
+class ReceivePdos(Timed):
     """All RPDOs of a device. ``due_us`` is when one is overdue (event timer, 7.5.2.35)."""
 
     def __init__(self, device: "Device") -> None:
-        self._device = device
-        self.due_us = codes.NEVER_US
+        super().__init__(device)
         self._pdos = [
             ReceivePdo(device.od, index, index + communication.MAPPING, RPDO, self._changed)
             for index in device.od.indices(communication.RPDO, communication.LAST_RPDO)

@@ -4,6 +4,7 @@ import struct
 
 from . import codes
 from .sdo_block import MAX_BLOCK, BlockDownload, BlockUpload
+from .timed import Timed
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -47,11 +48,11 @@ class Collected:
         """Do nothing: nothing has been written."""
 
 
-class SdoServer:
+class SdoServer(Timed):
     """Default SDO server: receives frames of 8 bytes on 0x600 + node-id, responds on 0x580 + node-id."""
 
     def __init__(self, device: "Device") -> None:
-        self._device = device
+        super().__init__(device)
         self.max_download_bytes = MAX_DOWNLOAD_BYTES
         self.sink: "Sink | None" = None
         self.reset()

@@ -20,6 +20,7 @@ class SyncConsumer:
         self._device = device
         self.cob_id = codes.SYNC_COB_ID
         self.last_us = 0
+        self._wrong = False  # the last frame had a wrong length
         device.od.writers[communication.COB_ID_SYNC] = self._write_cob_id
         device.od.writers[communication.SYNC_OVERFLOW] = lambda _sub, value: codes.INVALID_VALUE if value == 1 else 0
 
@@ -31,9 +32,12 @@ class SyncConsumer:
         """Process a SYNC frame: no data, or one counter byte if 1019h is set; other lengths are an error."""
         device = self._device
         if len(data) != (1 if device.od.values.get(OVERFLOW) else 0):
+            self._wrong = True
             device.emcy.raise_error(SYNC_LENGTH, COMMUNICATION)
             return
-        device.emcy.cure(SYNC_LENGTH)
+        if self._wrong:
+            self._wrong = False
+            device.emcy.cure(SYNC_LENGTH)
         self.last_us = device.now_us
         number = data[0] if data else 0
         if device.application is not None:

@@ -1,6 +1,7 @@
 """SYNC producer (CiA 301, 7.2.5), objects 1005h bit 30, 1006h and 1019h. A device without 1006h does without."""
 
 from . import codes, communication
+from .timed import Timed
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -12,14 +13,13 @@ if TYPE_CHECKING:
 _FIRST_OVERFLOW, _LAST_OVERFLOW = 2, 240
 
 
-class SyncProducer:
+class SyncProducer(Timed):
     """Send SYNC every 1006h microseconds in PRE-OPERATIONAL and OPERATIONAL; this device's own PDOs follow it."""
 
     def __init__(self, device: "Device") -> None:
-        self._device = device
+        super().__init__(device)
         self._on = False
         self._counter = 0
-        self.due_us = codes.NEVER_US
         od = device.od
         write_cob_id = od.writers[communication.COB_ID_SYNC]
         od.writers[communication.COB_ID_SYNC] = lambda sub, value: self._write_cob_id(write_cob_id, sub, value)

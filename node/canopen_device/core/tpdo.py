@@ -6,9 +6,12 @@ from . import codes, communication
 from .codes import EVENT_DRIVEN, LAST_SYNCHRONOUS
 from .object_dictionary import TPDO, encode
 from .pdo import Pdo
+from .timed import Timed
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from .node import Device
 
 
@@ -20,12 +23,7 @@ class TransmitPdo(Pdo):
         Pdo.load(self)
         if LAST_SYNCHRONOUS < self.transmission < EVENT_DRIVEN:  # reserved or on RTR; only an EDS can have it
             self.active = False
-        # struct packs what it can: no REAL32, which may be beyond its range, and no type without a letter.
-        plain = self.widths is None and not [k for k in self.letters if k not in "BbHhIi"]
-        self._packing = "<" + "".join(self.letters) if plain else ""
-        self._row = self._od.row(self.keys) if plain and self.keys and self._od.row is not None else None
-        keys = self.keys if self._row is None else []
-        self._getters = [(self._od.readers.get(index), sub, index << 8 | sub) for index, sub in keys]
+        self.pack = self._od.packer(self.keys) or self._packer()
         self.inhibit_us = 100 * self.parameter(3)
         self.event_us = 1000 * self.parameter(5)
         self.sync_start = self.parameter(6)
@@ -34,19 +32,24 @@ class TransmitPdo(Pdo):
         self.pending = False
         self.due_us = codes.NEVER_US
 
-    def pack(self) -> bytes:
-        """Return the present data of this PDO: one call, one sample, so that no PDO mixes two samples."""
-        if self._row is not None:
-            return struct.pack(self._packing, *self._row())
-        stored = self._od.values
-        values = [reader(sub) if reader else stored[key] for reader, sub, key in self._getters]
-        if self._packing:
-            return struct.pack(self._packing, *values)
-        if self.widths is not None:
-            from .wide_types import pack  # a device without mapped bits does without
+    def _packer(self) -> "Callable[[], bytes]":
+        """Return what gives the present data of this PDO: one call, one sample, so that no PDO mixes two samples."""
+        od, letters, widths = self._od, self.letters, self.widths
+        stored, getters = od.values, [(od.readers.get(index), sub, index << 8 | sub) for index, sub in self.keys]
+        # struct packs what it can: no REAL32, which may be beyond its range, and no type without a letter.
+        packing = "<" + "".join(letters) if widths is None and not [k for k in letters if k not in "BbHhIi"] else ""
 
-            return pack(self.letters, self.widths, values)
-        return b"".join([encode(k, v) for k, v in zip(self.letters, values)])  # noqa: B905
+        def pack() -> bytes:
+            values = [reader(sub) if reader else stored[key] for reader, sub, key in getters]
+            if packing:
+                return struct.pack(packing, *values)
+            if widths is not None:
+                from . import wide_types  # a device without mapped bits does without
+
+                return wide_types.pack(letters, widths, values)
+            return b"".join([encode(k, v) for k, v in zip(letters, values)])  # noqa: B905
+
+        return pack
 
     def on_sync(self, counter: int) -> bool:
         """Count a SYNC; return True if this PDO is due on it."""
@@ -67,12 +70,11 @@ class TransmitPdo(Pdo):
         return True
 
 
-class TransmitPdos:
+class TransmitPdos(Timed):
     """All TPDOs of a device. ``due_us`` is the earliest time at which an event-driven one may be due."""
 
     def __init__(self, device: "Device") -> None:
-        self._device = device
-        self.due_us = codes.NEVER_US
+        super().__init__(device)
         self._pdos = [
             TransmitPdo(device.od, index, index + communication.MAPPING, TPDO, self._changed)
             for index in device.od.indices(communication.TPDO, communication.LAST_TPDO)

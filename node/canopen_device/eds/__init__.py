@@ -9,11 +9,5 @@ if TYPE_CHECKING:
     from canopen_device.eds.load import EdsWarning as EdsWarning
     from canopen_device.eds.load import device_from_eds as device_from_eds
     from canopen_device.eds.reader import read_eds as read_eds
-
-_NAMES = {
-    "load": ("device_from_eds", "EdsWarning"),
-    "reader": ("read_eds",),
-    "description": ("Description", "Entry"),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

@@ -17,12 +17,5 @@ if TYPE_CHECKING:
     from canopen_device.machine.signals import Recorded as Recorded
     from canopen_device.machine.signals import Sine as Sine
     from canopen_device.machine.signals import recorded as recorded
-
-_NAMES = {
-    "running": ("device_from_file", "shipped_eds", "simulated_device", "simulated_devices"),
-    "device": ("DeviceApplication", "SimulatedDevice"),
-    "cia402": ("Drive",),
-    "signals": ("Ramp", "Sine", "RandomWalk", "Recorded", "recorded", "Follows"),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

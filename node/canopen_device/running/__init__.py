@@ -10,11 +10,5 @@ if TYPE_CHECKING:
     from canopen_device.running.ports import PythonCanPort as PythonCanPort
     from canopen_device.running.ports import SocketCanPort as SocketCanPort
     from canopen_device.running.store import FileStore as FileStore
-
-_NAMES = {
-    "loop": ("run", "now_us", "Port"),
-    "ports": ("PythonCanPort", "SocketCanPort"),
-    "store": ("FileStore",),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

@@ -123,7 +123,8 @@ class Fingertip(Application):
         if interval_us > LONGEST_INTERVAL_US:
             interval_us = 0
         self._synced_us = now_us
-        self._latches_by_sync_until_us = now_us + max(SYNC_ABSENT_US, 3 * interval_us)
+        absent_us = 3 * interval_us
+        self._latches_by_sync_until_us = now_us + (absent_us if absent_us > SYNC_ABSENT_US else SYNC_ABSENT_US)
         self._latch(now_us, number)
 
     def refresh(self, now_us: int) -> None:
@@ -230,10 +231,16 @@ class Fingertip(Application):
         """The front-end faults that show in a reading and the one before, joined to those the source reports."""
         self._read_us = now_us
         faults: int = reading.faults
-        lowest, highest = self.ends
         self.frozen = 0
         counts, equal = reading.counts, self._equal
-        old = (None,) * self.n if before is None else before.counts
+        old = () if before is None else before.counts
+        for count, last in zip(counts, old):  # noqa: B905 (not in MicroPython)
+            if count == last:
+                break
+        else:
+            self._equal = [0] * self.n  # nearly always: noise changes every gauge
+            return faults
+        lowest, highest = self.ends
         for k in range(self.n):
             # The end of the range repeats itself without being frozen: that gauge is saturated.
             if counts[k] != old[k] or not lowest < counts[k] < highest:

@@ -1,5 +1,6 @@
 """The channel objects of CiA 404 (6xxxh, 7xxxh, 9xxxh): one value each, in three forms."""
 
+import struct
 from math import sqrt
 
 from canopen_device.core import codes
@@ -27,6 +28,7 @@ _FORMS = (
     (table.INT32_FORM, MAX_I32, table.UNKNOWN_I32),
 )
 _STATUS_AND_COUNTER = [(indices.STATUS, 0), (indices.COUNTER, 0)]
+_INT16_VALUE = indices.PROCESS_VALUE + table.INT16_FORM
 _SCALING = (
     indices.SCALING_1_FIELD, indices.SCALING_1_PROCESS, indices.SCALING_2_FIELD, indices.SCALING_2_PROCESS,
     indices.PROCESS_OFFSET,
@@ -42,7 +44,7 @@ _FILTER = (indices.FILTER_TYPE, indices.FILTER_CONSTANT)
 class Channels:
     """Process values, their status, and the settings of each channel.
 
-    ``scaling`` is (gain, bias) per gauge, ``spans`` (start, end) of it.
+    ``scaling`` is (gain, bias) per gauge, ``spans`` (start, end) of it; empty where no gauge can leave its span.
     """
 
     def __init__(self, od: "ObjectDictionary", n: int, fingertip: "Fingertip") -> None:
@@ -53,7 +55,7 @@ class Channels:
         self.scaling: "list[tuple[float, float]]" = []
         self.spans: "list[tuple[float, float]]" = []
         od.readers[indices.PROCESS_VALUE] = self.exact
-        od.row = self.row
+        od.packer = self.packer
         od.readers[indices.CHANNEL_STATUS] = self._status
         od.readers[indices.FIELD_VALUE] = lambda sub: self._counts(sub, scalar.NAN)
         for beyond, highest, unknown in _FORMS:
@@ -92,8 +94,6 @@ class Channels:
     def exact(self, sub: int) -> float:
         """The value of a channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
         sample = self._fingertip.sample
-        if sample.reading is None:
-            return scalar.NAN
         return (sample.values if sub <= len(sample.values) else sample.find_values(sub))[sub - 1]
 
     def _overload(self, sub: int) -> int:
@@ -102,39 +102,35 @@ class Channels:
         live = sub <= self._n and not sample.unknown_early() & scalar.UNKNOWN_GAUGES
         return sample.overloads[sub - 1] if live else 0
 
-    def row(self, keys: "list[tuple[int, int]]") -> "Callable[[], list[Value]] | None":
-        """Return a reader of all values of a mapping at once; None for one that is read value by value.
+    def packer(self, keys: "list[tuple[int, int]]") -> "Callable[[], bytes] | None":
+        """Return what packs three consecutive channels as INTEGER16 with 2120h and 2121h: most default PDOs, else None.
 
-        It is for channels of an integer form in a row, with 2120h and 2121h after them or alone: the default PDOs.
         A closure over what does not change, because two of these fill the PDOs of each SYNC.
         """
-        index, first = keys[0]
-        forms = [form for form in _FORMS if form[0] + indices.PROCESS_VALUE == index]
-        channels = keys[:-2] if keys[-2:] == _STATUS_AND_COUNTER else keys
-        if not forms or channels != [(index, first + k) for k in range(len(channels))]:
+        index, first = keys[0] if keys else (0, 0)
+        if index != _INT16_VALUE or keys != [(index, first + k) for k in range(3)] + _STATUS_AND_COUNTER:
             return None
-        _beyond, highest, unknown = forms[0]
-        fingertip, per_unit, start, last = self._fingertip, self._per_unit, first - 1, first - 1 + len(channels)
-        lowest, angles, whole_mapping = -highest, last > self._n + 4, channels is keys
+        fingertip, unknown, start, last = self._fingertip, table.UNKNOWN_I16, first - 1, first + 2
+        unit_1, unit_2, unit_3 = self._per_unit[start:last]
+        # No angle that would be rounded to -180 degrees, which is 180.
+        low_1, low_2, low_3 = [0.5 - _HALF_TURN if k > self._n + 4 else -MAX_I16 for k in (first, first + 1, last)]
 
-        def read() -> "list[Value]":
+        def pack() -> bytes:
             sample = fingertip.sample
-            raw: "list[Value | None]" = []
-            if sample.reading is None:
-                raw += [unknown] * (last - start)
+            status, values = sample.status(), sample.values
+            if len(values) < last:
+                values = sample.find_values(last)
+            x, y, z = values[start:last]
+            x *= unit_1
+            y *= unit_2
+            z *= unit_3
+            if low_1 < x < MAX_I16 and low_2 < y < MAX_I16 and low_3 < z < MAX_I16:
+                x, y, z = round(x), round(y), round(z)
             else:
-                values = sample.values if last <= len(sample.values) else sample.find_values(last)
-                for k in range(start, last):
-                    scaled = values[k] * per_unit[k]
-                    raw.append(round(scaled) if lowest < scaled < highest else None)
-                if None in raw or (angles and -_HALF_TURN in raw):
-                    raw = [self._integer(values[k], k + 1, highest, unknown) for k in range(start, last)]
-            if not whole_mapping:
-                raw.append(sample.status())
-                raw.append(sample.counter)
-            return raw  # type: ignore[return-value]
+                x, y, z = [self._integer(values[k], k + 1, MAX_I16, unknown) for k in range(start, last)]
+            return struct.pack("<hhhBB", x, y, z, status, sample.counter)
 
-        return read
+        return pack
 
     def _integer(self, value: float, sub: int, highest: int, unknown: int) -> int:
         if value == value:  # noqa: PLR0124 (false for NaN alone)
@@ -179,6 +175,14 @@ class Channels:
             gains.append((gain, p1 - gain * f1 + offset))  # type: ignore[operator]
         self.scaling = gains
         self.spans = [self._span(sub) for sub in range(1, self._n + 1)]
+        lowest, highest = self._fingertip.ends
+        reach = [
+            outside(gain * counts + bias, start, end)
+            for (gain, bias), (start, end) in zip(gains, self.spans)  # noqa: B905 (not in MicroPython)
+            for counts in (lowest + 1, highest - 1)
+        ]
+        if not any(reach):
+            self.spans = []  # nothing is outside but what is at the converter's end, which is saturated anyway
         self._fingertip.source.period_us = values[indices.SAMPLE_PERIOD_US << 8 | 1]  # type: ignore[assignment]
 
     def _span(self, sub: int) -> "tuple[float, float]":

@@ -99,7 +99,7 @@ _BY_BIT = {
 class Reports:
     """EMCY and event-driven TPDOs of one node; ``counter`` is 2126h."""
 
-    __slots__ = ("_contradicted_us", "_device", "_next_us", "_raised", "counter")
+    __slots__ = ("_contradicted_us", "_device", "_is_out_of_range", "_next_us", "_raised", "counter")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
@@ -113,6 +113,7 @@ class Reports:
         self._raised: "dict[int, tuple[int, int]]" = {}  # bit of 2124h -> (code, detail) of its EMCY
         self._contradicted_us = -HOLD_US
         self._next_us = 0
+        self._is_out_of_range = False  # the temperature
 
     def changed(self) -> None:
         """What is sent, or what it means, is another thing now: count, and say so before the first PDO of it."""
@@ -128,10 +129,14 @@ class Reports:
         reading = sample.reading
         if reading is None or reading.temperature == table.UNKNOWN_I16:
             return
-        if COLDEST <= reading.temperature <= HOTTEST:
-            self._device.emcy.cure(table.EMCY_TEMPERATURE)
-        else:
+        is_out_of_range = not COLDEST <= reading.temperature <= HOTTEST
+        if is_out_of_range == self._is_out_of_range:
+            return
+        self._is_out_of_range = is_out_of_range
+        if is_out_of_range:
             self._device.emcy.raise_error(table.EMCY_TEMPERATURE, emcy.TEMPERATURE)
+        else:
+            self._device.emcy.cure(table.EMCY_TEMPERATURE)
 
     def _report(self, sample: "Sample") -> None:
         now_us, faults = self._device.now_us, sample.faults

@@ -23,6 +23,7 @@ _OF_ONE_GAUGE = 1 << table.FAULT_FROZEN | 1 << table.FAULT_WIRE_BREAK
 _FRONT_END = 1 << table.FAULT_NO_DATA | 1 << table.FAULT_FROZEN | 1 << table.FAULT_WIRE_BREAK | 1 << table.FAULT_SUPPLY
 _ALL_GAUGES = 1 << table.FAULT_NO_DATA | 1 << table.FAULT_SUPPLY
 _GAUGES = (1 << table.FAULT_NO_DATA) - 1
+_ALL_KNOWN = scalar.CONTACT_PRESENT | scalar.CALIBRATED | scalar.OUTSIDE_PAD
 _CONTRADICTION, _OVERLOAD = 1 << table.FAULT_CONTRADICTION, 1 << table.FAULT_OVERLOAD
 
 
@@ -77,7 +78,7 @@ class Sample:
         self._covariance: "Covariance | None"
         self._force = self._contact = self._uncertainty = self._covariance = None
         self.values: "list[float]" = []  # of ``find_values``
-        self._status = self._early = self._unknown = -1
+        self._status = self._unknown = -1
         self.frozen = self.lost = frozen
         self.filtered = filtered
         self.overloads: "list[int]" = []
@@ -93,9 +94,10 @@ class Sample:
             shown = counts if filtered is None else filtered
             self.microstrains = [g * c + b for c, (g, b) in zip(shown, scaling)]  # noqa: B905
         self.seen = faults  # all that a source can say by itself
-        if reading is not None:
-            if active is not None and active.converter is not None:
-                self._limit(active.converter, scaling)
+        limits = None if active is None else active.converter
+        if reading is not None and (limits is not None or spans):
+            if limits is not None:
+                self._limit(limits, scaling)
             for k, (start, end) in enumerate(spans):  # a gauge outside its span (6148h, 6149h) is saturated too
                 if not start <= self.microstrains[k] <= end:
                     self.overloads[k] = self.overloads[k] or outside(self.microstrains[k], start, end)
@@ -114,6 +116,8 @@ class Sample:
         self.spared = self.lost != 0 and self.solver is not None
         self.faults = faults | self.lost if self.spared else faults
         self.overloaded = faults & _OVERLOAD != 0
+        # The common case, CALIBRATED and no other early bit.
+        self._early = -1 if self.faults or stale or active is None or reading is None else 0
 
     def _saturated(self) -> int:
         """Bits of the gauges at an end of their converter."""
@@ -140,6 +144,8 @@ class Sample:
 
     def present(self) -> bool:
         """Contact present, for the hysteresis of the next sample: as it was before where this one cannot tell."""
+        if self._unknown == 0:
+            return True
         if self._status < 0 or self.unknown() & scalar.UNKNOWN_FORCE:
             return self._was_present
         return bool(self._status & scalar.CONTACT_PRESENT)
@@ -154,7 +160,7 @@ class Sample:
         """UNKNOWN_GAUGES and UNKNOWN_FORCE of ``unknown``: no contact is needed for these; it hides angles only."""
         if self._early < 0:
             bits = self._early_status()
-            # CALIBRATED alone is the common case, and the only one that gives 0.
+            # CALIBRATED alone is the only one that gives 0.
             self._early = 0 if bits == scalar.CALIBRATED else scalar.unknown(bits, self._determined())
         return self._early
 
@@ -172,19 +178,13 @@ class Sample:
             if self.active is None or self.solver is None or self.reading is None:
                 self._force = (NAN, NAN, NAN)
             else:
-                f1, f2, f3 = self._total()
+                if self.judgement is not None:
+                    f1, f2, f3 = self.judgement.force or (NAN, NAN, NAN)
+                else:
+                    f1, f2, f3 = self.active.force(self.solver[0], self.microstrains)
                 t1, t2, t3 = self.tare
                 self._force = (f1 - t1, f2 - t2, f3 - t3)
         return self._force
-
-    def _total(self) -> "tuple[float, float, float]":
-        """F = C (V - offset) before any tare, with what the judgement found where there is one."""
-        if self.judgement is not None:
-            return self.judgement.force or (NAN, NAN, NAN)
-        active, solver = self.active, self.solver
-        assert active is not None
-        assert solver is not None
-        return active.force(solver[0], self.microstrains)
 
     def covariance(self) -> "Covariance":
         """Covariance of F, N^2, upper triangle; NaN without calibration."""
@@ -198,8 +198,9 @@ class Sample:
     def contact(self) -> "tuple[float, float, float, float]":
         """P newtons, phi and theta radians, and by how much the line of action misses the tip."""
         if self._contact is None:
-            f1, f2, f3 = self.force()
-            self._contact = scalar.contact(f1, f2, f3, self.active is not None and self.active.pull)
+            f1, f2, f3 = self._force or self.force()
+            pull = self.active is not None and self.active.pull
+            self._contact = scalar.contact_of(scalar.scaled_force(f1, f2, f3), pull)
         return self._contact
 
     def uncertainty(self) -> "tuple[float, float, float]":
@@ -225,15 +226,22 @@ class Sample:
         The gauges alone, the forces too, or the contact too: what channel ``sub`` needs and no more.
         """
         values, n = self.values, len(self.microstrains)
+        if not n:  # no reading
+            return [NAN] * sub
+        if self._unknown == 0 == self._early:
+            P, phi, theta, _miss = self._contact or self.contact()
+            contact = [P, phi * scalar.DEGREES, theta * scalar.DEGREES]
+            self.values = values = self.microstrains + list(self._force or self.force()) + contact
+            return values
         if not values:
             values += self.microstrains
-            hidden = self.hidden()
-            if hidden or any(self.overloads):
+            if self._early:
+                hidden = self.hidden()
                 for k, over in enumerate(self.overloads):
                     if over or hidden:
                         values[k] = NAN
         if sub > n and len(values) == n:
-            values += (NAN, NAN, NAN) if self.unknown_early() & scalar.UNKNOWN_FORCE else self.force()
+            values += (NAN, NAN, NAN) if self._early and self.unknown_early() & scalar.UNKNOWN_FORCE else self.force()
         if sub > n + 3 and len(values) == n + 3:
             unknown = self.unknown()
             if unknown & scalar.UNKNOWN_FORCE:
@@ -271,17 +279,18 @@ class Sample:
             self._early = 0
         elif scalar.unknown(bits, self.spared) & scalar.UNKNOWN_FORCE:
             return bits
-        P, _phi, theta, miss = self.contact()
+        P, _phi, theta, miss = self._contact or self.contact()
+        force = self._force or self.force()
         u_P = u_theta = NAN  # below the contact-off force no bit depends on them
         if P >= self.active.limits[1]:
             u_P = u_theta = 0.0  # of these the bits need no more than that theta is resolved
-            if not scalar.clearly_resolved(P, self.force()[1], self.covariance()):
+            if not scalar.clearly_resolved(P, force[1], self.covariance()):
                 u_P, _u_phi, u_theta = self.uncertainty()
-        u_miss = 0.0
-        if miss > 0.0:
-            f1, f2, f3 = self.force()
-            u_miss = scalar.miss_uncertainty(f1, f2, f3, self.covariance())
-        return bits | scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, self.active.limits, self._was_present)
+        u_miss = scalar.miss_uncertainty(force[0], force[1], force[2], self.covariance()) if miss > 0.0 else 0.0
+        bits |= scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, self.active.limits, self._was_present)
+        if bits | scalar.OUTSIDE_PAD == _ALL_KNOWN:
+            self._unknown = 0
+        return bits
 
 
 def outside(value: float, start: float, end: float) -> int:

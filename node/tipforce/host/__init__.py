@@ -44,34 +44,5 @@ if TYPE_CHECKING:
     from tipforce.host.network.finger import Tare as Tare
     from tipforce.host.network.sdo import SdoChannel as SdoChannel
     from tipforce.samples.record import Rows as Rows
-
-_NAMES = {
-    "hand.events": ("Event",),
-    "hand.bring_up": ("FingerReport",),
-    "hand.file": ("FingerPlan", "HandFile", "HandPlan", "read_hand"),
-    "hand.rows": ("HandRows", "Rows"),
-    "hand.hand": ("Statistics",),
-    "hand.polled": ("PolledHand", "HandSample"),
-    "network.find": ("FoundNode",),
-    "network.finger": ("Identity", "Tare"),
-    "network.sdo": ("SdoChannel",),
-    "network.bus_load": ("Budget", "hand_budget"),
-    "network.faulty_bus": ("Faults", "FaultyBus", "quiet"),
-    "decoding.decoder": ("Decoder", "Samples"),
-    "frames.frame_array": ("frame_array", "FRAME"),
-    "logs.reader": ("open_log", "LogReader"),
-    "live.receive": ("open_receiver",),
-    "live.receiver": ("Receiver",),
-    "configuration.measurements": ("Measurements", "read_measurements", "write_measurements"),
-    "configuration.calibration_file": ("FitRecord", "fit_record"),
-    "configuration.calibration": ("read_fit", "write_calibration"),
-    "configuration.configuration_file": (
-        "read_configuration",
-        "apply_configuration",
-        "apply_configuration_async",
-        "verify_configuration",
-        "verify_configuration_async",
-    ),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

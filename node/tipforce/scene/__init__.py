@@ -12,13 +12,5 @@ if TYPE_CHECKING:
     from tipforce.scene.run import Outcome as Outcome
     from tipforce.scene.run import run_scene as run_scene
     from tipforce.scene.schema import Scene as Scene
-
-_NAMES = {
-    "schema": ("Scene",),
-    "reader": ("read_scene",),
-    "run": ("run_scene", "Options", "Outcome"),
-    "registry": ("Part", "parts"),
-    "delivered": ("beam_calibration",),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

@@ -37,29 +37,5 @@ if TYPE_CHECKING:
     from tipforce.sensor.structure.strain import condition_number as condition_number
     from tipforce.sensor.structure.strain import noise_gain as noise_gain
     from tipforce.sensor.structure.strain import strain_matrix as strain_matrix
-
-_NAMES = {
-    "structure.geometry": ("Geometry", "FABRICATED"),
-    "structure.layouts": ("LAYOUTS", "layout"),
-    "structure.strain": ("strain_matrix", "calibration_matrix", "condition_number", "noise_gain"),
-    "structure.gauges": ("strain_row",),
-    "structure.off_axis": ("apparent_force", "off_axis_wrenches"),
-    "contact.estimate": (
-        "force_vector",
-        "force_from_strain",
-        "contacts",
-        "standard_uncertainties",
-        "first_order_holds",
-        "curvature",
-    ),
-    "contact.redundancy": ("parity", "detect"),
-    "calibration.fit": ("fit_calibration", "linear_fit"),
-    "calibration.data": ("Readings", "Model", "Prior", "beam_prior"),
-    "calibration.result": ("Fit", "covariance_of_estimate"),
-    "calibration.simulation": ("simulate",),
-    "dynamics.model": ("modes", "STEEL_DENSITY"),
-    "dynamics.first_order_hold": ("respond", "node_coefficients"),
-    "structure.limits": ("closing_load",),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

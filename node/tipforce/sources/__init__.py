@@ -14,13 +14,5 @@ if TYPE_CHECKING:
     from tipforce.sources.iio import IioSource as IioSource
     from tipforce.sources.replay import ReplaySource as ReplaySource
     from tipforce.sources.simulated import SimulatedSource as SimulatedSource
-
-_NAMES = {
-    "simulated": ("SimulatedSource",),
-    "front_end": ("FrontEnd", "Bridge", "Temperature", "WhiteNoise", "OneOverFNoise"),
-    "dynamic_load": ("DynamicLoad", "DynamicForces"),
-    "replay": ("ReplaySource",),
-    "iio": ("IioSource",),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

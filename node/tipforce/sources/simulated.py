@@ -91,11 +91,20 @@ class SimulatedSource(Source):
             if self._resolved[0] is not self.load:
                 self._resolved = self.load, force_of(self.load)
             force = self._resolved[1]
-        microstrains = self._microstrains(force, now_us)
-        temperature = self.temperature
+        f1, f2, f3 = force
+        gauss, noise, temperature = self._gauss, self.noise_microstrain, self.temperature
+        microstrains = [
+            1e6 * (c1 * f1 + c2 * f2 + c3 * f3) + offset + gauss(0.0, noise)
+            for (c1, c2, c3), offset in zip(self.rows, self.offset_microstrain)  # noqa: B905 (not in MicroPython)
+        ]
+        if self.fault == DRIFT and 0 < self.fault_gauge <= len(microstrains):
+            microstrains[self.fault_gauge - 1] += self.fault_magnitude * 1e-6 * (now_us - self._fault_since_us)
         if self.front_end is None:
-            per_microstrain = self.converter[1]
-            counts = [convert(per_microstrain * m, self.count_min, self.count_max) for m in microstrains]
+            per_microstrain, low, high = self.converter[1], self.count_min, self.count_max
+            counts = []
+            for microstrain in microstrains:
+                exact = per_microstrain * microstrain
+                counts.append(round(exact) if low < exact < high else convert(exact, low, high))
         else:
             counts = self.front_end.counts(microstrains, converted_us)
             if self.front_end.temperature is not None:
@@ -148,17 +157,6 @@ class SimulatedSource(Source):
             self.set_fault(0, 1, 0.0, device.now_us)
         if self.load is self._load_by_bus:
             self.load = self._own_load
-
-    def _microstrains(self, force: "Forces", now_us: int) -> "list[float]":
-        f1, f2, f3 = force
-        gauss, noise = self._gauss, self.noise_microstrain
-        microstrains = [
-            1e6 * (c1 * f1 + c2 * f2 + c3 * f3) + offset + gauss(0.0, noise)
-            for (c1, c2, c3), offset in zip(self.rows, self.offset_microstrain)  # noqa: B905 (not in MicroPython)
-        ]
-        if self.fault == DRIFT and 0 < self.fault_gauge <= len(microstrains):
-            microstrains[self.fault_gauge - 1] += self.fault_magnitude * 1e-6 * (now_us - self._fault_since_us)
-        return microstrains
 
 
 def force_of(load: "Forces") -> "Forces":

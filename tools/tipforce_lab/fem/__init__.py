@@ -9,10 +9,5 @@ if TYPE_CHECKING:
     from tipforce_lab.fem.plane_stress import corner_exponent as corner_exponent
     from tipforce_lab.fem.plane_stress import solve as solve
     from tipforce_lab.fem.plane_stress import strain_matrix as strain_matrix
-
-_NAMES = {
-    "plane_stress": ("Model", "solve", "corner_exponent", "strain_matrix"),
-    "mesh": ("Resolution",),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

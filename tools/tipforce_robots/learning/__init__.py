@@ -8,7 +8,5 @@ if TYPE_CHECKING:
     from tipforce_robots.learning.observations import observation as observation
     from tipforce_robots.learning.observations import observation_space as observation_space
     from tipforce_robots.learning.observations import recorded_observations as recorded_observations
-
-_NAMES = {"observations": ("observation", "observation_space", "Observations", "recorded_observations")}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())

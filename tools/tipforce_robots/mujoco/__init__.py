@@ -12,12 +12,5 @@ if TYPE_CHECKING:
     from tipforce_robots.mujoco.twin import Fingertips as Fingertips
     from tipforce_robots.mujoco.twin import Load as Load
     from tipforce_robots.mujoco.twin import TwinSample as TwinSample
-
-_NAMES = {
-    "twin": ("Fingertips", "Load", "TwinSample"),
-    "grasp_env": ("GraspEnv",),
-    "serving": ("TwinNodes",),
-    "models": ("fingertip_mjcf", "grasp_model", "hand_model"),
-}
-if not TYPE_CHECKING:
-    __getattr__, __dir__, __all__ = lazy(__name__, _NAMES)
+else:
+    __getattr__, __dir__, __all__ = lazy(globals())
