@@ -2,7 +2,8 @@
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
+    from types import CodeType
 
 
 def lazy(
@@ -10,12 +11,15 @@ def lazy(
 ) -> "tuple[Callable[[str], object], Callable[[], list[str]], list[str]]":
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, whose globals are given.
 
-    The names are those that its source imports for type checkers, one a line: "    from MODULE import NAME as PUBLIC".
+    The names are those that its source imports for type checkers, one a line: "    from MODULE import NAME as PUBLIC";
+    a program without sources has them in the code of the package.
     """
     spec: object = package["__spec__"]
-    source: str = spec.loader.get_source(spec.name)  # type: ignore[attr-defined]
+    source: str | None = spec.loader.get_source(spec.name)  # type: ignore[attr-defined]
     places: dict[str, tuple[str, str]] = {}
-    for line in source.splitlines():
+    if source is None:
+        places.update(_imported(spec.loader.get_code(spec.name)))  # type: ignore[attr-defined]
+    for line in (source or "").splitlines():
         words = line.split()
         if words[:1] == ["from"] and words[4:5] == ["as"]:
             places[words[5]] = words[1], words[3]
@@ -27,3 +31,15 @@ def lazy(
         return getattr(__import__(path, None, None, (name,)), name)
 
     return get, lambda: sorted(places), sorted(places)
+
+
+def _imported(code: "CodeType") -> "Iterator[tuple[str, tuple[str, str]]]":
+    import dis
+
+    module = name = ""
+    for instruction in dis.get_instructions(code):
+        if instruction.opname == "IMPORT_NAME":
+            module = instruction.argval
+        elif instruction.opname == "STORE_NAME" and name and instruction.argval != "lazy":
+            yield instruction.argval, (module, name)
+        name = instruction.argval if instruction.opname == "IMPORT_FROM" else ""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import compileall
 import importlib
 import pkgutil
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -55,6 +57,18 @@ def test_importing_it_loads_nothing_of_others() -> None:
     code += "tipforce_robots.mujoco, tipforce_robots.learning; "
     code += "print({'numpy', 'can', 'canopen', 'msgspec', 'scipy', 'mujoco', 'gymnasium'} & sys.modules.keys())"
     assert python(code).strip() == "set()"
+
+
+def test_a_program_without_sources_has_the_same_names(tmp_path: Path) -> None:
+    folder = Path(importlib.import_module("canopen_device").__file__ or "").parent
+    shutil.copytree(folder, tmp_path / "canopen_device", ignore=shutil.ignore_patterns("__pycache__"))
+    assert compileall.compile_dir(tmp_path, quiet=1, legacy=True)
+    for source in tmp_path.rglob("*.py"):
+        source.unlink()
+    names = "import canopen_device as c; print(*c.__all__, c.Device.__name__, c.__file__)"
+    shown = subprocess.run([sys.executable, "-c", names], capture_output=True, text=True, check=True, cwd=tmp_path)
+    front_door = importlib.import_module("canopen_device").__all__
+    assert shown.stdout.split() == [*front_door, "Device", str(tmp_path / "canopen_device/__init__.pyc")]
 
 
 def test_a_checker_sees_the_type_of_every_name(tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ def test_percentiles_are_those_of_the_deviations(nominal_ns: int) -> None:
     times = np.cumsum(1_000_000 + generator.normal(0, 20_000, 5000).astype(np.int64))
     jitter = Jitter(nominal_ns)
     for block in np.array_split(times, 37):
-        jitter.add(block)
-    jitter.add(times[:0])
+        jitter.add(block.tolist())
+    jitter.add([])
     periods = np.diff(times)
     deviations = np.abs(periods - (nominal_ns or np.median(periods[:136]))) / 1e3
     found = jitter.figures()
@@ -31,10 +31,10 @@ def test_percentiles_are_those_of_the_deviations(nominal_ns: int) -> None:
 
 def test_an_interruption_is_no_jitter_and_a_gap_is() -> None:
     jitter = Jitter(1000)
-    jitter.add(np.array([0, 1000]))
+    jitter.add([0, 1000])
     jitter.skip()
-    jitter.add(np.array([900_000_000]))
-    jitter.add(np.array([900_001_000, 980_001_000]))
+    jitter.add([900_000_000])
+    jitter.add([900_001_000, 980_001_000])
     found = jitter.figures()
     assert (found.periods, found.largest_us) == (3, 79_999.0)
     assert np.isnan(Jitter().figures().p50_us)
