@@ -12,7 +12,6 @@ import numpy as np
 
 from canopen_device.core import communication
 from canopen_device.core.codes import COB_ID_INVALID, EXTENDED_FLAG, EXTENDED_MASK
-from canopen_device.eds.sections import EdsFile
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import gauges_of
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
