@@ -172,6 +172,7 @@ def test_load_sense_layout_and_notes(sim: Simulated, tmp_path: Path, capsys: pyt
     assert record["load_sense"] == "push"
     assert (read_calibration(path).reference_temperature_degC, read_calibration(path).layout_code) == (23.0, 255)
     assert any("opposite to beam theory" in note for note in record["notes"])
+    assert "all rows at 23 degC: what a warm finger reads is not known" in record["notes"]
     assert fitted(capsys, data, "--sense", "pull", *LIMIT)["load_sense"] == "pull"
 
 

@@ -113,6 +113,8 @@ def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list
     warm = fit.temperature
     if warm is None:
         lines.append("no temperatures: what a warm finger reads is not known")
+    elif not np.isfinite((*warm.offset_half_width, warm.gain_half_width)).any():
+        lines.append(f"all rows at {warm.lowest_degC:g} degC: what a warm finger reads is not known")
     else:
         fitted = "" if warm.offset_fitted else ", not corrected"
         terms = _per_gauge(warm.offset_strain_per_K * UE, warm.offset_half_width * UE)
