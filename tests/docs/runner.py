@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from tipforce_tools.cli.actions import parser_of
 from tipforce_tools.cli.main import COMMANDS, command_parser, main
 
 FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
@@ -128,4 +129,9 @@ def check_command(words: list[str]) -> None:
         assert words[1:] in (["bash"], ["zsh"], ["fish"])
         return
     assert words[0] in COMMANDS, words
-    command_parser(words[0]).parse_args(words[1:])
+    place = COMMANDS[words[0]][0]
+    parser = command_parser(words[0])
+    if not isinstance(place, str):
+        action = parser.parse_args(words[1:2]).action
+        parser, words = parser_of(action, *place[action]), words[1:]
+    parser.parse_args(words[1:])

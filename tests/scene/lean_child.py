@@ -1,5 +1,7 @@
 """Run one scene in a Python of its own and tell, as JSON, what was loaded, made, computed and sent."""
 
+from __future__ import annotations
+
 import json
 import sys
 from pathlib import Path
@@ -15,17 +17,17 @@ def count_calls() -> None:
     from tipforce.fingertip.calibration import Active
     from tipforce.sensor.contact import scalar
 
-    contact, force = scalar.contact, Active.force
+    contact, node_force = scalar.contact_of, Active.force
 
-    def counted_contact(F1: float, F2: float, F3: float, pull: bool) -> tuple[float, float, float, float]:
+    def counted_contact(force: scalar.ScaledForce | None, pull: bool) -> tuple[float, float, float, float]:
         CALLS["contact"] += 1
-        return contact(F1, F2, F3, pull)
+        return contact(force, pull)
 
     def counted_force(self: Active, matrix: list[list[float]], microstrains: list[float]) -> tuple[float, float, float]:
         CALLS["force"] += 1
-        return force(self, matrix, microstrains)
+        return node_force(self, matrix, microstrains)
 
-    scalar.contact = counted_contact
+    scalar.contact_of = counted_contact
     Active.force = counted_force  # type: ignore[method-assign]
 
 

@@ -31,8 +31,8 @@ OWN_SYNC = "--sync 100 sends it"
 """The remedy where the command itself listens."""
 _FLAGS = np.uint32(codes.EXTENDED_FLAG | codes.REMOTE_FLAG | codes.ERROR_FLAG)
 _DEFAULT_PRODUCT = table.product_code(table.MIN_GAUGES, simulated=False)  # of `tipforce lss`
-_TPDO_BASES = (0x180, 0x280, 0x380, 0x480)
-_CONTACT, _UNKNOWN, _STATUS, _CALIBRATED = 0x280, b"\x00\x80\x00\x80\x00\x80", 6, 0x02  # TPDO2: P, phi, theta, 2120h
+_CONTACT = codes.TPDO_BASES[1]  # P, phi, theta, 2120h
+_UNKNOWN, _STATUS, _CALIBRATED = b"\x00\x80\x00\x80\x00\x80", 6, 0x02
 
 State = Literal["ok", "note", "fail"]
 """ok; note: works, with a remark; fail: the requested function will not work."""
@@ -102,7 +102,7 @@ class Observed:
             self.emergencies[node_id] = int.from_bytes(data[:2], "little"), data[2]
             if data[:2] == b"\0\0":
                 del self.emergencies[node_id]
-        elif base in _TPDO_BASES:
+        elif base in codes.TPDO_BASES:
             self.sampled.add(node_id)
             # Another device may send anything in TPDO2: only a sample without any value says "not calibrated".
             if base == _CONTACT and len(data) == 8 and data[_STATUS] & _CALIBRATED:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any, Self
 
+from canopen_device.core import codes
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
@@ -65,7 +66,7 @@ class Hints:
             channel = str(options.get("channel") or "")
             self.seen[channel] = Observed()
             if options.get("interface") == "socketcan" and channel not in ("", "any"):
-                no_frame = Selection((Filter(0, 0, inverse=True),), error_mask=0x1FFFFFFF)
+                no_frame = Selection((Filter(0, 0, inverse=True),), error_mask=codes.EXTENDED_MASK)
                 self._errors[channel] = opened.enter_context(open_socket(channel, no_frame))
 
     def take(self, block: CandumpBlock) -> None:
