@@ -104,6 +104,19 @@ def test_what_a_filter_leaves_out_is_not_missing(capsys: pytest.CaptureFixture[s
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize(("command", "code"), [("hand check FILE", 0), ("doctor FILE --listen 0.3", 1)])
+def test_a_finger_that_does_not_respond(
+    command: str, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, channel = tmp_path / "hand.toml", new_channel()
+    path.write_text('[[finger]]\nnode_id = 5\n[[finger]]\nnode_id = 6\nname = "index"\n')
+    with running([finger(5)], channel):
+        assert main([*command.replace("FILE", str(path)).split(), "-i", "virtual", "-c", channel]) == code
+    text = "".join(capsys.readouterr())
+    assert "no identity on the bus: index (6)" in text
+    assert "`tipforce lss scan`" in text
+
+
 @pytest.mark.parametrize("command", ["hand check FILE", "doctor FILE --listen 0.3"])
 def test_swapped_serial_numbers(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The remedy that is named helps."""

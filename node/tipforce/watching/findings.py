@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 SILENT_S = 1.2
 """A bus without a frame for so long is silent: nodes send a heartbeat each second."""
 _NO_SYNC_S = 1.0
+MISSING = "fingers"
+"""Topic of the fingers of a hand file that do not respond."""
 RATE = 1_000_000
 """The bit rate of nodes as delivered, bit/s."""
 SEND_SYNC = "`tipforce monitor --sync 100` sends it, and `tipforce hand run`"
@@ -126,7 +128,7 @@ def findings(seen: Observed, sync: str = SEND_SYNC, wanted: Sequence[FingerPlan]
 
     ``sync`` is the remedy of a missing SYNC, ``wanted`` the fingers of a hand file, to compare serial numbers with.
     """
-    return [*of_the_wire(seen), *_of_the_nodes(seen, sync), *_swapped(wanted, seen)]
+    return [*of_the_wire(seen), *_of_the_nodes(seen, sync), *_of_the_hand(wanted, seen)]
 
 
 def of_the_wire(seen: Observed) -> Iterator[Finding]:
@@ -182,8 +184,12 @@ def not_calibrated(node_id: int) -> Finding:
     return Finding("nodes", "fail", f"{shown([node_id])}: not calibrated", step)
 
 
-def _swapped(wanted: Sequence[FingerPlan], seen: Observed) -> Iterator[Finding]:
-    """Yield the fingers that respond with another serial number than the hand file states."""
+def _of_the_hand(wanted: Sequence[FingerPlan], seen: Observed) -> Iterator[Finding]:
+    """Yield the fingers that do not respond, or with another serial number than the hand file states."""
+    known = {*seen.serials, *seen.duplicates.found}
+    if missing := ", ".join(plan.label for plan in wanted if plan.node_id not in known):
+        step = "check power and cables; `tipforce lss scan` finds a node without a node-id"
+        yield Finding(MISSING, "fail", f"no identity on the bus: {missing}", step)
     owners = {plan.serial: plan for plan in wanted if plan.serial}
     labels, commands = [], []
     for plan in wanted:

@@ -93,7 +93,7 @@ def _compared_with_bus(args: argparse.Namespace, file: HandFile) -> int:
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.find import find_nodes
     from tipforce.host.network.open_bus import open_bus
-    from tipforce.watching.findings import Observed, findings
+    from tipforce.watching.findings import MISSING, Observed, findings
 
     try:
         options = common.find_bus(args, file.bus)
@@ -105,13 +105,10 @@ def _compared_with_bus(args: argparse.Namespace, file: HandFile) -> int:
             raise
         return 0
     seen.calibrated.clear()  # `hand up` calibrates
-    known = {*seen.serials, *seen.duplicates.found}
-    if labels := ", ".join(plan.label for plan in file.finger if plan.node_id not in known):
-        common.note(args, f"no identity on the bus: {labels}")
     wrong = [finding for finding in findings(seen, wanted=file.finger) if finding.topic != "faults"]
     for finding in wrong:
         common.note(args, str(finding))
-    return 1 if wrong else 0
+    return 1 if any(finding.topic != MISSING for finding in wrong) else 0
 
 
 def _note_load(args: argparse.Namespace, file: HandFile) -> None:
