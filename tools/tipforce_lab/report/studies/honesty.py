@@ -63,13 +63,16 @@ FAULTS = ("none", *KINDS, "warm", "overload", "1/f noise", "vibration")
 
 _SPARE = "three gauges fit every reading: none is spare to contradict them"
 _ONE_SPARE = "one spare gauge: a fault that is small beside the force cannot be told from noise"
+_HIDDEN = "a gauge that shows less than 10 % of its variance in the residuals: its fault passes as a force"
 _ELASTIC = "gauges measure the elastic force, not the load: docs/dynamics.md"
 _WANDERS = "the zero wanders after the tare: tare again, or state a drift rate"
 CANNOT_TELL: dict[tuple[str, int], str] = {
     ("drift", 3): _SPARE,
     ("drift", 4): _ONE_SPARE,
+    ("drift", 5): _HIDDEN,
     ("stuck", 3): _SPARE + "; a frozen one shows after 32 equal readings",
     ("stuck", 4): _ONE_SPARE,
+    ("stuck", 5): _HIDDEN,
     **{("vibration", n): _ELASTIC for n in COUNTS},
     **{("1/f noise", n): _WANDERS for n in COUNTS},
 }
