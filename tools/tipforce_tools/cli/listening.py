@@ -90,7 +90,7 @@ class Hints:
         from tipforce.watching.findings import OWN_SYNC, SILENT_S, findings
 
         named = {name: seen for name, seen in self.seen.items() if name or len(self.seen) == 1}
-        found = []
+        missing = []
         for name, seen in named.items():
             seen.heard_s = time.monotonic() - self._begun_s
             with suppress(OSError, KeyError):  # none is waiting, or the interface is down
@@ -98,8 +98,8 @@ class Hints:
                     seen.errors += 1
             if name in self._errors and (seen.errors or (not seen.frames and seen.heard_s >= SILENT_S)):
                 seen.link = seen.link or links().get(name)
-            found += [finding for finding in findings(seen, OWN_SYNC) if finding.topic != "faults"]
-        return found
+            missing += [finding for finding in findings(seen, OWN_SYNC) if finding.topic != "faults"]
+        return missing
 
 
 def _group(

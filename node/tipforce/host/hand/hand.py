@@ -300,8 +300,8 @@ class Hand:
             self._collector.trust.suspect(self.node_ids, [COUNTER])
         rows = self._collector.add(frames, now_s)
         if len(rows):
-            self._collector.trust.count_rows([row[3] for row in rows.raw], now_s)
-            self._jitter.add([row[0] for row in rows.raw])
+            self._collector.trust.count_rows([reasons for _, _, _, reasons, _ in rows.raw], now_s)
+            self._jitter.add([sync_ns for sync_ns, *_ in rows.raw])
             self._delivery.put(rows)
         self._supervise(frames, now_s)
 
