@@ -91,6 +91,12 @@ def test_one_reading_a_table_and_the_function_agree(seed: int) -> None:
         if not np.isnan(contact.P_newtons) or not contact.status & (Status.OVERLOAD | Status.FAULT | Status.SATURATED):
             present = contact.present
         overloaded = Status.OVERLOAD in contact.status
+    few = estimator(  # in batches without what a table shows of gauges that stand still
+        microstrain[: module.FEW], temperature_degC=None if temperature is None else temperature[: module.FEW],
+        lost=0 if lost is None else lost[: module.FEW], out=Contacts.empty(module.FEW),
+    )  # fmt: skip
+    np.testing.assert_array_equal(few.status, table.status[: module.FEW])
+    np.testing.assert_allclose(few.values, table.values[: module.FEW], rtol=tolerance.max(), atol=0.0)
 
 
 def test_the_seeds_cover_every_status() -> None:
@@ -128,6 +134,8 @@ def test_given_arrays_are_filled() -> None:
         estimator(microstrain[1:], out=out)
     with pytest.raises(InputError, match="microstrain has the shape"):
         estimator(microstrain[0], out=out)
+    with pytest.raises(InputError, match="out: allowed is Contacts"):
+        estimator(microstrain[1 : module.FEW], out=out)
     assert len(estimator(microstrain[:0])) == 0
 
 

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     Force = tuple[float, float, float]
     Values = tuple[float, float, float, float, float, float]
 
+FEW = 24
+"""Readings that one by one, in pure Python, cost less than the constant cost of operations on columns."""
 BLOCK = 4096
 """Samples at a time: their columns stay in the processor's cache."""
 _UNKNOWN = np.array([scalar.unknown(status | scalar.CALIBRATED) for status in range(256)], dtype=np.uint8)
@@ -91,9 +93,9 @@ class Before(NamedTuple):
 class Estimator:
     """A calibration prepared for many readings: a call does arithmetic only.
 
-    ``estimator(gauges)`` gives the ``Contact`` of one reading (n,) of n gauges in microstrain, in pure Python, or the
-    ``Contacts`` of k readings (k, n) in time order. Both are those of ``estimate``. Forces are newtons, angles degrees.
-    Sources: equations (1) and (16) of the paper; docs/uncertainty.md.
+    ``estimator(gauges)`` gives the ``Contact`` of one reading (n,) of n gauges in microstrain, or the ``Contacts`` of k
+    readings (k, n) in time order; up to ``FEW`` in pure Python. Both are those of ``estimate``. Forces are newtons,
+    angles degrees. Sources: equations (1) and (16) of the paper; docs/uncertainty.md.
     """
 
     def __init__(self, calibration: Calibration, *, uncertainty: bool = True) -> None:
@@ -173,10 +175,17 @@ class Estimator:
             if type(degC) is not float:
                 degC = float(_temperatures(degC, ()))
             bits = lost if isinstance(lost, int) else int(_bits(lost, ()))
-            return self._contact(row, degC, bits, was_present, was_overloaded)
+            bits, values = self._one(row, degC, bits, was_present, was_overloaded)
+            status = _shown_one(bits)
+            if status not in self._status_of:
+                self._status_of[status] = Status(status)
+            return Contact(0, scalar.NAN, -1, *values, self._status_of[status], tuple(row))
         if row is not None or readings.shape[1:] != (n,):
             raise InputError(f"microstrain has the shape {np.shape(microstrain)}: allowed are (k, {n}) and ({n},)")
         shape = (len(readings),)
+        if len(readings) <= FEW:
+            degC = _temperatures(scalar.NAN if temperature_degC is None else temperature_degC, shape)
+            return self._few(readings, degC, _bits(lost, shape), Before(was_present, was_overloaded), _room(out, shape))
         strain = np.where(np.abs(readings) <= LARGEST_MICROSTRAIN, readings, np.nan) * 1e-6
         given = Readings(
             strain,
@@ -184,8 +193,8 @@ class Estimator:
             _bits(lost, shape),
             frozen_gauges(self._calibration, strain),
         )
-        contacts, status, _ = self.rows(given, Before(was_present, was_overloaded), out)
-        contacts.status[:] = (status | _shown(status)) & 0xFFFF
+        contacts, faults, _ = self.rows(given, Before(was_present, was_overloaded), out)
+        contacts.status[:] = (faults | _shown(faults)) & 0xFFFF
         return contacts
 
     def rows(self, given: Readings, before: Before, out: Contacts | None = None) -> tuple[Contacts, IntArray, Before]:
@@ -194,14 +203,12 @@ class Estimator:
         The status (k,) says by ``reasons.FROZEN``, ``TARE``, ``LEFT_OUT``, ... why a value is unknown or doubtful.
         """
         k = len(given.strain)
-        contacts, status = Contacts.empty(k) if out is None else out, np.zeros(k, dtype=np.int64)
-        columns = [getattr(contacts, name) for name in Contacts.__slots__]
-        if any(not isinstance(column, np.ndarray) or column.shape != (k,) for column in columns):
-            raise InputError(f"out: allowed is Contacts.empty({k})")
+        contacts, status = _room(out, (k,)), np.zeros(k, dtype=np.int64)
+        columns = [getattr(contacts, name) for name in _VALUES]
         for start in range(0, k, BLOCK):
             rows = slice(start, start + BLOCK)
             values, status[rows] = self._block(given.part(rows), before)
-            for column, value in zip(columns, values, strict=False):
+            for column, value in zip(columns, values, strict=True):
                 column[rows] = value
             before = _following(status[rows], before)
         return contacts, status, before
@@ -258,10 +265,24 @@ class Estimator:
             resolved[rows] = model.is_resolved(of_rows.P, of_rows.theta)
         return resolved
 
-    def _contact(
+    def _few(
+        self, readings: FloatArray, degC: FloatArray, lost: IntArray, before: Before, contacts: Contacts
+    ) -> Contacts:
+        """Readings (k, n), one by one."""
+        (was_present, was_overloaded), columns = before, [getattr(contacts, name) for name in Contacts.__slots__]
+        for k, row in enumerate(zip(readings.tolist(), degC.tolist(), lost.tolist(), strict=True)):
+            status, values = self._one(*row, was_present, was_overloaded)
+            for column, value in zip(columns, (*values, _shown_one(status)), strict=True):
+                column[k] = value
+            if not status & reasons.NO_ESTIMATE:
+                was_present = bool(status & scalar.CONTACT_PRESENT)
+            was_overloaded = bool(status & reasons.OVERLOAD)
+        return contacts
+
+    def _one(
         self, microstrain: Sequence[float], degC: float, lost: int, was_present: bool, was_overloaded: bool
-    ) -> Contact:
-        """One reading."""
+    ) -> tuple[int, Values]:
+        """(status, values) of a reading."""
         most, active = LARGEST_MICROSTRAIN, self._active
         readings = [value if -most <= value <= most else scalar.NAN for value in microstrain]
         for k, limit in enumerate(self._limits):
@@ -276,15 +297,7 @@ class Estimator:
             for value, (low, high) in zip(readings, self._bounds):  # noqa: B905 - none where 2112h:2 is known
                 if value < low or value > high:
                     status |= reasons.OVERLOAD
-        status, values = self._values(F, K, scaled_K, status, was_present, was_overloaded)
-        if status & _FLAGGED:
-            for flag, why in _FLAGS:
-                if status & why:
-                    status |= flag
-        status = status & 0xFFFF | scalar.CALIBRATED
-        if status not in self._status_of:
-            self._status_of[status] = Status(status)
-        return Contact(0, scalar.NAN, -1, *values, self._status_of[status], tuple(microstrain))
+        return self._values(F, K, scaled_K, status, was_present, was_overloaded)
 
     def _judged_force(
         self, readings: list[float], degC: float, lost: int, was_overloaded: bool
@@ -428,6 +441,15 @@ def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArr
     return bits & ~judged.at_end(1e6 * strain) if bits.any() else None
 
 
+def _room(out: Contacts | None, shape: tuple[int, ...]) -> Contacts:
+    """Return where the contacts go."""
+    contacts = Contacts.empty(*shape) if out is None else out
+    columns = [getattr(contacts, name) for name in Contacts.__slots__]
+    if any(not isinstance(column, np.ndarray) or column.shape != shape for column in columns):
+        raise InputError(f"out: allowed is Contacts.empty({shape[0]})")
+    return contacts
+
+
 def _following(status: IntArray, before: Before) -> Before:
     """What the last sample leaves for the next; rows without a force leave contact as it was."""
     counted = np.flatnonzero((status & reasons.NO_ESTIMATE) == 0)
@@ -458,6 +480,16 @@ def _shown(status: IntArray) -> IntArray:
     for flag, why in _FLAGS:
         bits |= np.where(status & why, flag, 0)
     return bits
+
+
+def _shown_one(status: int) -> int:
+    """The status as a node would give it: with the bits of ``_shown``, without those above 16."""
+    status |= scalar.CALIBRATED
+    if status & _FLAGGED:
+        for flag, why in _FLAGS:
+            if status & why:
+                status |= flag
+    return status & 0xFFFF
 
 
 def _temperatures(values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
