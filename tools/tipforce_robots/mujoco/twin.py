@@ -303,22 +303,22 @@ class Fingertips:
         Torque of a contact (``condim`` 4 and 6) counts. A contact of two fingers loads both, with opposite signs.
         """
         wrenches: list[Wrench | None] = [None] * len(self._sites)
-        count = data.ncon
-        if not count:
+        if not data.ncon:
             return wrenches
-        contacts, owners, sites = data.contact, self._owners, self._sites
+        contacts, owners, sites, origins = data.contact, self._owners, self._sites, data.site_xpos
         model, buffer, contact_force = self._model, self._force, mujoco.mj_contactForce
-        geoms, frames, positions = contacts.geom.tolist(), contacts.frame.tolist(), contacts.pos.tolist()
-        for k in range(count):
-            geom_1, geom_2 = geoms[k]
-            if owners[geom_1] == owners[geom_2]:
+        each = zip(contacts.geom.tolist(), contacts.frame.tolist(), contacts.pos.tolist(), strict=True)
+        for k, ((geom_1, geom_2), frame, position) in enumerate(each):
+            on_1, on_2 = owners[geom_1], owners[geom_2]
+            if on_1 == on_2:
                 continue
-            contact_force(model, data, k, buffer)
-            on_2 = buffer.tolist()  # the frame's x points from geom 1 to geom 2
-            for tip, force in ((owners[geom_2], on_2), (owners[geom_1], [-component for component in on_2])):
-                if tip >= 0:
-                    origin = data.site_xpos[sites[tip]].tolist()
-                    wrenches[tip] = _added(wrenches[tip], origin, force, frames[k], positions[k])
+            contact_force(model, data, k, buffer)  # on geom 2, to which the frame's x points
+            force = buffer.tolist()
+            if on_2 >= 0:
+                wrenches[on_2] = _added(wrenches[on_2], origins[sites[on_2]].tolist(), force, frame, position)
+            if on_1 >= 0:
+                force = [-component for component in force]
+                wrenches[on_1] = _added(wrenches[on_1], origins[sites[on_1]].tolist(), force, frame, position)
         return wrenches
 
     def _forces(self, k: int) -> Callable[[int], Vector]:
