@@ -139,8 +139,9 @@ def test_without_a_person_the_answer_is_no(words: str, monkeypatch: pytest.Monke
 
 
 def test_notes_go_to_stderr_and_not_with_quiet(capsys: pytest.CaptureFixture[str]) -> None:
-    common.note(bus_arguments(), "hello")
-    common.note(bus_arguments("-q"), "silence")
+    for words, text in (((), "hello"), (("-q",), "silence")):
+        common.OUTPUT.set_up(bus_arguments(*words))
+        common.note(text)
     assert capsys.readouterr() == ("", "hello\n")
 
 
@@ -167,7 +168,8 @@ def test_colour(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     for stderr in (False, True):
-        common.console(bus_arguments(*words), stderr=stderr).print("x", style="bold red")
+        common.OUTPUT.set_up(bus_arguments(*words))
+        common.console(stderr=stderr).print("x", style="bold red")
         out, err = capsys.readouterr()
         assert ("\x1b[1;31m" in (err if stderr else out)) is coloured
         assert ("\x1b" in out + err) is coloured  # plain is plain: not bold, either
@@ -178,7 +180,8 @@ def test_a_pipe_gets_lines_of_progress(
     quiet: bool, absolute: bool, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(common, "_LINE_S", 0.0)
-    with common.progress(argparse.Namespace(quiet=quiet), "loads", 9, absolute=absolute) as advance:
+    monkeypatch.setattr(common.OUTPUT, "quiet", quiet)
+    with common.progress("loads", 9, absolute=absolute) as advance:
         advance(2)
         advance(3)
     assert capsys.readouterr().err.endswith(f"loads: {said} of 9, 0 s\n" if said else "")

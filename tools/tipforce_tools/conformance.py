@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     with common.open_bus(args) as bus:
         dut = Dut(BusLink(bus, args.tolerance), args.node_id, fingertip_cases.FINGERTIP)
         try:
-            passed = run_and_print(dut, cases, args.persistent, args.json, lambda counts: common.note(args, counts))
+            passed = run_and_print(dut, cases, args.persistent, common.OUTPUT.json, lambda counts: common.note(counts))
         except LostDeviceError as error:
             raise NoResponseError(str(error)) from error
     return 0 if passed else 1

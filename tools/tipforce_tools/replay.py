@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
             raise
         finally:
             if started:
-                _report(args, buses, parser, time.monotonic() - start_s, late_s)
+                _report(buses, parser, time.monotonic() - start_s, late_s)
     return INTERRUPTED if stop.stopped else 0
 
 
@@ -141,15 +141,15 @@ def _wait_until(due_s: float, stop: StopSignals) -> bool:
     return False
 
 
-def _report(args: argparse.Namespace, buses: Buses, parser: CandumpParser, seconds: float, late_s: float) -> None:
-    late = f", at most {late_s * 1000:.1f} ms late" if args.verbose else ""
-    common.note(args, f"tipforce replay: {counted(buses.sent, 'frame')} sent in {seconds:.1f} s{late}")
+def _report(buses: Buses, parser: CandumpParser, seconds: float, late_s: float) -> None:
+    late = f", at most {late_s * 1000:.1f} ms late" if common.OUTPUT.verbose else ""
+    common.note(f"tipforce replay: {counted(buses.sent, 'frame')} sent in {seconds:.1f} s{late}")
     for reason, number in buses.left_out.items():
-        common.note(args, f"tipforce replay: {counted(number, 'frame')} left out: {reason}")
+        common.note(f"tipforce replay: {counted(number, 'frame')} left out: {reason}")
     if parser.bad:
         reasons = ", ".join(f"{number} {reason}" for reason, number in parser.bad.items())
-        common.note(args, f"tipforce replay: bad lines left out ({reasons}), first {parser.bad_lines[0]}")
-    if args.json:
+        common.note(f"tipforce replay: bad lines left out ({reasons}), first {parser.bad_lines[0]}")
+    if common.OUTPUT.json:
         common.print_json(
             {
                 "sent": buses.sent,

@@ -64,14 +64,14 @@ def run(args: argparse.Namespace) -> int:
     prefix, domain = namespace(args.namespace), domain_id(args.domain)
     with closing(_feed(args)) as feed:
         bridge = Bridge(feed, RosDomain(domain), prefix, args.allow_tare)
-        common.note(args, f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
+        common.note(f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
         try:
             _publish(args, feed, bridge)
         except KeyboardInterrupt:
             pass
         finally:
             if bridge.rows or not feed.ended:
-                _say_end(args, bridge)
+                _say_end(bridge)
         if feed.ended and not bridge.rows:
             raise LogError(f"{args.source}: no sample of a fingertip in it; `tipforce decode` says what it holds")
     return 0
@@ -101,16 +101,16 @@ def _publish(args: argparse.Namespace, feed: Feed, bridge: Bridge) -> None:
     end_s = math.inf if args.seconds is None else time.monotonic() + args.seconds
     while not feed.ended and time.monotonic() < end_s:
         for status in bridge.step():
-            if args.verbose or status["level"] > OK:
-                common.note(args, f"{status['name']}: {status['message']}")
+            if common.OUTPUT.verbose or status["level"] > OK:
+                common.note(f"{status['name']}: {status['message']}")
     bridge.report(feed.now_ns())
 
 
-def _say_end(args: argparse.Namespace, bridge: Bridge) -> None:
+def _say_end(bridge: Bridge) -> None:
     found = {tip.ros_name: tip.wrenches for tip in bridge.tips.values()}
-    if args.json:
+    if common.OUTPUT.json:
         common.print_json({"rows": bridge.rows, "wrenches": found})
-    common.note(args, f"{bridge.rows} rows, {bridge.wrenches} wrenches of {counted(len(found), 'finger')} published")
+    common.note(f"{bridge.rows} rows, {bridge.wrenches} wrenches of {counted(len(found), 'finger')} published")
 
 
 def _feed(args: argparse.Namespace) -> Feed:
@@ -122,7 +122,7 @@ def _feed(args: argparse.Namespace) -> Feed:
         from tipforce.host.hand.file import read_hand
         from tipforce.host.hand.hand import Hand
 
-        feed = commissioned(args, Hand.from_file(hand_file, **find_bus(args, read_hand(hand_file).bus)))
+        feed = commissioned(Hand.from_file(hand_file, **find_bus(args, read_hand(hand_file).bus)))
         feed.take(0.0)  # reported already
         return feed
     from tipforce.host.logs.reader import open_log

@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
 
         plot(error_budget, args.output)
     records = _records(error_budget)
-    if args.json:
+    if common.OUTPUT.json:
         for record in records:
             common.print_json(record)
     else:
@@ -208,15 +208,14 @@ def _say_limits(args: argparse.Namespace, error_budget: Budget, causes: Causes) 
     from tipforce_lab.design.error_budget import gravity_residual
 
     if not args.uncalibrated:
-        common.note(args, "gauge position: no contribution, the calibration removes it (--uncalibrated shows it)")
+        common.note("gauge position: no contribution, the calibration removes it (--uncalibrated shows it)")
         shown = 100.0 * gravity_residual(causes.gravity_rad)
-        common.note(args, f"gravity: visible in the calibration's residuals as {shown:.2g} % of the load")
+        common.note(f"gravity: visible in the calibration's residuals as {shown:.2g} % of the load")
     for cause, reason in error_budget.left_out.items():
-        common.note(args, f"no row for {cause}: {reason}")
+        common.note(f"no row for {cause}: {reason}")
     for name, holds in zip(("P", "phi", "theta"), error_budget.holds.T, strict=True):
         if not holds.all():
             common.note(
-                args,
                 f"first order does not hold for {name} at {int((~holds).sum())} of {len(holds)} loads "
-                "(small load or near-tangential contact): an interval from this uncertainty is wrong there",
+                "(small load or near-tangential contact): an interval from this uncertainty is wrong there"
             )

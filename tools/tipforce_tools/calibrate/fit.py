@@ -78,12 +78,12 @@ def run_fit(args: argparse.Namespace) -> int:
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
     request = FitRequest(**requested(args))
     request.check_gauges(data.strain.shape[1], args.data)
-    result = fitted(request, data, lambda text: common.note(args, text))
-    doubtful = publish(args, args.data, request, result)
+    result = fitted(request, data, lambda text: common.note(text))
+    doubtful = publish(args.data, request, result)
     if data.bad:
-        common.note(args, f"{args.data}: {len(data.bad)} bad rows were not used")
+        common.note(f"{args.data}: {len(data.bad)} bad rows were not used")
     if (data.bad or doubtful) and args.strict:
-        common.note(args, "--strict: no file is written")
+        common.note("--strict: no file is written")
         return 1
     if args.output:
         write(args, args.data, request, result)
@@ -140,11 +140,11 @@ def run_apply(args: argparse.Namespace) -> int:
     with common.open_connection(args) as connection:
         client = FingertipClient(connection.sdo(args.node))
         generation = client.apply_calibration(
-            calibration, not args.no_store, lambda step: common.note(args, f"{name}: {step}")
+            calibration, not args.no_store, lambda step: common.note(f"{name}: {step}")
         )
     crc32 = f"0x{calibration.crc32():08X}"
     record = {"node": args.node, "generation": generation, "crc32": crc32}
-    common.print_record(args, record, f"applied, generation {generation}, CRC-32 {crc32}")
+    common.print_record(record, f"applied, generation {generation}, CRC-32 {crc32}")
     return 0
 
 
@@ -157,5 +157,5 @@ def run_verify(args: argparse.Namespace) -> int:
     with common.open_connection(args) as connection:
         differences = FingertipClient(connection.sdo(args.node)).verify_calibration(calibration)
     compared = {"node": args.node, "equal": not differences, "differences": differences}
-    common.print_record(args, compared, "\n".join(differences) or "equal byte for byte")
+    common.print_record(compared, "\n".join(differences) or "equal byte for byte")
     return 1 if differences else 0

@@ -255,18 +255,16 @@ def _print_loads(fit: Fit) -> None:
     print()
 
 
-def publish(
-    args: argparse.Namespace, path: str, request: FitRequest, result: Fitted, more_notes: tuple[str, ...] = ()
-) -> bool:
+def publish(path: str, request: FitRequest, result: Fitted, more_notes: tuple[str, ...] = ()) -> bool:
     """Print the account of a fit; return whether something speaks against it."""
     remarks = [*notes(result, request), *more_notes]
     doubts = warnings(result)
-    if args.json:
+    if common.OUTPUT.json:
         print_json(path, result, remarks, doubts)
     else:
         print_text(path, result, remarks)
     for warning in doubts:
-        common.note(args, f"{path}: {warning}")
+        common.note(f"{path}: {warning}")
     return bool(doubts)
 
 
@@ -274,4 +272,4 @@ def write(args: argparse.Namespace, path: str, request: FitRequest, result: Fitt
     """Write the calibration file of --output."""
     known = facts(path, result) | {"angle_scatter_deg": request.angle_scatter}
     write_calibration(args.output, result.calibration, fit_record(result.fit, **known))
-    common.note(args, f"{args.output}: written, load sense {'pull' if result.calibration.pull else 'push'}")
+    common.note(f"{args.output}: written, load sense {'pull' if result.calibration.pull else 'push'}")

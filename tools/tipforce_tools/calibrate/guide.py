@@ -90,11 +90,9 @@ def _guided(
     path = Path(args.session or f"session-{identity.serial}.csv")
     session = Session(path, steps, identity.serial, identity.gauges, reader.temperature_degC() is not None)
     loads = sum(step.mode != "tare" for step in steps)
-    common.note(
-        args, f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {reader.how}; session {path}"
-    )
+    common.note(f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {reader.how}; session {path}")
     if session.cut:
-        common.note(args, f"session {path}: its last line was truncated by an interruption and is removed")
+        common.note(f"session {path}: its last line was truncated by an interruption and is removed")
     walk = Walk(args, steps, session, reader, client.sdo)
     try:
         while (outcome := walk.run()) == "done":
@@ -139,7 +137,7 @@ def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipC
     what = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges, serial {identity.serial}"
     held = f"calibrated (CRC-32 0x{crc:08X})" if crc else "not calibrated yet"
     degrees = "temperature unknown" if temperature is None else f"{temperature:.2f} degC"
-    common.note(args, f"{name}: {what}; {held}; {degrees}; measures, no fault")
+    common.note(f"{name}: {what}; {held}; {degrees}; measures, no fault")
     return client, reader, identity
 
 

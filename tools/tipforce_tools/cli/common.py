@@ -40,16 +40,35 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--color", choices=("auto", "always", "never"), default="auto", help="auto follows NO_COLOR")
 
 
-def set_up_logging(args: argparse.Namespace) -> None:
-    """Log warnings of tipforce to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
-    import logging
+class Output:
+    """How a command prints: the values of its output flags. One for the process, as its streams are."""
 
-    level = logging.ERROR if args.quiet else logging.DEBUG if args.verbose else logging.WARNING
-    logging.basicConfig(stream=sys.stderr, level=level, format="%(levelname)s %(name)s: %(message)s")
-    if not args.verbose:
-        # canopen logs each abort as an error and also raises it; python-can warns of errors that open_bus reports.
-        logging.getLogger("canopen").setLevel(logging.CRITICAL)
-        logging.getLogger("can").setLevel(logging.CRITICAL)
+    json: bool
+    quiet: bool
+    verbose: bool
+    color: Literal["auto", "always", "never"]
+
+    def set_up(self, args: argparse.Namespace) -> None:
+        """Follow the flags; a command without them prints as by default, and sets up no logging.
+
+        Warnings of tipforce are logged to stderr: all messages with -v, only errors with -q; of libraries only with -v.
+        """
+        for name, default in (("json", False), ("quiet", False), ("verbose", False), ("color", "auto")):
+            setattr(self, name, getattr(args, name, default))
+        if not hasattr(args, "verbose"):
+            return
+        import logging
+
+        level = logging.ERROR if self.quiet else logging.DEBUG if self.verbose else logging.WARNING
+        logging.basicConfig(stream=sys.stderr, level=level, format="%(levelname)s %(name)s: %(message)s")
+        if not self.verbose:
+            # canopen logs each abort as an error and also raises it; python-can warns of errors that open_bus reports.
+            logging.getLogger("canopen").setLevel(logging.CRITICAL)
+            logging.getLogger("can").setLevel(logging.CRITICAL)
+
+
+OUTPUT = Output()
+OUTPUT.set_up(argparse.Namespace())
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
@@ -100,20 +119,20 @@ def find_bus(
     if "interface" in options or not (named or sys.platform == "linux"):
         return options
     if not named and "channel" not in options:
-        options["channel"] = args.channel = _only_interface(args)
+        options["channel"] = args.channel = _only_interface()
     options["interface"] = "socketcan"
     if not named:
         args.interface = "socketcan"
     return options
 
 
-def _only_interface(args: argparse.Namespace) -> str:
+def _only_interface() -> str:
     from tipforce.host.network.interfaces import interfaces
 
     known = interfaces()
     up = [name for name, is_up in known.items() if is_up]
     if len(up) == 1:
-        note(args, f"bus: -i socketcan -c {up[0]}, the only CAN interface that is up")
+        note(f"bus: -i socketcan -c {up[0]}, the only CAN interface that is up")
         return up[0]
     if up:
         reason = f"{', '.join(up)} are up: add -i socketcan -c {up[0]}"
@@ -172,7 +191,7 @@ def note_wire(args: argparse.Namespace, connection: Bus, begun_s: float) -> None
     seen = Observed(heard_s=time.monotonic() - begun_s, link=link_of(args))
     seen.count(connection.buffer.take_all())
     for finding in of_the_wire(seen):
-        note(args, str(finding))
+        note(str(finding))
 
 
 def number(text: str) -> float:
@@ -319,9 +338,9 @@ def print_json(record: dict[str, Any]) -> None:
     sys.stdout.write(json_line(record) + "\n")
 
 
-def print_record(args: argparse.Namespace, record: dict[str, Any], text: str) -> None:
+def print_record(record: dict[str, Any], text: str) -> None:
     """Print the record as a JSON line with --json, otherwise the text that shows it."""
-    if args.json:
+    if OUTPUT.json:
         print_json(record)
     else:
         print(text)
@@ -342,61 +361,61 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def note(args: argparse.Namespace, text: str) -> None:
+def note(text: str) -> None:
     """Print a line on stderr; nothing with -q."""
-    if not args.quiet:
+    if not OUTPUT.quiet:
         print(text, file=sys.stderr)
 
 
 @contextmanager
 def progress(
-    args: argparse.Namespace, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
+    what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
 ) -> Iterator[Callable[..., None]]:
     """Show a progress bar on stderr, or if that is no terminal a line each 10 s; nothing with -q.
 
     Call the result after each of ``total`` steps, or with the number of steps since the last call; with ``absolute``
     with the number of all steps so far.
     """
-    if args.quiet or not sys.stderr.isatty():
+    if OUTPUT.quiet or not sys.stderr.isatty():
         begun_s = said_s = time.monotonic()
         done = 0.0
 
         def count(steps: float = 1) -> None:
             nonlocal done, said_s
             done = steps if absolute else done + steps
-            if not args.quiet and time.monotonic() >= said_s + _LINE_S:
+            if not OUTPUT.quiet and time.monotonic() >= said_s + _LINE_S:
                 said_s = time.monotonic()
-                note(args, f"{what.strip()}: {done:g} of {total:g}, {said_s - begun_s:.0f} s")
+                note(f"{what.strip()}: {done:g} of {total:g}, {said_s - begun_s:.0f} s")
 
         yield count
         return
     from rich.progress import Progress
 
-    screen = console(args, stderr=True)
+    screen = console(stderr=True)
     # rich takes over the streams, and shows a control sequence as a colour: escape before that.
     with Progress(transient=True, console=screen, refresh_per_second=refresh_hz) as bar, visible_streams():
         task = bar.add_task(what, total=total)
         yield lambda steps=1: bar.update(task, **{"completed" if absolute else "advance": steps})
 
 
-def console(args: argparse.Namespace, *, stderr: bool = False) -> Console:
+def console(*, stderr: bool = False) -> Console:
     """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width."""
-    plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
+    plain = OUTPUT.color == "never" or (OUTPUT.color == "auto" and bool(os.environ.get("NO_COLOR")))
     stream = sys.stderr if stderr else sys.stdout
     width = None if stream.isatty() else 120
-    always = True if args.color == "always" else None
+    always = True if OUTPUT.color == "always" else None
     # Without a colour system rich prints no bold text either: the output is plain text.
     system: Literal["auto"] | None = None if plain else "auto"
     return rich_console(stream, force_terminal=always, color_system=system, no_color=plain, width=width)
 
 
-def print_table(args: argparse.Namespace, table: Table) -> None:
+def print_table(table: Table) -> None:
     """Print a table on stdout. In a narrow terminal it has no borders and words wrap; numbers do not.
 
     A truncated number (`4.…`) is useless, and a wrapped one appears beside the label of another. A word longer than
     its column continues on the next line, so that names can be copied.
     """
-    screen = console(args)
+    screen = console()
     unbounded = screen.options.update(width=1000)
     if screen.measure(table, options=unbounded).maximum > screen.width:
         table.box, table.padding, table.pad_edge = None, (0, 1, 0, 0), False
@@ -410,7 +429,6 @@ def print_table(args: argparse.Namespace, table: Table) -> None:
 
 
 def print_rows(
-    args: argparse.Namespace,
     title: str,
     headings: Iterable[str],
     rows: Iterable[Iterable[str]],
@@ -426,7 +444,7 @@ def print_rows(
         table.add_column(heading.removeprefix(">"), justify="right" if heading.startswith(">") else "left")
     for row, style in zip(rows, repeat(None) if styles is None else styles, strict=False):
         table.add_row(*row, style=style)
-    print_table(args, table)
+    print_table(table)
 
 
 def add_confirm_argument(parser: argparse.ArgumentParser) -> None:

@@ -189,7 +189,7 @@ def listening(
         fingers = hand_fingers(file, fallback)
 
     def say(text: str) -> None:
-        common.note(args, text)
+        common.note(text)
         feed.hints.append(text)
 
     source = BusSource(_group(args, [options], [None], TICK_S, Hints(say)))
@@ -197,16 +197,16 @@ def listening(
     return feed, str(options.get("channel") or options.get("interface") or "bus")
 
 
-def note_missing(args: Namespace, report: FingerReport) -> None:
+def note_missing(report: FingerReport) -> None:
     """Print on stderr what a finger lacks that came up."""
     from tipforce.samples.reasons import NOT_CALIBRATED
     from tipforce.watching.findings import not_calibrated
 
     if NOT_CALIBRATED in report.note:
-        common.note(args, str(not_calibrated(report.plan.node_id)))
+        common.note(str(not_calibrated(report.plan.node_id)))
 
 
-def commissioned(args: Namespace, hand: Hand, fallback: Fallback | None = None) -> HandFeed:
+def commissioned(hand: Hand, fallback: Fallback | None = None) -> HandFeed:
     """Commission and start a hand: reports go to stderr and to the feed's events. Closes the hand if that fails."""
     from tipforce.watching.feeds import HandFeed
     from tipforce.watching.watcher import hand_fingers
@@ -214,8 +214,8 @@ def commissioned(args: Namespace, hand: Hand, fallback: Fallback | None = None) 
     try:
         feed = HandFeed(hand, ())
         for report in hand.bring_up():
-            common.note(args, str(report))
-            note_missing(args, report)
+            common.note(str(report))
+            note_missing(report)
         feed.fingers = hand_fingers(hand, fallback)
         hand.start()
     except BaseException:

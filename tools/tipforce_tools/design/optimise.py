@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output:
         check_output(args.output, LAYOUT)
     limits, loads = _limits_and_loads(args)
-    with common.progress(args, "starts", steps(args.gauges, limits, args.starts)) as done:
+    with common.progress("starts", steps(args.gauges, limits, args.starts)) as done:
         outcome = optimise(
             args.objective, args.gauges, limits, loads, args.noise, starts=args.starts, seed=args.seed, done=done
         )
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output:
         best = outcome.best
         write_layout(args.output, best.geometry, best.gauges, args.gauge_length * 1e-3, _comment(args, best))
-        common.note(args, f"wrote {args.output}")
+        common.note(f"wrote {args.output}")
     return 0 if outcome.best.agrees else 1
 
 
@@ -104,7 +104,7 @@ def _print_outcome(args: argparse.Namespace, outcome: Outcome) -> None:
     from tipforce_lab.design.optimum import record
 
     entries = [*outcome.paper, *outcome.front]
-    if args.json:
+    if common.OUTPUT.json:
         for entry in entries:
             common.print_json(record(entry, args.noise))
         common.print_json(_summary(args, outcome))
@@ -148,16 +148,16 @@ def _print_tables(args: argparse.Namespace, entries: list[Assessment]) -> None:
         )  # fmt: skip
     doubts = [None if entry.agrees else "yellow" for entry in entries]
     common.print_rows(
-        args, "Structures, mm; gauges: beam, side, middle of the gauge from the joint",
+        "Structures, mm; gauges: beam, side, middle of the gauge from the joint",
         ("", *(f">{symbol}" for symbol in _LENGTHS), "SG1, SG2, ..."), structures,
     )  # fmt: skip
     common.print_rows(
-        args, f"Standard uncertainties at {args.noise:g} microstrain and {args.load:g} N, and limits of the body",
+        f"Standard uncertainties at {args.noise:g} microstrain and {args.load:g} N, and limits of the body",
         ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg", ">mN per ue", ">least ue/N", ">cond", ">MPa", ">slit shuts N"),
         figures, doubts,
     )  # fmt: skip
     common.print_rows(
-        args, "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well",
+        "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well",
         ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg", ">cond", ">differs %", ">block: u(theta)", ">cond"),
         frames, doubts,
     )  # fmt: skip

@@ -48,12 +48,12 @@ def add_table_arguments(parser: argparse.ArgumentParser) -> None:
 def run_table(args: argparse.Namespace) -> int:
     """Print the sections, then draw; return 0."""
     for make in _makers(args):
-        _print(args, make())
+        _print(make())
     if args.output is not None:
         from tipforce_lab.design.plots import draw
 
         for path in draw(args.what, args.output, args.format, args.noise, args.repeats, args.seed):
-            common.note(args, f"wrote {path}")
+            common.note(f"wrote {path}")
     return 0
 
 
@@ -104,12 +104,12 @@ def run_sweep(args: argparse.Namespace) -> int:
         check_output(args.output, figure_kind(args.output), [args.layout])
     geometry, gauges = read_layout(args.layout)
     section = sweep_section(args, geometry, gauges)
-    _print(args, section)
+    _print(section)
     if args.output is not None:
         from tipforce_lab.design.plots import draw_sweep
 
         draw_sweep(args.output, section)
-        common.note(args, f"wrote {args.output}")
+        common.note(f"wrote {args.output}")
     return 0
 
 
@@ -173,9 +173,9 @@ def _figures(geometry: Geometry, places: list[GaugePosition]) -> Record:
     return {**figures(matrix), "largest_strain_ue_per_N": 1e6 * largest}
 
 
-def _print(args: argparse.Namespace, section: Section) -> None:
+def _print(section: Section) -> None:
     """Print as JSON lines (records, then one line with the notes), or as a table."""
-    if args.json:
+    if common.OUTPUT.json:
         for record in section.records:
             common.print_json({"table": section.name, **record})
         if section.notes:
@@ -192,8 +192,8 @@ def _print(args: argparse.Namespace, section: Section) -> None:
         table.add_column(heading, justify="right" if numeric else "left", overflow="fold")
     for record in section.records:
         table.add_row(*(_shown(_cell(record, key)) for key in section.columns))
-    common.print_table(args, table)
-    console = common.console(args)
+    common.print_table(table)
+    console = common.console()
     for note in section.notes:
         console.print(Padding(Text(note), (0, 0, 1, 2)), highlight=False)
 

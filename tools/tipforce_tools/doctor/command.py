@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the findings; return 1 if something is wrong."""
     failed = False
-    out = None if args.json else common.console(args)
+    out = None if common.OUTPUT.json else common.console()
     for check in _findings(args):
         failed |= check.state == "fail"
         if out is None:

@@ -93,11 +93,11 @@ def _diff(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.configuration_file import compare
 
     with _opened(args) as (sdo, objects, wanted):
-        lines = compare(_read(args, sdo, objects), wanted, objects)
+        lines = compare(_read(sdo, objects), wanted, objects)
     for line in lines:
         there = "is not in the file" if line["other"] is None else f"{args.file} has {line['other']}"
-        common.print_record(args, line, f"{line['name']} ({line['entry']}): the node has {line['node']}, {there}")
-    common.note(args, f"{common.shown_node(args.node)}: {len(lines)} different")
+        common.print_record(line, f"{line['name']} ({line['entry']}): the node has {line['node']}, {there}")
+    common.note(f"{common.shown_node(args.node)}: {len(lines)} different")
     return 1 if lines else 0
 
 
@@ -113,10 +113,10 @@ def _apply_or_verify(args: argparse.Namespace) -> int:
             FingertipClient(sdo).store()
     for difference in differences:
         text = f"{difference['object']}: expected {difference['expected']}, the node has {difference['found']}"
-        common.print_record(args, difference, text)
+        common.print_record(difference, text)
     unread = sum(entry.access == "wo" for entry, _ in wanted.values())
     shown = f"{len(differences)} different" + (f", {unread} write-only, not compared" if unread else "")
-    common.note(args, f"{common.shown_node(args.node)}: {len(wanted)} objects, {shown}")
+    common.note(f"{common.shown_node(args.node)}: {len(wanted)} objects, {shown}")
     return 1 if differences else 0
 
 
@@ -143,7 +143,7 @@ def _show(args: argparse.Namespace) -> int:
             if args.eds:
                 raise
             return _show_foreign(args, sdo)
-        settings = _read(args, sdo, objects)
+        settings = _read(sdo, objects)
     shown = settings if args.all else changed_settings(settings, objects)
     for place, value in sorted(shown.items()):
         entry = objects.settings[place]
@@ -151,8 +151,8 @@ def _show(args: argparse.Namespace) -> int:
         values = texts if isinstance(value, bytes) else (value, entry.default)
         default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
         line = f"{_line(entry, texts[0])}{default}"
-        common.print_record(args, _record(entry, values[0]) | {"default": values[1], "unit": entry.unit}, line)
-    common.note(args, f"{common.shown_node(args.node)}: {len(settings)} settings, {len(shown)} shown")
+        common.print_record(_record(entry, values[0]) | {"default": values[1], "unit": entry.unit}, line)
+    common.note(f"{common.shown_node(args.node)}: {len(settings)} settings, {len(shown)} shown")
     return 0
 
 
@@ -167,9 +167,9 @@ def _show_foreign(args: argparse.Namespace, sdo: SdoChannel) -> int:
             with suppress(SdoAbortError, InputError):  # it lacks the object, or has one of another length
                 value = entry.decode(sdo.upload(index, sub))
                 shown += 1
-                common.print_record(args, _record(entry, value), _line(entry, _shown(entry, value)))
+                common.print_record(_record(entry, value), _line(entry, _shown(entry, value)))
     communication_settings = f"{shown} communication settings (CiA 301), compared with nothing"
-    common.note(args, f"{common.shown_node(args.node)} is not a fingertip: {communication_settings}")
+    common.note(f"{common.shown_node(args.node)} is not a fingertip: {communication_settings}")
     return 0
 
 
@@ -220,14 +220,14 @@ def _save(args: argparse.Namespace) -> int:
     with common.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
         objects = _objects(args, sdo)
-        settings = _read(args, sdo, objects)
+        settings = _read(sdo, objects)
         chosen = settings if args.all else changed_settings(settings, objects)
         text = _dcf(args, sdo, objects, chosen) if as_dcf else settings_toml(chosen, objects, args.node)
     if args.file == "-":
         print(text, end="")
         return 0
     write_file(args.file, text, kind)
-    common.note(args, f"{args.file}: {len(chosen)} of {len(settings)} settings of {common.shown_node(args.node)}")
+    common.note(f"{args.file}: {len(chosen)} of {len(settings)} settings of {common.shown_node(args.node)}")
     return 0
 
 
@@ -244,9 +244,9 @@ def _dcf(
     return fingertip_eds.dcf_text(args.gauges, args.node, chosen, FingertipClient(sdo).identity().simulated)
 
 
-def _read(args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
+def _read(sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
     """Read all settings, one transfer each, with a progress bar on a terminal."""
     from tipforce.host.configuration.configuration_file import read_settings
 
-    with common.progress(args, "read", len(objects.settings)) as advance:
+    with common.progress("read", len(objects.settings)) as advance:
         return read_settings(sdo, objects, advance)

@@ -79,7 +79,6 @@ def _check(args: argparse.Namespace, file: HandFile) -> int:
         own = f"{finger.calibration} {crc}" if crc else "keeps its own calibration"
         serial = f"serial {finger.serial}" if finger.serial else "any serial"
         common.print_record(
-            args,
             {"node_id": finger.node_id, "name": finger.name, "serial": finger.serial, "settings": settings,
              "calibration": finger.calibration, "crc32": crc},
             f"{common.shown_id(finger.node_id):>11}  {finger.name:10} {serial:17} {settings} settings, {own}",
@@ -107,7 +106,7 @@ def _compared_with_bus(args: argparse.Namespace, file: HandFile) -> int:
     seen.calibrated.clear()  # `hand up` calibrates
     wrong = [finding for finding in findings(seen, wanted=file.finger) if finding.topic != "faults"]
     for finding in wrong:
-        common.note(args, str(finding))
+        common.note(str(finding))
     return 1 if any(finding.topic != MISSING for finding in wrong) else 0
 
 
@@ -131,7 +130,7 @@ def _note_load(args: argparse.Namespace, file: HandFile) -> None:
     if args.action == "check" or not fits:
         lines += [*budget_lines(budget), f"what fits under {100 * LIMIT:.0f} %:"]
         lines += what_fits(count, file.hand.sync_hz, pdos, gauges, bit_rate, LIMIT)
-    common.note(args, "\n".join(lines))
+    common.note("\n".join(lines))
 
 
 def _up(args: argparse.Namespace, file: HandFile) -> int:
@@ -151,13 +150,13 @@ def _up(args: argparse.Namespace, file: HandFile) -> int:
             except KeyboardInterrupt:
                 pass
             finally:
-                _note_statistics(args, hand, hand.statistics())
+                _note_statistics(hand, hand.statistics())
     return 1 if failed else 0
 
 
 def _print_reports(args: argparse.Namespace, reports: list[FingerReport], elapsed_s: float) -> None:
     for report in reports:
-        if args.json and args.action == "up":
+        if common.OUTPUT.json and args.action == "up":
             common.print_json(
                 {"node_id": report.plan.node_id, "name": report.plan.name, "ok": report.ok, "done": report.done,
                  "failed": report.failed or None, "error": report.error or None, "note": report.note or None,
@@ -165,23 +164,30 @@ def _print_reports(args: argparse.Namespace, reports: list[FingerReport], elapse
             )  # fmt: skip
         else:
             print(report, file=sys.stdout if args.action == "up" else sys.stderr)
-        note_missing(args, report)
+        note_missing(report)
     up = sum(report.ok for report in reports)
-    common.note(args, f"{up} of {len(reports)} fingers up in {elapsed_s:.1f} s")
+    common.note(f"{up} of {len(reports)} fingers up in {elapsed_s:.1f} s")
 
 
 def _print_event(args: argparse.Namespace, hand: Hand, event: Event) -> None:
     """Print an event at once, also into a pipe: on stdout as a line of the JSON stream, else on stderr."""
     labels = {finger.node_id: (finger.name, finger.label) for finger in hand.file.finger}
     name, label = labels.get(event.node_id, ("", "bus"))
-    if args.json and args.action == "run":
+    if common.OUTPUT.json and args.action == "run":
         common.print_json(
             {"event": event.kind, "t_s": time.time() - time.monotonic() + event.t_s, "node_id": event.node_id,
              "name": name, "text": event.text}
         )  # fmt: skip
         sys.stdout.flush()
-    elif args.verbose or event.kind not in ("found", "configured", "calibrated", "verified", "started", "state"):
-        common.note(args, f"{label}: {event.kind.replace('_', ' ')}: {event.text}")
+    elif common.OUTPUT.verbose or event.kind not in (
+        "found",
+        "configured",
+        "calibrated",
+        "verified",
+        "started",
+        "state",
+    ):
+        common.note(f"{label}: {event.kind.replace('_', ' ')}: {event.text}")
         sys.stderr.flush()
 
 
@@ -194,7 +200,7 @@ def _rows(args: argparse.Namespace, hand: Hand) -> None:
     shown_s = 0.0
     made = RowContacts(hand.node_ids, [finger.name for finger in hand.file.finger])
     for rows in hand.blocks(args.seconds):
-        if args.json:
+        if common.OUTPUT.json:
             for row, contacts in enumerate(rows_one_by_one(rows, made)):
                 common.print_json(_record(rows, row, contacts))
         elif time.monotonic() - shown_s >= 1.0:
@@ -229,15 +235,14 @@ def _line(hand: Hand, row: HandRow) -> str:
     return " | ".join(parts)
 
 
-def _note_statistics(args: argparse.Namespace, hand: Hand, statistics: Statistics) -> None:
+def _note_statistics(hand: Hand, statistics: Statistics) -> None:
     tally, sync = statistics.tally, statistics.sync
     common.note(
-        args,
         f"{tally.rows} rows; SYNC period {sync.mean_period_us:.1f} us, deviation p50 {sync.p50_us:g}, "
         f"p99 {sync.p99_us:g}, largest {sync.largest_us:g} us; {statistics.dropped} frames dropped; "
-        f"bus load at the end {100 * statistics.load[0]:.0f} to {100 * statistics.load[1]:.0f} %",
+        f"bus load at the end {100 * statistics.load[0]:.0f} to {100 * statistics.load[1]:.0f} %"
     )
     for k, finger in enumerate(hand.file.finger):
         names = ("missing", "delayed", "late", "mixed", "doubtful", "changed", "repeated")
         counts = ", ".join(f"{name} {int(getattr(tally, name)[k])}" for name in names)
-        common.note(args, f"  {finger.label}: {counts}")
+        common.note(f"  {finger.label}: {counts}")

@@ -108,7 +108,7 @@ def description(args: argparse.Namespace, sdo: SdoChannel) -> Description | None
 
     described = read_eds(args.eds, args.node) if args.eds else _stored(sdo)
     for warning in described.warnings if described is not None else ():
-        common.note(args, f"warning: {warning}")
+        common.note(f"warning: {warning}")
     return described
 
 
@@ -155,11 +155,11 @@ def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None
             data = _data(args, entry, value_text)
         if data is not None:
             sdo.download(entry.index, entry.sub, data)
-            common.note(args, f"{common.shown_node(args.node)} {entry} = {value_text}")
+            common.note(f"{common.shown_node(args.node)} {entry} = {value_text}")
             return 0
         value = types.decode(entry.type, sdo.upload(entry.index, entry.sub, entry.type == "D"))
     text = types.format_value(entry.type, value)
-    common.print_record(args, _record(args.node, entry, text if isinstance(value, bytes) else value), text)
+    common.print_record(_record(args.node, entry, text if isinstance(value, bytes) else value), text)
     return 0
 
 
@@ -225,7 +225,7 @@ def _dump(args: argparse.Namespace) -> int:
         sdo = connection.sdo(args.node)
         entries = _readable(args, sdo)
         readings = []
-        with common.progress(args, "read", len(entries)) as advance:
+        with common.progress("read", len(entries)) as advance:
             for entry, label in entries:
                 value, text = _read(sdo, entry)
                 advance()
@@ -242,13 +242,12 @@ def _dump(args: argparse.Namespace) -> int:
         if entry.type == "I" and not entry.unit and isinstance(value, int) and value > _LAST_DIGIT:
             shown += f"(0x{value:X})"  # COB-IDs, mappings, signatures
         record |= {"unit": entry.unit, "access": entry.access, **extra}
-        common.print_record(args, record, f"{entry}  {label:{width}}  {shown}".rstrip())
+        common.print_record(record, f"{entry}  {label:{width}}  {shown}".rstrip())
     missing = len(entries) - len(readings)
     absent = f", {missing} of the dictionary it does not have" if missing else ""
     common.note(
-        args,
         f"{common.shown_node(args.node)}: {len(readings)} entries{absent}; left out: write-only entries, and the "
-        f"EDS (0x{EDS:04X}: `tipforce sdo read {args.node} 0x{EDS:04X} 0`)",
+        f"EDS (0x{EDS:04X}: `tipforce sdo read {args.node} 0x{EDS:04X} 0`)"
     )
     return 0
 
@@ -289,9 +288,8 @@ def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[tuple[Entry[Val
     if gauges is None:
         gauges, below = 3, _PROFILE_FREE
         common.note(
-            args,
             f"{common.shown_node(args.node)} is not a fingertip: only the objects of CiA 301 are read "
-            "(--gauges N: all objects of a fingertip)",
+            "(--gauges N: all objects of a fingertip)"
         )
     programs = False
     if below > communication.PROGRAM_DATA:

@@ -77,14 +77,14 @@ def _source(args: argparse.Namespace, path: Path | None) -> Iterator[Source]:
         title = f"{path.name} on {channel}" if path else channel
         source: Source = LiveSource(feed, f"{title}, listening", "this page only listens to the bus")
     elif is_table and is_scene(path):
-        common.note(args, f"{path}: running the scene")
+        common.note(f"{path}: running the scene")
         source = scene_source(path, maker, args.start_s, args.end_s)
     elif is_table:
         from tipforce.host.hand.file import read_hand
         from tipforce.host.hand.hand import Hand
 
         hand = Hand.from_file(path, **common.find_bus(args, read_hand(path).bus))
-        source = LiveSource(commissioned(args, hand, fallback), path.name)
+        source = LiveSource(commissioned(hand, fallback), path.name)
     elif str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
     else:
