@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce.errors import InputError, TipforceError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import StopSignals, counted
 from tipforce_tools.cli.main import INTERRUPTED
 
@@ -270,7 +270,7 @@ class Buses:
         for pair in args.assignments:
             write, _, log = pair.partition("=")
             self._targets_of.setdefault(log, []).append(write)
-        self._options = common.find_bus(args, named=bool(args.assignments) or not getattr(args, "channel", None))
+        self._options = bus_flags.find_bus(args, named=bool(args.assignments) or not getattr(args, "channel", None))
         self._only = self._options.get("channel") if not args.assignments else None
         self.sent = 0
         self.left_out: Counter[str] = Counter()
@@ -311,7 +311,7 @@ class Buses:
 
         options = {**self._options, "channel": target}
         asked = argparse.Namespace(**{**vars(self._args), "channel": target, "interface": options.get("interface")})
-        common.confirm(asked, f"this sends the frames of {self._args.log} on {target}")
+        bus_flags.confirm(asked, f"this sends the frames of {self._args.log} on {target}")
         sender = self._senders[target] = open_sender(options)
         self._opened.enter_context(sender)
         return sender

@@ -6,7 +6,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING, Any
 
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.bus_flags import add_bus_name_arguments
 
 if TYPE_CHECKING:
@@ -47,11 +47,11 @@ def run(args: argparse.Namespace) -> int:
 
     scene = read_scene(path)
     if args.explain:
-        return _explain(args, path, scene)
+        return _explain(path, scene, args.scene, args.cost)
     from tipforce.scene.run import Options, run_scene
     from tipforce.scene.schema import Bus
 
-    bus = common.bus_options(args)
+    bus = bus_flags.bus_options(args)
     options = Options(args.duration, args.seed, args.log, Bus(**bus) if bus else None, args.realtime)
     if bus_load(scene)[0] > 1.0:
         common.note(f"{path}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load")
@@ -145,11 +145,11 @@ _SHOWN_MODULES = 8
 _COSTS = ("us_per_sample", "ms_per_run", "import_ms")
 
 
-def _explain(args: argparse.Namespace, path: Path, scene: Scene) -> int:
+def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
     from tipforce.scene.registry import bus_load, identifiers, parts
 
     costs: dict[str, Any] = {}
-    if args.cost:
+    if with_cost:
         from tipforce_lab.scene_cost import part_costs
 
         costs = part_costs(scene, path)
@@ -160,7 +160,7 @@ def _explain(args: argparse.Namespace, path: Path, scene: Scene) -> int:
         }
         for part in parts(scene)
     ]  # fmt: skip
-    if args.cost:
+    if with_cost:
         rows.append({"part": "all", "built": True, "why": "", "modules": [], "on_demand": [], **costs["all"]})
     sent = [_sent(scene, each) for each in identifiers(scene)]
     low, high = bus_load(scene)
@@ -169,7 +169,7 @@ def _explain(args: argparse.Namespace, path: Path, scene: Scene) -> int:
         for record in [*rows, *sent, load]:
             common.print_json(record)
         return 0
-    _print_parts(args, rows)
+    _print_parts(rows, f"{name}: parts", with_cost)
     _print_identifiers(sent)
     fits = "" if high <= 1.0 else " (with the most stuff bits it does not fit)" if low <= 1.0 else " (it does not fit)"
     print(
@@ -187,15 +187,15 @@ def _sent(scene: Scene, sent: Identifier) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
-    costs = ("us per sample", "ms per run", "import ms") if args.cost else ()
+def _print_parts(rows: list[dict[str, Any]], title: str, with_cost: bool) -> None:
+    costs = ("us per sample", "ms per run", "import ms") if with_cost else ()
     cells = []
     for row in rows:
-        spent = ("" if row.get(key) is None else f"{row[key]:.1f}" for key in (_COSTS if args.cost else ()))
+        spent = ("" if row.get(key) is None else f"{row[key]:.1f}" for key in (_COSTS if with_cost else ()))
         loads = _short(row["modules"]) if row["built"] else ""
         cells.append([row["part"], "built" if row["built"] else "left out", row["why"], *spent, loads])
     headings = ("part", "", "why", *(f">{name}" for name in costs), "loads")
-    common.print_rows(f"{args.scene}: parts", headings, cells, [None if row["built"] else "dim" for row in rows])
+    common.print_rows(title, headings, cells, [None if row["built"] else "dim" for row in rows])
 
 
 def _short(modules: list[str]) -> str:

@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from tipforce.errors import InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 
 def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,7 +78,7 @@ def run_fit(args: argparse.Namespace) -> int:
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
     request = FitRequest(**requested(args))
     request.check_gauges(data.strain.shape[1], args.data)
-    result = fitted(request, data, lambda text: common.note(text))
+    result = fitted(request, data, common.note)
     doubtful = publish(args.data, request, result)
     if data.bad:
         common.note(f"{args.data}: {len(data.bad)} bad rows were not used")
@@ -86,7 +86,7 @@ def run_fit(args: argparse.Namespace) -> int:
         common.note("--strict: no file is written")
         return 1
     if args.output:
-        write(args, args.data, request, result)
+        write(args.output, args.data, request, result)
     return 0
 
 
@@ -136,8 +136,8 @@ def run_apply(args: argparse.Namespace) -> int:
 
     calibration, name = read_calibration(args.file), common.shown_node(args.node)
     if not args.no_store:
-        common.confirm(args, f"{name}: this replaces its stored calibration")
-    with common.open_connection(args) as connection:
+        bus_flags.confirm(args, f"{name}: this replaces its stored calibration")
+    with bus_flags.open_connection(args) as connection:
         client = FingertipClient(connection.sdo(args.node))
         generation = client.apply_calibration(
             calibration, not args.no_store, lambda step: common.note(f"{name}: {step}")
@@ -154,7 +154,7 @@ def run_verify(args: argparse.Namespace) -> int:
     from tipforce.host.network.finger import FingertipClient
 
     calibration = read_calibration(args.file)
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         differences = FingertipClient(connection.sdo(args.node)).verify_calibration(calibration)
     compared = {"node": args.node, "equal": not differences, "differences": differences}
     common.print_record(compared, "\n".join(differences) or "equal byte for byte")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from typing import TYPE_CHECKING
 
@@ -268,8 +267,8 @@ def publish(path: str, request: FitRequest, result: Fitted, more_notes: tuple[st
     return bool(doubts)
 
 
-def write(args: argparse.Namespace, path: str, request: FitRequest, result: Fitted) -> None:
-    """Write the calibration file of --output."""
+def write(output: str, path: str, request: FitRequest, result: Fitted) -> None:
+    """Write the calibration file ``output`` of the data in ``path``."""
     known = facts(path, result) | {"angle_scatter_deg": request.angle_scatter}
-    write_calibration(args.output, result.calibration, fit_record(result.fit, **known))
-    common.note(f"{args.output}: written, load sense {'pull' if result.calibration.pull else 'push'}")
+    write_calibration(output, result.calibration, fit_record(result.fit, **known))
+    common.note(f"{output}: written, load sense {'pull' if result.calibration.pull else 'push'}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from tipforce.errors import InputError
 from tipforce.output_file import CALIBRATION, check_output
 from tipforce_tools.calibrate import fit
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.capture import GaugeReader
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         check_output(args.output, CALIBRATION)
     if args.angle_scatter is None:
         args.angle_scatter = AUTO_SCATTER_DEG if args.auto else HAND_SCATTER_DEG
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         client, reader, identity = _checked_node(connection, args)
         try:
             return _guided(args, steps, client, reader, identity)

@@ -29,7 +29,7 @@ from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.result import matrix_to_digits, to_digits
 from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce_tools.calibrate.fit_report import publish, write
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 
 def refusals(capture: Capture, max_std_microstrain: float, max_drift_microstrain: float) -> list[str]:
@@ -274,7 +274,7 @@ def finish(args: argparse.Namespace, request: FitRequest, session: Session, clie
     """
     path = str(session.path)
     data = replace(read_measurements(path, loads=True), ignored_columns=())  # the guide's own columns
-    result = fitted(request, data, lambda text: common.note(text))
+    result = fitted(request, data, common.note)
     fit = result.fit
     # The residuals also contain differences between hooks; the scatter of a single reading of the node is that within
     # the captures. C is then optimal for that noise, which matters for a node with more than three gauges.
@@ -289,7 +289,7 @@ def finish(args: argparse.Namespace, request: FitRequest, session: Session, clie
     repeat = ("to repeat an outlier: remove its line from the session and start the same command",) * bool(fit.outliers)
     publish(path, request, result, ("the node gets the noise covariance within the captures", *repeat))
     if args.output:  # first, so that a later failure does not lose it
-        write(args, path, request, result)
+        write(args.output, path, request, result)
     name = common.shown_node(args.node)
     answer = _asked(args, f"{name}: apply this calibration and store it")
     if answer == "declined":
@@ -305,7 +305,7 @@ def finish(args: argparse.Namespace, request: FitRequest, session: Session, clie
 
 def _asked(args: argparse.Namespace, question: str) -> Answer:
     if args.auto:
-        common.confirm(args, question)
+        bus_flags.confirm(args, question)
     if args.auto or args.yes:
         return "applied"
     words: dict[str, Answer] = {

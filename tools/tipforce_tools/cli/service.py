@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from canopen_device.running import loop
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import StopSignals
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def open_port(args: argparse.Namespace) -> tuple[Port, str]:
     from canopen_device.running.ports import PythonCanPort, SocketCanPort
     from tipforce.host.network.open_bus import open_bus
 
-    options = common.find_bus(args)
+    options = bus_flags.find_bus(args)
     if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:
         try:
             return SocketCanPort(options["channel"]), options["channel"]

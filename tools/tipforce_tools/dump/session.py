@@ -128,7 +128,7 @@ def dump(args: Namespace) -> int:
     if args.log and (args.errors or args.ascii) and not common.OUTPUT.json:
         raise InputError(f"-L and -{'e' if args.errors else 'a'}: the log format has no field for text; leave one out")
     source, targets = split_targets(args.targets)
-    check_sync(args, source)
+    check_sync(args.sync, source)
     session = Session(args, targets, live=source is None)
     if source is not None:
         return _dump_text(args, source, targets, session)
@@ -177,21 +177,21 @@ def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) 
     hints = Hints(common.note) if args.decode else None
     with open_targets(targets, args, hints=hints) as receiver:
         try:
-            for block in _live_blocks(receiver, args):
+            for block in _live_blocks(receiver, args.timeout_ms, args.stay):
                 if not session.show(block):
                     break
         finally:
             _report(session, receiver.dropped, None)
 
 
-def _live_blocks(receiver: ReceiverGroup, args: Namespace) -> Iterator[CandumpBlock]:
-    """Yield frames as they arrive, until none arrives for --timeout. With -D, an interface may go down."""
-    timeout_s = None if args.timeout_ms is None else args.timeout_ms / 1000
+def _live_blocks(receiver: ReceiverGroup, timeout_ms: int | None, stay: bool) -> Iterator[CandumpBlock]:
+    """Yield frames as they arrive, until none arrives for ``timeout_ms``. With ``stay`` an interface may go down."""
+    timeout_s = None if timeout_ms is None else timeout_ms / 1000
     while True:
         try:
             block = receiver.receive_block(timeout_s)
         except InterfaceDownError as error:
-            if not args.stay:
+            if not stay:
                 raise
             common.note(f"tipforce dump: {error}")
             continue

@@ -41,7 +41,7 @@ Show = Callable[[Monitor, int | None], None]
 def monitor(args: Namespace) -> int:
     """Show the nodes until the source ends, a signal, or --once; return 0, or 130 after a signal."""
     log_name, targets = split_targets(args.targets)
-    check_sync(args, log_name)
+    check_sync(args.sync, log_name)
     watched = Monitor(args.gauges, args.nodes, eds_files(args.eds or ()))
     screen = sys.stdout.isatty() and not common.OUTPUT.json and args.once is None
     interval_s = args.interval or (_SCREEN_S if screen else _LINE_S)
@@ -49,7 +49,8 @@ def monitor(args: Namespace) -> int:
         stop = opened.enter_context(StopSignals())
         hints = Hints(lambda _text: None)
         source, log = _source(args, log_name, targets, interval_s, opened, hints)
-        show = opened.enter_context(_screen(args, interval_s, hints)) if screen else _lines(args, hints)
+        bitrate = getattr(args, "bitrate", BITRATE)
+        show = opened.enter_context(_screen(bitrate, interval_s, hints)) if screen else _lines(bitrate, hints)
         each = show if screen or (common.OUTPUT.json and args.once is None) else None
         shown = run(watched, source, stop, interval_s, each, args.once or math.inf)
         if log is not None and source.ended and log.bad and not watched.frames:
@@ -126,11 +127,10 @@ def _source(
     return LogSource(log, args.speed, step_ns), log
 
 
-def _lines(args: Namespace, hints: Hints) -> Show:
+def _lines(bitrate: int, hints: Hints) -> Show:
     """Print the state: a JSON line, or the plain table."""
 
     def show(watched: Monitor, now_ns: int | None) -> None:
-        bitrate = getattr(args, "bitrate", BITRATE)
         buses = watched.views(now_ns)
         if common.OUTPUT.json:
             common.print_json(record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
@@ -142,7 +142,7 @@ def _lines(args: Namespace, hints: Hints) -> Show:
 
 
 @contextmanager
-def _screen(args: Namespace, interval_s: float, hints: Hints) -> Iterator[Show]:
+def _screen(bitrate: int, interval_s: float, hints: Hints) -> Iterator[Show]:
     """Show the live table; the last one stays on the screen."""
     from rich.live import Live
 
@@ -152,9 +152,7 @@ def _screen(args: Namespace, interval_s: float, hints: Hints) -> Iterator[Show]:
         def show(watched: Monitor, now_ns: int | None) -> None:
             foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; Ctrl-C ends"
             buses = watched.views(now_ns)
-            picture = tables(
-                buses, getattr(args, "bitrate", BITRATE), _missing(hints, buses), foot, screen.console.width
-            )
+            picture = tables(buses, bitrate, _missing(hints, buses), foot, screen.console.width)
             screen.update(picture, refresh=True)
 
         yield show
