@@ -13,7 +13,7 @@ from tipforce_tools.cli import bus_flags, common
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.capture import GaugeReader
-    from tipforce.host.configuration.guide_plan import Step
+    from tipforce.host.configuration.guide import Step
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.finger import FingertipClient, Identity
 
@@ -81,7 +81,7 @@ def _guided(
     args: argparse.Namespace, steps: tuple[Step, ...], client: FingertipClient, reader: GaugeReader, identity: Identity
 ) -> int:
     from tipforce.host.configuration.fitting import FitRequest
-    from tipforce.host.configuration.guide_session import Session
+    from tipforce.host.configuration.guide import Session
     from tipforce_tools.calibrate.guide_walk import Walk, finish
 
     request = FitRequest(**fit.requested(args), serial=identity.serial)
@@ -147,7 +147,7 @@ def _plan(args: argparse.Namespace) -> tuple[Step, ...]:
             if getattr(args, flag) is not None:
                 raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
         common.InputFile("plan ").check(args.plan)
-    from tipforce.host.configuration.guide_plan import file_plan, groove_plan
+    from tipforce.host.configuration.guide import file_plan, groove_plan
 
     if args.plan:
         return file_plan(args.plan)

@@ -20,8 +20,7 @@ from tipforce.dictionary import table
 from tipforce.errors import InputError, NoResponseError, TipforceError
 from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
 from tipforce.host.configuration.fitting import FitRequest, fitted, limit_of
-from tipforce.host.configuration.guide_plan import EXTRA, EXTRA_TARE, Step
-from tipforce.host.configuration.guide_session import Session
+from tipforce.host.configuration.guide import EXTRA, EXTRA_TARE, Session, Step
 from tipforce.host.configuration.measurements import read_measurements
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import SdoChannel
