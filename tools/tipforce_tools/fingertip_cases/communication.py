@@ -281,12 +281,12 @@ def full_block(dut: Dut) -> None:
 
 block_upload("restart 7.2.4.2.13: an initiate gives up the block upload that went on", (),
     sdo_block.begun_upload, do.ask("40 00 10 00", "43 00 10 00 *"))
-for command, why in (
+for words, why in (
     ("A2 01 7F", "an answer before the start"), ("A1", "an end before the start"),
     ("60", "a segment of another transfer"),
 ):
     block_upload(f"wrong_command 7.2.4.3.17: {why}: 05040001h", (),
-        do.run(sdo_block.begun_upload, False), do.request(command), do.upload_aborted(Abort.UNKNOWN_COMMAND))
+        do.run(sdo_block.begun_upload, False), do.request(words), do.upload_aborted(Abort.UNKNOWN_COMMAND))
 for started, when in ((False, "before the start"), (True, "after a block")):
     block_upload(f"silent_client 7.2.4.3.17: a client that is silent {when}: 05040000h", (),
         do.run(sdo_block.begun_upload, started), do.upload_aborted(Abort.TIMED_OUT, within_ms=1200))
