@@ -75,7 +75,13 @@ def run(args: argparse.Namespace) -> int:
         try:
             _record(args, receiver, recorder, stop)
         finally:
-            _report(recorder, receiver.dropped, time.monotonic() - begun_s)
+            seconds, paths = time.monotonic() - begun_s, [str(path) for path in recorder.paths]
+            to, dropped = paths[0] if len(paths) == 1 else f"{len(paths)} files", receiver.dropped
+            frames = counted(recorder.frames, "frame")
+            common.note(f"tipforce log: {frames} in {seconds:.1f} s to {to}, {dropped} dropped")
+            if common.OUTPUT.json:
+                record = {"frames": recorder.frames, "dropped": dropped, "seconds": round(seconds, 3), "files": paths}
+                common.print_json(record)
     return INTERRUPTED if stop.stopped else 0
 
 
@@ -119,15 +125,6 @@ def _record(args: argparse.Namespace, receiver: ReceiverGroup, recorder: Recorde
     end_s = time.monotonic() + _LAST_S
     while time.monotonic() < end_s and len(block := receiver.receive_block(0)):
         recorder.write(block if args.count is None else block.head(args.count - recorder.frames))
-
-
-def _report(recorder: Recorder, dropped: int, seconds: float) -> None:
-    paths = [str(path) for path in recorder.paths]
-    files = paths[0] if len(paths) == 1 else f"{len(paths)} files"
-    frames = counted(recorder.frames, "frame")
-    common.note(f"tipforce log: {frames} in {seconds:.1f} s to {files}, {dropped} dropped")
-    if common.OUTPUT.json:
-        common.print_json({"frames": recorder.frames, "dropped": dropped, "seconds": round(seconds, 3), "files": paths})
 
 
 def default_name(second: float) -> str:

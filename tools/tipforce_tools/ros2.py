@@ -72,7 +72,11 @@ def run(args: argparse.Namespace) -> int:
             pass
         finally:
             if bridge.rows or not feed.ended:
-                _say_end(bridge)
+                wrenches = {tip.ros_name: tip.wrenches for tip in bridge.tips.values()}
+                if common.OUTPUT.json:
+                    common.print_json({"rows": bridge.rows, "wrenches": wrenches})
+                fingers = counted(len(wrenches), "finger")
+                common.note(f"{bridge.rows} rows, {bridge.wrenches} wrenches of {fingers} published")
         if feed.ended and not bridge.rows:
             raise LogError(f"{args.source}: no sample of a fingertip in it; `tipforce decode` says what it holds")
     return 0
@@ -105,13 +109,6 @@ def _publish(feed: Feed, bridge: Bridge, seconds: float | None) -> None:
             if common.OUTPUT.verbose or status["level"] > OK:
                 common.note(f"{status['name']}: {status['message']}")
     bridge.report(feed.now_ns())
-
-
-def _say_end(bridge: Bridge) -> None:
-    found = {tip.ros_name: tip.wrenches for tip in bridge.tips.values()}
-    if common.OUTPUT.json:
-        common.print_json({"rows": bridge.rows, "wrenches": found})
-    common.note(f"{bridge.rows} rows, {bridge.wrenches} wrenches of {counted(len(found), 'finger')} published")
 
 
 def _feed(args: argparse.Namespace, hand_file: Path | None) -> Feed:

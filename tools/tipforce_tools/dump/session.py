@@ -132,7 +132,14 @@ def dump(args: Namespace) -> int:
     session = Session(args, targets, live=source is None)
     if source is not None:
         return _dump_text(args, source, targets, session)
-    _dump_buses(args, targets, session)
+    hints = Hints(common.note) if args.decode else None
+    with open_targets(targets, args, hints=hints) as receiver:
+        try:
+            for block in _live_blocks(receiver, args.timeout_ms, args.stay):
+                if not session.show(block):
+                    break
+        finally:
+            _report(session, receiver.dropped, None)
     return 0
 
 
@@ -171,17 +178,6 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
             if frames or not parser.bad:  # otherwise the error is the whole report
                 _report(session, parser.dropped, parser)
     return 0
-
-
-def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) -> None:
-    hints = Hints(common.note) if args.decode else None
-    with open_targets(targets, args, hints=hints) as receiver:
-        try:
-            for block in _live_blocks(receiver, args.timeout_ms, args.stay):
-                if not session.show(block):
-                    break
-        finally:
-            _report(session, receiver.dropped, None)
 
 
 def _live_blocks(receiver: ReceiverGroup, timeout_ms: int | None, stay: bool) -> Iterator[CandumpBlock]:
