@@ -177,9 +177,7 @@ def contact_columns(F: Forces, sense: FloatArray | float) -> Contact:
     undirected = (F.F1 == 0.0) & (F.F3 == 0.0)
     if undirected.any():
         phi, delta = np.where(undirected, np.nan, (phi, delta))
-    turned = phi - delta  # at most one turn off, in (-pi, pi]
-    down = np.where(turned > np.pi, turned - scalar.TWO_PI, turned)
-    return Contact(P, phi, np.where(down <= -np.pi, down + scalar.TWO_PI, down), delta, miss)
+    return Contact(P, phi, _wrapped(phi - delta), delta, miss)
 
 
 def deviation_columns(F: Forces, K: Covariance, sense: FloatArray | float) -> Deviations:
@@ -337,6 +335,12 @@ def _angle(y: FloatArray, x: FloatArray) -> FloatArray:
     angle_rad: FloatArray = np.arctan2(y, x)
     least = angle_rad <= -np.pi
     return np.where(least, np.pi, angle_rad) if least.any() else angle_rad
+
+
+def _wrapped(angle_rad: FloatArray) -> FloatArray:
+    """Return the angle, at most one turn off, in (-pi, pi]."""
+    down = np.where(angle_rad > np.pi, angle_rad - scalar.TWO_PI, angle_rad)
+    return np.where(down <= -np.pi, down + scalar.TWO_PI, down)
 
 
 def _deviation(K: Covariance, g1: FloatArray, g2: FloatArray | float, g3: FloatArray) -> FloatArray:
