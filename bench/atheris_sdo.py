@@ -69,7 +69,8 @@ def main() -> int:
     except ImportError:
         print("atheris is not installed: pip install atheris (Linux and macOS), then run this again", file=sys.stderr)
         return 2
-    with atheris.instrument_imports(include=["tipforce"]):  # what guides the fuzzer is imported under its eyes
+    # What guides the fuzzer is imported under its eyes.
+    with atheris.instrument_imports(include=["canopen_device", "tipforce"]):
         rig = Rig()
     target = getattr(rig, sys.argv.pop(1))
     atheris.Setup(sys.argv, target)

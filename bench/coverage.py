@@ -2,24 +2,19 @@
 
 python -m bench.coverage                       the tables of docs/uncertainty.md (some minutes)
 python -m bench.coverage -o FILE.png           a plot, .png or .svg
-python -m bench.coverage --cost                what an Estimator costs, in turns with plain numpy and the scalar calls
-                                               (set OPENBLAS_NUM_THREADS=1: threads would count)
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from math import sqrt
-from statistics import median
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from bench.measure import arguments, cpu_us, in_turns, table
+from bench.measure import arguments, table
 
-from tipforce import Calibration, Estimator
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.output_file import save_figure
 from tipforce.sensor.calibration.simulation import paper_grooves
@@ -374,65 +369,10 @@ def _plot_line(ax: Any, cells: list[Cell], quantity: int, label: str) -> None:
         ax.plot(delta, height, "o", ms=4, color=line.get_color(), mfc=face)
 
 
-def cost(rows: int = 100_000, rounds: int = 7) -> str:
-    """Processor time per reading of a table over plain numpy's F, P, phi, theta, and of one over the scalar calls."""
-    rng = np.random.default_rng(SEED)
-    theta = rng.uniform(0.3, 2.8, rows)
-    F = force_vector(rng.uniform(0.1, P_NEWTONS, rows), theta + rng.uniform(-1.0, 1.0, rows), theta)
-    ways: dict[str, Callable[[], float]] = {}
-    for names in (("K_H", "S_H", "U"), ("K_H", "S_H", "U", "L", "T")):
-        n, C, A = len(names), calibration_matrix(FABRICATED, names), strain_matrix(FABRICATED, names)
-        stated: dict[str, Any] = {"model_uncertainty": 0.003, "redundancy_limit": 24.0} if n > 3 else {}
-        calibration = Calibration(C, np.zeros(n), 1e-12 * np.eye(n), pull=True, calibrated_force_newtons=9.0, **stated)
-        V = 1e6 * (F @ A.T + 1e-6 * rng.normal(size=(rows, n)))
-        for uncertainty in (False, True):
-            estimator, name = Estimator(calibration, uncertainty=uncertainty), f"{n} gauges{', u' * uncertainty}"
-            ways[f"table, {name}"] = partial(cpu_us, partial(_table, estimator, V))
-            ways[f"reading, {name}"] = partial(cpu_us, partial(_one_by_one, estimator, V[: rows // 50].tolist()))
-        if n == 3:
-            ways["table"] = partial(cpu_us, partial(_plain, C, V * 1e-6))
-            one = F[: rows // 50].tolist(), tuple(calibration.covariance_F[np.triu_indices(3)].tolist())
-            ways["reading"] = partial(cpu_us, partial(_scalar, *one))
-    figures = in_turns(ways, rounds)
-    lines = []
-    for name in sorted(figures):
-        base = figures[name.partition(",")[0]]
-        ratios = [us / beside for us, beside in zip(figures[name], base, strict=True)]
-        shown = f"{min(ratios):.2f} to {max(ratios):.2f}"
-        lines.append([name, f"{median(figures[name]):.3f}", f"{median(ratios):.2f}", shown])
-    return table(["way", "us a reading", "ratio", "spread"], lines)
-
-
-def _table(estimator: Estimator, microstrain: FloatArray) -> int:
-    return len(estimator(microstrain))
-
-
-def _one_by_one(estimator: Estimator, readings: list[list[float]]) -> int:
-    for reading in readings:
-        estimator(reading)
-    return len(readings)
-
-
-def _plain(C: FloatArray, strain: FloatArray) -> int:
-    F1, F2, F3 = (strain @ C.T).T
-    P, phi = np.hypot(F1, F3), np.arctan2(F1, F3)
-    return len(phi - np.arctan2(F2, np.sqrt(np.maximum(P * P - F2 * F2, 0.0))))
-
-
-def _scalar(forces: list[list[float]], covariance: Any) -> int:
-    for F1, F2, F3 in forces:
-        scalar.contact(F1, F2, F3, True)
-        scalar.uncertainty(F1, F2, F3, covariance, True)
-    return len(forces)
-
-
 def main() -> None:
-    parser = arguments(__doc__, "--cost")
+    parser = arguments(__doc__)
     parser.add_argument("-o", "--output", metavar="FILE", help="a plot, .png or .svg")
     args = parser.parse_args()
-    if args.cost:
-        print(cost())
-        return
     cells = study()
     if args.output:
         plot(cells, args.output)

@@ -46,17 +46,8 @@ CLEAN_COVERAGE, LEAST_COVERAGE = (0.93, 0.97), 0.93
 GRID = tuple(product((5, 8, 12, 19), (1, 2, 3), (1, 2, 3)))
 """Grooves, weights, repeats."""
 PARTS = ("faults", "grid", "alarms", "drift")
-_HEADER = [
-    "gauges",
-    "rig",
-    "fault",
-    "refused",
-    "says ok, %",
-    "wrong in 10,000",
-    "95 % holds, %",
-    "u / error",
-    "verdict",
-]
+_HEADER = ["gauges", "rig", "fault", "refused", "says ok, %", "wrong in 10,000", "95 % holds, %", "u / error",
+           "verdict"]  # fmt: skip
 HEADERS = {
     "faults": _HEADER,
     "grid": _HEADER,
@@ -140,15 +131,12 @@ class Cell:
 def cells(gauges: int, rig: Rig, faults: tuple[str, ...], calibrations: int, jobs: int = 1) -> list[Cell]:
     """The cells of all faults, each over so many fingers; finger k has the seed k."""
     task = partial(_finger, gauges, rig, faults)
-    totals = {fault: Cell(gauges, fault, rig) for fault in _split(faults)}
+    names = (name for fault in faults for name in (fault, fault + INVISIBLE))
+    totals = {name: Cell(gauges, name, rig) for name in names}
     for of_finger in in_processes(task, range(calibrations), jobs):
         for cell in of_finger:
             totals[cell.fault].add(cell)
     return [cell for cell in totals.values() if cell.counts]
-
-
-def _split(faults: tuple[str, ...]) -> list[str]:
-    return [name for fault in faults for name in (fault, fault + INVISIBLE) if name == fault or fault in OF_ONE_GAUGE]
 
 
 def _finger(gauges: int, rig: Rig, faults: tuple[str, ...], seed: int) -> list[Cell]:
@@ -288,7 +276,7 @@ def _tell(cell: Cell, calibration: Calibration, gauge: int, F: FloatArray) -> No
     # A fault of u(P) shows by so many standard deviations of the residuals.
     shown = np.sqrt(visible) * u / np.abs(along @ C[:, gauge])
     for size, name in ((5.0, "passes_5u"), (FACTOR_95, "passes_2u")):
-        cell.counts[name] = sum(_NORMAL.cdf(SPEAKS**0.5 - size * sigmas) for sigmas in shown.tolist())
+        cell.counts[name] = sum(NormalDist().cdf(SPEAKS**0.5 - size * sigmas) for sigmas in shown.tolist())
 
 
 def _broken(fault: str, V: FloatArray, k: int, rng: np.random.Generator) -> FloatArray:
@@ -308,7 +296,6 @@ def _broken(fault: str, V: FloatArray, k: int, rng: np.random.Generator) -> Floa
 
 
 _REQUEST = FitRequest(saturation=CONVERTER_LIMIT * 1e6, sense="push", date=datetime.date(2025, 12, 31))
-_NORMAL = NormalDist()
 
 
 def verdict(cell: Cell) -> str:

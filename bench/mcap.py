@@ -1,4 +1,4 @@
-"""MCAP of `tipforce decode` beside the same samples as JSON messages: size and processor time, interleaved in one run.
+"""MCAP of `tipforce decode` beside CSV of the same samples: size and processor time, interleaved in one run.
 
 python -m bench.mcap                                  200 000 frames of five fingers, three times each
 python -m bench.mcap --picture docs/figures/foxglove-scene.svg
@@ -9,27 +9,20 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import mcap.writer
 from bench.decode import hand_traffic, write_log
 from bench.measure import arguments, cpu_s, in_turns, new_svg_figure
 from mcap.reader import make_reader
 
 from canopen_device.core.codes import TPDO_BASES
-from tipforce.host.dataset.reader import tables_of_logs
-from tipforce.host.decoding.log_part import Reading
-from tipforce.host.decoding.pdo_layout import Layouts
-from tipforce.host.decoding.recording import Recording
 from tipforce.output_file import save_figure
 from tipforce_tools.cli.main import main as tipforce
-from tipforce_tools.decode import text_rows
 
 FRAMES, REPEATS = 200_000, 3
-_BASE = ("t_s", "node", "counter")
+FORMATS = {"ROS 2 messages, drawing and frames": ".mcap", "CSV": ".csv"}
 
 
 def as_decoded(log: Path, output: Path) -> None:
@@ -37,41 +30,17 @@ def as_decoded(log: Path, output: Path) -> None:
     assert tipforce(["decode", "-q", str(log), "-o", str(output), "--jobs", "1"]) == 0
 
 
-def as_json(log: Path, output: Path) -> None:
-    """Write one JSON message for each sample, on one channel for each node."""
-    with output.open("wb") as stream:
-        writer = mcap.writer.Writer(stream)
-        writer.start(profile="", library="tipforce")
-        schema = writer.register_schema("tipforce.Sample", "jsonschema", b'{"type": "object"}')
-        channels: dict[int, int] = {}
-        for table in tables_of_logs(Recording(Reading(Layouts(3))), [str(log)]):
-            lines = text_rows.json_rows(table, _BASE).splitlines()
-            for line, t_ns, key in zip(lines, table.t_ns.tolist(), table.key.tolist(), strict=True):
-                if key not in channels:
-                    channels[key] = writer.register_channel(f"/tipforce/node_{key}", "json", schema)
-                writer.add_message(channels[key], t_ns, line, t_ns)
-        writer.finish()  # type: ignore[no-untyped-call]
-
-
-METHODS: dict[str, tuple[Callable[[Path, Path], None], str]] = {
-    "ROS 2 messages, drawing and frames": (as_decoded, ".mcap"),
-    "JSON messages": (as_json, ".mcap"),
-    "CSV": (as_decoded, ".csv"),
-}
-
-
 def compare(log: Path, samples: int) -> dict[str, tuple[float, float]]:
-    """Return of each method bytes and processor microseconds for each sample; the methods take turns."""
+    """Return of each format bytes and processor microseconds for each sample; the formats take turns."""
 
-    def way(name: str) -> tuple[float, float]:
-        write, suffix = METHODS[name]
+    def way(suffix: str) -> tuple[float, float]:
         output = log.with_suffix(suffix)
-        us = 1e6 * cpu_s(partial(write, log, output)) / samples
+        us = 1e6 * cpu_s(partial(as_decoded, log, output)) / samples
         size = output.stat().st_size / samples
         output.unlink()
         return size, us
 
-    figures = in_turns({name: partial(way, name) for name in METHODS}, REPEATS)
+    figures = in_turns({name: partial(way, suffix) for name, suffix in FORMATS.items()}, REPEATS)
     return {name: (runs[0][0], min(us for _, us in runs)) for name, runs in figures.items()}
 
 

@@ -162,7 +162,7 @@ def test_sdo_asks_before_something_persists(
     what: str,
 ) -> None:
     """On a bus that counts as real; nobody is there to say yes."""
-    monkeypatch.setattr("tipforce_tools.cli.common.open_connection", lambda _args: pytest.fail("the bus was opened"))
+    monkeypatch.setattr("tipforce_tools.cli.bus_flags.open_connection", lambda _args: pytest.fail("the bus was opened"))
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
     assert what in printed(2, ["sdo", "write", "5", name, "0x65766173", "-i", "socketcan", "-c", "can0"]).err
 

@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from tipforce.errors import InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 
 @pytest.mark.parametrize(
@@ -81,9 +81,9 @@ def bus_arguments(*words: str) -> argparse.Namespace:
 
 
 def test_only_what_was_said_goes_to_python_can() -> None:
-    assert common.bus_options(bus_arguments()) == {}
+    assert bus_flags.bus_options(bus_arguments()) == {}
     words = ["-i", "socketcan", "-c", "vcan0", "-b", "500000", "--bus-kwargs", "receive_own_messages=True"]
-    assert common.bus_options(bus_arguments(*words)) == {
+    assert bus_flags.bus_options(bus_arguments(*words)) == {
         "interface": "socketcan",
         "channel": "vcan0",
         "bitrate": 500000,
@@ -111,7 +111,7 @@ class Terminal(io.StringIO):
 )
 def test_nobody_is_asked(words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO())
-    common.confirm(bus_arguments(*words.split()), "this persists")
+    bus_flags.confirm(bus_arguments(*words.split()), "this persists")
     assert capsys.readouterr() == ("", "")
 
 
@@ -124,10 +124,10 @@ def test_on_a_real_bus_a_person_is_asked(
     monkeypatch.setattr(sys, "stdin", Terminal(answer))
     args = bus_arguments("-i", "socketcan", "-c", "can0")
     if done:
-        common.confirm(args, "this persists")
+        bus_flags.confirm(args, "this persists")
     else:
         with pytest.raises(InputError, match="not done"):
-            common.confirm(args, "this persists")
+            bus_flags.confirm(args, "this persists")
     assert capsys.readouterr() == ("", "this persists. Continue? [y/N] ")
 
 
@@ -135,12 +135,13 @@ def test_on_a_real_bus_a_person_is_asked(
 def test_without_a_person_the_answer_is_no(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
     with pytest.raises(InputError, match=r"this persists; stdin is not a terminal: add --yes to confirm"):
-        common.confirm(bus_arguments(*words.split()), "this persists")
+        bus_flags.confirm(bus_arguments(*words.split()), "this persists")
 
 
 def test_notes_go_to_stderr_and_not_with_quiet(capsys: pytest.CaptureFixture[str]) -> None:
-    common.note(bus_arguments(), "hello")
-    common.note(bus_arguments("-q"), "silence")
+    for words, text in (((), "hello"), (("-q",), "silence")):
+        common.OUTPUT.set_up(bus_arguments(*words))
+        common.note(text)
     assert capsys.readouterr() == ("", "hello\n")
 
 
@@ -167,7 +168,8 @@ def test_colour(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     for stderr in (False, True):
-        common.console(bus_arguments(*words), stderr=stderr).print("x", style="bold red")
+        common.OUTPUT.set_up(bus_arguments(*words))
+        common.console(stderr=stderr).print("x", style="bold red")
         out, err = capsys.readouterr()
         assert ("\x1b[1;31m" in (err if stderr else out)) is coloured
         assert ("\x1b" in out + err) is coloured  # plain is plain: not bold, either
@@ -178,7 +180,8 @@ def test_a_pipe_gets_lines_of_progress(
     quiet: bool, absolute: bool, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(common, "_LINE_S", 0.0)
-    with common.progress(argparse.Namespace(quiet=quiet), "loads", 9, absolute=absolute) as advance:
+    monkeypatch.setattr(common.OUTPUT, "quiet", quiet)
+    with common.progress("loads", 9, absolute=absolute) as advance:
         advance(2)
         advance(3)
     assert capsys.readouterr().err.endswith(f"loads: {said} of 9, 0 s\n" if said else "")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-from argparse import Namespace
 from pathlib import Path
 
 import pytest
@@ -127,19 +126,16 @@ def test_gauges_of_a_decoded_log_are_measurements(log: Path, tmp_path: Path, pri
     assert "SG1_ue beside P_N: this is a decoded log" in printed(2, ["estimate", calibration, both]).err
 
 
-ARGS = Namespace(color="never")
-
-
 def test_a_number_is_never_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     for width in (200, 40, 10):
         stream = io.StringIO()
-        monkeypatch.setattr(common, "console", lambda _, w=width, s=stream: Console(file=s, width=w))
+        monkeypatch.setattr(common, "console", lambda w=width, s=stream: Console(file=s, width=w))
         table = Table(title="t")
         for name in ("first value", "second value", "third value"):
             table.add_column(name, justify="right")
         table.add_column("words")
         table.add_row("-179.961", "1234.567", "+0.003", "some words that may wrap anywhere")
-        common.print_table(ARGS, table)
+        common.print_table(table)
         told = stream.getvalue()
         assert all(number in told for number in ("-179.961", "1234.567", "+0.003")), told
         assert ("\u2502" in told) == (width == 200)

@@ -12,7 +12,7 @@ from host.bus_with_nodes import connected, new_channel
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
-from tipforce.host.configuration.guide_plan import file_plan, groove_plan
+from tipforce.host.configuration.guide import file_plan, groove_plan
 from tipforce_tools.cli.main import main
 
 RIG = """

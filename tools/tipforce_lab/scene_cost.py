@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from msgspec.structs import replace
@@ -103,9 +104,7 @@ def _noise(scene: schema.Scene, **changes: object) -> schema.Scene:
     return replace(scene, noise=replace(scene.noise or schema.Noise(), **changes))
 
 
-def _cold(front_end: schema.FrontEnd) -> schema.FrontEnd:
-    keys = ("temperature_degC", "apparent_microstrain_per_degC", "gain_drift_ppm_per_degC")
-    return replace(front_end, **dict.fromkeys(keys))
+_COLD: dict[str, Any] = dict.fromkeys(("temperature_degC", "apparent_microstrain_per_degC", "gain_drift_ppm_per_degC"))
 
 
 def _no_output(name: str) -> Callable[[schema.Scene], schema.Scene]:
@@ -126,7 +125,7 @@ _TAKE: tuple[tuple[str, Callable[[schema.Scene], schema.Scene]], ...] = (
     # An uncalibrated node sends the same PDOs and computes neither force nor contact.
     ("contact in the node", lambda scene: _nodes(scene, calibration="none")),
     ("decoder", lambda scene: _nodes(scene, pdos=())),
-    ("temperature", lambda scene: replace(scene, front_end=_cold(scene.front_end or schema.FrontEnd()))),
+    ("temperature", lambda scene: replace(scene, front_end=replace(scene.front_end or schema.FrontEnd(), **_COLD))),
     ("1/f noise", lambda scene: _noise(scene, one_over_f_microstrain=None)),
     ("front end", lambda scene: replace(scene, front_end=None)),
     ("noise", lambda scene: _noise(scene, gauge_microstrain=None)),

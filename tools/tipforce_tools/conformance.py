@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from tipforce.errors import InputError, NoResponseError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 EPILOG = """\
 A reset follows each case that changes the node; nothing stays stored. A node that starts by itself is put into
@@ -50,12 +50,12 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--tolerance {args.tolerance}: allowed is 0 or more")
     node = common.shown_node(args.node_id)
     if args.persistent:
-        common.confirm(args, f"{node}: stored parameters return to defaults, node-id and bit rate are written")
+        bus_flags.confirm(args, f"{node}: stored parameters return to defaults, node-id and bit rate are written")
     terminate_as_interrupt()
-    with common.open_bus(args) as bus:
+    with bus_flags.open_bus(args) as bus:
         dut = Dut(BusLink(bus, args.tolerance), args.node_id, fingertip_cases.FINGERTIP)
         try:
-            passed = run_and_print(dut, cases, args.persistent, args.json, lambda counts: common.note(args, counts))
+            passed = run_and_print(dut, cases, args.persistent, common.OUTPUT.json, common.note)
         except LostDeviceError as error:
             raise NoResponseError(str(error)) from error
     return 0 if passed else 1

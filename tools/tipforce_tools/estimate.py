@@ -52,18 +52,18 @@ def run(args: argparse.Namespace) -> int:
     if args.output not in {None, "-"}:
         check_output(args.output, inputs=(args.calibration, args.gauges))
     if calibration.parameter_covariance is None:
-        common.note(args, f"{args.calibration} has no [fit] table: uncertainties cover gauge noise only")
+        common.note(f"{args.calibration} has no [fit] table: uncertainties cover gauge noise only")
     if data.unloaded.any() and data.t_s is None:
-        common.note(args, f"{args.gauges}: no t_s: offsets are interpolated between tares by row")
+        common.note(f"{args.gauges}: no t_s: offsets are interpolated between tares by row")
     if calibration.tare_drift_strain_per_s and data.t_s is None:
-        common.note(args, f"{args.gauges}: no t_s: the tare's age is unknown, and its drift not in the uncertainties")
+        common.note(f"{args.gauges}: no t_s: the tare's age is unknown, and its drift not in the uncertainties")
     rows = estimates(calibration, data, args.saturation)
     with _output(args) as stream:
         bad = ((row.line, [math.nan] * 6, f"bad: {row.reason}") for row in data.bad)
-        _write(stream, merge(rows, bad, key=itemgetter(0)), args.json)
+        _write(stream, merge(rows, bad, key=itemgetter(0)), common.OUTPUT.json)
     if data.bad:
         shown = "; ".join(str(row) for row in data.bad[:3]) + ("; ..." if len(data.bad) > 3 else "")
-        common.note(args, f"{args.gauges}: {len(data.bad)} of {len(data.bad) + len(data.line)} rows are bad: {shown}")
+        common.note(f"{args.gauges}: {len(data.bad)} of {len(data.bad) + len(data.line)} rows are bad: {shown}")
     return 1 if data.bad and args.strict else 0
 
 
@@ -72,7 +72,7 @@ def _output(args: argparse.Namespace) -> Iterator[TextIO]:
     if args.output in {None, "-"}:
         yield sys.stdout
         return
-    kind = JSON_LINES if args.json else CSV
+    kind = JSON_LINES if common.OUTPUT.json else CSV
     with (
         new_file(args.output, kind, (args.calibration, args.gauges)) as partial,
         partial.open("w", encoding="utf-8", newline="\n") as stream,

@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     inputs = [name for name in (args.settings, args.eds) if name]
     with new_file(args.output, kind, inputs) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
-    common.note(args, f"{args.output}: {len(text.splitlines())} lines")
+    common.note(f"{args.output}: {len(text.splitlines())} lines")
     return 0
 
 
@@ -127,7 +127,7 @@ def _xdd(args: argparse.Namespace, converter: Converter) -> str:
     if args.eds:
         described = read_eds(args.eds, args.node_id or 1)
         for warning in described.warnings:
-            common.note(args, f"warning: {warning}")
+            common.note(f"warning: {warning}")
         return xdd_text(described, "tipforce")
     text = eds_text(args.gauges, args.simulated, converter, args.programs)
     path = Path(file_name(args.gauges, args.simulated, bits=converter[0]))
@@ -149,7 +149,7 @@ def _write_folder(args: argparse.Namespace, converter: Converter) -> int:
 
         paths = write_c_files(Path(args.output), args.gauges, converter)
     for path in paths:
-        common.note(args, str(path))
+        common.note(str(path))
     return 0
 
 

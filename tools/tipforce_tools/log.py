@@ -6,7 +6,6 @@ import argparse
 import math
 import re
 import time
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,15 +67,21 @@ def run(args: argparse.Namespace) -> int:
     path = Path(args.output or default_name(time.time()))
     with (
         StopSignals() as stop,
-        open_targets(targets, args, tick_s=TICK_S, hints=Hints(partial(common.note, args))) as receiver,
+        open_targets(targets, args, tick_s=TICK_S, hints=Hints(common.note)) as receiver,
         Recorder(path, limit_bytes=args.rotate_size, limit_s=args.rotate_time, overwrite=args.overwrite) as recorder,
     ):
-        common.note(args, f"tipforce log: recording to {recorder.paths[0]}")
+        common.note(f"tipforce log: recording to {recorder.paths[0]}")
         begun_s = time.monotonic()
         try:
             _record(args, receiver, recorder, stop)
         finally:
-            _report(args, recorder, receiver.dropped, time.monotonic() - begun_s)
+            seconds, paths = time.monotonic() - begun_s, [str(path) for path in recorder.paths]
+            to, dropped = paths[0] if len(paths) == 1 else f"{len(paths)} files", receiver.dropped
+            frames = counted(recorder.frames, "frame")
+            common.note(f"tipforce log: {frames} in {seconds:.1f} s to {to}, {dropped} dropped")
+            if common.OUTPUT.json:
+                record = {"frames": recorder.frames, "dropped": dropped, "seconds": round(seconds, 3), "files": paths}
+                common.print_json(record)
     return INTERRUPTED if stop.stopped else 0
 
 
@@ -105,7 +110,7 @@ def _record(args: argparse.Namespace, receiver: ReceiverGroup, recorder: Recorde
         except InterfaceDownError as error:
             if not args.stay:
                 raise
-            common.note(args, f"tipforce log: {error}")
+            common.note(f"tipforce log: {error}")
             continue
         if len(block):
             last_s = time.monotonic()
@@ -120,15 +125,6 @@ def _record(args: argparse.Namespace, receiver: ReceiverGroup, recorder: Recorde
     end_s = time.monotonic() + _LAST_S
     while time.monotonic() < end_s and len(block := receiver.receive_block(0)):
         recorder.write(block if args.count is None else block.head(args.count - recorder.frames))
-
-
-def _report(args: argparse.Namespace, recorder: Recorder, dropped: int, seconds: float) -> None:
-    paths = [str(path) for path in recorder.paths]
-    files = paths[0] if len(paths) == 1 else f"{len(paths)} files"
-    frames = counted(recorder.frames, "frame")
-    common.note(args, f"tipforce log: {frames} in {seconds:.1f} s to {files}, {dropped} dropped")
-    if args.json:
-        common.print_json({"frames": recorder.frames, "dropped": dropped, "seconds": round(seconds, 3), "files": paths})
 
 
 def default_name(second: float) -> str:

@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
             service.lock_memory()
         origin = "" if args.source == "sim" else f"source {args.source}, "
         who, what = common.shown_node(args.node_id), f"layout {args.layout}, {origin}{place}"
-        service.serve(args, who, what, [device], [device], port)
+        service.serve(who, what, [device], [device], port)
     return 0
 
 
@@ -138,7 +138,7 @@ def _load(
         )  # fmt: skip
         delivered = stored_calibration(calibration)
     except InputError as error:
-        common.note(args, f"{common.shown_node(args.node_id)}: not calibrated: {error}")
+        common.note(f"{common.shown_node(args.node_id)}: not calibrated: {error}")
         return store.load if store else None
 
     def load(group: str) -> bytes | None:

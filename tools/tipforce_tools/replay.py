@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce.errors import InputError, TipforceError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import StopSignals, counted
 from tipforce_tools.cli.main import INTERRUPTED
 
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
             raise
         finally:
             if started:
-                _report(args, buses, parser, time.monotonic() - start_s, late_s)
+                _report(buses, parser, time.monotonic() - start_s, late_s)
     return INTERRUPTED if stop.stopped else 0
 
 
@@ -141,15 +141,15 @@ def _wait_until(due_s: float, stop: StopSignals) -> bool:
     return False
 
 
-def _report(args: argparse.Namespace, buses: Buses, parser: CandumpParser, seconds: float, late_s: float) -> None:
-    late = f", at most {late_s * 1000:.1f} ms late" if args.verbose else ""
-    common.note(args, f"tipforce replay: {counted(buses.sent, 'frame')} sent in {seconds:.1f} s{late}")
+def _report(buses: Buses, parser: CandumpParser, seconds: float, late_s: float) -> None:
+    late = f", at most {late_s * 1000:.1f} ms late" if common.OUTPUT.verbose else ""
+    common.note(f"tipforce replay: {counted(buses.sent, 'frame')} sent in {seconds:.1f} s{late}")
     for reason, number in buses.left_out.items():
-        common.note(args, f"tipforce replay: {counted(number, 'frame')} left out: {reason}")
+        common.note(f"tipforce replay: {counted(number, 'frame')} left out: {reason}")
     if parser.bad:
         reasons = ", ".join(f"{number} {reason}" for reason, number in parser.bad.items())
-        common.note(args, f"tipforce replay: bad lines left out ({reasons}), first {parser.bad_lines[0]}")
-    if args.json:
+        common.note(f"tipforce replay: bad lines left out ({reasons}), first {parser.bad_lines[0]}")
+    if common.OUTPUT.json:
         common.print_json(
             {
                 "sent": buses.sent,
@@ -270,7 +270,7 @@ class Buses:
         for pair in args.assignments:
             write, _, log = pair.partition("=")
             self._targets_of.setdefault(log, []).append(write)
-        self._options = common.find_bus(args, named=bool(args.assignments) or not getattr(args, "channel", None))
+        self._options = bus_flags.find_bus(args, named=bool(args.assignments) or not getattr(args, "channel", None))
         self._only = self._options.get("channel") if not args.assignments else None
         self.sent = 0
         self.left_out: Counter[str] = Counter()
@@ -311,7 +311,7 @@ class Buses:
 
         options = {**self._options, "channel": target}
         asked = argparse.Namespace(**{**vars(self._args), "channel": target, "interface": options.get("interface")})
-        common.confirm(asked, f"this sends the frames of {self._args.log} on {target}")
+        bus_flags.confirm(asked, f"this sends the frames of {self._args.log} on {target}")
         sender = self._senders[target] = open_sender(options)
         self._opened.enter_context(sender)
         return sender

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from tipforce_lab.report.study import Effort
 
     if args.list:
-        _print_list(args)
+        _print_list()
         return 0
     effort = Effort(args.quick) if args.seed is None else Effort(args.quick, args.seed)
     if args.output is not None:  # before minutes of work: matplotlib and the folder of the page
@@ -51,14 +51,14 @@ def run(args: argparse.Namespace) -> int:
             make_folder(args.output)
     date = args.date or datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
     job = Run(selected(args.only), effort, date)
-    _carry_out(job, args)
+    _carry_out(job)
     if args.output is not None:
         page, *others = write(job.report, args.output, common.json_line)
-        common.note(args, f"written: {page}, and {len(others)} more files")
+        common.note(f"written: {page}, and {len(others)} more files")
     return 0 if job.report.sound() else 1
 
 
-def _print_list(args: argparse.Namespace) -> None:
+def _print_list() -> None:
     from tipforce_lab.report.run import STABILITY, STUDIES
     from tipforce_lab.report.study import all_cases
 
@@ -66,24 +66,24 @@ def _print_list(args: argparse.Namespace) -> None:
     rows.append((STABILITY, "cases", "all cases below"))
     rows += [(case.key, case.outcome, case.situation) for case in all_cases()]
     for key, kind, what in rows:
-        if args.json:
+        if common.OUTPUT.json:
             common.print_json({"key": key, "kind": kind, "what": what})
         else:
             print(f"{key:36} {kind:8} {what}")
 
 
-def _carry_out(job: Run, args: argparse.Namespace) -> None:
+def _carry_out(job: Run) -> None:
     from tipforce_lab.report import text
 
-    if args.json:
+    if common.OUTPUT.json:
         common.print_json(text.head_record(job.report))
     # The bar is drawn in a thread: two updates a second do not disturb the timings.
-    with common.progress(args, "report", job.steps, refresh_hz=2.0) as advance:
+    with common.progress("report", job.steps, refresh_hz=2.0) as advance:
         for item in job.items(advance):
-            if args.json:
+            if common.OUTPUT.json:
                 common.print_json(text.record(item))
-    if args.json:
+    if common.OUTPUT.json:
         common.print_json({"record": "verdict", **text.conclusions(job.report)})
-        common.note(args, text.summary(job.report))
+        common.note(text.summary(job.report))
     else:
-        text.print_report(common.console(args), job.report)
+        text.print_report(common.console(), job.report)

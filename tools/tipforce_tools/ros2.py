@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce_tools.cli import common
-from tipforce_tools.cli.common import find_bus
+from tipforce_tools.cli.bus_flags import find_bus
 from tipforce_tools.cli.listening import add_sync_argument, check_sync, commissioned, counted, listening
 
 if TYPE_CHECKING:
@@ -57,72 +57,69 @@ def run(args: argparse.Namespace) -> int:
 
     Raises InputError, and EnvironmentLackError for a missing package, a bus that fails, or DDS that does not start.
     """
-    _check(args)
+    is_hand = args.source is not None and Path(args.source).suffix == ".toml"
+    _check(args, is_hand)
     from tipforce_robots.ros2.bridge import Bridge
     from tipforce_robots.ros2.dds import RosDomain, domain_id, namespace
 
     prefix, domain = namespace(args.namespace), domain_id(args.domain)
-    with closing(_feed(args)) as feed:
+    with closing(_feed(args, Path(args.source) if is_hand else None)) as feed:
         bridge = Bridge(feed, RosDomain(domain), prefix, args.allow_tare)
-        common.note(args, f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
+        common.note(f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
         try:
-            _publish(args, feed, bridge)
+            _publish(feed, bridge, args.seconds)
         except KeyboardInterrupt:
             pass
         finally:
             if bridge.rows or not feed.ended:
-                _say_end(args, bridge)
+                wrenches = {tip.ros_name: tip.wrenches for tip in bridge.tips.values()}
+                if common.OUTPUT.json:
+                    common.print_json({"rows": bridge.rows, "wrenches": wrenches})
+                fingers = counted(len(wrenches), "finger")
+                common.note(f"{bridge.rows} rows, {bridge.wrenches} wrenches of {fingers} published")
         if feed.ended and not bridge.rows:
             raise LogError(f"{args.source}: no sample of a fingertip in it; `tipforce decode` says what it holds")
     return 0
 
 
-def _check(args: argparse.Namespace) -> None:
+def _check(args: argparse.Namespace, is_hand: bool) -> None:
     if find_spec("cyclonedds") is None:
         raise EnvironmentLackError("ros2 needs cyclonedds: `pip install 'tipforce[ros2]'`")
     if args.seconds is not None and not args.seconds > 0:
         raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
     if not args.speed > 0:
         raise InputError(f"--speed {args.speed:g}: allowed is more than 0, or inf")
-    check_sync(args, None if args.no_bring_up else args.source)
-    if args.no_bring_up and not _is_hand(args):
+    check_sync(args.sync, None if args.no_bring_up else args.source)
+    if args.no_bring_up and not is_hand:
         raise InputError("--no-bring-up: needs a hand file")
-    if args.allow_tare and (not _is_hand(args) or args.no_bring_up):
+    if args.allow_tare and (not is_hand or args.no_bring_up):
         raise InputError("--allow-tare: needs a hand file that is commissioned; a log or a bus is only listened to")
     if not 3 <= args.gauges <= 8:
         raise InputError(f"--gauges {args.gauges}: allowed are 3 to 8")
 
 
-def _publish(args: argparse.Namespace, feed: Feed, bridge: Bridge) -> None:
+def _publish(feed: Feed, bridge: Bridge, seconds: float | None) -> None:
     from tipforce_robots.ros2.bridge import OK
     from tipforce_tools.cli.main import terminate_as_interrupt
 
     terminate_as_interrupt()
-    end_s = math.inf if args.seconds is None else time.monotonic() + args.seconds
+    end_s = math.inf if seconds is None else time.monotonic() + seconds
     while not feed.ended and time.monotonic() < end_s:
         for status in bridge.step():
-            if args.verbose or status["level"] > OK:
-                common.note(args, f"{status['name']}: {status['message']}")
+            if common.OUTPUT.verbose or status["level"] > OK:
+                common.note(f"{status['name']}: {status['message']}")
     bridge.report(feed.now_ns())
 
 
-def _say_end(args: argparse.Namespace, bridge: Bridge) -> None:
-    found = {tip.ros_name: tip.wrenches for tip in bridge.tips.values()}
-    if args.json:
-        common.print_json({"rows": bridge.rows, "wrenches": found})
-    common.note(args, f"{bridge.rows} rows, {bridge.wrenches} wrenches of {counted(len(found), 'finger')} published")
-
-
-def _feed(args: argparse.Namespace) -> Feed:
+def _feed(args: argparse.Namespace, hand_file: Path | None) -> Feed:
     """Return what to publish from."""
-    hand_file = Path(args.source) if _is_hand(args) else None
     if args.source is None or args.no_bring_up:
         return listening(args, hand_file)[0]
     if hand_file is not None:
         from tipforce.host.hand.file import read_hand
         from tipforce.host.hand.hand import Hand
 
-        feed = commissioned(args, Hand.from_file(hand_file, **find_bus(args, read_hand(hand_file).bus)))
+        feed = commissioned(Hand.from_file(hand_file, **find_bus(args, read_hand(hand_file).bus)))
         feed.take(0.0)  # reported already
         return feed
     from tipforce.host.logs.reader import open_log
@@ -132,7 +129,3 @@ def _feed(args: argparse.Namespace) -> Feed:
     from tipforce_robots.ros2.bridge import PERIOD_NS
 
     return FrameFeed(LogSource(open_log(args.source), args.speed, PERIOD_NS), finger_maker(args.nodes), args.gauges)
-
-
-def _is_hand(args: argparse.Namespace) -> bool:
-    return args.source is not None and Path(args.source).suffix == ".toml"

@@ -6,7 +6,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING, Any
 
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.bus_flags import add_bus_name_arguments
 
 if TYPE_CHECKING:
@@ -47,34 +47,31 @@ def run(args: argparse.Namespace) -> int:
 
     scene = read_scene(path)
     if args.explain:
-        return _explain(args, path, scene)
+        return _explain(path, scene, args.scene, args.cost)
     from tipforce.scene.run import Options, run_scene
     from tipforce.scene.schema import Bus
 
-    bus = common.bus_options(args)
+    bus = bus_flags.bus_options(args)
     options = Options(args.duration, args.seed, args.log, Bus(**bus) if bus else None, args.realtime)
     if bus_load(scene)[0] > 1.0:
-        common.note(
-            args, f"{path}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load"
-        )
+        common.note(f"{path}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load")
     started_s = time.monotonic()
-    with common.progress(args, "simulated seconds", options.duration_s or scene.duration_s, absolute=True) as advance:
+    with common.progress("simulated seconds", options.duration_s or scene.duration_s, absolute=True) as advance:
         outcome = run_scene(scene, path.parent, options, advance)
-    if args.json:
+    if common.OUTPUT.json:
         _print_outcome(outcome)
     else:
-        _print_fingers(args, scene.title or args.scene, outcome)
-        _print_checks(args, outcome)
+        _print_fingers(scene.title or args.scene, outcome)
+        _print_checks(outcome)
     frames = sum(outcome.frames_by_id.values())
     common.note(
-        args,
         f"{outcome.duration_s:g} s with {outcome.syncs} SYNCs and {frames} frames, in "
-        f"{time.monotonic() - started_s:.1f} s" + "".join(f"; wrote {path}" for path in outcome.files),
+        f"{time.monotonic() - started_s:.1f} s" + "".join(f"; wrote {path}" for path in outcome.files)
     )
     return 0 if outcome.ok else 1
 
 
-def _print_fingers(args: argparse.Namespace, title: str, outcome: Outcome) -> None:
+def _print_fingers(title: str, outcome: Outcome) -> None:
     rows = []
     for finger in outcome.fingers:
         columns = (finger.applied_end, finger.estimated_end, finger.rms_error, finger.max_error)
@@ -88,14 +85,14 @@ def _print_fingers(args: argparse.Namespace, title: str, outcome: Outcome) -> No
         rows.append([node, samples, symbols, *values, _counts(finger.missing | closed), _counts(finger.emcy)])
     title = f"{title}: at the end, and errors over all samples with a known value"
     headings = (">node", ">samples", "", ">applied", ">estimated", ">RMS error", ">max error", "missing", "EMCY")
-    common.print_rows(args, title, headings, rows, lines=True)
+    common.print_rows(title, headings, rows, lines=True)
 
 
 def _counts(counts: dict[str, int]) -> str:
     return "\n".join(f"{count} {name}" for name, count in counts.items()) or "-"
 
 
-def _print_checks(args: argparse.Namespace, outcome: Outcome) -> None:
+def _print_checks(outcome: Outcome) -> None:
     """Print a row for each expectation and verdict, with its nodes; then the verdict of all."""
     if not outcome.checks:
         return
@@ -107,7 +104,7 @@ def _print_checks(args: argparse.Namespace, outcome: Outcome) -> None:
         for key, alike in rows.items()
     ]
     styles = ["bold red" if verdict == "FAILED" else None for verdict, _ in rows]
-    common.print_rows(args, "expectations of the scene", ("", "expected", "nodes", "found"), cells, styles)
+    common.print_rows("expectations of the scene", ("", "expected", "nodes", "found"), cells, styles)
     held, failed, unjudged = (sum(check.ok is verdict for check in outcome.checks) for verdict in (True, False, None))
     word = "FAIL" if failed else "PASS" if held else "NOT JUDGED"
     rest = f", {unjudged} not judged (the run was too short)" if unjudged else ""
@@ -148,11 +145,11 @@ _SHOWN_MODULES = 8
 _COSTS = ("us_per_sample", "ms_per_run", "import_ms")
 
 
-def _explain(args: argparse.Namespace, path: Path, scene: Scene) -> int:
+def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
     from tipforce.scene.registry import bus_load, identifiers, parts
 
     costs: dict[str, Any] = {}
-    if args.cost:
+    if with_cost:
         from tipforce_lab.scene_cost import part_costs
 
         costs = part_costs(scene, path)
@@ -163,17 +160,17 @@ def _explain(args: argparse.Namespace, path: Path, scene: Scene) -> int:
         }
         for part in parts(scene)
     ]  # fmt: skip
-    if args.cost:
+    if with_cost:
         rows.append({"part": "all", "built": True, "why": "", "modules": [], "on_demand": [], **costs["all"]})
     sent = [_sent(scene, each) for each in identifiers(scene)]
     low, high = bus_load(scene)
     load = {"bit_rate": scene.bit_rate, "bus_load": low, "bus_load_at_most": high}
-    if args.json:
+    if common.OUTPUT.json:
         for record in [*rows, *sent, load]:
             common.print_json(record)
         return 0
-    _print_parts(args, rows)
-    _print_identifiers(args, sent)
+    _print_parts(rows, f"{name}: parts", with_cost)
+    _print_identifiers(sent)
     fits = "" if high <= 1.0 else " (with the most stuff bits it does not fit)" if low <= 1.0 else " (it does not fit)"
     print(
         f"bus load at {scene.bit_rate} bit/s: {100 * low:.1f} % without stuff bits, {100 * high:.1f} % with the most "
@@ -190,15 +187,15 @@ def _sent(scene: Scene, sent: Identifier) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
-    costs = ("us per sample", "ms per run", "import ms") if args.cost else ()
+def _print_parts(rows: list[dict[str, Any]], title: str, with_cost: bool) -> None:
+    costs = ("us per sample", "ms per run", "import ms") if with_cost else ()
     cells = []
     for row in rows:
-        spent = ("" if row.get(key) is None else f"{row[key]:.1f}" for key in (_COSTS if args.cost else ()))
+        spent = ("" if row.get(key) is None else f"{row[key]:.1f}" for key in (_COSTS if with_cost else ()))
         loads = _short(row["modules"]) if row["built"] else ""
         cells.append([row["part"], "built" if row["built"] else "left out", row["why"], *spent, loads])
     headings = ("part", "", "why", *(f">{name}" for name in costs), "loads")
-    common.print_rows(args, f"{args.scene}: parts", headings, cells, [None if row["built"] else "dim" for row in rows])
+    common.print_rows(title, headings, cells, [None if row["built"] else "dim" for row in rows])
 
 
 def _short(modules: list[str]) -> str:
@@ -217,10 +214,10 @@ def _short(modules: list[str]) -> str:
     return "; ".join(lines)
 
 
-def _print_identifiers(args: argparse.Namespace, sent: list[dict[str, Any]]) -> None:
+def _print_identifiers(sent: list[dict[str, Any]]) -> None:
     rows = []
     for each in sent:
         rate, load = (f"{each['rate_hz']:g} Hz", f"{100 * each['load']:.2f} %") if each["rate_hz"] else ("once", "")
         rows.append([each["cob_id"], each["what"], rate, f"{each['data_bytes']} bytes", load])
     headings = ("COB-ID", "", ">rate", ">data", ">load")
-    common.print_rows(args, "COB-IDs sent (EMCY only on an error)", headings, rows)
+    common.print_rows("COB-IDs sent (EMCY only on an error)", headings, rows)

@@ -41,10 +41,10 @@ def run(args: argparse.Namespace) -> int:
     devices = _devices(args)
     for device in devices:
         for warning in device.description.warnings:
-            common.note(args, f"warning: {warning}")
+            common.note(f"warning: {warning}")
     port, place = open_port(args)
     shown = ", ".join(f"{common.shown_id(device.node_id)} {device.description.product_name}" for device in devices)
-    serve(args, f"node {shown}", f"on {place}", devices, [device.core for device in devices], port)
+    serve(f"node {shown}", f"on {place}", devices, [device.core for device in devices], port)
     return 0
 
 

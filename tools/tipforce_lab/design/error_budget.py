@@ -165,12 +165,15 @@ def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dic
     strain = F @ sensor.A.T
     per_gauge = np.broadcast_to(C.T[:, np.newaxis, :], (n, len(F), 3))  # error of F per unit strain in each gauge
     noise = sensor.covariance_strain2 if causes.noise_strain is None else causes.noise_strain**2 * np.eye(n)
+    values, vectors = np.linalg.eigh(noise)  # a factor B, noise = B B^T, also of a singular covariance
     # Over all directions and contacts: hypot(A1, A3) + |A2| times P, as in worst_strain(); P = hypot(F1, F3).
     worst = np.hypot(sensor.A[:, 0], sensor.A[:, 2]) + np.abs(sensor.A[:, 1])
     largest = worst[:, np.newaxis] * np.hypot(F[:, 0], F[:, 2])
     common = causes.temperature_K * (causes.apparent_strain_per_K * C.sum(axis=1) + causes.sensitivity_per_K * F)
     errors_by_cause = {
-        "gauge noise": np.broadcast_to((C @ _factor(noise)).T[:, np.newaxis, :], per_gauge.shape),
+        "gauge noise": np.broadcast_to(
+            (C @ (vectors * np.sqrt(np.maximum(values, 0.0)))).T[:, np.newaxis, :], per_gauge.shape
+        ),
         "quantisation": causes.resolution_strain / sqrt(12.0) * per_gauge,
         "gain": causes.gain * strain.T[:, :, np.newaxis] * per_gauge,
         "offset": causes.offset_strain * per_gauge,
@@ -237,12 +240,6 @@ def _along_y(loads: Loads) -> BoolArray:
     """Return which loads hang along y rather than along x."""
     along_y: BoolArray = np.abs(np.sin(loads.phi_rad)) > np.abs(np.cos(loads.phi_rad))
     return along_y
-
-
-def _factor(covariance: FloatArray) -> FloatArray:
-    """Return B with B B^T = covariance, also for a singular one."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), dtype=np.float64)
 
 
 def _position_slopes(geometry: Geometry, positions: tuple[GaugePosition, ...]) -> FloatArray:

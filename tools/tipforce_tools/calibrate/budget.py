@@ -14,7 +14,7 @@ from tipforce_tools.cli import common
 if TYPE_CHECKING:
     from tipforce.arrays import FloatArray
     from tipforce.host.configuration.calibration import Calibration
-    from tipforce_lab.design.error_budget import Budget, Causes, Loads, Sensor
+    from tipforce_lab.design.error_budget import Budget, Causes, Sensor
 
 
 _FLAGS: tuple[tuple[str, str, str, str, float], ...] = (
@@ -75,16 +75,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the budget; return 0."""
-    _check(args)
-    from tipforce_lab.design.error_budget import Causes, budget
-
+    if args.uncalibrated and args.file:
+        raise InputError("--uncalibrated: not allowed with a calibration file; remove one of them")
+    if (args.phi is None) != (args.theta is None):
+        raise InputError("--phi and --theta: one load needs both; omit both for loads over the whole pad")
+    if args.output:
+        check_output(args.output, figure_kind(args.output))
     calibration = None
     if args.file is not None:
+        common.InputFile("calibration ").check(args.file)
         from tipforce.host.configuration.calibration import read_calibration
 
         calibration = read_calibration(args.file)
+    import numpy as np
+
+    from tipforce_lab.design.error_budget import Causes, Loads, budget, pad_loads
+
     sensor = _sensor(args, calibration)
-    loads = _loads(args, calibration, sensor.pull)
+    if args.phi is not None:
+        loads = Loads(*(np.array([value]) for value in (args.load, np.radians(args.phi), np.radians(args.theta))))
+    else:
+        pad = (0.0, 180.0) if calibration is None else (calibration.theta_min_deg, calibration.theta_max_deg)
+        loads = pad_loads(args.load, *pad, pull=sensor.pull)
     if calibration is None and args.noise is None:
         args.noise = 1.0
     given = ((field, getattr(args, flag[2:].replace("-", "_")), unit) for flag, _, _, field, unit in _FLAGS)
@@ -95,24 +107,13 @@ def run(args: argparse.Namespace) -> int:
 
         plot(error_budget, args.output)
     records = _records(error_budget)
-    if args.json:
+    if common.OUTPUT.json:
         for record in records:
             common.print_json(record)
     else:
         print(_text(records, len(loads.P_newtons) == 1))
-    _say_limits(args, error_budget, causes)
+    _say_limits(error_budget, causes, args.uncalibrated)
     return 0
-
-
-def _check(args: argparse.Namespace) -> None:
-    if args.uncalibrated and args.file:
-        raise InputError("--uncalibrated: not allowed with a calibration file; remove one of them")
-    if (args.phi is None) != (args.theta is None):
-        raise InputError("--phi and --theta: one load needs both; omit both for loads over the whole pad")
-    if args.output:
-        check_output(args.output, figure_kind(args.output))
-    if args.file is not None:
-        common.InputFile("calibration ").check(args.file)
 
 
 def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor:
@@ -158,17 +159,6 @@ def _structure(path: str, calibration: Calibration) -> FloatArray:
         raise InputError(f"calibration {path}: {error}") from None
 
 
-def _loads(args: argparse.Namespace, calibration: Calibration | None, pull: bool) -> Loads:
-    import numpy as np
-
-    from tipforce_lab.design.error_budget import Loads, pad_loads
-
-    if args.phi is not None:
-        return Loads(*(np.array([value]) for value in (args.load, np.radians(args.phi), np.radians(args.theta))))
-    pad = (0.0, 180.0) if calibration is None else (calibration.theta_min_deg, calibration.theta_max_deg)
-    return pad_loads(args.load, *pad, pull=pull)
-
-
 def _records(error_budget: Budget) -> list[dict[str, object]]:
     """Return one record per cause, the total last: root mean square and maximum over the loads, share of variance."""
     import numpy as np
@@ -203,20 +193,19 @@ def _text(records: list[dict[str, object]], single: bool) -> str:
     return "\n".join(lines)
 
 
-def _say_limits(args: argparse.Namespace, error_budget: Budget, causes: Causes) -> None:
+def _say_limits(error_budget: Budget, causes: Causes, uncalibrated: bool) -> None:
     """Print remarks on the table, on stderr."""
     from tipforce_lab.design.error_budget import gravity_residual
 
-    if not args.uncalibrated:
-        common.note(args, "gauge position: no contribution, the calibration removes it (--uncalibrated shows it)")
+    if not uncalibrated:
+        common.note("gauge position: no contribution, the calibration removes it (--uncalibrated shows it)")
         shown = 100.0 * gravity_residual(causes.gravity_rad)
-        common.note(args, f"gravity: visible in the calibration's residuals as {shown:.2g} % of the load")
+        common.note(f"gravity: visible in the calibration's residuals as {shown:.2g} % of the load")
     for cause, reason in error_budget.left_out.items():
-        common.note(args, f"no row for {cause}: {reason}")
+        common.note(f"no row for {cause}: {reason}")
     for name, holds in zip(("P", "phi", "theta"), error_budget.holds.T, strict=True):
         if not holds.all():
             common.note(
-                args,
                 f"first order does not hold for {name} at {int((~holds).sum())} of {len(holds)} loads "
-                "(small load or near-tangential contact): an interval from this uncertainty is wrong there",
+                "(small load or near-tangential contact): an interval from this uncertainty is wrong there"
             )

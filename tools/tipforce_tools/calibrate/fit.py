@@ -8,7 +8,7 @@ import math
 from typing import Any
 
 from tipforce.errors import InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 
 def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,15 +78,15 @@ def run_fit(args: argparse.Namespace) -> int:
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
     request = FitRequest(**requested(args))
     request.check_gauges(data.strain.shape[1], args.data)
-    result = fitted(request, data, lambda text: common.note(args, text))
-    doubtful = publish(args, args.data, request, result)
+    result = fitted(request, data, common.note)
+    doubtful = publish(args.data, request, result)
     if data.bad:
-        common.note(args, f"{args.data}: {len(data.bad)} bad rows were not used")
+        common.note(f"{args.data}: {len(data.bad)} bad rows were not used")
     if (data.bad or doubtful) and args.strict:
-        common.note(args, "--strict: no file is written")
+        common.note("--strict: no file is written")
         return 1
     if args.output:
-        write(args, args.data, request, result)
+        write(args.output, args.data, request, result)
     return 0
 
 
@@ -136,15 +136,15 @@ def run_apply(args: argparse.Namespace) -> int:
 
     calibration, name = read_calibration(args.file), common.shown_node(args.node)
     if not args.no_store:
-        common.confirm(args, f"{name}: this replaces its stored calibration")
-    with common.open_connection(args) as connection:
+        bus_flags.confirm(args, f"{name}: this replaces its stored calibration")
+    with bus_flags.open_connection(args) as connection:
         client = FingertipClient(connection.sdo(args.node))
         generation = client.apply_calibration(
-            calibration, not args.no_store, lambda step: common.note(args, f"{name}: {step}")
+            calibration, not args.no_store, lambda step: common.note(f"{name}: {step}")
         )
     crc32 = f"0x{calibration.crc32():08X}"
     record = {"node": args.node, "generation": generation, "crc32": crc32}
-    common.print_record(args, record, f"applied, generation {generation}, CRC-32 {crc32}")
+    common.print_record(record, f"applied, generation {generation}, CRC-32 {crc32}")
     return 0
 
 
@@ -154,8 +154,8 @@ def run_verify(args: argparse.Namespace) -> int:
     from tipforce.host.network.finger import FingertipClient
 
     calibration = read_calibration(args.file)
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         differences = FingertipClient(connection.sdo(args.node)).verify_calibration(calibration)
     compared = {"node": args.node, "equal": not differences, "differences": differences}
-    common.print_record(args, compared, "\n".join(differences) or "equal byte for byte")
+    common.print_record(compared, "\n".join(differences) or "equal byte for byte")
     return 1 if differences else 0

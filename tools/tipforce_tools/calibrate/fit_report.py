@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from typing import TYPE_CHECKING
 
@@ -255,23 +254,21 @@ def _print_loads(fit: Fit) -> None:
     print()
 
 
-def publish(
-    args: argparse.Namespace, path: str, request: FitRequest, result: Fitted, more_notes: tuple[str, ...] = ()
-) -> bool:
+def publish(path: str, request: FitRequest, result: Fitted, more_notes: tuple[str, ...] = ()) -> bool:
     """Print the account of a fit; return whether something speaks against it."""
     remarks = [*notes(result, request), *more_notes]
     doubts = warnings(result)
-    if args.json:
+    if common.OUTPUT.json:
         print_json(path, result, remarks, doubts)
     else:
         print_text(path, result, remarks)
     for warning in doubts:
-        common.note(args, f"{path}: {warning}")
+        common.note(f"{path}: {warning}")
     return bool(doubts)
 
 
-def write(args: argparse.Namespace, path: str, request: FitRequest, result: Fitted) -> None:
-    """Write the calibration file of --output."""
+def write(output: str, path: str, request: FitRequest, result: Fitted) -> None:
+    """Write the calibration file ``output`` of the data in ``path``."""
     known = facts(path, result) | {"angle_scatter_deg": request.angle_scatter}
-    write_calibration(args.output, result.calibration, fit_record(result.fit, **known))
-    common.note(args, f"{args.output}: written, load sense {'pull' if result.calibration.pull else 'push'}")
+    write_calibration(output, result.calibration, fit_record(result.fit, **known))
+    common.note(f"{output}: written, load sense {'pull' if result.calibration.pull else 'push'}")

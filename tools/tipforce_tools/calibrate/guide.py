@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from tipforce.errors import InputError
 from tipforce.output_file import CALIBRATION, check_output
 from tipforce_tools.calibrate import fit
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.capture import GaugeReader
-    from tipforce.host.configuration.guide_plan import Step
+    from tipforce.host.configuration.guide import Step
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.finger import FingertipClient, Identity
 
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         check_output(args.output, CALIBRATION)
     if args.angle_scatter is None:
         args.angle_scatter = AUTO_SCATTER_DEG if args.auto else HAND_SCATTER_DEG
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         client, reader, identity = _checked_node(connection, args)
         try:
             return _guided(args, steps, client, reader, identity)
@@ -81,7 +81,7 @@ def _guided(
     args: argparse.Namespace, steps: tuple[Step, ...], client: FingertipClient, reader: GaugeReader, identity: Identity
 ) -> int:
     from tipforce.host.configuration.fitting import FitRequest
-    from tipforce.host.configuration.guide_session import Session
+    from tipforce.host.configuration.guide import Session
     from tipforce_tools.calibrate.guide_walk import Walk, finish
 
     request = FitRequest(**fit.requested(args), serial=identity.serial)
@@ -90,11 +90,9 @@ def _guided(
     path = Path(args.session or f"session-{identity.serial}.csv")
     session = Session(path, steps, identity.serial, identity.gauges, reader.temperature_degC() is not None)
     loads = sum(step.mode != "tare" for step in steps)
-    common.note(
-        args, f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {reader.how}; session {path}"
-    )
+    common.note(f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {reader.how}; session {path}")
     if session.cut:
-        common.note(args, f"session {path}: its last line was truncated by an interruption and is removed")
+        common.note(f"session {path}: its last line was truncated by an interruption and is removed")
     walk = Walk(args, steps, session, reader, client.sdo)
     try:
         while (outcome := walk.run()) == "done":
@@ -139,7 +137,7 @@ def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipC
     what = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges, serial {identity.serial}"
     held = f"calibrated (CRC-32 0x{crc:08X})" if crc else "not calibrated yet"
     degrees = "temperature unknown" if temperature is None else f"{temperature:.2f} degC"
-    common.note(args, f"{name}: {what}; {held}; {degrees}; measures, no fault")
+    common.note(f"{name}: {what}; {held}; {degrees}; measures, no fault")
     return client, reader, identity
 
 
@@ -149,7 +147,7 @@ def _plan(args: argparse.Namespace) -> tuple[Step, ...]:
             if getattr(args, flag) is not None:
                 raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
         common.InputFile("plan ").check(args.plan)
-    from tipforce.host.configuration.guide_plan import file_plan, groove_plan
+    from tipforce.host.configuration.guide import file_plan, groove_plan
 
     if args.plan:
         return file_plan(args.plan)

@@ -20,8 +20,7 @@ from tipforce.dictionary import table
 from tipforce.errors import InputError, NoResponseError, TipforceError
 from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
 from tipforce.host.configuration.fitting import FitRequest, fitted, limit_of
-from tipforce.host.configuration.guide_plan import EXTRA, EXTRA_TARE, Step
-from tipforce.host.configuration.guide_session import Session
+from tipforce.host.configuration.guide import EXTRA, EXTRA_TARE, Session, Step
 from tipforce.host.configuration.measurements import read_measurements
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import SdoChannel
@@ -29,7 +28,7 @@ from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.result import matrix_to_digits, to_digits
 from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce_tools.calibrate.fit_report import publish, write
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 
 def refusals(capture: Capture, max_std_microstrain: float, max_drift_microstrain: float) -> list[str]:
@@ -126,7 +125,7 @@ class Walk:
         missing = [step for step in steps if step.number not in session.done]
         self._todo = deque(missing)
         if session.rows and missing:
-            common.note(args, f"continuing: {len(session.done)} of {len(steps)} steps done, {len(missing)} to do")
+            common.note(f"continuing: {len(session.done)} of {len(steps)} steps done, {len(missing)} to do")
             if missing[0].mode != "tare":
                 self._todo.appendleft(EXTRA_TARE)
 
@@ -178,7 +177,7 @@ class Walk:
             try:
                 for entry, value in zip(_LOAD, step.load[:3], strict=True) if self._args.auto else ():
                     self._sdo.write(entry, value)
-                with common.progress(self._args, "  capture", self._args.samples, absolute=True) as advance:
+                with common.progress("  capture", self._args.samples, absolute=True) as advance:
                     capture = self._reader.capture(self._args.samples, advance)
             except NoResponseError as error:
                 if self._args.auto:
@@ -198,15 +197,14 @@ class Walk:
         self._session.append(step, capture)
         self._todo.popleft()
         self._skipped.discard(step.number)
-        if self._args.json:
+        if common.OUTPUT.json:
             common.print_json(self._record(step, capture))
         for k in range(len(capture.mean)):
             common.note(
-                self._args,
                 f"  SG{k + 1} {capture.mean[k]:+10.2f} microstrain, standard deviation {capture.std[k]:.2f}, "
-                f"drift {capture.drift[k]:+.2f}",
+                f"drift {capture.drift[k]:+.2f}"
             )
-        common.note(self._args, f"  {capture.count} samples in {capture.duration_s:.2f} s: saved")
+        common.note(f"  {capture.count} samples in {capture.duration_s:.2f} s: saved")
         for remark in remarks:
             self._say(f"  note: {remark} (r repeats it)")
 
@@ -247,7 +245,7 @@ class Walk:
 
     def _say(self, text: str) -> None:
         """Print a line for the user; with -q only if prompts follow, which need it."""
-        if not (self._args.quiet and self._args.auto):
+        if not (common.OUTPUT.quiet and self._args.auto):
             print(text, file=sys.stderr)
 
     @contextlib.contextmanager
@@ -275,7 +273,7 @@ def finish(args: argparse.Namespace, request: FitRequest, session: Session, clie
     """
     path = str(session.path)
     data = replace(read_measurements(path, loads=True), ignored_columns=())  # the guide's own columns
-    result = fitted(request, data, lambda text: common.note(args, text))
+    result = fitted(request, data, common.note)
     fit = result.fit
     # The residuals also contain differences between hooks; the scatter of a single reading of the node is that within
     # the captures. C is then optimal for that noise, which matters for a node with more than three gauges.
@@ -288,25 +286,25 @@ def finish(args: argparse.Namespace, request: FitRequest, session: Session, clie
     )
     result = result._replace(calibration=calibration)
     repeat = ("to repeat an outlier: remove its line from the session and start the same command",) * bool(fit.outliers)
-    publish(args, path, request, result, ("the node gets the noise covariance within the captures", *repeat))
+    publish(path, request, result, ("the node gets the noise covariance within the captures", *repeat))
     if args.output:  # first, so that a later failure does not lose it
-        write(args, path, request, result)
+        write(args.output, path, request, result)
     name = common.shown_node(args.node)
     answer = _asked(args, f"{name}: apply this calibration and store it")
     if answer == "declined":
-        common.note(args, f"{name} is unchanged; the same command asks again")
+        common.note(f"{name} is unchanged; the same command asks again")
     if answer != "applied":
         return answer
-    generation = client.apply_calibration(calibration, on_step=lambda step: common.note(args, f"{name}: {step}"))
+    generation = client.apply_calibration(calibration, on_step=lambda step: common.note(f"{name}: {step}"))
     crc32 = f"0x{calibration.crc32():08X}"
     record = {"node": args.node, "generation": generation, "crc32": crc32}
-    common.print_record(args, record, f"applied and stored, generation {generation}, CRC-32 {crc32}")
+    common.print_record(record, f"applied and stored, generation {generation}, CRC-32 {crc32}")
     return answer
 
 
 def _asked(args: argparse.Namespace, question: str) -> Answer:
     if args.auto:
-        common.confirm(args, question)
+        bus_flags.confirm(args, question)
     if args.auto or args.yes:
         return "applied"
     words: dict[str, Answer] = {

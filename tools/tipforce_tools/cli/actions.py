@@ -36,9 +36,8 @@ def check_files(parser: argparse.ArgumentParser, args: argparse.Namespace) -> No
 
 
 def run_place(place: str, args: argparse.Namespace) -> int:
-    """Set up the logging by the output flags, if there are any, and run the command of a place."""
-    if hasattr(args, "verbose"):
-        common.set_up_logging(args)
+    """Set up the output by its flags, and run the command of a place."""
+    common.OUTPUT.set_up(args)
     return functions(place)[1](args)
 
 

@@ -1,4 +1,6 @@
-"""python-can's bus flags without importing python-can, which adds a fifth of a second to each `--help`.
+"""The bus of a command line: python-can's flags, and the bus that they, a file or the environment name.
+
+Python-can is not imported for the flags alone: it adds a fifth of a second to each `--help`.
 
 The flags accept the same values as those of ``can.cli.add_bus_arguments`` (the tests compare them). Values that need
 more than a conversion are parsed by python-can, imported at that point. The help texts are shorter than python-can's,
@@ -9,10 +11,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import redirect_stdout
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from tipforce.errors import DuplicateNodeError, EnvironmentLackError, InputError, TipforceError
+from tipforce_tools.cli import common
+
+if TYPE_CHECKING:
+    import can
+
+    from tipforce.host.network.bus import Bus
+    from tipforce.host.network.interfaces import Link
 
 BUILT_IN_INTERFACES = (
     "canalystii", "cantact", "etas", "gs_usb", "iscan", "ixxat", "kvaser", "neousys", "neovi", "nican", "nixnet",
@@ -102,3 +114,126 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
         "--bus-kwargs", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="NAME=VALUE",
         help="further options of the interface, for example app_name=MyCanApp serial=1234",
     )  # fmt: skip
+
+
+_BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
+
+
+def bus_options(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the bus flags that the command line contains, as keywords of ``can.Bus``."""
+    options = {name: getattr(args, name) for name in _BUS_FLAGS if hasattr(args, name)}
+    return options | getattr(args, "bus_kwargs", {})
+
+
+def find_bus(
+    args: argparse.Namespace, of_file: Mapping[str, Any] | None = None, *, named: bool = False
+) -> dict[str, Any]:
+    """Return the bus of the flags, of a file, or of python-can's files and environment, as keywords of ``can.Bus``.
+
+    Without any, that of the only SocketCAN interface that is up, which a line on stderr names. A channel alone is such
+    an interface, also one ``named`` without a flag: `dump vcan0`. Raises EnvironmentLackError naming the interfaces.
+    """
+    options = {**(of_file or {}), **bus_options(args)}
+    if "interface" in options and (named or "channel" in options):
+        return options
+    import can.util
+
+    configured: Mapping[str, Any] = {}
+    try:
+        configured = can.util.load_config(config=dict(options))
+    except can.CanInterfaceNotImplementedError as error:
+        if "interface" in options or 'type "None"' not in str(error):  # open_bus says why
+            return options
+    options |= {key: configured[key] for key in ("interface", "channel") if configured.get(key) is not None}
+    if "interface" in options or not (named or sys.platform == "linux"):
+        return options
+    if not named and "channel" not in options:
+        options["channel"] = args.channel = _only_interface()
+    options["interface"] = "socketcan"
+    if not named:
+        args.interface = "socketcan"
+    return options
+
+
+def _only_interface() -> str:
+    from tipforce.host.network.interfaces import interfaces
+
+    known = interfaces()
+    up = [name for name, is_up in known.items() if is_up]
+    if len(up) == 1:
+        common.note(f"bus: -i socketcan -c {up[0]}, the only CAN interface that is up")
+        return up[0]
+    if up:
+        reason = f"{', '.join(up)} are up: add -i socketcan -c {up[0]}"
+    elif known:
+        name = next(iter(known))
+        reason = f"{', '.join(known)} down; `sudo ip link set {name} up type can bitrate 1000000`"
+    else:
+        reason = (
+            "no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0, or set CAN_INTERFACE and "
+            "CAN_CHANNEL; `tipforce vcan` has buses without hardware"
+        )
+    raise EnvironmentLackError(f"no bus given: {reason}")
+
+
+def open_bus(args: argparse.Namespace) -> can.BusABC:
+    """Open the bus that ``find_bus`` returns."""
+    from tipforce.host.network.open_bus import open_bus as open_bus_by_options
+
+    return open_bus_by_options(**find_bus(args))
+
+
+@contextmanager
+def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
+    """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one.
+
+    After another error a line on stderr says what is wrong with the bus as a whole.
+    """
+    from tipforce.host.network.bus import Bus
+
+    patience = (args.timeout, args.retries) if hasattr(args, "retries") else ()
+    with Bus(open_bus(args), *patience) as connection:
+        begun_s = time.monotonic()
+        try:
+            yield connection
+        except DuplicateNodeError:
+            raise
+        except TipforceError:
+            connection.check_duplicates()  # the cause of the error
+            note_wire(args, connection, begun_s)
+            raise
+        connection.check_duplicates()
+
+
+def link_of(args: argparse.Namespace) -> Link | None:
+    """Return what the kernel says of the interface of the bus."""
+    from tipforce.host.network.interfaces import links
+
+    options = find_bus(args)
+    return links().get(str(options.get("channel"))) if options.get("interface") == "socketcan" else None
+
+
+def note_wire(args: argparse.Namespace, connection: Bus, begun_s: float) -> None:
+    """Say on stderr what is wrong below the nodes, by what was received since ``begun_s``."""
+    from tipforce.watching.findings import Observed, of_the_wire
+
+    seen = Observed(heard_s=time.monotonic() - begun_s, link=link_of(args))
+    seen.count(connection.buffer.take_all())
+    for finding in of_the_wire(seen):
+        common.note(str(finding))
+
+
+def confirm(args: argparse.Namespace, what: str) -> None:
+    """Ask before a persistent change on a real bus; not on virtual buses, nor with --yes.
+
+    Raises InputError when the answer is no, or stdin is not a terminal.
+    """
+    options = bus_options(args)
+    virtual = options.get("interface") in ("virtual", "udp_multicast") or "vcan" in str(options.get("channel", ""))
+    if getattr(args, "yes", False) or virtual:
+        return
+    if not sys.stdin.isatty():
+        raise InputError(f"{what}; stdin is not a terminal: add --yes to confirm")
+    print(f"{what}. Continue? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise InputError("not done")

@@ -1,4 +1,4 @@
-"""Shared by the commands: common flags, node-ids, buses, and the printing of records."""
+"""Shared by the commands: common flags, numbers and node-ids, and the printing of records."""
 
 from __future__ import annotations
 
@@ -10,25 +10,21 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from tipforce.errors import DuplicateNodeError, EnvironmentLackError, InputError, TipforceError
+from tipforce.errors import InputError
 from tipforce_tools.cli.output import rich_console, visible_streams
 
 if TYPE_CHECKING:
-    import can
     from rich.console import Console
     from rich.table import Table
 
-    from tipforce.host.network.bus import Bus
-    from tipforce.host.network.interfaces import Link
 
 _LINE_S = 10.0
-_BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,16 +36,35 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--color", choices=("auto", "always", "never"), default="auto", help="auto follows NO_COLOR")
 
 
-def set_up_logging(args: argparse.Namespace) -> None:
-    """Log warnings of tipforce to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
-    import logging
+class Output:
+    """How a command prints: the values of its output flags. One for the process, as its streams are."""
 
-    level = logging.ERROR if args.quiet else logging.DEBUG if args.verbose else logging.WARNING
-    logging.basicConfig(stream=sys.stderr, level=level, format="%(levelname)s %(name)s: %(message)s")
-    if not args.verbose:
-        # canopen logs each abort as an error and also raises it; python-can warns of errors that open_bus reports.
-        logging.getLogger("canopen").setLevel(logging.CRITICAL)
-        logging.getLogger("can").setLevel(logging.CRITICAL)
+    json: bool
+    quiet: bool
+    verbose: bool
+    color: Literal["auto", "always", "never"]
+
+    def set_up(self, args: argparse.Namespace) -> None:
+        """Follow the flags; a command without them prints as by default, and sets up no logging.
+
+        Warnings of tipforce are logged to stderr: all messages with -v, only errors with -q; of libraries only with -v.
+        """
+        for name, default in (("json", False), ("quiet", False), ("verbose", False), ("color", "auto")):
+            setattr(self, name, getattr(args, name, default))
+        if not hasattr(args, "verbose"):
+            return
+        import logging
+
+        level = logging.ERROR if self.quiet else logging.DEBUG if self.verbose else logging.WARNING
+        logging.basicConfig(stream=sys.stderr, level=level, format="%(levelname)s %(name)s: %(message)s")
+        if not self.verbose:
+            # canopen logs each abort as an error and also raises it; python-can warns of errors that open_bus reports.
+            logging.getLogger("canopen").setLevel(logging.CRITICAL)
+            logging.getLogger("can").setLevel(logging.CRITICAL)
+
+
+OUTPUT = Output()
+OUTPUT.set_up(argparse.Namespace())
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,110 +84,6 @@ def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
     add_numbers(group, ("--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", timeout))
     group.add_argument("--retries", type=whole_number, default=2, metavar="N", help="after a timeout (%(default)s)")
     add_output_arguments(parser)
-
-
-def bus_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the bus flags that the command line contains, as keywords of ``can.Bus``."""
-    options = {name: getattr(args, name) for name in _BUS_FLAGS if hasattr(args, name)}
-    return options | getattr(args, "bus_kwargs", {})
-
-
-def find_bus(
-    args: argparse.Namespace, of_file: Mapping[str, Any] | None = None, *, named: bool = False
-) -> dict[str, Any]:
-    """Return the bus of the flags, of a file, or of python-can's files and environment, as keywords of ``can.Bus``.
-
-    Without any, that of the only SocketCAN interface that is up, which a line on stderr names. A channel alone is such
-    an interface, also one ``named`` without a flag: `dump vcan0`. Raises EnvironmentLackError naming the interfaces.
-    """
-    options = {**(of_file or {}), **bus_options(args)}
-    if "interface" in options and (named or "channel" in options):
-        return options
-    import can.util
-
-    configured: Mapping[str, Any] = {}
-    try:
-        configured = can.util.load_config(config=dict(options))
-    except can.CanInterfaceNotImplementedError as error:
-        if "interface" in options or 'type "None"' not in str(error):  # open_bus says why
-            return options
-    options |= {key: configured[key] for key in ("interface", "channel") if configured.get(key) is not None}
-    if "interface" in options or not (named or sys.platform == "linux"):
-        return options
-    if not named and "channel" not in options:
-        options["channel"] = args.channel = _only_interface(args)
-    options["interface"] = "socketcan"
-    if not named:
-        args.interface = "socketcan"
-    return options
-
-
-def _only_interface(args: argparse.Namespace) -> str:
-    from tipforce.host.network.interfaces import interfaces
-
-    known = interfaces()
-    up = [name for name, is_up in known.items() if is_up]
-    if len(up) == 1:
-        note(args, f"bus: -i socketcan -c {up[0]}, the only CAN interface that is up")
-        return up[0]
-    if up:
-        reason = f"{', '.join(up)} are up: add -i socketcan -c {up[0]}"
-    elif known:
-        name = next(iter(known))
-        reason = f"{', '.join(known)} down; `sudo ip link set {name} up type can bitrate 1000000`"
-    else:
-        reason = (
-            "no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0, or set CAN_INTERFACE and "
-            "CAN_CHANNEL; `tipforce vcan` has buses without hardware"
-        )
-    raise EnvironmentLackError(f"no bus given: {reason}")
-
-
-def open_bus(args: argparse.Namespace) -> can.BusABC:
-    """Open the bus that ``find_bus`` returns."""
-    from tipforce.host.network.open_bus import open_bus as open_bus_by_options
-
-    return open_bus_by_options(**find_bus(args))
-
-
-@contextmanager
-def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
-    """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one.
-
-    After another error a line on stderr says what is wrong with the bus as a whole.
-    """
-    from tipforce.host.network.bus import Bus
-
-    patience = (args.timeout, args.retries) if hasattr(args, "retries") else ()
-    with Bus(open_bus(args), *patience) as connection:
-        begun_s = time.monotonic()
-        try:
-            yield connection
-        except DuplicateNodeError:
-            raise
-        except TipforceError:
-            connection.check_duplicates()  # the cause of the error
-            note_wire(args, connection, begun_s)
-            raise
-        connection.check_duplicates()
-
-
-def link_of(args: argparse.Namespace) -> Link | None:
-    """Return what the kernel says of the interface of the bus."""
-    from tipforce.host.network.interfaces import links
-
-    options = find_bus(args)
-    return links().get(str(options.get("channel"))) if options.get("interface") == "socketcan" else None
-
-
-def note_wire(args: argparse.Namespace, connection: Bus, begun_s: float) -> None:
-    """Say on stderr what is wrong below the nodes, by what was received since ``begun_s``."""
-    from tipforce.watching.findings import Observed, of_the_wire
-
-    seen = Observed(heard_s=time.monotonic() - begun_s, link=link_of(args))
-    seen.count(connection.buffer.take_all())
-    for finding in of_the_wire(seen):
-        note(args, str(finding))
 
 
 def number(text: str) -> float:
@@ -319,9 +230,9 @@ def print_json(record: dict[str, Any]) -> None:
     sys.stdout.write(json_line(record) + "\n")
 
 
-def print_record(args: argparse.Namespace, record: dict[str, Any], text: str) -> None:
+def print_record(record: dict[str, Any], text: str) -> None:
     """Print the record as a JSON line with --json, otherwise the text that shows it."""
-    if args.json:
+    if OUTPUT.json:
         print_json(record)
     else:
         print(text)
@@ -342,61 +253,61 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 
-def note(args: argparse.Namespace, text: str) -> None:
+def note(text: str) -> None:
     """Print a line on stderr; nothing with -q."""
-    if not args.quiet:
+    if not OUTPUT.quiet:
         print(text, file=sys.stderr)
 
 
 @contextmanager
 def progress(
-    args: argparse.Namespace, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
+    what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
 ) -> Iterator[Callable[..., None]]:
     """Show a progress bar on stderr, or if that is no terminal a line each 10 s; nothing with -q.
 
     Call the result after each of ``total`` steps, or with the number of steps since the last call; with ``absolute``
     with the number of all steps so far.
     """
-    if args.quiet or not sys.stderr.isatty():
+    if OUTPUT.quiet or not sys.stderr.isatty():
         begun_s = said_s = time.monotonic()
         done = 0.0
 
         def count(steps: float = 1) -> None:
             nonlocal done, said_s
             done = steps if absolute else done + steps
-            if not args.quiet and time.monotonic() >= said_s + _LINE_S:
+            if not OUTPUT.quiet and time.monotonic() >= said_s + _LINE_S:
                 said_s = time.monotonic()
-                note(args, f"{what.strip()}: {done:g} of {total:g}, {said_s - begun_s:.0f} s")
+                note(f"{what.strip()}: {done:g} of {total:g}, {said_s - begun_s:.0f} s")
 
         yield count
         return
     from rich.progress import Progress
 
-    screen = console(args, stderr=True)
+    screen = console(stderr=True)
     # rich takes over the streams, and shows a control sequence as a colour: escape before that.
     with Progress(transient=True, console=screen, refresh_per_second=refresh_hz) as bar, visible_streams():
         task = bar.add_task(what, total=total)
         yield lambda steps=1: bar.update(task, **{"completed" if absolute else "advance": steps})
 
 
-def console(args: argparse.Namespace, *, stderr: bool = False) -> Console:
+def console(*, stderr: bool = False) -> Console:
     """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width."""
-    plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
+    plain = OUTPUT.color == "never" or (OUTPUT.color == "auto" and bool(os.environ.get("NO_COLOR")))
     stream = sys.stderr if stderr else sys.stdout
     width = None if stream.isatty() else 120
-    always = True if args.color == "always" else None
+    always = True if OUTPUT.color == "always" else None
     # Without a colour system rich prints no bold text either: the output is plain text.
     system: Literal["auto"] | None = None if plain else "auto"
     return rich_console(stream, force_terminal=always, color_system=system, no_color=plain, width=width)
 
 
-def print_table(args: argparse.Namespace, table: Table) -> None:
+def print_table(table: Table) -> None:
     """Print a table on stdout. In a narrow terminal it has no borders and words wrap; numbers do not.
 
     A truncated number (`4.…`) is useless, and a wrapped one appears beside the label of another. A word longer than
     its column continues on the next line, so that names can be copied.
     """
-    screen = console(args)
+    screen = console()
     unbounded = screen.options.update(width=1000)
     if screen.measure(table, options=unbounded).maximum > screen.width:
         table.box, table.padding, table.pad_edge = None, (0, 1, 0, 0), False
@@ -410,7 +321,6 @@ def print_table(args: argparse.Namespace, table: Table) -> None:
 
 
 def print_rows(
-    args: argparse.Namespace,
     title: str,
     headings: Iterable[str],
     rows: Iterable[Iterable[str]],
@@ -426,26 +336,10 @@ def print_rows(
         table.add_column(heading.removeprefix(">"), justify="right" if heading.startswith(">") else "left")
     for row, style in zip(rows, repeat(None) if styles is None else styles, strict=False):
         table.add_row(*row, style=style)
-    print_table(args, table)
+    print_table(table)
 
 
 def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
     """`--yes`."""
     group = parser.add_argument_group("changes")
     group.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
-
-
-def confirm(args: argparse.Namespace, what: str) -> None:
-    """Ask before a persistent change on a real bus; not on virtual buses, nor with --yes.
-
-    Raises InputError when the answer is no, or stdin is not a terminal.
-    """
-    options = bus_options(args)
-    virtual = options.get("interface") in ("virtual", "udp_multicast") or "vcan" in str(options.get("channel", ""))
-    if getattr(args, "yes", False) or virtual:
-        return
-    if not sys.stdin.isatty():
-        raise InputError(f"{what}; stdin is not a terminal: add --yes to confirm")
-    print(f"{what}. Continue? [y/N] ", end="", file=sys.stderr, flush=True)
-    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise InputError("not done")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from canopen_device.core import codes
 from tipforce.errors import InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,9 +37,9 @@ def add_sync_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sync", type=_sync_hz, metavar="HZ", help="bus: also send SYNCs, where nobody else does")
 
 
-def check_sync(args: Namespace, source: object) -> None:
+def check_sync(sync_hz: float | None, source: object) -> None:
     """Raise InputError for --sync with a source that is no bus."""
-    if args.sync is not None and source is not None:
+    if sync_hz is not None and source is not None:
         raise InputError(f"--sync: {source} is no bus to listen to; leave the flag out")
 
 
@@ -103,13 +103,13 @@ class Hints:
 
 
 def _group(
-    args: Namespace,
     buses: Sequence[dict[str, Any]],
     selections: Sequence[Selection | None],
     tick_s: float,
     hints: Hints | None,
+    sync_hz: float | None,
 ) -> ReceiverGroup:
-    """Listen to each bus for its selection; with --sync send SYNCs on each until the group is closed."""
+    """Listen to each bus for its selection; with ``sync_hz`` send SYNCs on each until the group is closed."""
     from tipforce.host.live.receive import open_receiver
     from tipforce.host.live.receiver import ReceiverGroup
 
@@ -133,7 +133,6 @@ def _group(
         ]
         if hints is not None:
             hints.watch(buses, opened)
-        sync_hz: float | None = getattr(args, "sync", None)
         if sync_hz:
             from tipforce.host.hand.link import kernel_sync
             from tipforce.host.network.open_bus import open_bus
@@ -158,12 +157,12 @@ def open_targets(
     """
     from tipforce.host.live.receiver import TICK_S, Selection
 
-    options = common.find_bus(args, named=bool(targets))
+    options = bus_flags.find_bus(args, named=bool(targets))
     buses = [{**options, "channel": target.channel} for target in targets] or [options]
     selections = [target.selection for target in targets] or [Selection()]
     if any(selection.filters for selection in selections):
         hints = None  # what a filter leaves out is not missing
-    return _group(args, buses, selections, TICK_S if tick_s is None else tick_s, hints)
+    return _group(buses, selections, TICK_S if tick_s is None else tick_s, hints, getattr(args, "sync", None))
 
 
 def listening(
@@ -182,31 +181,31 @@ def listening(
 
     fingers: tuple[Finger, ...] = ()
     if hand_file is None:
-        options, gauges, maker = common.find_bus(args), args.gauges, finger_maker(args.nodes, fallback)
+        options, gauges, maker = bus_flags.find_bus(args), args.gauges, finger_maker(args.nodes, fallback)
     else:
         file = read_hand(hand_file)
-        options, gauges, maker = common.find_bus(args, file.bus), file.finger[0].gauges, finger_maker(())
+        options, gauges, maker = bus_flags.find_bus(args, file.bus), file.finger[0].gauges, finger_maker(())
         fingers = hand_fingers(file, fallback)
 
     def say(text: str) -> None:
-        common.note(args, text)
+        common.note(text)
         feed.hints.append(text)
 
-    source = BusSource(_group(args, [options], [None], TICK_S, Hints(say)))
+    source = BusSource(_group([options], [None], TICK_S, Hints(say), getattr(args, "sync", None)))
     feed = FrameFeed(source, maker, gauges, fingers, int(options.get("bitrate") or DEFAULT_BIT_RATE))
     return feed, str(options.get("channel") or options.get("interface") or "bus")
 
 
-def note_missing(args: Namespace, report: FingerReport) -> None:
+def note_missing(report: FingerReport) -> None:
     """Print on stderr what a finger lacks that came up."""
     from tipforce.samples.reasons import NOT_CALIBRATED
     from tipforce.watching.findings import not_calibrated
 
     if NOT_CALIBRATED in report.note:
-        common.note(args, str(not_calibrated(report.plan.node_id)))
+        common.note(str(not_calibrated(report.plan.node_id)))
 
 
-def commissioned(args: Namespace, hand: Hand, fallback: Fallback | None = None) -> HandFeed:
+def commissioned(hand: Hand, fallback: Fallback | None = None) -> HandFeed:
     """Commission and start a hand: reports go to stderr and to the feed's events. Closes the hand if that fails."""
     from tipforce.watching.feeds import HandFeed
     from tipforce.watching.watcher import hand_fingers
@@ -214,8 +213,8 @@ def commissioned(args: Namespace, hand: Hand, fallback: Fallback | None = None) 
     try:
         feed = HandFeed(hand, ())
         for report in hand.bring_up():
-            common.note(args, str(report))
-            note_missing(args, report)
+            common.note(str(report))
+            note_missing(report)
         feed.fingers = hand_fingers(hand, fallback)
         hand.start()
     except BaseException:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from canopen_device.running import loop
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import StopSignals
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def open_port(args: argparse.Namespace) -> tuple[Port, str]:
     from canopen_device.running.ports import PythonCanPort, SocketCanPort
     from tipforce.host.network.open_bus import open_bus
 
-    options = common.find_bus(args)
+    options = bus_flags.find_bus(args)
     if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:
         try:
             return SocketCanPort(options["channel"]), options["channel"]
@@ -138,15 +138,13 @@ def open_port(args: argparse.Namespace) -> tuple[Port, str]:
     return PythonCanPort(bus), str(bus.channel_info)
 
 
-def serve(
-    args: argparse.Namespace, who: str, what: str, devices: Sequence[Runnable], nodes: Sequence[Device], port: Port
-) -> None:
+def serve(who: str, what: str, devices: Sequence[Runnable], nodes: Sequence[Device], port: Port) -> None:
     """Run ``devices`` until a signal; report start and end to the service manager, the bus and the terminal.
 
     ``nodes`` are those that report STOPPED at the end.
     """
     notifier = Notifier()
-    common.note(args, f"{who}: {what}; Ctrl-C ends it")
+    common.note(f"{who}: {what}; Ctrl-C ends it")
 
     def ended() -> bool:
         notifier.alive()
@@ -162,4 +160,4 @@ def serve(
             notifier.send("STOPPING=1", f"STATUS={who} stopped")
             loop.say_stopped(nodes, port)
             notifier.close()
-    common.note(args, f"{who}: stopped")
+    common.note(f"{who}: stopped")

@@ -57,7 +57,7 @@ def run_compact(args: argparse.Namespace) -> int:
 
     store, manifest = opened(args.directory)
     files = len(manifest.files())
-    common.note(args, f"{store.name}: {files} files are {len(compact(store).files())} now")
+    common.note(f"{store.name}: {files} files are {len(compact(store).files())} now")
     return 0
 
 

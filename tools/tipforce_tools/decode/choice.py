@@ -18,7 +18,7 @@ from tipforce.host.dataset.store import is_dataset, is_url, local_copy
 from tipforce.host.decoding.log_part import Reading, When
 from tipforce.host.decoding.pdo_layout import Layouts, dcf_layout, node_layout, signals_named, with_layouts
 from tipforce.shipped_files import file_or_shipped
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.log_flags import eds_files
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def layouts(args: Namespace) -> Layouts:
     if args.ask:
         from tipforce.host.network.bus import Bus
 
-        with Bus(common.open_bus(args)) as bus:
+        with Bus(bus_flags.open_bus(args)) as bus:
             found = with_layouts(found, [node_layout(bus.sdo(node)) for node in args.ask])
     if args.gauges and found.gauges != args.gauges:
         raise InputError(f"--gauges {args.gauges}: the layouts are of nodes with {found.gauges}")

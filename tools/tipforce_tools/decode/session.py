@@ -147,7 +147,7 @@ class _Run:
                 writer.write(table)
         if writer.left_out:
             left_out = ", ".join(sorted(writer.left_out))
-            common.note(args, f"not in the CSV, because they appeared after its header: {left_out}")
+            common.note(f"not in the CSV, because they appeared after its header: {left_out}")
 
     def _write_parts(self, pieces: list[Piece], advance: Callable[[float], None]) -> None:
         """Write one file from parts that workers write."""
@@ -211,33 +211,33 @@ class _Run:
         except OSError as error:
             raise WriteError(f"{args.output}: {error.strerror or error}; what was committed before stays") from error
         if not run.added:
-            common.note(args, f"{args.output}: nothing new in {counted(len(names), 'log')}")
+            common.note(f"{args.output}: nothing new in {counted(len(names), 'log')}")
 
     def report(self, complete: bool) -> None:
         """Report on stderr what is noteworthy; ``complete``: the output is."""
         args, told, summary = self._args, self.told, self.summary
         for line in summaries.notes_lines(told):
-            common.note(args, line)
+            common.note(line)
         if core is None and sum(notes.frames for notes in told.notes) > _MANY_FRAMES:
-            common.note(args, f"slow, without the compiled core: {how_to_build()}")
+            common.note(f"slow, without the compiled core: {how_to_build()}")
         if told.unseen and not args.calibration and (args.verbose or args.summary):
-            common.note(args, reasons.not_seen(node for _, node in told.unseen))
+            common.note(reasons.not_seen(node for _, node in told.unseen))
         if complete and not summary.samples and told.notes:
             frames = sum(notes.frames for notes in told.notes)
             flags = choice.narrowing_flags(args)
             chosen = f"; {flags} may exclude it" if flags and frames else ""
-            common.note(args, f"no sample of a fingertip in {counted(frames, 'frame')}{chosen}")
+            common.note(f"no sample of a fingertip in {counted(frames, 'frame')}{chosen}")
         if args.summary and not args.json:
             return
         for line in summaries.event_lines(told):
-            common.note(args, line)
+            common.note(line)
         for line in summaries.lines(summary, told) if args.verbose else summaries.lost_lines(told):
-            common.note(args, line)
+            common.note(line)
         if complete and _to_file(args) and not args.json and (told.notes or not _to_dataset(args)):
             lost = sum(told.tally.lost().values())
-            common.note(args, f"{args.output}: {summary.samples} samples of {len(summary.nodes())} nodes, {lost} lost")
+            common.note(f"{args.output}: {summary.samples} samples of {len(summary.nodes())} nodes, {lost} lost")
             if (events := told.events()) and not _to_dataset(args):
-                common.note(args, f"{summaries.events_path(args.output)}: {counted(len(events), 'event')}")
+                common.note(f"{summaries.events_path(args.output)}: {counted(len(events), 'event')}")
 
 
 @contextmanager
@@ -248,7 +248,7 @@ def _progress(args: Namespace, names: Sequence[str]) -> Iterator[Callable[[float
     if not sys.stderr.isatty() or args.quiet or args.follow or not total or rows_on_screen:
         yield lambda _bytes: None
         return
-    with common.progress(args, "bytes", total) as advance:
+    with common.progress("bytes", total) as advance:
         yield advance
 
 

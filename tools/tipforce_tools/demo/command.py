@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
 
     started_s = time.monotonic()
     results: list[Result] = []
-    with common.progress(args, "loads", 2 * len(GROOVES_DEG)) as advance:
-        for result in run_demo(args.seed, args.spoil, lambda line: common.note(args, line), advance):
+    with common.progress("loads", 2 * len(GROOVES_DEG)) as advance:
+        for result in run_demo(args.seed, args.spoil, common.note, advance):
             results.append(result)
             if args.json:
                 record: dict[str, object] = {"case": result.case, "sense": result.sense}
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     for case in () if args.json else CASES:
         of_case = [result for result in shown if result.case == case]
         if of_case:
-            _print_table(args, case, of_case)
+            _print_table(case, of_case)
     return _summary(args, results, time.monotonic() - started_s)
 
 
@@ -71,7 +71,7 @@ def _view(args: argparse.Namespace) -> int:
     return serve(args, source, guard)
 
 
-def _print_table(args: argparse.Namespace, case: str, results: list[Result]) -> None:
+def _print_table(case: str, results: list[Result]) -> None:
     headings = [f">{word}" for name in ("P N", "phi deg", "theta deg") for word in (name, "est", "err", "u")]
     good = [result.inside and result.host_agrees for result in results]
     rows = []
@@ -86,7 +86,7 @@ def _print_table(args: argparse.Namespace, case: str, results: list[Result]) -> 
             ]
         rows.append([*cells, "ok" if ok else "OUT"])
     title = f"Case {case}: applied, estimated by the node, error, standard uncertainty"
-    common.print_rows(args, title, [">sense", *headings, ">"], rows, [None if ok else "bold red" for ok in good])
+    common.print_rows(title, [">sense", *headings, ">"], rows, [None if ok else "bold red" for ok in good])
 
 
 def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) -> int:
@@ -109,5 +109,5 @@ def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) 
         f"errors outside their bound: {outside}; host estimates that differ from the node's: {disagree}\n"
         f"{'PASS' if ok else 'FAIL'} in {elapsed_s:.1f} s"
     )
-    common.print_record(args, record, text)
+    common.print_record(record, text)
     return 0 if ok else 1

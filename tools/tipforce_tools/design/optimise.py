@@ -57,20 +57,27 @@ def run(args: argparse.Namespace) -> int:
     """Search, print, write; return 0, or 1 if the frame does not confirm the best design."""
     from tipforce.output_file import LAYOUT, check_output
     from tipforce.sources.layout_file import write_layout
-    from tipforce_lab.design.optimum import optimise, steps
+    from tipforce_lab.design.optimum import optimise, record, steps
 
     if args.output:
         check_output(args.output, LAYOUT)
     limits, loads = _limits_and_loads(args)
-    with common.progress(args, "starts", steps(args.gauges, limits, args.starts)) as done:
+    with common.progress("starts", steps(args.gauges, limits, args.starts)) as done:
         outcome = optimise(
             args.objective, args.gauges, limits, loads, args.noise, starts=args.starts, seed=args.seed, done=done
         )
-    _print_outcome(args, outcome)
+    entries = [*outcome.paper, *outcome.front]
+    if common.OUTPUT.json:
+        for entry in entries:
+            common.print_json(record(entry, args.noise))
+        common.print_json(_summary(args, outcome))
+    else:
+        _print_tables(entries, args.noise, args.load)
+        print("\n".join(_sentences(outcome, args.gauges, args.noise)))
     if args.output:
         best = outcome.best
         write_layout(args.output, best.geometry, best.gauges, args.gauge_length * 1e-3, _comment(args, best))
-        common.note(args, f"wrote {args.output}")
+        common.note(f"wrote {args.output}")
     return 0 if outcome.best.agrees else 1
 
 
@@ -99,20 +106,6 @@ def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:
 # --- output ---------------------------------------------------------------------------------------------------------
 
 
-def _print_outcome(args: argparse.Namespace, outcome: Outcome) -> None:
-    """Print tables and sentences, or JSON lines: one per structure, then the summary."""
-    from tipforce_lab.design.optimum import record
-
-    entries = [*outcome.paper, *outcome.front]
-    if args.json:
-        for entry in entries:
-            common.print_json(record(entry, args.noise))
-        common.print_json(_summary(args, outcome))
-        return
-    _print_tables(args, entries)
-    print("\n".join(_sentences(args, outcome)))
-
-
 def _comment(args: argparse.Namespace, best: Assessment) -> str:
     """Return the first lines of the layout file: its command and its expected uncertainties."""
     merit = best.theory
@@ -124,7 +117,7 @@ def _comment(args: argparse.Namespace, best: Assessment) -> str:
     )
 
 
-def _print_tables(args: argparse.Namespace, entries: list[Assessment]) -> None:
+def _print_tables(entries: list[Assessment], noise_microstrain: float, load_newtons: float) -> None:
     """Print the structures, their uncertainties and limits, and what the frame says; yellow where it disagrees."""
     from tipforce.sensor.structure.gauges import gauge_name
 
@@ -148,16 +141,16 @@ def _print_tables(args: argparse.Namespace, entries: list[Assessment]) -> None:
         )  # fmt: skip
     doubts = [None if entry.agrees else "yellow" for entry in entries]
     common.print_rows(
-        args, "Structures, mm; gauges: beam, side, middle of the gauge from the joint",
+        "Structures, mm; gauges: beam, side, middle of the gauge from the joint",
         ("", *(f">{symbol}" for symbol in _LENGTHS), "SG1, SG2, ..."), structures,
     )  # fmt: skip
     common.print_rows(
-        args, f"Standard uncertainties at {args.noise:g} microstrain and {args.load:g} N, and limits of the body",
+        f"Standard uncertainties at {noise_microstrain:g} microstrain and {load_newtons:g} N, and limits of the body",
         ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg", ">mN per ue", ">least ue/N", ">cond", ">MPa", ">slit shuts N"),
         figures, doubts,
     )  # fmt: skip
     common.print_rows(
-        args, "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well",
+        "The same by the frame: shear and elastic roots; then with the joint a block h2 wide as well",
         ("", ">u(P) mN", ">u(phi) deg", ">u(theta) deg", ">cond", ">differs %", ">block: u(theta)", ">cond"),
         frames, doubts,
     )  # fmt: skip
@@ -167,7 +160,7 @@ def _figures(merit: Merit) -> tuple[str, str, str]:
     return f"{1e3 * merit.u_P_newtons:.2f}", f"{merit.u_phi_deg:.4f}", f"{merit.u_theta_deg:.4f}"
 
 
-def _sentences(args: argparse.Namespace, outcome: Outcome) -> list[str]:
+def _sentences(outcome: Outcome, gauges: int, noise_microstrain: float) -> list[str]:
     from tipforce_lab.design.merit import AGREEMENT
     from tipforce_lab.design.optimum import detectable_microstrain
 
@@ -189,10 +182,10 @@ def _sentences(args: argparse.Namespace, outcome: Outcome) -> list[str]:
         f"beam theory and the independent frame agree within {100 * AGREEMENT:.0f} %: {verdict} "
         f"({', '.join(f'{entry.name} {100 * entry.disagreement:.2f} %' for entry in dict.fromkeys((best, least)))})"
     )
-    if args.gauges > 3:
+    if gauges > 3:
         lines.append("cases I to III have 3 gauges: a part of the gain is that of more gauges")
         for entry in outcome.front:
-            sizes = detectable_microstrain(entry, args.noise)
+            sizes = detectable_microstrain(entry, noise_microstrain)
             faults = ", ".join(f"SG{k} {size:.3g}" for k, size in enumerate(sizes, 1))
             lines.append(
                 f"{entry.name}: smallest fault that a sample shows, microstrain: {faults or 'no noise stated'}"

@@ -6,6 +6,7 @@ import argparse
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,36 +47,28 @@ def add_table_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_table(args: argparse.Namespace) -> int:
-    """Print the sections, then draw; return 0."""
-    for make in _makers(args):
-        _print(args, make())
+    """Print the sections, each computed when it is printed, then draw; return 0."""
+    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce_lab.design import other_bodies as bodies
+    from tipforce_lab.design import paper_figures as figures
+    from tipforce_lab.design import table_sections as tables
+
+    figure_9 = partial(figures.figure_9_section, noise_ue=args.noise, repeats=args.repeats, seed=args.seed)
+    makers: dict[str, tuple[Callable[[Geometry], Section], ...]] = {
+        "1": (tables.table_1_section,), "2": (tables.table_2_section,),
+        "3": (tables.table_3_section, tables.ranking_section), "comparators": (bodies.comparators_section,),
+        "fig6": (figures.figure_6_section,), "fig9": (figure_9,), "off-axis": (figures.off_axis_section,),
+        "materials": (bodies.materials_section,), "scaling": (bodies.scaling_section,),
+    }  # fmt: skip
+    for name in TABLES if args.what == "all" else (args.what,):
+        for make in makers[name]:
+            _print(make(FABRICATED))
     if args.output is not None:
         from tipforce_lab.design.plots import draw
 
         for path in draw(args.what, args.output, args.format, args.noise, args.repeats, args.seed):
-            common.note(args, f"wrote {path}")
+            common.note(f"wrote {path}")
     return 0
-
-
-def _makers(args: argparse.Namespace) -> list[Callable[[], Section]]:
-    """Return the functions that compute the requested sections, each when it is needed."""
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_lab.design import other_bodies
-    from tipforce_lab.design import paper_figures as figures
-    from tipforce_lab.design import table_sections as tables
-
-    makers: dict[str, list[Callable[[], Section]]] = {
-        "1": [lambda: tables.table_1_section(FABRICATED)],
-        "2": [lambda: tables.table_2_section(FABRICATED)],
-        "3": [lambda: tables.table_3_section(FABRICATED), lambda: tables.ranking_section(FABRICATED)],
-        "comparators": [lambda: other_bodies.comparators_section(FABRICATED)],
-        "fig6": [lambda: figures.figure_6_section(FABRICATED)],
-        "fig9": [lambda: figures.figure_9_section(FABRICATED, args.noise, args.repeats, args.seed)],
-        "off-axis": [lambda: figures.off_axis_section(FABRICATED)],
-        "materials": [lambda: other_bodies.materials_section(FABRICATED)],
-        "scaling": [lambda: other_bodies.scaling_section(FABRICATED)],
-    }
-    return [make for name in (TABLES if args.what == "all" else (args.what,)) for make in makers[name]]
 
 
 def add_sweep_arguments(parser: argparse.ArgumentParser) -> None:
@@ -104,12 +97,12 @@ def run_sweep(args: argparse.Namespace) -> int:
         check_output(args.output, figure_kind(args.output), [args.layout])
     geometry, gauges = read_layout(args.layout)
     section = sweep_section(args, geometry, gauges)
-    _print(args, section)
+    _print(section)
     if args.output is not None:
         from tipforce_lab.design.plots import draw_sweep
 
         draw_sweep(args.output, section)
-        common.note(args, f"wrote {args.output}")
+        common.note(f"wrote {args.output}")
     return 0
 
 
@@ -173,9 +166,9 @@ def _figures(geometry: Geometry, places: list[GaugePosition]) -> Record:
     return {**figures(matrix), "largest_strain_ue_per_N": 1e6 * largest}
 
 
-def _print(args: argparse.Namespace, section: Section) -> None:
+def _print(section: Section) -> None:
     """Print as JSON lines (records, then one line with the notes), or as a table."""
-    if args.json:
+    if common.OUTPUT.json:
         for record in section.records:
             common.print_json({"table": section.name, **record})
         if section.notes:
@@ -192,8 +185,8 @@ def _print(args: argparse.Namespace, section: Section) -> None:
         table.add_column(heading, justify="right" if numeric else "left", overflow="fold")
     for record in section.records:
         table.add_row(*(_shown(_cell(record, key)) for key in section.columns))
-    common.print_table(args, table)
-    console = common.console(args)
+    common.print_table(table)
+    console = common.console()
     for note in section.notes:
         console.print(Padding(Text(note), (0, 0, 1, 2)), highlight=False)
 

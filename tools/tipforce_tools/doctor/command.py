@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from canopen_device.core.codes import STOPPED
 from tipforce.errors import EnvironmentLackError, TipforceError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 if TYPE_CHECKING:
     from tipforce.host.frames.frame_array import FrameArray
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print the findings; return 1 if something is wrong."""
     failed = False
-    out = None if args.json else common.console(args)
+    out = None if common.OUTPUT.json else common.console()
     for check in _findings(args):
         failed |= check.state == "fail"
         if out is None:
@@ -61,10 +61,10 @@ def _findings(args: argparse.Namespace) -> Iterator[Finding]:
     from tipforce_tools.doctor import machine
 
     hand = read_hand(args.hand) if args.hand else None
-    flags = common.bus_options(args)
+    flags = bus_flags.bus_options(args)
     options: dict[str, Any] = {}
     try:
-        options = common.find_bus(args, hand.bus if hand else None)
+        options = bus_flags.find_bus(args, hand.bus if hand else None)
         configuration = configuration_check(options, flags)
     except EnvironmentLackError as error:
         configuration = Finding("configuration", "note", *str(error).split(": ", 1))

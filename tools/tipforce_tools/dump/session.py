@@ -64,16 +64,16 @@ class Session:
         self._args = args
         self._live = live
         eds = eds_files(args.eds or ())
-        self.decoder = _decoder(args.gauges, eds) if args.decode or args.verbose else None
+        self.decoder = _decoder(args.gauges, eds) if args.decode or common.OUTPUT.verbose else None
         names = eds_names(eds, fingertip_names(args.gauges)) if eds else fingertip_names(args.gauges)
         self.services = Services(names) if args.decode else None
         self._duplicates: dict[int, DuplicateNodes] = {}  # by interface
         self.tally, self._modulus = Tally(), SyncModulus()
-        self._counted = _decoder(args.gauges, eds) if args.verbose else None  # of the parts of a block
+        self._counted = _decoder(args.gauges, eds) if common.OUTPUT.verbose else None  # of the parts of a block
         self._left = args.count
-        self._needs_time = not args.json and (args.log or bool(args.timestamps))
+        self._needs_time = not common.OUTPUT.json and (args.log or bool(args.timestamps))
         self._text: Callable[[CandumpBlock, Decoded, Iterable[Service]], str] = json_text
-        if not args.json:
+        if not common.OUTPUT.json:
             width = max((len(target.channel) for target in targets), default=0)
             form = CandumpFormat(
                 args.timestamps, log=args.log, extra=args.extra, errors=args.errors, ascii=args.ascii, width=width
@@ -97,7 +97,7 @@ class Session:
 
     def _print(self, block: CandumpBlock) -> None:
         decoded = self.decoder.decode(block.frames) if self.decoder is not None else {}
-        if self._args.verbose:
+        if common.OUTPUT.verbose:
             self._count(block.frames, decoded)
         services: Iterable[Service] = ()
         if self.services is not None:
@@ -105,7 +105,7 @@ class Session:
             for number in () if self._live else set(block.interface.tolist()):  # live the hints say it
                 watch = self._duplicates.setdefault(number, DuplicateNodes())
                 for duplicate in watch.add(block.frames[block.interface == number]):
-                    common.note(self._args, f"tipforce dump: {duplicate}")
+                    common.note(f"tipforce dump: {duplicate}")
         text = self._text(block, decoded if self._args.decode else {}, services)
         if text:
             sys.stdout.write(text)
@@ -125,14 +125,21 @@ def dump(args: Namespace) -> int:
 
     Raises InputError for unusable targets, EnvironmentLackError if a bus cannot be opened or fails.
     """
-    if args.log and (args.errors or args.ascii) and not args.json:
+    if args.log and (args.errors or args.ascii) and not common.OUTPUT.json:
         raise InputError(f"-L and -{'e' if args.errors else 'a'}: the log format has no field for text; leave one out")
     source, targets = split_targets(args.targets)
-    check_sync(args, source)
+    check_sync(args.sync, source)
     session = Session(args, targets, live=source is None)
     if source is not None:
         return _dump_text(args, source, targets, session)
-    _dump_buses(args, targets, session)
+    hints = Hints(common.note) if args.decode else None
+    with open_targets(targets, args, hints=hints) as receiver:
+        try:
+            for block in _live_blocks(receiver, args.timeout_ms, args.stay):
+                if not session.show(block):
+                    break
+        finally:
+            _report(session, receiver.dropped, None)
     return 0
 
 
@@ -169,31 +176,20 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
             return 1
         finally:
             if frames or not parser.bad:  # otherwise the error is the whole report
-                _report(args, session, parser.dropped, parser)
+                _report(session, parser.dropped, parser)
     return 0
 
 
-def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) -> None:
-    hints = Hints(partial(common.note, args)) if args.decode else None
-    with open_targets(targets, args, hints=hints) as receiver:
-        try:
-            for block in _live_blocks(receiver, args):
-                if not session.show(block):
-                    break
-        finally:
-            _report(args, session, receiver.dropped, None)
-
-
-def _live_blocks(receiver: ReceiverGroup, args: Namespace) -> Iterator[CandumpBlock]:
-    """Yield frames as they arrive, until none arrives for --timeout. With -D, an interface may go down."""
-    timeout_s = None if args.timeout_ms is None else args.timeout_ms / 1000
+def _live_blocks(receiver: ReceiverGroup, timeout_ms: int | None, stay: bool) -> Iterator[CandumpBlock]:
+    """Yield frames as they arrive, until none arrives for ``timeout_ms``. With ``stay`` an interface may go down."""
+    timeout_s = None if timeout_ms is None else timeout_ms / 1000
     while True:
         try:
             block = receiver.receive_block(timeout_s)
         except InterfaceDownError as error:
-            if not args.stay:
+            if not stay:
                 raise
-            common.note(args, f"tipforce dump: {error}")
+            common.note(f"tipforce dump: {error}")
             continue
         if len(block):
             yield block
@@ -201,7 +197,7 @@ def _live_blocks(receiver: ReceiverGroup, args: Namespace) -> Iterator[CandumpBl
             return
 
 
-def _report(args: Namespace, session: Session, dropped: int, parser: CandumpParser | None) -> None:
+def _report(session: Session, dropped: int, parser: CandumpParser | None) -> None:
     """Report on stderr the frames left out, and with -v the counts."""
     notes = []
     if parser is not None and parser.bad:
@@ -214,12 +210,12 @@ def _report(args: Namespace, session: Session, dropped: int, parser: CandumpPars
     for (node_id, name), count in (session.decoder.malformed if session.decoder is not None else {}).items():
         short = counted(count, "frame")
         notes.append(f"node {common.shown_id(node_id)} {name}: {short} shorter than the mapping, not decoded")
-    if args.verbose:
+    if common.OUTPUT.verbose:
         for (_, node_id, name), message in session.tally.messages.items():
             lost = "" if message.lost is None else f", {counted(message.lost, 'sample')} lost"
             notes.append(f"node {common.shown_id(node_id)} {name}: {counted(message.frames, 'frame')}{lost}")
     for text in notes:
-        common.note(args, f"tipforce dump: {text}")
+        common.note(f"tipforce dump: {text}")
 
 
 def screen_text(

@@ -41,16 +41,17 @@ Show = Callable[[Monitor, int | None], None]
 def monitor(args: Namespace) -> int:
     """Show the nodes until the source ends, a signal, or --once; return 0, or 130 after a signal."""
     log_name, targets = split_targets(args.targets)
-    check_sync(args, log_name)
+    check_sync(args.sync, log_name)
     watched = Monitor(args.gauges, args.nodes, eds_files(args.eds or ()))
-    screen = sys.stdout.isatty() and not args.json and args.once is None
+    screen = sys.stdout.isatty() and not common.OUTPUT.json and args.once is None
     interval_s = args.interval or (_SCREEN_S if screen else _LINE_S)
     with ExitStack() as opened:
         stop = opened.enter_context(StopSignals())
         hints = Hints(lambda _text: None)
         source, log = _source(args, log_name, targets, interval_s, opened, hints)
-        show = opened.enter_context(_screen(args, interval_s, hints)) if screen else _lines(args, hints)
-        each = show if screen or (args.json and args.once is None) else None
+        bitrate = getattr(args, "bitrate", BITRATE)
+        show = opened.enter_context(_screen(bitrate, interval_s, hints)) if screen else _lines(bitrate, hints)
+        each = show if screen or (common.OUTPUT.json and args.once is None) else None
         shown = run(watched, source, stop, interval_s, each, args.once or math.inf)
         if log is not None and source.ended and log.bad and not watched.frames:
             raise no_frame(str(log_name), (TEXT, PACKED, MESSAGES, PCAP), log.first_bad)
@@ -61,7 +62,7 @@ def monitor(args: Namespace) -> int:
             show(watched, source.now_ns())
     if log is not None and log.bad:
         reasons = ", ".join(f"{count} {reason}" for reason, count in log.bad.items())
-        common.note(args, f"tipforce monitor: {counted(sum(log.bad.values()), 'bad line')} left out ({reasons})")
+        common.note(f"tipforce monitor: {counted(sum(log.bad.values()), 'bad line')} left out ({reasons})")
     return INTERRUPTED if stop.stopped else 0
 
 
@@ -126,13 +127,12 @@ def _source(
     return LogSource(log, args.speed, step_ns), log
 
 
-def _lines(args: Namespace, hints: Hints) -> Show:
+def _lines(bitrate: int, hints: Hints) -> Show:
     """Print the state: a JSON line, or the plain table."""
 
     def show(watched: Monitor, now_ns: int | None) -> None:
-        bitrate = getattr(args, "bitrate", BITRATE)
         buses = watched.views(now_ns)
-        if args.json:
+        if common.OUTPUT.json:
             common.print_json(record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
         else:
             print("\n".join([*plain(buses, bitrate), *_missing(hints, buses)]))
@@ -142,19 +142,17 @@ def _lines(args: Namespace, hints: Hints) -> Show:
 
 
 @contextmanager
-def _screen(args: Namespace, interval_s: float, hints: Hints) -> Iterator[Show]:
+def _screen(bitrate: int, interval_s: float, hints: Hints) -> Iterator[Show]:
     """Show the live table; the last one stays on the screen."""
     from rich.live import Live
 
     screen: Live
-    with Live(console=common.console(args), auto_refresh=False, transient=False) as screen:
+    with Live(console=common.console(), auto_refresh=False, transient=False) as screen:
 
         def show(watched: Monitor, now_ns: int | None) -> None:
             foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; Ctrl-C ends"
             buses = watched.views(now_ns)
-            picture = tables(
-                buses, getattr(args, "bitrate", BITRATE), _missing(hints, buses), foot, screen.console.width
-            )
+            picture = tables(buses, bitrate, _missing(hints, buses), foot, screen.console.width)
             screen.update(picture, refresh=True)
 
         yield show

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError, SdoAbortError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 from tipforce_tools.network.sdo import connection_or, description, gauges_read
 
@@ -78,10 +78,10 @@ def _opened(args: argparse.Namespace) -> Iterator[tuple[SdoChannel, DeviceObject
     except InputError as reason:
         error = reason  # it may be a file of another device
     if args.action == "apply" and args.store:
-        common.confirm(args, f"{common.shown_node(args.node)}: this replaces its stored parameters")
+        bus_flags.confirm(args, f"{common.shown_node(args.node)}: this replaces its stored parameters")
     with connection_or(args, error) as connection:
         sdo = connection.sdo(args.node)
-        objects = _objects(args, sdo, error)
+        objects = _objects(sdo, args.gauges, args.eds, error)
         if not isinstance(objects, FingertipObjects):
             wanted = read_configuration(args.file, args.node, args.gauges, objects)
         elif error is not None:
@@ -93,11 +93,11 @@ def _diff(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.configuration_file import compare
 
     with _opened(args) as (sdo, objects, wanted):
-        lines = compare(_read(args, sdo, objects), wanted, objects)
+        lines = compare(_read(sdo, objects), wanted, objects)
     for line in lines:
         there = "is not in the file" if line["other"] is None else f"{args.file} has {line['other']}"
-        common.print_record(args, line, f"{line['name']} ({line['entry']}): the node has {line['node']}, {there}")
-    common.note(args, f"{common.shown_node(args.node)}: {len(lines)} different")
+        common.print_record(line, f"{line['name']} ({line['entry']}): the node has {line['node']}, {there}")
+    common.note(f"{common.shown_node(args.node)}: {len(lines)} different")
     return 1 if lines else 0
 
 
@@ -113,37 +113,37 @@ def _apply_or_verify(args: argparse.Namespace) -> int:
             FingertipClient(sdo).store()
     for difference in differences:
         text = f"{difference['object']}: expected {difference['expected']}, the node has {difference['found']}"
-        common.print_record(args, difference, text)
+        common.print_record(difference, text)
     unread = sum(entry.access == "wo" for entry, _ in wanted.values())
     shown = f"{len(differences)} different" + (f", {unread} write-only, not compared" if unread else "")
-    common.note(args, f"{common.shown_node(args.node)}: {len(wanted)} objects, {shown}")
+    common.note(f"{common.shown_node(args.node)}: {len(wanted)} objects, {shown}")
     return 1 if differences else 0
 
 
-def _objects(args: argparse.Namespace, sdo: SdoChannel, error: InputError | None = None) -> DeviceObjects:
+def _objects(sdo: SdoChannel, gauges: int, eds: str | None, error: InputError | None = None) -> DeviceObjects:
     """Return the dictionary of the node. Raises InputError for a device that is no fingertip and has no EDS."""
     from tipforce.host.configuration.device_objects import EdsObjects, FingertipObjects
 
-    if not args.eds and gauges_read(sdo, error):
-        return FingertipObjects(args.node, args.gauges)
-    described = description(args, sdo)
+    if not eds and gauges_read(sdo, error):
+        return FingertipObjects(sdo.node_id, gauges)
+    described = description(eds, sdo)
     if described is None:
-        raise InputError(f"{common.shown_node(args.node)} is not a fingertip and stores no EDS; add --eds FILE")
+        raise InputError(f"{common.shown_node(sdo.node_id)} is not a fingertip and stores no EDS; add --eds FILE")
     return EdsObjects(described)
 
 
 def _show(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.configuration_file import changed_settings
 
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
         try:
-            objects = _objects(args, sdo)
+            objects = _objects(sdo, args.gauges, args.eds)
         except InputError:
             if args.eds:
                 raise
-            return _show_foreign(args, sdo)
-        settings = _read(args, sdo, objects)
+            return _show_foreign(sdo)
+        settings = _read(sdo, objects)
     shown = settings if args.all else changed_settings(settings, objects)
     for place, value in sorted(shown.items()):
         entry = objects.settings[place]
@@ -151,25 +151,25 @@ def _show(args: argparse.Namespace) -> int:
         values = texts if isinstance(value, bytes) else (value, entry.default)
         default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
         line = f"{_line(entry, texts[0])}{default}"
-        common.print_record(args, _record(entry, values[0]) | {"default": values[1], "unit": entry.unit}, line)
-    common.note(args, f"{common.shown_node(args.node)}: {len(settings)} settings, {len(shown)} shown")
+        common.print_record(_record(entry, values[0]) | {"default": values[1], "unit": entry.unit}, line)
+    common.note(f"{common.shown_node(args.node)}: {len(settings)} settings, {len(shown)} shown")
     return 0
 
 
-def _show_foreign(args: argparse.Namespace, sdo: SdoChannel) -> int:
+def _show_foreign(sdo: SdoChannel) -> int:
     """Print the objects of CiA 301 that a device of another type has; only its manufacturer knows their defaults."""
     from canopen_device.core import communication
     from tipforce.host.configuration.device_objects import FingertipObjects
 
     shown = 0
-    for (index, sub), entry in FingertipObjects(args.node).settings.items():
+    for (index, sub), entry in FingertipObjects(sdo.node_id).settings.items():
         if index <= communication.LAST:
             with suppress(SdoAbortError, InputError):  # it lacks the object, or has one of another length
                 value = entry.decode(sdo.upload(index, sub))
                 shown += 1
-                common.print_record(args, _record(entry, value), _line(entry, _shown(entry, value)))
+                common.print_record(_record(entry, value), _line(entry, _shown(entry, value)))
     communication_settings = f"{shown} communication settings (CiA 301), compared with nothing"
-    common.note(args, f"{common.shown_node(args.node)} is not a fingertip: {communication_settings}")
+    common.note(f"{common.shown_node(sdo.node_id)} is not a fingertip: {communication_settings}")
     return 0
 
 
@@ -217,23 +217,21 @@ def _save(args: argparse.Namespace) -> int:
     kind = EDS if as_dcf else SETTINGS
     if args.file != "-":
         check_output(args.file, kind)
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
-        objects = _objects(args, sdo)
-        settings = _read(args, sdo, objects)
+        objects = _objects(sdo, args.gauges, args.eds)
+        settings = _read(sdo, objects)
         chosen = settings if args.all else changed_settings(settings, objects)
-        text = _dcf(args, sdo, objects, chosen) if as_dcf else settings_toml(chosen, objects, args.node)
+        text = _dcf(sdo, objects, args.gauges, chosen) if as_dcf else settings_toml(chosen, objects, args.node)
     if args.file == "-":
         print(text, end="")
         return 0
     write_file(args.file, text, kind)
-    common.note(args, f"{args.file}: {len(chosen)} of {len(settings)} settings of {common.shown_node(args.node)}")
+    common.note(f"{args.file}: {len(chosen)} of {len(settings)} settings of {common.shown_node(args.node)}")
     return 0
 
 
-def _dcf(
-    args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects, chosen: dict[tuple[int, int], Value]
-) -> str:
+def _dcf(sdo: SdoChannel, objects: DeviceObjects, gauges: int, chosen: dict[tuple[int, int], Value]) -> str:
     from canopen_device.eds import dcf
     from tipforce.dictionary import eds as fingertip_eds
     from tipforce.host.configuration.device_objects import EdsObjects
@@ -241,12 +239,12 @@ def _dcf(
 
     if isinstance(objects, EdsObjects):
         return dcf.dcf_text(objects.described, chosen)
-    return fingertip_eds.dcf_text(args.gauges, args.node, chosen, FingertipClient(sdo).identity().simulated)
+    return fingertip_eds.dcf_text(gauges, sdo.node_id, chosen, FingertipClient(sdo).identity().simulated)
 
 
-def _read(args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
+def _read(sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
     """Read all settings, one transfer each, with a progress bar on a terminal."""
     from tipforce.host.configuration.configuration_file import read_settings
 
-    with common.progress(args, "read", len(objects.settings)) as advance:
+    with common.progress("read", len(objects.settings)) as advance:
         return read_settings(sdo, objects, advance)

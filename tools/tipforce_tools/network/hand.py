@@ -6,10 +6,10 @@ import argparse
 import math
 import sys
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from tipforce.errors import EnvironmentLackError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 from tipforce_tools.cli.listening import note_missing
 
@@ -62,14 +62,16 @@ def run(args: argparse.Namespace) -> int:
 
     file = read_hand(args.file)
     if args.action == "check":
-        return _check(args, file)
-    _note_load(args, file)
+        _print_fingers(file)
+    _note_load(file, bus_flags.bus_options(args).get("bitrate"), args.action == "check")
+    if args.action == "check":
+        return _compared_with_bus(args, file)
     if file.hand.store:
-        common.confirm(args, f"{args.file}: store = true replaces the stored parameters of the fingers")
+        bus_flags.confirm(args, f"{args.file}: store = true replaces the stored parameters of the fingers")
     return _up(args, file)
 
 
-def _check(args: argparse.Namespace, file: HandFile) -> int:
+def _print_fingers(file: HandFile) -> None:
     from tipforce.host.hand.bring_up import wanted_settings
 
     for finger in file.finger:
@@ -79,13 +81,10 @@ def _check(args: argparse.Namespace, file: HandFile) -> int:
         own = f"{finger.calibration} {crc}" if crc else "keeps its own calibration"
         serial = f"serial {finger.serial}" if finger.serial else "any serial"
         common.print_record(
-            args,
             {"node_id": finger.node_id, "name": finger.name, "serial": finger.serial, "settings": settings,
              "calibration": finger.calibration, "crc32": crc},
             f"{common.shown_id(finger.node_id):>11}  {finger.name:10} {serial:17} {settings} settings, {own}",
         )  # fmt: skip
-    _note_load(args, file)
-    return _compared_with_bus(args, file)
 
 
 def _compared_with_bus(args: argparse.Namespace, file: HandFile) -> int:
@@ -96,42 +95,42 @@ def _compared_with_bus(args: argparse.Namespace, file: HandFile) -> int:
     from tipforce.watching.findings import MISSING, Observed, findings
 
     try:
-        options = common.find_bus(args, file.bus)
+        options = bus_flags.find_bus(args, file.bus)
         with Bus(open_bus(**options)) as connection:
             seen = Observed(duplicates=connection.duplicates)
             seen.add_nodes(find_nodes(connection, file.node_ids))
     except EnvironmentLackError:
-        if common.bus_options(args):
+        if bus_flags.bus_options(args):
             raise
         return 0
     seen.calibrated.clear()  # `hand up` calibrates
     wrong = [finding for finding in findings(seen, wanted=file.finger) if finding.topic != "faults"]
     for finding in wrong:
-        common.note(args, str(finding))
+        common.note(str(finding))
     return 1 if any(finding.topic != MISSING for finding in wrong) else 0
 
 
-def _note_load(args: argparse.Namespace, file: HandFile) -> None:
+def _note_load(file: HandFile, bit_rate: int | None, budgeted: bool) -> None:
     """Print the bus load; warn of one above 80 % of the bit rate with worst-case stuffing.
 
-    Of such a load, and for `hand check`, print also the load of each kind of frame, and what would fit.
+    Of such a load, and where ``budgeted``, print also the load of each kind of frame, and what would fit.
     """
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LIMIT, budget_lines, hand_budget, what_fits
 
     if not file.hand.sync_hz:
         return
     count, gauges = len(file.finger), file.finger[0].gauges
-    bit_rate = int(common.bus_options(args).get("bitrate") or file.bus.get("bitrate") or DEFAULT_BIT_RATE)
+    bit_rate = int(bit_rate or file.bus.get("bitrate") or DEFAULT_BIT_RATE)
     pdos = list(file.messages)
     budget = hand_budget(count, file.hand.sync_hz, pdos, gauges, bit_rate, 1e-3 * file.hand.heartbeat_ms)
     share = f"{100 * budget.least_load:.0f} to {100 * budget.most_load:.0f} % of {bit_rate} bit/s"
     fits = budget.most_load <= LIMIT
     warning = f"warning: {count} fingers at {file.hand.sync_hz:g} Hz take {share}: rows will be late or lost"
     lines = [f"bus load {share}" if fits else warning]
-    if args.action == "check" or not fits:
+    if budgeted or not fits:
         lines += [*budget_lines(budget), f"what fits under {100 * LIMIT:.0f} %:"]
         lines += what_fits(count, file.hand.sync_hz, pdos, gauges, bit_rate, LIMIT)
-    common.note(args, "\n".join(lines))
+    common.note("\n".join(lines))
 
 
 def _up(args: argparse.Namespace, file: HandFile) -> int:
@@ -139,62 +138,70 @@ def _up(args: argparse.Namespace, file: HandFile) -> int:
     from tipforce_tools.cli.main import terminate_as_interrupt
 
     terminate_as_interrupt()
-    with Hand.from_file(file, **common.find_bus(args, file.bus)) as hand:
-        hand.on_event(lambda event: _print_event(args, hand, event))
+    with Hand.from_file(file, **bus_flags.find_bus(args, file.bus)) as hand:
+        as_rows = args.action == "run"
+        hand.on_event(lambda event: _print_event(hand, event, common.OUTPUT.json and as_rows))
         started_s = time.monotonic()
         reports = hand.bring_up()
-        _print_reports(args, reports, time.monotonic() - started_s)
+        _print_reports(reports, sys.stderr if as_rows else sys.stdout, time.monotonic() - started_s)
         failed = any(not report.ok for report in reports)
-        if args.action == "run":
+        if as_rows:
             try:
-                _rows(args, hand)
+                _rows(hand, args.seconds)
             except KeyboardInterrupt:
                 pass
             finally:
-                _note_statistics(args, hand, hand.statistics())
+                _note_statistics(hand, hand.statistics())
     return 1 if failed else 0
 
 
-def _print_reports(args: argparse.Namespace, reports: list[FingerReport], elapsed_s: float) -> None:
+def _print_reports(reports: list[FingerReport], stream: TextIO, elapsed_s: float) -> None:
     for report in reports:
-        if args.json and args.action == "up":
+        if common.OUTPUT.json and stream is sys.stdout:
             common.print_json(
                 {"node_id": report.plan.node_id, "name": report.plan.name, "ok": report.ok, "done": report.done,
                  "failed": report.failed or None, "error": report.error or None, "note": report.note or None,
                  "seconds": report.seconds}
             )  # fmt: skip
         else:
-            print(report, file=sys.stdout if args.action == "up" else sys.stderr)
-        note_missing(args, report)
+            print(report, file=stream)
+        note_missing(report)
     up = sum(report.ok for report in reports)
-    common.note(args, f"{up} of {len(reports)} fingers up in {elapsed_s:.1f} s")
+    common.note(f"{up} of {len(reports)} fingers up in {elapsed_s:.1f} s")
 
 
-def _print_event(args: argparse.Namespace, hand: Hand, event: Event) -> None:
+def _print_event(hand: Hand, event: Event, as_json: bool) -> None:
     """Print an event at once, also into a pipe: on stdout as a line of the JSON stream, else on stderr."""
     labels = {finger.node_id: (finger.name, finger.label) for finger in hand.file.finger}
     name, label = labels.get(event.node_id, ("", "bus"))
-    if args.json and args.action == "run":
+    if as_json:
         common.print_json(
             {"event": event.kind, "t_s": time.time() - time.monotonic() + event.t_s, "node_id": event.node_id,
              "name": name, "text": event.text}
         )  # fmt: skip
         sys.stdout.flush()
-    elif args.verbose or event.kind not in ("found", "configured", "calibrated", "verified", "started", "state"):
-        common.note(args, f"{label}: {event.kind.replace('_', ' ')}: {event.text}")
+    elif common.OUTPUT.verbose or event.kind not in (
+        "found",
+        "configured",
+        "calibrated",
+        "verified",
+        "started",
+        "state",
+    ):
+        common.note(f"{label}: {event.kind.replace('_', ' ')}: {event.text}")
         sys.stderr.flush()
 
 
-def _rows(args: argparse.Namespace, hand: Hand) -> None:
+def _rows(hand: Hand, seconds: float | None) -> None:
     from tipforce.host.hand.rows import rows_one_by_one
     from tipforce.samples.record import RowContacts
 
     hand.start()
-    deadline_s = None if args.seconds is None else time.monotonic() + args.seconds
+    deadline_s = None if seconds is None else time.monotonic() + seconds
     shown_s = 0.0
     made = RowContacts(hand.node_ids, [finger.name for finger in hand.file.finger])
-    for rows in hand.blocks(args.seconds):
-        if args.json:
+    for rows in hand.blocks(seconds):
+        if common.OUTPUT.json:
             for row, contacts in enumerate(rows_one_by_one(rows, made)):
                 common.print_json(_record(rows, row, contacts))
         elif time.monotonic() - shown_s >= 1.0:
@@ -229,15 +236,14 @@ def _line(hand: Hand, row: HandRow) -> str:
     return " | ".join(parts)
 
 
-def _note_statistics(args: argparse.Namespace, hand: Hand, statistics: Statistics) -> None:
+def _note_statistics(hand: Hand, statistics: Statistics) -> None:
     tally, sync = statistics.tally, statistics.sync
     common.note(
-        args,
         f"{tally.rows} rows; SYNC period {sync.mean_period_us:.1f} us, deviation p50 {sync.p50_us:g}, "
         f"p99 {sync.p99_us:g}, largest {sync.largest_us:g} us; {statistics.dropped} frames dropped; "
-        f"bus load at the end {100 * statistics.load[0]:.0f} to {100 * statistics.load[1]:.0f} %",
+        f"bus load at the end {100 * statistics.load[0]:.0f} to {100 * statistics.load[1]:.0f} %"
     )
     for k, finger in enumerate(hand.file.finger):
         names = ("missing", "delayed", "late", "mixed", "doubtful", "changed", "repeated")
         counts = ", ".join(f"{name} {int(getattr(tally, name)[k])}" for name in names)
-        common.note(args, f"  {finger.label}: {counts}")
+        common.note(f"  {finger.label}: {counts}")

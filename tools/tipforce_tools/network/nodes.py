@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from tipforce.dictionary import table
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def run_scan(args: argparse.Namespace) -> int:
     from tipforce.host.network.find import find_nodes
     from tipforce.watching.findings import Observed, findings
 
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         begun_s = time.monotonic()
         seen = Observed(duplicates=connection.duplicates)
         nodes = find_nodes(connection, args.nodes, args.wait, seen.count)
@@ -66,19 +66,19 @@ def run_scan(args: argparse.Namespace) -> int:
             else:
                 faults = f"  faults: {node.faults}" if node.faults else ""
                 line += f"{node.device:24}  serial {node.serial:<10}  {node.calibration:28}  EDS {node.eds}{faults}"
-            common.print_record(args, asdict(node), line)
+            common.print_record(asdict(node), line)
         seen.add_nodes(nodes)
-        seen.link = common.link_of(args)
+        seen.link = bus_flags.link_of(args)
         duplicates = [node.duplicate for node in nodes if node.duplicate]
         said = findings(seen)
         for finding in said:
             if finding.topic != "faults" and str(finding) not in duplicates:
-                common.note(args, str(finding))
+                common.note(str(finding))
         if duplicates:
             raise DuplicateNodeError("; ".join(duplicates))
     if not nodes:
         why = "" if said else ": is the bus powered and terminated, is the bit rate right?"
-        common.note(args, f"no node responded{why}")
+        common.note(f"no node responded{why}")
     return 0 if nodes else 5
 
 
@@ -101,7 +101,7 @@ def run_read(args: argparse.Namespace) -> int:
     from tipforce.watching.findings import not_calibrated
 
     bare: set[int] = set()
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         for _ in range(args.count):
             for node_id in args.ids:
                 contact = connection.finger(node_id).read(args.wait)
@@ -110,11 +110,11 @@ def run_read(args: argparse.Namespace) -> int:
                 record |= {"status": int(contact.status), "reason": contact.reason}
                 record["microstrain"] = list(contact.microstrain)
                 u = f"u(P) {contact.u_P_newtons:.3f} N"
-                common.print_record(args, record, f"{common.shown_id(contact.node_id):>11}  {contact}  {u}")
+                common.print_record(record, f"{common.shown_id(contact.node_id):>11}  {contact}  {u}")
                 if NOT_CALIBRATED in contact.reason and node_id not in bare:
                     bare.add(node_id)
-                    common.note(args, str(not_calibrated(node_id)))
-                if not args.json:
+                    common.note(str(not_calibrated(node_id)))
+                if not common.OUTPUT.json:
                     sys.stdout.flush()
     return 0
 
@@ -137,7 +137,7 @@ def run_tare(args: argparse.Namespace) -> int:
     """Act on each node and print its tare afterwards. Raises NoResponseError and SdoAbortError."""
     from tipforce.host.network.finger import FingertipClient
 
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         for node_id in args.ids:
             client = FingertipClient(connection.sdo(node_id))
             if args.clear:
@@ -149,9 +149,7 @@ def run_tare(args: argparse.Namespace) -> int:
             record |= {f"F{k}_N": value for k, value in enumerate(tare.force_newtons, 1)}
             forces = ", ".join(f"F{k} {value:+.4f} N" for k, value in enumerate(tare.force_newtons, 1))
             since = f"since {tare.age_s} s" if any(tare.force_newtons) else "no tare"
-            common.print_record(
-                args, record | {"age_s": tare.age_s}, f"{common.shown_id(node_id):>11}  {forces}  {since}"
-            )
+            common.print_record(record | {"age_s": tare.age_s}, f"{common.shown_id(node_id):>11}  {forces}  {since}")
     return 0
 
 
@@ -184,7 +182,7 @@ def run_nmt(args: argparse.Namespace) -> int:
 
     if args.wait is not None and not args.ids:
         raise InputError("nmt all --wait: needs node-ids, for example 1-5")
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         if args.wait is None:
             for node_id in args.ids or [0]:
                 connection.nmt(args.command, node_id)
@@ -193,15 +191,15 @@ def run_nmt(args: argparse.Namespace) -> int:
             states = command_and_wait(connection, args.command, args.ids, args.wait)
             connection.check_duplicates(args.ids)
         except NotReachedError as error:
-            _print_states(args, error.reached)
+            _print_states(error.reached)
             raise
-    _print_states(args, states)
+    _print_states(states)
     return 0
 
 
-def _print_states(args: argparse.Namespace, states: dict[int, str]) -> None:
+def _print_states(states: dict[int, str]) -> None:
     for node_id, state in sorted(states.items()):
-        common.print_record(args, {"node_id": node_id, "state": state}, f"{common.shown_id(node_id):>11}  {state}")
+        common.print_record({"node_id": node_id, "state": state}, f"{common.shown_id(node_id):>11}  {state}")
 
 
 def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
@@ -228,77 +226,69 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_lss(args: argparse.Namespace) -> int:
     """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
-    from tipforce.host.network.lss import LssMaster
+    from tipforce.host.network.lss import LssAddress, LssMaster
 
-    _check_lss(args)
-    if args.action == "store" or args.store:
-        common.confirm(args, "this replaces the stored node-id")
-    with common.open_connection(args) as connection, LssMaster(connection, args.lss_timeout) as master:
-        if args.action == "scan":
-            address = master.fastscan()
-            if address is None:
-                raise NoResponseError(NO_UNCONFIGURED_NODE)
-            _print_lss(args, address, None, stored=False)
-            common.note(
-                args, "there may be more: a fastscan finds one at a time; `tipforce lss assign IDS` configures all"
-            )
-        elif args.serial is None:
-            _assign_lss(args, master)
-        else:
-            _configure_addressed(args, master)
-    return 0
-
-
-def _check_lss(args: argparse.Namespace) -> None:
     if args.action == "assign" and not args.ids:
         raise InputError("lss assign: IDS missing; for example tipforce lss assign 1-5 --store")
     if args.action == "assign" and args.serial is not None and len(args.ids) != 1:
         raise InputError(f"lss assign --serial: allowed is one node-id, {len(args.ids)} given")
     if args.action == "store" and args.serial is None:
         raise InputError("lss store: add --serial N (and --product, --vendor, --revision for other products)")
+    if args.action == "store" or args.store:
+        bus_flags.confirm(args, "this replaces the stored node-id")
+    with bus_flags.open_connection(args) as connection, LssMaster(connection, args.lss_timeout) as master:
+        if args.action == "scan":
+            address = master.fastscan()
+            if address is None:
+                raise NoResponseError(NO_UNCONFIGURED_NODE)
+            _print_lss(address, None, stored=False)
+            common.note("there may be more: a fastscan finds one at a time; `tipforce lss assign IDS` configures all")
+        elif args.serial is None:
+            _assign_lss(master, args.ids, args.store)
+        else:
+            revision = table.REVISION if args.revision is None else args.revision
+            address = LssAddress(args.vendor, args.product, revision, args.serial)
+            _configure_addressed(master, address, args.ids[0] if args.action == "assign" else None, args.store)
+    return 0
 
 
-def _assign_lss(args: argparse.Namespace, master: LssMaster) -> None:
+def _assign_lss(master: LssMaster, node_ids: list[int], store: bool) -> None:
     """Give the node-ids to the nodes that fastscan finds, one after the other."""
-    for number, node_id in enumerate(args.ids):
+    for number, node_id in enumerate(node_ids):
         address = master.fastscan()
         if address is None:
             if not number:
                 raise NoResponseError(NO_UNCONFIGURED_NODE)
-            left = ", ".join(str(n) for n in args.ids[number:])
-            raise NoResponseError(f"{number} of {len(args.ids)} nodes were found and configured; not assigned: {left}")
-        _configure_lss(args, master, address, node_id)
+            left = ", ".join(map(str, node_ids[number:]))
+            raise NoResponseError(f"{number} of {len(node_ids)} nodes were found and configured; not assigned: {left}")
+        _configure_lss(master, address, node_id, store)
         master.release()
 
 
-def _configure_addressed(args: argparse.Namespace, master: LssMaster) -> None:
-    """Store the node-id of the node with --serial, or give it another one."""
-    from tipforce.host.network.lss import LssAddress
-
-    revision = table.REVISION if args.revision is None else args.revision
-    address = LssAddress(args.vendor, args.product, revision, args.serial)
+def _configure_addressed(master: LssMaster, address: LssAddress, node_id: int | None, store: bool) -> None:
+    """Give the node with this address another node-id; without one store the one that it has."""
     if not master.select(address):
         raise NoResponseError(f"no node with {address} responded; `tipforce scan --json` shows the nodes' identities")
-    if args.action == "store":
+    if node_id is None:
         master.store()
-        _print_lss(args, address, master.node_id(), stored=True)
+        _print_lss(address, master.node_id(), stored=True)
         return
     before = master.node_id()
-    _configure_lss(args, master, address, args.ids[0])
-    if before not in (255, args.ids[0]):
-        common.note(args, f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
+    _configure_lss(master, address, node_id, store)
+    if before not in (255, node_id):
+        common.note(f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
 
 
-def _configure_lss(args: argparse.Namespace, master: LssMaster, address: LssAddress, node_id: int) -> None:
+def _configure_lss(master: LssMaster, address: LssAddress, node_id: int, store: bool) -> None:
     master.configure_node_id(node_id)
-    if args.store:
+    if store:
         master.store()
-    _print_lss(args, address, node_id, args.store)
+    _print_lss(address, node_id, store)
 
 
-def _print_lss(args: argparse.Namespace, address: LssAddress, node_id: int | None, stored: bool) -> None:
+def _print_lss(address: LssAddress, node_id: int | None, stored: bool) -> None:
     given = "" if node_id is None else f": node-id {common.shown_id(node_id)}{', stored' if stored else ''}"
-    common.print_record(args, {**asdict(address), "node_id": node_id, "stored": stored}, f"{address}{given}")
+    common.print_record({**asdict(address), "node_id": node_id, "stored": stored}, f"{address}{given}")
 
 
 def add_firmware_show_arguments(parser: argparse.ArgumentParser) -> None:
@@ -311,10 +301,10 @@ def run_firmware_show(args: argparse.Namespace) -> int:
     """Print the version of each node, and why its last update failed: 0. Raises NoResponseError and RefusedError."""
     from tipforce.host.network.firmware import node_program
 
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         for node_id in args.ids:
             program = node_program(connection.sdo(node_id))
-            _print_program(args, node_id, program, program.version)
+            _print_program(node_id, program, program.version)
     return 0
 
 
@@ -343,21 +333,21 @@ def run_firmware_install(args: argparse.Namespace) -> int:
     from tipforce.host.network.firmware import Firmware, install, node_program
 
     firmware = Firmware.read(args.file)
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         nodes = ", ".join(map(common.shown_id, args.ids))
-        common.confirm(args, f"node {nodes}: this replaces the program by {firmware.header.version_text()}")
+        bus_flags.confirm(args, f"node {nodes}: this replaces the program by {firmware.header.version_text()}")
         for node_id in args.ids:
             before = node_program(connection.sdo(node_id))
-            with common.progress(args, common.shown_node(node_id), len(firmware.content), absolute=True) as arrived:
+            with common.progress(common.shown_node(node_id), len(firmware.content), absolute=True) as arrived:
                 program = install(connection, node_id, firmware, allow_downgrade=args.allow_downgrade, progress=arrived)
             change = f"{before.version} -> {program.version}"
-            _print_program(args, node_id, program, change, version_before=before.version)
+            _print_program(node_id, program, change, version_before=before.version)
     return 0
 
 
-def _print_program(args: argparse.Namespace, node_id: int, program: NodeProgram, change: str, **further: str) -> None:
+def _print_program(node_id: int, program: NodeProgram, change: str, **further: str) -> None:
     identification = f"0x{program.identification:08X}"
     record = {"node_id": node_id, "version": program.version, "identification": identification, **further}
     reason = f"  last update: {program.reason}" if program.reason else ""
     line = f"{common.shown_id(node_id):>11}  {change}  {identification}{reason}"
-    common.print_record(args, record | {"reason": program.reason}, line)
+    common.print_record(record | {"reason": program.reason}, line)

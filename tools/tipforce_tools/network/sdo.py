@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from canopen_device.core import codes, communication
 from tipforce.errors import InputError, NoResponseError, SdoAbortError, TipforceError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def connection_or(args: argparse.Namespace, error: InputError | None) -> Iterato
     """Open the connection. Where that fails, raise ``error`` if there is one: it does not depend on the bus."""
     with ExitStack() as opened:
         try:
-            connection = opened.enter_context(common.open_connection(args))
+            connection = opened.enter_context(bus_flags.open_connection(args))
         except TipforceError:
             if error is not None:
                 raise error from None
@@ -99,16 +99,16 @@ def gauges_read(sdo: SdoChannel, error: InputError | None = None) -> int:
         raise
 
 
-def description(args: argparse.Namespace, sdo: SdoChannel) -> Description | None:
-    """Return what ``--eds FILE``, or without it the EDS that the node stores, says; None without either.
+def description(eds: str | None, sdo: SdoChannel) -> Description | None:
+    """Return what the file of --eds, or without one the EDS that the node stores, says; None without either.
 
     Its warnings are notes. Raises InputError for a file that is no EDS, NoResponseError.
     """
     from canopen_device.eds.reader import read_eds
 
-    described = read_eds(args.eds, args.node) if args.eds else _stored(sdo)
+    described = read_eds(eds, sdo.node_id) if eds else _stored(sdo)
     for warning in described.warnings if described is not None else ():
-        common.note(args, f"warning: {warning}")
+        common.note(f"warning: {warning}")
     return described
 
 
@@ -138,7 +138,7 @@ def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None
 
     entry = error = None
     try:
-        entry = _known(args, words)
+        entry = _known(words, args.node, args.gauges, args.eds)
     except InputError as reason:
         if args.eds or len(words) > 2:
             raise
@@ -147,7 +147,7 @@ def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None
     with connection_or(args, error) as connection:
         sdo = connection.sdo(args.node)
         if entry is None:
-            described = None if gauges_read(sdo, error) else description(args, sdo)
+            described = None if gauges_read(sdo, error) else description(args.eds, sdo)
             if described is None:
                 assert error is not None
                 raise error
@@ -155,11 +155,11 @@ def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None
             data = _data(args, entry, value_text)
         if data is not None:
             sdo.download(entry.index, entry.sub, data)
-            common.note(args, f"{common.shown_node(args.node)} {entry} = {value_text}")
+            common.note(f"{common.shown_node(args.node)} {entry} = {value_text}")
             return 0
         value = types.decode(entry.type, sdo.upload(entry.index, entry.sub, entry.type == "D"))
     text = types.format_value(entry.type, value)
-    common.print_record(args, _record(args.node, entry, text if isinstance(value, bytes) else value), text)
+    common.print_record(_record(args.node, entry, text if isinstance(value, bytes) else value), text)
     return 0
 
 
@@ -171,19 +171,19 @@ def _data(args: argparse.Namespace, entry: Entry[Value], value_text: str | None)
         return None
     data = types.encode(entry.type, types.parse_value(entry.type, value_text))
     if entry.index in PERSISTENT:
-        common.confirm(args, f"{common.shown_node(args.node)}: this {PERSISTENT[entry.index]}")
+        bus_flags.confirm(args, f"{common.shown_node(args.node)}: this {PERSISTENT[entry.index]}")
     return data
 
 
-def _known(args: argparse.Namespace, words: list[str]) -> Entry[Value]:
+def _known(words: list[str], node_id: int, gauges: int | None, eds: str | None) -> Entry[Value]:
     """Return the object of --eds, or that of a fingertip: NAME, or INDEX SUB [TYPE]."""
     from canopen_device import types
     from canopen_device.eds.reader import read_eds
     from tipforce.dictionary.entries import Entry, describe, resolve
 
-    if args.eds:
-        return _eds_entry(words, read_eds(args.eds, args.node))
-    gauges = 3 if args.gauges is None else args.gauges
+    if eds:
+        return _eds_entry(words, read_eds(eds, node_id))
+    gauges = 3 if gauges is None else gauges
     if len(words) == 1:
         return resolve(words[0], gauges)
     if len(words) > 3:
@@ -221,11 +221,11 @@ def _index_sub(words: list[str], example: str) -> tuple[int, int]:
 
 def _dump(args: argparse.Namespace) -> int:
     """Print the objects of the node; return 0. An entry that it refuses to read shows the abort, not a value."""
-    with common.open_connection(args) as connection:
+    with bus_flags.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
-        entries = _readable(args, sdo)
+        entries = _readable(sdo, args.gauges, args.eds)
         readings = []
-        with common.progress(args, "read", len(entries)) as advance:
+        with common.progress("read", len(entries)) as advance:
             for entry, label in entries:
                 value, text = _read(sdo, entry)
                 advance()
@@ -242,13 +242,12 @@ def _dump(args: argparse.Namespace) -> int:
         if entry.type == "I" and not entry.unit and isinstance(value, int) and value > _LAST_DIGIT:
             shown += f"(0x{value:X})"  # COB-IDs, mappings, signatures
         record |= {"unit": entry.unit, "access": entry.access, **extra}
-        common.print_record(args, record, f"{entry}  {label:{width}}  {shown}".rstrip())
+        common.print_record(record, f"{entry}  {label:{width}}  {shown}".rstrip())
     missing = len(entries) - len(readings)
     absent = f", {missing} of the dictionary it does not have" if missing else ""
     common.note(
-        args,
         f"{common.shown_node(args.node)}: {len(readings)} entries{absent}; left out: write-only entries, and the "
-        f"EDS (0x{EDS:04X}: `tipforce sdo read {args.node} 0x{EDS:04X} 0`)",
+        f"EDS (0x{EDS:04X}: `tipforce sdo read {args.node} 0x{EDS:04X} 0`)"
     )
     return 0
 
@@ -272,26 +271,25 @@ def _read(sdo: SdoChannel, entry: Entry[Value]) -> tuple[Value | SdoAbortError, 
         return data, data.hex(" ").upper()
 
 
-def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[tuple[Entry[Value], str]]:
+def _readable(sdo: SdoChannel, gauges: int | None, eds: str | None) -> list[tuple[Entry[Value], str]]:
     """Return the entries to read, each with its label: with --gauges those of such a fingertip, otherwise by identity.
 
     A label is the name that `sdo read` takes, or a description of a sub-index 0 that holds a count.
     """
     from tipforce.dictionary.entries import entries
 
-    gauges, below, described = args.gauges, 0x10000, None
-    if gauges is None and not args.eds:
+    below, described = 0x10000, None
+    if gauges is None and not eds:
         gauges = gauges_read(sdo) or None
-    if args.eds or gauges is None:
-        described = description(args, sdo)
+    if eds or gauges is None:
+        described = description(eds, sdo)
     if described is not None:
         return _described_entries(described)
     if gauges is None:
         gauges, below = 3, _PROFILE_FREE
         common.note(
-            args,
-            f"{common.shown_node(args.node)} is not a fingertip: only the objects of CiA 301 are read "
-            "(--gauges N: all objects of a fingertip)",
+            f"{common.shown_node(sdo.node_id)} is not a fingertip: only the objects of CiA 301 are read "
+            "(--gauges N: all objects of a fingertip)"
         )
     programs = False
     if below > communication.PROGRAM_DATA:

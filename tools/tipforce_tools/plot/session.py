@@ -57,11 +57,11 @@ def plot(args: Namespace) -> int:
         plt.close(drawn)
     for log in notes:
         if log.bad:
-            common.note(args, f"tipforce plot: {log.source}: {counted(sum(log.bad.values()), 'bad line')} left out")
+            common.note(f"tipforce plot: {log.source}: {counted(sum(log.bad.values()), 'bad line')} left out")
     if args.json:
         common.print_json(_record(fingers, path))
     else:
-        common.note(args, f"{path}: {counted(len(fingers.named()), 'node')}")
+        common.note(f"{path}: {counted(len(fingers.named()), 'node')}")
     return 0
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.view.serving import add_page_arguments, page_guard, serve
 
 if TYPE_CHECKING:
@@ -71,20 +71,20 @@ def _source(args: argparse.Namespace, path: Path | None) -> Iterator[Source]:
         raise InputError("--no-bring-up: needs a hand file")
     fallback = (args.layout, *read_layout(args.layout)) if args.layout else None
     maker = finger_maker(args.nodes, fallback)
-    check_sync(args, None if args.no_bring_up else path)
+    check_sync(args.sync, None if args.no_bring_up else path)
     if path is None or args.no_bring_up:
         feed, channel = listening(args, path, fallback)
         title = f"{path.name} on {channel}" if path else channel
         source: Source = LiveSource(feed, f"{title}, listening", "this page only listens to the bus")
     elif is_table and is_scene(path):
-        common.note(args, f"{path}: running the scene")
+        common.note(f"{path}: running the scene")
         source = scene_source(path, maker, args.start_s, args.end_s)
     elif is_table:
         from tipforce.host.hand.file import read_hand
         from tipforce.host.hand.hand import Hand
 
-        hand = Hand.from_file(path, **common.find_bus(args, read_hand(path).bus))
-        source = LiveSource(commissioned(args, hand, fallback), path.name)
+        hand = Hand.from_file(path, **bus_flags.find_bus(args, read_hand(path).bus))
+        source = LiveSource(commissioned(hand, fallback), path.name)
     elif str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
     else:

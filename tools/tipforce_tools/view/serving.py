@@ -60,7 +60,7 @@ def serve(args: argparse.Namespace, source: Source, guard: Guard) -> int:
             print(server.url)
         sys.stdout.flush()
         access = "read and tare" if guard.allow_writes and not source.no_tare else "read-only"
-        common.note(args, f"{source.title}: {access}; Ctrl-C ends it")
+        common.note(f"{source.title}: {access}; Ctrl-C ends it")
         if args.open:
             import webbrowser
 

@@ -236,8 +236,10 @@ def best_fit(
     fits: dict[str, tuple[Fit, Model]] = {}
     refused: InputError | None = None
     drifts = _drifts(readings, model) if drifts is None else drifts
+    T = readings.temperature_degC
+    warms = model.offset and T is not None and np.isfinite(T).all() and np.ptp(T) >= SMALLEST_SPAN_K
     for drift in drifts:
-        for warm in (False, True) if _warms(readings, model) else (False,):
+        for warm in (False, True) if warms else (False,):
             tried = replace(model, drift=drift, temperature=warm)  # type: ignore[arg-type]
             try:
                 fits[f"{drift} and temperature" if warm else drift] = fit_calibration(readings, tried), tried
@@ -263,8 +265,3 @@ def _drifts(readings: Readings, model: Model) -> list[str]:
     if len(regressors.tare_groups(np.asarray(readings.P_newtons) == 0.0, usable)) > 2:
         drifts.append("tare")
     return drifts
-
-
-def _warms(readings: Readings, model: Model) -> bool:
-    T = readings.temperature_degC
-    return bool(model.offset and T is not None and np.isfinite(T).all() and np.ptp(T) >= SMALLEST_SPAN_K)

@@ -69,34 +69,28 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
             advance()
     shown = ", ".join(str(n) for n in levels)
     what = f"plane-stress FE of the stated outline, 1 mm gauges, graded meshes n = {shown} extrapolated"
-    return [_conditions(references, what, results), _matrices(references, what, results)]
+    limits = [fem.extrapolate(values) for values in zip(*map(conditions, references), strict=True)]
+    values = (f"{case} {limit.value:.4f} +- {limit.error:.4f}" for case, limit in zip(CASES, limits, strict=True))
+    matrix_limit, own_error = fem.extrapolate_matrix(references)
+    return [
+        _study(
+            "structure-condition", "relative error of the condition number, the largest of cases I, II, III",
+            f"{what}: {', '.join(values)}", max(limit.error / limit.value for limit in limits), results,
+            lambda matrix: worst_error(conditions(matrix), [limit.value for limit in limits]),
+            (Need("rank gauge layouts, condition number to 6 %", 0.06), Need("condition number to 0.5 %", 5e-3)),
+        ),
+        _study(
+            "structure-strain", f"relative error of the strain matrix ({', '.join(GAUGES)}), Frobenius norm", what,
+            own_error, results, lambda matrix: distance(matrix, matrix_limit),
+            (Need("strain of a gauge to 5 %", 0.05), Need("strain of a gauge to 0.5 %", 5e-3)),
+        ),
+    ]  # fmt: skip
 
 
 _TITLES = {
     "structure-condition": "Structure models: condition number",
     "structure-strain": "Structure models: strain matrix",
 }
-
-
-def _conditions(references: list[FloatArray], what: str, results: _Results) -> Study:
-    """Return the error of a model: the largest of the three cases."""
-    limits = [fem.extrapolate(values) for values in zip(*map(conditions, references), strict=True)]
-    values = (f"{case} {limit.value:.4f} +- {limit.error:.4f}" for case, limit in zip(CASES, limits, strict=True))
-    return _study(
-        "structure-condition", "relative error of the condition number, the largest of cases I, II, III",
-        f"{what}: {', '.join(values)}", max(limit.error / limit.value for limit in limits), results,
-        lambda matrix: worst_error(conditions(matrix), [limit.value for limit in limits]),
-        (Need("rank gauge layouts, condition number to 6 %", 0.06), Need("condition number to 0.5 %", 5e-3)),
-    )  # fmt: skip
-
-
-def _matrices(references: list[FloatArray], what: str, results: _Results) -> Study:
-    limit, own_error = fem.extrapolate_matrix(references)
-    return _study(
-        "structure-strain", f"relative error of the strain matrix ({', '.join(GAUGES)}), Frobenius norm", what,
-        own_error, results, lambda matrix: distance(matrix, limit),
-        (Need("strain of a gauge to 5 %", 0.05), Need("strain of a gauge to 0.5 %", 5e-3)),
-    )  # fmt: skip
 
 
 def _study(
