@@ -485,6 +485,7 @@ enum { SYNC_ID = 0x80, STANDARD_IDS = 2048 };
 
 typedef struct { /* the row of the last SYNC; by slot the answers to it, and whether there is one; Answer; slot_of */
     int64_t is_open, last, number, modulus, sync_ns, period_ns, gap_rows, awaited;
+    double opened_s, wait_s;
     uint64_t slots[];
 } Steady;
 
@@ -495,17 +496,19 @@ typedef struct { /* ANSWER of rows.py, by slot */
 
 /* Return the whole row (t_ns, number, words, reasons, states), of which all have the last two. */
 static PyObject *whole_row(const Steady *state, Py_ssize_t slots, PyObject *reasons, PyObject *states) {
-    PyObject *words = PyTuple_New(slots);
-    for (Py_ssize_t k = 0; words && k < slots; k++) {
+    PyObject *words = PyTuple_New(slots), *t_ns = PyLong_FromLongLong(state->sync_ns);
+    PyObject *number = PyLong_FromLongLong(state->number), *row = NULL;
+    int is_made = words && t_ns && number;
+    for (Py_ssize_t k = 0; is_made && k < slots; k++) {
         PyObject *word = PyLong_FromUnsignedLongLong(state->slots[k]);
-        if (!word || PyTuple_SetItem(words, k, word) < 0) {
-            Py_DECREF(words);
-            return NULL;
-        }
+        is_made = word && !PyTuple_SetItem(words, k, word);
     }
-    if (!words)
-        return NULL;
-    return Py_BuildValue("(LLNOO)", (long long)state->sync_ns, (long long)state->number, words, reasons, states);
+    if (is_made)
+        row = PyTuple_Pack(5, t_ns, number, words, reasons, states);
+    Py_XDECREF(words);
+    Py_XDECREF(t_ns);
+    Py_XDECREF(number);
+    return row;
 }
 
 /* Return whether every element of a list is True. */
@@ -517,11 +520,12 @@ static int all_true(PyObject *list) {
 }
 
 /* Open the row of a SYNC; return whether it is the one that follows the last, whose row is whole. */
-static int open_row(Steady *state, Py_ssize_t slots, const Byte *frame, int64_t most_gap_rows) {
+static int open_row(Steady *state, Py_ssize_t slots, const Byte *frame, int64_t most_gap_rows, double now_s) {
     int64_t number = frame[16], t_ns = time_of(frame);
     if (state->is_open || frame[12] != 1 || number != state->number % state->modulus + 1)
         return 0;
     state->is_open = 1;
+    state->opened_s = now_s;
     state->last++;
     state->number = number;
     state->period_ns = (int64_t)((uint64_t)t_ns - (uint64_t)state->sync_ns);
@@ -533,26 +537,30 @@ static int open_row(Steady *state, Py_ssize_t slots, const Byte *frame, int64_t 
 }
 
 PyDoc_STRVAR(rows_doc,
-"rows(frames, state, most_gap_rows, shown, other, now_s, whole, reasons, states) -> done\n\n"
+"rows(frames, now_s, whole, (state, most_gap_rows, shown, other, reasons, states)) -> done\n\n"
 "Process frames while each SYNC follows the last and each answer is to it; append whole rows to the list ``whole``.\n"
-"Return the bytes before the first frame for which that is not so: see RowAssembler of samples/rows.py. ``other`` is\n"
-"called with what is neither a SYNC nor an answer, and may change ``shown``.");
+"Return the bytes before the first frame for which that is not so: see RowAssembler of samples/rows.py; all of them,\n"
+"and one more, if the open row waits no longer. ``other`` is called with what is neither a SYNC nor an answer, and\n"
+"may change ``shown``.");
 
 static PyObject *rows(PyObject *module, PyObject *const *args, Py_ssize_t given) {
     Py_buffer frames, memory;
     PyObject *result = NULL;
     Py_ssize_t at = 0;
     (void)module;
-    if (given != 9 || !PyList_Check(args[3]) || !PyList_Check(args[6])) {
+    if (given != 4 || !PyList_Check(args[2]) || !PyTuple_Check(args[3]) || PyTuple_Size(args[3]) != 6 ||
+        !PyList_Check(PyTuple_GetItem(args[3], 2))) {
         PyErr_SetString(PyExc_TypeError, "rows: arguments");
         return NULL;
     }
-    PyObject *shown = args[3], *other = args[4], *now_s = args[5], *whole = args[6], *reasons = args[7];
-    PyObject *states = args[8];
-    long long most_gap_rows = PyLong_AsLongLong(args[2]);
+    PyObject *now_s = args[1], *whole = args[2], *shown = PyTuple_GetItem(args[3], 2);
+    PyObject *other = PyTuple_GetItem(args[3], 3), *reasons = PyTuple_GetItem(args[3], 4);
+    PyObject *states = PyTuple_GetItem(args[3], 5);
+    long long most_gap_rows = PyLong_AsLongLong(PyTuple_GetItem(args[3], 1));
+    double now = PyFloat_AsDouble(now_s);
     if (PyErr_Occurred() || PyObject_GetBuffer(args[0], &frames, PyBUF_SIMPLE) < 0)
         return NULL;
-    if (PyObject_GetBuffer(args[1], &memory, PyBUF_WRITABLE) < 0) {
+    if (PyObject_GetBuffer(PyTuple_GetItem(args[3], 0), &memory, PyBUF_WRITABLE) < 0) {
         PyBuffer_Release(&frames);
         return NULL;
     }
@@ -592,7 +600,7 @@ static PyObject *rows(PyObject *module, PyObject *const *args, Py_ssize_t given)
                 state->is_open = 0;
             }
         } else if (can_id == SYNC_ID)
-            steady = open_row(state, slots, frame, most_gap_rows);
+            steady = open_row(state, slots, frame, most_gap_rows, now);
         else {
             PyObject *none = PyObject_CallFunction(other, "LIiKO", (long long)time_of(frame), can_id, frame[12],
                                                    (unsigned long long)word, now_s);
@@ -604,8 +612,10 @@ static PyObject *rows(PyObject *module, PyObject *const *args, Py_ssize_t given)
             }
         }
     }
-    if (!failed)
-        result = PyLong_FromSsize_t(at * FRAME_BYTES);
+    if (!failed) {
+        int is_over = at == count && state->is_open && now - state->opened_s >= state->wait_s;
+        result = PyLong_FromSsize_t(at * FRAME_BYTES + is_over);
+    }
     PyBuffer_Release(&frames);
     PyBuffer_Release(&memory);
     return result;
@@ -815,7 +825,7 @@ PyMODINIT_FUNC PyInit__core(void) {
         HEX[(Byte)"0123456789ABCDEF"[k]] = (Byte)k;
     }
     PyObject *module = PyModule_Create(&MODULE);
-    if (module && PyModule_AddIntConstant(module, "INTERFACE", 5) < 0) {
+    if (module && PyModule_AddIntConstant(module, "INTERFACE", 6) < 0) {
         Py_DECREF(module);
         return NULL;
     }

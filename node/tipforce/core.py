@@ -8,7 +8,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-INTERFACE = 5
+INTERFACE = 6
 """Of _core.c: one built from another version of it is not used."""
 
 

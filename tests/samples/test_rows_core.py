@@ -124,22 +124,25 @@ def test_the_core_refuses_what_does_not_fit() -> None:
     """A state, an index or a modulus that no assembler has."""
     whole: list[Any] = []
     body = Collector((1, 2), own_sync=True)
-    good: list[Any] = [b"", body._steady, 240, [True], None, 0.0, whole, (), ()]
+    fixed: list[Any] = [body._steady, 240, [True], None, (), ()]
     body._steady[3] = 240
-    assert core.rows(*good) == 0
+    assert core.rows(b"", 0.0, whole, tuple(fixed)) == 0
     for memory in (body._steady[:-1], body._steady[:5], array("q")):
         with pytest.raises(ValueError, match="rows: arguments"):
-            core.rows(b"", memory, *good[2:])
-    for arguments in (good[:-1], [*good[:3], (True,), *good[4:]], [*good[:6], (), (), ()]):
+            core.rows(b"", 0.0, whole, (memory, *fixed[1:]))
+    wrong = (tuple(fixed[:-1]), (*fixed[:2], (True,), *fixed[3:]), fixed)
+    for arguments in ((whole,), ((), tuple(fixed)), *((whole, of_core) for of_core in wrong)):
         with pytest.raises(TypeError, match="rows: arguments"):
-            core.rows(*arguments)
+            core.rows(b"", 0.0, *arguments)
+    with pytest.raises(TypeError):
+        core.rows(b"", "now", whole, tuple(fixed))
     body._steady[3] = 1
     with pytest.raises(ValueError, match="rows: arguments"):
-        core.rows(*good)
+        core.rows(b"", 0.0, whole, tuple(fixed))
     body._steady[3] = 240
     body._steady[-512:] = array("q", b"\7\0" * 2048)
     with pytest.raises(ValueError, match="rows: index"):
-        core.rows(frame_array([(0, 0x281, bytes(8))]).tobytes(), *good[1:])
+        core.rows(frame_array([(0, 0x281, bytes(8))]).tobytes(), 0.0, whole, tuple(fixed))
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -14,9 +14,6 @@ Fields = Mapping[str, Callable[[Any, int], Any]]
 """By name of a field what makes it of a row and the place of the finger in it."""
 
 
-_new, _set = object.__new__, object.__setattr__  # of a frozen class
-
-
 class _MadeLater:
     __slots__ = ("_source",)
     _source: tuple[Fields, Any, int]
@@ -52,21 +49,13 @@ class Contact(_MadeLater):
     missing: str = ""
     """Why there is no sample, where ``status`` is NO_ANSWER for another reason than that none came."""
 
-    @staticmethod
-    def of_row(fields: Fields, row: object, place: int) -> Contact:
-        """Return a contact whose fields are made when they are first read, but for the one that everybody reads."""
-        contact: Contact = _new(Contact)
-        _set(contact, "_source", (fields, row, place))
-        _set(contact, "P_newtons", fields["P_newtons"](row, place))
-        return contact
-
     def __getattr__(self, name: str) -> Any:
         """Make a field. Raises AttributeError for another name."""
         if name not in Contact.__slots__:
             raise AttributeError(f"Contact has no {name!r}")
         fields, row, place = self._source
         value = fields[name](row, place)
-        _set(self, name, value)
+        object.__setattr__(self, name, value)  # the class is frozen
         return value
 
     @property

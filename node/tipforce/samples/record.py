@@ -23,7 +23,7 @@ from tipforce.host.decoding.health import NAMES
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block, contact_values, status_of, uncertainties
 from tipforce.samples.contact import Contact, Fields
-from tipforce.samples.reasons import Status
+from tipforce.samples.reasons import PRESENT, Status
 
 FloatArray = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
@@ -95,7 +95,7 @@ class Samples:
     @cached_property
     def status(self) -> npt.NDArray[np.uint16]:
         """(n,) bits of ``Status``."""
-        missing = self.reason != reasons.PRESENT
+        missing = self.reason != PRESENT
         return status_of(self.columns, (len(self),)) | np.where(missing, np.uint16(Status.NO_ANSWER), np.uint16(0))
 
     @cached_property
@@ -145,7 +145,7 @@ class Samples:
         rest = zip(self.contact.tolist(), self.uncertainties.tolist(), self.gauges.tolist(), strict=True)
         for (t_ns, node_id, counter, reason, status), (contact, u, gauges) in zip(heads, rest, strict=True):
             name = (names or {}).get(node_id, "")
-            if reason != reasons.PRESENT:
+            if reason != PRESENT:
                 yield missing_contact(node_id, t_ns, reason, name)
                 continue
             P, phi, theta = contact
@@ -209,7 +209,7 @@ class Rows:
     @cached_property
     def missing(self) -> npt.NDArray[np.bool_]:
         """(m, k) no certain, complete answer of this finger."""
-        missing: npt.NDArray[np.bool_] = self.reason != reasons.PRESENT
+        missing: npt.NDArray[np.bool_] = self.reason != PRESENT
         return missing
 
     @cached_property
@@ -308,41 +308,35 @@ class RowContacts:
         self.places: dict[str | int, int] = {name: place for place, name in enumerate(self._names)}
         self.places |= {node_id: place for place, node_id in enumerate(node_ids)}
         """By name and by node-id: the place in a row."""
-        self._pdos: Sequence[Pdo] = ()
-        self._fields: Fields = {}
+        self.make: Callable[[Row, int], Contact] | None = None
+        """Returns the contact at a place of a row of ``pdos``; None where they do not carry P, phi and theta."""
+        self.pdos: Sequence[Pdo] = ()
         self._computed: tuple[Row, Any] = _NO_ROW, None
 
     def computed(self, rows: Rows) -> list[dict[int, Contact]]:
-        """Return by place the contacts of each row; an empty list if they are to be made."""
-        if rows.pdos is not self._pdos:
-            self._pdos, self._fields = rows.pdos, self._made_of(rows.pdos)
-        if self._fields:
+        """Return by place the contacts of each row; an empty list if ``make`` is to make them."""
+        if rows.pdos is not self.pdos:
+            self.pdos, self.make = rows.pdos, self._maker(rows.pdos)
+        if self.make is not None:
             return []
         named = dict(zip(self._node_ids, self._names, strict=True))
         contacts = rows.samples(self._calibrations).contacts(named)
         return [dict(enumerate(islice(contacts, len(named)))) for _ in rows.raw]
 
-    def make(self, row: Row, place: int) -> Contact:
-        """Return the contact at a place of a row."""
-        reason = row[3][place]
-        if reason != reasons.PRESENT:
-            return missing_contact(self._node_ids[place], row[0], reason, self._names[place])
-        return Contact.of_row(self._fields, row, place)
-
     def _uncertainty(self, row: Row, place: int, quantity: int) -> float:
         """Return that of P, phi or theta; those of a row are computed together."""
         computed, u = self._computed
         if computed is not row:
-            u = Rows(0, [row], self._node_ids, self._pdos).samples(self._calibrations).uncertainties.tolist()
+            u = Rows(0, [row], self._node_ids, self.pdos).samples(self._calibrations).uncertainties.tolist()
             self._computed = row, u
         value: float = u[place][quantity]
         return value
 
-    def _made_of(self, pdos: Sequence[Pdo]) -> Fields:
-        """Return how each field is made of a row; nothing if the contact has to be computed."""
+    def _maker(self, pdos: Sequence[Pdo]) -> Callable[[Row, int], Contact] | None:
+        """Return ``make``: P, which everybody reads, is made at once, each other field when it is first read."""
         k, number_of = len(self._node_ids), {name: number for number, pdo in enumerate(pdos) for name in pdo.names}
         if not number_of.keys() >= {"P", "phi", "theta"}:
-            return {}
+            return None
 
         def value(name: str) -> Callable[[Row, int], float]:
             first = number_of[name] * k
@@ -356,12 +350,11 @@ class RowContacts:
 
         flag = table.STATUS_BITS[0][0]
         status, shift, counter = number_of[flag] * k, pdos[number_of[flag]].start[flag], pdos[0].counter_shift
-        gauges = [value(name) for name in sorted(number_of) if name[:2] == "SG"]
-        return {
+        gauges, P_newtons = [value(name) for name in sorted(number_of) if name[:2] == "SG"], value("P")
+        fields: Fields = {
             "node_id": lambda _row, place: self._node_ids[place],
             "t_s": lambda row, _place: row[0] * 1e-9,
             "counter": lambda row, place: row[2][place] >> counter & 0xFF,
-            "P_newtons": value("P"),
             "phi_deg": value("phi"),
             "theta_deg": value("theta"),
             "u_P_newtons": lambda row, place: self._uncertainty(row, place, 0),
@@ -372,3 +365,15 @@ class RowContacts:
             "name": lambda _row, place: self._names[place],
             "missing": lambda _row, _place: "",
         }
+        new, put = object.__new__, object.__setattr__  # of a frozen class
+
+        def make(row: Row, place: int) -> Contact:
+            reason = row[3][place]
+            if reason != PRESENT:
+                return missing_contact(self._node_ids[place], row[0], reason, self._names[place])
+            contact = new(Contact)
+            put(contact, "_source", (fields, row, place))
+            put(contact, "P_newtons", P_newtons(row, place))
+            return contact
+
+        return make

@@ -41,7 +41,7 @@ _REASON = (NO_RESPONSE, PRESENT, DOUBTFUL, CHANGED)  # by state
 _ANY_NUMBER = 0, 1  # end of a count and its modulus, where the numbers of the count are not known
 _NO_TIME = -math.inf  # between the frames of a call no row times out: its answer may be among them
 _FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
-_STEADY, _ANSWER = 8, struct.Struct("<Qqq")  # Steady and Answer of _core.c
+_STEADY, _OPENED, _ANSWER = 10, slice(8, 9), struct.Struct("<Qqq")  # Steady and Answer of _core.c
 _WORD_MASK = (1 << 64) - 1
 
 
@@ -144,6 +144,7 @@ class RowAssembler:
         self._closed: list[Row] = []  # and not emitted
         self._nothing = Rows(0, [], self.node_ids, self._pdos)
         self._inside = False  # the core has the state
+        self._of_core: tuple[object, ...] = ()  # what each of its calls needs
         slot_of = array("H", bytes(2 * (STANDARD_MASK + 1)))
         for can_id, (slot, *_) in self._answers.items():
             slot_of[can_id] = slot + 1
@@ -174,7 +175,13 @@ class RowAssembler:
         data = frames.tobytes()
         with self.lock:
             if self._inside or self._enter():
-                data = self._feed(data, now_s)
+                closed = self._closed
+                done = core.rows(data, now_s, closed, self._of_core)
+                if closed:
+                    self._past.extend(closed)
+                if done != len(data):
+                    self._leave()
+                data = data[done:]
             if data:
                 self._process(data, now_s)
             if self._changed or now_s - self._opened_s >= self._wait_s:
@@ -184,8 +191,9 @@ class RowAssembler:
             if not self._closed:
                 return self._nothing
             rows, self._closed = self._closed, []
-            self.tally.rows += len(rows)
-            return Rows(self._first - len(rows), rows, self.node_ids, self._pdos)
+            first = self.tally.rows
+            self.tally.rows = first + len(rows)
+            return Rows(first, rows, self.node_ids, self._pdos)
 
     def _process(self, data: bytes, now_s: float) -> None:
         """Process the bytes of FRAME (n,)."""
@@ -225,27 +233,11 @@ class RowAssembler:
         clean = self._first > self._last >= 0 and self._own_sync and numbers.number and numbers.modulus > 1
         if core is None or not clean or self._held or self._ended or self._absent or self._changed:
             return False
-        state = 0, self._last, numbers.number, numbers.modulus, numbers.last_ns, numbers.period_ns, self._gap_rows
-        self._steady[: len(state)] = array("q", state)
+        state = 0, self._last, numbers.number, numbers.modulus, numbers.last_ns, numbers.period_ns, self._gap_rows, 0
+        self._steady[:_STEADY] = array("q", struct.pack("<8q2d", *state, math.inf, self._wait_s))
+        self._of_core = self._steady, LARGEST, self.shown, self._other, self._all_present, self._all_live
         self._inside = True
         return True
-
-    def _feed(self, data: bytes, now_s: float) -> bytes:
-        """Process the bytes of FRAME (n,) by the core, up to the first frame that is not for it; return the rest."""
-        state, closed, last = self._steady, self._closed, self._steady[1]
-        done: int = core.rows(
-            data, state, LARGEST, self.shown, self._other, now_s, closed, self._all_present, self._all_live
-        )
-        if closed:
-            self._past.extend(closed)
-        if not state[0]:
-            self._first, self._opened_s = state[1] + 1, math.inf
-        elif state[1] != last:
-            self._first, self._opened_s = state[1], now_s
-        if done == len(data):
-            return b""
-        self._leave()
-        return data[done:]
 
     def _leave(self) -> None:
         """Take the state back from the core."""
@@ -257,12 +249,14 @@ class RowAssembler:
         self._gap_rows, self._awaited, self._direct = state[6], slots, numbers.number
         self._first, self._latest[:] = self._last + 1, [self._last] * slots
         if is_open:
-            row = _OpenRow(numbers.last_ns, self._opened_s, numbers.number, True, slots)
+            (opened_s,) = struct.unpack("<d", state[_OPENED].tobytes())
+            row = _OpenRow(numbers.last_ns, opened_s, numbers.number, True, slots)
             present = state[_STEADY + slots : _STEADY + 2 * slots].tolist()
             row.words = [word & _WORD_MASK for word in state[_STEADY : _STEADY + slots]]
             row.states = [_LIVE if is_present else _EMPTY for is_present in present]
             row.words = [word if is_present else 0 for word, is_present in zip(row.words, present, strict=True)]
             self._first, self._awaited, self._current = self._last, state[7], row
+            self._opened_s = row.opened_s
             self._rows = {self._last: row}  # answers are held for none
             self._latest[:] = [self._last - (not is_present) for is_present in present]
 

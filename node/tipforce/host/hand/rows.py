@@ -95,13 +95,15 @@ class HandRow(Mapping[str, Contact]):
 
     def __getitem__(self, finger: str | int) -> Contact:
         """Return the contact of a finger, by name or node-id. Raises KeyError, whose text names the fingers."""
-        place = self._contacts.places.get(finger)
+        contacts, made = self._contacts, self._made
+        place = contacts.places.get(finger)
+        if place in made:
+            return made[place]
         if place is None:
             known = ", ".join(f"{contact.name} ({contact.node_id})" for contact in self.contacts)
             raise KeyError(f"{finger!r}: the hand has {known}")
-        contact = self._made.get(place)
-        if contact is None:
-            contact = self._made[place] = self._contacts.make(self._row, place)
+        contact: Contact = contacts.make(self._row, place)
+        made[place] = contact
         return contact
 
     def __iter__(self) -> Iterator[str]:
@@ -136,12 +138,14 @@ class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
 
 def rows_one_by_one(rows: Rows, contacts: RowContacts) -> list[HandRow]:
     """Return each row of a block; what is read of one is made when it is first read."""
-    computed, one_by_one = contacts.computed(rows), list[HandRow]()
+    number, one_by_one = rows.first, []
+    computed = [] if contacts.make and rows.pdos is contacts.pdos else contacts.computed(rows)
     for raw in rows.raw:
         row = _new(HandRow)
-        row.number, row._row, row._contacts = rows.first + len(one_by_one), raw, contacts
-        row._made = computed[len(one_by_one)] if computed else {}
+        row.number, row._row, row._contacts = number, raw, contacts
+        row._made = computed[number - rows.first] if computed else {}
         one_by_one.append(row)
+        number += 1
     return one_by_one
 
 
@@ -165,12 +169,13 @@ class RowStream(Iterator[Rows], AsyncIterator[Rows]):
         """Called after each change, with the lock of the delivery."""
 
     def put(self, rows: Rows) -> int:
-        """Add a block; return how many rows were dropped."""
+        """Add a block, with the lock of the delivery; return how many rows were dropped."""
         dropped = 0
         self._blocks.append(rows)
         self._waiting += len(rows)
         while self._waiting > MAX_ROWS:
             dropped += len(self._take())
+        self.wake()
         return dropped
 
     def _take(self) -> Rows:
@@ -239,19 +244,17 @@ class Delivery:
         for callback in self.row_callbacks:
             self._call(callback, rows)
         with self.changed:
-            self.overrun += sum(stream.put(rows) for stream in self._streams)
-            self._wake()
+            self.changed.notify_all()
+            for stream in self._streams:
+                self.overrun += stream.put(rows)
 
     def close(self, error: BaseException | None = None) -> None:
         """End the delivery; an error is raised by every consumer."""
         with self.changed:
             self.closed, self.error = True, self.error or error
-            self._wake()
-
-    def _wake(self) -> None:
-        self.changed.notify_all()
-        for stream in self._streams:
-            stream.wake()
+            self.changed.notify_all()
+            for stream in self._streams:
+                stream.wake()
 
     def event(self, event: Event) -> None:
         """Deliver an event."""
