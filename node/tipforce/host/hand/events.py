@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from canopen_device.core import codes
 from tipforce.dictionary.service_texts import emcy_text, state_text
@@ -143,9 +142,8 @@ class BabbleWatch:
 
     def __init__(self, sync_hz: float) -> None:
         self._sync_hz = sync_hz
-        self._ids: list[npt.NDArray[np.uint32]] = []
+        self._batches: list[FrameArray] = []
         self._since_s: float | None = None
-        self._first_ns = self._last_ns = 0
         self._babbling: set[int] = set()
 
     def add(self, frames: FrameArray, now_s: float) -> list[Event]:
@@ -153,21 +151,20 @@ class BabbleWatch:
         if self._since_s is None:
             self._since_s = now_s
         if len(frames):
-            if not self._ids:
-                self._first_ns = int(frames["t_ns"][0])
-            self._last_ns = int(frames["t_ns"][-1])
-            self._ids.append(frames["can_id"].copy())
+            self._batches.append(frames)
         if now_s - self._since_s < WINDOW_S:
             return []
         # Frames that waited in the buffer are read together, but their time stamps differ.
-        seconds = max(now_s - self._since_s, (self._last_ns - self._first_ns) * 1e-9)
+        seconds = now_s - self._since_s
+        if self._batches:
+            seconds = max(seconds, int(self._batches[-1]["t_ns"][-1] - self._batches[0]["t_ns"][0]) * 1e-9)
         events = list(self._judge(seconds, now_s))
-        self._ids, self._since_s, self._first_ns, self._last_ns = [], now_s, 0, 0
+        self._batches, self._since_s = [], now_s
         return events
 
     def _judge(self, seconds: float, now_s: float) -> Iterator[Event]:
-        ids = np.concatenate(self._ids) if self._ids else np.zeros(0, dtype=np.uint32)
-        counts = np.bincount(np.minimum(ids, _BEYOND), minlength=_BEYOND + 1)[:_BEYOND]
+        ids = [np.zeros(0, dtype=np.uint32), *(frames["can_id"] for frames in self._batches)]
+        counts = np.bincount(np.minimum(np.concatenate(ids), _BEYOND), minlength=_BEYOND + 1)[:_BEYOND]
         sync_hz = self._sync_hz or counts[codes.SYNC_COB_ID] / seconds
         counts[codes.SDO_RESPONSE_BASE : _SDO_LAST + 1] = counts[_BEYOND_HEARTBEATS:] = 0
         limit = TIMES_SYNC * sync_hz * seconds

@@ -299,7 +299,7 @@ class Hand:
             self._dropped_before = self._dropped + self._link.dropped
             self._collector.trust.suspect(self.node_ids, [COUNTER])
         rows = self._collector.add(frames, now_s)
-        if len(rows):
+        if rows.raw:
             self._collector.trust.count_rows([reasons for _, _, _, reasons, _ in rows.raw], now_s)
             self._jitter.add([sync_ns for sync_ns, *_ in rows.raw])
             self._delivery.put(rows)
@@ -307,10 +307,10 @@ class Hand:
 
     def _supervise(self, frames: FrameArray, now_s: float) -> None:
         """Judge what frames say of the fingers, also that none came: events, and the recoveries they call for."""
-        self._heard_s = max(self._heard_s, now_s - waited_s(frames, time.time_ns()))
         events, others = self._babbling.add(frames, now_s), self._collector.others
         if others or now_s >= self._supervise_s:
             self._supervise_s = now_s + _SUPERVISE_S
+            self._heard_s = max(self._heard_s, now_s - waited_s(frames, time.time_ns()))
             events = self._supervisor.add(frame_array(others), self._heard_s) + events
             others.clear()
         elif not events:

@@ -90,6 +90,7 @@ class Trust:
         commanded: list[Entry[Any]] = [*COMMANDED, *objects.PROCESS_OFFSET.entries(gauges)]
         self._commanded = frozenset((COUNTER, *(entry.key for entry in commanded)))
         self._row, self._row_s, self._period_s, self._now_s = 0, -math.inf, 0.0, 0.0
+        self._is_whole = False  # the last row has the answers of all, which the fingers do not have yet
         self._fixed: dict[int, tuple[_Handler, int, range]] = {
             codes.NMT_COB_ID: (self._nmt, -1, range(2, 9)),
             codes.LSS_REQUEST_COB_ID: (self._lss, -1, _ANY),
@@ -214,6 +215,10 @@ class Trust:
         """Note the reasons of rows, by finger."""
         with self.lock:
             self._row += len(reasons)
+            if not any(map(any, reasons)):  # nearly always: all are PRESENT
+                self._period_s, self._row_s, self._is_whole = min(now_s - self._row_s, 10.0), now_s, True
+                return
+            self._note_whole(len(reasons))
             self._period_s, self._row_s = min(now_s - self._row_s, 10.0), now_s
             for finger, of_finger in zip(self._fingers, zip(*reasons, strict=True), strict=True):
                 if PRESENT in of_finger:
@@ -221,9 +226,17 @@ class Trust:
                 if of_finger.count(NO_RESPONSE) < len(of_finger) or not self.shown[finger.column]:
                     finger.answered_row, finger.answered_s, finger.unanswered = self._row, now_s, False
 
+    def _note_whole(self, later_rows: int = 0) -> None:
+        if self._is_whole:
+            self._is_whole, row = False, self._row - later_rows
+            for finger in self._fingers:
+                finger.shown_row = finger.answered_row = row
+                finger.answered_s, finger.unanswered = self._row_s, False
+
     def take_unanswered(self, now_s: float, limit_s: float) -> list[int]:
         """Return the verified fingers that answered no SYNC for so long; each once, until it answers again."""
         with self.lock:
+            self._note_whole()
             silent = [
                 finger
                 for finger in self._fingers
@@ -239,6 +252,7 @@ class Trust:
     def settled(self, now_s: float) -> bool:
         """Return whether rows come, and all fingers are in them."""
         with self.lock:
+            self._note_whole()
             come = now_s - self._row_s < max(_SETTLED_S, 3.0 * self._period_s)
             return come and all(
                 self.shown[finger.column] and self._row - finger.shown_row < _SETTLED_ROWS for finger in self._fingers

@@ -14,7 +14,7 @@ from canopen_device.can_frame import least_bits, most_bits
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 
 DEFAULT_BIT_RATE = 1_000_000
 LIMIT = 0.8
@@ -128,7 +128,7 @@ class LoadMeter:
     def __init__(self, bit_rate: int = DEFAULT_BIT_RATE) -> None:
         self._bit_rate, self._lock = bit_rate, threading.Lock()
         self._counted: deque[tuple[float, int, int]] = deque()  # time, and bits without and with stuffing
-        self._waiting: list[FrameArray] = []
+        self._waiting: list[bytes] = []  # of FRAME; numpy joins bytes ten times as fast as structured arrays
         self._waiting_since_s = 0.0
 
     def add(self, frames: FrameArray, now_s: float) -> None:
@@ -140,13 +140,14 @@ class LoadMeter:
                 self._count()
             if not self._waiting:
                 self._waiting_since_s = now_s
-            self._waiting.append(frames)
+            self._waiting.append(frames.tobytes())
             if len(frames) > _FEW:
                 self._count()
 
     def _count(self) -> None:
         if self._waiting:
-            self._counted.append((self._waiting_since_s, *range_of_bits(np.concatenate(self._waiting))))
+            frames = np.frombuffer(b"".join(self._waiting), dtype=FRAME)
+            self._counted.append((self._waiting_since_s, *range_of_bits(frames)))
             self._waiting = []
         while self._counted and self._counted[0][0] < self._waiting_since_s - _WINDOW_S:
             self._counted.popleft()
