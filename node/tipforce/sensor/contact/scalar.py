@@ -62,7 +62,7 @@ def contact_of(force: "ScaledForce | None", pull: bool) -> tuple[float, float, f
         return NAN, NAN, NAN, NAN
     F1, F3, _f1, f2, _f3, hypotenuse, cosine_squared, exponent = force
     # One factor less than the exponent: the largest floats would overflow in 2 ** exponent.
-    unit = ldexp(1.0, exponent - 1)
+    unit = ldexp(1.0, exponent - 1) if exponent else 0.5
     if cosine_squared >= 0.0:
         P, miss, cosine = 2.0 * hypotenuse * unit, 0.0, sqrt(cosine_squared)
     else:
@@ -212,7 +212,7 @@ def status_bits(
     bits = 0
     if P >= (off if was_present else on):
         bits = CONTACT_PRESENT
-    resolved = P >= off and u_P >= 0.0 and u_theta * DEGREES <= THETA_RESOLVED_DEG and abs(theta) <= pi
+    resolved = P >= off and u_P >= 0.0 and u_theta * DEGREES <= THETA_RESOLVED_DEG and -pi <= theta <= pi
     if not resolved:
         bits |= THETA_UNRESOLVED
     if miss > MISS_COVERAGE_FACTOR * u_miss + MISS_FLOOR * P:
@@ -249,11 +249,14 @@ def scaled_force(F1: float, F2: float, F3: float) -> "ScaledForce | None":
 
     Scaled by a power of two, squares neither over- nor underflow; hypotenuse is that of f1 and f3.
     """
-    if (F1 - F1) + (F2 - F2) + (F3 - F3) != 0.0:  # true for NaN and infinity only
-        return None
-    exponent = frexp(max(abs(F1), abs(F2), abs(F3)))[1]
-    f1, f2, f3 = ldexp(F1, -exponent), ldexp(F2, -exponent), ldexp(F3, -exponent)
-    a1, a2, a3 = abs(f1), abs(f2), abs(f3)
+    f1, f2, f3, exponent = F1, F2, F3, 0
+    a1, a2, a3 = abs(F1), abs(F2), abs(F3)
+    if not 1e-9 < a1 + a2 + a3 < 1e9:  # else, nearly always, the squares are within single precision as they are
+        if (F1 - F1) + (F2 - F2) + (F3 - F3) != 0.0:  # true for NaN and infinity only
+            return None
+        exponent = frexp(max(a1, a2, a3))[1]
+        f1, f2, f3 = ldexp(F1, -exponent), ldexp(F2, -exponent), ldexp(F3, -exponent)
+        a1, a2, a3 = abs(f1), abs(f2), abs(f3)
     large, small = (a1, a3) if a1 > a3 else (a3, a1)
     hypotenuse = sqrt(large * large + small * small)
     # P^2 - F2^2 in factors: no digit is lost where small is tiny, half of the digits at most elsewhere.
