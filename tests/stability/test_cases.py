@@ -102,24 +102,15 @@ def _stale_is_news(right: Any) -> Any:
     def latch(self: Any, now_us: int, number: int = 0) -> None:
         right(self, now_us, number)
         self.sample.stale = False
-        self.sample._status = self.sample._early = self.sample._unknown = -1
+        self.sample.known_status = self.sample._early = self.sample._unknown = -1
 
     return latch
 
 
-def _clock_as_given(_right: Any) -> Any:
+def _clock_as_given(right: Any) -> Any:
     def step(self: Any, now_us: int, frames: Any = ()) -> Any:
         self.now_us = now_us
-        if not self._booted:
-            self._booted = True
-            self._restart(True)
-        for can_id, data in frames:
-            handler = self._routes.get(can_id)
-            if handler is not None:
-                handler(data)
-        due_us = self._expire(now_us)
-        sent, self._outbox = self._outbox, []
-        return sent, due_us
+        return right(self, now_us, frames)
 
     return step
 

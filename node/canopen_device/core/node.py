@@ -183,8 +183,12 @@ class Device:
             return application.due_us
         return self._due_us
 
+    def outbox(self) -> "list[Frame]":
+        """Return the queue of frames to send. During bus-off they are dropped: stale when the bus recovers."""
+        return [] if self.bus_faults.off else self._outbox
+
     def send(self, can_id: int, data: bytes) -> None:
-        """Queue a frame of a service. During bus-off it is dropped: it would be stale when the bus recovers."""
+        """Queue a frame of a service, see ``outbox``."""
         if not self.bus_faults.off:
             self._outbox.append((can_id, data))
 

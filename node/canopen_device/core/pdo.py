@@ -156,6 +156,7 @@ class ReceivePdos(Timed):
 
     def __init__(self, device: "Device") -> None:
         super().__init__(device)
+        self.is_waiting = False  # data of one of them, for the next SYNC
         self._pdos = [
             ReceivePdo(device.od, index, index + communication.MAPPING, RPDO, self._changed)
             for index in device.od.indices(communication.RPDO, communication.LAST_RPDO)
@@ -198,7 +199,7 @@ class ReceivePdos(Timed):
             if pdo.transmission > codes.LAST_SYNCHRONOUS:
                 self._apply(pdo, data)
             elif self._device.sync.in_window():
-                pdo.waiting = bytes(data)
+                pdo.waiting, self.is_waiting = bytes(data), True
         self._schedule()
 
     def expire(self, now_us: int) -> None:
@@ -211,6 +212,7 @@ class ReceivePdos(Timed):
 
     def on_sync(self) -> None:
         """Apply the data that synchronous RPDOs received since the last SYNC."""
+        self.is_waiting = False
         for pdo in self._pdos:
             if pdo.waiting:
                 data, pdo.waiting = pdo.waiting, b""

@@ -43,7 +43,8 @@ class SyncConsumer:
         if device.application is not None:
             device.application.on_sync(device.now_us, number)
         if device.nmt.state == codes.OPERATIONAL:
-            device.rpdos.on_sync()
+            if device.rpdos.is_waiting:
+                device.rpdos.on_sync()
             device.tpdos.on_sync(number)
 
     def in_window(self) -> bool:

@@ -97,9 +97,10 @@ class TransmitPdos(Timed):
 
     def on_sync(self, counter: int) -> None:
         """Send every synchronous TPDO that is due on this SYNC."""
+        outbox = self._device.outbox()
         for pdo in self._synchronous:
             if pdo.each_sync or pdo.on_sync(counter):
-                self._device.send(pdo.can_id, pdo.pack())
+                outbox.append((pdo.can_id, pdo.pack()))
 
     def request(self, number: int, earliest_us: int = 0) -> None:
         """Handle an event of the application: send TPDO ``number`` as its type and inhibit time allow, not earlier."""

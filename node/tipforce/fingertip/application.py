@@ -47,7 +47,7 @@ class Fingertip(Application):
         self._tared_us = 0
         self._counter = 0
         self._read_us = 0
-        self._equal = [0] * n
+        self._equal: "list[int]" = []  # equal readings in a row by gauge; empty for none
         self.frozen = 0  # bit k: the reading of gauge k + 1 stands still
         self._latches_by_sync_until_us = 0  # until this time only SYNCs latch
         self._synced_us = -LONGEST_INTERVAL_US
@@ -89,7 +89,7 @@ class Fingertip(Application):
         self._synced_us = -LONGEST_INTERVAL_US
         self._waiting = None
         self._read_us = now_us
-        self._equal = [0] * self.n
+        self._equal = []
         self.frozen = 0
         self.load_filter()
         self.sample = Sample(None, self.channels.scaling, self.calibration.active)
@@ -232,14 +232,15 @@ class Fingertip(Application):
         self._read_us = now_us
         faults: int = reading.faults
         self.frozen = 0
-        counts, equal = reading.counts, self._equal
+        counts = reading.counts
         old = () if before is None else before.counts
         for count, last in zip(counts, old):  # noqa: B905 (not in MicroPython)
             if count == last:
                 break
         else:
-            self._equal = [0] * self.n  # nearly always: noise changes every gauge
+            self._equal = []  # nearly always: noise changes every gauge
             return faults
+        self._equal = equal = self._equal or [0] * self.n
         lowest, highest = self.ends
         for k in range(self.n):
             # The end of the range repeats itself without being frozen: that gauge is saturated.

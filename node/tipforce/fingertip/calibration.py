@@ -32,8 +32,9 @@ class Active:
     """
 
     __slots__ = (
-        "C", "_checks", "_solvers", "checked", "converter", "forces", "gain_per_kelvin", "limits", "model", "noise",
+        "C", "_checks", "checked", "converter", "forces", "gain_per_kelvin", "limits", "model", "noise",
         "offsets", "per_kelvin", "pull", "range_degC", "record", "redundancy", "reference_degC",
+        "solvers",
     )  # fmt: skip
 
     def __init__(self, record: bytes, values: "list[float]", n: int) -> None:
@@ -55,7 +56,7 @@ class Active:
         known = any(self.forces) or any(self.range_degC) or self.compensated()
         self.checked = known or self.model > 0.0 or (n > 3 and self.redundancy > 0.0)
         self._checks: "dict[int, Check | None]" = {}
-        self._solvers: "dict[int, Solver | None]" = {0: (self.C, _propagate(self.C, self.noise, n))}
+        self.solvers: "dict[int, Solver | None]" = {0: (self.C, _propagate(self.C, self.noise, n))}
 
     def compensated(self) -> bool:
         """True where the record has a coefficient of temperature."""
@@ -91,20 +92,26 @@ class Active:
 
         None where the gauges left have no rank 3, always so with three gauges and one lost.
         """
-        if lost not in self._solvers:
-            if len(self._solvers) >= _MOST_SOLVERS:
-                self._solvers = {0: self._solvers[0]}
+        if lost not in self.solvers:
+            if len(self.solvers) >= _MOST_SOLVERS:
+                self.solvers = {0: self.solvers[0]}
             solver = None
             n = len(self.offsets)
             if n > 3:
                 from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
 
                 solver = scalar_redundancy.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
-            self._solvers[lost] = solver
-        return self._solvers[lost]
+            self.solvers[lost] = solver
+        return self.solvers[lost]
 
     def force(self, matrix: "list[list[float]]", microstrains: "list[float]") -> "tuple[float, float, float]":
         """F1, F2, F3 in newtons before any tare: F = C (V - offset), V the gauge strain."""
+        if len(microstrains) == 3:  # the same sums, in half the time
+            (a1, a2, a3), (b1, b2, b3), (c1, c2, c3) = matrix
+            o1, o2, o3 = self.offsets
+            v1, v2, v3 = 1e-6 * microstrains[0] - o1, 1e-6 * microstrains[1] - o2, 1e-6 * microstrains[2] - o3
+            F1, F2 = 0.0 + a1 * v1 + a2 * v2 + a3 * v3, 0.0 + b1 * v1 + b2 * v2 + b3 * v3
+            return F1, F2, 0.0 + c1 * v1 + c2 * v2 + c3 * v3
         F1 = F2 = F3 = 0.0
         for m, o, c1, c2, c3 in zip(microstrains, self.offsets, matrix[0], matrix[1], matrix[2]):  # noqa: B905
             v = 1e-6 * m - o

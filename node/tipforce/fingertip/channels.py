@@ -110,20 +110,21 @@ class Channels:
         index, first = keys[0] if keys else (0, 0)
         if index != _INT16_VALUE or keys != [(index, first + k) for k in range(3)] + _STATUS_AND_COUNTER:
             return None
-        fingertip, unknown, start, last = self._fingertip, table.UNKNOWN_I16, first - 1, first + 2
+        fingertip, unknown = self._fingertip, table.UNKNOWN_I16
+        start, second, third, last = first - 1, first, first + 1, first + 2
         unit_1, unit_2, unit_3 = self._per_unit[start:last]
         # No angle that would be rounded to -180 degrees, which is 180.
         low_1, low_2, low_3 = [0.5 - _HALF_TURN if k > self._n + 4 else -MAX_I16 for k in (first, first + 1, last)]
 
         def pack() -> bytes:
             sample = fingertip.sample
-            status, values = sample.status(), sample.values
+            status = sample.known_status
+            if status < 0:
+                status = sample.status()
+            values = sample.values
             if len(values) < last:
                 values = sample.find_values(last)
-            x, y, z = values[start:last]
-            x *= unit_1
-            y *= unit_2
-            z *= unit_3
+            x, y, z = values[start] * unit_1, values[second] * unit_2, values[third] * unit_3
             if low_1 < x < MAX_I16 and low_2 < y < MAX_I16 and low_3 < z < MAX_I16:
                 x, y, z = round(x), round(y), round(z)
             else:

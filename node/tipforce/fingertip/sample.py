@@ -43,9 +43,9 @@ class Sample:
     """
 
     __slots__ = (
-        "_contact", "_covariance", "_early", "_force", "_status", "_uncertainty", "_unknown", "_was_present", "active",
-        "counter", "faults", "filtered", "frozen", "judgement", "latched_us", "lost", "microstrains", "overloaded",
-        "overloads", "reading", "seen", "solver", "spared", "stale", "tare", "values",
+        "_contact", "_covariance", "_early", "_force", "_uncertainty", "_unknown", "_was_present", "active",
+        "counter", "faults", "filtered", "frozen", "judgement", "known_status", "latched_us", "lost", "microstrains",
+        "overloaded", "overloads", "reading", "seen", "solver", "spared", "stale", "tare", "values",
     )  # fmt: skip
 
     def __init__(
@@ -65,12 +65,8 @@ class Sample:
         was_overloaded: bool = False,
         spans: "Sequence[tuple[float, float]]" = (),
     ) -> None:
-        self.reading = reading
-        self.active = active
-        self.tare = tare
-        self.stale = stale
-        self.counter = counter
-        self.latched_us = latched_us
+        self.reading, self.active, self.tare = reading, active, tare
+        self.stale, self.counter, self.latched_us = stale, counter, latched_us
         self._was_present = was_present
         self._force: "tuple[float, float, float] | None"
         self._contact: "tuple[float, float, float, float] | None"
@@ -78,19 +74,23 @@ class Sample:
         self._covariance: "Covariance | None"
         self._force = self._contact = self._uncertainty = self._covariance = None
         self.values: "list[float]" = []  # of ``find_values``
-        self._status = self._unknown = -1
+        self.known_status = self._unknown = -1  # not found yet
         self.frozen = self.lost = frozen
         self.filtered = filtered
-        self.overloads: "list[int]" = []
-        self.microstrains: "list[float]" = []
+        self.overloads: "list[int]"
+        self.microstrains: "list[float]"
         faults &= _FRONT_END  # the other bits are found here, from the reading
-        if reading is not None:
+        if reading is None:
+            self.overloads, self.microstrains = [], []
+        else:
             counts = reading.counts
             self.overloads = [0] * len(counts)
             lowest, highest = ends
-            if max(counts) >= highest or min(counts) <= lowest:
-                self.overloads = [(c >= highest) - (c <= lowest) for c in counts]
-                faults |= self._saturated()
+            for count in counts:
+                if not lowest < count < highest:
+                    self.overloads = [(c >= highest) - (c <= lowest) for c in counts]
+                    faults |= self._saturated()
+                    break
             shown = counts if filtered is None else filtered
             self.microstrains = [g * c + b for c, (g, b) in zip(shown, scaling)]  # noqa: B905
         self.seen = faults  # all that a source can say by itself
@@ -103,7 +103,7 @@ class Sample:
                     self.overloads[k] = self.overloads[k] or outside(self.microstrains[k], start, end)
             faults |= self._saturated()
         self.lost |= faults & _GAUGES
-        self.solver = None if active is None else active.solver(self.lost)
+        self.solver = None if active is None else active.solvers.get(self.lost) or active.solver(self.lost)
         self.judgement: "Judgement | None" = None
         if active is not None and active.checked and reading is not None and not faults & _ALL_GAUGES:
             from .judgement import Judgement  # a calibration of which nothing is known does without
@@ -138,17 +138,17 @@ class Sample:
 
     def status(self) -> int:
         """The status byte 2120h of this sample."""
-        if self._status < 0:
-            self._status = self._find_status()
-        return self._status
+        if self.known_status < 0:
+            self.known_status = self._find_status()
+        return self.known_status
 
     def present(self) -> bool:
         """Contact present, for the hysteresis of the next sample: as it was before where this one cannot tell."""
         if self._unknown == 0:
             return True
-        if self._status < 0 or self.unknown() & scalar.UNKNOWN_FORCE:
+        if self.known_status < 0 or self.unknown() & scalar.UNKNOWN_FORCE:
             return self._was_present
-        return bool(self._status & scalar.CONTACT_PRESENT)
+        return bool(self.known_status & scalar.CONTACT_PRESENT)
 
     def unknown(self) -> int:
         """What the status makes unknown, in the bits of ``sensor.scalar``."""
@@ -225,14 +225,14 @@ class Sample:
 
         The gauges alone, the forces too, or the contact too: what channel ``sub`` needs and no more.
         """
+        if self._unknown == 0 == self._early:
+            P, phi, theta, _miss = self._contact or self.contact()
+            F1, F2, F3 = self._force or self.force()
+            self.values = self.microstrains + [F1, F2, F3, P, phi * scalar.DEGREES, theta * scalar.DEGREES]
+            return self.values
         values, n = self.values, len(self.microstrains)
         if not n:  # no reading
             return [NAN] * sub
-        if self._unknown == 0 == self._early:
-            P, phi, theta, _miss = self._contact or self.contact()
-            contact = [P, phi * scalar.DEGREES, theta * scalar.DEGREES]
-            self.values = values = self.microstrains + list(self._force or self.force()) + contact
-            return values
         if not values:
             values += self.microstrains
             if self._early:
@@ -281,12 +281,13 @@ class Sample:
             return bits
         P, _phi, theta, miss = self._contact or self.contact()
         force = self._force or self.force()
+        covariance = self.solver[1] if self.judgement is None else self.covariance()
         u_P = u_theta = NAN  # below the contact-off force no bit depends on them
         if P >= self.active.limits[1]:
             u_P = u_theta = 0.0  # of these the bits need no more than that theta is resolved
-            if not scalar.clearly_resolved(P, force[1], self.covariance()):
+            if not scalar.clearly_resolved(P, force[1], covariance):
                 u_P, _u_phi, u_theta = self.uncertainty()
-        u_miss = scalar.miss_uncertainty(force[0], force[1], force[2], self.covariance()) if miss > 0.0 else 0.0
+        u_miss = scalar.miss_uncertainty(force[0], force[1], force[2], covariance) if miss > 0.0 else 0.0
         bits |= scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, self.active.limits, self._was_present)
         if bits | scalar.OUTSIDE_PAD == _ALL_KNOWN:
             self._unknown = 0

@@ -69,7 +69,7 @@ class SimulatedSource(Source):
         self._conversion = -1
         self._fault_since_us = 0
         self._last_counts = (0,) * len(self.rows)
-        self._resolved = self.load, force_of(self.load)
+        self._resolved = self.load, self._strained(force_of(self.load))
 
     def set_fault(self, fault: int, gauge: int, magnitude: float, now_us: int) -> None:
         """Inject a fault of 2200h into ``gauge`` (from 1) from now on; fault 0 ends it."""
@@ -86,16 +86,15 @@ class SimulatedSource(Source):
         self._conversion = conversion
         converted_us = conversion * self.period_us
         if self.forces is not None:
-            force = self.forces(converted_us)
+            strained = self._strained(self.forces(converted_us))
         else:  # of the present load, resolved once
             if self._resolved[0] is not self.load:
-                self._resolved = self.load, force_of(self.load)
-            force = self._resolved[1]
-        f1, f2, f3 = force
+                self._resolved = self.load, self._strained(force_of(self.load))
+            strained = self._resolved[1]
         gauss, noise, temperature = self._gauss, self.noise_microstrain, self.temperature
         microstrains = [
-            1e6 * (c1 * f1 + c2 * f2 + c3 * f3) + offset + gauss(0.0, noise)
-            for (c1, c2, c3), offset in zip(self.rows, self.offset_microstrain)  # noqa: B905 (not in MicroPython)
+            microstrain + offset + gauss(0.0, noise)
+            for microstrain, offset in zip(strained, self.offset_microstrain)  # noqa: B905 (not in MicroPython)
         ]
         if self.fault == DRIFT and 0 < self.fault_gauge <= len(microstrains):
             microstrains[self.fault_gauge - 1] += self.fault_magnitude * 1e-6 * (now_us - self._fault_since_us)
@@ -112,6 +111,11 @@ class SimulatedSource(Source):
         faults = self._break(counts) if self.fault else 0
         self._last_counts = tuple(counts)
         return Reading(self._last_counts, faults, temperature)
+
+    def _strained(self, force: "Forces") -> "list[float]":
+        """The strain of each gauge, microstrain, under F1, F2, F3."""
+        f1, f2, f3 = force
+        return [1e6 * (c1 * f1 + c2 * f2 + c3 * f3) for c1, c2, c3 in self.rows]
 
     def _break(self, counts: "list[int]") -> int:
         """Change the counts as the injected fault does; return the bits of 2124h that it sets."""
