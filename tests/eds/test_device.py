@@ -54,6 +54,7 @@ def test_sync_production_with_a_counter(tmp_path: Path) -> None:
     objects = (
         SYNC, var("1006", 7, "rw", "1000"), var("1019", 5, "rw", "3"), var("2000", 5, "rw", "7"),
         pdo(0x1800, "$NODEID+0x180", 2, 0x20000008),
+        record("1029", var("1029sub0", 5, "const", "1"), var("1029sub1", 5, "rw", "1")),  # bus-off: no change of state
     )  # fmt: skip
     talk: Conversation = Talk(described(tmp_path, text(*objects)))
     talk.say("""\
@@ -81,6 +82,10 @@ def test_sync_production_with_a_counter(tmp_path: Path) -> None:
         > 000#0105
         + 1000
         < 080#01                  starts again at 1
+    """)
+    talk.step([(codes.ERROR_FLAG | 0x40, bytes(8))])  # bus-off: neither SYNC 2 nor the TPDO on it is sent later
+    talk.say("""\
+        + 1000
         > 605#2306100000000000
         < 585#6006100000000000
         + 9000

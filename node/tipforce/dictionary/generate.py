@@ -129,13 +129,9 @@ def _line(title: str, run: list[Entry[Any]], views: Collection[int]) -> tuple[ob
     sub = str(first.sub) if first is last else f"{first.sub}..{last.sub}"
     place = f"{first.index:04X}h" + (f":{sub}" if sub != "0" or title else "")
     shown = first.stem + (":SUB" if first is not last else f":{sub}" if first.is_counted else "")
-    name = title + (first.title if first is last else _run_names(run))
+    name = title + (f"{first.title} .. {last.title}" if len(run) > 3 else ", ".join(entry.title for entry in run))
     kind = f"{types.data_type(first.type).name} {first.access}"
     return place, name, f"`{shown}`" if shown else "", kind, _defaults(run), _notes(first, views)
-
-
-def _run_names(run: list[Entry[Any]]) -> str:
-    return f"{run[0].title} .. {run[-1].title}" if len(run) > 3 else ", ".join(entry.title for entry in run)
 
 
 def _defaults(run: list[Entry[Any]]) -> str:

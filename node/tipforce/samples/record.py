@@ -217,10 +217,6 @@ class Rows:
         """Every signal of the PDOs by name, (m, k) each."""
         return RowColumns(self.raw, self._node_ids, self.pdos)
 
-    def __iter__(self) -> Iterator[Row]:
-        """Yield the rows as they were closed."""
-        return iter(self.raw)
-
     def _of_fingers(self, values: list[Any], kind: type[np.generic]) -> npt.NDArray[Any]:
         return np.array(values, dtype=kind).reshape(len(values), len(self._node_ids))
 
