@@ -111,4 +111,5 @@ def test_what_waited_and_comes_at_once_is_judged_by_its_time_stamps() -> None:
     watch.add(frame_array([]), 0.0)
     second_ns = 1_000_000_000
     late = [(second_ns + k * second_ns // 100, 0x283, b"") for k in range(100)]
-    assert watch.add(frame_array(late), WINDOW_S) == []
+    assert watch.add(frame_array(late[:90]), WINDOW_S / 2) == []
+    assert watch.add(frame_array(late[90:]), WINDOW_S) == []
