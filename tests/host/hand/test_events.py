@@ -6,6 +6,8 @@ import pytest
 
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.events import MOST_WAITED_S, WINDOW_S, BabbleWatch, Supervisor, waited_s
+from tipforce.host.hand.rows import Collector
+from tipforce.samples.reasons import NO_RESPONSE, PRESENT
 
 
 def seen(supervisor: Supervisor, now_s: float, *frames: tuple[int, str]) -> list[tuple[int, str, int]]:
@@ -113,3 +115,18 @@ def test_what_waited_and_comes_at_once_is_judged_by_its_time_stamps() -> None:
     late = [(second_ns + k * second_ns // 100, 0x283, b"") for k in range(100)]
     assert watch.add(frame_array(late[:90]), WINDOW_S / 2) == []
     assert watch.add(frame_array(late[90:]), WINDOW_S) == []
+
+
+def test_a_finger_that_answers_no_sync_is_told_once_each_time() -> None:
+    trust = Collector((1, 2), own_sync=True).trust
+    trust.count_rows([(PRESENT, PRESENT)], 0.0)
+    trust.count_rows([(PRESENT, NO_RESPONSE)] * 19, 2.0)
+    assert trust.take_unanswered(2.0, 1.0) == []
+    trust.count_rows([(PRESENT, NO_RESPONSE)], 2.0)
+    assert trust.take_unanswered(2.0, 1.0) == [2]
+    assert trust.take_unanswered(9.0, 1.0) == []
+    trust.count_rows([(PRESENT, PRESENT)], 9.0)
+    assert trust.take_unanswered(9.0, 1.0) == []
+    trust.count_rows([(PRESENT, NO_RESPONSE)] * 20, 9.5)
+    assert trust.take_unanswered(9.5, 1.0) == []
+    assert trust.take_unanswered(10.1, 1.0) == [2]
