@@ -39,7 +39,8 @@ import tipforce
 
 log = tipforce.read_log("{file}")
 print(log)
-print(log[{node_id}])  # and its arrays: log[{node_id}].t_s, .P_newtons, .phi_deg, .theta_deg
+print(log[{node_id}])
+print(log[{node_id}].P_newtons)  # .t_s, .phi_deg, .theta_deg
 """
 """What it prints has numbers, also where the first samples are unknown."""
 
