@@ -22,6 +22,7 @@ from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, NODE_BITS, Column, Table, missing_of
+from tipforce.host.logs.empty import no_frame
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
 from tipforce.samples.record import Samples
@@ -184,8 +185,7 @@ def read_log(
     tables = list(tables_of_logs(recording, names))
     told = recording.told
     if not any(notes.frames for notes in told.notes):
-        first = next((notes.first_bad for notes in told.notes if notes.first_bad), "")
-        raise InputError(f"{', '.join(names)}: not one frame in it; is it a log?{' ' + first if first else ''}")
+        raise no_frame(", ".join(names), next((notes.first_bad for notes in told.notes if notes.first_bad), None))
     if channel is not None and channel not in recording.channels:
         raise InputError(f"{', '.join(names)}: no frame of channel {channel!r} in it")
     nodes: dict[int, NodeLog] = {}
