@@ -391,7 +391,7 @@ def test_bad_lines_are_told(log: Path, capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_a_silent_bus(capsys: pytest.CaptureFixture[str]) -> None:
-    assert monitor(*"-i virtual -c monitor2 --once 0.1".split()) == 0
+    assert monitor("-i", "virtual", "-c", "monitor2", "--once", "0.1") == 0
     assert capsys.readouterr().out == "no frames received\n"
 
 

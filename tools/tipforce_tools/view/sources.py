@@ -166,6 +166,8 @@ class LogSource(Source):
                 counted = ids[(ids < len(count)) & (t_ns >= start) & (t_ns < end)]
                 count += np.bincount(counted, minlength=len(count))
             if not self._watcher.fingers:
+                if count[TPDO_BASES[0] : RPDO_BASES[2]].any():  # of fingers that --nodes leaves out
+                    raise InputError(f"{self._path}: no PDO of the chosen nodes")
                 raise no_sample(str(self._path), read, log.extended)
             if not log.timed:
                 raise InputError(f"{self._path}: the log has no timestamps, which a replay needs")
