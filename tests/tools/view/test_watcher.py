@@ -204,7 +204,7 @@ def test_a_page_names_once_what_calibrates_a_finger() -> None:
     for k in range(3):
         bus.frames = [(t_ns, can_id, data[:-2] + b"\0" + data[-1:]) for t_ns, can_id, data in cycle(k, (1,))]
         source.pump()
-    hint = "not calibrated: tipforce calibrate apply CAL.toml --node 1"
+    hint = "not calibrated: tipforce calibrate guide --node 1, or apply CAL.toml"
     assert [(event.node_id, event.text) for event in source.model.events()] == [(1, hint)]
 
 
