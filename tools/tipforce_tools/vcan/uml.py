@@ -96,6 +96,11 @@ class _Machine:
 
     def __init__(self, folder: Path, memory: str, terminal: bool) -> None:
         self.folder = folder
+        kernel = [
+            find_program("linux.uml") or "linux.uml", f"mem={memory}", f"uml_dir={folder}/", "umid=machine",
+            "rootfstype=hostfs", "root=/dev/root", "rw" if (folder / "writable").exists() else "ro",
+            f"init={folder}/init.sh", "con=null", "con0=null,fd:1", "quiet",
+        ]  # fmt: skip
         self.selector = selectors.DefaultSelector()
         self.reading: list[int] = []
         with contextlib.ExitStack() as given:
@@ -110,7 +115,7 @@ class _Machine:
                 given.callback(os.close, fd)
             log: IO[bytes] = given.enter_context((folder / "log").open("wb"))
             self.process = subprocess.Popen(
-                ["bash", "-c", _WATCHED, "vcan", *_kernel_command(folder, memory), *consoles],
+                ["bash", "-c", _WATCHED, "vcan", *kernel, *consoles],
                 stdin=alive,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -208,22 +213,6 @@ def _group_of_live(stat: Path) -> int | None:
     except (OSError, ValueError):
         return None
     return None if state in "ZX" else int(group)
-
-
-def _kernel_command(folder: Path, memory: str) -> list[str]:
-    return [
-        find_program("linux.uml") or "linux.uml",
-        f"mem={memory}",
-        f"uml_dir={folder}/",
-        "umid=machine",
-        "rootfstype=hostfs",
-        "root=/dev/root",
-        "rw" if (folder / "writable").exists() else "ro",
-        f"init={folder}/init.sh",
-        "con=null",
-        "con0=null,fd:1",
-        "quiet",
-    ]
 
 
 def _write_request(
@@ -404,17 +393,12 @@ def _in_machine(folder: Path, command: Sequence[str], timeout_s: float | None) -
     write_list(place / "settings", [os.getcwd(), _terminal_size(), _console(folder) if terminal else ""])
     write_list(place / "command", command)
     write_list(place / "environment", [name + b"=" + value for name, value in os.environb.items()])
-    outputs = [((place / name), stream) for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr))]
-    for path, _ in outputs:
-        path.touch()
     end_s = time.monotonic() + (timeout_s or float("inf"))
-    with contextlib.ExitStack() as opened:
-        opened.enter_context(_terminal_kept(terminal))
-        files = [(opened.enter_context(path.open("rb")), stream) for path, stream in outputs]
+    with (place / "stdout").open("w+b") as out, (place / "stderr").open("w+b") as err, _terminal_kept(terminal):
         (place / "ready").touch()
         while True:
             status = (place / "status").read_text() if (place / "status").exists() else ""
-            for file, stream in files:
+            for file, stream in ((out, sys.stdout), (err, sys.stderr)):
                 stream.flush()
                 os.write(stream.fileno(), file.read())
             if status.strip():
