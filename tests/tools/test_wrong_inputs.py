@@ -321,7 +321,7 @@ decode broken.blf | view broken.blf => the file is damaged or of another format
 decode noise.asc => @
 decode j1939.log | plot j1939.log -o x.svg => all have 29-bit identifiers, which CANopen does not use
 monitor j1939.log => all have 29-bit identifiers, which CANopen does not use
-decode other.log -o x.csv => `tipforce dump --decode` shows what they are
+decode other.log -o x.csv | view other.log => `tipforce dump --decode` shows what they are
 dump prose.txt => other formats: `tipforce decode`
 exit 5
 scan --nodes 50-60 --wait 0.01 BUS => is the bus powered and terminated, is the bit rate right?

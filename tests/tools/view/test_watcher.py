@@ -19,7 +19,7 @@ import pytest
 from websockets.sync.client import connect
 
 from host.bus_with_nodes import beam_calibration
-from tipforce.errors import EnvironmentLackError, InputError, RefusedError
+from tipforce.errors import EnvironmentLackError, RefusedError
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.samples.reasons import NO_ANSWER
@@ -143,12 +143,6 @@ def test_a_part_of_a_log(log: Path) -> None:
     source = LogSource(log, Finger, start_s=1.0, end_s=1.5)
     assert source.model.counters.rows == 50
     assert source.model.span_ns()[0] == START_NS + 1000 * MS
-
-
-def test_a_log_without_fingers_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path / "motor.log", frame_array([(START_NS, 0x701, b"\5")]))
-    with pytest.raises(InputError, match="no PDO of a fingertip"):
-        LogSource(path, Finger)
 
 
 class Bus(FrameSource):

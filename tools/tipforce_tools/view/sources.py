@@ -128,7 +128,14 @@ class LogSource(Source):
         self, path: Path, make_finger: FingerMaker, gauges: int = 3, start_s: float = 0.0, end_s: float | None = None
     ) -> None:
         """``start_s``, ``end_s``: the part to read, seconds from the log's first frame. Raises InputError."""
-        self._path, self._watcher = path, Watcher(make_finger, gauges)
+        self._path, self._hidden = path, False
+
+        def make(node_id: int) -> Finger | None:
+            finger = make_finger(node_id)
+            self._hidden |= finger is None
+            return finger
+
+        self._watcher = Watcher(make, gauges)
         rows = self._discover(start_s, end_s)
         found = self._watcher.fingers
         most = LOG_BYTES // (2 * row_bytes(len(found), gauges))
@@ -166,7 +173,7 @@ class LogSource(Source):
                 counted = ids[(ids < len(count)) & (t_ns >= start) & (t_ns < end)]
                 count += np.bincount(counted, minlength=len(count))
             if not self._watcher.fingers:
-                if count[TPDO_BASES[0] : RPDO_BASES[2]].any():  # of fingers that --nodes leaves out
+                if self._hidden:
                     raise InputError(f"{self._path}: no PDO of the chosen nodes")
                 raise no_sample(str(self._path), read, log.extended)
             if not log.timed:
