@@ -136,7 +136,7 @@ def test_a_log_of_gauges_is_estimated_by_the_calibration(tmp_path: Path) -> None
 
 def test_a_file_without_a_frame_is_no_log(tmp_path: Path) -> None:
     (tmp_path / "run.log").write_text("these are words\n")
-    with pytest.raises(tipforce.InputError, match=r"run\.log: not one frame in it; is it a log\? line 1"):
+    with pytest.raises(tipforce.InputError, match=r"run\.log: no frames in it; is it a log\? line 1"):
         tipforce.read_log(tmp_path / "run.log")
 
 

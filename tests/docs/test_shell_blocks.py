@@ -23,7 +23,7 @@ _BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PIPED = "candump -L can0 | tipforce "
 """candump is a script here that prints run.log."""
 NEEDS = {
-    "a bus": r"\bv?can0\b|^tipforce (vcan|firmware|ros2)\b",
+    "a bus": r"\bv?can0\b|^tipforce (vcan|firmware|ros2|nmt)\b|tipforce node\b",
     "a browser": r"^tipforce (view|demo --view)\b",
     "many seconds": r"^python -m bench|^tipforce report|^tipforce design table all -o|^make\b|--cost\b|--speed 1\b",
     "a package of others": r"^duckdb|^python -c .import polars|^ros2 |^pip install",

@@ -27,7 +27,7 @@ SITUATIONS = {
     "silent": "nothing received for .*: power the nodes; .*bit rate",
     "not started": r"node 5 \(0x05\): not started: tipforce nmt start 5 --wait",
     "no SYNC": "no SYNC on this bus: .*--sync 100",
-    "not calibrated": r"node 5 \(0x05\): not calibrated: tipforce calibrate apply CAL.toml --node 5",
+    "not calibrated": r"node 5 \(0x05\): not calibrated: tipforce calibrate guide --node 5, or apply CAL.toml",
     "two nodes": "two nodes .* node 5|another node sends its identifier.*: .*`tipforce (lss assign|scan)",
 }
 COMMANDS = (
@@ -156,7 +156,7 @@ def link(**data: object) -> Link:
         ),
         (
             Observed(heard_s=3.0, link=link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0})),
-            "error-passive, errors sent 128, received 0, and no frame",
+            "error-passive, errors sent 128, received 0, and no other frame",
             "set can0 up type can bitrate 1000000",
         ),
         (Observed(heard_s=3.0, link=link(state="BUS-OFF")), "can0 is bus-off", "type can restart"),

@@ -45,7 +45,7 @@ def bus_words(bench: tuple[Bus, str]) -> tuple[str, ...]:
 
 def test_scan(tipforce: Tipforce) -> None:
     code, out, err = tipforce("scan", "--wait", "0.3")
-    hint = "node {0} (0x0{0}): not calibrated: tipforce calibrate apply CAL.toml --node {0}\n"
+    hint = "node {0} (0x0{0}): not calibrated: tipforce calibrate guide --node {0}, or apply CAL.toml\n"
     started = "nodes 5-6: not started: tipforce nmt start 5-6 --wait\n"
     assert (code, err) == (0, started + hint.format(5) + hint.format(6))
     lines = out.splitlines()

@@ -91,7 +91,7 @@ def test_an_uncalibrated_finger_is_named_and_its_rows_say_why(
     path.write_text(path.read_text().replace('calibration = "cal.toml"', "", 1))
     out, err = printed(0, ["hand", "up", str(path)])
     assert "thumb (1): up, not calibrated: P, phi and theta are unknown" in out
-    assert "node 1 (0x01): not calibrated: tipforce calibrate apply CAL.toml --node 1\n" in err
+    assert "node 1 (0x01): not calibrated: tipforce calibrate guide --node 1, or apply CAL.toml\n" in err
     assert main(["hand", "run", str(path), "--seconds", "0.3", "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith('{"row"')]
     assert rows[-1]["1"]["P"] is None

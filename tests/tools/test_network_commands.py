@@ -112,7 +112,7 @@ def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple
         r"   5 \(0x05\)  4\.4\d\d N, phi (89|90)\.\d\d deg, theta 4[45]\.\d\d deg  u\(P\) 0\.\d{3} N\n", out
     )
     code, out, err = tipforce("read", "6", "-n", "2", "--json")
-    assert err == "node 6 (0x06): not calibrated: tipforce calibrate apply CAL.toml --node 6\n", "once"
+    assert err == "node 6 (0x06): not calibrated: tipforce calibrate guide --node 6, or apply CAL.toml\n", "once"
     first, second = map(json.loads, out.splitlines())
     assert (code, first["node_id"], first["P_newtons"], first["reason"]) == (0, 6, None, "not calibrated")
     assert first["counter"] != second["counter"]

@@ -79,7 +79,7 @@ def test_a_command_that_speaks_to_the_node_says_it(
     out, err = capsys.readouterr()
     assert (code, err.count(SAID), "Traceback" in err) == (1, 1, False), err
     if serial == 1006:
-        assert "(serial numbers 1005, 1006): give one another node-id: `tipforce lss assign ID --serial 1006" in err
+        assert "(serial numbers 1005, 1006): give one of them another node-id: `tipforce lss assign ID" in err
     else:
         assert "(serial number 1005): power only one, and give it another node-id" in err
     if "--json" in words:

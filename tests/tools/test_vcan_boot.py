@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
+import pty
 import resource
 import subprocess
 import sys
 import tempfile
+import termios
 import time
 from pathlib import Path
 
 import pytest
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import EnvironmentLackError
 from tipforce_tools.doctor.machine import vcan_checks
 from tipforce_tools.vcan import host, uml
 
@@ -96,7 +98,7 @@ def test_a_command_is_attached_to_a_running_machine(
         patch.setattr(tempfile, "tempdir", folder)
         with pytest.raises(EnvironmentLackError, match="no `tipforce vcan` of yours runs"):
             uml.run_attached(["true"], list)
-        words = ["vcan", "--uml", "--memory", "512M", "--", "sleep", "60"]
+        words = ["vcan", "--uml", "--memory", "512M", "--", "sleep", "600"]
         machine = subprocess.Popen(
             [sys.executable, "-m", "tipforce_tools.cli.main", *words], env={**os.environ, "TMPDIR": folder}
         )
@@ -108,8 +110,21 @@ def test_a_command_is_attached_to_a_running_machine(
             patch.setenv("TOLD", "two words")
             assert uml.run_attached(["bash", "-c", code], list, 60.0) == 7
             assert capfd.readouterr() == ("280\n", "two words\n")
-            with pytest.raises(InputError, match="no second shell in User-mode Linux"):
-                uml.run_attached([], lambda: ["bash"])
+            ours, theirs = pty.openpty()
+            termios.tcsetwinsize(theirs, (40, 100))
+            shell = subprocess.Popen(
+                [sys.executable, "-m", "tipforce_tools.cli.main", "vcan", "--attach"], start_new_session=True,
+                env={**os.environ, "TMPDIR": folder, "HOME": folder, "SHELL": "/bin/bash"},
+                stdin=theirs, stdout=theirs, stderr=theirs,
+            )  # fmt: skip
+            shown = b""
+            while b"# " not in shown:  # the prompt; what is typed before it may be lost
+                shown += os.read(ours, 65536)
+            os.write(ours, b"cat /sys/class/net/vcan1/type; tty; stty size; exit 9\n")
+            assert shell.wait(120.0) == 9
+            assert b"280\r\n/dev/tty3\r\n40 100\r\n" in os.read(ours, 65536)
+            os.close(ours)
+            os.close(theirs)
             assert machine.poll() is None
         finally:
             machine.terminate()

@@ -95,8 +95,8 @@ def run(args: argparse.Namespace) -> int:
                     break
                 late_s = max(late_s, time.monotonic() - start_s - frame.due_s)
                 buses.send(frame)
-            if not stop.stopped and parser.bad and not buses.sent and not buses.left_out:
-                raise no_frame(args.log, (TEXT, PACKED, MESSAGES), parser.bad_lines[0])
+            if not (stop.stopped or buses.sent or buses.left_out):
+                raise no_frame(args.log, next(iter(parser.bad_lines), None), (TEXT, PACKED, MESSAGES))
         except BadLineError as error:
             print(f"tipforce replay: {error}", file=sys.stderr)
             return 1

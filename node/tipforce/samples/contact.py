@@ -85,5 +85,9 @@ class Contact(_MadeLater):
 
     def __str__(self) -> str:
         """For people: ``4.40 N, phi 90.0, theta 45.0 degrees`` and what is flagged."""
-        values = f"{self.P_newtons:.3f} N, phi {self.phi_deg:.2f} deg, theta {self.theta_deg:.2f} deg"
+        shown = [
+            f"{value:.{digits}f} {unit}" if math.isfinite(value) else "unknown"
+            for value, digits, unit in ((self.P_newtons, 3, "N"), (self.phi_deg, 2, "deg"), (self.theta_deg, 2, "deg"))
+        ]
+        values = f"{shown[0]}, phi {shown[1]}, theta {shown[2]}"
         return f"{values} ({self.reason})" if self.reason else values

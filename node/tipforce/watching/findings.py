@@ -10,9 +10,8 @@ import numpy as np
 
 from canopen_device.core import codes
 from canopen_device.core.emcy import COB_ID_COLLISION, SYNC_LENGTH
-from tipforce.dictionary import table
 from tipforce.dictionary.service_texts import emcy_text
-from tipforce.host.decoding.duplicates import DuplicateNodes
+from tipforce.host.decoding.duplicates import DuplicateNodes, of_product
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.samples.reasons import NOT_CALIBRATED
 
@@ -32,7 +31,6 @@ SEND_SYNC = "`tipforce monitor --sync 100` sends it, and `tipforce hand run`"
 OWN_SYNC = "--sync 100 sends it"
 """The remedy where the command itself listens."""
 _FLAGS = np.uint32(codes.EXTENDED_FLAG | codes.REMOTE_FLAG | codes.ERROR_FLAG)
-_DEFAULT_PRODUCT = table.product_code(table.MIN_GAUGES, simulated=False)  # of `tipforce lss`
 _CONTACT = codes.TPDO_BASES[1]  # P, phi, theta, 2120h
 _UNKNOWN, _STATUS, _CALIBRATED = b"\x00\x80\x00\x80\x00\x80", 6, 0x02
 
@@ -142,7 +140,7 @@ def of_the_wire(seen: Observed) -> Iterator[Finding]:
         if link is not None and not seen.errors:
             counted = f"{link.state.lower()}, errors sent {link.errors_sent}, received {link.errors_received}"
         at = f" ({link.bit_rate} bit/s here)" if link is not None and link.bit_rate else ""
-        cause = f"another bit rate than that of the nodes{at}, or no node acknowledges: {counted}, and no frame"
+        cause = f"another bit rate than that of the nodes{at}, or no node acknowledges: {counted}, and no other frame"
         step = f"`sudo ip link set {name} down && sudo ip link set {name} up type can bitrate {RATE}`"
         yield Finding("traffic", "fail", cause, f"-b {RATE}" if link is None else step)
     elif seen.errors:
@@ -180,7 +178,7 @@ def _of_the_nodes(seen: Observed, sync: str) -> Iterator[Finding]:
 
 def not_calibrated(node_id: int) -> Finding:
     """Return the finding of a node without a calibration."""
-    step = f"tipforce calibrate apply CAL.toml --node {node_id}"
+    step = f"tipforce calibrate guide --node {node_id}, or apply CAL.toml"
     return Finding("nodes", "fail", f"{shown([node_id])}: not calibrated", step)
 
 
@@ -200,10 +198,9 @@ def _of_the_hand(wanted: Sequence[FingerPlan], seen: Observed) -> Iterator[Findi
             cause = f"{plan.label}: serial number {serial}, the hand file has {plan.serial}"
             yield Finding("hand", "fail", cause, f"write serial = {serial}, or connect the finger {plan.serial}")
             continue
-        product = seen.products.get(plan.node_id, 0)
-        of_product = f" --product 0x{product:X}" if product not in (0, _DEFAULT_PRODUCT) else ""
+        product = of_product(seen.products.get(plan.node_id, 0))
         labels.append(f"{plan.label} has {serial}")
-        commands.append(f"`tipforce lss assign {owners[serial].node_id} --serial {serial}{of_product}`")
+        commands.append(f"`tipforce lss assign {owners[serial].node_id} --serial {serial}{product}`")
     if labels:
         steps = f"swap node_id in the hand file, or {', '.join(commands)}, then `tipforce nmt reset-comm all`"
         yield Finding("hand", "fail", f"swapped serial numbers: {', '.join(labels)}", steps)

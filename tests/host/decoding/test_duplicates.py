@@ -181,7 +181,7 @@ def test_a_boot_up_ends_a_finding_and_another_serial_number_after_it_is_another_
 
     assert read(7) == []
     assert read(7, 8) == [
-        "two nodes respond as node 5 (serial numbers 7, 8): give one another node-id: "
+        "two nodes respond as node 5 (serial numbers 7, 8): give one of them another node-id: "
         "`tipforce lss assign ID --serial 8`, then `tipforce nmt reset-comm 5`"
     ]
     assert read(7, 8) == []  # known

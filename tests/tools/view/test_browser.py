@@ -165,11 +165,6 @@ def test_more_than_six_tabs_are_live(browser: Browser) -> None:
             expect(page.locator(".finger .state")).to_contain_text("live")
 
 
-def test_a_read_only_page_has_no_tare(shown: Shown) -> None:
-    shown.word(1, "live")
-    expect(shown.page.locator(".tare")).to_have_count(0)
-
-
 @pytest.mark.parametrize("shown", [{"allow_writes": True}], indirect=True)
 def test_tare_asks_first(shown: Shown) -> None:
     page = shown.page
@@ -214,14 +209,10 @@ def test_it_fits_a_phone_and_follows_the_theme(shown: Shown) -> None:
     page.set_viewport_size({"width": 390, "height": 844})
     shown.word(1, "live")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
-    light = page.evaluate(
-        "getComputedStyle(document.body).backgroundColor + getComputedStyle(document.documentElement).color"
-    )
+    colours = "getComputedStyle(document.body).backgroundColor + getComputedStyle(document.documentElement).color"
+    light = page.evaluate(colours)
     page.select_option("#theme", "dark")
-    dark = page.evaluate(
-        "getComputedStyle(document.body).backgroundColor + getComputedStyle(document.documentElement).color"
-    )
-    assert light != dark
+    assert page.evaluate(colours) != light
     assert page.evaluate("[...document.querySelectorAll('.finger canvas')].every(c => c.getAttribute('aria-label'))")
 
 
@@ -289,6 +280,7 @@ def test_a_scene_loops_or_ends_on_its_best_moment(browser: Browser, loops: bool)
 def test_exports(shown: Shown, tmp_path: Path) -> None:
     page = shown.page
     shown.word(1, "live")
+    expect(page.locator(".tare")).to_have_count(0)  # it is read-only
     with page.expect_download() as picture:
         page.click("#png")
     path = tmp_path / "view.png"
@@ -342,6 +334,31 @@ def test_scrubbing_and_zoom_keep_what_follows_visible(browser: Browser, tmp_path
         page.click("#whole")
         assert page.evaluate(SPAN) == [pytest.approx(start), pytest.approx(end)]
         page.close()
+
+
+# The changed pixels' bounds when this force is drawn, in a drawing as large as one of five on a laptop.
+ARROW = """async ({ P, phi, theta }) => {
+  const { drawSection } = await import('./section.js'), geometry = window.tipforce.panel.page.setup.fingers[0];
+  const [width, height] = [218, 242], drawn = [P, null].map((P) => {
+    const context = new OffscreenCanvas(width, height).getContext('2d'), scale = { newtons: 5, fullStrain: 500 };
+    const state = { word: 'live', P, phi, theta, uP: null, uPhi: null, uTheta: null, gauges: null };
+    drawSection(context, geometry, state, scale, 0, 0, width, height);
+    return new Uint32Array(context.getImageData(0, 0, width, height).data.buffer);
+  });
+  const at = [...drawn[0].keys()].filter((k) => drawn[0][k] !== drawn[1][k]);
+  const [x, y] = [at.map((k) => k % width), at.map((k) => Math.floor(k / width))];
+  return [Math.min(...x), Math.min(...y), width - 1 - Math.max(...x), height - 1 - Math.max(...y)];
+}"""
+
+
+def test_an_arrow_is_long_and_never_leaves_its_drawing(shown: Shown) -> None:
+    shown.word(1, "live")
+    tops = [shown.page.evaluate(ARROW, {"P": P, "phi": -90, "theta": 90})[1] for P in (3.0, 5.0)]
+    assert 3 * (tops[0] - tops[1]) / 2 >= 70  # pixels for 3 N
+    for theta in range(0, 181, 30):
+        for phi in range(-180, 181, 30):
+            for P in (5.0, 50.0):
+                assert min(shown.page.evaluate(ARROW, {"P": P, "phi": phi, "theta": theta})) >= 1, (P, phi, theta)
 
 
 def test_gauges_and_forces_are_charted_with_fixed_scales(shown: Shown) -> None:

@@ -19,7 +19,7 @@ import pytest
 from websockets.sync.client import connect
 
 from host.bus_with_nodes import beam_calibration
-from tipforce.errors import EnvironmentLackError, InputError, RefusedError
+from tipforce.errors import EnvironmentLackError, RefusedError
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.samples.reasons import NO_ANSWER
@@ -145,12 +145,6 @@ def test_a_part_of_a_log(log: Path) -> None:
     assert source.model.span_ns()[0] == START_NS + 1000 * MS
 
 
-def test_a_log_without_fingers_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path / "motor.log", frame_array([(START_NS, 0x701, b"\5")]))
-    with pytest.raises(InputError, match="no PDO of a fingertip"):
-        LogSource(path, Finger)
-
-
 class Bus(FrameSource):
     """A bus of a test: frames that are taken once, and a clock that stands at the newest plus ``silent_ns``."""
 
@@ -204,7 +198,7 @@ def test_a_page_names_once_what_calibrates_a_finger() -> None:
     for k in range(3):
         bus.frames = [(t_ns, can_id, data[:-2] + b"\0" + data[-1:]) for t_ns, can_id, data in cycle(k, (1,))]
         source.pump()
-    hint = "not calibrated: tipforce calibrate apply CAL.toml --node 1"
+    hint = "not calibrated: tipforce calibrate guide --node 1, or apply CAL.toml"
     assert [(event.node_id, event.text) for event in source.model.events()] == [(1, hint)]
 
 

@@ -120,8 +120,11 @@ _BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
 
 
 def bus_options(args: argparse.Namespace) -> dict[str, Any]:
-    """Return the bus flags that the command line contains, as keywords of ``can.Bus``."""
+    """Return the bus flags that the command line contains, as keywords of ``can.Bus``. Raises InputError."""
     options = {name: getattr(args, name) for name in _BUS_FLAGS if hasattr(args, name)}
+    for name in ("bitrate", "data_bitrate"):
+        if options.get(name, 1) <= 0:
+            raise InputError(f"--{name.replace('_', '-')} {options[name]}: allowed is a rate over 0 bit/s")
     return options | getattr(args, "bus_kwargs", {})
 
 
@@ -187,7 +190,7 @@ def open_bus(args: argparse.Namespace) -> can.BusABC:
 def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
     """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one.
 
-    After another error a line on stderr says what is wrong with the bus as a whole.
+    After another error, but of a wrong input, a line on stderr says what is wrong with the bus as a whole.
     """
     from tipforce.host.network.bus import Bus
 
@@ -196,7 +199,7 @@ def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
         begun_s = time.monotonic()
         try:
             yield connection
-        except DuplicateNodeError:
+        except (DuplicateNodeError, InputError):
             raise
         except TipforceError:
             connection.check_duplicates()  # the cause of the error

@@ -118,6 +118,8 @@ def names_of(text: str | None) -> tuple[str, ...] | None:
 def reading(args: Namespace, names: Sequence[str], chosen: Layouts, signals: tuple[str, ...] | None) -> Reading:
     """Return the selection of the logs' content. Raises InputError."""
     start, end = when("--from", args.start), when("--to", args.end)
+    if start and end and start.relative == end.relative and start.ns >= end.ns:
+        raise InputError(f"--from {args.start} --to {args.end}: allowed is an end after the start")
     found = Reading(
         chosen, signals, args.bus and tuple(args.bus.split(",")), start, end,
         strict=args.strict, follow=args.follow, deltas=args.deltas,

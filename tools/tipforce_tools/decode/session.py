@@ -356,13 +356,13 @@ def _check_readable(args: Namespace, told: Told) -> None:
 
     A log that is followed may have them later.
     """
-    from tipforce.host.logs.empty import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
+    from tipforce.host.logs.empty import no_frame, no_sample
 
     names = ", ".join(notes.source for notes in told.notes)
     frames = sum(notes.frames for notes in told.notes)
     begun = _to_dataset(args) and not summaries.bad_lines(told)  # a log of a dataset may begin empty, and grow
     if told.notes and not frames and not args.follow and not begun:
-        raise no_frame(names, (TEXT, PACKED, MESSAGES, PCAP))
+        raise no_frame(names)
     narrowed = args.signals or args.calibration or args.follow or choice.narrowing_flags(args)
     if frames and not told.tally.messages and not told.tally.short and not told.events() and not narrowed:
         raise no_sample(names, frames, sum(notes.extended for notes in told.notes))

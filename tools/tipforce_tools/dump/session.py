@@ -167,15 +167,17 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
                 frames += len(block)
                 if not session.show(select(block, targets)):
                     break
-            if parser.bad and not frames:
+            if not frames and (parser.bad or args.timeout_ms is None):
                 from tipforce.host.logs.empty import TEXT, no_frame
 
-                raise no_frame(str(source), (TEXT, "other formats: `tipforce decode`"), parser.bad_lines[0])
+                raise no_frame(
+                    str(source), next(iter(parser.bad_lines), None), (TEXT, "other formats: `tipforce decode`")
+                )
         except BadLineError as error:
             print(f"tipforce dump: {error}", file=sys.stderr)
             return 1
         finally:
-            if frames or not parser.bad:  # otherwise the error is the whole report
+            if frames:  # otherwise the error is the whole report
                 _report(session, parser.dropped, parser)
     return 0
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from tipforce.errors import InputError
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.live.targets import STDIN, Target, split_targets
-from tipforce.host.logs.empty import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
+from tipforce.host.logs.empty import no_frame, no_sample
 from tipforce.watching.bus_monitor import QUANTITIES, BusView, Monitor, NodeView, Reading
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
 from tipforce_tools.cli import common
@@ -53,11 +53,11 @@ def monitor(args: Namespace) -> int:
         show = opened.enter_context(_screen(bitrate, interval_s, hints)) if screen else _lines(bitrate, hints)
         each = show if screen or (common.OUTPUT.json and args.once is None) else None
         shown = run(watched, source, stop, interval_s, each, args.once or math.inf)
-        if log is not None and source.ended and log.bad and not watched.frames:
-            raise no_frame(str(log_name), (TEXT, PACKED, MESSAGES, PCAP), log.first_bad)
-        has_nodes = any(bus.nodes for bus in watched.views())
-        if log is not None and source.ended and watched.frames and not args.nodes and not has_nodes:
-            raise no_sample(str(log_name), watched.frames, log.extended)
+        if log is not None and source.ended:
+            if not watched.frames:
+                raise no_frame(str(log_name), log.first_bad)
+            if not args.nodes and not any(bus.nodes for bus in watched.views()):
+                raise no_sample(str(log_name), watched.frames, log.extended)
         if not screen and not shown:
             show(watched, source.now_ns())
     if log is not None and log.bad:

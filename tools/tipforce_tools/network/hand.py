@@ -140,9 +140,16 @@ def _up(args: argparse.Namespace, file: HandFile) -> int:
     terminate_as_interrupt()
     with Hand.from_file(file, **bus_flags.find_bus(args, file.bus)) as hand:
         as_rows = args.action == "run"
-        hand.on_event(lambda event: _print_event(hand, event, common.OUTPUT.json and as_rows))
+        reports: list[FingerReport] = []
+
+        def show(event: Event) -> None:
+            as_json = common.OUTPUT.json and as_rows
+            if reports or as_json or event.kind != "failed":  # the report of the bring-up says what failed in it
+                _print_event(hand, event, as_json)
+
+        hand.on_event(show)
         started_s = time.monotonic()
-        reports = hand.bring_up()
+        reports += hand.bring_up()
         _print_reports(reports, sys.stderr if as_rows else sys.stdout, time.monotonic() - started_s)
         failed = any(not report.ok for report in reports)
         if as_rows:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import threading
 import time
@@ -109,8 +110,8 @@ def run_read(args: argparse.Namespace) -> int:
                 record |= {name: getattr(contact, name) for name in _CONTACT}
                 record |= {"status": int(contact.status), "reason": contact.reason}
                 record["microstrain"] = list(contact.microstrain)
-                u = f"u(P) {contact.u_P_newtons:.3f} N"
-                common.print_record(record, f"{common.shown_id(contact.node_id):>11}  {contact}  {u}")
+                u = f"  u(P) {contact.u_P_newtons:.3f} N" if math.isfinite(contact.u_P_newtons) else ""
+                common.print_record(record, f"{common.shown_id(contact.node_id):>11}  {contact}{u}")
                 if NOT_CALIBRATED in contact.reason and node_id not in bare:
                     bare.add(node_id)
                     common.note(str(not_calibrated(node_id)))

@@ -23,7 +23,7 @@ exit codes besides COMMAND's own: 1 after --timeout, 2 usage, 126 and 127 when C
 signal n ended it, 130 interrupted
 
   tipforce vcan --interfaces can0,can1,can2 -- python -m pytest tests/vcan
-  tipforce vcan --attach -- tipforce scan -i socketcan -c vcan0          from another terminal
+  tipforce vcan --attach                 from another terminal: a second shell on the same buses
 """
 
 
@@ -34,7 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (%(default)s)")
     parser.add_argument("--memory", default="2G", metavar="SIZE", help="of User-mode Linux (default: %(default)s)")
     parser.add_argument("--timeout", type=common.seconds, metavar="S", help="end COMMAND after S seconds, exit with 1")
-    parser.add_argument("--attach", action="store_true", help="run COMMAND on the buses of a running `tipforce vcan`")
+    parser.add_argument(
+        "--attach", action="store_true", help="COMMAND or a shell on the buses of a running `tipforce vcan`"
+    )
     parser.add_argument("--rw", action="store_true", help="User-mode Linux: let COMMAND write your files")
     places = parser.add_mutually_exclusive_group()
     places.add_argument(

@@ -104,8 +104,8 @@ run_command() {
     exec env -i -C "$directory" "${environment[@]}" TMPDIR="$temporary" /usr/bin/setsid "$@" "${command[@]}"
 }
 
-# `tipforce vcan --attach` leaves a folder with a command, its environment and its directory. Output is on the caller's
-# disk at once by dsync: hostfs writes a file back when it is closed.
+# `tipforce vcan --attach` leaves a folder with a command, its environment, its directory, and the number of the console
+# that is its terminal. Other output is on the caller's disk at once by dsync: hostfs writes a file back when it closes.
 serve_attached() {
     local ready
     while sleep 0.2; do
@@ -121,7 +121,12 @@ run_attached() {
     mapfile -d '' -t command <"$1/command"
     mapfile -d '' -t environment <"$1/environment"
     rm "$1/environment"
-    directory=${settings[0]}
+    directory=${settings[0]} size=${settings[1]}
+    if [ -n "${settings[2]}" ]; then
+        use_terminal "/dev/tty${settings[2]}"
+        echo $? >"$1/status"
+        return
+    fi
     mkdir "$pipes" && mkfifo "$pipes/stdout" "$pipes/stderr"
     dd if="$pipes/stdout" of="$1/stdout" bs=65536 oflag=dsync status=none &
     dd if="$pipes/stderr" of="$1/stderr" bs=65536 oflag=dsync status=none &
@@ -131,12 +136,18 @@ run_attached() {
     echo "$2" >"$1/status"
 }
 
+use_terminal() {
+    (
+        stty sane
+        [ -n "$size" ] && stty rows "${size% *}" cols "${size#* }"
+        run_command --ctty
+    ) <>"$1" >&0 2>&0
+}
+
 run_on_terminal() {
-    stty -F /dev/tty1 sane
-    [ -n "$size" ] && stty -F /dev/tty1 rows "${size% *}" cols "${size#* }"
     : >"$exchange/started"
     serve_attached &
-    (run_command --ctty) <>/dev/tty1 >&0 2>&0
+    use_terminal /dev/tty1
     echo $? >"$exchange/status"
 }
 

@@ -11,6 +11,8 @@ import re
 import selectors
 import shutil
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -42,6 +44,7 @@ BOOT_LIMIT_S = 120.0
 HALT_LIMIT_S = 10.0
 _LOOK_S = 0.05
 _LINE_S = 10.0  # between two lines while it boots
+_MCONSOLE_MAGIC, _MCONSOLE_VERSION = 0xCAFEBABE, 2  # arch/um/drivers/mconsole.h
 _COMPILERS = ("gcc", "cc", "clang")
 _INSTALL = "`apt-get install -y gcc libc6-dev` (as root)"
 
@@ -74,7 +77,7 @@ def run_in_uml(
     User-mode Linux is missing or does not boot.
     """
     require_parts()
-    terminal = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
+    terminal = _on_terminal()
     terminate_as_interrupt()
     with tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as name, _terminal_kept(terminal):
         folder = Path(name)
@@ -93,6 +96,11 @@ class _Machine:
 
     def __init__(self, folder: Path, memory: str, terminal: bool) -> None:
         self.folder = folder
+        kernel = [
+            find_program("linux.uml") or "linux.uml", f"mem={memory}", f"uml_dir={folder}/", "umid=machine",
+            "rootfstype=hostfs", "root=/dev/root", "rw" if (folder / "writable").exists() else "ro",
+            f"init={folder}/init.sh", "con=null", "con0=null,fd:1", "quiet",
+        ]  # fmt: skip
         self.selector = selectors.DefaultSelector()
         self.reading: list[int] = []
         with contextlib.ExitStack() as given:
@@ -107,7 +115,7 @@ class _Machine:
                 given.callback(os.close, fd)
             log: IO[bytes] = given.enter_context((folder / "log").open("wb"))
             self.process = subprocess.Popen(
-                ["bash", "-c", _WATCHED, "vcan", *_kernel_command(folder, memory), *consoles],
+                ["bash", "-c", _WATCHED, "vcan", *kernel, *consoles],
                 stdin=alive,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -207,39 +215,28 @@ def _group_of_live(stat: Path) -> int | None:
     return None if state in "ZX" else int(group)
 
 
-def _kernel_command(folder: Path, memory: str) -> list[str]:
-    return [
-        find_program("linux.uml") or "linux.uml",
-        f"mem={memory}",
-        f"uml_dir={folder}/",
-        "umid=machine",
-        "rootfstype=hostfs",
-        "root=/dev/root",
-        "rw" if (folder / "writable").exists() else "ro",
-        f"init={folder}/init.sh",
-        "con=null",
-        "con0=null,fd:1",
-        "quiet",
-    ]
-
-
 def _write_request(
     folder: Path, command: Sequence[str], interfaces: Sequence[str], writable: bool, terminal: bool
 ) -> None:
-    size = ""
-    if terminal:
-        columns, rows = os.get_terminal_size()
-        size = f"{rows} {columns}" if rows and columns else ""
     access = "write" if writable else "layer"
     if writable:
         (folder / "writable").touch()
-    settings = [os.getcwd(), access, "terminal" if terminal else "pipes", size, os.uname().nodename]
+    settings = [os.getcwd(), access, "terminal" if terminal else "pipes", _terminal_size(), os.uname().nodename]
     write_list(folder / "settings", [*settings, *interfaces])
     write_list(folder / "command", command)
     write_list(folder / "environment", [name + b"=" + value for name, value in os.environb.items()])
     script = folder / "init.sh"
     script.write_bytes(files("tipforce_tools.vcan").joinpath("init.sh").read_bytes())
     script.chmod(0o700)
+
+
+def _on_terminal() -> bool:
+    return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
+
+
+def _terminal_size() -> str:
+    columns, rows = os.get_terminal_size() if _on_terminal() else (0, 0)
+    return f"{rows} {columns}" if rows and columns else ""
 
 
 def memory_folder(memory: str, otherwise: Path) -> str:
@@ -372,8 +369,7 @@ def run_with_vcan(
 def run_attached(command: Sequence[str], shell: Callable[[], list[str]], timeout_s: float | None = None) -> int:
     """Run ``command``, or ``shell()``, on the buses of the latest `tipforce vcan` of this user; return its exit code.
 
-    In User-mode Linux its stdin is /dev/null, so that a shell is refused with InputError. Raises EnvironmentLackError
-    if none runs.
+    Raises EnvironmentLackError if none runs.
     """
     folders = sorted(Path(short_temporary_folder()).glob(f"{PREFIX}*"), key=lambda path: path.stat().st_mtime)
     for folder in reversed([folder for folder in folders if folder.stat().st_uid == os.geteuid()]):
@@ -386,33 +382,42 @@ def run_attached(command: Sequence[str], shell: Callable[[], list[str]], timeout
             enter = [find_program("nsenter") or "nsenter", "--target", process, *user, "--net", "--mount"]
             return run_here([*enter, f"--wdns={os.getcwd()}", "--", *(command or shell())], timeout_s)
         if (folder / "started").exists() and not (folder / "status").exists():
-            if not command:
-                raise InputError("--attach: no second shell in User-mode Linux, which has one terminal; add -- COMMAND")
-            return _in_machine(folder, command, timeout_s)
+            return _in_machine(folder, command or shell(), timeout_s)
     raise EnvironmentLackError("--attach: no `tipforce vcan` of yours runs; start one in another terminal")
 
 
 def _in_machine(folder: Path, command: Sequence[str], timeout_s: float | None) -> int:
     """Leave the request in the folder, where the machine looks for it; copy the output until it has a status."""
+    terminal = _on_terminal()
     place = Path(tempfile.mkdtemp(prefix="attach-", dir=folder))
-    write_list(place / "settings", [os.getcwd()])
+    write_list(place / "settings", [os.getcwd(), _terminal_size(), _console(folder) if terminal else ""])
     write_list(place / "command", command)
     write_list(place / "environment", [name + b"=" + value for name, value in os.environb.items()])
-    outputs = [((place / name), stream) for name, stream in (("stdout", sys.stdout), ("stderr", sys.stderr))]
-    for path, _ in outputs:
-        path.touch()
-    (place / "ready").touch()
     end_s = time.monotonic() + (timeout_s or float("inf"))
-    with contextlib.ExitStack() as opened:
-        files = [(opened.enter_context(path.open("rb")), stream) for path, stream in outputs]
+    with (place / "stdout").open("w+b") as out, (place / "stderr").open("w+b") as err, _terminal_kept(terminal):
+        (place / "ready").touch()
         while True:
             status = (place / "status").read_text() if (place / "status").exists() else ""
-            for file, stream in files:
+            for file, stream in ((out, sys.stdout), (err, sys.stderr)):
                 stream.flush()
                 os.write(stream.fileno(), file.read())
             if status.strip():
                 return int(status)
             if not folder.exists() or (folder / "status").exists() or time.monotonic() > end_s:
-                print("tipforce vcan: the command was ended, with its machine or after --timeout", file=sys.stderr)
+                print("tipforce vcan: the command was ended, with its machine or after --timeout\r", file=sys.stderr)
                 return 1
             time.sleep(_LOOK_S)
+
+
+def _console(folder: Path) -> str:
+    """Give this terminal to the machine as one more console, by the kernel's management socket; return its number."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as management:
+        management.bind("")  # an address for the answer
+        management.settimeout(10.0)
+        management.connect(str(folder / "machine" / "mconsole"))
+        for number in range(3, 16):  # a console in use is refused
+            request = f"config con{number}=tty:{os.ttyname(0)}".encode()
+            management.send(struct.pack("=3I512s", _MCONSOLE_MAGIC, _MCONSOLE_VERSION, len(request), request))
+            if management.recv(1024)[:4] == bytes(4):
+                return str(number)
+    raise EnvironmentLackError("--attach: this User-mode Linux has no console left; end another attached shell")

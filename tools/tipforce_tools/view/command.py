@@ -31,6 +31,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source",
         nargs="?",
+        # A hand file that is missing must not become the shipped scene of its name, whose forces are simulated.
+        type=common.InputFile("", "no such file", lambda text: "." in text),
         metavar="HAND.toml|LOG|SCENE",
         help="a hand file, a log, a scene, or the name of a shipped scene (default: listen to the bus)",
     )

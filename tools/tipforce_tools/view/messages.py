@@ -114,15 +114,12 @@ def csv_chunks(model: Model) -> Iterator[bytes]:
         for t_ns, contact, u, gauges, status in parts:
             t = f"{t_ns // 1_000_000_000}.{t_ns % 1_000_000_000:09d},"
             for k, head in enumerate(heads):
-                cells = [_cell(value) for value in (*contact[k], *u[k], *gauges[k])]
+                values = (*contact[k], *u[k], *gauges[k])
+                cells = ["" if math.isnan(value) else f"{value:.6g}" for value in values]
                 flags = "" if status[k] & NO_ANSWER else f"{status[k] & 0xFF}"
                 lines.append(f"{t}{head}{','.join(cells)},{flags}\n")
         yield "".join(lines).encode()
         time.sleep(_PAUSE_S)
-
-
-def _cell(value: float) -> str:
-    return "" if math.isnan(value) else f"{value:.6g}"
 
 
 def _quoted(text: str) -> str:

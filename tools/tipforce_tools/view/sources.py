@@ -14,9 +14,10 @@ import numpy.typing as npt
 from msgspec.structs import replace
 
 from canopen_device.core.codes import RPDO_BASES, STANDARD_MASK, SYNC_COB_ID, TPDO_BASES
-from tipforce.errors import InputError, LogError, RefusedError, TipforceError
+from tipforce.errors import InputError, RefusedError, TipforceError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event
+from tipforce.host.logs.empty import no_sample
 from tipforce.host.logs.reader import open_log
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
 from tipforce.samples import reasons
@@ -39,7 +40,8 @@ import tipforce
 
 log = tipforce.read_log("{file}")
 print(log)
-print(log[{node_id}])  # and its arrays: log[{node_id}].t_s, .P_newtons, .phi_deg, .theta_deg
+print(log[{node_id}])
+print(log[{node_id}].P_newtons)  # .t_s, .phi_deg, .theta_deg
 """
 """What it prints has numbers, also where the first samples are unknown."""
 
@@ -126,11 +128,16 @@ class LogSource(Source):
         self, path: Path, make_finger: FingerMaker, gauges: int = 3, start_s: float = 0.0, end_s: float | None = None
     ) -> None:
         """``start_s``, ``end_s``: the part to read, seconds from the log's first frame. Raises InputError."""
-        self._path, self._watcher = path, Watcher(make_finger, gauges)
+        self._path, self._hidden = path, False
+
+        def make(node_id: int) -> Finger | None:
+            finger = make_finger(node_id)
+            self._hidden |= finger is None
+            return finger
+
+        self._watcher = Watcher(make, gauges)
         rows = self._discover(start_s, end_s)
         found = self._watcher.fingers
-        if not found:
-            raise LogError(f"{path}: no PDO of a fingertip (0x180, 0x280 or 0x380 + node-id, with 8 bytes)")
         most = LOG_BYTES // (2 * row_bytes(len(found), gauges))
         if rows > most:
             raise InputError(
@@ -151,7 +158,7 @@ class LogSource(Source):
 
         They are its SYNCs, or the frames of the finger that sent most.
         """
-        first, start, end = None, 0, np.iinfo(np.int64).max
+        first, start, end, read = None, 0, np.iinfo(np.int64).max, 0
         count = np.zeros(STANDARD_MASK + 1, dtype=np.int64)
         with open_log(self._path) as log:
             for frames in log:
@@ -160,11 +167,16 @@ class LogSource(Source):
                     first = int(t_ns[0])
                     start = first + round(start_s * 1e9) if start_s else start
                     end = first + round(end_s * 1e9) if end_s is not None else end
+                read += len(frames)
                 self._watcher.discover(frames)
                 self._seconds = (int(t_ns[-1]) - first) * 1e-9
                 counted = ids[(ids < len(count)) & (t_ns >= start) & (t_ns < end)]
                 count += np.bincount(counted, minlength=len(count))
-            if first is not None and not log.timed:
+            if not self._watcher.fingers:
+                if self._hidden:
+                    raise InputError(f"{self._path}: no PDO of the chosen nodes")
+                raise no_sample(str(self._path), read, log.extended)
+            if not log.timed:
                 raise InputError(f"{self._path}: the log has no timestamps, which a replay needs")
         self._limits = start, end
         return int(count[SYNC_COB_ID]) or int(count[TPDO_BASES[0] + 1 : RPDO_BASES[2]].max())

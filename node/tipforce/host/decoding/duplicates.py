@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 PRODUCT, SERIAL = (communication.IDENTITY, 2), (communication.IDENTITY, 4)
 _PRODUCT_PLACE, _SERIAL_PLACE = (struct.pack("<HB", *place) for place in (PRODUCT, SERIAL))
-_DEFAULT_PRODUCT = table.product_code(table.MIN_GAUGES, simulated=False)  # of `tipforce lss`
 _BOOT, _GUARD = b"boot-up", b"guarding"  # requests other than SDO, which are known by index and sub-index
 _MOST_WAITING = 16  # responses that may still come to repeated requests
 _MOST_REQUESTS = 64  # of one node that are remembered
@@ -47,6 +46,12 @@ _OF_ANY_LENGTH = (codes.NMT_COB_ID, codes.HEARTBEAT_BASE, codes.HEARTBEAT_BASE |
 _RESETS = (codes.NMT_RESET_NODE, codes.NMT_RESET_COMMUNICATION)
 
 
+def of_product(product: int) -> str:
+    """Return the flag of `tipforce lss` for a product; nothing for its default, and for an unknown product, 0."""
+    default = table.product_code(table.MIN_GAUGES, simulated=False)
+    return f" --product 0x{product:X}" if product not in (0, default) else ""
+
+
 class Duplicate(NamedTuple):
     """Two nodes with one node-id; ``serials`` are those seen, ``product`` 0 is unknown. As text: cause and remedy."""
 
@@ -59,13 +64,13 @@ class Duplicate(NamedTuple):
     def __str__(self) -> str:
         """Return one line."""
         if len(self.serials) > 1:
-            product = f" --product 0x{self.product:X}" if self.product not in (0, _DEFAULT_PRODUCT) else ""
             numbers = ", ".join(map(str, self.serials))
-            step = f"give one another node-id: `tipforce lss assign ID --serial {self.serials[-1]}{product}`"
+            one = f"{self.serials[-1]}{of_product(self.product)}"
+            step = f"give one of them another node-id: `tipforce lss assign ID --serial {one}`"
             return f"{self.cause} (serial numbers {numbers}): {step}, then `tipforce nmt reset-comm {self.node_id}`"
         if self.serials:
             return f"{self.cause} (serial number {self.serials[0]}): power only one, and give it another node-id"
-        return f"{self.cause}: `tipforce scan` shows their serial numbers and how to give one another node-id"
+        return f"{self.cause}: `tipforce scan` shows their serial numbers and how to give one of them another node-id"
 
 
 class _Node:

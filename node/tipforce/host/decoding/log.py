@@ -22,6 +22,7 @@ from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, NODE_BITS, Column, Table, missing_of
+from tipforce.host.logs.empty import no_frame
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
 from tipforce.samples.record import Samples
@@ -72,10 +73,7 @@ class NodeLog(Contacts):
 
         An unknown value is null. ``status`` holds the bits of ``Status``. Raises EnvironmentLackError without pyarrow.
         """
-        try:
-            import pyarrow as pa
-        except ImportError:
-            raise EnvironmentLackError("to_arrow needs pyarrow: `pip install 'tipforce[parquet]'`") from None
+        pa = _pyarrow()
         times = pa.array((self.t_s * 1e6).round().astype(np.int64), pa.timestamp("us", tz="UTC"))
         arrays = {"t_s": times, "node": pa.array(np.full(len(self), self.node_id, dtype=np.uint8)),
                   "counter": pa.array(self.counter, mask=self.counter < 0)}  # fmt: skip
@@ -136,8 +134,7 @@ class Log(Mapping[int, NodeLog]):
 
     def to_arrow(self) -> pyarrow.Table:
         """Return the samples of all nodes as one Arrow table in the order of time. See ``NodeLog.to_arrow``."""
-        import pyarrow as pa
-
+        pa = _pyarrow()
         tables = [samples.to_arrow() for samples in self.values()]
         whole = pa.concat_tables(tables, promote_options="default") if tables else pa.table({})
         return whole.sort_by([("t_s", "ascending"), ("node", "ascending")]) if tables else whole
@@ -145,6 +142,14 @@ class Log(Mapping[int, NodeLog]):
     def to_pandas(self) -> pandas.DataFrame:
         """Return ``to_arrow`` as a data frame. Raises EnvironmentLackError without pandas or pyarrow."""
         return _data_frame(self.to_arrow())
+
+
+def _pyarrow() -> Any:
+    try:
+        import pyarrow
+    except ImportError:
+        raise EnvironmentLackError("to_arrow needs pyarrow: `pip install 'tipforce[parquet]'`") from None
+    return pyarrow
 
 
 def _data_frame(table: pyarrow.Table) -> pandas.DataFrame:
@@ -184,8 +189,7 @@ def read_log(
     tables = list(tables_of_logs(recording, names))
     told = recording.told
     if not any(notes.frames for notes in told.notes):
-        first = next((notes.first_bad for notes in told.notes if notes.first_bad), "")
-        raise InputError(f"{', '.join(names)}: not one frame in it; is it a log?{' ' + first if first else ''}")
+        raise no_frame(", ".join(names), next((notes.first_bad for notes in told.notes if notes.first_bad), None))
     if channel is not None and channel not in recording.channels:
         raise InputError(f"{', '.join(names)}: no frame of channel {channel!r} in it")
     nodes: dict[int, NodeLog] = {}

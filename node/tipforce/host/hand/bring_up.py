@@ -19,6 +19,7 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.configuration_file import Configuration, apply_differences, verify_configuration
 from tipforce.host.configuration.device_objects import FingertipObjects
+from tipforce.host.decoding.duplicates import of_product
 from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
@@ -214,9 +215,10 @@ def _identity(client: FingertipClient, plan: FingerPlan) -> str:
     if not identity.is_fingertip or identity.gauges != plan.gauges:
         raise InputError(f"product code 0x{identity.product:08X}: expected a fingertip of {plan.gauges} gauges")
     if plan.serial and identity.serial != plan.serial:
+        command = f"`tipforce lss assign {plan.node_id} --serial {plan.serial}{of_product(identity.product)}`"
         raise InputError(
-            f"serial is {identity.serial}, expected {plan.serial}: check for swapped fingers; "
-            f"`tipforce lss assign {plan.node_id} --serial {plan.serial}` assigns the node-id to the right one"
+            f"serial is {identity.serial}, expected {plan.serial}: check for swapped fingers; {command} assigns the "
+            "node-id to the right one"
         )
     return f"{'simulated ' if identity.simulated else ''}fingertip, serial {identity.serial}"
 

@@ -1,6 +1,6 @@
 // One card per finger: its picture and its numbers. The DOM is touched only where something changed.
 import { K, QUANTITIES, clock, duration, number } from "./format.js";
-import { drawSection, pixelsPerMm } from "./section.js";
+import { drawSection } from "./section.js";
 
 const make = (tag, className, text = "") => {
   const element = document.createElement(tag);
@@ -98,7 +98,6 @@ export class Card {
   draw(state, scale) {
     const [context, width, height] = sizeCanvas(this.canvas);
     drawSection(context, this.geometry, state, scale, 0, 0, width, height);
-    return pixelsPerMm(this.geometry, width, height);
   }
 }
 

@@ -6,7 +6,7 @@ import { Link, fetchCsv, save } from "./link.js";
 import { savePicture } from "./picture.js";
 import { clock, duration, nice, number } from "./format.js";
 import { Panel } from "./panel.js";
-import { MARGIN, drawLegend } from "./section.js";
+import { drawLegend } from "./section.js";
 import { CURVES, startTheme } from "./theme.js";
 
 const LATE_MS = 500; // an older message, or a longer silence of the server, is not "live"
@@ -20,7 +20,6 @@ const page = {
   states: [], events: [], speed: 1,
   lateBy: Infinity, arrived: 0, link: null, stream: 0, lost: false,
   scale: null, // full scales {newtons, microstrain}: fixed unless the user changes them
-  pixelsPerMm: 4,
   dirty: false, drawnAt: 0, asked: 0,
 };
 const inSight = new Set();
@@ -247,10 +246,10 @@ function paint(everything) {
     const state = states[n];
     if (!state) return;
     card.show(state, message.t, page.mode === "live", page.mode === "live" && message.nmt ? message.nmt[n] ?? "" : nmtOf(card.geometry.node_id, message.t));
-    if (everything || inSight.has(card.canvas)) page.pixelsPerMm = card.draw(state, scale);
+    if (everything || inSight.has(card.canvas)) card.draw(state, scale);
   });
   const [context, width, height] = sizeCanvas($("legend"));
-  drawLegend(context, { ...scale, pixelsPerMm: page.pixelsPerMm }, width, height);
+  drawLegend(context, scale, width, height);
   drawAngles(...sizeCanvas($("angles")));
   panel.draw((canvas) => everything || inSight.has(canvas));
   showBus(message);
@@ -280,7 +279,7 @@ function setScale(name, text) {
 }
 
 function drawingScale() {
-  return { mmPerNewton: MARGIN / page.scale.newtons, fullStrain: page.scale.microstrain, newtons: page.scale.newtons };
+  return { fullStrain: page.scale.microstrain, newtons: page.scale.newtons };
 }
 
 // What rows can lack, in words, and how often they did.
@@ -402,7 +401,7 @@ function wire() {
   });
   for (const name of ["newtons", "microstrain"]) $(name).addEventListener("change", () => setScale(name, $(name).value));
   $("scrub").addEventListener("input", () => scrubTo(Math.min(Number($("scrub").value), page.message.end)));
-  $("png").addEventListener("click", () => savePicture(page, shownStates(), panel, { ...drawingScale() }));
+  $("png").addEventListener("click", () => savePicture(page, shownStates(), panel, drawingScale()));
   $("csv").addEventListener("click", () => fetchCsv().then((blob) => save(blob, "tipforce.csv"), failed));
   document.addEventListener("keydown", (event) => {
     if (event.key !== " " || event.target.closest("button, select, input, a, dialog")) return;

@@ -3,10 +3,10 @@ import { drawChart } from "./charts.js";
 import { sense, stateText } from "./cards.js";
 import { K, QUANTITIES, clock, number } from "./format.js";
 import { save } from "./link.js";
-import { drawLegend, drawSection, pixelsPerMm } from "./section.js";
+import { drawLegend, drawSection } from "./section.js";
 import { colour, font } from "./theme.js";
 
-const WIDTH = 1280, CARD = 248, CARD_HEIGHT = 310, SECTION = 215, CHART = 120, RATIO = 2;
+const WIDTH = 1280, CARD = 248, CARD_HEIGHT = 345, SECTION = 250, CHART = 120, RATIO = 2;
 
 export function paintPicture(page, states, panel, scale) {
   const perRow = Math.max(1, Math.floor((WIDTH - 20) / CARD)), rows = Math.ceil(states.length / perRow);
@@ -31,9 +31,7 @@ export function paintPicture(page, states, panel, scale) {
   write(`${document.getElementById("mode").textContent}, ${day} ${clock(page.message.t, 2)} (times are local, the date is UTC)`, 16, 48, "12px", colour.soft);
   context.save();
   context.translate(16, 54);
-  const geometry = page.setup.fingers[0];
-  const perMm = geometry ? pixelsPerMm(geometry, CARD - 16, SECTION) : 4;
-  drawLegend(context, { ...scale, pixelsPerMm: perMm }, 430, 26);
+  drawLegend(context, scale, 430, 26);
   context.restore();
   states.forEach((state, n) => {
     const x = 10 + (n % perRow) * CARD, y = 84 + Math.floor(n / perRow) * CARD_HEIGHT;
@@ -45,7 +43,7 @@ export function paintPicture(page, states, panel, scale) {
     const values = [state.P, state.phi, state.theta], spreads = [state.uP, state.uPhi, state.uTheta];
     QUANTITIES.forEach(({ symbol, unit, digits }, k) => {
       const spread = spreads[k] === null ? "" : ` \u00b1 ${number(K * spreads[k], digits)}`;
-      write(`${symbol} ${values[k] === null ? "unknown" : `${number(values[k], digits)}${spread} ${unit}`}`, x + 8, y + 270 + 15 * k, "12px");
+      write(`${symbol} ${values[k] === null ? "unknown" : `${number(values[k], digits)}${spread} ${unit}`}`, x + 8, y + 305 + 15 * k, "12px");
     });
   });
   const top = 84 + rows * CARD_HEIGHT + 20;

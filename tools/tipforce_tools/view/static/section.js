@@ -2,22 +2,30 @@
 import { K, signed } from "./format.js";
 import { colour, font, strainColour } from "./theme.js";
 
-export const MARGIN = 8.5; // mm around the tip: the length of the full scale of force
+const FULL = 35; // mm: the length of the full scale of force, and the space above the tip
+const HALF = 32, EDGE = 2; // half of the width; an arrow keeps this distance from the edges
+const SHAFT = 2.6, HEAD = 7; // of an arrow: thickness, and length of its head
 const BASE = 2.6, BELOW = 3; // height of the base, and the lowest point below the vertical beam
 const LEG = 2, LEG_TOP = 2.5, SLIT = 0.25, STRIP = 0.8, GAUGE = 1.7;
 const RADIANS = Math.PI / 180;
 
 // state: {word, P, phi, theta, uP, uPhi, uTheta, gauges}, angles in degrees, null for unknown.
-// scale: {mmPerNewton, fullStrain}. The drawing fills width x height at x, y of the context.
+// scale: {newtons, fullStrain}. The drawing fills width x height at x, y of the context.
 export function drawSection(context, geometry, state, scale, x, y, width, height) {
-  const { low, high } = extent(geometry), k = pixelsPerMm(geometry, width, height);
+  const { d, r, h1 } = geometry, low = -(d + 0.5 * h1 + BELOW), high = r + FULL + EDGE;
+  const k = Math.min(width / (2 * HALF), height / (high - low)), spare = (height / k - (high - low)) / 2;
   const view = {
     context, k,
+    half: width / (2 * k), low: low - spare, high: high + spare,
     x: (mm) => x + width / 2 + mm * k,
-    y: (mm) => y + (height - (high - low) * k) / 2 + (high - mm) * k,
+    y: (mm) => y + (high + spare - mm) * k,
   };
   context.save();
+  context.beginPath();
+  context.rect(x, y, width, height);
+  context.clip();
   context.lineJoin = "round";
+  ruler(view, geometry, state, scale);
   body(view, geometry);
   faces(view, geometry, state, scale);
   beams(view, geometry);
@@ -27,11 +35,26 @@ export function drawSection(context, geometry, state, scale, x, y, width, height
   context.restore();
 }
 
-const extent = ({ d, r, h1 }) => ({ half: r + MARGIN, low: -(d + 0.5 * h1 + BELOW), high: r + MARGIN });
-
-export function pixelsPerMm(geometry, width, height) {
-  const { half, low, high } = extent(geometry);
-  return Math.min(width / (2 * half), height / (high - low));
+// The scale of the arrows at the left edge: a tick for each newton, or for each tenth of the scale.
+function ruler(view, { r }, state, { newtons }) {
+  const { context } = view, left = view.x(-view.half + EDGE), beyond = state.P > newtons;
+  const step = [0.1, 0.2, 0.5, 1, 2, 5, 10].find((size) => newtons / size <= 5.01) ?? newtons / 5;
+  context.strokeStyle = context.fillStyle = beyond ? colour.bad : colour.soft;
+  context.lineWidth = 1;
+  context.font = `${Math.max(10, Math.min(13, 3 * view.k))}px ${font.family}`;
+  context.textAlign = "left";
+  context.textBaseline = "middle";
+  context.beginPath();
+  context.moveTo(left, view.y(r));
+  context.lineTo(left, view.y(r + FULL));
+  for (let value = 0; value <= newtons * 1.001; value += step) {
+    const y = view.y(r + (FULL * value) / newtons);
+    context.moveTo(left, y);
+    context.lineTo(left + 4, y);
+  }
+  context.stroke();
+  context.fillText("0", left + 7, view.y(r));
+  context.fillText(beyond ? `more than ${newtons} N` : `${newtons} N`, left + 7, view.y(r + FULL));
 }
 
 function path(view, points) {
@@ -104,7 +127,7 @@ function faces(view, geometry, state, scale) {
 function gauges(view, geometry, state, scale) {
   const { context } = view;
   const rows = {};
-  context.font = `${Math.max(9.5, Math.min(12, 2.5 * view.k))}px ${font.family}`;
+  context.font = `${Math.max(10.5, Math.min(13, 2.7 * view.k))}px ${font.family}`;
   context.textBaseline = "middle";
   geometry.gauges.forEach((gauge, n) => {
     const value = state.gauges?.[n] ?? null;
@@ -147,10 +170,10 @@ function label(view, gauge, n, value, stale, rows) {
   const sign = gauge.beam === "H" ? Math.sign(x0 + x1) : gauge.out[0];
   const middle = [(x0 + x1) / 2 + gauge.out[0] * GAUGE, (y0 + y1) / 2 + gauge.out[1] * GAUGE];
   const key = `${sign}`;
-  const row = gauge.beam === "H" ? -4.6 - 3.2 * (rows[key] = (rows[key] ?? -1) + 1) : Math.max((y0 + y1) / 2, -13);
+  const row = gauge.beam === "H" ? -4.6 - Math.max(3.2, 11.5 / view.k) * (rows[key] = (rows[key] ?? -1) + 1) : Math.max((y0 + y1) / 2, -13);
   // The leader of a gauge far out meets the outer end of its label, any other the inner end.
   const outer = gauge.beam === "H" && Math.abs(middle[0]) > 8;
-  const at = sign * (outer ? 14.4 : 3.4);
+  const at = sign * (outer ? 18 : 3.4);
   const text = `SG${n + 1} ${value === null ? "\u2013" : signed(value, 0)}`;
   context.strokeStyle = colour.edge;
   context.lineWidth = 0.8;
@@ -169,20 +192,36 @@ function force(view, { r }, state, scale) {
   const pushes = state.theta === null || Math.cos(phi - state.theta * RADIANS) < 0;
   // Without a contact angle only the line of action is drawn, through the middle of the tip.
   const at = state.theta === null ? [0, r * 0.5] : [r * Math.cos(state.theta * RADIANS), r * Math.sin(state.theta * RADIANS)];
-  const out = pushes ? -1 : 1;
-  const length = Math.min(state.P * scale.mmPerNewton, MARGIN);
+  const out = pushes ? -1 : 1; // from the contact outwards, along phi or against it
   const U = state.uPhi === null ? null : K * state.uPhi * RADIANS;
+  const along = [out * Math.cos(phi), out * Math.sin(phi)];
+  const [start, length] = inside(view, at, along, FULL * Math.min(state.P / scale.newtons, 1));
   if (state.theta !== null && state.uTheta !== null) arc(view, r, state.theta, K * state.uTheta);
-  if (U !== null) cone(view, at, phi, out, Math.min(U, Math.PI), length, K * (state.uP ?? 0) * scale.mmPerNewton);
-  const end = [at[0] + out * length * Math.cos(phi), at[1] + out * length * Math.sin(phi)];
-  const [tail, head] = pushes ? [end, at] : [at, end];
+  if (U !== null) cone(view, start, phi, out, Math.min(U, Math.PI), length, (FULL * K * (state.uP ?? 0)) / scale.newtons);
+  const end = [start[0] + length * along[0], start[1] + length * along[1]];
+  const [tail, head] = pushes ? [end, start] : [start, end];
   if (state.theta !== null) arrow(view, tail, head);
   else line(view, tail, head);
   if (state.P > scale.newtons) broken(view, tail, head);
+  if (state.theta === null) return;
   context.fillStyle = colour.force;
+  context.strokeStyle = colour.card;
+  context.lineWidth = 1.5;
   context.beginPath();
-  if (state.theta !== null) context.arc(view.x(at[0]), view.y(at[1]), Math.max(2.5, 0.55 * view.k), 0, 2 * Math.PI);
+  context.arc(view.x(at[0]), view.y(at[1]), Math.max(3, 0.9 * view.k), 0, 2 * Math.PI);
   context.fill();
+  context.stroke();
+}
+
+// An arrow that would pass an edge of the drawing is moved inwards along its line of action, with its whole length.
+function inside(view, at, along, length) {
+  const low = [EDGE - view.half, view.low + EDGE], high = [view.half - EDGE, view.high - EDGE];
+  const room = (sign) => Math.min(...[0, 1].map((n) => {
+    const step = sign * along[n];
+    return Math.abs(step) < 1e-9 ? Infinity : ((step > 0 ? high[n] : low[n]) - at[n]) / step;
+  }));
+  const back = Math.min(Math.max(length - room(1), 0), room(-1));
+  return [[at[0] - back * along[0], at[1] - back * along[1]], Math.min(length, room(1) + back)];
 }
 
 function arc(view, r, theta, U) {
@@ -217,8 +256,8 @@ function cone(view, at, phi, out, half, length, spread) {
 function line(view, tail, head) {
   const { context } = view;
   context.strokeStyle = colour.force;
-  context.lineWidth = 1.6;
-  context.setLineDash([4, 3]);
+  context.lineWidth = Math.max(3, view.k);
+  context.setLineDash([8, 6]);
   context.beginPath();
   context.moveTo(view.x(tail[0]), view.y(tail[1]));
   context.lineTo(view.x(head[0]), view.y(head[1]));
@@ -232,12 +271,13 @@ function broken(view, tail, head) {
   const [tx, ty, hx, hy] = [view.x(tail[0]), view.y(tail[1]), view.x(head[0]), view.y(head[1])];
   const length = Math.hypot(hx - tx, hy - ty), ux = (hx - tx) / length, uy = (hy - ty) / length;
   context.strokeStyle = colour.bad;
-  context.lineWidth = 2;
+  context.lineWidth = 3;
+  const bar = 1.2 * SHAFT * view.k;
   context.beginPath();
-  for (const at of [0.35, 0.5]) {
+  for (const at of [0.35, 0.45]) {
     const [x, y] = [tx + at * (hx - tx), ty + at * (hy - ty)];
-    context.moveTo(x - 6 * uy, y + 6 * ux);
-    context.lineTo(x + 6 * uy, y - 6 * ux);
+    context.moveTo(x - bar * uy, y + bar * ux);
+    context.lineTo(x + bar * uy, y - bar * ux);
   }
   context.stroke();
 }
@@ -248,9 +288,9 @@ function arrow(view, tail, head) {
   const length = Math.hypot(hx - tx, hy - ty);
   if (length < 1) return;
   const ux = (hx - tx) / length, uy = (hy - ty) / length;
-  const size = Math.min(16, 0.6 * length), wing = 0.5 * size; // seen from across a room
+  const size = Math.min(HEAD * view.k, 0.6 * length), wing = 0.5 * size; // seen from across a room
   context.strokeStyle = context.fillStyle = colour.force;
-  context.lineWidth = Math.min(5, 0.25 * length);
+  context.lineWidth = Math.min(SHAFT * view.k, 0.25 * length);
   context.beginPath();
   context.moveTo(tx, ty);
   context.lineTo(hx - ux * size * 0.8, hy - uy * size * 0.8);
@@ -263,7 +303,7 @@ function arrow(view, tail, head) {
   context.fill();
 }
 
-// The bar of strain colours and the length of a force.
+// The bar of strain colours.
 export function drawLegend(context, scale, width, height) {
   context.clearRect(0, 0, width, height);
   context.font = `11px ${font.family}`;
@@ -291,12 +331,4 @@ export function drawLegend(context, scale, width, height) {
   context.fillText(signed(-scale.fullStrain, 0), left - 5, middle);
   context.textAlign = "left";
   context.fillText(`${signed(scale.fullStrain, 0)} microstrain`, left + bar + 6, middle);
-  const start = left + bar + 118, length = MARGIN * scale.pixelsPerMm;
-  context.strokeStyle = colour.force;
-  context.lineWidth = 2.2;
-  context.beginPath();
-  context.moveTo(start, middle);
-  context.lineTo(start + length, middle);
-  context.stroke();
-  context.fillText(`${scale.newtons} N`, start + length + 6, middle);
 }
