@@ -253,17 +253,20 @@ done:
 
 /* --- rows of samples -------------------------------------------------------------------------- */
 
-enum { NO_COUNTER = -1, ORDER = 0, ROW, FIRST, COUNTER, HELD, HELD_NUMBER, COLUMNS, MESSAGES = 256 };
+enum { NO_COUNTER = -1, SAMPLES = 256, ORDER = 0, ROW, FIRST, COUNTER, HELD, HELD_NUMBER, COLUMNS, MESSAGES = 256 };
 
 static const int64_t MOST_FRAMES = (int64_t)1 << 60;
 
 typedef struct { /* SLOT of sample_rule.py: a message of a node */
-    uint32_t sender;
+    uint32_t sender, group;
     int16_t shift, mask; /* of the counter, shift -1 for none */
     Byte message, length, cyclic, used;
-    uint16_t key;
-    Byte spare[2];
+    uint16_t key, modulus;
 } Slot;
+
+typedef struct { /* the frames of a slot in complete rows; -1 for no counter that shows losses */
+    int64_t frames, first, last, lost;
+} Count;
 
 typedef struct { /* the last row of a sender, and its last frame that follows SYNC */
     int64_t row, t_ns, number;
@@ -282,7 +285,9 @@ typedef struct {
     const uint32_t *slots;
     const Slot *layouts;
     const int64_t *held_number;
-    int64_t *work[COLUMNS], *ends, *seen, *too_short; /* the last three by slot */
+    int64_t *work[COLUMNS], *ends; /* the latter by group */
+    int64_t *seen, *too_short; /* by slot */
+    Count *counts;
     Py_ssize_t count, kinds, held;
     int64_t number, gap_ns, gap_frames;
 } Join;
@@ -330,9 +335,11 @@ static Py_ssize_t give_rows(Join *job, Last *last, Decoded *decoded) {
     for (Py_ssize_t k = 0; k < job->count; k++) {
         const Byte *frame = job->frames + k * FRAME_BYTES;
         uint32_t kind = job->slots[k];
-        if (kind >= (uint32_t)job->kinds || job->layouts[kind].sender >= (uint32_t)job->kinds)
+        if (kind >= (uint32_t)job->kinds)
             return -1;
         const Slot *slot = &job->layouts[kind];
+        if (slot->sender >= (uint32_t)job->kinds || slot->group >= (uint32_t)job->kinds)
+            return -1;
         if (!kind)
             continue;
         if (frame[12] < slot->length) {
@@ -353,6 +360,21 @@ static Py_ssize_t give_rows(Join *job, Last *last, Decoded *decoded) {
     return found;
 }
 
+/* Count a frame of a complete row: lost_samples() of counters.py. */
+static void count_frame(Count *count, const Slot *slot, int64_t counter) {
+    count->frames++;
+    if (!slot->cyclic || !slot->modulus || (!counter && slot->modulus != SAMPLES)) /* 0 is no SYNC's latch */
+        return;
+    if (count->first < 0)
+        count->first = counter;
+    else {
+        int64_t step = (counter - count->last) % slot->modulus;
+        step += step < 0 ? slot->modulus : 0;
+        count->lost += step > 1 ? step - 1 : 0;
+    }
+    count->last = counter;
+}
+
 /* Store the rows that no later frame can join: those before the first open one. */
 static Py_ssize_t store_rows(Join *job, const Last *last, const Decoded *decoded, Py_ssize_t found, int is_last,
                              Py_ssize_t *held) {
@@ -371,17 +393,21 @@ static Py_ssize_t store_rows(Join *job, const Last *last, const Decoded *decoded
             job->work[COUNTER][rows] = decoded[k].counter;
             row[k] = rows++;
         }
-        job->ends[decoded[k].slot] += decoded[k].start < end;
-        job->seen[decoded[k].slot] += 1;
+        const Slot *slot = &job->layouts[decoded[k].slot];
+        job->seen[decoded[k].slot] = 1;
+        if (decoded[k].start < end) {
+            job->ends[slot->group]++;
+            count_frame(&job->counts[decoded[k].slot], slot, decoded[k].counter);
+        }
     }
-    for (Py_ssize_t k = 0; k < job->kinds; k++) { /* the place of a slot's first frame, which grows to its end */
+    for (Py_ssize_t k = 0; k < job->kinds; k++) { /* the place of a group's first frame, which grows to its end */
         int64_t frames = job->ends[k];
         job->ends[k] = sum;
         sum += frames;
     }
     for (Py_ssize_t k = 0; k < found; k++)
         if (decoded[k].start < end) {
-            int64_t place = job->ends[decoded[k].slot]++;
+            int64_t place = job->ends[job->layouts[decoded[k].slot].group]++;
             job->work[ORDER][place] = decoded[k].frame;
             job->work[ROW][place] = row[decoded[k].start];
         }
@@ -394,36 +420,45 @@ static Py_ssize_t store_rows(Join *job, const Last *last, const Decoded *decoded
     return rows;
 }
 
-/* Append a tuple of three numbers, or of the first two. */
-static int append(PyObject *list, int size, long long a, long long b, long long c) {
-    PyObject *row = size == 3 ? Py_BuildValue("(LLL)", a, b, c) : Py_BuildValue("(LL)", a, b);
-    int failed = !row || PyList_Append(list, row) < 0;
+/* Append a tuple of numbers. */
+static int append(PyObject *list, int size, const int64_t *numbers) {
+    PyObject *row = PyTuple_New(size);
+    int failed = !row;
+    for (int k = 0; k < size && !failed; k++) {
+        PyObject *number = PyLong_FromLongLong(numbers[k]);
+        failed = !number || PyTuple_SetItem(row, k, number) < 0;
+    }
+    failed = failed || PyList_Append(list, row) < 0;
     Py_XDECREF(row);
     return failed;
 }
 
-/* Return (rows, held, number, spans, short) as join_here does; steals nothing. */
+/* Return (rows, held, number, ends, counts, short) as join_here does; steals nothing. */
 static PyObject *join_result(const Join *job, Py_ssize_t rows, Py_ssize_t held) {
-    PyObject *spans = PyList_New(0), *too_short = PyList_New(0), *result = NULL;
-    int failed = !spans || !too_short;
+    PyObject *ends = PyList_New(0), *counts = PyList_New(0), *too_short = PyList_New(0), *result = NULL;
+    int failed = !ends || !counts || !too_short;
     int64_t low = 0;
     for (Py_ssize_t k = 0; k < job->kinds && !failed; k++) {
+        const Count *count = &job->counts[k];
+        if (job->ends[k] > low)
+            failed = append(ends, 2, (int64_t[]){k, job->ends[k]});
         if (job->seen[k])
-            failed = append(spans, 3, k, low, job->ends[k]);
+            failed |= append(counts, 5, (int64_t[]){k, count->frames, count->first, count->last, count->lost});
         if (job->too_short[k])
-            failed = failed || append(too_short, 2, k, job->too_short[k], 0);
+            failed |= append(too_short, 2, (int64_t[]){k, job->too_short[k]});
         low = job->ends[k];
     }
     if (!failed)
-        result = Py_BuildValue("nnLOO", rows, held, (long long)job->number, spans, too_short);
-    Py_XDECREF(spans);
+        result = Py_BuildValue("nnLOOO", rows, held, (long long)job->number, ends, counts, too_short);
+    Py_XDECREF(ends);
+    Py_XDECREF(counts);
     Py_XDECREF(too_short);
     return result;
 }
 
 PyDoc_STRVAR(join_doc,
 "join(frames, slots, layouts, held_number, number, gap_ns, gap_frames, last, work)\n"
-"-> (rows, held, number, spans, short): see join_here of host/decoding/sample_rule.py.");
+"-> (rows, held, number, ends, counts, short): see join_here of host/decoding/sample_rule.py.");
 
 static PyObject *join(PyObject *module, PyObject *args) {
     Py_buffer frames, slots, layouts, held_number, work;
@@ -451,15 +486,18 @@ static PyObject *join(PyObject *module, PyObject *args) {
     Last *last = PyMem_Calloc(kinds, sizeof *last);
     Decoded *decoded = PyMem_Malloc(((size_t)job.count + 1) * sizeof *decoded);
     job.ends = PyMem_Calloc(3 * kinds, sizeof *job.ends);
+    job.counts = PyMem_Calloc(kinds, sizeof *job.counts);
     int fits = number < MOST_FRAMES && number > -MOST_FRAMES && gap_ns >= 0;
     fits = fits && slots.len == job.count * 4 && work.len == job.count * 8 * COLUMNS;
     for (Py_ssize_t k = 0; k < job.held; k++)
         fits = fits && job.held_number[k] < MOST_FRAMES && job.held_number[k] > -MOST_FRAMES;
-    if (!last || !decoded || !job.ends)
+    if (!last || !decoded || !job.ends || !job.counts)
         PyErr_NoMemory();
     else {
         job.seen = job.ends + kinds;
         job.too_short = job.seen + kinds;
+        for (size_t k = 0; k < kinds; k++)
+            job.counts[k].first = job.counts[k].last = -1;
         Py_ssize_t found = fits ? give_rows(&job, last, decoded) : -1, held = 0, rows;
         if (found < 0)
             PyErr_SetString(PyExc_ValueError, "join: arguments");
@@ -471,6 +509,7 @@ static PyObject *join(PyObject *module, PyObject *args) {
     PyMem_Free(last);
     PyMem_Free(decoded);
     PyMem_Free(job.ends);
+    PyMem_Free(job.counts);
     PyBuffer_Release(&frames);
     PyBuffer_Release(&slots);
     PyBuffer_Release(&layouts);
@@ -736,13 +775,21 @@ static double value_of(const Signal *signal, uint64_t raw) {
     return signal->offset != 0 ? value + signal->offset : value;
 }
 
-#define EACH(type, value)                      \
+#define EACH_AT(place, type, value)            \
     for (Py_ssize_t k = 0; k < count; k++) {   \
         uint64_t raw = words[k] >> start;      \
-        ((type *)out)[k] = (type)(value);      \
+        ((type *)out)[place] = (type)(value);  \
+    }
+#define EACH(type, value)                      \
+    {                                          \
+        if (row)                               \
+            EACH_AT(row[k], type, value)       \
+        else                                   \
+            EACH_AT(k, type, value)            \
     }
 
-static void extract_one(Signal signal, const uint64_t *words, Py_ssize_t count, void *out) {
+/* Store the column of a signal: the value of words[k] at row[k], NULL: at k. */
+static void extract_one(Signal signal, const uint64_t *words, const int64_t *row, Py_ssize_t count, void *out) {
     double divisor = signal.divisor;
     int start = signal.start, whole = signal.bits == 8 * signal.size && !signal.big_endian;
     int is_plain = signal.has_unknown && signal.is_signed && divisor != 0 && signal.offset == 0 && !signal.big_endian;
@@ -771,15 +818,26 @@ static void extract_one(Signal signal, const uint64_t *words, Py_ssize_t count, 
 }
 
 PyDoc_STRVAR(extract_doc,
-"extract(words, signals, out): store the columns of data words (k,), one after another, each as SIGNAL (m,) says.");
+"extract(words, signals, out, row): store the columns of data words (k,), one after another, each as SIGNAL (m,)\n"
+"says; ``row`` (k,): the place of each in its column, each once, or empty: in their order.");
 
 static PyObject *extract(PyObject *module, PyObject *args) {
-    Py_buffer words, signals, out;
+    Py_buffer words, signals, out, rows;
     (void)module;
-    if (!PyArg_ParseTuple(args, "y*y*w*", &words, &signals, &out))
+    if (!PyArg_ParseTuple(args, "y*y*w*y*", &words, &signals, &out, &rows))
         return NULL;
-    Py_ssize_t count = words.len / 8, kinds = signals.len / (Py_ssize_t)sizeof(Signal), place = 0;
+    Py_ssize_t count = words.len / 8, kinds = signals.len / (Py_ssize_t)sizeof(Signal), place = 0, in_order = 0;
     const Signal *signal = signals.buf;
+    const int64_t *row = rows.len ? rows.buf : NULL;
+    if (row && rows.len == count * 8) {
+        while (in_order < count && row[in_order] == in_order)
+            in_order++;
+        for (Py_ssize_t k = in_order; k < count && kinds; k++)
+            if (row[k] < 0 || row[k] >= count)
+                kinds = 0;
+        row = in_order == count ? NULL : row;
+    } else if (row)
+        kinds = 0;
     for (Py_ssize_t k = 0; k < kinds && place <= out.len; k++, signal++) {
         int size = signal->size, whole = size == 1 || size == 2 || size == 4 || size == 8;
         int fits = signal->bits >= 1 && signal->start + signal->bits <= 64 && (signal->kind < NUMBER || size == 8);
@@ -787,7 +845,7 @@ static PyObject *extract(PyObject *module, PyObject *args) {
             break;
         if (((uintptr_t)out.buf + (size_t)place) % (size_t)size) /* not aligned */
             break;
-        extract_one(*signal, words.buf, count, (Byte *)out.buf + place);
+        extract_one(*signal, words.buf, row, count, (Byte *)out.buf + place);
         place += count * size;
         if (k + 1 == kinds && place == out.len)
             place = -1;
@@ -795,6 +853,7 @@ static PyObject *extract(PyObject *module, PyObject *args) {
     PyBuffer_Release(&words);
     PyBuffer_Release(&signals);
     PyBuffer_Release(&out);
+    PyBuffer_Release(&rows);
     if (place >= 0) {
         PyErr_SetString(PyExc_ValueError, "extract: arguments");
         return NULL;

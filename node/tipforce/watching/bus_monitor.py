@@ -23,12 +23,11 @@ from canopen_device.core.codes import (
 from tipforce.arrays import IntArray, occurring
 from tipforce.dictionary.service_texts import EMCY_CODES, NMT_STATES, state_text
 from tipforce.dictionary.table import FAULT_BITS, STATUS_BITS
-from tipforce.host.decoding.counters import Tally
+from tipforce.host.decoding.counters import SyncModulus, Tally
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.health import Health
 from tipforce.host.decoding.pdo_layout import EdsFiles, Layouts
-from tipforce.host.decoding.sync_modulus import SyncModulus
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.network.bus_load import LEAST_BITS, MOST_BITS, kinds
 from tipforce.samples import reasons

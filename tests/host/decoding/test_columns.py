@@ -35,10 +35,14 @@ LAYOUTS = st.integers(1, 12).flatmap(lambda count: st.tuples(*(signals(f"s{k}") 
 def test_both_bodies_give_equal_bits(layout: tuple[Signal, ...], seed: int, count: int) -> None:
     words = np.random.default_rng(seed).integers(0, 1 << 64, count, dtype=np.uint64)
     words[: len(SPECIAL)] = SPECIAL[:count]
+    row = np.random.default_rng(seed).permutation(count)
+    in_rows, wide = Layout(layout).columns(words, row), Layout(layout, wide=True).columns(words)
     by_core, by_numpy = Layout(layout).columns(words), columns_of(words, layout)
     assert list(by_core) == list(by_numpy)
     for name, column in by_numpy.items():
         assert by_core[name].dtype == column.dtype
+        assert in_rows[name][row].tobytes() == by_core[name].tobytes()
+        assert np.array_equal(wide[name], by_core[name], equal_nan=column.dtype.kind == "f")
         known = ~np.isnan(column)  # a NaN is a NaN, whatever its other bits
         assert (known == ~np.isnan(by_core[name])).all(), name
         assert by_core[name][known].tobytes() == column[known].tobytes(), name
@@ -57,11 +61,15 @@ def test_the_core_refuses_what_does_not_fit() -> None:
     words, out = np.zeros(3, dtype=np.uint64), np.zeros(24, dtype=np.uint8)
     row = np.zeros(1, dtype=SIGNAL)
     row["bits"], row["size"], row["kind"] = 64, 8, 1
-    core.extract(words, row, out)
+    in_order = np.zeros(0, dtype=np.int64)
+    core.extract(words, row, out, in_order)
+    for places in ([0, 1], [0, 1, 3], [0, -1, 2]):
+        with pytest.raises(ValueError, match="extract"):
+            core.extract(words, row, out, np.array(places))
     for changed, memory in (({}, out[:-1]), ({}, np.zeros(25, dtype=np.uint8)), ({"start": 1}, out), ({"size": 3}, out),
                             ({"bits": 0}, out), ({"size": 4, "kind": 2}, out[:12])):  # fmt: skip
         bad = row.copy()
         for name, value in changed.items():
             bad[name] = value
         with pytest.raises(ValueError, match="extract"):
-            core.extract(words, bad, memory)
+            core.extract(words, bad, memory, in_order)

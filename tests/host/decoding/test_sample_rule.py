@@ -21,10 +21,21 @@ KINDS = [  # message number, length, follows SYNC, place of the counter
     (1, 8, 1, 56), (2, 8, 1, 56), (3, 7, 1, 48), (4, 8, 0, 48), (200, 3, 0, 16), (5, 4, 0, -1), (6, 8, 1, -1),
 ]  # fmt: skip
 LAYOUTS = np.array(
-    [(0, -1, 0, 0, 0, 0, 0, 0, b"")]
+    [(0, 0, -1, 0, 0, 0, 0, 0, 0, 0)]
     + [
-        (sender, shift, 255, number, length, cyclic and shift >= 0, (number + sender) % 7 != 0, sender + 5, b"")
-        for number, length, cyclic, shift in KINDS
+        (
+            sender,
+            group,
+            shift,
+            255,
+            number,
+            length,
+            cyclic and shift >= 0,
+            (number + sender) % 7 != 0,
+            sender + 5,
+            (256, 240, 3)[sender],
+        )
+        for group, (number, length, cyclic, shift) in enumerate(KINDS)
         for sender in range(SENDERS)
     ],
     dtype=SLOT,
@@ -116,8 +127,18 @@ def test_the_core_refuses_what_does_not_fit() -> None:
     """Lengths that do not fit each other, and slots that no layout has."""
     frames, slots, none = np.zeros(2, dtype=FRAME), np.zeros(2, dtype=np.uint32), np.zeros(0, dtype=np.int64)
     good: list[Any] = [frames, slots, LAYOUTS, none, 0, 1, 1, True, np.zeros((6, 2), dtype=np.int64)]
-    assert core.join(*good) == (0, 0, 0, [], [])
-    bad = [(1, slots[:1]), (1, slots + len(LAYOUTS)), (2, LAYOUTS[:0]), (4, 1 << 62), (5, -1), (8, good[8][:5])]
+    assert core.join(*good) == (0, 0, 0, [], [], [])
+    far = LAYOUTS.copy()
+    far["group"] = len(LAYOUTS)
+    bad = [
+        (1, slots[:1]),
+        (1, slots + len(LAYOUTS)),
+        (2, LAYOUTS[:0]),
+        (2, far),
+        (4, 1 << 62),
+        (5, -1),
+        (8, good[8][:5]),
+    ]
     for place, value in [*bad, (3, np.full(1, 1 << 62))]:
         with pytest.raises(ValueError, match="join"):
             core.join(*[value if k == place else given for k, given in enumerate(good)])

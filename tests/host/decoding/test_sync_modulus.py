@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import tipforce
-from tipforce.host.decoding.counters import Tally
+from tipforce.host.decoding.counters import SyncModulus, Tally
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus
+from tipforce.host.decoding.sample_rule import SAMPLES
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 
 Sent = tuple[int, bytes]

@@ -17,14 +17,12 @@ from typing import TYPE_CHECKING, Any
 from canopen_device.core.codes import ERROR_FLAG, REMOTE_FLAG
 from tipforce.dictionary.signals import Signal, rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decoding.counters import Tally
-from tipforce.host.decoding.decoder import Decoder, Samples
+from tipforce.host.decoding.counters import SyncModulus, Tally
+from tipforce.host.decoding.decoder import Decoder, Key, Samples
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.pdo_layout import EdsFiles, Layouts
-from tipforce.host.decoding.plan import Key
 from tipforce.host.decoding.sdo_conversation import eds_names, fingertip_names
 from tipforce.host.decoding.services import Service, Services
-from tipforce.host.decoding.sync_modulus import SyncModulus
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError

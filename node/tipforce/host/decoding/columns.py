@@ -13,7 +13,7 @@ from tipforce.dictionary.signals import Signal
 
 Column = npt.NDArray[Any]  # (k,): float64 (measurement), bool (flag) or an integer type (counter, register)
 Words = npt.NDArray[np.uint64]
-
+_IN_ORDER = np.zeros(0, dtype=np.int64)
 
 SIGNAL = np.dtype([
     ("scale", "<f8"), ("offset", "<f8"), ("divisor", "<f8"), ("unknown", "<u8"), ("start", "u1"), ("bits", "u1"),
@@ -25,25 +25,35 @@ SIGNAL = np.dtype([
 class Layout:
     """The signals of a message, for the extraction of its columns."""
 
-    def __init__(self, signals: Iterable[Signal]) -> None:
+    def __init__(self, signals: Iterable[Signal], *, wide: bool = False) -> None:
+        """``wide``: integers become int64, where they fit."""
         self.signals = tuple(signals)
         self.names = tuple(signal.name for signal in self.signals)
         nothing = columns_of(np.zeros(0, dtype=np.uint64), self.signals)
-        larger_first = sorted(self.signals, key=lambda signal: -nothing[signal.name].itemsize)
-        self._signals = np.array([_signal_row(one, nothing[one.name].itemsize) for one in larger_first], dtype=SIGNAL)
-        places = np.cumsum([0, *(nothing[signal.name].itemsize for signal in larger_first)]).tolist()
+        kinds = {name: column.dtype for name, column in nothing.items()}
+        for signal in self.signals if wide else ():
+            if kinds[signal.name].kind in "iu" and (signal.bits < 64 or signal.signed):
+                kinds[signal.name] = np.dtype(np.int64)
+        larger_first = sorted(self.signals, key=lambda signal: -kinds[signal.name].itemsize)
+        self._signals = np.array([_signal_row(one, kinds[one.name].itemsize) for one in larger_first], dtype=SIGNAL)
+        places = np.cumsum([0, *(kinds[signal.name].itemsize for signal in larger_first)]).tolist()
         place_of = {signal.name: place for signal, place in zip(larger_first, places, strict=False)}
-        self.places = {name: (nothing[name].dtype, place_of[name]) for name in self.names}
+        self.places = {name: (kinds[name], place_of[name]) for name in self.names}
         """By name the type of a column, and its place: bytes per row of the columns before it in memory."""
         self._bytes = places[-1]
 
-    def columns(self, words: Words) -> Mapping[str, Column]:
-        """Return each signal (k,) from the eight data bytes (k,) as one little-endian number."""
+    def columns(self, words: Words, row: npt.NDArray[np.int64] = _IN_ORDER) -> Mapping[str, Column]:
+        """Return each signal (k,) from the eight data bytes (k,) as one little-endian number.
+
+        ``row`` (k,): the place of each in the columns, each once; by default in their order.
+        """
         if core is None or not self.names:
-            return columns_of(words, self.signals)
+            found = columns_of(words, self.signals)
+            rows = np.argsort(row) if len(row) else slice(None)
+            return {name: column[rows].astype(self.places[name][0], copy=False) for name, column in found.items()}
         count = len(words)
         out = np.empty(count * self._bytes, dtype=np.uint8)
-        core.extract(words, self._signals, out)
+        core.extract(words, self._signals, out, row)
         return _Extracted(self, out, count)
 
 

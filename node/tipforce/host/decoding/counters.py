@@ -1,20 +1,23 @@
-"""Frames and lost samples per message, and the sample counters of consecutive tables unwrapped."""
+"""Sample counters (2121h): their modulus by the SYNCs of a log, lost samples by message, and counts without wraps."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import IntArray
+from canopen_device.core.codes import SYNC_COB_ID
+from tipforce.arrays import IntArray, occurring
 from tipforce.host.decoding.decoder import Samples, lost_samples, unwrap_counter
 from tipforce.host.decoding.health_rows import with_channel
-from tipforce.host.decoding.sample_rule import COUNTER, follows_sync
+from tipforce.host.decoding.sample_rule import COUNTER, SAMPLES, SlotCount, follows_sync, lost_between
 from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
-from tipforce.host.decoding.sync_modulus import SAMPLES
+from tipforce.host.frames.frame_array import FrameArray
+
+_LARGEST_NUMBER = 240
+_NONE = -1
 
 Place = tuple[str, int, str]
 """Channel, node-id, message name."""
@@ -33,32 +36,18 @@ class MessageCount:
     moduli: tuple[int, int] = (SAMPLES, SAMPLES)
     """Of the first and of the last counter."""
 
-    def add(self, frames: int, counter: npt.NDArray[np.uint8] | None, modulus: int) -> None:
-        """Count frames with their counters, of ``modulus``; None if their counter cannot show losses."""
-        self.frames += frames
-        if counter is not None and modulus != SAMPLES:
-            counter = counter[counter > 0]  # 0 is no SYNC's latch, see lost_samples
-        if counter is None or not len(counter):
-            return
-        inside = 0 if (np.diff(counter) == 1).all() else lost_samples(counter, modulus)
-        self._join(int(counter[0]), int(counter[-1]), inside, (modulus, modulus))
-
     def append(self, other: MessageCount) -> None:
-        """Add the count of the next part."""
+        """Add the count of the next part; where its modulus is another one the count begins again."""
         self.frames += other.frames
         if other.first is None:
             return
-        assert other.last is not None
-        self._join(other.first, other.last, other.lost or 0, other.moduli)
-
-    def _join(self, first: int, last: int, lost: int, moduli: tuple[int, int]) -> None:
-        """Add counters from ``first`` to ``last``; where the modulus is another one the count begins again."""
-        if self.last is not None and self.moduli[1] == moduli[0]:
-            lost += lost_samples([self.last, first], moduli[0])
-        self.lost = (self.lost or 0) + lost
-        self.moduli = (moduli[0] if self.first is None else self.moduli[0]), moduli[1]
-        self.first = first if self.first is None else self.first
-        self.last = last
+        between = 0
+        if self.last is not None and self.moduli[1] == other.moduli[0]:
+            between = lost_between(self.last, other.first, self.moduli[1])
+        self.lost = (self.lost or 0) + (other.lost or 0) + between
+        self.moduli = (other.moduli[0] if self.first is None else self.moduli[0]), other.moduli[1]
+        self.first = other.first if self.first is None else self.first
+        self.last = other.last
 
 
 @dataclass(slots=True)
@@ -68,15 +57,22 @@ class Tally:
     messages: dict[Place, MessageCount] = field(default_factory=dict)
     short: dict[Place, int] = field(default_factory=dict)
 
-    def add(self, place: Place, frames: int, counter: npt.NDArray[Any] | None, modulus: int) -> None:
-        """Count frames and their counters, of ``modulus`` (``SyncModulus``); None if these cannot show losses."""
-        self.messages.setdefault(place, MessageCount()).add(frames, counter, modulus)
+    def add(self, place: Place, count: SlotCount, modulus: int) -> None:
+        """Count frames, whose counters have this ``modulus`` (``SyncModulus``)."""
+        part = MessageCount(count.frames, count.lost, count.first, count.last, (modulus, modulus))
+        part = part if count.first >= 0 else MessageCount(count.frames)
+        self.messages.setdefault(place, MessageCount()).append(part)
 
     def add_samples(self, samples: Samples, modulus: int) -> None:
         """Count the samples of a bus."""
-        cyclic = COUNTER in samples.columns and follows_sync(samples.message)
-        place = "", samples.node_id, samples.message.name
-        self.add(place, len(samples.row), samples.columns[COUNTER] if cyclic else None, modulus)
+        first, last, lost = -1, -1, 0
+        if COUNTER in samples.columns and follows_sync(samples.message):
+            counter = samples.columns[COUNTER]
+            counter = counter if modulus == SAMPLES else counter[counter > 0]  # 0 is no SYNC's latch
+            if len(counter):
+                first, last, lost = int(counter[0]), int(counter[-1]), lost_samples(counter, modulus)
+        count = SlotCount(0, len(samples.row), first, last, lost)
+        self.add(("", samples.node_id, samples.message.name), count, modulus)
 
     def append(self, other: Tally) -> None:
         """Add the counts of the next part."""
@@ -123,13 +119,35 @@ class Counters:
         An event-driven PDO in its own row belongs to the last latch: it gets the nearest count. Before
         the first PDO that follows SYNC its counter is unchanged.
         """
-        counter = table.counter.copy()
+        counter, before = table.counter.copy(), dict(self.last)
         order = np.argsort(table.key, kind="stable")
-        key = table.key[order]
-        for rows in np.split(order, np.flatnonzero(key[1:] != key[:-1]) + 1) if len(key) else []:
-            of = int(table.key[rows[0]])
-            counter[rows] = self._of_node(of, table.counter[rows], table.cyclic[rows], modulus_of(table, of))
+        steady = order[table.cyclic[order]]
+        events = order[(~table.cyclic & (table.counter != NO_COUNTER))[order]]
+        moduli = {key: modulus_of(table, key) for key in occurring(table.key)}
+        for modulus in sorted({*moduli.values()}):
+            of_modulus = np.array([key for key in moduli if moduli[key] == modulus])
+            here = steady if len(of_modulus) == len(moduli) else steady[np.isin(table.key[steady], of_modulus)]
+            if len(here):
+                counter[here] = self._continued(table.key[here], table.counter[here], modulus)
+        for key in occurring(table.key[events]) if len(events) else ():
+            rows = order[slice(*np.searchsorted(table.key[order], [key, key + 1]))]
+            counter[rows] = _with_events(table, rows, counter[rows], before.get(key), moduli[key])
         return replace(table, counter=counter)
+
+    def _continued(self, key: npt.NDArray[np.uint16], sent: IntArray, modulus: int) -> IntArray:
+        """Return counters (k,) of nodes, one node after another, without wraps."""
+        counts = unwrap_counter(sent, modulus)
+        starts = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
+        ends = [*starts[1:].tolist(), len(key)]
+        for start, end in zip(starts.tolist(), ends, strict=True):
+            of, first = int(key[start]), int(sent[start])
+            last = self.last.get(of)
+            if last is None:
+                self.first[of] = first, modulus
+            begin = first if last is None else last[0] + (first - last[1]) % modulus
+            counts[start:end] += begin - int(counts[start])
+            self.last[of] = int(counts[end - 1]), int(sent[end - 1])
+        return counts
 
     def skip(
         self, first: Mapping[int, tuple[int, int]], last: Mapping[int, tuple[int, int]], numbers: Sequence[int]
@@ -141,38 +159,89 @@ class Counters:
             shift = 0 if before is None else before[0] + (begun - before[1]) % modulus - begun
             self.last[place] = unwrapped + shift, sent
 
-    def _of_node(
-        self, key: int, raw: npt.NDArray[np.int64], cyclic: npt.NDArray[np.bool_], modulus: int
-    ) -> npt.NDArray[np.int64]:
-        last = self.last.get(key)
-        steady = raw[cyclic]
-        found = raw.copy()
-        counts = np.zeros(0, dtype=np.int64)
-        if len(steady):
-            seed = steady[:0] if last is None else np.array([last[1]])
-            counts = unwrap_counter(np.concatenate((seed, steady)), modulus)
-            counts += 0 if last is None else last[0] - last[1]
-            counts = counts[len(seed) :]
-            found[cyclic] = counts
-            self.last[key] = int(counts[-1]), int(steady[-1])
-            if last is None:
-                self.first[key] = int(steady[0]), modulus
-        if len(steady) < len(raw):
-            event: IntArray = np.flatnonzero(~cyclic & (raw != NO_COUNTER))
-            before = np.cumsum(cyclic)[event]
-            known = np.concatenate(([-1 if last is None else last[0]], counts))[before]
-            sent = np.concatenate(([0 if last is None else last[1]], steady))[before]
-            nowhere = np.zeros(len(event), dtype=np.bool_) if last is not None else before == 0
-            found[event] = np.where(nowhere, raw[event], _nearest(known, sent, raw[event], modulus))
-        return found
-
 
 def modulus_of(table: Table, key: int) -> int:
     """Return the modulus of a node's counters."""
     return dict(table.moduli).get(table.channels[key >> NODE_BITS], SAMPLES) if table.moduli else SAMPLES
 
 
-def _nearest(known: Any, sent: Any, counter: Any, modulus: int) -> Any:
-    """Return the count nearest to ``known``, which was ``sent`` so."""
+def _with_events(
+    table: Table, rows: npt.NDArray[np.intp], counts: IntArray, last: tuple[int, int] | None, modulus: int
+) -> IntArray:
+    """Return the counts of a node's rows with those of its event-driven PDOs, each nearest to the latch before it."""
+    cyclic, raw = table.cyclic[rows], table.counter[rows]
+    event = np.flatnonzero(~cyclic & (raw != NO_COUNTER))
+    before = np.cumsum(cyclic)[event]
+    known = np.concatenate(([-1 if last is None else last[0]], counts[cyclic]))[before]
+    sent = np.concatenate(([0 if last is None else last[1]], raw[cyclic]))[before]
     half = modulus // 2
-    return known + (counter - sent + half) % modulus - half
+    nearest = known + (raw[event] - sent + half) % modulus - half
+    counts[event] = nearest if last is not None else np.where(before == 0, raw[event], nearest)
+    return counts
+
+
+class SyncModulus:
+    """Follow the SYNCs of each channel: counters are their numbers, 1 to 1019h, or count samples modulo 256.
+
+    ``of`` has the modulus by channel number; SAMPLES for one that it lacks.
+    """
+
+    def __init__(self, state: Iterable[tuple[int, int, int, int]] = ()) -> None:
+        """``state`` as a property of that name returned it."""
+        self.of: dict[int, int] = {}
+        self._numbers: dict[int, tuple[int, int]] = {}  # the largest number since the numbers began, and the last
+        for channel, modulus, largest, last in state:
+            self.of[channel] = modulus
+            if largest != _NONE:
+                self._numbers[channel] = largest, last
+
+    @property
+    def state(self) -> list[tuple[int, int, int, int]]:
+        """By channel: its number, the modulus, the largest and the last number, -1 for none."""
+        return [(k, modulus, *self._numbers.get(k, (_NONE, _NONE))) for k, modulus in self.of.items()]
+
+    @property
+    def settled(self) -> bool:
+        """Whether the numbers of each channel that has them were seen up to the largest one."""
+        return all(self.of[k] == max(largest, 2) for k, (largest, _) in self._numbers.items())
+
+    @property
+    def modulus(self) -> int:
+        """That of frames from one channel."""
+        return next(iter(self.of.values()), SAMPLES)
+
+    def parts(self, frames: FrameArray) -> Iterator[FrameArray]:
+        """Split frames (k,) at ``cuts``; ``of`` holds for the part just yielded."""
+        start = 0
+        for end in [*self.cuts(frames), len(frames)]:
+            self.look(frames[start:end])
+            yield frames[start:end]
+            start = end
+
+    def cuts(self, frames: FrameArray) -> list[int]:
+        """Return the indices of the SYNCs at which numbers begin or end."""
+        at = np.flatnonzero(frames["can_id"] == SYNC_COB_ID)
+        found: list[int] = []
+        for channel in occurring(frames["channel"][at]):
+            mine = at[frames["channel"][at] == channel]
+            numbered = (frames["length"][mine] == 1).astype(np.int8)
+            before = np.int8(self.of.get(channel, SAMPLES) != SAMPLES)
+            found += mine[np.diff(numbered, prepend=before) != 0].tolist()
+        return sorted(found)
+
+    def look(self, frames: FrameArray) -> None:
+        """Take the numbers of SYNCs without a cut among them; they are numbered if the last one is."""
+        syncs = frames[frames["can_id"] == SYNC_COB_ID]
+        for channel in occurring(syncs["channel"]):
+            mine = syncs[syncs["channel"] == channel]
+            if mine["length"][-1] != 1:
+                self.of[channel] = SAMPLES
+                self._numbers.pop(channel, None)
+                continue
+            number = mine["data"][:, 0].astype(np.int64)
+            largest, last = self._numbers.get(channel, (0, int(number[0])))
+            wraps = bool((np.diff(number, prepend=last) < 0).any())
+            largest = max(largest, int(number.max()))
+            self._numbers[channel] = largest, int(number[-1])
+            if wraps or largest > self.of.get(channel, 0) or self.of[channel] == SAMPLES:
+                self.of[channel] = max(largest, 2) if wraps else _LARGEST_NUMBER

@@ -19,7 +19,7 @@ import numpy as np
 from canopen_device.core import codes, communication
 from canopen_device.core.emcy import COB_ID_COLLISION
 from tipforce.dictionary import table
-from tipforce.host.decoding.sync_modulus import SAMPLES
+from tipforce.host.decoding.sample_rule import SAMPLES
 from tipforce.host.frames.frame_array import FrameArray
 
 if TYPE_CHECKING:

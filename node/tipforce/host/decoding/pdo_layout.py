@@ -16,9 +16,8 @@ from tipforce.dictionary import table
 from tipforce.dictionary.entries import gauges_of
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.decoder import MAX_COB_ID, Decoder, Key
 from tipforce.host.decoding.health_rows import SERVICES
-from tipforce.host.decoding.plan import MAX_COB_ID, Key
 from tipforce.host.frames.frame_array import FRAME
 
 if TYPE_CHECKING:

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import occurring
-from tipforce.dictionary.signals import Message
+from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.decoding.columns import Layout
-from tipforce.host.decoding.counters import Place, Tally
-from tipforce.host.decoding.decoder import Change, Decoder
+from tipforce.host.decoding.counters import Place, SyncModulus, Tally
+from tipforce.host.decoding.decoder import Change, Decoder, Group, Plan, slots_of
 from tipforce.host.decoding.pdo_layout import has_signal
-from tipforce.host.decoding.plan import Plan, slots_of
-from tipforce.host.decoding.sample_rule import COUNTER, SLOT, Joined, follows_sync, join
+from tipforce.host.decoding.sample_rule import COUNTER, SAMPLES, SLOT, Joined, SlotCount, counter_place, join
 from tipforce.host.decoding.sample_table import (
     NODE_BITS,
     BoolArray,
@@ -27,7 +25,6 @@ from tipforce.host.decoding.sample_table import (
     in_order,
     missing_of,
 )
-from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 
 
@@ -65,7 +62,6 @@ def renumbered(frames: FrameArray, numbers: Sequence[int]) -> FrameArray:
     return frames
 
 
-_Span = tuple[int, int, int]  # slot, start and end in the order of the slots
 _PLAIN = f"V{FRAME.itemsize}"  # copied as a whole, not field by field
 
 
@@ -93,7 +89,6 @@ class SampleMerger:
         if signals is not None and COUNTER not in signals and has_signal(decoder(), COUNTER):
             self._wanted = (*signals, COUNTER)
         self._columns: dict[str, Column] = {}
-        self._names: dict[tuple[int, str], Column] = {}  # by message and signal
         self._slots, self._changed = _Slots({}), False
         self._held: FrameArray = np.zeros(0, dtype=FRAME)
         self._held_number = np.zeros(0, dtype=np.int64)
@@ -139,6 +134,7 @@ class SampleMerger:
             np.concatenate((self._held.view(_PLAIN), frames.view(_PLAIN))).view(FRAME) if len(self._held) else frames
         )
         slots = self._slots_of(block)
+        self._slots.set_moduli(self.sync.of)
         joined = join(block, slots, self._slots.layouts, self._held_number, self._count, last=last)
         self._count = joined.number
         self._held, self._held_number = block[joined.held], joined.held_number
@@ -187,49 +183,48 @@ class SampleMerger:
         channel, node_id, name = self._slots.places[slot]
         return self.channels[channel], node_id, name
 
+    def _in_turn(self, counts: Iterable[SlotCount]) -> list[tuple[int, list[SlotCount]]]:
+        """Return the groups with their slots, in the order in which a node sends its PDOs."""
+        of_group: dict[int, list[SlotCount]] = {}
+        first: dict[str, int] = {}  # slot of a message, by its name
+        for count in counts:
+            of_group.setdefault(int(self._slots.layouts["group"][count.slot]), []).append(count)
+            first.setdefault(self._slots.places[count.slot][2], count.slot)
+
+        def turn(of_group: tuple[int, list[SlotCount]]) -> tuple[int, int]:
+            message = self._slots.groups[of_group[0]].message
+            return message.number, first[message.name]
+
+        return sorted(of_group.items(), key=turn)
+
     def _table(self, block: FrameArray, slots: npt.NDArray[np.uint32], joined: Joined) -> Table:
         """Return the complete rows; columns of messages whose frames are all in open rows are empty."""
-        pieces = self._slots.pieces
-        by_message: dict[str, dict[int, list[_Span]]] = {}
-        for span in sorted(joined.spans, key=lambda span: pieces[span[0]].message.number):
-            message = pieces[span[0]].message
-            by_message.setdefault(message.name, {}).setdefault(id(message), []).append(span)
+        layouts = self._slots.layouts
         values = _Values(len(joined.first))
-        firsts, counter = self._slots.layouts[slots[joined.first]], joined.counter.copy()
+        firsts, counter = layouts[slots[joined.first]], joined.counter.copy()
         words = block["data"].view("<u8")[:, 0]
-        for spans in (spans for layouts in by_message.values() for spans in layouts.values()):
-            slot = spans[0][0]
-            order, row = _of_spans(joined.order, spans), _of_spans(joined.row, spans)
-            columns = pieces[slot].layout.columns(words[order])
-            self._count_frames(spans, columns)
-            for signal, column in columns.items():
-                if signal != COUNTER:
-                    values.add(self._column_of(pieces[slot].message, signal), row, column)
-                elif self._slots.layouts["shift"][slot] < 0:  # of another manufacturer: no plain number
-                    counter[row] = column.astype(np.int16)
-        found, absent = values.found, values.absent
-        shown = in_order((self._columns[name] for name in found), self._signals)
+        spans = {group: slice(low, high) for group, low, high in joined.spans}
+        for number, counts in self._in_turn(joined.counts):
+            for count in counts:
+                self.tally.add(self._place(count.slot), count, int(layouts["modulus"][count.slot]))
+            group, span = self._slots.groups[number], spans.get(number, slice(0, 0))
+            for signal in group.signals if not group.columns else ():
+                column = column_of(signal)
+                group.columns[signal.name] = self._columns.setdefault(column.name, column)
+            row = joined.row[span]
+            whole = len(row) == len(counter)
+            columns = group.layout(values.whole).columns(words[joined.order[span]], *((row,) if whole else ()))
+            for name, what in columns.items():
+                if name == COUNTER:  # of another manufacturer: no plain number
+                    counter[slice(None) if whole else row] = what.astype(np.int16)
+                else:
+                    values.add(group.columns[name], None if whole else row, what)
+        shown = in_order((self._columns[name] for name in values.found), self._signals)
         return Table(
             block["t_ns"][joined.first], firsts["key"], counter, firsts["cyclic"] == 1,
-            shown, {c.name: found[c.name] for c in shown}, absent, tuple(self.channels), self.timed,
+            shown, {c.name: values.found[c.name] for c in shown}, values.absent, tuple(self.channels), self.timed,
             tuple((self.channels[channel], modulus) for channel, modulus in self.sync.of.items()),
         )  # fmt: skip
-
-    def _count_frames(self, spans: list[_Span], columns: Mapping[str, Values]) -> None:
-        """Count the frames of messages of one layout, whose columns these are, in the tally."""
-        at = 0
-        for slot, low, high in spans:
-            piece, rows = self._slots.pieces[slot], slice(at, at + high - low)
-            at = rows.stop
-            counter = columns[COUNTER][rows] if COUNTER in columns and follows_sync(piece.message) else None
-            self.tally.add(self._place(slot), high - low, counter, self.sync.of.get(piece.channel, SAMPLES))
-
-    def _column_of(self, message: Message, name: str) -> Column:
-        place = id(message), name
-        if place not in self._names:
-            column = next(column_of(signal) for signal in message.signals if signal.name == name)
-            self._names[place] = self._columns.setdefault(column.name, column)
-        return self._names[place]
 
 
 class _Values:
@@ -238,62 +233,84 @@ class _Values:
     def __init__(self, rows: int) -> None:
         self._rows = rows
         self._present: dict[str, BoolArray] = {}
-        self._covered: dict[str, int] = {}
         self.found: dict[str, Values] = {}
+        self.whole: set[str] = set()
+        """Names of the columns that have a value in each row."""
 
-    def add(self, column: Column, where: npt.NDArray[np.int64], what: Values) -> None:
-        """Add the values of a signal in the rows ``where``, each of which occurs once."""
-        name, rows = column.name, self._rows
-        if self._covered.get(name) == rows:
-            return  # another PDO of each sample had it: they are from one latched sample
-        if name not in self.found and len(where) == rows:
-            self.found[name], self._covered[name] = np.empty(rows, dtype=missing_of(column, 0).dtype), rows
-            self.found[name][where] = what
+    def add(self, column: Column, where: npt.NDArray[np.int64] | None, what: Values) -> None:
+        """Add the values of a signal in the rows ``where``, each of which occurs once; None: in all."""
+        name = column.name
+        if where is None and name not in self.found:
+            kind = missing_of(column, 0).dtype
+            self.found[name] = what.view(kind) if what.dtype == np.bool_ else what.astype(kind, copy=False)
+            self.whole.add(name)
             return
-        values = self.found.setdefault(name, missing_of(column, rows))
-        there = self._present.setdefault(name, np.zeros(rows, dtype=np.bool_))
+        values = self.found.setdefault(name, missing_of(column, self._rows))
+        there = self._present.setdefault(name, np.zeros(self._rows, dtype=np.bool_))
+        where = np.arange(self._rows) if where is None else where
         new = ~there[where]
         values[where[new]] = what[new]
         there[where] = True
-        self._covered[name] = int(np.count_nonzero(there))
+        if there.all():
+            self.whole.add(name)
 
     @property
     def absent(self) -> dict[str, BoolArray]:
         """By name, where no message had the column."""
-        return {name: ~there for name, there in self._present.items() if self._covered[name] < self._rows}
+        return {name: ~there for name, there in self._present.items() if name not in self.whole}
 
 
-class _Piece(NamedTuple):
-    """What the slots of a channel's nodes with one layout share."""
+class _Group:
+    """A message that nodes have alike, on any channel."""
 
-    channel: int
-    message: Message
-    layout: Layout
+    def __init__(self, message: Message, signals: tuple[Signal, ...]) -> None:
+        self.message = message
+        plain = counter_place(signals)[0] >= 0  # then `join` reads it
+        self.signals = tuple(signal for signal in signals if not plain or signal.name != COUNTER)
+        self.columns: dict[str, Column] = {}
+        """By signal, from the first table on."""
+        self._layouts: dict[frozenset[str], Layout] = {}
+
+    def layout(self, without: Set[str]) -> Layout:
+        """Return the layout of its signals that have none of these columns."""
+        key = frozenset(without)
+        if key not in self._layouts:
+            wanted = [signal for signal in self.signals if self.columns[signal.name].name not in without]
+            self._layouts[key] = Layout(wanted, wide=True)
+        return self._layouts[key]
 
 
 class _Slots:
-    """The slots of all channels, one after another; 0 is none. ``places``: channel, node-id and message of each.
-
-    ``pieces``: by slot, too; that of slot 0 has no meaning.
-    """
+    """The slots of all channels, one after another; 0 is none. ``places``: channel, node-id and message of each."""
 
     def __init__(self, plans: Mapping[int, Plan], *, with_counter_alone: bool = True) -> None:
         """``with_counter_alone``: use messages too that have no other signal."""
         self._plans, self._bases = plans, dict[int, int]()
+        self._moduli: dict[int, int] = {}
         self.places: list[tuple[int, int, str]] = [(0, 0, "")]
-        self.pieces: list[_Piece] = []
         self.layouts = np.zeros(1, dtype=SLOT)
+        of_slots: list[Group] = []
         for channel, plan in plans.items():
             self._bases[channel] = len(self.places) - 1
             self.places += [(channel, *key) for key in plan.keys]
-            of_group = [_Piece(channel, group.message, group.layout) for group in plan.groups]
-            slots, group_of = plan.slots[1:].copy(), plan.group_of[1:]
-            self.pieces += [of_group[number] for number in (*group_of[: not self.pieces], *group_of)]
+            slots = plan.slots[1:].copy()
+            groups = [plan.groups[number] for number in slots["group"].tolist()]
+            of_slots += groups
             slots["sender"] += self.layouts["sender"].max() + np.uint32(1)
             slots["key"] |= np.uint16(channel << NODE_BITS)
             if not with_counter_alone:
-                slots["used"] = [{*of_group[number].layout.names} != {COUNTER} for number in group_of]
+                slots["used"] = [{*group.layout.names} != {COUNTER} for group in groups]
             self.layouts = np.concatenate((self.layouts, slots))
+        alike = {id(group.message): group for group in of_slots}
+        number_of = {key: number for number, key in enumerate(alike)}
+        self.groups = [_Group(group.message, group.layout.signals) for group in alike.values()]
+        self.layouts["group"][1:] = [number_of[id(group.message)] for group in of_slots]
+
+    def set_moduli(self, moduli: Mapping[int, int]) -> None:
+        """Set the moduli of the counters, by channel."""
+        if moduli != self._moduli:
+            self._moduli = dict(moduli)
+            self.layouts["modulus"] = [self._moduli.get(channel, SAMPLES) for channel, _, _ in self.places]
 
     def has(self, channels: Iterable[int]) -> bool:
         """Return whether the channels are among these."""
@@ -305,10 +322,3 @@ class _Slots:
         if self._bases[channel]:
             slots[slots > 0] += np.uint32(self._bases[channel])
         return slots
-
-
-def _of_spans(values: npt.NDArray[np.int64], spans: list[_Span]) -> npt.NDArray[np.int64]:
-    """Return the values of spans, a view where they follow each other."""
-    if all(before[2] == after[1] for before, after in pairwise(spans)):
-        return values[spans[0][1] : spans[-1][2]]
-    return np.concatenate([values[low:high] for _, low, high in spans])

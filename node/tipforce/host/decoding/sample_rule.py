@@ -12,7 +12,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterable
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,8 @@ from tipforce.host.decoding.sample_table import NO_COUNTER
 from tipforce.host.frames.frame_array import FrameArray
 
 COUNTER = "counter"
+SAMPLES = 256
+"""Modulus of a counter of samples: where SYNCs have no numbers."""
 LAST_CYCLIC_TYPE = 240
 """CiA 301, table 72: up to this type a PDO follows SYNC."""
 GAP_NS = 200_000_000
@@ -33,12 +35,13 @@ GAP_FRAMES = 8192
 """The same in decoded frames, which also works for logs without times."""
 
 SLOT = np.dtype([
-    ("sender", "<u4"), ("shift", "<i2"), ("mask", "<i2"), ("message", "u1"), ("length", "u1"), ("cyclic", "u1"),
-    ("used", "u1"), ("key", "<u2"), ("spare", "V2"),
+    ("sender", "<u4"), ("group", "<u4"), ("shift", "<i2"), ("mask", "<i2"), ("message", "u1"), ("length", "u1"),
+    ("cyclic", "u1"), ("used", "u1"), ("key", "<u2"), ("modulus", "<u2"),
 ])  # fmt: skip
-"""A message of a node. ``sender``: number of the node among all; ``shift`` and ``mask``: of the counter, shift -1 for
-none; ``message``: ascending in the order in which a node sends its PDOs; ``length``: the least of a frame in bytes;
-``cyclic``: it follows SYNC; ``used``: 0 if it is left out; ``key``: channel and node."""
+"""A message of a node. ``sender``: number of the node among all; ``group``: of messages whose frames are decoded
+together; ``shift`` and ``mask``: of the counter, shift -1 for none, and its ``modulus``; ``message``: ascending in the
+order in which a node sends its PDOs; ``length``: the least of a frame in bytes; ``cyclic``: it follows SYNC; ``used``:
+0 if it is left out; ``key``: channel and node."""
 
 _MOST_COUNTER_BITS = 15
 _FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
@@ -102,13 +105,27 @@ class SampleRule:
         return t_ns - last.t_ns <= GAP_NS and number - last.number < GAP_FRAMES
 
 
+class SlotCount(NamedTuple):
+    """Of a slot that occurs: its frames in the rows, their first and last counter, and the samples lost between them.
+
+    The counters are -1 where they cannot show losses.
+    """
+
+    slot: int
+    frames: int
+    first: int
+    last: int
+    lost: int
+
+
 class Joined(NamedTuple):
     """The rows that no later frame can join, in the order of their first frames, and the frames of the others.
 
-    ``order`` (k,): indices of the frames in the rows, slot by slot; ``row`` (k,): the row of each. ``first`` (r,):
+    ``order`` (k,): indices of the frames in the rows, group by group; ``row`` (k,): the row of each. ``first`` (r,):
     index of the first frame of each row; ``counter`` (r,): of that. ``held`` (h,): indices of the frames for the next
-    call, ``held_number`` (h,) their numbers, and ``number`` that of the next decoded frame. ``spans``: (slot, start and
-    end in ``order``) of the slots that occur, ascending. ``short``: (slot, frames that were too short).
+    call, ``held_number`` (h,) their numbers, and ``number`` that of the next decoded frame. ``spans``: (group, start
+    and end in ``order``) of the groups that have frames in the rows, ascending. ``counts``: of the slots that occur,
+    ascending. ``short``: (slot, frames that were too short).
     """
 
     order: Ints
@@ -119,6 +136,7 @@ class Joined(NamedTuple):
     held_number: Ints
     number: int
     spans: list[tuple[int, int, int]]
+    counts: list[SlotCount]
     short: list[tuple[int, int]]
 
 
@@ -134,12 +152,16 @@ def join(
     frames = np.ascontiguousarray(frames)
     work = np.empty((6, len(frames)), dtype=np.int64)
     body = join_here if core is None else core.join
-    rows, held, number, spans, short = body(frames, slots, layouts, held_number, number, GAP_NS, GAP_FRAMES, last, work)
+    rows, held, number, ends, counts, short = body(
+        frames, slots, layouts, held_number, number, GAP_NS, GAP_FRAMES, last, work
+    )
     order, row, first, counter, kept, numbers = work
+    spans = [(group, low, end) for (_, low), (group, end) in pairwise([(0, 0), *ends])]
     count = spans[-1][2] if spans else 0
     return Joined(
-        order[:count], row[:count], first[:rows], counter[:rows], kept[:held], numbers[:held], number, spans, short
-    )
+        order[:count], row[:count], first[:rows], counter[:rows], kept[:held], numbers[:held], number, spans,
+        [SlotCount(*numbers) for numbers in counts], short,
+    )  # fmt: skip
 
 
 class _Decoded(NamedTuple):
@@ -155,7 +177,7 @@ class _Decoded(NamedTuple):
 def join_here(
     frames: FrameArray, slots: npt.NDArray[np.uint32], layouts: npt.NDArray[np.void], held_number: Ints, number: int,
     gap_ns: int, gap_frames: int, last: bool, work: Ints,
-) -> tuple[int, int, int, list[tuple[int, int, int]], list[tuple[int, int]]]:  # fmt: skip
+) -> tuple[int, int, int, list[tuple[int, int]], list[SlotCount], list[tuple[int, int]]]:  # fmt: skip
     """Do as ``join`` of the compiled core: fill ``work`` as ``Joined`` has it; return what is not there."""
     del gap_ns, gap_frames
     rule, of_slot, numbers = SampleRule(), layouts.tolist(), held_number.tolist()
@@ -165,7 +187,7 @@ def join_here(
     for index, (slot, (t_ns, _, length, word)) in enumerate(
         zip(slots.tolist(), _FIELDS.iter_unpack(frames.tobytes()), strict=True)
     ):
-        sender, shift, mask, message, least, cyclic, used, _, _ = of_slot[slot]
+        sender, _, shift, mask, message, least, cyclic, used, _, _ = of_slot[slot]
         if slot and length < least:
             short[slot] += 1
         elif slot and used:
@@ -185,15 +207,31 @@ def join_here(
         end = min(rows, default=end)
     firsts = [frame for place, frame in enumerate(decoded[:end]) if frame.start == place]
     row_of = {frame.start: row for row, frame in enumerate(firsts)}
-    kept = sorted((frame for frame in decoded if frame.start < end), key=lambda frame: frame.slot)
+    group_of = layouts["group"].tolist()
+    kept = sorted((frame for frame in decoded if frame.start < end), key=lambda frame: group_of[frame.slot])
     held = [frame for frame in decoded if frame.start >= end]
-    counts = Counter(frame.slot for frame in kept)
-    occurring = sorted({frame.slot for frame in decoded})
-    ends = [*accumulate((counts[slot] for slot in occurring), initial=0)]
+    in_group = Counter(group_of[frame.slot] for frame in kept)
+    ends = [*zip(in_group, accumulate(in_group.values()), strict=True)]
+    counters: dict[int, list[int]] = {frame.slot: [] for frame in decoded}
+    for frame in kept:
+        counters[frame.slot].append(frame.counter)
+    counts = [_count(slot, counters[slot], layouts[slot]) for slot in sorted(counters)]
     columns: list[list[int]] = [
         [frame.frame for frame in kept], [row_of[frame.start] for frame in kept], [frame.frame for frame in firsts],
         [frame.counter for frame in firsts], [frame.frame for frame in held], [frame.number for frame in held],
     ]  # fmt: skip
     for target, column in zip(work, columns, strict=True):
         target[: len(column)] = column
-    return len(firsts), len(held), number, [*zip(occurring, ends, ends[1:], strict=False)], sorted(short.items())
+    return len(firsts), len(held), number, ends, counts, sorted(short.items())
+
+
+def _count(slot: int, counters: list[int], layout: npt.NDArray[np.void]) -> SlotCount:
+    modulus = int(layout["modulus"])
+    shown = [one for one in counters if one or modulus == SAMPLES] if layout["cyclic"] and modulus else []
+    first, last = (shown[0], shown[-1]) if shown else (-1, -1)
+    return SlotCount(slot, len(counters), first, last, sum(lost_between(*pair, modulus) for pair in pairwise(shown)))
+
+
+def lost_between(before: int, after: int, modulus: int) -> int:
+    """Return the number of samples missing between two counters: see ``lost_samples``."""
+    return max((after - before) % modulus - 1, 0)

@@ -18,7 +18,7 @@ from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import DuplicateNodeError, InputError, NoNewSampleError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.pdo_layout import layout_decoder, node_layout
-from tipforce.host.decoding.sync_modulus import SAMPLES
+from tipforce.host.decoding.sample_rule import SAMPLES
 from tipforce.host.frames.frame_array import RawFrame, frame_array
 from tipforce.samples.assembler import Assembler
 from tipforce.samples.contact import Contact
