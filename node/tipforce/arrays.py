@@ -17,6 +17,8 @@ _SHOWN = 80  # characters of a value in a message
 
 def occurring(small: npt.NDArray[np.unsignedinteger[Any]]) -> list[int]:
     """Return the different ones of small numbers (k,), ascending: faster than np.unique, which imports numpy.ma."""
+    if not small.any():  # one channel is the usual case
+        return [0] if len(small) else []
     numbers_found: list[int] = np.flatnonzero(np.bincount(small)).tolist()
     return numbers_found
 

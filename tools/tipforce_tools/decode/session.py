@@ -102,10 +102,13 @@ class _Run:
         json_on_stdout = args.json and not _to_file(args) and args.format is None
         self._kind = "jsonl" if json_on_stdout else format_of(args.output, args.format)
         self._steps = choice.Steps(args)
-        self._reading = choice.reading(args, self.names, self._steps.layouts, self._steps.signals)
+        self._reading = replace(
+            choice.reading(args, self.names, self._steps.layouts, self._steps.signals),
+            reasons=bool(args.summary or args.verbose or args.json),
+        )
         self._recording = Recording(self._reading)
         self.told = self._recording.told
-        self.summary = summaries.Summary()
+        self.summary = summaries.Summary(self._reading.reasons)
 
     def write(self, advance: Callable[[float], None]) -> None:
         """Decode and write; ``advance`` takes the bytes of the logs that are done since the last call.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from tipforce.arrays import BoolArray
 from tipforce.host.decoding.recording import Told
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
 from tipforce.host.decoding.services import BusEvent
@@ -39,7 +40,7 @@ class NodeSummary:
     samples: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
-    told: dict[str, Counter[str]] = field(default_factory=dict)
+    told: defaultdict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
     present: Counter[str] = field(default_factory=Counter)
 
     @property
@@ -62,7 +63,7 @@ class NodeSummary:
         self.last_ns = max((t for t in (self.last_ns, other.last_ns) if t is not None), default=None)
         self.present.update(other.present)
         for column, reasons in other.told.items():
-            self.told.setdefault(column, Counter()).update(reasons)
+            self.told[column].update(reasons)
 
     def record(self, told: Told) -> dict[str, Any]:
         """Return the JSON record."""
@@ -90,8 +91,10 @@ class NodeSummary:
 class Summary:
     """Collect statistics of tables that pass through."""
 
-    def __init__(self) -> None:
+    def __init__(self, reasons: bool = True) -> None:
+        """``reasons``: count the missing values by their reasons."""
         self._nodes: dict[tuple[str, int], NodeSummary] = {}
+        self._reasons = reasons
         self.samples = 0
 
     def passing(self, tables: Iterable[Table]) -> Iterator[Table]:
@@ -114,13 +117,20 @@ class Summary:
             node = nodes[key] = self._nodes.setdefault(place, NodeSummary(*place))
             span = (int(lows[number]), int(highs[number])) if table.timed else (None, None)
             node.append(NodeSummary(*place, int(counts[number]), *span))
+        if not self._reasons:
+            return
+        causes = [
+            (number, table.values[name] == is_set, signals)
+            for number, (name, is_set, signals) in enumerate(CAUSES.values())
+            if name in table.values
+        ]
         for column in table.columns:
             if column.kind == "real":
                 absent = table.absent.get(column.name)
                 there = counts if absent is None else np.add.reduceat(~absent[order], starts, dtype=np.int64)
                 for number, key in enumerate(nodes):
                     nodes[key].present[column.name] += int(there[number])
-                self._add_missing(column, table, nodes)
+                self._add_missing(column, table, nodes, causes)
 
     def append(self, other: Summary) -> None:
         """Add the statistics of other tables."""
@@ -128,20 +138,27 @@ class Summary:
         for place, node in other._nodes.items():
             self._nodes.setdefault(place, NodeSummary(*place)).append(node)
 
-    def _add_missing(self, column: Column, table: Table, nodes: dict[int, NodeSummary]) -> None:
+    def _add_missing(
+        self,
+        column: Column,
+        table: Table,
+        nodes: dict[int, NodeSummary],
+        causes: list[tuple[int, BoolArray, set[str] | None]],
+    ) -> None:
         """Count the missing values of a column, each by the first reason that its row tells."""
         rows = np.flatnonzero(np.isnan(table.values[column.name]))
         absent = table.absent.get(column.name)
         if absent is not None:
             rows = rows[~absent[rows]]
         reason = np.full(len(rows), _ORDER.index(UNKNOWN))
-        for number, (name, is_set, signals) in reversed([*enumerate(CAUSES.values())]):  # the first one counts
-            if name in table.values and (signals is None or column.signal in signals):
-                reason[table.values[name][rows] == is_set] = number
+        for number, is_set, signals in reversed(causes):  # the first one counts
+            if signals is None or column.signal in signals:
+                reason[is_set[rows]] = number
         counts = np.bincount(table.key[rows].astype(np.intp) * len(_ORDER) + reason)
-        for place in np.flatnonzero(counts).tolist():
+        places = np.flatnonzero(counts)
+        for place, count in zip(places.tolist(), counts[places].tolist(), strict=True):
             key, number = divmod(place, len(_ORDER))
-            nodes[key].told.setdefault(column.name, Counter())[_ORDER[number]] += int(counts[place])
+            nodes[key].told[column.name][_ORDER[number]] += count
 
     def nodes(self) -> list[NodeSummary]:
         """Return the nodes by channel and node-id."""

@@ -116,7 +116,7 @@ class Work:
         return written
 
     def _written(self, tables: Iterable[Table], shape: Shape, sink: Sink) -> Written:
-        summary = Summary()
+        summary = Summary(self._reading.reasons)
         record = sink.write(self._number, summary.passing(tables), shape)
         return Written(self._number, self._piece, record, shape, summary)
 

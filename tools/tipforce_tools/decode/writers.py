@@ -181,6 +181,8 @@ class PartFile:
         with self.path(number).open("wb") as file:
             for table in tables:
                 if (not shape.fits(table) and self._kind == "csv") or not pieces:
+                    if self._kind == "csv" and not pieces and number == 0:  # the header, if this is the whole file
+                        file.write(text_rows.csv_header((*shape.base, *shape.columns)))
                     pieces.append((file.tell(), len(shape.columns)))
                 if self._kind == "csv":
                     file.write(text_rows.csv_rows(table, (*shape.base, *shape.columns)))
@@ -197,7 +199,8 @@ class JoinedFile:
         self._file = NewFile(path, KINDS[kind], inputs)
         self._kind, self._shape = kind, shape
         self._beside = self._file.partial.absolute()
-        if self._file.partial == path:  # a device or a pipe
+        self._renamed = self._file.partial != path
+        if not self._renamed:  # a device or a pipe
             import tempfile
 
             self._beside = Path(tempfile.gettempdir(), f".{path.name}.{os.getpid()}.part")
@@ -212,7 +215,10 @@ class JoinedFile:
     def close(self, events: Sequence[BusEvent]) -> None:
         """Complete the output; it has no events. Raises OSError."""
         del events
-        if self._kind == "parquet":
+        (path, pieces), *others = self._parts
+        if not others and [count for _, count in pieces] == [len(self._shape.columns)] and self._renamed:
+            path.replace(self._file.partial)
+        elif self._kind == "parquet":
             self._join_parquet()
         else:
             with self._file.partial.open("wb") as out:

@@ -91,7 +91,7 @@ def make_plan(
 
 def slots_of(plan: Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint32]:
     """Return the slot of each identifier (k,): flags and larger identifiers are beyond MAX_COB_ID."""
-    slot: npt.NDArray[np.uint32] = plan.slot_of_id[np.minimum(can_id, MAX_COB_ID + 1)]
+    slot: npt.NDArray[np.uint32] = plan.slot_of_id.take(can_id, mode="clip")
     if len(plan.extended_ids):
         place = np.minimum(np.searchsorted(plan.extended_ids, can_id), len(plan.extended_ids) - 1)
         found = plan.extended_ids[place] == can_id

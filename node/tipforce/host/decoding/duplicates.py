@@ -182,8 +182,16 @@ _BEGINS = np.array([[_begins(requested, command) for command in range(256)] for 
 """By what an SDO frame is (0: a request, 1: a response) and its first byte."""
 
 
+_MAY_BE = np.isin(
+    np.arange(codes.STANDARD_MASK + 1) & ~codes.NODE_ID_MASK, [codes.NMT_COB_ID, codes.HEARTBEAT_BASE, *_OF_EIGHT_BYTES]
+)
+_MAY_BE[[*range(1, codes.NODE_ID_MASK + 1), codes.EMCY_BASE]] = False
+"""By the lowest bits of an identifier, whether it is one of those below: of a block of PDOs none is."""
+
+
 def services(frames: FrameArray) -> FrameArray:
     """Return those of FRAME (n,) that ``DuplicateNodes.frame`` looks at."""
+    frames = frames[_MAY_BE.take(frames["can_id"] & np.uint32(codes.STANDARD_MASK))]
     can_id = frames["can_id"]
     function = can_id & ~np.uint32(codes.NODE_ID_MASK)
     chosen = (can_id == codes.NMT_COB_ID) | (function == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG)

@@ -55,6 +55,8 @@ class Reading:
     strict: bool = False
     follow: bool = False
     deltas: bool = False
+    reasons: bool = True
+    """Count the missing values by their reasons."""
 
     def decoder(self) -> Decoder:
         """Return a separate decoder for each bus."""

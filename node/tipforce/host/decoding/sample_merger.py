@@ -201,7 +201,7 @@ class SampleMerger:
         """Return the complete rows; columns of messages whose frames are all in open rows are empty."""
         layouts = self._slots.layouts
         values = _Values(len(joined.first))
-        firsts, counter = layouts[slots[joined.first]], joined.counter.copy()
+        first, counter = slots[joined.first], joined.counter.copy()
         words = block["data"].view("<u8")[:, 0]
         spans = {group: slice(low, high) for group, low, high in joined.spans}
         for number, counts in self._in_turn(joined.counts):
@@ -221,7 +221,7 @@ class SampleMerger:
                     values.add(group.columns[name], None if whole else row, what)
         shown = in_order((self._columns[name] for name in values.found), self._signals)
         return Table(
-            block["t_ns"][joined.first], firsts["key"], counter, firsts["cyclic"] == 1,
+            block["t_ns"][joined.first], layouts["key"][first], counter, layouts["cyclic"][first] == 1,
             shown, {c.name: values.found[c.name] for c in shown}, values.absent, tuple(self.channels), self.timed,
             tuple((self.channels[channel], modulus) for channel, modulus in self.sync.of.items()),
         )  # fmt: skip
