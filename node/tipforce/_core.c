@@ -37,6 +37,9 @@ typedef struct {
     int channels, recent;
     const Byte *date; /* the one date that is known, and its time */
     uint64_t date_s;
+    const Byte *stamp; /* the last one, as far as its point, and its seconds */
+    Py_ssize_t stamp_size;
+    uint64_t stamp_s;
     uint64_t last_ns; /* of the last line with a time */
     int deltas, timed;
 } Text;
@@ -56,18 +59,47 @@ static const Byte *decimal(const Byte *p, const Byte *end, int most, uint64_t *v
     return p;
 }
 
+/* Read six decimal digits of the first eight characters, all at a time; return whether they are digits. */
+static int six_digits(const Byte *p, uint64_t *value) {
+    const uint64_t high = 0xF0F0F0F0F0F0F0F0u, zeros = 0x3030303030303030u, six = 0x0606060606060606u;
+    uint64_t text;
+    memcpy(&text, p, sizeof text);
+    text = text << 16 | 0x3030; /* two zeros, which are the leading digits */
+    if ((text & high) != zeros || ((text + six) & high) != zeros)
+        return 0;
+    text = (text & ~high) * (10 * 256 + 1) >> 8; /* pairs, then fours, then all */
+    text = (text & 0x00FF00FF00FF00FFu) * (100 * 65536 + 1) >> 16;
+    *value = (text & 0x0000FFFF0000FFFFu) * (10000 * ((uint64_t)1 << 32) + 1) >> 32;
+    return 1;
+}
+
 /* Read "(seconds.fraction)"; return what is behind it, NULL for any other stamp. */
-static const Byte *read_stamp(const Text *text, const Byte *p, const Byte *end, uint64_t *t_ns) {
+static const Byte *read_stamp(Text *text, const Byte *p, const Byte *end, uint64_t *t_ns) {
     uint64_t seconds, fraction;
-    int is_date = text->date && end - p > DATE_BYTES && !memcmp(p + 1, text->date, DATE_BYTES);
+    int is_date = 0;
     const Byte *start = p + 1;
-    p = is_date ? start + DATE_BYTES : decimal(start, end, 10, &seconds);
-    if (is_date)
-        seconds = text->date_s;
-    if (p == start || p >= end || *p != '.')
-        return NULL;
-    start = p + 1;
-    p = decimal(start, end, 9, &fraction);
+    if (text->stamp_size && end - p > text->stamp_size && !memcmp(p, text->stamp, (size_t)text->stamp_size)) {
+        seconds = text->stamp_s; /* those of the line before */
+        p += text->stamp_size;
+    } else {
+        is_date = text->date && end - p > DATE_BYTES && !memcmp(start, text->date, DATE_BYTES);
+        p = is_date ? start + DATE_BYTES : decimal(start, end, 10, &seconds);
+        if (is_date)
+            seconds = text->date_s;
+        if (p == start || p >= end || *p != '.')
+            return NULL;
+        p++;
+        if (!is_date) {
+            text->stamp = start - 1;
+            text->stamp_size = p - text->stamp;
+            text->stamp_s = seconds;
+        }
+    }
+    start = p;
+    if (end - p >= 8 && p[6] == ')' && six_digits(p, &fraction))
+        p += 6;
+    else
+        p = decimal(start, end, 9, &fraction);
     if (p - start == 6)
         fraction *= 1000;
     else if (p - start != 9 || is_date)

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from tipforce_tools.decode.writers import Shape
 
 ROW_GROUP_ROWS = 1 << 18
+_MOST_VALUES = 1 << 14
+"""Different values of a column in a row group that are worth a dictionary."""
 _TYPES = {"real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64()}
 _TIME_TYPE = pa.timestamp("us", tz="UTC")  # a bit on the bus takes a microsecond; Spark has no finer time
 _BASE = {TIME: _TIME_TYPE, NODE: pa.uint8(), CHANNEL: pa.string(), COUNTER: pa.int64()}
@@ -182,9 +184,13 @@ class Parts:
 
 def _open(path: Path, schema: Any) -> Any:
     names = set(schema.names)
+    # A converter has few different values: their numbers take a third of the bytes that compressed doubles take. Beyond
+    # these many, doubles are noise, which costs more time to compress than it saves bytes.
+    real = [field.name for field in schema if field.type == _TYPES["real"]]
     return pq.ParquetWriter(
-        path, schema, compression="snappy", data_page_size=1 << 20,
-        use_dictionary=[name for name in (CHANNEL, NODE) if name in names],
+        path, schema, compression={name: "none" if name in real else "snappy" for name in names},
+        data_page_size=1 << 20, dictionary_pagesize_limit=_MOST_VALUES * 8,
+        use_dictionary=[*(name for name in (CHANNEL, NODE) if name in names), *real],
         # Increasing values are smaller as differences, and faster to write.
         column_encoding={name: "DELTA_BINARY_PACKED" for name in (TIME, COUNTER) if name in names},
     )  # fmt: skip
