@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _FIRST_ROWS = 100_000  # inspected before the first is written, so that rare columns are known
 _SMALL_BYTES = 1_000_000_000  # of all logs: to it one process needs less processor time and memory, and seconds
 _LEAST_PIECE_BYTES = 8_000_000  # minimum size of a piece
-_PIECE_BYTES = 16_000_000  # of a large log: several results fit in memory
+_PIECE_BYTES = 32_000_000  # of a large log: several results fit in memory
 _FOLLOW_S = 2.0  # between looks at a growing log
 _FOLLOWED_BYTES = 16_000_000  # of a part that is written again while its log grows
 _DATASET_PIECE_BYTES = 64_000_000  # a file per node of some megabytes

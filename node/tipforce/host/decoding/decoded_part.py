@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -103,30 +104,37 @@ def _is_long(head: list[FrameArray]) -> bool:
 
 
 class _Kept:
-    """Tables in order: in memory, many in a temporary file."""
+    """Tables in order: the first in memory, the others in a temporary file."""
 
     def __init__(self) -> None:
-        self._file = tempfile.SpooledTemporaryFile(_IN_MEMORY_BYTES)  # noqa: SIM115 - closed after the last row
+        self._first: list[Table] = []
+        self._bytes = 0
+        self._file: Any = None
 
     def add(self, table: Table) -> None:
         """Append a table."""
+        self._bytes += table.t_ns.nbytes + sum(column.nbytes for column in table.values.values())
+        if self._bytes < _IN_MEMORY_BYTES:
+            self._first.append(table)
+            return
+        if self._file is None:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the part
         pickle.dump(table, self._file, protocol=5)
 
     def __iter__(self) -> Iterator[Table]:
         """Yield the tables."""
-        self._file.seek(0)
-        with suppress(EOFError):
-            while True:
-                yield pickle.load(self._file)
+        yield from self._first
+        if self._file is not None:
+            self._file.seek(0)
+            with suppress(EOFError):
+                while True:
+                    yield pickle.load(self._file)
 
-    def __del__(self) -> None:
-        self._file.close()
-
-    def __getstate__(self) -> bytes:
+    def __getstate__(self) -> list[Table]:
         """Return all tables: a cluster moved the part to another worker."""
-        self._file.seek(0)
-        return self._file.read()
+        return [*self]
 
-    def __setstate__(self, state: bytes) -> None:
+    def __setstate__(self, state: list[Table]) -> None:
         self.__init__()  # type: ignore[misc]
-        self._file.write(state)
+        for table in state:
+            self.add(table)

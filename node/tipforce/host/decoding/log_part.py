@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -59,13 +60,20 @@ class Reading:
     """Count the missing values by their reasons."""
 
     def decoder(self) -> Decoder:
-        """Return a separate decoder for each bus."""
-        return self.layouts.decoder(services=joins(self.signals))
+        """Return a separate decoder for each bus whose layouts may change; otherwise all have one."""
+        made = self.layouts.decoder if self.layouts.eds else partial(_decoder, self.layouts)
+        return made(services=joins(self.signals))
 
     @property
     def wanted(self) -> tuple[str, ...] | None:
         """The signals to decode: those asked for, and what the faults of 2124h are joined from."""
         return self.signals if self.layouts.dbc is not None else with_services(self.signals)
+
+
+@lru_cache(1)
+def _decoder(layouts: Layouts, services: bool) -> Decoder:
+    """Return a decoder for all parts that this process reads: to make its plan takes as long as ten thousand frames."""
+    return layouts.decoder(services=services)
 
 
 @dataclass(slots=True)
