@@ -18,7 +18,6 @@ from tipforce.dictionary import table
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.columns import Layout, divisor_of
-from tipforce.host.decoding.decoder import Columns
 from tipforce.host.decoding.health import NAMES
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block, contact_values, status_of, uncertainties
@@ -115,7 +114,7 @@ class Samples:
         status = self.status | self._calibrated
         values = np.full((len(self), 3), np.nan)
         for node_id, rows in self._by_node.items():
-            columns = Columns(tuple(self.columns), self.columns, rows)
+            columns = {name: column[rows] for name, column in self.columns.items()}
             strain, calibration = self.gauges[rows] * 1e-6, self._calibrations.get(node_id)
             values[rows] = contact_values(columns, strain, status[rows], calibration)
         return values
