@@ -42,37 +42,45 @@ class Layout:
         """By name the type of a column, and its place: bytes per row of the columns before it in memory."""
         self._bytes = places[-1]
 
-    def columns(self, words: Words, row: npt.NDArray[np.int64] = _IN_ORDER) -> Mapping[str, Column]:
+    def columns(self, words: Words, row: npt.NDArray[np.int64] = _IN_ORDER) -> Columns:
         """Return each signal (k,) from the eight data bytes (k,) as one little-endian number.
 
         ``row`` (k,): the place of each in the columns, each once; by default in their order.
         """
-        if core is None or not self.names:
-            found = columns_of(words, self.signals)
-            rows = np.argsort(row) if len(row) else slice(None)
-            return {name: column[rows].astype(self.places[name][0], copy=False) for name, column in found.items()}
-        count = len(words)
-        out = np.empty(count * self._bytes, dtype=np.uint8)
-        core.extract(words, self._signals, out, row)
-        return _Extracted(self, out, count)
+        memory = np.empty(len(words) * self._bytes, dtype=np.uint8)
+        columns = Columns(self, memory, slice(0, len(words)), len(words))
+        if core is not None and self.names:
+            core.extract(words, self._signals, memory, row)
+            return columns
+        for name, values in columns_of(words, self.signals).items():
+            columns[name][row if len(row) else slice(None)] = values
+        return columns
 
 
-class _Extracted(Mapping[str, Column]):
-    """Columns that are in one block of memory; each is made an array when it is read."""
+class Columns(Mapping[str, Column]):
+    """The columns of k samples by signal name, in one block of memory: each is made an array when it is read."""
 
-    __slots__ = ("_count", "_layout", "_memory")
+    __slots__ = ("_layout", "_memory", "_rows", "_total")
 
-    def __init__(self, layout: Layout, memory: npt.NDArray[np.uint8], count: int) -> None:
-        self._layout, self._memory, self._count = layout, memory, count
+    def __init__(self, layout: Layout, memory: npt.NDArray[np.uint8], rows: slice, total: int) -> None:
+        self._layout, self._memory, self._rows, self._total = layout, memory, rows, total
+
+    def part(self, rows: slice) -> Columns:
+        """Return some rows of all of them."""
+        return Columns(self._layout, self._memory, rows, self._total)
 
     def __getitem__(self, name: str) -> Column:
+        """Return a column (k,), a view. Raises KeyError for another name."""
         kind, place = self._layout.places[name]
-        return np.ndarray(self._count, kind, self._memory, self._count * place)
+        column: Column = np.ndarray(self._total, kind, self._memory, self._total * place)
+        return column[self._rows]
 
     def __iter__(self) -> Iterator[str]:
+        """Return the names in the order of the signals."""
         return iter(self._layout.names)
 
     def __len__(self) -> int:
+        """Return the number of columns."""
         return len(self._layout.names)
 
 

@@ -99,32 +99,6 @@ def slots_of(plan: Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint3
     return slot
 
 
-class Columns(Mapping[str, Column]):
-    """The columns of k samples by signal name, each (k,), cut out of those of several nodes when they are read."""
-
-    __slots__ = ("_all", "_names", "_rows")
-
-    def __init__(self, names: tuple[str, ...], columns: Mapping[str, Column] | FrameArray, rows: slice) -> None:
-        self._names = names
-        self._all = columns
-        self._rows = rows
-
-    def __getitem__(self, name: str) -> Column:
-        """Return a column (k,), a view. Raises KeyError for another name."""
-        if name not in self._names:
-            raise KeyError(name)
-        column: Column = self._all[name][self._rows]
-        return column
-
-    def __iter__(self) -> Iterator[str]:
-        """Return the names in the order of the signals."""
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        """Return the number of columns."""
-        return len(self._names)
-
-
 @dataclass(slots=True, eq=False)
 class Samples:
     """k samples of one message of one node, in the order of the input.
@@ -264,8 +238,7 @@ class Decoder:
             t_ns, columns = frames["t_ns"][order], group.layout.columns(words[order])
             for slot, low, high in spans:
                 rows, key = slice(low - start, high - start), plan.keys[slot - 1]
-                of_node = Columns(group.layout.names, columns, rows)
-                found[key] = Samples(key[0], group.message, t_ns[rows], order[rows], of_node)
+                found[key] = Samples(key[0], group.message, t_ns[rows], order[rows], columns.part(rows))
         return found
 
     def plan(self, signals: Iterable[str] | None) -> Plan:
