@@ -1,6 +1,7 @@
 """Arguments of `tipforce decode [LOG ...|-] [-o FILE]`."""
 
 import argparse
+import gc
 
 from tipforce_tools.cli import common
 from tipforce_tools.cli.bus_flags import add_bus_name_arguments
@@ -49,7 +50,11 @@ def run(args: argparse.Namespace) -> int:
     Raises InputError for unusable input, EnvironmentLackError for a missing package or a node that does not respond.
     """
     from tipforce_tools.cli.main import terminate_as_interrupt
-    from tipforce_tools.decode.session import decode
 
+    gc.disable()  # to look for garbage among what the imports make takes a tenth of the start
+    try:
+        from tipforce_tools.decode.session import decode
+    finally:
+        gc.enable()
     terminate_as_interrupt()
     return decode(args)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -234,6 +233,8 @@ def _values(array: Any, column: Column) -> Values:
 
 def wrong_files(store: Store, manifest: Manifest, *, hashes: bool) -> dict[str, str]:
     """Return by path what is wrong with a file: it is missing, or its size or (with ``hashes``) its content differs."""
+    import hashlib
+
     from tipforce.host.dataset.manifest import files_of
 
     wrong = {}

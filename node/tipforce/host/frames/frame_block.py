@@ -32,13 +32,13 @@ class FdFrame(NamedTuple):
     sent: bool
 
 
-_LOG = re.compile(r"#([0-9A-Fa-f])((?:[0-9A-Fa-f]{2}\.?)*)")
-_SCREEN = re.compile(r"\s*((?:[0-9A-Fa-f]{2}(?:\s|$))*)\s*(ERRORFRAME|'.*')?\s*")
+_LOG = r"#([0-9A-Fa-f])((?:[0-9A-Fa-f]{2}\.?)*)"
+_SCREEN = r"\s*((?:[0-9A-Fa-f]{2}(?:\s|$))*)\s*(ERRORFRAME|'.*')?\s*"
 
 
 def log_payload(text: str) -> tuple[int, bytes]:
     """Return (flags, data) after the first # of a line in candump's log format. ValueError: the reason."""
-    match = _LOG.fullmatch(text)
+    match = re.fullmatch(_LOG, text)
     if match is None:
         raise ValueError("data")
     return int(match[1], 16), _checked(bytes.fromhex(match[2].replace(".", "")))
@@ -46,7 +46,7 @@ def log_payload(text: str) -> tuple[int, bytes]:
 
 def screen_payload(length: int, text: str) -> bytes:
     """Return the data from the text after the [length] in candump's screen format. ValueError: the reason."""
-    match = _SCREEN.fullmatch(text)
+    match = re.fullmatch(_SCREEN, text)
     if match is None:
         raise ValueError("data")
     data = _checked(bytes.fromhex(match[1]))

@@ -56,12 +56,12 @@ _SCREEN = re.compile(
     r"(?P<id>\S+)\s+\[(?P<length>\d+)\](?P<rest>.*)"
 )
 _SECONDS = re.compile(r"(\d{1,10})\.(\d{6}|\d{9})", re.ASCII)
-_DATE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)\.(\d{6})", re.ASCII)
+_DATE = r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)\.(\d{6})"
 _HEX = re.compile(r"[0-9A-Fa-f]+")
 _LOG_DATA = re.compile(r"(?:[0-9A-Fa-f]{2}\.?)*(?:_[9A-Fa-f])?")  # _F: the raw DLC of an 8-byte frame
 _SCREEN_DATA = re.compile(r"\s*((?:[0-9A-Fa-f]{2}(?:\s|$))*)\s*(ERRORFRAME|'.*')?\s*")
-_DROPS = re.compile(r"\s*DROPCOUNT: dropped (\d+) CAN frames?")
-_COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+_DROPS = r"\s*DROPCOUNT: dropped (\d+) CAN frames?"
+_COLOUR = r"\x1b\[[0-9;]*m"
 _PACK = struct.Struct("<qIBBBx8s").pack  # one FRAME
 
 
@@ -170,7 +170,7 @@ class CandumpParser:
             payload = _log_payload(match["rest"])
         else:
             if "\x1b" in line:
-                line = _COLOUR.sub("", line)
+                line = re.sub(_COLOUR, "", line)
             match = _SCREEN.fullmatch(line.rstrip())
             if match is None:
                 self._no_frame(line)
@@ -193,7 +193,7 @@ class CandumpParser:
         return FdFrame(0, t_ns, can_id, flags, data, self.interface_number(parts["name"]), parts["way"] == "T")
 
     def _no_frame(self, line: str) -> None:
-        drops = _DROPS.match(line)
+        drops = re.match(_DROPS, line)
         if drops is not None:
             self.dropped += int(drops[1])
         elif line.strip() and not line.startswith("\t"):  # tabs: candump -e describes the error frame above
@@ -204,7 +204,7 @@ class CandumpParser:
         if seconds is not None:
             t_ns = int(seconds[1]) * 1_000_000_000 + int(seconds[2].ljust(9, "0"))
         else:
-            date = _DATE.fullmatch(stamp)
+            date = re.fullmatch(_DATE, stamp, re.ASCII)
             if date is None:
                 raise ValueError("timestamp")
             t_ns = self.local_time(date[1]) * 1_000_000_000 + int(date[2]) * 1000
