@@ -15,6 +15,7 @@ from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.sample_merger import SampleMerger
 from tipforce.host.decoding.sample_table import Table
 from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.samples.reasons import Status
 from tools.decode.logs import decode, log_lines, rows_of, write_log
 
 Row = tuple[object, ...]
@@ -116,6 +117,20 @@ def test_health_has_no_sample_counter_and_is_a_row_of_its_own() -> None:
     names = [repr(row[3]) for row in found]
     assert ["('P_N'" in name for name in names] == [True, False, False, False]
     assert ["temperature_degC" in name for name in names] == [False, True, True, False]
+
+
+@pytest.mark.parametrize("names", [("gauges", "contact"), ("contact", "gauges")])
+def test_of_a_sample_the_first_pdo_that_has_a_value_counts(names: tuple[str, str]) -> None:
+    """Both PDOs carry the status: that of the gauges counts, which a node sends first; late ones are another sample."""
+    frames = frames_of([(name, 1, 3, 0) for name in names])
+    frames["data"][frames["can_id"] == BASES["gauges"] + 1, 6] = Status.STALE
+    frames["data"][frames["can_id"] == BASES["contact"] + 1, 6] = Status.FAULT
+    one = merger()
+    tables = [table for table in (one.add(frames), one.finish()) if table is not None]
+    stale = np.concatenate([table.values["stale"] for table in tables])
+    fault = np.concatenate([table.values["fault"] for table in tables])
+    joined = names[0] == "gauges"
+    assert (stale.tolist(), fault.tolist()) == (([1], [0]) if joined else ([0, 1], [1, 0]))
 
 
 @given(st.lists(st.integers(0, 255), max_size=40), st.lists(st.integers(0, 40), max_size=4))

@@ -174,6 +174,16 @@ def test_nanoseconds_and_lower_case_are_taken_in_bulk(monkeypatch: pytest.Monkey
     assert seen == [1]
 
 
+@pytest.mark.parametrize("character", [chr(code) for code in (*range(0x20, 0x30), *range(0x3A, 0x40), 0x70, 0xB0)])
+def test_a_fraction_has_digits_only(character: str) -> None:
+    """All six are read at a time: what is near the digits, or has their lowest bits, is none, wherever it is."""
+    for place in range(6):
+        fraction = "123456"[:place] + character + "123456"[place + 1 :]
+        text = f"(1700000000.000001) can0 181#\n(1700000000.{fraction}) can0 181#07\n".encode()
+        assert in_bulk([text]) == line_by_line(text)
+        assert sum(in_bulk([text]).bad.values()) == 1
+
+
 def test_deltas_add_up_across_blocks() -> None:
     lines = [f" (000.{k:06d})  can0  181   [1]  07" for k in range(100)]
     blocks = ["".join(line + "\n" for line in part).encode() for part in (lines[:40], lines[40:])]
