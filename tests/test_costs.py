@@ -39,7 +39,7 @@ BASELINE: dict[str, tuple[float, float]] = {
     "SDO upload of 7 kB by blocks": (18314, 18314),
     "Estimator, a reading": (71.52, 71.52),
     "Estimator, 1000 readings at once": (117, 117),
-    "a log of 5000 frames read": (176077, 11003),
+    "a log of 5000 frames read": (182926, 2746),
     "a live row of five fingers": (25.96, 25.96),
     "an EDS loaded": (161381, 161381),
     "a scene, 100 steps": (15194, 15194),
