@@ -73,3 +73,8 @@ def test_the_core_refuses_what_does_not_fit() -> None:
             bad[name] = value
         with pytest.raises(ValueError, match="extract"):
             core.extract(words, bad, memory, in_order)
+
+
+def test_a_wide_column_of_64_bits_without_sign_stays_unsigned() -> None:
+    layout = Layout((Signal("s", 0, 64, False, 1.0, "", 0, 0, None, "", 0, 0),), wide=True)
+    assert layout.columns(np.array([(1 << 64) - 1], dtype=np.uint64))["s"].tolist() == [(1 << 64) - 1]
