@@ -61,8 +61,7 @@ class Counted(MemoryStore):
 
 def fingertip(store: Counted) -> Device:
     """A fingertip with program slots."""
-    source = SimulatedSource([[1e-4] * 3] * 3)
-    return fingertip_node(5, source, 3, 4711, store.save, store.load, programs=store)
+    return fingertip_node(5, SimulatedSource([[1e-4] * 3] * 3), 3, 4711, store.save, store.load, programs=store)
 
 
 def talking(device: Device) -> Conversation:
