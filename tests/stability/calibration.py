@@ -161,8 +161,7 @@ def _flipped_in_transit() -> Observed:
 
 def _stored() -> MemoryStore:
     memory = MemoryStore()
-    finger = rig.finger(store=memory)
-    finger.put("I", communication.STORE_PARAMETERS, _GROUP, codes.SIGNATURE_SAVE)
+    rig.finger(store=memory).put("I", communication.STORE_PARAMETERS, _GROUP, codes.SIGNATURE_SAVE)
     return memory
 
 

@@ -91,8 +91,7 @@ def _overflow() -> Observed:
 
 
 def _not_finite() -> Observed:
-    rng = np.random.default_rng(3)
-    F = rng.standard_normal((1009, 3))
+    F = np.random.default_rng(3).standard_normal((1009, 3))
     good = estimate.contacts(F, pull=False)
     spoilt = F.copy()
     for k in range(9):

@@ -99,8 +99,7 @@ def _plane() -> Observed:
 
 
 def _no_tare() -> Observed:
-    readings = _readings(slice(5, 8), tares=0, repeats=10)
-    said = _refusal(readings)
+    said = _refusal(_readings(slice(5, 8), tares=0, repeats=10))
     return Observed("cannot be told from a sensitivity" in said and "tare" in said, shortened(said, 200))
 
 
@@ -151,8 +150,7 @@ def _saturated() -> Observed:
 
 def _sigmas(found: Fit) -> float:
     """Return the largest error of C in its standard uncertainties."""
-    C = np.linalg.inv(strain_matrix(FABRICATED, "III"))
-    return float((np.abs(found.C - C) / found.C_uncertainty).max())
+    return float((np.abs(found.C - np.linalg.inv(strain_matrix(FABRICATED, "III"))) / found.C_uncertainty).max())
 
 
 def _relative(found: Fit) -> float:

@@ -190,8 +190,7 @@ def _pairs(n: int) -> list[list[int]]:
 
 
 def _swapped_six() -> Observed:
-    gauges = ("L", "R", "K_H", "S_H", "T", "U")
-    A, Sigma = strain_matrix(FABRICATED, gauges), 9e-14 * np.eye(6)
+    A, Sigma = strain_matrix(FABRICATED, ("L", "R", "K_H", "S_H", "T", "U")), 9e-14 * np.eye(6)
     C = redundancy.weighted_inverse(A, Sigma)
     model = redundancy.parity(C, Sigma)
     rng = np.random.default_rng(10)

@@ -143,8 +143,7 @@ def check_limits(design: Design, limits: Limits) -> None:
     for one in design.gauges:
         for other in design.gauges:
             if one is not other and one._replace(position_m=0.0) == other._replace(position_m=0.0):
-                apart = abs(one.position_m - other.position_m)
-                assert apart >= limits.gauge_length_m + limits.clearance_m - slack
+                assert abs(one.position_m - other.position_m) >= limits.gauge_length_m + limits.clearance_m - slack
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
@@ -259,8 +258,7 @@ def test_pareto_keeps_what_nobody_beats() -> None:
         return replace(base, theory=replace(base.theory, u_theta_deg=u_theta_deg, condition_number=condition))
 
     entries = [entry(*pair) for pair in ((1.0, 3.0), (2.0, 2.0), (3.0, 2.5), (1.001, 2.999), (4.0, 1.0))]
-    kept = pareto(entries, (FIGURES["theta"], FIGURES["condition"]))
-    assert kept == [entries[0], entries[1], entries[4]]
+    assert pareto(entries, (FIGURES["theta"], FIGURES["condition"])) == [entries[0], entries[1], entries[4]]
 
 
 # --- what is refused ------------------------------------------------------------------------------------------------
