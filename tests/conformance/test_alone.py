@@ -65,8 +65,7 @@ def test_nothing_else_is_there(environment: Path) -> None:
 
 def test_help_and_list(environment: Path) -> None:
     assert "--persistent" in run(environment, "-m", "canopen_conformance", "--help")
-    listed = run(environment, "-m", "canopen_conformance", "--list").splitlines()
-    assert len(listed) == len(all_cases())
+    assert len(run(environment, "-m", "canopen_conformance", "--list").splitlines()) == len(all_cases())
 
 
 def test_mistakes_of_the_user_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
