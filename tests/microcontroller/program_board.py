@@ -99,8 +99,7 @@ class Board:
         self.power_on()
 
     def power_on(self) -> None:
-        store = FlashStore(self.flash)
-        self.programs = Programs(self.flash, store, KEY, table.PRODUCT, INSTALLED_VERSION)
+        self.programs = Programs(self.flash, FlashStore(self.flash), KEY, table.PRODUCT, INSTALLED_VERSION)
         self.slot = self.programs.choose()
         self.device: Device = fingertip_node(NODE_ID, SimulatedSource([[0.0] * 3] * 3), programs=self.programs)
         self.device.step(self.now_us)

@@ -77,8 +77,7 @@ def test_two_channels_of_one_chip(build: Builder) -> None:
 def test_nau7802_is_set_up_as_asked() -> None:
     clock = FakeClock()
     fake = FakeNau7802(clock, [0, 0])
-    driver = Nau7802(fake, channels=2, gain=64, rate=80, ldo_millivolts=3300)
-    run(driver, clock, START_US)
+    run(Nau7802(fake, channels=2, gain=64, rate=80, ldo_millivolts=3300), clock, START_US)
     assert fake.calibrated == 3  # the offset of both channels
     assert fake.registers[1] == 4 << 3 | 6  # VLDO 3.3 V, gain 64
     assert fake.registers[2] & 0x77 == 3 << 4  # 80 conversions a second, no calibration under way
@@ -94,8 +93,7 @@ def test_nau7802_calibration_that_fails_is_done_again() -> None:
     clock = FakeClock()
     fake = FakeNau7802(clock, [123])
     fake.fail_calibrations = 2
-    driver = Nau7802(fake)
-    assert set(run(driver, clock, 2 * START_US)) == {(123,)}
+    assert set(run(Nau7802(fake), clock, 2 * START_US)) == {(123,)}
 
 
 @pytest.mark.parametrize("rate", [20, 45, 330, 1000, 2000, 350])

@@ -30,8 +30,7 @@ class Recording:
 
     def frames(self) -> tuple[int, int]:
         """How many frames went in and how many came out."""
-        received = sum(len(step.split()) - 1 for step in self.steps)
-        return received, sum(answer.count("#") for answer in self.answers)
+        return sum(len(step.split()) - 1 for step in self.steps), sum(answer.count("#") for answer in self.answers)
 
 
 class RecordedDevice:
