@@ -90,8 +90,7 @@ def test_the_first_command_names_cause_and_remedy(
     command: str, situation: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name, channel = situation
-    words = [*command.replace("FOLDER", str(tmp_path)).split(), "-i", "virtual", "-c", channel]
-    code = main(words)
+    code = main([*command.replace("FOLDER", str(tmp_path)).split(), "-i", "virtual", "-c", channel])
     out, err = capsys.readouterr()
     said = re.findall(f"^.*(?:{SITUATIONS[name]}).*$", (err + out).replace(" -> ", ": "), re.MULTILINE)
     assert len(said) == 1, err + out

@@ -65,8 +65,7 @@ class Bench(NamedTuple):
 
     def auto(self, *words: object) -> tuple[int, str, str]:
         """Run the guide by itself: (exit code, stdout, stderr)."""
-        code = self.guide("--auto", *FEW, *words)
-        return (code, *self.capsys.readouterr())
+        return (self.guide("--auto", *FEW, *words), *self.capsys.readouterr())
 
     def rows(self) -> list[dict[str, str]]:
         with self.session.open() as file:
@@ -172,8 +171,7 @@ def _check_stored(bench: Bench) -> None:
     calibration = read_calibration(bench.file)
     assert FingertipClient(bench.connection.sdo(5)).verify_calibration(calibration) == []
     assert (calibration.serial, calibration.pull, calibration.layout_code) == (1005, True, 1)
-    noise = np.sqrt(np.diag(calibration.covariance_strain2)) * 1e6
-    np.testing.assert_allclose(noise, 0.5, rtol=0.1)
+    np.testing.assert_allclose(np.sqrt(np.diag(calibration.covariance_strain2)) * 1e6, 0.5, rtol=0.1)
     np.testing.assert_allclose(calibration.offset_strain * 1e6, OFFSETS, atol=0.4)
 
 
@@ -313,8 +311,7 @@ def test_a_refused_capture(
 
 
 def test_refused_with_nobody_there_is_1(bench: Bench) -> None:
-    sdo = bench.connection.sdo(5)
-    sdo.write(od.SIMULATION_FAULT, SATURATED)
+    bench.connection.sdo(5).write(od.SIMULATION_FAULT, SATURATED)
     code, out, err = bench.auto()
     assert (code, out) == (1, "")
     assert err.count("refused: saturated: SG1") == 2

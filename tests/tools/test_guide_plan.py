@@ -49,8 +49,7 @@ def test_the_papers_grooves() -> None:
     assert loads[2].instruction == "hang 4.4 N (448.7 g) in the x-groove at theta = 30 degrees (phi = 0)"
     assert loads[9].load == (4.4, 180.0, 175.0, "pull")
     assert loads[10].load == (4.4, 90.0, 30.0, "pull")
-    between = [k for k, step in enumerate(steps) if step.mode == "tare"]
-    assert all(b - a <= 5 for a, b in pairwise(between))
+    assert all(b - a <= 5 for a, b in pairwise([k for k, step in enumerate(steps) if step.mode == "tare"]))
 
 
 @pytest.fixture

@@ -123,12 +123,10 @@ def test_what_the_calibration_says_of_a_sample_comes_from_tpdo4_and_emcy() -> No
     assert found.readings["P"].reason == "gauges contradict each other"
     assert found.status == ("calibrated", "fault", "contradiction")
     over = contact_pdo(5, NAN, NAN, NAN, CALIBRATED | 0x04)
-    health = struct.pack("<hHHBB", 2300, 0xFFFF, 0xA000, 0, 0)
-    found = node(fed([(0, 0x085, emcy), (1, 0x485, health), (2, *over)]))
+    found = node(fed([(0, 0x085, emcy), (1, 0x485, struct.pack("<hHHBB", 2300, 0xFFFF, 0xA000, 0, 0)), (2, *over)]))
     assert found.readings["P"].reason == "overload"
     assert found.status == ("calibrated", "saturated", "beyond_calibrated", "overload")
-    ended = struct.pack("<HBHHx", 0, 0, 0x5030, 12)
-    found = node(fed([(0, 0x085, emcy), (1, 0x085, ended), (2, *unknown)]))
+    found = node(fed([(0, 0x085, emcy), (1, 0x085, struct.pack("<HBHHx", 0, 0, 0x5030, 12)), (2, *unknown)]))
     assert found.readings["P"].reason == "front-end fault"
     found = node(fed([(0, 0x085, emcy), (1, 0x705, bytes(1)), (2, *unknown)]))
     assert found.readings["P"].reason == "front-end fault"
@@ -151,8 +149,7 @@ def test_samples_are_counted_once_whatever_pdos_carry_them() -> None:
 
 
 def test_lost_samples() -> None:
-    frames = [frame for k, frame in enumerate(contacts(300)) if k not in {100, 101, 250}]
-    assert node(fed(frames), 3000).lost == 3
+    assert node(fed([frame for k, frame in enumerate(contacts(300)) if k not in {100, 101, 250}]), 3000).lost == 3
 
 
 # --- services ---------------------------------------------------------------------------------------------------------

@@ -47,8 +47,7 @@ def unconfigured(tmp_path: Path) -> Iterator[tuple[Bus, str]]:
     rows = strain_matrix(FABRICATED, "I").tolist()
     for serial in (7, 0x80000001, 9):
         store = FileStore(tmp_path / f"{serial}.json")
-        device = fingertip_node(255, SimulatedSource(rows), serial=serial, save=store.save, load=store.load)
-        devices.append(device)
+        devices.append(fingertip_node(255, SimulatedSource(rows), serial=serial, save=store.save, load=store.load))
     channel = new_channel()
     with connected(finger(20), channel=channel) as (connection, _), running(devices, channel):
         yield connection, channel
@@ -151,8 +150,7 @@ def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Bus, str
 
 
 def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
-    words = ("--serial", "1005", "--product", "0x54500103")
-    code, out, err = tipforce("lss", "assign", "9", *words)
+    code, out, err = tipforce("lss", "assign", "9", *("--serial", "1005", "--product", "0x54500103"))
     assert code == 0
     assert out.endswith("serial 1005: node-id 9 (0x09)\n")
     assert "node-id 5 (0x05) remains active" in err

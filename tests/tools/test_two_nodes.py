@@ -140,8 +140,7 @@ def log_of(service: str, folder: Path) -> Path:
     ],
 )
 def test_a_command_that_reads_a_log_says_it(line: str, service: str, tmp_path: Path, printed: Printed) -> None:
-    path = log_of(service, tmp_path)
-    words = line.replace("LOG", str(path)).replace("OUT", str(tmp_path / "out")).split()
+    words = line.replace("LOG", str(log_of(service, tmp_path))).replace("OUT", str(tmp_path / "out")).split()
     out, err = printed(0, words)
     assert SERVICES[service][1] in out + err
     if line.startswith("decode"):
@@ -190,8 +189,7 @@ def test_a_second_node_that_comes_while_samples_are_read_ends_them(passive: bool
     channel = new_channel()
     with connected(node(1005), channel=channel) as (connection, _):
         connection.nmt("start", 5)
-        stream = connection.finger(5).samples()
-        assert next(stream).node_id == 5
+        assert next(connection.finger(5).samples()).node_id == 5
         if passive:
             connection.finger(5).close()
         own = connection.finger(5, passive=passive)

@@ -73,8 +73,7 @@ def _watch(process: subprocess.Popen[str]) -> dict[str, Any]:
     _until(lambda: contact.read(timeout=WAIT_S), lambda one: bool(one.status & Status.FAULT))
     _until(lambda: contact.read(timeout=WAIT_S), lambda one: bool(one.status & Status.FAULT))
     _all(wrench)
-    unknown = [contact.read(timeout=WAIT_S) for _ in range(20)]
-    found["unknown"] = [_dict(one) for one in unknown]
+    found["unknown"] = [_dict(one) for one in [contact.read(timeout=WAIT_S) for _ in range(20)]]
     found["wrenches while unknown"] = len(_all(wrench))
     return found
 
