@@ -153,8 +153,7 @@ def iio_node(
     folder = tmp_path_factory.mktemp("iio")
     (folder / "finger.toml").write_text(LAYOUT)
     with running_node(folder, *flags(folder, "0-0050,iio:device1,device2/voltage")) as node:
-        client = FingertipClient(host.sdo(NODE_ID))
-        client.apply_calibration(calibration(), store=False)
+        FingertipClient(host.sdo(NODE_ID)).apply_calibration(calibration(), store=False)
         yield node
         assert "Traceback" not in node.stderr
 

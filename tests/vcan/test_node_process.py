@@ -38,8 +38,7 @@ KILLS = 5
 
 def receivers(channel: str) -> int:
     """How many sockets listen on a bus, as the kernel lists them (each of ours without a filter)."""
-    lines = Path("/proc/net/can/rcvlist_all").read_text().splitlines()
-    return sum(line.split()[:1] == [channel] for line in lines)
+    return sum(line.split()[:1] == [channel] for line in Path("/proc/net/can/rcvlist_all").read_text().splitlines())
 
 
 def active_crc(connection: Bus) -> int:

@@ -115,5 +115,4 @@ def test_priority_and_locked_memory_as_root(tmp_path: Path) -> None:
     with running_node(tmp_path, "--priority", "60", "--lock-memory") as node:
         assert os.sched_getscheduler(node.pid) == os.SCHED_FIFO
         assert os.sched_getparam(node.pid).sched_priority == 60
-        status = Path(f"/proc/{node.pid}/status").read_text()
-        assert int(status.split("VmLck:")[1].split()[0]) > 1000, "kilobytes"
+        assert int(Path(f"/proc/{node.pid}/status").read_text().split("VmLck:")[1].split()[0]) > 1000, "kilobytes"
