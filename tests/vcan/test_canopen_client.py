@@ -1,7 +1,5 @@
 """Foreign masters over vcan0: the `canopen` package with our EDS, and its BaseNode402 with the simulated drive."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 

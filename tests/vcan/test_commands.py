@@ -1,29 +1,19 @@
-"""The commands in processes of their own, against a node in another; every conformance case; the README's walk."""
-
-from __future__ import annotations
+"""The commands of the host, each in a process of its own, against a node in another; tests/tools has their words."""
 
 import json
-import os
-import re
-import subprocess
-import sys
 import time
-from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from conformance.fingertip import all_cases
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.network.bus import Bus
 from tipforce_tools.demo.job import case_calibration
-from vcan.support import BUS, HEARTBEAT, NODE_ID, REPOSITORY, Command, Launch, RawBus, running_node, wait_until
+from vcan.support import BUS, HEARTBEAT, NODE_ID, Command, Launch, RawBus, wait_until
 
 pytestmark = pytest.mark.usefixtures("node")
 OK, DIFFERENT, ABORT, REFUSED = 0, 1, 11, 12
@@ -105,68 +95,3 @@ def test_config_apply_and_verify_of_a_dcf(run: Run, host: Bus, tmp_path: Path) -
     assert run("config", "verify", ID, str(path)).stdout == ""
     host.sdo(NODE_ID).write(od.CALIBRATION_CONDITION_LIMIT, 1e4)
     run("config", "verify", ID, str(path), code=DIFFERENT)
-
-
-TOLERANCE_MS = "50"  # a machine that does other work as well; the command itself takes 20
-WHOLE_RUN_S = 600.0  # it takes about 20 s in User-mode Linux
-AGAIN = 3  # a loaded machine delays a frame of one case or another; a fault fails each time
-HALVES = {"vcan0": "[a-m]*.*", "vcan1": "[n-z]*.*"}  # names of cases; a clause has capitals, or no point
-
-
-def records_of(launch: Launch, runs: dict[str, str]) -> dict[str, dict[str, Any]]:
-    """Run the cases of each pattern on its bus; return the records by case."""
-    always = ("--node-id", "5", "--persistent", "--json", "--tolerance", TOLERANCE_MS, "-i", "socketcan")
-    commands = [launch("conformance", *always, "-c", channel, "--case", pattern) for channel, pattern in runs.items()]
-    for command in commands:
-        assert command.wait(WHOLE_RUN_S) in (0, 1), command.stderr
-    return {record["case"]: record for command in commands for record in map(json.loads, command.stdout.splitlines())}
-
-
-def test_every_case_passes_on_a_real_bus(launch: Launch, tmp_path: Path) -> None:
-    with ExitStack() as stack:
-        for channel in HALVES:
-            flags = ("--store", str(tmp_path / f"{channel}.json"), "--noise", "0", "--uncalibrated")
-            stack.enter_context(running_node(tmp_path, *flags, channel=channel))
-        records = records_of(launch, HALVES)
-        for _ in range(AGAIN):
-            for case in [case for case, record in records.items() if record["verdict"] == "FAIL"]:
-                records |= records_of(launch, {"vcan0": case})
-    failed = [
-        "\n".join([r["case"], r["title"], r["reason"], *r["log"]]) for r in records.values() if r["verdict"] == "FAIL"
-    ]
-    assert not failed, "\n\n".join(failed)
-    verdicts = Counter(record["verdict"] for record in records.values())
-    assert verdicts["not applicable"] == sum(case.error_frames for case in all_cases())
-    assert sorted(records) == sorted(case.name for case in all_cases())
-
-
-HEADING = "## Try it on a bus"
-SET_UP = ("source .venv/bin/activate", "tipforce vcan")  # what runs this test has done both
-CONTACT = re.compile(r"\s*([56]) \(0x0[56]\)  (\S+) N, phi (\S+) deg, theta (\S+) deg  u\(P\) \S+ N")
-LIMIT_S = 400
-
-
-def walk() -> list[str]:
-    """The first two shell blocks under the heading, without comments."""
-    text = (REPOSITORY / "README.md").read_text(encoding="utf-8")
-    first, second = text[text.index(HEADING) :].split("```")[1:4:2]
-    return [line.split("   #")[0].rstrip() for line in (first + second).splitlines() if line]
-
-
-def test_both_fingers_show_the_load_that_is_applied(tmp_path: Path) -> None:
-    lines = walk()
-    assert tuple(lines[:2]) == SET_UP
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    pasted = "\n".join([*lines[2:], "code=$?", "kill $!", "wait", "exit $code", ""])
-    done = subprocess.run(
-        ["bash"], input=pasted, capture_output=True, text=True, timeout=LIMIT_S, check=False,
-        cwd=tmp_path, env={**os.environ, "PATH": path},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    contacts = [found.groups() for found in map(CONTACT.fullmatch, done.stdout.splitlines()) if found]
-    assert [node for node, *_ in contacts] == ["5", "6"], f"{done.stdout}\n{done.stderr}"
-    for _, *texts in contacts:
-        P, phi, theta = map(float, texts)
-        assert abs(P - 4.4) < 0.05
-        assert abs(phi - 90.0) < 1.0
-        assert abs(theta - 45.0) < 1.0

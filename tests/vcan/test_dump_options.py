@@ -1,7 +1,5 @@
 """`tipforce dump` beside the real candump, option by option; one log decoded by cantools: the same values."""
 
-from __future__ import annotations
-
 import json
 import random
 import re
@@ -121,7 +119,6 @@ def fd_bus(name: str = "vcan0") -> Iterator[socket.socket]:
 
 @contextmanager
 def listening_candump(words: list[str], output: Path) -> Iterator[None]:
-    """candump, once it listens."""
     before = sockets_listening()
     with peer("candump", *words, output=output):
         wait_until(lambda: sockets_listening() > before, "candump does not listen")
@@ -145,7 +142,6 @@ def start(stack: ExitStack, runs: list[list[str]], folder: Path) -> list[tuple[C
 
 
 def complete(dump: Command, output: Path) -> bool:
-    """Have both shown as much?"""
     return 0 < output.stat().st_size == len(dump.stdout.encode())
 
 

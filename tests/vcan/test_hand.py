@@ -1,7 +1,5 @@
 """Nodes in processes of their own: read together, held by the example's force controller, shown by `tipforce view`."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import os
@@ -114,7 +112,6 @@ class Page:
         self._address = f"ws://127.0.0.1:{parts.port}/live"
 
     def get(self, path: str) -> tuple[str, bytes]:
-        """Media type and content."""
         connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=WAIT_S)
         connection.request("GET", path)
         answer = connection.getresponse()
@@ -133,14 +130,12 @@ class Page:
         self._connecting.__exit__(None, None, None)
 
     def setup(self) -> Message:
-        """What a page asks for first."""
         with connect(self._address) as socket:
             socket.send('{"do": "setup"}')
             found: Message = json.loads(socket.recv(WAIT_S))["answer"]
         return found
 
     def messages(self, last: Callable[[Message], bool]) -> list[Message]:
-        """Every message up to the first of which ``last`` holds."""
         found: list[Message] = []
         deadline_s = time.monotonic() + WAIT_S
         while not found or not last(found[-1]):

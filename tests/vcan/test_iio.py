@@ -8,8 +8,6 @@ looks after its converters every 40 ms. So a period passes between new registers
 how fast the machine is, or on what ran before it.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import struct
