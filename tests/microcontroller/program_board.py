@@ -1,7 +1,5 @@
 """A board with two program slots whose flash loses power after a number of bytes, and its node."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools

@@ -121,9 +121,6 @@ def test_no_mcp2515() -> None:
         Mcp2515(bus, bus.cs, 500000)
 
 
-# --- the loop -------------------------------------------------------------------------------------------------------
-
-
 def firmware_on(clock: fakes.FakeClock, slots: fakes.MemorySlots) -> tuple[Firmware, fake_controllers.FakeMachineCan]:
     bus = fake_controllers.FakeMachineCan()
     port = MachineCan(bus, 125000)

@@ -39,7 +39,6 @@ Builder = Callable[[FakeClock, list[int]], tuple[Any, Any]]
 
 
 def run(driver: Any, clock: FakeClock, microseconds: int) -> list[tuple[int, ...]]:
-    """Poll for so long; the readings."""
     found = []
     for _ in range(microseconds // STEP_US):
         clock.now_us += STEP_US
@@ -209,9 +208,6 @@ def test_no_setting_that_a_chip_has_not() -> None:
             build()
 
 
-# --- in the node ----------------------------------------------------------------------------------------------------
-
-
 class Node:
     """A node with two chips: three gauges, the first chip with two of them."""
 
@@ -227,7 +223,6 @@ class Node:
         self.device.step(0, [(0, b"\1\0")])
 
     def run(self, microseconds: int) -> None:
-        """A SYNC every ten milliseconds."""
         for _ in range(microseconds // STEP_US):
             self.clock.now_us += STEP_US
             self.gauges.poll(self.clock.now_us)
@@ -237,7 +232,6 @@ class Node:
             self.frames = [data.hex() for can_id, data in sent if can_id == 0x185] or self.frames
 
     def faults(self) -> int:
-        """2124h."""
         found = self.device.upload(0x2124, 0)
         assert isinstance(found, bytes)
         return int.from_bytes(found, "little")

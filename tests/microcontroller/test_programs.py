@@ -30,7 +30,6 @@ def version_of(content: bytes) -> tuple[str, int]:
 
 
 def update(board: Board, content: bytes) -> None:
-    """Download, start, restart, confirm."""
     transfer = board.download(content)
     assert transfer.abort_code is None
     assert transfer.failure is None
