@@ -1,7 +1,5 @@
 """tipforce.open and fingers: on names, on an open bus, on a canopen.Network that others use; samples as they come."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import math

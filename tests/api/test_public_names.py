@@ -1,7 +1,5 @@
 """The front doors: public names, lazy and typed; hands row by row, logs as arrays, calibrations, estimates."""
 
-from __future__ import annotations
-
 import ast
 import asyncio
 import compileall

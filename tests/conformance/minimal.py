@@ -17,7 +17,6 @@ class MinimalDevice:
         self._due_us = NEVER_US
 
     def step(self, now_us: int, frames: Sent = ()) -> tuple[Sent, int]:  # type: ignore[assignment]
-        """Frames in; frames out and the next due time."""
         sent: Sent = []
         if self._state == 0:
             self._boot(sent)

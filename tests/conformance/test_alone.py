@@ -50,7 +50,6 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(environment: Path, *words: str) -> str:
-    """Run Python without site-packages; return its output."""
     variables = {**os.environ, "PYTHONPATH": str(environment)}
     command = [sys.executable, "-S", "-W", "error", *words]
     done = subprocess.run(command, cwd=environment, env=variables, text=True, capture_output=True, check=False)

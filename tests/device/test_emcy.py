@@ -18,7 +18,6 @@ from device.tiny import serving
 
 
 def raised(talk: Conversation, code: int, detail: int = 0, bits: int = PROFILE) -> None:
-    """The application reports an error."""
     talk.device.emcy.raise_error(code, bits, detail)
     talk.step()
 
@@ -100,7 +99,6 @@ BUS_OFF, RESTARTED = (ERROR_FLAG | 0x40, bytes(8)), (ERROR_FLAG | 0x100, bytes(8
 
 
 def controller(detail: int) -> tuple[int, bytes]:
-    """A controller error frame."""
     return ERROR_FLAG | 0x4, bytes((0, detail, 0, 0, 0, 0, 0, 0))
 
 

@@ -1,7 +1,5 @@
 """The SDO client byte for byte, against the device core, and against servers that do all they can to hold it."""
 
-from __future__ import annotations
-
 import itertools
 import struct
 import tracemalloc
@@ -40,9 +38,6 @@ def talk(transfer: Transfer, script: str) -> None:
             assert not sent, (line, [request.hex(" ") for request in sent])
             sent, _ = transfer.step(0, data.ljust(8, b"\0"))
     assert not sent, [request.hex(" ") for request in sent]
-
-
-# --- conversations by the standard ------------------------------------------------------------------------------
 
 
 def test_expedited_upload() -> None:
@@ -177,9 +172,6 @@ def test_a_cancelled_transfer_aborts_once() -> None:
     assert transfer.cancel() == [b"\x80" + PLACE + struct.pack("<I", codes.GENERAL)]
     assert transfer.cancel() == []
     assert transfer.step(1, b"\x4f" + PLACE + b"\7\0\0\0") == ([], codes.NEVER_US)
-
-
-# --- malicious servers ------------------------------------------------------------------------------------------
 
 
 def scripted(*answers: Callable[[int], list[bytes]] | bytes) -> Behaviour:

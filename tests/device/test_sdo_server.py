@@ -140,7 +140,6 @@ def loaded(data: bytes = DATA) -> Conversation:
 
 
 def crc(data: bytes) -> str:
-    """The CRC as it stands in a frame."""
     return crc16(data).to_bytes(2, "little").hex()
 
 

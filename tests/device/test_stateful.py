@@ -27,7 +27,6 @@ contents = st.one_of(st.binary(max_size=10), st.binary(max_size=40), st.binary(m
 
 
 def head(command: int, index: int, rest: int = 0) -> bytes:
-    """Command, index, sub-index 0 and four bytes."""
     return struct.pack("<BHBI", command, index, 0, rest)
 
 
@@ -41,12 +40,10 @@ class SdoModel(RuleBasedStateMachine):
         self.open = False
 
     def ask(self, data: bytes) -> list[bytes]:
-        """The SDO answers to one frame."""
         self.talk.step([(0x605, data)])
         return [data for can_id, data in self.talk.take() if can_id == 0x585]
 
     def read(self, index: int) -> bytes:
-        """An upload in one go."""
         data = self.talk.upload(index)
         assert isinstance(data, bytes)
         return data
@@ -327,9 +324,6 @@ def test_an_exception_is_reported_with_its_frame(monkeypatch: pytest.MonkeyPatch
     assert "ZeroDivisionError" in fuzz.rounds(1, range(1), measure=False)[2]
 
 
-# --- what a store may bring, whoever wrote it -------------------------------------------------------------------
-
-
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(st.binary(max_size=60), st.booleans())
 def test_any_stored_bytes_leave_a_working_node(blob: bytes, checked: bool) -> None:
@@ -342,7 +336,6 @@ def test_any_stored_bytes_leave_a_working_node(blob: bytes, checked: bool) -> No
 
 
 def record(index: int, sub: int, data: bytes) -> bytes:
-    """A record as 1010h stores it."""
     return struct.pack("<HBH", index, sub, len(data)) + data
 
 

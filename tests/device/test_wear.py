@@ -30,32 +30,26 @@ class Counted(MemoryStore):
         self.operations = 0
 
     def save(self, group: str, data: bytes) -> bool:
-        """Count a write."""
         self.operations += 1
         return super().save(group, data)
 
     def begin(self, _size: int) -> int:
-        """Count an erase."""
         self.operations += 1
         return 0
 
     def write(self, _part: bytes) -> int:
-        """Take everything."""
         return 0
 
     def end(self) -> int:
-        """Refuse every image."""
         return 1
 
     def cancel(self) -> None:
         """Nothing to give up."""
 
     def clear(self) -> int:
-        """Count an erase."""
         return self.begin(0)
 
     def start(self) -> int:
-        """Nothing was downloaded."""
         return 1
 
 
@@ -65,7 +59,6 @@ def fingertip(store: Counted) -> Device:
 
 
 def talking(device: Device) -> Conversation:
-    """A device that can be asked, with its EMCYs."""
     talk = Conversation(device, now_us=1_000_000, emcy=True)
     talk.take()
     talk.step([(0x7E5, b"\x04\x01" + bytes(6))])  # LSS configuration
@@ -93,7 +86,6 @@ def request(talk: Conversation, what: int, sub: int) -> int:
 
 
 def emcys(talk: Conversation) -> int:
-    """EMCY FF10h that were sent."""
     return [data[:2] for can_id, data in talk.take() if can_id == 0x85].count(b"\x10\xff")
 
 

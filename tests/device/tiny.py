@@ -17,15 +17,12 @@ class Recorder(Application):
         self.calls: list[str] = []
 
     def on_reset(self, now_us: int) -> None:
-        """Note it."""
         self.calls.append(f"reset {now_us}")
 
     def on_sync(self, now_us: int, _number: int) -> None:
-        """Note it."""
         self.calls.append(f"sync {now_us}")
 
     def refresh(self, now_us: int) -> None:
-        """Note it."""
         self.calls.append(f"refresh {now_us}")
 
 

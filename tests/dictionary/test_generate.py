@@ -1,7 +1,5 @@
 """What is generated from the dictionary: fresh, and read by canopen (EDS, DCF) and cantools (DBC) as the table says."""
 
-from __future__ import annotations
-
 import math
 import struct
 import subprocess
@@ -146,15 +144,9 @@ def test_commands_are_not_downloaded_and_what_is_write_only_not_scanned() -> Non
 
 
 VALUES: dict[tuple[int, int], types.Value] = {
-    (0x1017, 0): 500,
-    (0x1800, 1): 0x40000185,
-    (0x2100, 4): -0.25,
-    (0x2102, 1): 77,
-    (0x2110, 6): 1,
-    (0x7133, 1): -3,
-    (0x2141, 0): b"\x01\xfe",
-    (0x6134, 1): math.inf,
-}
+    (0x1017, 0): 500, (0x1800, 1): 0x40000185, (0x2100, 4): -0.25, (0x2102, 1): 77, (0x2110, 6): 1, (0x7133, 1): -3,
+    (0x2141, 0): b"\x01\xfe", (0x6134, 1): math.inf,
+}  # fmt: skip
 
 
 def test_dcf(tmp_path: Path) -> None:

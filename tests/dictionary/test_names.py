@@ -1,7 +1,5 @@
 """Names that people write, names of signals; and a wire fact has one declaration: no literal of one elsewhere."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,25 +18,14 @@ from tipforce.sensor.contact import scalar
 @pytest.mark.parametrize(
     ("text", "place"),
     [
-        ("calibration.generation", (0x2103, 4)),
-        (" Calibration.Generation ", (0x2103, 4)),
-        ("calibration.matrix:3", (0x2100, 3)),
-        ("calibration.matrix.3", (0x2100, 3)),
-        ("calibration.matrix:03", (0x2100, 3)),
-        ("0x2103:04", (0x2103, 4)),
-        ("0x2103:4", (0x2103, 4)),
-        ("0x2103:0x04", (0x2103, 4)),
-        ("2103h:04h", (0x2103, 4)),
-        ("0x2103:00", (0x2103, 0)),
-        ("0x2120", (0x2120, 0)),
-        ("2120h", (0x2120, 0)),
-        ("status", (0x2120, 0)),
-        ("u_p", (0x2123, 0)),
-        ("0x1A00:0", (0x1A00, 0)),
-        ("tpdo1.mapping:2", (0x1A00, 2)),
-        ("simulation.fault", (0x2200, 1)),
+        ("calibration.generation", (0x2103, 4)), (" Calibration.Generation ", (0x2103, 4)),
+        ("calibration.matrix:3", (0x2100, 3)), ("calibration.matrix.3", (0x2100, 3)),
+        ("calibration.matrix:03", (0x2100, 3)), ("0x2103:04", (0x2103, 4)), ("0x2103:4", (0x2103, 4)),
+        ("0x2103:0x04", (0x2103, 4)), ("2103h:04h", (0x2103, 4)), ("0x2103:00", (0x2103, 0)), ("0x2120", (0x2120, 0)),
+        ("2120h", (0x2120, 0)), ("status", (0x2120, 0)), ("u_p", (0x2123, 0)), ("0x1A00:0", (0x1A00, 0)),
+        ("tpdo1.mapping:2", (0x1A00, 2)), ("simulation.fault", (0x2200, 1)),
     ],
-)
+)  # fmt: skip
 def test_resolves(text: str, place: tuple[int, int]) -> None:
     entry = names.resolve(text)
     assert (entry.index, entry.sub) == place

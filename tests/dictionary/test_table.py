@@ -189,22 +189,12 @@ def test_codes_are_those_of_cia_301() -> None:
 @pytest.mark.parametrize(
     ("letter", "value", "data"),
     [
-        ("B", 254, "fe"),
-        ("H", 0x1234, "3412"),
-        ("I", 0x65766173, "73617665"),
-        ("h", -32768, "0080"),
-        ("i", -2, "feffffff"),
-        ("f", 1.0, "0000803f"),
-        ("f", 3, "00004040"),
-        ("s", "save", "73617665"),
-        ("D", b"\x01\x02", "0102"),
-        ("Q", 1, "0100000000000000"),
-        ("u3", 0x123456, "563412"),
-        ("i5", -2, "feffffffff"),
-        ("t", bytes(range(6)), "000102030405"),
-        ("f", 3.4025001647762064e38, "c5f97f7f"),
+        ("B", 254, "fe"), ("H", 0x1234, "3412"), ("I", 0x65766173, "73617665"), ("h", -32768, "0080"),
+        ("i", -2, "feffffff"), ("f", 1.0, "0000803f"), ("f", 3, "00004040"), ("s", "save", "73617665"),
+        ("D", b"\x01\x02", "0102"), ("Q", 1, "0100000000000000"), ("u3", 0x123456, "563412"), ("i5", -2, "feffffffff"),
+        ("t", bytes(range(6)), "000102030405"), ("f", 3.4025001647762064e38, "c5f97f7f"),
     ],
-)
+)  # fmt: skip
 def test_known_bytes(letter: str, value: types.Value, data: str) -> None:
     assert types.encode(letter, value).hex() == data
     assert types.decode(letter, bytes.fromhex(data)) == value
@@ -262,20 +252,11 @@ def test_a_string_from_the_wire_is_never_refused() -> None:
 @pytest.mark.parametrize(
     ("letter", "text", "value"),
     [
-        ("B", "10", 10),
-        ("B", " 0x0A ", 10),
-        ("B", "010", 10),
-        ("h", "-5", -5),
-        ("?", "true", 1),
-        ("?", "False", 0),
-        ("f", "-1.5e-3", -1.5e-3),
-        ("f", "inf", math.inf),
-        ("s", "any text", "any text"),
-        ("D", "DE AD 01", b"\xde\xad\x01"),
-        ("D", "0xdead01", b"\xde\xad\x01"),
-        ("D", "", b""),
+        ("B", "10", 10), ("B", " 0x0A ", 10), ("B", "010", 10), ("h", "-5", -5), ("?", "true", 1), ("?", "False", 0),
+        ("f", "-1.5e-3", -1.5e-3), ("f", "inf", math.inf), ("s", "any text", "any text"),
+        ("D", "DE AD 01", b"\xde\xad\x01"), ("D", "0xdead01", b"\xde\xad\x01"), ("D", "", b""),
     ],
-)
+)  # fmt: skip
 def test_parse_value(letter: str, text: str, value: types.Value) -> None:
     assert types.parse_value(letter, text) == value
 

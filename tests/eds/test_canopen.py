@@ -1,7 +1,5 @@
 """The same files read by others: the canopen library, XDD and XDC (CiA 311); conformance and random frames on them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -79,7 +77,6 @@ CONTENT = text(*(var(f"{index:04X}", kind, "rw", spelling) for index, (kind, spe
 
 
 def about(warnings: list[str]) -> set[int]:
-    """The indices of the objects that warnings name."""
     return {int(match[1], 16) for match in (re.match(r"any\.eds:\d+: \[(\w{4})\]", line) for line in warnings) if match}
 
 

@@ -1,7 +1,5 @@
 """Devices made of EDS files: objects, PDOs, storage; each feature of CiA 306-1, and what the device then does."""
 
-from __future__ import annotations
-
 import struct
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Hostile device files: each is refused, or read, in work that its limits bound; work is calls and bytes, not time."""
 
-from __future__ import annotations
-
 import sys
 import tracemalloc
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Files that leave CiA 306: each loads, says so with its line, and is read as the warning says."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable

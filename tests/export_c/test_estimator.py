@@ -155,8 +155,6 @@ def test_what_the_caller_knows_hides_the_force(programs: dict[str, Path], early:
     assert fixed["P"] == 0.0
 
 
-# --- the dictionary -------------------------------------------------------------------------------------------------
-
 DUMP = """
 #include <stdio.h>
 #include "tipforce_od.h"

@@ -1,7 +1,5 @@
 """`tipforce export c`: what it writes and refuses; the C judge gives the status bits of the Python one."""
 
-from __future__ import annotations
-
 import ctypes
 import io
 import math
@@ -65,7 +63,6 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
 
 
 def compiled(folder: Path, n: int, real: str) -> ctypes.CDLL:
-    """Compile and load."""
     write_c_files(folder, n)
     target = folder / f"judge-{real}.so"
     line = ["gcc", *HOST_FLAGS, *REALS[real], "-shared", "-fPIC", f"-I{folder}", *folder.glob("*.c"), "-lm"]
@@ -253,7 +250,6 @@ def test_export_dcf(export: Export, tmp_path: Path) -> None:
     assert heartbeat.value == 250
 
 
-# --- CANopenEditor --------------------------------------------------------------------------------------------------
 # What its reader (libEDSsharp, CanOpenEDS.cs) does with a file, where that can make it refuse, warn or lose something.
 
 SECTION = re.compile(r"^\[([a-z0-9]+)\]", re.IGNORECASE)

@@ -163,7 +163,6 @@ F = forces(PUSH)
 
 
 def gauges(n: int) -> list[float]:
-    """Microstrain of all gauges under PUSH."""
     return [100.0 * F[k % 3] * (1, -1)[k // 3 % 2] for k in range(n)]
 
 

@@ -14,12 +14,10 @@ OFFSETS = (12.0, -7.0, 30.0)  # microstrain: 0.34 N of force that is none
 
 
 def offsets(talk: Finger) -> list[float]:
-    """6124h of the three gauges."""
     return [talk.get("f", 0x6124, sub) for sub in (1, 2, 3)]
 
 
 def tare(talk: Finger) -> list[float]:
-    """2111h: applied tare and age."""
     return [talk.get("f", 0x2111, sub) for sub in (1, 2, 3)] + [talk.get("I", 0x2111, 4)]
 
 
@@ -312,12 +310,10 @@ WRITES = (("H", 0x2200, 1, 3), ("B", 0x2200, 2, 2), ("f", 0x2200, 3, 7.0), ("f",
 
 
 def read(talk: Finger) -> list[float]:
-    """All of both objects."""
     return [talk.get(kind, index, sub) for kind, index, sub, _value in WRITES]
 
 
 def reset(talk: Finger, command: int) -> None:
-    """An NMT reset."""
     talk.step([(0, bytes((command, 5)))])
     talk.take()
 

@@ -101,9 +101,6 @@ def test_memory_is_bounded() -> None:
     assert len(window._ring) * window._ring.itemsize == 8192
 
 
-# --- on the node ------------------------------------------------------------------------------------------
-
-
 def test_type_none_and_a_constant_of_one_have_no_filter_and_load_none() -> None:
     code = (
         "import sys; from tipforce.fingertip.node import fingertip_node as node;"

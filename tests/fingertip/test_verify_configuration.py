@@ -296,9 +296,6 @@ def test_the_counter_wraps_and_is_0_at_boot(talk: Finger) -> None:
     assert counter(talk) == 0
 
 
-# --- a store of version 1 -------------------------------------------------------------------------------------------
-
-
 def test_a_store_of_version_1_is_refused() -> None:
     store = MemoryStore()
     talk = finger(store=store)

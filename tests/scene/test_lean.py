@@ -1,7 +1,5 @@
 """Only what a scene names is built, computed, sent and imported; and scenes in real time on a bus of python-can's."""
 
-from __future__ import annotations
-
 import functools
 import json
 import subprocess

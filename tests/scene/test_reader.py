@@ -1,7 +1,5 @@
 """Scene files that cannot be used, each complaint with place, value and what is allowed; and loads over time."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Running a scene: the same seed gives the same bytes, and every estimate comes from the frames."""
 
-from __future__ import annotations
-
 import math
 import random
 from pathlib import Path
@@ -154,17 +152,11 @@ def test_an_uncalibrated_node_knows_nothing_and_says_why(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("expect", "ok"),
     [
-        ("P_error_N = 0.01", True),
-        ("P_error_N = 1e-9", False),
-        ("P_rms_N = 1e-9", False),
-        ("P_known_at_least = 1.0", True),
-        ("P_known_at_most = 0.5", False),
-        ('status_seen = ["saturated"]', False),
-        ('status_never = ["contact"]', False),
-        ('emcy_seen = ["5030"]', False),
-        ("emcy_none = true", True),
+        ("P_error_N = 0.01", True), ("P_error_N = 1e-9", False), ("P_rms_N = 1e-9", False),
+        ("P_known_at_least = 1.0", True), ("P_known_at_most = 0.5", False), ('status_seen = ["saturated"]', False),
+        ('status_never = ["contact"]', False), ('emcy_seen = ["5030"]', False), ("emcy_none = true", True),
     ],
-)
+)  # fmt: skip
 def test_expectations_hold_or_do_not(tmp_path: Path, expect: str, ok: bool) -> None:
     outcome = run(scene_of(tmp_path, TWO.replace("status = false", "") + f"[[expect]]\n{expect}\n"))
     assert [check.ok for check in outcome.checks] == [ok]

@@ -1,7 +1,5 @@
 """The drive: each transition of CiA 402-2, its modes, limits, faults. tests/vcan has canopen's BaseNode402 with it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -27,12 +25,10 @@ class Axis(Conversation):
         self.step([(0, b"\x01\x05")])
 
     def store(self, key: int, value: int) -> None:
-        """An SDO write by a master."""
         size = self.simulated.description.find(key).type.size
         assert self.download(key, 0, (value & 0xFFFFFFFF).to_bytes(4, "little")[:size]) == 0
 
     def control(self, *words: int) -> int:
-        """Write controlwords; return the state bits."""
         for word in words:
             self.store(0x6040, word)
         return self.state

@@ -1,7 +1,5 @@
 """A simulated device without a bus: values by name, events, faults; a machine in TOML and its connections."""
 
-from __future__ import annotations
-
 import math
 import struct
 from pathlib import Path
@@ -32,8 +30,6 @@ PRESS = text(
 
 
 class Talk(Conversation):
-    """A conversation with a simulated device, node-id 5."""
-
     def __init__(self, device: SimulatedDevice) -> None:
         super().__init__(device, emcy=True)
         self.sent.clear()

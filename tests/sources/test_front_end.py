@@ -43,9 +43,6 @@ def test_nothing_named_is_the_ideal_converter() -> None:
         assert plain.sync() == named.sync()
 
 
-# --- bridge and amplifier ---------------------------------------------------------------------------------
-
-
 def arms(kind: str, change: float) -> float:
     """The output of a bridge per volt by Kirchhoff: two dividers, the active resistors changed."""
     up = 1.0 + change
@@ -86,9 +83,6 @@ def test_quarter_bridge_error_shows_in_the_gauge() -> None:
 
 def test_a_strain_that_leaves_no_resistance_reads_the_lower_end() -> None:
     assert FrontEnd(16, Bridge()).counts([-2e6, 0.0, 1e308], 0) == [-32768, 0, 32767]
-
-
-# --- conversion -------------------------------------------------------------------------------------------
 
 
 @given(st.floats(), st.sampled_from([16, 24]))
@@ -139,9 +133,6 @@ def test_the_eds_follows_the_converter(converter: tuple[int, float]) -> None:
     assert f"FileName={file_name(3, True, bits=converter[0])}" in text
     assert ("[7100]" in text, "[9100]" in text) == (converter[0] == 16, True)
     assert f"DefaultValue={1000.0 * converter[1]}" in text
-
-
-# --- noise ------------------------------------------------------------------------------------------------
 
 
 def drawn(front_end: FrontEnd, gauges: int, count: int, period_us: int = 500) -> npt.NDArray[np.float64]:
@@ -214,9 +205,6 @@ def test_one_over_f_noise_after_a_long_gap_or_time_that_stands_still() -> None:
     assert front_end.counts([0.0], 10**18) != first
 
 
-# --- temperature ------------------------------------------------------------------------------------------
-
-
 def test_temperature_trajectories() -> None:
     points = Temperature([(1.0, 20.0), (3.0, 40.0), (4.0, 40.0)])
     assert [points.degrees(t) for t in (0, 1_000_000, 1_500_000, 3_000_000, 9_000_000)] == [20, 20, 25, 40, 40]
@@ -265,9 +253,6 @@ def test_bridges_that_are_not_allowed() -> None:
             Bridge(**bad)
     with pytest.raises(ValueError, match="2 numbers for 3 gauges"):
         FrontEnd(temperature=20.0, apparent_strain=[1.0, 2.0]).counts([0.0] * 3, 0)
-
-
-# --- load histories ---------------------------------------------------------------------------------------
 
 
 def test_forces_replace_the_load_at_the_time_of_the_conversion() -> None:

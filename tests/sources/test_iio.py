@@ -1,7 +1,5 @@
 """Kernel ADCs (Industrial I/O): configuration, single readings, and the buffer of a trigger."""
 
-from __future__ import annotations
-
 import logging
 import struct
 from collections.abc import Callable
@@ -71,7 +69,6 @@ class Talk:
         self.frames += self.device.step(self.now_us, [(can_id, data)])[0]
 
     def sync(self, count: int = 1, before: Callable[[], None] = lambda: None) -> tuple[int, int, tuple[int, ...]]:
-        """SYNCs; status, 2121h and gauges of the last."""
         for _ in range(count):
             self.now_us += SYNC_US
             before()
@@ -81,7 +78,6 @@ class Talk:
         return status, counter, tuple(gauges)
 
     def idle(self, until_us: int) -> None:
-        """Steps when the node wants them, without SYNC."""
         while self.now_us < until_us:
             sent, due_us = self.device.step(self.now_us)
             self.frames += sent

@@ -1,7 +1,5 @@
 """The simulated source and the source that replays a recording."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -165,7 +163,6 @@ class Bare(Source):
         self.next: Reading | None = Reading((1, 2, 3), 0, 2500)
 
     def read(self, now_us: int) -> Reading | None:
-        """What the test put there."""
         del now_us
         return self.next
 
@@ -256,14 +253,11 @@ def test_a_loop_begins_anew_after_the_median_step() -> None:
 @pytest.mark.parametrize(
     ("times", "options", "message"),
     [
-        ([], {}, "0 rows"),
-        ([0, 0], {}, "do not increase"),
-        ([1, 0], {}, "do not increase"),
-        ([0], {"speed": 0.0}, "speed 0.0"),
-        ([0], {"speed": float("nan")}, "speed nan"),
+        ([], {}, "0 rows"), ([0, 0], {}, "do not increase"), ([1, 0], {}, "do not increase"),
+        ([0], {"speed": 0.0}, "speed 0.0"), ([0], {"speed": float("nan")}, "speed nan"),
         ([0], {"speed": float("inf")}, "speed inf"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_replayed(times: list[int], options: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replay(times, **options)

@@ -1,7 +1,5 @@
 """One extreme case: input, claim and observation."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Integrators for comparison beyond their range of validity: their failures must not look like results.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace
@@ -24,7 +22,6 @@ from tipforce_lab.dynamics import integrators
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("dynamics.stiffness_ratio", "h2 / h1 from 1/316 to 1e6: omega^2 of the modes as 1 to 5e8", "pass",
              "every 1 / omega^2 is a root of the exact characteristic polynomial of mass and compliance within 1e-10",

@@ -1,7 +1,5 @@
 """Calibration fits from readings that are insufficient, contradictory, or in extreme units."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -20,7 +18,6 @@ _P = 4.4
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("fit.too_few_loads", "1, 2 or 3 loads and one tare: fewer than the 4 unknowns of a gauge", "refused",
              "InputError names what the rows cannot show, or that no rows remain to estimate the noise", _few),

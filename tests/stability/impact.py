@@ -1,7 +1,5 @@
 """Extreme impacts: contact stiffnesses from 1e5 to 1e8, light and heavy bodies, a slit that closes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -20,7 +18,6 @@ _MASS_KG, _SPEED = 0.02, 0.1
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("impact.linear_rigid", "linear contact of 1e5 to 1e8 N/m on rigid ground, 1 mg to 100 kg", "pass",
              "peak v sqrt(k m), duration pi sqrt(m / k) and rebound speed v within 1e-12", _linear_rigid),

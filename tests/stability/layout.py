@@ -1,7 +1,5 @@
 """Extreme bodies and gauge layouts: beams from a nanometre to 10 mm, stiffness ratios, and layouts without rank."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace
@@ -21,7 +19,6 @@ _THICKNESSES_M = 10.0 ** np.arange(-9.0, -1.9, 0.5)
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("layout.thickness", "h1 from 1e-6 mm to 10 mm, h2 = 1.63 h1, all 8 gauge points", "pass",
              "the frame, solved by stiffness, equals Table 1 within 1e-10 of each gauge's largest coefficient",

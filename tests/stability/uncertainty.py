@@ -1,7 +1,5 @@
 """Extreme uncertainties: none, enormous, beyond the range of squares, and near a tangential contact."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -20,7 +18,6 @@ _LIMITS = (0.05, 0.02, -180.0, 180.0)
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("uncertainty.no_noise", "covariance of F exactly 0, load oblique, and exactly tangential", "pass",
              "u of P, phi and theta are 0, not NaN, and theta counts as resolved", _no_noise),

@@ -1,7 +1,5 @@
 """Extreme frames and values on the wire: REAL32 at its limits, integer overflow, frames of wrong length."""
 
-from __future__ import annotations
-
 import math
 import struct
 import warnings
@@ -34,7 +32,6 @@ _STAGED = (
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("wire.real32_not_finite", "NaN and both infinities by SDO to every REAL32 setting of the node", "refused",
              "06090030h for each (staged calibration values aside), and the setting stays", _not_finite),

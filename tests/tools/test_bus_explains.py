@@ -1,7 +1,5 @@
 """A second person's board: the first command that somebody would try names what is missing, and the remedy."""
 
-from __future__ import annotations
-
 import re
 import struct
 import time

@@ -1,7 +1,5 @@
 """`tipforce calibrate fit` and `tipforce estimate`: what they print and write, row by row, and when they refuse."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """Completion in each shell, and docs/commands.md: every command, action, flag and value."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import pty

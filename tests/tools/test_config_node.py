@@ -1,7 +1,5 @@
 """config show, save and diff: the settings of a node as a file; hand check, up and run: on the in-process bus."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from collections.abc import Iterator
@@ -135,7 +133,6 @@ calibration = "cal.toml"
 
 @pytest.fixture
 def hand(tmp_path: Path) -> Iterator[tuple[Fingers, Path]]:
-    """Two running fingers and their file."""
     fingers = Fingers(new_channel(), tmp_path)
     for serial in (1, 2):
         fingers.switch_on(serial, serial)

@@ -1,7 +1,5 @@
 """`tipforce design table|sweep|optimise`: numbers, figures, files, and what they say to wrong words."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import io
@@ -45,17 +43,9 @@ def everything() -> list[dict[str, Any]]:
 
 def test_every_table_is_there_with_its_explanation(everything: list[dict[str, Any]]) -> None:
     tables = {
-        "1": 8,
-        "2": 8,
-        "3": 3,
-        "ranking": 28,
-        "comparators": 5,
-        "fig6": 12,
-        "fig9": 19,
-        "off-axis": 18,
-        "materials": 6,
+        "1": 8, "2": 8, "3": 3, "ranking": 28, "comparators": 5, "fig6": 12, "fig9": 19, "off-axis": 18, "materials": 6,
         "scaling": 10,
-    }
+    }  # fmt: skip
     assert {name: len(rows(everything, name)) for name in tables} == tables
     assert {record["table"] for record in everything if "notes" in record} == set(tables)
 

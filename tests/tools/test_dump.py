@@ -115,25 +115,14 @@ def test_timestamps(flag: str, starts: list[str], log: Path, capsys: pytest.Capt
 def test_json(log: Path, printed: Printed) -> None:
     found = records(printed(0, ["dump", "--json", "--decode", str(log)]).out)
     assert found[0] == {
-        "t": 1700000000.0,
-        "interface": "vcan0",
-        "id": "285",
-        "data": "2E1129239A110303",
-        "node": 5,
-        "message": "Contact",
-        "values": {"P": 4.398, "phi": 90.01, "theta": 45.06},
-        "status": ["contact", "calibrated"],
+        "t": 1700000000.0, "interface": "vcan0", "id": "285", "data": "2E1129239A110303", "node": 5,
+        "message": "Contact", "values": {"P": 4.398, "phi": 90.01, "theta": 45.06}, "status": ["contact", "calibrated"],
         "counter": 3,
-    }
+    }  # fmt: skip
     assert found[1]["values"] == {"P": None, "phi": None, "theta": None}
     assert found[3] == {
-        "t": 1700000000.25,
-        "interface": "vcan0",
-        "id": "080",
-        "data": "",
-        "service": "SYNC",
-        "text": "SYNC",
-    }
+        "t": 1700000000.25, "interface": "vcan0", "id": "080", "data": "", "service": "SYNC", "text": "SYNC",
+    }  # fmt: skip
     assert (found[4]["remote"], found[4]["length"], found[5]["error"]) == (True, 8, True)
     assert found[6]["id"] == "12345678"
 
@@ -294,7 +283,6 @@ CONTACT = bytes.fromhex("2E1129239A110303")
 
 
 def repeated(channel: str, *messages: can.Message) -> AbstractContextManager[None]:
-    """Sends these, over and over."""
     return sending(channel, lambda _number: messages)
 
 

@@ -1,7 +1,5 @@
 """`--eds`: any device by the names of its file; `tipforce export` for other tools: Lely, XDD, ros2_canopen."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import struct

@@ -1,7 +1,5 @@
 """What somebody meets who has just installed it: no bus, a wrong file, a narrow terminal; and the demo."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

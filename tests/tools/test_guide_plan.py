@@ -1,7 +1,5 @@
 """The steps of a guided calibration, from flags and from a plan file; and flags that are refused before any weight."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -54,8 +52,6 @@ def test_the_papers_grooves() -> None:
 
 @pytest.fixture
 def plan(tmp_path: Path) -> Callable[[str], Path]:
-    """Write a plan file."""
-
     def write(text: str) -> Path:
         path = tmp_path / "plan.toml"
         path.write_text(text)

@@ -1,7 +1,5 @@
 """Layout files with gauges anywhere, and `tipforce calibrate budget`: read, written, used, refused."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from dataclasses import asdict, replace
@@ -187,15 +185,10 @@ def test_each_flag_moves_its_row_alone(capsys: pytest.CaptureFixture[str]) -> No
     load = ("--uncalibrated", "--load", "2", "--phi", "-80", "--theta", "100")
     before = records(capsys, *load)
     for flag, cause in (
-        ("noise", "gauge noise"),
-        ("resolution", "quantisation"),
-        ("gain", "gain"),
-        ("offset", "offset"),
-        ("hysteresis", "hysteresis"),
-        ("creep", "creep"),
-        ("gauge-shift", "gauge position"),
+        ("noise", "gauge noise"), ("resolution", "quantisation"), ("gain", "gain"), ("offset", "offset"),
+        ("hysteresis", "hysteresis"), ("creep", "creep"), ("gauge-shift", "gauge position"),
         ("off-axis", "off-axis load"),
-    ):
+    ):  # fmt: skip
         after = records(capsys, *load, f"--{flag}", "0")
         assert [name for name in CAUSES[:-1] if after[name]["u_P_N"] != before[name]["u_P_N"]] == [cause]
         assert after[cause]["u_P_N"] == after[cause]["u_theta_deg"] == 0.0

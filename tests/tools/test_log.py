@@ -1,7 +1,5 @@
 """`tipforce log` and `tipforce replay`: what files hold by format, what reaches the buses, what is refused."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json
@@ -30,12 +28,10 @@ COUNT = 60
 
 
 def counting(channel: str) -> AbstractContextManager[None]:
-    """Sends frames 285h with a running number."""
     return sending(channel, lambda number: [message(0x285, number.to_bytes(4, "little"))], 0.002)
 
 
 def text_of(path: Path) -> str:
-    """What a text file holds, unzipped."""
     data = path.read_bytes()
     return (gzip.decompress(data) if path.suffix == ".gz" else data).decode()
 
@@ -57,8 +53,8 @@ def test_the_file_is_candumps(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     numbers = [int.from_bytes(bytes.fromhex(match[2]), "little") for match in found if match]
     assert numbers == list(range(numbers[0], numbers[0] + COUNT)), "nothing is lost"
     assert before - 1 < float(found[0][1] if found[0] else 0) < time.time() + 1
-    assert err.splitlines()[0] == f"tipforce logged: recording to {path}"
-    assert re.match(rf"tipforce logged: {COUNT} frames in \d+\.\d s to .*run\.log, 0 dropped", err.splitlines()[1])
+    assert err.splitlines()[0] == f"tipforce log: recording to {path}"
+    assert re.match(rf"tipforce log: {COUNT} frames in \d+\.\d s to .*run\.log, 0 dropped", err.splitlines()[1])
     record = json.loads(out)
     assert (record["frames"], record["dropped"], record["files"]) == (COUNT, 0, [str(path)])
 
@@ -161,7 +157,7 @@ def test_a_signal_closes_the_file(number: int, name: str, tmp_path: Path) -> Non
     ) as process:
         assert process.stdout is not None
         assert process.stderr is not None
-        assert process.stderr.readline() == f"tipforce logged: recording to {path}\n"
+        assert process.stderr.readline() == f"tipforce log: recording to {path}\n"
         assert process.stdout.readline() == "100 frames\n"
         os.kill(process.pid, number)
         said = process.stderr.read()
@@ -170,7 +166,7 @@ def test_a_signal_closes_the_file(number: int, name: str, tmp_path: Path) -> Non
     numbers = [int.from_bytes(bytes.fromhex(line.rpartition("#")[2]), "little") for line in lines]
     assert len(numbers) > 20
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    assert said.startswith(f"tipforce logged: {len(numbers)} frames in ")
+    assert said.startswith(f"tipforce log: {len(numbers)} frames in ")
     assert "Traceback" not in said
 
 
@@ -183,7 +179,6 @@ def test_overwrite(tmp_path: Path) -> None:
 
 @contextmanager
 def listening(*channels: str) -> Iterator[list[can.BusABC]]:
-    """Virtual buses that keep what comes."""
     with ExitStack() as opened:
         yield [opened.enter_context(can.Bus(channel, interface="virtual")) for channel in channels]
 

@@ -1,7 +1,5 @@
 """The command `tipforce` itself: help, unknown commands, what is imported, exit codes, pipes that close."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import signal
@@ -103,9 +101,6 @@ def test_a_command_imports_what_it_needs(command: str, left_out: tuple[str, ...]
     write_log(tmp_path / "run.log", log_lines(20))
     by_numpy = {"random"} if np.__version__.startswith("1.") else set()
     assert not imported_by(*command.split(), cwd=tmp_path) & set(left_out) - by_numpy
-
-
-# --- errors and exit codes ------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -273,9 +268,6 @@ def test_closed_streams_are_no_fault(tmp_path: Path) -> None:
     )
     assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
     assert (tmp_path / "out.eds").read_text().startswith("[FileInfo]")
-
-
-# --- help ----------------------------------------------------------------------------------------------------------
 
 
 HEAVY_FOR_HELP = (*HEAVY_FOR_ALL, "matplotlib", "scipy", "pyarrow", "importlib.metadata")

@@ -1,7 +1,5 @@
 """`tipforce monitor`: the state machine on a clock of the test's own, what is shown, and the command."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -50,9 +48,6 @@ def node(monitor: Monitor, t_ms: float = 0) -> NodeView:
 
 def contacts(count: int, period_ms: int = 10, status: int = 3) -> list[tuple[int, int, bytes]]:
     return [(k * period_ms, *contact_pdo(5, 1.5, 90.0, -45.0, status, k)) for k in range(count)]
-
-
-# --- values -----------------------------------------------------------------------------------------------------------
 
 
 def test_values_rate_and_age() -> None:
@@ -152,9 +147,6 @@ def test_lost_samples() -> None:
     assert node(fed([frame for k, frame in enumerate(contacts(300)) if k not in {100, 101, 250}]), 3000).lost == 3
 
 
-# --- services ---------------------------------------------------------------------------------------------------------
-
-
 def test_heartbeat_and_its_loss() -> None:
     beats = [(t, 0x705, b"\x05") for t in range(0, 3001, 500)]
     assert [node(fed(beats), t).nmt_lost for t in (3000, 4400, 4600)] == [False, False, True]
@@ -227,9 +219,6 @@ def test_the_same_node_on_two_buses() -> None:
     assert [(view.name, view.nodes[0].readings["P"].value) for view in views] == [("can0", 1.0), ("can1", 2.0)]
 
 
-# --- windows ----------------------------------------------------------------------------------------------------------
-
-
 def test_a_window_forgets() -> None:
     rng = np.random.default_rng(3)
     window, t_ns = Window(columns=1), np.sort(rng.integers(0, 10 * WINDOW_NS, 5000))
@@ -259,9 +248,6 @@ def test_nothing_has_come() -> None:
     assert monitor.views() == ()
     assert Window().periods() is None
     assert Window(columns=2).sums(0) == [0.0, 0.0]
-
-
-# --- sources ----------------------------------------------------------------------------------------------------------
 
 
 class FakeClock:
@@ -326,9 +312,6 @@ def test_a_pipe_that_goes_quiet_grows_old(log: Path) -> None:
     (view,) = monitor.views(source.now_ns())
     assert view.nodes[0].stale
     assert view.nodes[0].age_s == pytest.approx(3.0, abs=0.02)
-
-
-# --- the command ------------------------------------------------------------------------------------------------------
 
 
 def monitor(*words: str) -> int:

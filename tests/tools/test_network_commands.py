@@ -1,7 +1,5 @@
 """nmt, lss and tare, run in this process against nodes on the in-process bus."""
 
-from __future__ import annotations
-
 import json
 import re
 import threading
@@ -53,9 +51,6 @@ def unconfigured(tmp_path: Path) -> Iterator[tuple[Bus, str]]:
         yield connection, channel
 
 
-# --- nmt ------------------------------------------------------------------------------------------------------------
-
-
 def test_nmt_waits_for_each_heartbeat(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     assert tipforce("nmt", "start", "5,6", "--wait") == (0, "   5 (0x05)  operational\n   6 (0x06)  operational\n", "")
     code, out, _ = tipforce("nmt", "stop", "0x06", "--wait", "--json")
@@ -98,9 +93,6 @@ def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureF
     assert capsys.readouterr().out == "   7 (0x07)  operational\n"
 
 
-# --- read -----------------------------------------------------------------------------------------------------------
-
-
 def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     connection = bench[0]
     FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
@@ -118,9 +110,6 @@ def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple
     code, out, err = tipforce("read", "9", "--wait", "0.2", "--timeout", "0.05", "--retries", "0")
     assert (code, out) == (5, "")
     assert "node 9" in err
-
-
-# --- lss ------------------------------------------------------------------------------------------------------------
 
 
 def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: tuple[Bus, str]) -> None:
@@ -157,9 +146,6 @@ def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Bus, s
     assert tipforce("nmt", "reset-comm", "5")[0] == 0
     bench[0].wait_for({0x709})
     assert bench[0].sdo(9).read(od.IDENTITY_SERIAL) == 1005
-
-
-# --- tare -----------------------------------------------------------------------------------------------------------
 
 
 def test_tare_shows_and_clears(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:

@@ -1,7 +1,5 @@
 """Outputs are safe: a failed write leaves the old file; no control character of a file or device is shown."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

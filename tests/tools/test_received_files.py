@@ -1,7 +1,5 @@
 """Files from elsewhere reach nothing outside their folder; files that commands of 9931bb3 wrote keep working."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -81,8 +79,6 @@ def named(name: str, suffix: str, folder: Path) -> str:
 
 
 def run(*words: object) -> Callable[[], None]:
-    """A command that must be refused."""
-
     def act() -> None:
         code = main([*map(str, words)])
         if code:
@@ -95,8 +91,6 @@ Act = Callable[[], object]
 
 
 def hand(key: str, place: str) -> Callable[[Path, str], Act]:
-    """A hand that names a file."""
-
     def make(folder: Path, name: str) -> Act:
         tables = {"hand": "", "finger": "node_id = 1\n"}
         tables[place] += f"{key} = {json.dumps(name)}\n"
@@ -109,8 +103,6 @@ def hand(key: str, place: str) -> Callable[[Path, str], Act]:
 
 
 def scene(key: str, output: bool) -> Callable[[Path, str], Act]:
-    """A scene that names a file."""
-
     def make(folder: Path, name: str) -> Act:
         line = f"{key} = {json.dumps(name)}\n"
         text = 'duration_s = 0.02\nsync_hz = 100\n[[nodes]]\nids = [1]\npdos = ["contact"]\n'
@@ -121,8 +113,6 @@ def scene(key: str, output: bool) -> Callable[[Path, str], Act]:
 
 
 def machine(key: str) -> Callable[[Path, str], Act]:
-    """A machine that names a file; a value of the store is saved."""
-
     def make(folder: Path, name: str) -> Act:
         (folder / "own.eds").write_text(text(var("2000", 5)))
         keys = {"eds": "own.eds", key: f"{name}:Press" if key == "application" else name}
@@ -238,9 +228,6 @@ def test_links_with_temporary_names_are_not_followed(received: Path) -> None:
     (received / "other.json.2").symlink_to(received.parent / "x.json")
     with pytest.raises(InputError, match=r"other\.json\.2.*a link leads out"):
         read_machine("machine.toml")
-
-
-# --- datasets -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """`tipforce run` and `tipforce run --explain`: tables, JSON lines, exit codes, what is loaded."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

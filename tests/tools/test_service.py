@@ -1,7 +1,5 @@
 """A node as delivered, calibrated; as a service: priority, locked memory, signals, systemd and its journal."""
 
-from __future__ import annotations
-
 import binascii
 import ctypes
 import errno

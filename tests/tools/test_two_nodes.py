@@ -1,7 +1,5 @@
 """Two nodes with one node-id: every command that speaks or listens to them says it, with the remedy; and it helps."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re
@@ -97,9 +95,6 @@ def test_the_remedy_that_is_named_helps(tmp_path: Path, capsys: pytest.CaptureFi
         found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
         serials = [(one["node_id"], one["serial"], one["duplicate"]) for one in found]
         assert serials == [(5, 1005, ""), (6, 1006, "")]
-
-
-# --- who only listens ---------------------------------------------------------------------------------------------
 
 
 SERVICES = {
@@ -227,9 +222,6 @@ def until(is_done: Callable[[], bool]) -> None:
             return
         time.sleep(0.01)
     raise AssertionError("not in 20 s")
-
-
-# --- one node ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))

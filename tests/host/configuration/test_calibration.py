@@ -1,7 +1,5 @@
 """Calibration files and files of measurements: read, written, refused with the place."""
 
-from __future__ import annotations
-
 import binascii
 import itertools
 import struct
@@ -104,8 +102,6 @@ def test_what_a_record_cannot_hold(changes: dict[str, object], text: str) -> Non
     with pytest.raises(InputError, match=text):
         beam_calibration(**changes).record()
 
-
-# --- the file -------------------------------------------------------------------------------------------------------
 
 MATRIX = "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]"
 GOOD = f"""[calibration]

@@ -1,7 +1,5 @@
 """Collecting gauge readings: by PDO, by SDO, from nodes that are stopped, stale, saturated, or gone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Configuration files, TOML and DCF: what they say, in which order it goes to the node, what is wrong with them."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 
@@ -53,9 +51,6 @@ class Recorder(SdoChannel):
         self.writes.append((index, sub, int.from_bytes(data, "little")))
 
 
-# --- what a file says -----------------------------------------------------------------------------------------------
-
-
 def test_names_indices_and_lists(tmp_path: Path) -> None:
     found = read_text(
         tmp_path,
@@ -69,15 +64,10 @@ def test_names_indices_and_lists(tmp_path: Path) -> None:
 """,
     )
     assert values(found) == {
-        (0x1017, 0): 500,
-        (0x1801, 1): 0xC0000285,
-        (0x2101, 1): 1e-6,
-        (0x2101, 2): 2,
-        (0x2101, 3): 0.5,
-        (0x6114, 1): 1000,
-        (0x6133, 1): pytest.approx(float("nan"), nan_ok=True),
+        (0x1017, 0): 500, (0x1801, 1): 0xC0000285, (0x2101, 1): 1e-6, (0x2101, 2): 2, (0x2101, 3): 0.5,
+        (0x6114, 1): 1000, (0x6133, 1): pytest.approx(float("nan"), nan_ok=True),
         **{(0x2100, k): k for k in range(1, 10)},
-    }
+    }  # fmt: skip
     assert list(found) == sorted(found)
 
 
@@ -166,9 +156,6 @@ def test_more_gauges_have_more_objects(tmp_path: Path) -> None:
     assert recorder.writes == [(0x1804, 1, 0xC00001A5), (0x1804, 2, 1), (0x1804, 1, 0x400001A5)]
 
 
-# --- the order of the writes (CiA 301, 7.5.2.36) --------------------------------------------------------------------
-
-
 IN_ORDER = {
     "invalid, remapped, valid again": (
         '''"tpdo1.transmission_type" = 5
@@ -196,8 +183,6 @@ def test_the_order_of_the_writes(name: str, tmp_path: Path) -> None:
     apply_configuration(recorder, read_text(tmp_path, f"[objects]\n{text}\n"))
     assert recorder.writes == writes
 
-
-# --- on a node ------------------------------------------------------------------------------------------------------
 
 REMAP = """[objects]
 "heartbeat.producer_ms" = 250

@@ -1,7 +1,5 @@
 """The fit against the truth, closed forms and faults of every kind, rounded to what is finer than REAL32."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the data cannot show is refused by name; the fit doubts its own model: grooves, curvature, drift, rails."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

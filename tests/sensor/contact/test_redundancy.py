@@ -1,7 +1,5 @@
 """More than three gauges: the weighted inverse and back, subsets, chi-square, isolation; numpy against scalar."""
 
-from __future__ import annotations
-
 from itertools import combinations
 from math import inf, isnan, nan
 from typing import Any

@@ -1,7 +1,5 @@
 """Standard uncertainties: derivatives, Monte Carlo, scalar against array; the coverage of their intervals."""
 
-from __future__ import annotations
-
 from math import inf, isnan, nan, pi, sqrt
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The error budget: each cause propagated analytically, against the thing itself simulated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import pi
@@ -132,21 +130,13 @@ def off_axis(rng: np.random.Generator) -> FloatArray:
 @pytest.mark.parametrize(
     ("cause", "draw", "draws"),
     [
-        ("gauge noise", gauge_noise, 4000),
-        ("quantisation", quantisation, 4000),
-        ("gain", gain, 4000),
-        ("offset", offset, 4000),
-        ("temperature, common", temperature, 4000),
-        ("temperature, mismatch", mismatch, 4000),
-        ("hysteresis", hysteresis, 4000),
-        ("creep", creep, 4000),
-        ("calibration noise", calibration_noise, 2000),
-        ("load angle", load_angle, 2000),
-        ("gravity", gravity, 2000),
-        ("gauge position", gauge_position, 2000),
+        ("gauge noise", gauge_noise, 4000), ("quantisation", quantisation, 4000), ("gain", gain, 4000),
+        ("offset", offset, 4000), ("temperature, common", temperature, 4000), ("temperature, mismatch", mismatch, 4000),
+        ("hysteresis", hysteresis, 4000), ("creep", creep, 4000), ("calibration noise", calibration_noise, 2000),
+        ("load angle", load_angle, 2000), ("gravity", gravity, 2000), ("gauge position", gauge_position, 2000),
         ("off-axis load", off_axis, 800),
     ],
-)
+)  # fmt: skip
 def test_each_cause_is_what_a_simulation_of_it_gives(cause: str, draw: Draw, draws: int) -> None:
     rng = np.random.default_rng(7)
     uncertainties = budget(replace(SENSOR, calibrated=cause != "gauge position"), LOADS, CAUSES).rows[cause]

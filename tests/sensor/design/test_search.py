@@ -1,7 +1,5 @@
 """The search for better structures: its derivatives, its limits, what it finds, and what it proves of the paper."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace
@@ -54,9 +52,6 @@ def judged(design: Design, limits: Limits = LIMITS) -> Assessment:
 def case_I(gauge_length_m: float) -> Assessment:
     gauges = glued(FABRICATED, LAYOUTS["I"], gauge_length_m, 0.0) if gauge_length_m else LAYOUTS["I"]
     return assess("I", FABRICATED, gauges, loads=LOADS, noise_microstrain=NOISE, gauge_length_m=1e-3, slit_m=0.25e-3)
-
-
-# --- the search: formulas and derivatives ---------------------------------------------------------------------------
 
 
 def test_the_search_uses_the_strain_of_table_1() -> None:
@@ -120,9 +115,6 @@ def test_configurations() -> None:
     for n in (2, 6):
         with pytest.raises(InputError, match="allowed are 3 to 5"):
             configurations(n)
-
-
-# --- what it finds --------------------------------------------------------------------------------------------------
 
 
 def check_limits(design: Design, limits: Limits) -> None:
@@ -259,9 +251,6 @@ def test_pareto_keeps_what_nobody_beats() -> None:
 
     entries = [entry(*pair) for pair in ((1.0, 3.0), (2.0, 2.0), (3.0, 2.5), (1.001, 2.999), (4.0, 1.0))]
     assert pareto(entries, (FIGURES["theta"], FIGURES["condition"])) == [entries[0], entries[1], entries[4]]
-
-
-# --- what is refused ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Tables 1 to 3 and figure 9 recomputed; figures of merit against the contact's own uncertainties."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import astuple
 from math import isnan, nan

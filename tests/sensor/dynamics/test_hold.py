@@ -1,7 +1,5 @@
 """The held step: 60-digit arithmetic, linearity, energy; impacts: closed forms, other integrators, the slit."""
 
-from __future__ import annotations
-
 import math
 from decimal import Decimal, localcontext
 

@@ -1,7 +1,5 @@
 """Masses, modes and the static limit; every comparison integrator: order, limits, the exact answer in the end."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The frame against Table 1 and closed forms for shear, roots and joint; the three-dimensional beam model beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import exp, pi, radians, sqrt

@@ -1,7 +1,5 @@
 """Table 1 against the paper's equations (2) to (15) and Figure 6; strain anywhere along the beams; what is refused."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import FrozenInstanceError, replace
 from math import cos, isnan, pi, sin

@@ -1,7 +1,5 @@
 """Gauges on the faces, their convergence, corner exponents; the studies of the report and of the bench."""
 
-from __future__ import annotations
-
 import math
 import sys
 from functools import cache

@@ -1,7 +1,5 @@
 """Triangulations and the solver: valid, exact area; patch test, equilibrium, beam theory where it holds."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`tipforce report`: the page, well-formed, complete, alone; selection, text, JSON, exit codes."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import importlib.util

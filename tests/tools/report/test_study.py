@@ -1,7 +1,5 @@
 """Studies: how a method is timed; decoders, calibration fits, honesty, integrators: what theory says of them."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """ROS 2 without a bus: messages, IDL, packages, names; the bridge publishes of a log what `tipforce decode` says."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import math
@@ -155,7 +153,6 @@ def samples(*contacts: tuple[float, float, float], status: int = 3, gauges: int 
 
 
 def messages(rows: Block, kind: str, frame_id: str = "thumb_tip") -> list[tuple[int, bytes]]:
-    """Stamps and messages of one kind."""
     tip = Tip("tipforce: thumb", 5, frame_id, 0.015)
     return [(t_ns, message) for found, t_ns, message in tip.messages(rows, np.arange(len(rows))) if found == kind]
 
