@@ -31,6 +31,7 @@ ROBOTS = ["tipforce_robots.mujoco", "tipforce_robots.learning"]
 PACKAGES = ["tipforce", *(f"tipforce.{part}" for part in PARTS), *DEVICE, *ROBOTS]
 OWN = ("tipforce", "canopen_device")
 TOOLS = ["tipforce_lab", "tipforce_lab.fem"]  # an extra of its own
+DOCUMENTS = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
 
 
 def python(code: str, *flags: str) -> str:
@@ -109,9 +110,6 @@ def imports(tree: ast.AST) -> set[str]:
 def is_public(name: str) -> bool:
     package, _, last = name.rpartition(".")
     return name in PACKAGES or (package in [*PACKAGES, *TOOLS] and last in importlib.import_module(package).__all__)
-
-
-DOCUMENTS = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.stem)

@@ -23,6 +23,8 @@ from tipforce_tools.cli.main import main
 
 CHANNEL = "conformance"
 ON_BUS = ("conformance", "--node-id", "5", "-i", "virtual", "-c", CHANNEL)
+CASES = all_cases()
+DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance.md"
 
 
 @pytest.fixture
@@ -142,10 +144,6 @@ def test_time_out_names_what_was_expected() -> None:
     dut = Dut(CoreLink(core_node()), 5)
     with pytest.raises(CheckError, match="a frame 185h 01 within 50 ms; got none"):
         dut.expect(0x185, "01", 50)
-
-
-CASES = all_cases()
-DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance.md"
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)

@@ -28,6 +28,10 @@ from device.tiny import service_dictionary
 
 Sent = list[tuple[int, bytes]]
 NODE_ID = 5
+Injection: TypeAlias = Callable[[pytest.MonkeyPatch], None]
+FOREIGN = [case for case in all_cases() if not case.own]
+# The standard demands segmented transfer of an SDO server (7.2.4.1); this one has none, and that is to be found.
+LACKING = "sdo_segmented."
 
 
 class SelfStarting:
@@ -71,9 +75,6 @@ class SelfStarting:
         index = data[1] | data[2] << 8
         is_pdo = 0x1400 <= index <= 0x15FF or 0x1800 <= index <= 0x19FF
         return is_pdo and not data[7] & 0x80 and not self._device.od.integer(index + 0x200, 0)
-
-
-Injection: TypeAlias = Callable[[pytest.MonkeyPatch], None]
 
 
 def replaced(owner: Any, name: str, value: Any) -> Injection:
@@ -170,9 +171,6 @@ def test_fault_is_found(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert any(run_in_process(case)[0].verdict == FAIL for case in matching(pattern))
 
 
-FOREIGN = [case for case in all_cases() if not case.own]
-
-
 def test_no_case_fails() -> None:
     failed = {}
     verdicts = []
@@ -219,10 +217,6 @@ def test_cases_that_only_read_share_one_reset() -> None:
 def test_the_reason_names_what_the_device_refuses(name: str, reason: str) -> None:
     result, _ = run_in_process(matching(name)[0], SelfStarting())
     assert (result.verdict, result.reason) == (NOT_APPLICABLE, reason)
-
-
-# The standard demands segmented transfer of an SDO server (7.2.4.1); this one has none, and that is to be found.
-LACKING = "sdo_segmented."
 
 
 def test_minimal_device_never_crashes_a_case() -> None:

@@ -42,6 +42,12 @@ with simulated_device("cia402", 5) as drive, can.Bus(**drive.bus_options) as bus
 assert bytes(answer.data) == bytes.fromhex("4300100092010200"), answer
 """
 OWN_TESTS = "import pytest; raise SystemExit(pytest.main(['-q', '-x', '-p', 'no:cacheprovider', 'tests']))"
+ROOT = Path(str(canopen_device.__file__)).parents[1]
+ON_NODE = sorted([*ROOT.glob("canopen_device/core/*.py"), *ROOT.glob("tipforce/fingertip/*.py")])
+SCALAR = [
+    path for part in ("dictionary/table", "sensor/contact/scalar") for path in sorted(ROOT.glob(f"tipforce/{part}*.py"))
+]
+NOT_IN_MICROPYTHON = {"typing", "__future__", "dataclasses", "enum", "pathlib", "abc", "functools", "numpy", "logging"}
 
 
 def alone(folder: Path, code: str, *requirements: str) -> str:
@@ -110,14 +116,6 @@ def test_its_own_tests_pass(copied: Path) -> None:
     passed = re.search(r"(\d+) passed", shown)
     assert passed is not None, shown
     assert int(passed[1]) > 150, shown
-
-
-ROOT = Path(str(canopen_device.__file__)).parents[1]
-ON_NODE = sorted([*ROOT.glob("canopen_device/core/*.py"), *ROOT.glob("tipforce/fingertip/*.py")])
-SCALAR = [
-    path for part in ("dictionary/table", "sensor/contact/scalar") for path in sorted(ROOT.glob(f"tipforce/{part}*.py"))
-]
-NOT_IN_MICROPYTHON = {"typing", "__future__", "dataclasses", "enum", "pathlib", "abc", "functools", "numpy", "logging"}
 
 
 def name(path: Path) -> str:

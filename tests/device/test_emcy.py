@@ -16,6 +16,8 @@ from canopen_device.core.emcy import (
 from canopen_device.testing import Conversation
 from device.tiny import serving
 
+BUS_OFF, RESTARTED = (ERROR_FLAG | 0x40, bytes(8)), (ERROR_FLAG | 0x100, bytes(8))
+
 
 def raised(talk: Conversation, code: int, detail: int = 0, bits: int = PROFILE) -> None:
     talk.device.emcy.raise_error(code, bits, detail)
@@ -93,9 +95,6 @@ def test_an_error_of_an_rpdo_ends_when_the_rpdo_does() -> None:
     talk.advance(1)
     assert {data[:5].hex() for _, data in talk.take()} == {"0000111082", "0000005082"}
     assert talk.get("B", 0x1001) == 0
-
-
-BUS_OFF, RESTARTED = (ERROR_FLAG | 0x40, bytes(8)), (ERROR_FLAG | 0x100, bytes(8))
 
 
 def controller(detail: int) -> tuple[int, bytes]:

@@ -13,6 +13,9 @@ ENABLE_TPDO1 = """
     > 605#2300180185010040
     < 585#6000180100000000
 """
+CONFIGURE = "> 7E5#0401000000000000\n"
+DAY_MS = 86_400_000
+GUARD = (0x705 | REMOTE_FLAG, b"")
 
 
 def test_reset_communication_returns_only_the_communication_area() -> None:
@@ -43,9 +46,6 @@ def test_frames_after_a_reset_in_one_step_meet_the_new_state() -> None:
     # The reset made TPDO1 invalid again, so the boot-up message is all there is.
     talk.say("< 705#00")
     assert talk.device.nmt.state == 5
-
-
-CONFIGURE = "> 7E5#0401000000000000\n"
 
 
 def test_activate_asks_the_loop_for_the_bit_rate() -> None:
@@ -82,9 +82,6 @@ def test_a_node_that_is_given_255_falls_silent_after_the_reset() -> None:
         CONFIGURE + "> 7E5#11FF000000000000\n< 7E4#1100000000000000\n> 000#8205\n+ 10000000\n> 605#4000100000000000"
     )
     assert talk.device.node_id == 255
-
-
-DAY_MS = 86_400_000
 
 
 def test_network_time_is_known_after_a_time_message_and_runs_on() -> None:
@@ -146,9 +143,6 @@ def test_a_new_time_starts_the_watch_anew() -> None:
     talk.say("> 707#05\n+ 50000")
     assert talk.put("I", 0x1016, 1, 7 << 16 | 200) == 0
     talk.say("+ 10000000\n> 707#05\n+ 199999\n+ 1\n< 085#3081110700000000")
-
-
-GUARD = (0x705 | REMOTE_FLAG, b"")
 
 
 def guarded(guard_ms: int = 100, factor: int = 3) -> Conversation:

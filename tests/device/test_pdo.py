@@ -6,6 +6,7 @@ from canopen_device.testing import Conversation
 from device.tiny import Recorder, booted, serving
 
 NO_RTR = 0x40000000
+TPDO2 = "< 285#11FEFF"
 
 
 @pytest.fixture
@@ -79,9 +80,6 @@ def test_latch_in_pre_operational_none_in_stopped() -> None:
     recorder = Recorder()
     booted(application=recorder).say("+ 7\n> 080#\n> 000#0205\n+ 1\n> 080#")
     assert [call for call in recorder.calls if call.startswith("sync")] == ["sync 7"]
-
-
-TPDO2 = "< 285#11FEFF"
 
 
 def event_driven(event_ms: int = 0, inhibit_100us: int = 0, transmission: int = 255) -> Conversation:

@@ -17,6 +17,9 @@ PLACE = struct.pack("<HB", INDEX, 0)
 OTHER = struct.pack("<HB", 0x1018, 4)
 Behaviour = Callable[[int, bytes], Iterable[Response]]
 ONE_MS = 1000
+START = b"\x40" + PLACE  # an upload without a size
+BLOCK = b"\xc4" + PLACE  # a block upload without a size, with CRC
+Malice = tuple[Callable[[], Transfer], Behaviour, int, str]
 
 
 def upload(kind: type[Upload] = Upload) -> Upload:
@@ -209,11 +212,6 @@ def segments(first: int, toggle: bool = True) -> Callable[[int], list[bytes]]:
 def block(numbers: Iterable[int]) -> Callable[[int], list[bytes]]:
     """A block of segments with these sequence numbers."""
     return lambda _number: [bytes((number,)) + b"1234567" for number in numbers]
-
-
-START = b"\x40" + PLACE  # an upload without a size
-BLOCK = b"\xc4" + PLACE  # a block upload without a size, with CRC
-Malice = tuple[Callable[[], Transfer], Behaviour, int, str]
 
 
 def malice() -> dict[str, Malice]:

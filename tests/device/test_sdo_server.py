@@ -9,6 +9,12 @@ from canopen_device.core.sdo_block import crc16, crc16_by_nibbles
 from canopen_device.testing import Conversation
 from device.tiny import Recorder, booted, tiny
 
+TIMEOUT_US = 1_000_000
+DATA = bytes(range(1, 21))  # three segments: 7, 7 and 6 bytes
+BEGIN_UPLOAD = "> 605#A40520007F000000\n< 585#C605200014000000\n"  # 20 bytes, with CRC
+SEGMENTS = ["< 585#01.01020304050607", "< 585#02.08090A0B0C0D0E", "< 585#83.0F1011121314.00"]
+START = "> 605#A300000000000000\n"
+
 
 @pytest.mark.parametrize(
     ("request_", "index", "sub", "value"),
@@ -91,9 +97,6 @@ def test_limit_that_real32_cannot_hold_is_allowed_as_its_nearest_real32() -> Non
         assert talk.put("f", 0x200C, 0, value) == code
 
 
-TIMEOUT_US = 1_000_000
-
-
 def test_string_of_no_bytes() -> None:
     booted().say("""
         > 605#4004200000000000
@@ -129,9 +132,6 @@ def test_an_upload_shows_one_value_although_it_changes_meanwhile() -> None:
     talk.say("> 605#7000000000000000\n< 585#1B.07080000000000")
 
 
-DATA = bytes(range(1, 21))  # three segments: 7, 7 and 6 bytes
-
-
 def loaded(data: bytes = DATA) -> Conversation:
     """A node whose DOMAIN 2005h holds ``data``."""
     talk = booted()
@@ -148,11 +148,6 @@ def test_crc_of_the_standard(function: Callable[..., int]) -> None:
     assert function(b"123456789") == 0x31C3  # 7.2.4.3.16
     assert function(b"") == 0
     assert function(b"56789", function(b"1234")) == 0x31C3
-
-
-BEGIN_UPLOAD = "> 605#A40520007F000000\n< 585#C605200014000000\n"  # 20 bytes, with CRC
-SEGMENTS = ["< 585#01.01020304050607", "< 585#02.08090A0B0C0D0E", "< 585#83.0F1011121314.00"]
-START = "> 605#A300000000000000\n"
 
 
 def test_pst_0_forbids_the_switch_even_for_nothing() -> None:

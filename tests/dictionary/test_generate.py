@@ -25,6 +25,13 @@ from tipforce.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "node/tipforce/dictionary"
+ALL = [(n, simulated) for n in range(3, 9) for simulated in (False, True)]
+NODE_ID = 5
+VALUES: dict[tuple[int, int], types.Value] = {
+    (0x1017, 0): 500, (0x1800, 1): 0x40000185, (0x2100, 4): -0.25, (0x2102, 1): 77, (0x2110, 6): 1, (0x7133, 1): -3,
+    (0x2141, 0): b"\x01\xfe", (0x6134, 1): math.inf,
+}  # fmt: skip
+STATUS = [name for name, _ in table.STATUS_BITS]
 
 
 @pytest.mark.parametrize("name", sorted(generate.generated_files()))
@@ -63,10 +70,6 @@ def test_reference_names_everything(n: int) -> None:
         assert all(f"`{signal.name}`" in text for signal in message.signals)
     assert all(line.endswith("|") for line in [line for line in text.splitlines() if line.startswith("|")])
     assert "\n\n\n" not in text
-
-
-ALL = [(n, simulated) for n in range(3, 9) for simulated in (False, True)]
-NODE_ID = 5
 
 
 def _import(text: str, folder: Path, node_id: int | None = NODE_ID, suffix: str = "eds") -> Any:
@@ -143,12 +146,6 @@ def test_commands_are_not_downloaded_and_what_is_write_only_not_scanned() -> Non
     assert flags(0x2100, 1) is None
 
 
-VALUES: dict[tuple[int, int], types.Value] = {
-    (0x1017, 0): 500, (0x1800, 1): 0x40000185, (0x2100, 4): -0.25, (0x2102, 1): 77, (0x2110, 6): 1, (0x7133, 1): -3,
-    (0x2141, 0): b"\x01\xfe", (0x6134, 1): math.inf,
-}  # fmt: skip
-
-
 def test_dcf(tmp_path: Path) -> None:
     text = dcf_text(3, 7, VALUES)
     od = _import(text, tmp_path, None, "dcf")
@@ -190,9 +187,6 @@ def test_dcf_of_every_default(tmp_path: Path) -> None:
 def test_dcf_refuses(n: int, node_id: int, values: dict[tuple[int, int], types.Value], said: str) -> None:
     with pytest.raises(InputError, match=said):
         dcf_text(n, node_id, values)
-
-
-STATUS = [name for name, _ in table.STATUS_BITS]
 
 
 @cache

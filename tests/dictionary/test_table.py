@@ -18,6 +18,8 @@ from tipforce.dictionary.generate import constant_name
 from tipforce.errors import InputError
 
 ALL = [(n, simulated) for n in range(3, 9) for simulated in (False, True)]
+CONSTANTS: dict[str, Any] = {k: v for k, v in vars(od).items() if isinstance(v, Entry | Array)}
+INTEGERS = [t for t in types.TYPES.values() if t.limits is not None and t.letter != "?"]
 
 
 @pytest.mark.parametrize(("n", "simulated"), ALL)
@@ -117,9 +119,6 @@ def test_a_product_code_states_the_gauges(simulated: bool, converter: table.Conv
     assert gauges_of(table.product_code(3, simulated, converter) | 1 << 10) == 0
 
 
-CONSTANTS: dict[str, Any] = {k: v for k, v in vars(od).items() if isinstance(v, Entry | Array)}
-
-
 def test_constants_agree_with_the_table() -> None:
     rows = [row for row in entries(3, True, True).values() if constant_name(row.stem) in CONSTANTS]
     assert {constant_name(row.stem) for row in rows} == set(CONSTANTS)
@@ -175,9 +174,6 @@ def test_count_errors() -> None:
 def test_every_constant_has_the_python_type_of_its_letter() -> None:
     for row in entries(3, True, True).values():
         assert isinstance(b"" if row.type == "D" else row.default, types.data_type(row.type).python), row.name
-
-
-INTEGERS = [t for t in types.TYPES.values() if t.limits is not None and t.letter != "?"]
 
 
 def test_codes_are_those_of_cia_301() -> None:

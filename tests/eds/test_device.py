@@ -16,6 +16,7 @@ from canopen_device.types import Value
 from eds.samples import INFO, Talk, described, pdo, record, text, var
 
 SYNC = var("1005", 7, "rw", "0x80")
+DCF = "[DeviceComissioning]\nNodeID=0x0B\nNodeName=axis\nBaudrate=500\nLSS_SerialNumber=77\n"
 
 
 def test_bits_are_packed_and_unpacked(tmp_path: Path) -> None:
@@ -230,9 +231,6 @@ def test_dummy_usage_decides_what_an_rpdo_may_skip(tmp_path: Path) -> None:
         talk.nmt(1)
         talk.step([(0x205, b"\x11\x22")])
         assert talk.upload(0x2000) == (b"\x22" if allowed else b"\0")
-
-
-DCF = "[DeviceComissioning]\nNodeID=0x0B\nNodeName=axis\nBaudrate=500\nLSS_SerialNumber=77\n"
 
 
 def test_a_dcf_names_its_node_and_starts_with_its_values(tmp_path: Path) -> None:

@@ -37,6 +37,22 @@ CALIBRATED, UNKNOWN_FORCE = 0x02, 1
 BAND_CHI_SQUARE, BAND_FORCE = 1e-3, 1e-5
 """Relative: within it single precision may decide otherwise (docs/uncertainty.md)."""
 
+Export = Callable[..., tuple[int, str, str]]
+SETTINGS = """
+[objects]
+"heartbeat.producer_ms" = 250
+"contact.on_force" = 0.125
+"tpdo4.cob_id" = 0x40000485
+"""
+SECTION = re.compile(r"^\[([a-z0-9]+)\]", re.IGNORECASE)
+KEY = re.compile(r"^([a-z0-9_]+)[ ]*=[ ]*(.*)", re.IGNORECASE)
+ENTRY = re.compile(r"^(M[0-9a-fA-F]+(Fixed|SubExt))?([a-fA-F0-9]+)(sub)?([0-9a-fA-F]*)$")
+ACCESS = {"rw", "ro", "wo", "rwr", "rww", "const"}
+UNSIGNED = {
+    "VendorNumber": 32, "ProductNumber": 32, "RevisionNumber": 32, "NrOfRXPDO": 16, "NrOfTXPDO": 16, "Granularity": 8,
+    "FileVersion": 8, "FileRevision": 8, "NodeID": 8, "Baudrate": 16, "NetNumber": 32, "LSS_SerialNumber": 32,
+}  # fmt: skip
+
 
 def test_constants_of_the_c_sources_are_those_of_python() -> None:
     """Each that both name: scalar, numpy and C judge by one set."""
@@ -193,9 +209,6 @@ def test_float_and_double_differ_only_in_a_band_around_a_limit(library: Library)
             assert double[0] >> 12 & 1 == (side < 0)
 
 
-Export = Callable[..., tuple[int, str, str]]
-
-
 @pytest.fixture
 def export(capsys: pytest.CaptureFixture[str]) -> Export:
     def run(*words: object) -> tuple[int, str, str]:
@@ -227,14 +240,6 @@ def test_export_c_that_cannot_be(export: Export, tmp_path: Path) -> None:
         assert message in err
 
 
-SETTINGS = """
-[objects]
-"heartbeat.producer_ms" = 250
-"contact.on_force" = 0.125
-"tpdo4.cob_id" = 0x40000485
-"""
-
-
 def test_export_dcf(export: Export, tmp_path: Path) -> None:
     assert export("dcf", "--node-id", "0x0A") == (0, dcf_text(3, 10, {}), "")
     settings, dcf = tmp_path / "settings.toml", tmp_path / "node.dcf"
@@ -251,15 +256,6 @@ def test_export_dcf(export: Export, tmp_path: Path) -> None:
 
 
 # What its reader (libEDSsharp, CanOpenEDS.cs) does with a file, where that can make it refuse, warn or lose something.
-
-SECTION = re.compile(r"^\[([a-z0-9]+)\]", re.IGNORECASE)
-KEY = re.compile(r"^([a-z0-9_]+)[ ]*=[ ]*(.*)", re.IGNORECASE)
-ENTRY = re.compile(r"^(M[0-9a-fA-F]+(Fixed|SubExt))?([a-fA-F0-9]+)(sub)?([0-9a-fA-F]*)$")
-ACCESS = {"rw", "ro", "wo", "rwr", "rww", "const"}
-UNSIGNED = {
-    "VendorNumber": 32, "ProductNumber": 32, "RevisionNumber": 32, "NrOfRXPDO": 16, "NrOfTXPDO": 16, "Granularity": 8,
-    "FileVersion": 8, "FileRevision": 8, "NodeID": 8, "Baudrate": 16, "NetNumber": 32, "LSS_SerialNumber": 32,
-}  # fmt: skip
 
 
 def number(text: str, bits: int = 16) -> int:

@@ -25,6 +25,7 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
 SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
+F = forces(PUSH)
 
 
 def test_channels_of_three_gauges() -> None:
@@ -157,9 +158,6 @@ def test_saturated_gauge_reads_the_end_of_the_range(sign: int, end: int, status:
     assert talk.get("H", 0x2124) == 0b10
     # The others still read.
     assert pdos.gauges[0] == pytest.approx(1000 * forces(PUSH)[0], abs=1)
-
-
-F = forces(PUSH)
 
 
 def gauges(n: int) -> list[float]:

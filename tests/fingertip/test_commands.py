@@ -11,6 +11,11 @@ from fingertip.finger import COMMIT, OPEN, PUSH, SAVE, STALE, TARA, ZERO, Finger
 REFUSED = 0x08000022
 TARE, CLEAR, ZERO_GAUGES = 1, 2, 3
 OFFSETS = (12.0, -7.0, 30.0)  # microstrain: 0.34 N of force that is none
+SIGNATURE, LOCKED, CRC, VALUE, TOO_HIGH = 0x08000020, 0x08000022, 0x06040043, 0x06090030, 0x06090031
+FLAT = [[1e4, 0.0, 0.0], [0.0, 1e4, 0.0], [0.0, 0.0, 1e-1]]  # condition number 1e5
+DOUBLED = [[2.0 * value for value in row] for row in matrix()]
+WRITES = (("H", 0x2200, 1, 3), ("B", 0x2200, 2, 2), ("f", 0x2200, 3, 7.0), ("f", 0x2201, 1, 5.0), ("f", 0x2201, 2, 9.0),
+          ("f", 0x2201, 3, -4.0))  # fmt: skip
 
 
 def offsets(talk: Finger) -> list[float]:
@@ -130,16 +135,6 @@ def test_tare_again_within_one_sample_is_the_same_as_once() -> None:
     assert talk.sync().contact[0] == 0
 
 
-def test_tare_again_with_another_load() -> None:
-    talk = finger(load=PUSH)
-    talk.sync()
-    assert talk.put("H", 0x2130, 0, TARE) == 0
-    talk.source.load = (2.5, *PUSH[1:])
-    assert talk.sync().contact[0] == pytest.approx(1500, abs=2)
-    assert talk.put("H", 0x2130, 0, TARE) == 0
-    assert talk.sync().contact[0] == 0
-
-
 def test_tare_after_a_zero_or_a_commit_within_one_sample_uses_what_holds_now() -> None:
     talk = finger(offset_microstrain=(1.0, 2.0, -1.0))  # 24 mN: no contact
     talk.sync()
@@ -228,11 +223,6 @@ def test_commit_clears_the_tare() -> None:
     assert tare(talk) == [0.0] * 3 + [0]
 
 
-SIGNATURE, LOCKED, CRC, VALUE, TOO_HIGH = 0x08000020, 0x08000022, 0x06040043, 0x06090030, 0x06090031
-FLAT = [[1e4, 0.0, 0.0], [0.0, 1e4, 0.0], [0.0, 0.0, 1e-1]]  # condition number 1e5
-DOUBLED = [[2.0 * value for value in row] for row in matrix()]
-
-
 @pytest.fixture
 def talk() -> Finger:
     """A calibrated node that is pushed with 1 N."""
@@ -303,10 +293,6 @@ def test_node_never_calibrated_has_zeros() -> None:
     assert talk.calibration() == (bytes(158), 0, 0)
     assert talk.commit() == CRC  # the expected CRC is still 0, that of 158 zero bytes is not
     assert not talk.sync().status & 0x02
-
-
-WRITES = (("H", 0x2200, 1, 3), ("B", 0x2200, 2, 2), ("f", 0x2200, 3, 7.0), ("f", 0x2201, 1, 5.0), ("f", 0x2201, 2, 9.0),
-          ("f", 0x2201, 3, -4.0))  # fmt: skip
 
 
 def read(talk: Finger) -> list[float]:

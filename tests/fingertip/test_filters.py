@@ -33,6 +33,8 @@ from tipforce.sources.simulated import DRIFT, SILENT, STUCK
 from tipforce.sources.simulated import SATURATED as AT_THE_END
 
 MOVING, REPEATING, IIR = filters.MOVING_AVERAGE, filters.REPEATING_AVERAGE, filters.FIRST_ORDER
+COUNTS = st.lists(st.integers(-(1 << 23), (1 << 23) - 1), min_size=1, max_size=120)
+CONSTANT = st.integers(2, 40)
 
 
 def filtered(kind: int, constant: int, **options: object) -> Finger:
@@ -45,10 +47,6 @@ def filtered(kind: int, constant: int, **options: object) -> Finger:
 def ramp(talk: Finger) -> None:
     """F1 in newtons is the number of the conversion since a second, divided by 100: gauge 1 in mN is 10 of it."""
     talk.source.forces = lambda now_us: ((now_us - 1_000_000) / 500 / 100, 0.0, 0.0)
-
-
-COUNTS = st.lists(st.integers(-(1 << 23), (1 << 23) - 1), min_size=1, max_size=120)
-CONSTANT = st.integers(2, 40)
 
 
 def outputs(kind: int, constant: int, counts: list[int]) -> list[float]:
@@ -93,12 +91,6 @@ def test_first_order_follows_its_equation_to_a_256th_of_a_count(counts: list[int
 def test_first_order_with_the_longest_constant_starts_as_the_mean() -> None:
     counts = np.random.default_rng(6).integers(-1000, 1000, 5000).tolist()
     assert outputs(IIR, 65535, counts)[-1] == pytest.approx(np.mean(counts), abs=1 / 256)
-
-
-def test_memory_is_bounded() -> None:
-    assert not filters.offered(MOVING, filters.LONGEST_WINDOW + 1)
-    window = filters.MovingAverage(8, filters.LONGEST_WINDOW)
-    assert len(window._ring) * window._ring.itemsize == 8192
 
 
 def test_type_none_and_a_constant_of_one_have_no_filter_and_load_none() -> None:

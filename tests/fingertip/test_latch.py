@@ -27,6 +27,10 @@ from tipforce.sensor.contact import scalar
 
 NORMAL = (1.0, -170.0, 10.0)  # straight into the tip
 PULL_TIP = (0.015, -60.0, 60.0, 0.05, 0.02, 1)
+START, END = 0x6148, 0x6149
+LOAD = (4.0, 90.0, 90.0)  # F1 = 4 N, F2 = F3 = 0: gauge 1 reads 400 microstrain
+ALL = (0x6130, 0x7130, 0x9130, 0x6150, 0x2120, 0x2124)
+REALS = st.floats(width=32, allow_nan=False, allow_infinity=False)
 
 
 def test_sync_without_a_new_sample_is_stale_and_repeats_the_counter() -> None:
@@ -224,11 +228,6 @@ def test_after_a_reset_a_read_takes_a_sample_without_waiting_for_a_sync() -> Non
         assert math.isfinite(talk.get("f", 0x6130, 1))
 
 
-START, END = 0x6148, 0x6149
-LOAD = (4.0, 90.0, 90.0)  # F1 = 4 N, F2 = F3 = 0: gauge 1 reads 400 microstrain
-ALL = (0x6130, 0x7130, 0x9130, 0x6150, 0x2120, 0x2124)
-
-
 def real32(value: float) -> float:
     """The nearest REAL32."""
     nearest: float = struct.unpack("<f", struct.pack("<f", value))[0]
@@ -303,9 +302,6 @@ def test_the_span_of_an_angle_does_not_wrap() -> None:
     assert talk.get("B", 0x6150, 8) == 3
     assert talk.put("f", END, 8, 180.0) == 0
     assert talk.get("B", 0x6150, 8) == 0
-
-
-REALS = st.floats(width=32, allow_nan=False, allow_infinity=False)
 
 
 @given(

@@ -20,6 +20,9 @@ NONE: list[float]
 OURS: list[float]
 NONE, OURS = [0, 0], [15000, 77]
 STORE, RESTORE = 0x1010, 0x1011
+HEALTH = 0x40000485
+# Of 6xxxh, 7xxxh and 9xxxh: operating mode, scaling, offset, interrupts, span, filter.
+PROFILE = {0x112, 0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149, 0x1A0, 0x1A1}
 
 
 def verified(talk: Finger) -> list[float]:
@@ -172,11 +175,6 @@ def test_the_store_is_cleared_before_the_change_is_written() -> None:
     assert written == ["communication", "application"]
     assert struct.pack("<H", 0x1020) not in store.groups["communication"]
     assert struct.pack("<H", 0x1017) in store.groups["communication"]
-
-
-HEALTH = 0x40000485
-# Of 6xxxh, 7xxxh and 9xxxh: operating mode, scaling, offset, interrupts, span, filter.
-PROFILE = {0x112, 0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149, 0x1A0, 0x1A1}
 
 
 def counter(talk: Finger) -> int:

@@ -25,14 +25,13 @@ from tipforce_loader.programs import Programs
 Fault = Callable[[int, bytes], bytes]
 """(number of the frame, its data) -> the data that arrives."""
 
-
-def unchanged(_number: int, data: bytes) -> bytes:
-    return data
-
-
 KEY = b"a key of the bench"
 NODE_ID = 5
 INSTALLED_VERSION = "0.1.0"
+
+
+def unchanged(_number: int, data: bytes) -> bytes:
+    return data
 
 
 class PowerOffError(Exception):
@@ -121,10 +120,7 @@ class Board:
 
 
 def image(
-    version: tuple[int, int, int] = (0, 2, 0),
-    size: int = 3000,
-    product: int = table.PRODUCT,
-    key: bytes = KEY,
+    version: tuple[int, int, int] = (0, 2, 0), size: int = 3000, product: int = table.PRODUCT, key: bytes = KEY
 ) -> bytes:
     """A signed image with one file of ``size`` bytes."""
     content = bytes((k * 37 + version[1]) & 0xFF for k in range(size))

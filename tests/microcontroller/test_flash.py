@@ -17,6 +17,15 @@ from micropython.recording import Recording
 from tipforce_loader.flash import BlockSlots, FileSlots, FlashStore
 
 BLOCK = 64
+GROUPS = {"application": bytes(range(40)), "calibration": b"\xff" * 50, "lss": b"\5"}
+FOLDER, LOADER = Path(str(firmware.__file__)).parent, Path(str(tipforce_loader.__file__)).parent
+HERE = Path(__file__).parent
+# Every converter and every controller; all conversations but the two that need a simulated front end or a stored EDS.
+PAIRS = {
+    ("nau7802", "mcp2515"): (scripts.nmt_and_sdo, scripts.calibration, scripts.measurement, scripts.network),
+    ("ads1220", "machine"): (scripts.pdos, scripts.network, scripts.many_gauges, scripts.filters),
+    ("hx711", "pyb"): (scripts.measurement, scripts.lss),
+}  # fmt: skip
 
 
 class PowerOffError(Exception):
@@ -55,9 +64,6 @@ class CutFiles(FileSlots):
         super().write(slot, data[: self.left])
         if self.left < len(data):
             raise PowerOffError
-
-
-GROUPS = {"application": bytes(range(40)), "calibration": b"\xff" * 50, "lss": b"\5"}
 
 
 def states(store: FlashStore) -> dict[str, bytes | None]:
@@ -174,16 +180,6 @@ def test_flash_that_fails_refuses_and_keeps(tmp_path: Path) -> None:
     assert not FlashStore(BlockSlots(Device(b"\xff" * BLOCK * 4, 1 << 30))).save("lss", bytes(500))
     with pytest.raises(ValueError, match="1 blocks, 2 are needed"):
         BlockSlots(Device(b"\xff" * BLOCK, 0))
-
-
-FOLDER, LOADER = Path(str(firmware.__file__)).parent, Path(str(tipforce_loader.__file__)).parent
-HERE = Path(__file__).parent
-# Every converter and every controller; all conversations but the two that need a simulated front end or a stored EDS.
-PAIRS = {
-    ("nau7802", "mcp2515"): (scripts.nmt_and_sdo, scripts.calibration, scripts.measurement, scripts.network),
-    ("ads1220", "machine"): (scripts.pdos, scripts.network, scripts.many_gauges, scripts.filters),
-    ("hx711", "pyb"): (scripts.measurement, scripts.lss),
-}  # fmt: skip
 
 
 def firmware_files() -> dict[str, bytes]:

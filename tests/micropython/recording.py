@@ -14,6 +14,8 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 
 STEPS_PER_CALL = 50  # garbage is collected between calls only
+SYNC: Frame = (0x80, b"")
+_LSS_MASTER, _LSS_SLAVE = 0x7E5, 0x7E4
 
 
 @dataclass
@@ -102,10 +104,6 @@ def assert_same(
         for k, (step, here, there) in enumerate(zip(recording.steps, recording.answers, answers[:-1], strict=True)):
             assert here == there, f"{recording.name}, step {k} ({step}): CPython {here}, MicroPython {there}"
         assert recording.stored == answers[-1], f"{recording.name}: what was stored differs"
-
-
-SYNC: Frame = (0x80, b"")
-_LSS_MASTER, _LSS_SLAVE = 0x7E5, 0x7E4
 
 
 class Talk(Conversation):

@@ -14,6 +14,14 @@ from micropython.recording import RecordedDevice, Recording, random_recording
 from micropython.single_precision import compare
 from tipforce.dictionary import table_objects
 
+RANDOM_SEEDS, RANDOM_STEPS = range(4), 2500
+# A node is a server; and what devices from an EDS need, a fingertip does without.
+OTHER_DEVICES = {f"canopen_device/core/{name}.py" for name in ("__init__", "sdo_client", "sync_producer", "wide_types")}
+HEAP_BYTES = 180_000  # MicroPython leaves about 200 000 of an ESP32's memory
+NODE_BYTES = 46_000
+# MicroPython's table of names doubles, some 9 kB, while the modules are imported or while the node is built.
+CODE_AND_NODE_BYTES = 164_000
+
 
 def conformance_recordings() -> list[Recording]:
     """Every third case, or each with TIPFORCE_ALL_CASES=1 (``make long``), on a node of ``fingertip.core_node``."""
@@ -24,9 +32,6 @@ def conformance_recordings() -> list[Recording]:
         assert len(link.steps) == len(device.recording.steps)
         recordings.append(device.recording)
     return recordings
-
-
-RANDOM_SEEDS, RANDOM_STEPS = range(4), 2500
 
 
 @pytest.fixture(scope="module")
@@ -128,10 +133,6 @@ def test_the_verdicts_of_both_interpreters_are_equal(n: int) -> None:
     assert len(here) > 100
 
 
-# A node is a server; and what devices from an EDS need, a fingertip does without.
-OTHER_DEVICES = {f"canopen_device/core/{name}.py" for name in ("__init__", "sdo_client", "sync_producer", "wide_types")}
-
-
 def test_the_whole_device_core_is_among_them_and_nothing_of_a_pc() -> None:
     found = {path.relative_to(engine.SOURCE).as_posix() for path in engine.on_node_files()}
     assert (
@@ -143,12 +144,6 @@ def test_the_whole_device_core_is_among_them_and_nothing_of_a_pc() -> None:
     assert found >= {f"tipforce/{name}.py" for name in ("dictionary/table", "sensor/contact/scalar", "fingertip/node")}
     assert not [name for name in found if name.startswith("canopen_device/") and "/core/" not in name]
     assert not found & {"tipforce/sensor/contact/estimate.py", "tipforce/errors.py"}
-
-
-HEAP_BYTES = 180_000  # MicroPython leaves about 200 000 of an ESP32's memory
-NODE_BYTES = 46_000
-# MicroPython's table of names doubles, some 9 kB, while the modules are imported or while the node is built.
-CODE_AND_NODE_BYTES = 164_000
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,13 @@ from canopen_device.running.store import FileStore
 from fingertip.finger import SAVE, Finger, finger, record
 from running import store_child
 
+KILLS = int(os.environ.get("TIPFORCE_KILLS", "50"))
+AT_ONCE = 2
+LONGEST_US = 6000  # a few cycles of commit and store
+CHILD = Path(__file__).with_name("store_child.py")
+
+Parent = subprocess.Popen[str]  # of the children that are killed: store_child.py
+
 
 def node(path: Path) -> Finger:
     """A node on a file store."""
@@ -254,14 +261,6 @@ def test_path_that_cannot_be_a_store_is_refused_with_what_to_do(tmp_path: Path) 
 def test_calibration_group_of_another_number_of_gauges_is_not_taken(tmp_path: Path) -> None:
     stored(tmp_path / "node.json")
     assert finger(4, calibrated=False, store=FileStore(tmp_path / "node.json")).calibration() == (bytes(198), 0, 0)
-
-
-KILLS = int(os.environ.get("TIPFORCE_KILLS", "50"))
-AT_ONCE = 2
-LONGEST_US = 6000  # a few cycles of commit and store
-CHILD = Path(__file__).with_name("store_child.py")
-
-Parent = subprocess.Popen[str]  # of the children that are killed: store_child.py
 
 
 def restarted(path: Path) -> Finger:

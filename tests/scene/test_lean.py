@@ -42,6 +42,7 @@ SMALL = {
     "gauges with status": 'duration_s = 0.05\nsync_hz = 100\n[[nodes]]\nids = [9]\npdos = ["gauges"]\n',
     "health alone": 'duration_s = 1.5\n[[nodes]]\nids = [9]\npdos = ["health"]\nheartbeat_ms = 100\n',
 }
+SCENES = Path(__file__).parents[2] / "scenes"
 
 
 def run_child(path: Path, folder: Path) -> dict[str, Any]:
@@ -123,9 +124,6 @@ def test_full_names_every_part_but_the_bus_and_static_the_fewest() -> None:
     assert every - set(by_name["full"]) == {"bus", "calibration file", "spare gauges"}
     assert all(set(by_name["static"]) <= set(names) for names in by_name.values())
     assert len(by_name["static"]) < min(len(names) for stem, names in by_name.items() if stem != "static")
-
-
-SCENES = Path(__file__).parents[2] / "scenes"
 
 
 @pytest.mark.parametrize("bus", [None, Bus(interface="virtual", channel="test-scene-realtime")])

@@ -31,6 +31,7 @@ P_N = 1.0
 phi_deg = -90
 theta_deg = 80
 """
+NUMBERS = st.floats(-1e3, 1e3, allow_subnormal=False)
 
 
 def read(tmp_path: Path, text: str) -> Scene:
@@ -134,9 +135,6 @@ def test_a_file_that_is_no_toml(tmp_path: Path, content: bytes | None, told: str
     with pytest.raises(InputError) as caught:
         read_scene(tmp_path / "scene.toml")
     assert told in str(caught.value)
-
-
-NUMBERS = st.floats(-1e3, 1e3, allow_subnormal=False)
 
 
 def test_lines_between_knots_and_steps_at_them() -> None:

@@ -6,7 +6,6 @@ import pytest
 
 from canopen_device.eds import read_eds
 from canopen_device.machine import Drive, SimulatedDevice
-from canopen_device.machine import cia402 as drive_module
 from canopen_device.machine.running import shipped_eds
 from canopen_device.testing import Conversation
 from tipforce.errors import InputError
@@ -184,4 +183,3 @@ def test_a_file_that_is_no_drive_is_refused() -> None:
     with pytest.raises(InputError, match=r"no drive \(CiA 402\): without integers at 6040h"):
         SimulatedDevice(read_eds(eds, 5), Drive())
     assert read_eds(shipped_eds("cia402"), 5).warnings == []
-    assert drive_module.Drive is Drive

@@ -14,6 +14,7 @@ from tipforce.sources.replay import ReplaySource
 STUCK, OPEN, SATURATE, SILENT, DRIFT = 1, 2, 3, 4, 5
 NO_DATA, FROZEN, WIRE_BREAK = 0x100, 0x200, 0x400
 NOISE = 0.5  # microstrain: five counts
+CONVERTER, ENDS = (16, 10.0), (-32768, 32767)
 
 
 def noisy(load: tuple[float, float, float] = PUSH) -> Finger:
@@ -210,9 +211,6 @@ def test_node_id_out_of_range(node_id: int) -> None:
 def test_number_of_gauges_out_of_range(n: int) -> None:
     with pytest.raises(ValueError, match="allowed 3 to 8"):
         fingertip_node(5, Bare(), n)
-
-
-CONVERTER, ENDS = (16, 10.0), (-32768, 32767)
 
 
 def replay(times_us: list[int], **options: object) -> ReplaySource:

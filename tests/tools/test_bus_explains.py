@@ -36,6 +36,7 @@ COMMANDS = (
     "view --port 0",
     "doctor --listen 0.3",
 )
+CAN0 = {"ifname": "can0", "link_type": "can", "flags": ["UP"]}
 
 
 @pytest.fixture(autouse=True)
@@ -133,9 +134,6 @@ def test_swapped_serial_numbers(command: str, tmp_path: Path, capsys: pytest.Cap
         capsys.readouterr()
         main(words)
         assert "swapped" not in "".join(capsys.readouterr())
-
-
-CAN0 = {"ifname": "can0", "link_type": "can", "flags": ["UP"]}
 
 
 def link(**data: object) -> Link:

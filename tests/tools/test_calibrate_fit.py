@@ -25,6 +25,12 @@ from tipforce_tools.cli.main import main
 from tipforce_tools.estimate import COLUMNS
 from tools.rig import Printed
 
+LIMIT = ("--saturation", "853.85")
+"""Of the simulated converter, just below the value that it clips to."""
+FloatArray = npt.NDArray[np.float64]
+A = strain_matrix(FABRICATED, "I")
+OFFSET = np.array([20e-6, -30e-6, 5e-6])
+
 
 def measured(sim: Simulated) -> Measurements:
     m = len(sim.strain)
@@ -43,10 +49,6 @@ def data(sim: Simulated, tmp_path: Path) -> Path:
     path = tmp_path / "grooves.csv"
     write_measurements(path, measured(sim))
     return path
-
-
-LIMIT = ("--saturation", "853.85")
-"""Of the simulated converter, just below the value that it clips to."""
 
 
 def fitted(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
@@ -212,11 +214,6 @@ def test_prior_for_few_loads(sim: Simulated, tmp_path: Path, capsys: pytest.Capt
     assert np.abs(C @ sim.true_A - np.eye(3)).max() < 0.3
     assert main(["calibrate", "fit", *map(str, words)]) == 0
     assert "prior: beam theory within 10%" in capsys.readouterr().out
-
-
-FloatArray = npt.NDArray[np.float64]
-A = strain_matrix(FABRICATED, "I")
-OFFSET = np.array([20e-6, -30e-6, 5e-6])
 
 
 @pytest.fixture

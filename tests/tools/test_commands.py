@@ -131,10 +131,7 @@ def test_sdo_dump_of_a_node_that_has_less(tipforce: Tipforce) -> None:
 
 @pytest.mark.parametrize(("name", "what"), [("store:1", "stores parameters"), ("restore:4", "restores defaults")])
 def test_sdo_asks_before_something_persists(
-    printed: Printed,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    what: str,
+    printed: Printed, monkeypatch: pytest.MonkeyPatch, name: str, what: str
 ) -> None:
     """On a bus that counts as real; nobody is there to say yes."""
     monkeypatch.setattr("tipforce_tools.cli.bus_flags.open_connection", lambda _args: pytest.fail("the bus was opened"))

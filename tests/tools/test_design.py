@@ -22,6 +22,7 @@ from tools.rig import Printed
 NEEDS_MATPLOTLIB = pytest.mark.skipif(
     importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`"
 )
+QUICK = ("--starts", "2")
 
 
 def records(capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
@@ -181,9 +182,6 @@ def test_sweep_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
     assert main(["design", "sweep", "r", "--steps", "5", "-o", str(path)]) == 0
     assert path.read_bytes().startswith(b"\x89PNG")
     assert f"wrote {path}" in capsys.readouterr().err
-
-
-QUICK = ("--starts", "2")
 
 
 def optimised(capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:

@@ -36,6 +36,13 @@ GOOD = """\
 (1700000001.000001) vcan0 12345678#AB
 """
 DUMP = [sys.executable, "-m", "tipforce_tools.cli.main", "dump"]
+FD = """\
+(1700000000.000000) vcan0 285##52E1129239A110303
+(1700000000.000100) vcan0 285#2E1129239A110303
+(1700000000.000200) vcan1 12345678##0000102030405060708090A0B
+(1700000000.000300) vcan0 123##1
+"""
+CONTACT = bytes.fromhex("2E1129239A110303")
 
 
 @pytest.fixture
@@ -163,14 +170,6 @@ def test_filters(targets: list[str], shown: int, log: Path, printed: Printed) ->
     assert len(printed(0, ["dump", *targets, str(log)]).out.splitlines()) == shown
 
 
-FD = """\
-(1700000000.000000) vcan0 285##52E1129239A110303
-(1700000000.000100) vcan0 285#2E1129239A110303
-(1700000000.000200) vcan1 12345678##0000102030405060708090A0B
-(1700000000.000300) vcan0 123##1
-"""
-
-
 def test_can_fd_frames_are_shown_counted_and_filtered_but_not_decoded(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -277,9 +276,6 @@ def test_silence_ends_it() -> None:
         os.write(process.stdin.fileno(), GOOD.encode())
         assert process.wait(timeout=60) == 0
         assert time.monotonic() - start >= 0.2
-
-
-CONTACT = bytes.fromhex("2E1129239A110303")
 
 
 def repeated(channel: str, *messages: can.Message) -> AbstractContextManager[None]:

@@ -44,6 +44,11 @@ phi_deg = -90
 theta_deg = 80
 """
 EXPECTS = SCENE + "\n[[expect]]\nfrom_s = 0.1\nto_s = 0.2\nP_error_N = 0.1\n"
+ARGS = Namespace(color="never")
+FloatArray = npt.NDArray[np.float64]
+
+QUANTITIES = ("P_N", "phi_deg", "theta_deg")
+LOADS = len(CASES) * 2 * len(GROOVES_DEG)
 
 
 @pytest.fixture
@@ -163,12 +168,6 @@ def test_no_word_of_a_table_is_cut_in_eighty_columns(words: str, monkeypatch: py
     assert "\u2026" not in told
     if words.startswith("run"):
         assert "noise.one_over_f_microstrain" in re.sub(r"\s+", "", told)
-
-
-FloatArray = npt.NDArray[np.float64]
-
-QUANTITIES = ("P_N", "phi_deg", "theta_deg")
-LOADS = len(CASES) * 2 * len(GROOVES_DEG)
 
 
 def demo(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, list[dict[str, object]], dict[str, object]]:

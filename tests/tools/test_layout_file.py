@@ -30,6 +30,12 @@ PLACES: tuple[Gauge, ...] = (
     "U",
     GaugePosition("V", "left", 16.5e-3),
 )
+CAUSES = [
+    "gauge noise", "quantisation", "gain", "offset", "temperature, common", "temperature, mismatch",
+    "hysteresis", "creep", "calibration noise", "load angle", "gravity", "gauge position", "off-axis load", "total",
+]  # fmt: skip
+A = strain_matrix(FABRICATED, "II")
+CASE_II = Calibration(weighted_inverse(A, np.eye(3)), np.zeros(3), 4e-12 * np.eye(3), layout_code=2, pull=True)
 
 
 @pytest.mark.parametrize("geometry", [FABRICATED, ODD])
@@ -151,14 +157,6 @@ def test_a_layout_file_that_is_wrong(tmp_path: Path, text: str, message: str) ->
 def test_a_layout_that_is_a_directory(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"layout .*Is a directory"):
         read_layout(str(tmp_path))
-
-
-CAUSES = [
-    "gauge noise", "quantisation", "gain", "offset", "temperature, common", "temperature, mismatch",
-    "hysteresis", "creep", "calibration noise", "load angle", "gravity", "gauge position", "off-axis load", "total",
-]  # fmt: skip
-A = strain_matrix(FABRICATED, "II")
-CASE_II = Calibration(weighted_inverse(A, np.eye(3)), np.zeros(3), 4e-12 * np.eye(3), layout_code=2, pull=True)
 
 
 def records(capsys: pytest.CaptureFixture[str], *words: str) -> dict[str, dict[str, Any]]:

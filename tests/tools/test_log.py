@@ -25,6 +25,7 @@ from tools.blocks import MIXED, MIXED_LOG, block_of_text, written
 from tools.rig import message, sending
 
 COUNT = 60
+KINDS = [(can_id & ~ERROR_FLAG, kind & 3 if isinstance(kind, int) else kind) for can_id, kind in MIXED]
 
 
 def counting(channel: str) -> AbstractContextManager[None]:
@@ -207,9 +208,6 @@ def log(tmp_path: Path) -> Path:
 
 def replay(*words: str) -> int:
     return main(["replay", "-i", "virtual", *words])
-
-
-KINDS = [(can_id & ~ERROR_FLAG, kind & 3 if isinstance(kind, int) else kind) for can_id, kind in MIXED]
 
 
 def test_all_frames_to_one_bus(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

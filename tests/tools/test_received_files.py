@@ -43,6 +43,9 @@ NAMES = [
 ]  # fmt: skip
 """Names in files; with the suffix of their kind where they end in x or link."""
 
+Act = Callable[[], object]
+BUS = ["-i", "virtual", "-c", "earlier"]
+
 
 @pytest.fixture
 def received(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
@@ -85,9 +88,6 @@ def run(*words: object) -> Callable[[], None]:
             raise InputError(f"exit {code}")
 
     return act
-
-
-Act = Callable[[], object]
 
 
 def hand(key: str, place: str) -> Callable[[Path, str], Act]:
@@ -357,9 +357,6 @@ def test_marks_of_runs_remove_nothing_but_what_a_run_wrote(
     assert all(path.read_text() == "kept" for path in kept)
     assert main(["dataset", "verify", str(data)]) == 0
     capfd.readouterr()
-
-
-BUS = ["-i", "virtual", "-c", "earlier"]
 
 
 @pytest.fixture

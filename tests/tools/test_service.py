@@ -27,6 +27,7 @@ from tools.rig import Printed, run_node
 SYNC, RESET_NODE = (0x80, b""), (0x000, b"\x81\5")
 FIVE = 'points = ["K_H", "S_H", "U", "L", { beam = "V", side = "left", position_mm = 3.0 }]\n'
 LOAD = (4.4, 90.0, 45.0)
+UNIT = Path(__file__).parents[2] / "tools/systemd/tipforce-node@.service"
 
 
 def contact(device: Device, at_us: int) -> tuple[float, float, float]:
@@ -99,9 +100,6 @@ def test_uncalibrated(devices: list[Device], tmp_path: Path, capsys: pytest.Capt
     line = capsys.readouterr().err.splitlines()[0]
     gauges = "V left 1.00, V left 5.00, V left 9.00"
     assert line.startswith(f"node 5 (0x05): not calibrated: the gauges {gauges} have rank 2 in this geometry")
-
-
-UNIT = Path(__file__).parents[2] / "tools/systemd/tipforce-node@.service"
 
 
 @pytest.fixture

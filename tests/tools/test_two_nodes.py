@@ -51,6 +51,11 @@ SPEAKING = (
     "firmware show 5",
     "nmt reset-node 5 --wait",
 )
+SERVICES = {
+    "SDO": ({0x580, 0x600}, SAID),
+    "heartbeats": ({0x700}, "two nodes send heartbeats as node 5"),
+    "EMCY": ({0x080}, "node 5 reports that another node sends its identifier 0x705 (EMCY 8150h)"),
+}
 
 
 def node(serial: int, folder: Path | None = None) -> Device:
@@ -95,13 +100,6 @@ def test_the_remedy_that_is_named_helps(tmp_path: Path, capsys: pytest.CaptureFi
         found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
         serials = [(one["node_id"], one["serial"], one["duplicate"]) for one in found]
         assert serials == [(5, 1005, ""), (6, 1006, "")]
-
-
-SERVICES = {
-    "SDO": ({0x580, 0x600}, SAID),
-    "heartbeats": ({0x700}, "two nodes send heartbeats as node 5"),
-    "EMCY": ({0x080}, "node 5 reports that another node sends its identifier 0x705 (EMCY 8150h)"),
-}
 
 
 def log_of(service: str, folder: Path) -> Path:

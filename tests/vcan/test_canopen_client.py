@@ -14,6 +14,8 @@ from vcan.support import NODE_ID, REPOSITORY, WAIT_S, RawBus, running_node, wait
 
 EDS = REPOSITORY / "eds" / "tipforce-3.eds"
 COMMIT = 0x74696D63  # "cmit"
+DRIVE_ID = 6
+TARGET_REACHED = 0x400
 
 
 @pytest.fixture(scope="module")
@@ -61,10 +63,6 @@ def test_matrix_elements_are_staged_and_committed(remote: canopen.RemoteNode) ->
     assert remote.sdo[0x2103][3].raw == staged_crc
     assert remote.sdo[0x2103][4].raw == 1
     assert [remote.sdo[0x2100][k].raw for k in range(1, 10)] == pytest.approx(calibration.C.ravel(), rel=1e-7)
-
-
-DRIVE_ID = 6
-TARGET_REACHED = 0x400
 
 
 def until(node: BaseNode402, state: str) -> None:

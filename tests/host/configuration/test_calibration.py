@@ -26,6 +26,14 @@ UNCHECKED = patch.object(Calibration, "check", lambda _self: None)
 REAL32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 U32 = st.integers(0, 0xFFFFFFFF)
 DATE = st.one_of(st.just(0), st.dates().map(lambda d: d.year * 10000 + d.month * 100 + d.day))
+MATRIX = "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]"
+GOOD = f"""[calibration]
+matrix_newtons_per_strain = {MATRIX}
+offset_microstrain = [1, 2.5, -3]
+covariance_microstrain2 = [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.25]]
+load_sense = "pull"
+"""
+HEADER = "SG1,SG2,SG3,P_N,phi_deg,theta_deg"
 
 
 @st.composite
@@ -101,15 +109,6 @@ def test_a_record_of_no_length(length: int) -> None:
 def test_what_a_record_cannot_hold(changes: dict[str, object], text: str) -> None:
     with pytest.raises(InputError, match=text):
         beam_calibration(**changes).record()
-
-
-MATRIX = "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]"
-GOOD = f"""[calibration]
-matrix_newtons_per_strain = {MATRIX}
-offset_microstrain = [1, 2.5, -3]
-covariance_microstrain2 = [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.25]]
-load_sense = "pull"
-"""
 
 
 def read_text(tmp_path: Path, text: str) -> Calibration:
@@ -257,9 +256,6 @@ def test_a_file_of_version_1_is_read_by_its_own_crc(tmp_path: Path) -> None:
 def test_validity_that_a_node_would_refuse(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(InputError, match=text):
         beam_calibration(**changes).check()
-
-
-HEADER = "SG1,SG2,SG3,P_N,phi_deg,theta_deg"
 
 
 def read(tmp_path: Path, text: str | bytes, loads: bool = True) -> Measurements:

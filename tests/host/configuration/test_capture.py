@@ -51,11 +51,7 @@ def test_a_node_that_was_operational_stays_so() -> None:
 
 @pytest.mark.parametrize(
     ("entry", "value"),
-    [
-        (od.TPDO1_COB_ID, NO_PDO),
-        (od.TPDO1_TRANSMISSION_TYPE, 2),
-        (od.TPDO1_MAPPED, 3),
-    ],
+    [(od.TPDO1_COB_ID, NO_PDO), (od.TPDO1_TRANSMISSION_TYPE, 2), (od.TPDO1_MAPPED, 3)],
     ids=lambda x: str(x).partition(" ")[0] if not isinstance(x, int) else "",
 )
 def test_by_sdo_where_tpdo1_does_not_serve(entry: Entry[int], value: int) -> None:

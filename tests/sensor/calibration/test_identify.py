@@ -27,6 +27,8 @@ FloatArray = npt.NDArray[np.float64]
 A = strain_matrix(FABRICATED, "I")
 QUADRANT = [(0, theta) for theta in (5, 15, 30, 45, 60)] + [(90, theta) for theta in (30, 45, 60, 75, 90)]
 TARE = [(0.0, 0, 0)]
+HALF_DEGREE = float(np.radians(0.5))
+STATED = Model(phi_scatter_rad=HALF_DEGREE, theta_scatter_rad=HALF_DEGREE)
 
 
 def fitted(rows: list[tuple[float, int, int]], model: Model | None = None) -> Fit:
@@ -131,10 +133,6 @@ def test_quantiles_are_scipys(dof: float) -> None:
         for count in (1.0, 3.0, 8.0):
             assert f_quantile(probability, count, dof) == pytest.approx(stats.f.ppf(probability, count, dof), rel=1e-8)
     assert t_quantile(0.975, np.inf) == pytest.approx(1.959964, abs=1e-6)
-
-
-HALF_DEGREE = float(np.radians(0.5))
-STATED = Model(phi_scatter_rad=HALF_DEGREE, theta_scatter_rad=HALF_DEGREE)
 
 
 def test_weights_in_one_groove_do_not_average_its_angle_out() -> None:

@@ -42,6 +42,18 @@ from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 SMALL = 4.0 * np.spacing(pi)
 """A few units in the last place of an angle near pi."""
 
+FORCE = st.one_of(
+    st.floats(min_value=-1e300, max_value=1e300),
+    st.floats(min_value=-1.0, max_value=1.0),
+    st.sampled_from([0.0, -0.0, 1.0, -1.0, 5e-324, 1e-300, 1e300, nan, inf, -inf]),
+)
+LIMITS = (0.2, 0.1, 0.0, 180.0)
+ANGLES = UNKNOWN_PHI | UNKNOWN_THETA
+GOOD = CONTACT_PRESENT | CALIBRATED
+LOAD = st.sampled_from([0.0, 0.05, 0.0999999, 0.1, 0.15, 0.1999999, 0.2, 0.5, nan])
+REAL32 = st.floats(-1e6, 1e6, width=32)
+Covariance = tuple[float, float, float, float, float, float]
+
 
 def turn(difference_rad: object) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """The size of an angle difference, whole turns taken out."""
@@ -78,13 +90,6 @@ def test_a_line_of_action_that_misses_is_projected_and_measured(scale: float) ->
         assert miss == pytest.approx(0.5 * scale, rel=1e-15)
         assert abs(phi - atan2(0.6, 0.8)) < SMALL
         assert turn(phi - theta - (pi / 2 if F2 > 0 else -pi / 2)) < SMALL
-
-
-FORCE = st.one_of(
-    st.floats(min_value=-1e300, max_value=1e300),
-    st.floats(min_value=-1.0, max_value=1.0),
-    st.sampled_from([0.0, -0.0, 1.0, -1.0, 5e-324, 1e-300, 1e300, nan, inf, -inf]),
-)
 
 
 @settings(max_examples=400, derandomize=True, deadline=None)
@@ -145,11 +150,6 @@ def test_shape_errors() -> None:
     ):
         with pytest.raises(InputError, match=name):
             force_from_strain(C, strain, offset, tare)
-
-
-LIMITS = (0.2, 0.1, 0.0, 180.0)
-ANGLES = UNKNOWN_PHI | UNKNOWN_THETA
-GOOD = CONTACT_PRESENT | CALIBRATED
 
 
 def bits(
@@ -245,9 +245,6 @@ def test_bits_are_the_positions_of_the_status_byte() -> None:
     assert names == tuple(1 << bit for bit in range(8))
 
 
-LOAD = st.sampled_from([0.0, 0.05, 0.0999999, 0.1, 0.15, 0.1999999, 0.2, 0.5, nan])
-
-
 @settings(max_examples=100, derandomize=True, deadline=None)
 @given(st.lists(st.tuples(LOAD, st.floats(-pi, pi), st.floats(-2.0, 2.0)), max_size=30), st.booleans())
 def test_arrays_repeat_the_scalar_sample_by_sample(loads: list[tuple[float, float, float]], start: bool) -> None:
@@ -275,9 +272,6 @@ def test_errors() -> None:
         with pytest.raises(InputError, match=name):
             check_limits(limits)
     assert scalar.MISS_COVERAGE_FACTOR == 3.0
-
-
-REAL32 = st.floats(-1e6, 1e6, width=32)
 
 
 @settings(derandomize=True, max_examples=300, deadline=None)
@@ -329,9 +323,6 @@ def test_element_not_finite_gives_nan(value: float) -> None:
         flat = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
         flat[k] = value
         assert math.isnan(condition_number([flat[0:3], flat[3:6], flat[6:9]]))
-
-
-Covariance = tuple[float, float, float, float, float, float]
 
 
 @settings(max_examples=400)

@@ -24,6 +24,7 @@ from tipforce.sensor.contact.estimate import (
 
 FloatArray = npt.NDArray[np.float64]
 UPPER = np.triu_indices(3)
+COMPONENT = st.one_of(st.floats(-1e3, 1e3), st.sampled_from([0.0, 0.6, 0.8, 1.0, -1.0, 1e-300, 1e300, nan]))
 
 
 def upper(covariance: FloatArray) -> tuple[float, float, float, float, float, float]:
@@ -166,9 +167,6 @@ def test_overflow_is_infinite_and_zero_noise_is_zero() -> None:
     for F in ((0.6, 0.1, 0.8), (0.0, 1.0, 1.0), (0.6, 2.0, 0.8)):
         assert scalar.uncertainty(*F, (0.0,) * 6, True) == (0.0, 0.0, 0.0)
         assert not standard_uncertainties(F, np.zeros((3, 3)), pull=True).any()
-
-
-COMPONENT = st.one_of(st.floats(-1e3, 1e3), st.sampled_from([0.0, 0.6, 0.8, 1.0, -1.0, 1e-300, 1e300, nan]))
 
 
 @settings(max_examples=300, derandomize=True, deadline=None)

@@ -37,6 +37,10 @@ SENSOR = Sensor(C, A, COVARIANCE, False, True, FABRICATED, POSITIONS)
 LOADS = Loads(np.full(3, 2.0), np.radians([200.0, 262.0, 310.0]), np.radians([50.0, 90.0, 110.0]))
 CAUSES = Causes()
 HUNG = groove_loads()
+EVERY_LOAD = np.meshgrid(np.linspace(0.0, 2.0 * pi, 181), np.linspace(0.0, 2.0 * pi, 181))
+LARGEST = np.abs(force_vector(1.0, EVERY_LOAD[0].ravel(), EVERY_LOAD[1].ravel()) @ A.T).max(
+    axis=0
+)  # gauge, load of 1 N
 
 
 def contact_error(F: FloatArray) -> FloatArray:
@@ -81,12 +85,6 @@ def temperature(rng: np.random.Generator) -> FloatArray:
 
 def mismatch(rng: np.random.Generator) -> FloatArray:
     return (LOADS.F @ A.T + CAUSES.temperature_K * CAUSES.mismatch_strain_per_K * rng.normal(size=3)) @ C.T
-
-
-EVERY_LOAD = np.meshgrid(np.linspace(0.0, 2.0 * pi, 181), np.linspace(0.0, 2.0 * pi, 181))
-LARGEST = np.abs(force_vector(1.0, EVERY_LOAD[0].ravel(), EVERY_LOAD[1].ravel()) @ A.T).max(
-    axis=0
-)  # gauge, load of 1 N
 
 
 def hysteresis(rng: np.random.Generator) -> FloatArray:

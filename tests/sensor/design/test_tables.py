@@ -41,6 +41,8 @@ from tipforce_lab.design.tables import (
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 THETA, PHI = np.meshgrid(np.radians(np.arange(0.0, 180.5, 0.5)), np.radians(np.arange(-179.5, 180.5, 0.5)))
 CONTACTS = force_vector(1.0, PHI, THETA).reshape(-1, 3)
+NOISE = 0.5
+LOADS = LoadSet()
 
 
 @pytest.mark.parametrize("geometry", [FABRICATED, ODD])
@@ -187,10 +189,6 @@ def test_refuses() -> None:
             simulate_groove_errors(FABRICATED, "I", noise, repeats=repeats, seed=1)
     with pytest.raises(InputError, match="layouts of 3 gauges"):
         simulate_groove_errors(FABRICATED, ("L", "R", "U", "T"), 1e-6, repeats=1, seed=1)
-
-
-NOISE = 0.5
-LOADS = LoadSet()
 
 
 @pytest.mark.parametrize("case", ["I", "II", "III"])

@@ -24,6 +24,10 @@ from tipforce_lab.dynamics.switched import exponential, slit_stop
 DAMPING = [0.0, 0.01, 0.3, 0.999999, 1.0, 1.0000001, 1.4, 1.5000001, 2.0, 50.0]
 damping = st.one_of(st.sampled_from(DAMPING), st.floats(0.0, 50.0))
 exponents = st.floats(-9.0, 9.0)
+BODY = modes(FABRICATED)
+STIFF = modes(FABRICATED, beam_density_kg_m3=7850.0)
+F = np.array([1.0, 0.5, -0.3])
+steps = st.floats(-9.0, 0.0).map(lambda e: 10.0**e)
 
 
 def series(x: float, zeta: float) -> Hold:
@@ -109,12 +113,6 @@ def advance(held: Hold, state: tuple[float, float], g0: float, g1: float) -> tup
         held.p11 * z + held.p12 * w + held.b10 * g0 + held.b11 * g1,
         held.p21 * z + held.p22 * w + held.b20 * g0 + held.b21 * g1,
     )
-
-
-BODY = modes(FABRICATED)
-STIFF = modes(FABRICATED, beam_density_kg_m3=7850.0)
-F = np.array([1.0, 0.5, -0.3])
-steps = st.floats(-9.0, 0.0).map(lambda e: 10.0**e)
 
 
 @pytest.mark.parametrize("body", [BODY, STIFF])

@@ -40,6 +40,8 @@ FloatArray = npt.NDArray[np.float64]
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 """All dimensions different, so that no symbol can stand in for another."""
 ROW = {point: index for index, point in enumerate(POINTS)}
+Z_LOADS = off_axis_wrenches(FABRICATED, np.radians(np.arange(0.0, 181.0, 5.0)))
+OFF_CENTRE = off_centre_wrenches(np.radians(np.arange(0.0, 360.0, 5.0)), 1e-3)
 
 
 def thin(h1_m: float) -> Geometry:
@@ -196,10 +198,6 @@ def test_gauge_matrix_mixes_points_and_places() -> None:
         gauge_matrix(FABRICATED, ["U", "L"])
     with pytest.raises(InputError, match="position_m"):
         gauge_matrix(FABRICATED, ["U", "L", GaugePosition("H", "right", float("nan"))])
-
-
-Z_LOADS = off_axis_wrenches(FABRICATED, np.radians(np.arange(0.0, 181.0, 5.0)))
-OFF_CENTRE = off_centre_wrenches(np.radians(np.arange(0.0, 360.0, 5.0)), 1e-3)
 
 
 def at(*points: str, z: float = 0.0, angle: float = 0.0, geometry: Geometry = FABRICATED) -> list[PlacedGauge]:

@@ -25,6 +25,7 @@ LOW_LEGS = Outline(leg_below_m=2e-3, slit_fillet_m=0.1e-3)
 NO_FIXTURE = Outline(fixture_depth_m=0.0)
 ODD = Outline(replace(FABRICATED, a_m=11e-3, d_m=17e-3, r_m=19e-3, h1_m=0.5e-3, h2_m=0.7e-3), fixture_half_width_m=4e-3)
 OUTLINES = [STATED, THIN_LEGS, ROUND, HALF_ROUND, LOW_LEGS, NO_FIXTURE, ODD]
+FloatArray = npt.NDArray[np.float64]
 
 
 def areas_m2(mesh: Triangles) -> np.ndarray:
@@ -147,9 +148,6 @@ def test_bad_outlines(change: dict[str, float], message: str) -> None:
 def test_bad_resolutions(cells: int, grading: float) -> None:
     with pytest.raises(InputError, match="allowed"):
         Resolution(cells, grading)
-
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @cache

@@ -17,6 +17,9 @@ from tipforce_lab.report.studies import decoders, fits, honesty, integrators
 from tipforce_lab.report.study import Counted, Effort, Study, Timing, timed, timed_together
 from tools.report.made import Tiny, at_once
 
+SECONDS = 3.0
+NODE, FAULTS, DECODE, ESTIMATE, BARE = range(len(honesty.METHODS))
+
 
 class Clock:
     """Nanoseconds that only work lets pass."""
@@ -141,10 +144,6 @@ def test_a_refusal_is_left_out_with_its_reason(monkeypatch: pytest.MonkeyPatch) 
     for one in fits.studies(Tiny(), lambda: None):
         assert one.left_out == {f"{fits.FULL}, 6 loads": "refused: too few rows"}
         assert fits.FULL not in [series.method for series in one.series]
-
-
-SECONDS = 3.0
-NODE, FAULTS, DECODE, ESTIMATE, BARE = range(len(honesty.METHODS))
 
 
 @pytest.fixture(scope="module")

@@ -30,6 +30,10 @@ from tools.decode.logs import START_US, decode, log_lines, number, rows_of, writ
 
 EMCY = "(1700000000.100010) vcan0 085#3050100000000000"
 NODES = (1, 5)
+PACKAGE = shipped_folder("ros2") / "tipforce_msgs"
+T_NS = 1_700_000_000_123_456_789
+NAN = float("nan")
+PACKAGES = sorted(path.parent for path in PACKAGE.parent.glob("*/package.xml"))
 
 
 class Topics:
@@ -132,11 +136,6 @@ def test_the_command_publishes_a_log(
 def test_two_fingers_of_one_name_are_refused(log: Path) -> None:
     with pytest.raises(InputError, match="fingers 1 and 5: both are ring_1 in ROS 2; rename one"):
         published(log, Finger(1, "ring 1"), Finger(5, "ring-1"))
-
-
-PACKAGE = shipped_folder("ros2") / "tipforce_msgs"
-T_NS = 1_700_000_000_123_456_789
-NAN = float("nan")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -277,9 +276,6 @@ def test_the_configuration_keeps_that_of_the_user() -> None:
 
 def test_names_are_absolute() -> None:
     assert [dds.namespace(one) for one in ("/", "", "left", "/robot/left/")] == ["", "", "/left", "/robot/left"]
-
-
-PACKAGES = sorted(path.parent for path in PACKAGE.parent.glob("*/package.xml"))
 
 
 def test_the_messages_of_the_package_are_built() -> None:
