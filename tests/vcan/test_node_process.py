@@ -1,4 +1,4 @@
-"""The node as a process: how it ends, what it keeps, a disk that is full, an interface that goes, a new program."""
+"""The node as a process: how it ends, what it keeps, a disk that is full, an interface that goes away."""
 
 import os
 import random
@@ -8,16 +8,12 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import can
 import pytest
 
-from microcontroller import program_board
-from microcontroller.program_board import Board, image
 from tipforce.dictionary import objects as od
 from tipforce.errors import SdoAbortError
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
-from tipforce.host.network.firmware import Firmware, install
 from tipforce_tools.demo.job import case_calibration
 from vcan.adc import in_user_mode_linux
 from vcan.support import (
@@ -267,20 +263,3 @@ def test_priority_and_locked_memory_as_root(tmp_path: Path) -> None:
         assert os.sched_getscheduler(node.pid) == os.SCHED_FIFO
         assert os.sched_getparam(node.pid).sched_priority == 60
         assert int(Path(f"/proc/{node.pid}/status").read_text().split("VmLck:")[1].split()[0]) > 1000, "kilobytes"
-
-
-def test_64_kb_with_progress() -> None:
-    firmware = Firmware.of(image(size=64 * 1024))
-    board, arrived = Board(), list[int]()
-    with (
-        can.Bus(interface="socketcan", channel="vcan0") as end,
-        program_board.running(board, end),
-        Bus(can.Bus(interface="socketcan", channel="vcan0"), timeout_s=10.0) as bus,
-    ):
-        after = install(bus, program_board.NODE_ID, firmware, progress=arrived.append)
-    assert (after.version, after.identification) == ("0.2.0", firmware.header.crc)
-    assert bytes(board.flash.programs[0]) == firmware.content
-    # 127 segments of 7 bytes are one block.
-    assert len(arrived) >= len(firmware.content) / 889
-    assert arrived == sorted(arrived)
-    assert arrived[-1] == len(firmware.content)
