@@ -44,7 +44,6 @@ phi_deg = -90
 theta_deg = 80
 """
 EXPECTS = SCENE + "\n[[expect]]\nfrom_s = 0.1\nto_s = 0.2\nP_error_N = 0.1\n"
-ARGS = Namespace(color="never")
 FloatArray = npt.NDArray[np.float64]
 
 QUANTITIES = ("P_N", "phi_deg", "theta_deg")
