@@ -1,7 +1,5 @@
 """tipforce.open and fingers: on names, on an open bus, on a canopen.Network that others use; samples as they come."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 import math
@@ -50,8 +48,7 @@ def test_each_reading_is_a_new_sample(bus: tipforce.SimulatedBus) -> None:
     """Polling as fast as Python can: each sample once, in order, and never NaN for a repeated one."""
     finger = bus.finger(5)
     found = [finger.read() for _ in range(20)]
-    steps = {(b.counter - a.counter) % 256 for a, b in itertools.pairwise(found)}
-    assert 0 not in steps
+    assert 0 not in {(b.counter - a.counter) % 256 for a, b in itertools.pairwise(found)}
     assert all(contact.ok for contact in found)
     bus.inject_fault(5, "silent")  # a live finger may send between two calls
     with pytest.raises(tipforce.NoNewSampleError):
@@ -61,8 +58,7 @@ def test_each_reading_is_a_new_sample(bus: tipforce.SimulatedBus) -> None:
 
 
 def test_samples_follow_the_load_and_end_with_an_error(bus: tipforce.SimulatedBus) -> None:
-    finger = bus.finger(5)
-    stream = finger.samples(timeout_s=2.0, rate_hz=200.0)
+    stream = bus.finger(5).samples(timeout_s=2.0, rate_hz=200.0)
     assert all(contact.ok for contact in itertools.islice(stream, 10))
     bus.apply_load(5, 1.0, 90.0, 60.0)
     assert any(close_to(contact, (1.0, 90.0, 60.0)) for contact in itertools.islice(stream, 20))

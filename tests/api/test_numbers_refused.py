@@ -1,7 +1,5 @@
 """Arguments that no sensor can have: an error that names them, or NaN; never a warning of numpy, and never a wait."""
 
-from __future__ import annotations
-
 import inspect
 import threading
 from collections.abc import Callable
@@ -101,9 +99,6 @@ def test_no_wait_without_a_limit_and_no_flood_of_syncs() -> None:
         ):
             with pytest.raises(tipforce.InputError):
                 call()
-
-
-# --- arrays of every public name
 
 
 STRAIN4 = np.vstack((sensor.strain_matrix(FABRICATED, "I"), [[1e-4, 0.0, 1e-4]]))

@@ -1,10 +1,11 @@
-"""The front doors: what is public, that it is there, lazy and typed, and that documents use nothing else."""
-
-from __future__ import annotations
+"""The front doors: public names, lazy and typed; hands row by row, logs as arrays, calibrations, estimates."""
 
 import ast
+import asyncio
 import compileall
 import importlib
+import itertools
+import math
 import pkgutil
 import re
 import shutil
@@ -12,7 +13,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
+
+import tipforce
+from tipforce.host import write_calibration
+from tipforce.scene import beam_calibration
+from tipforce.sensor import FABRICATED, calibration_matrix, force_vector, strain_matrix
+from tipforce.shipped_files import shipped_folder
+from tipforce_tools.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 PARTS = ["host", "sensor", "fingertip", "sources", "scene"]
@@ -21,6 +31,7 @@ ROBOTS = ["tipforce_robots.mujoco", "tipforce_robots.learning"]
 PACKAGES = ["tipforce", *(f"tipforce.{part}" for part in PARTS), *DEVICE, *ROBOTS]
 OWN = ("tipforce", "canopen_device")
 TOOLS = ["tipforce_lab", "tipforce_lab.fem"]  # an extra of its own
+DOCUMENTS = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
 
 
 def python(code: str, *flags: str) -> str:
@@ -101,9 +112,6 @@ def is_public(name: str) -> bool:
     return name in PACKAGES or (package in [*PACKAGES, *TOOLS] and last in importlib.import_module(package).__all__)
 
 
-DOCUMENTS = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
-
-
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.stem)
 def test_documents_import_public_names_only(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
@@ -117,5 +125,205 @@ def test_documents_import_public_names_only(path: Path) -> None:
 
 @pytest.mark.parametrize("path", sorted(ROOT.glob("docs/examples/*.py")), ids=lambda path: path.stem)
 def test_examples_import_public_names_only(path: Path) -> None:
-    found = imports(ast.parse(path.read_text(encoding="utf-8")))
-    assert not {name for name in found if not is_public(name)}
+    assert not {name for name in imports(ast.parse(path.read_text(encoding="utf-8"))) if not is_public(name)}
+
+
+NAMES = {"thumb": 1, "index": 2, "middle": 3}
+LOG = """\
+(1700000000.000000) can0 080#
+(1700000000.000120) can0 285#2E1129239A110303
+(1700000000.000240) can0 286#D0072823E8030303
+(1700000000.001000) can0 080#
+(1700000000.001120) can0 285#3011282394110305
+rubbish
+(1700000000.001240) can0 286#0500008000801204
+"""
+
+
+def test_rows_by_the_name_of_a_finger() -> None:
+    with tipforce.simulated_hand(3, {1: (2.0, 90.0, 45.0)}) as bus, tipforce.Hand.open(NAMES, bus=bus) as hand:
+        rows = list(itertools.islice(hand.rows(timeout_s=5.0), 5))
+        # On a loaded machine a finger may have no new sample for a SYNC, and says so in that row.
+        later = itertools.chain(rows, hand.rows(timeout_s=5.0))
+        row = next(row for row in later if all(row[name].reason != "no new sample" for name in NAMES))
+        assert list(row) == list(NAMES)
+        assert row["thumb"] is row[1]
+        assert abs(row["thumb"].P_newtons - 2.0) < 5.0 * row["thumb"].u_P_newtons
+        assert row["index"].reason == "no contact"
+        assert [b.number - a.number for a, b in itertools.pairwise(rows)] == [1] * 4
+        with pytest.raises(KeyError, match="the hand has thumb"):
+            _ = row["ring"]
+        bus.inject_fault(2, "open", gauge=2)
+        assert any("front-end fault" in row["index"].reason for row in itertools.islice(hand.rows(5.0), 200))
+    with pytest.raises(tipforce.EnvironmentLackError):
+        bus.sync()
+
+
+def test_rows_by_async_for() -> None:
+    async def some(hand: tipforce.Hand) -> list[float]:
+        found = []
+        async for row in hand.rows():
+            if not np.isnan(row["thumb"].P_newtons):  # a busy machine may miss a SYNC
+                found.append(row["thumb"].P_newtons)
+            if len(found) == 3:
+                break
+        return found
+
+    with tipforce.simulated_hand(1, {1: (2.0, 90.0, 45.0)}) as bus, tipforce.Hand.open({"thumb": 1}, bus=bus) as hand:
+        assert np.allclose(asyncio.run(some(hand)), 2.0, atol=0.1)
+
+
+def test_a_hand_with_a_finger_that_is_not_there() -> None:
+    with tipforce.simulated_hand(2) as bus:
+        with pytest.raises(tipforce.RefusedError, match=r"middle \(3\): failed at find"):
+            tipforce.Hand.open(NAMES, bus=bus)
+        with tipforce.Hand.open(NAMES, bus=bus, need_all=False) as hand:
+            row = next(iter(hand.rows(5.0)))
+    assert row["middle"].reason == "no response"
+    assert math.isnan(row["middle"].P_newtons)
+
+
+def test_a_log_as_arrays(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    path.write_text(LOG)
+    log = tipforce.read_log(path)
+    assert list(log) == [5, 6]
+    five = log[5]
+    assert five.P_newtons.tolist() == [4.398, 4.4]
+    assert five.theta_deg[0] == 45.06
+    assert five.counter.tolist() == [3, 5]
+    assert np.allclose(five.t_s - 1.7e9, [0.00012, 0.00112], atol=1e-6)
+    assert log.lost == {5: 1, 6: 0}
+    assert log.bad_lines == 1
+    assert log[6].P_newtons.tolist() == [2.0, 0.005]
+    assert np.isnan(log[6].theta_deg[1])
+    assert np.isnan(five.u_P_newtons).all()
+    with pytest.raises(KeyError, match="the log has 5, 6"):
+        _ = log[7]
+    assert np.isfinite(tipforce.read_log(path, calibration=beam_calibration())[5].u_P_newtons).all()
+    with pytest.raises(tipforce.InputError, match="line 6"):
+        tipforce.read_log(path, strict=True)
+
+
+def test_a_log_as_tables_has_what_decode_writes(tmp_path: Path) -> None:
+    """Arrow and pandas: the columns of `tipforce decode -o x.parquet`, and the uncertainties and the status beside."""
+    scene, log, parquet = (tmp_path / name for name in ("hand.toml", "run.log", "run.parquet"))
+    hand = (shipped_folder("scenes") / "hand.toml").read_text().partition("[[expect]]")[0]
+    scene.write_text(hand.replace("duration_s = 20.0", "duration_s = 2.2"))
+    assert main(["run", str(scene), "-o", str(log), "-q"]) == 0
+    assert main(["decode", str(log), "-o", str(parquet), "-q"]) == 0
+    found = tipforce.read_log(str(tmp_path / "r*.log"))
+    written = pq.read_table(parquet).sort_by([("t_s", "ascending"), ("node", "ascending")])
+    table = found.to_arrow()
+    assert set(table.column_names) - set(written.column_names) == {"u_phi_deg", "u_theta_deg", "status"}
+    for name in written.column_names:
+        assert table[name].cast(written[name].type).to_pylist() == written[name].to_pylist(), name
+    frame = found[3].to_pandas()
+    assert len(frame) == len(found[3])
+    assert frame["P_N"].max() == np.nanmax(found[3].P_newtons)
+    assert len(repr(found).splitlines()) <= 6
+    assert len(repr(found[3]).splitlines()) == 5
+    with pytest.raises(tipforce.InputError, match=r"x\*\.log: no file matches"):
+        tipforce.read_log(str(tmp_path / "x*.log"))
+
+
+def test_a_log_of_gauges_is_estimated_by_the_calibration(tmp_path: Path) -> None:
+    C = calibration_matrix(FABRICATED, "I")
+    F = force_vector(2.0, math.radians(90.0), math.radians(45.0))
+    counts = np.round(10.0 * 1e6 * strain_matrix(FABRICATED, "I") @ F).astype(np.int16)
+    path = tmp_path / "gauges.log"
+    path.write_text(
+        f"(1.000000) can0 185#{counts.tobytes().hex().upper()}0001\n(1.100000) can0 185#0080{'00' * 4}8002\n"
+    )
+    calibration = tipforce.Calibration.from_microstrain(C * 1e-6, noise=0.5, pull=True)
+    found = tipforce.read_log(path, calibration={5: calibration})[5]
+    assert abs(found.P_newtons[0] - 2.0) < 0.01
+    assert abs(found.theta_deg[0] - 45.0) < 0.5
+    assert np.isnan(found.P_newtons[1])
+    assert found.microstrain.shape == (2, 3)
+
+
+def test_a_file_without_a_frame_is_no_log(tmp_path: Path) -> None:
+    (tmp_path / "run.log").write_text("these are words\n")
+    with pytest.raises(tipforce.InputError, match=r"run\.log: no frames in it; is it a log\? line 1"):
+        tipforce.read_log(tmp_path / "run.log")
+
+
+def test_a_simulated_hand_names_what_is_wrong() -> None:
+    with pytest.raises(tipforce.InputError, match="different ones from 1 to 127"):
+        tipforce.simulated_hand(0)
+    with pytest.raises(tipforce.InputError, match="different ones from 1 to 127"):
+        tipforce.simulated_hand([1, 1])
+    with pytest.raises(tipforce.InputError, match=r"loads of nodes \[3\]"):
+        tipforce.simulated_hand(2, {3: (1.0, 90.0, 45.0)})
+    with pytest.raises(tipforce.InputError, match=r"load \(1.0, 90.0\) of node 5"):
+        tipforce.simulated_finger(5, (1.0, 90.0))  # type: ignore[arg-type]
+    with pytest.raises(tipforce.InputError, match="layout 'X' is not known"):
+        tipforce.simulated_finger(5, layout="X")
+
+
+def test_one_node_on_two_buses_needs_a_channel(tmp_path: Path) -> None:
+    path = tmp_path / "two.log"
+    path.write_text("(1.000000) can0 285#2E1129239A110303\n(1.000000) can1 285#3011282394110303\n")
+    with pytest.raises(tipforce.InputError, match="node 5 is on several buses; choose a channel: can0, can1"):
+        tipforce.read_log(path)
+    assert tipforce.read_log(path, channel="can1")[5].P_newtons.tolist() == [4.4]
+    with pytest.raises(tipforce.InputError, match="no frame of channel 'can2'"):
+        tipforce.read_log(path, channel="can2")
+
+
+def test_a_calibration_from_a_matrix_goes_through_a_file(tmp_path: Path) -> None:
+    C = calibration_matrix(FABRICATED, "I") * 1e-6
+    made = tipforce.Calibration.from_microstrain(C, [12.0, -3.0, 5.0], np.eye(3) * 0.25, pull=True, serial=1005)
+    made.write(tmp_path / "finger.toml")
+    assert tipforce.Calibration.read(tmp_path / "finger.toml").record() == made.record()
+    assert np.allclose(made.offset_strain, [12e-6, -3e-6, 5e-6])
+    assert made.pull
+    found = tipforce.estimate(made, [112.0, 97.0, 105.0])
+    F = (C @ [100.0, 100.0, 100.0])[:3]
+    assert math.isclose(found.P_newtons[0], math.hypot(F[0], F[2]), rel_tol=1e-9)
+    assert found.u_P_newtons[0] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"matrix": np.zeros((3, 3))}, "rank below 3"),
+        ({"matrix": np.ones((3, 2))}, r"shape \(3, 2\), allowed \(3, 3\) to \(3, 8\)"),
+        ({"matrix": [[1, 2], [3]]}, "no array of numbers"),
+        ({"matrix": "C"}, "no array of numbers"),
+        ({"matrix": np.full((3, 3), np.nan)}, "not finite"),
+        ({"offset": [1.0, 2.0]}, r"offset: shape \(2,\), allowed is \(3,\)"),
+        ({"covariance": -np.eye(3)}, "variance is -1e-12: allowed is above 0"),
+        ({"covariance": np.array([[1, 2, 0], [2, 1, 0], [0, 0, 1.0]])}, "no correlation may be over 1"),
+        ({"covariance": np.array([[1, 0.5, 0], [0, 1, 0], [0, 0, 1.0]])}, "not symmetric"),
+        ({"covariance": np.zeros((3, 3))}, "variance is 0: allowed is above 0"),
+        ({"covariance": None}, "give covariance"),
+        ({"covariance": None, "noise": [1.0, 2.0]}, r"noise: shape \(2,\)"),
+    ],
+)
+def test_what_no_calibration_can_be_is_refused(changes: dict[str, object], text: str) -> None:
+    good: dict[str, object] = {"matrix": calibration_matrix(FABRICATED, "I") * 1e-6, "covariance": np.eye(3)}
+    with pytest.raises(tipforce.InputError, match=text):
+        tipforce.Calibration.from_microstrain(**(good | changes))  # type: ignore[arg-type]
+
+
+def test_a_fit_keeps_its_uncertainty_through_a_file(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    theta = np.radians(np.tile(np.arange(10.0, 175.0, 11.0), 2))
+    phi = np.radians(np.repeat([0.0, 90.0], len(theta) // 2))
+    P = np.where(np.arange(len(theta)) % 5 == 0, 0.0, 3.0)
+    strain = force_vector(P, phi, theta) @ strain_matrix(FABRICATED, "I").T + rng.normal(0, 5e-7, (len(theta), 3))
+    fit = tipforce.fit_calibration(tipforce.Readings(strain, P, phi, theta))
+    calibration = tipforce.Calibration.from_fit(fit, pull=True, serial=7)
+    calibration.write(tmp_path / "fit.toml")
+    with_fit = tipforce.estimate(tipforce.Calibration.read(tmp_path / "fit.toml"), strain[:1] * 1e6)
+    write_calibration(tmp_path / "bare.toml", calibration)
+    bare = tipforce.estimate(tipforce.Calibration.read(tmp_path / "bare.toml"), strain[:1] * 1e6)
+    assert with_fit.u_P_newtons[0] > 1.05 * bare.u_P_newtons[0]
+    assert with_fit.P_newtons[0] == bare.P_newtons[0]
+
+
+def test_an_estimate_names_the_shape_that_it_takes() -> None:
+    with pytest.raises(tipforce.InputError, match=r"allowed are \(k, 3\) and \(3,\)"):
+        tipforce.estimate(beam_calibration(), np.zeros((4, 5)))

@@ -25,12 +25,10 @@ def all_cases() -> list[Case]:
 
 
 def matching(pattern: str) -> list[Case]:
-    """Those of them whose name or clause matches."""
     return case.matching(pattern, all_cases())
 
 
 def run_in_process(case: Case, device: Core | None = None) -> tuple[Result, CoreLink]:
-    """Run a case on a new device, or on this one."""
     return run_on_core(case, core_node() if device is None else device, NODE_ID, fingertip_cases.FINGERTIP)
 
 
@@ -48,5 +46,4 @@ def core_node() -> Device:
 
 @cache
 def core_eds() -> bytes:
-    """Return the content of 1021h."""
     return eds_text(3, simulated=True).encode()[:_EDS_BYTES]

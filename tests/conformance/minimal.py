@@ -17,7 +17,6 @@ class MinimalDevice:
         self._due_us = NEVER_US
 
     def step(self, now_us: int, frames: Sent = ()) -> tuple[Sent, int]:  # type: ignore[assignment]
-        """Frames in; frames out and the next due time."""
         sent: Sent = []
         if self._state == 0:
             self._boot(sent)
@@ -53,8 +52,7 @@ class MinimalDevice:
         if data[0] >> 5 not in (1, 2):
             answer = self._abort(data, 0x05040001)
         elif content is None:
-            known = any(index == key[0] for key in objects)
-            answer = self._abort(data, 0x06090011 if known else 0x06020000)
+            answer = self._abort(data, 0x06090011 if any(index == key[0] for key in objects) else 0x06020000)
         elif data[0] >> 5 == 2:
             answer = bytes((0x43 | 4 - len(content) << 2,)) + data[1:4] + content
         else:

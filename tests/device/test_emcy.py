@@ -16,9 +16,10 @@ from canopen_device.core.emcy import (
 from canopen_device.testing import Conversation
 from device.tiny import serving
 
+BUS_OFF, RESTARTED = (ERROR_FLAG | 0x40, bytes(8)), (ERROR_FLAG | 0x100, bytes(8))
+
 
 def raised(talk: Conversation, code: int, detail: int = 0, bits: int = PROFILE) -> None:
-    """The application reports an error."""
     talk.device.emcy.raise_error(code, bits, detail)
     talk.step()
 
@@ -39,8 +40,7 @@ def test_an_error_is_said_once_and_cured_once() -> None:
 
 
 def test_a_sync_of_wrong_length_is_said_once_and_ends_with_a_right_one() -> None:
-    talk = serving()
-    talk.say("> 080#01\n< 085#4082110000000000\n> 080#01\n+ 1\n> 080#\n< 085#0000004082000000\n> 080#\n+ 1")
+    serving().say("> 080#01\n< 085#4082110000000000\n> 080#01\n+ 1\n> 080#\n< 085#0000004082000000\n> 080#\n+ 1")
 
 
 def test_what_waits_is_bounded() -> None:
@@ -97,11 +97,7 @@ def test_an_error_of_an_rpdo_ends_when_the_rpdo_does() -> None:
     assert talk.get("B", 0x1001) == 0
 
 
-BUS_OFF, RESTARTED = (ERROR_FLAG | 0x40, bytes(8)), (ERROR_FLAG | 0x100, bytes(8))
-
-
 def controller(detail: int) -> tuple[int, bytes]:
-    """A controller error frame."""
     return ERROR_FLAG | 0x4, bytes((0, detail, 0, 0, 0, 0, 0, 0))
 
 

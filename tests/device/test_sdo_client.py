@@ -1,7 +1,5 @@
 """The SDO client byte for byte, against the device core, and against servers that do all they can to hold it."""
 
-from __future__ import annotations
-
 import itertools
 import struct
 import tracemalloc
@@ -19,6 +17,9 @@ PLACE = struct.pack("<HB", INDEX, 0)
 OTHER = struct.pack("<HB", 0x1018, 4)
 Behaviour = Callable[[int, bytes], Iterable[Response]]
 ONE_MS = 1000
+START = b"\x40" + PLACE  # an upload without a size
+BLOCK = b"\xc4" + PLACE  # a block upload without a size, with CRC
+Malice = tuple[Callable[[], Transfer], Behaviour, int, str]
 
 
 def upload(kind: type[Upload] = Upload) -> Upload:
@@ -40,9 +41,6 @@ def talk(transfer: Transfer, script: str) -> None:
             assert not sent, (line, [request.hex(" ") for request in sent])
             sent, _ = transfer.step(0, data.ljust(8, b"\0"))
     assert not sent, [request.hex(" ") for request in sent]
-
-
-# --- conversations by the standard ------------------------------------------------------------------------------
 
 
 def test_expedited_upload() -> None:
@@ -179,9 +177,6 @@ def test_a_cancelled_transfer_aborts_once() -> None:
     assert transfer.step(1, b"\x4f" + PLACE + b"\7\0\0\0") == ([], codes.NEVER_US)
 
 
-# --- malicious servers ------------------------------------------------------------------------------------------
-
-
 def scripted(*answers: Callable[[int], list[bytes]] | bytes) -> Behaviour:
     """Give each request but aborts the next answer; the last one for ever. A function gets the count of requests."""
     count = itertools.count()
@@ -217,11 +212,6 @@ def segments(first: int, toggle: bool = True) -> Callable[[int], list[bytes]]:
 def block(numbers: Iterable[int]) -> Callable[[int], list[bytes]]:
     """A block of segments with these sequence numbers."""
     return lambda _number: [bytes((number,)) + b"1234567" for number in numbers]
-
-
-START = b"\x40" + PLACE  # an upload without a size
-BLOCK = b"\xc4" + PLACE  # a block upload without a size, with CRC
-Malice = tuple[Callable[[], Transfer], Behaviour, int, str]
 
 
 def malice() -> dict[str, Malice]:

@@ -1,15 +1,22 @@
-"""The SDO server and the PDO write rules against models of their own, under sequences that hypothesis makes up."""
+"""The SDO server and the PDO write rules against models of their own, under hypothesis; the frame fuzzer, seeded."""
 
 import struct
 
-from hypothesis import settings
+import pytest
+from bench import fuzz
+from bench.fuzz_frames import Frame, Step
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from canopen_device.core import codes
+from canopen_device.core import codes, storage
+from canopen_device.core.node import Device
 from canopen_device.core.sdo_block import crc16
 from canopen_device.testing import Conversation
-from device.tiny import booted
+from device.tiny import booted, tiny
+from tipforce.fingertip.calibration import Calibration
+from tipforce.fingertip.node import fingertip_node
+from tipforce.sources.simulated import SimulatedSource
 
 FEW = settings(derandomize=True, max_examples=40, stateful_step_count=40, deadline=None)
 TIMEOUT_US = 1_000_000
@@ -20,7 +27,6 @@ contents = st.one_of(st.binary(max_size=10), st.binary(max_size=40), st.binary(m
 
 
 def head(command: int, index: int, rest: int = 0) -> bytes:
-    """Command, index, sub-index 0 and four bytes."""
     return struct.pack("<BHBI", command, index, 0, rest)
 
 
@@ -34,12 +40,10 @@ class SdoModel(RuleBasedStateMachine):
         self.open = False
 
     def ask(self, data: bytes) -> list[bytes]:
-        """The SDO answers to one frame."""
         self.talk.step([(0x605, data)])
         return [data for can_id, data in self.talk.take() if can_id == 0x585]
 
     def read(self, index: int) -> bytes:
-        """An upload in one go."""
         data = self.talk.upload(index)
         assert isinstance(data, bytes)
         return data
@@ -63,8 +67,7 @@ class SdoModel(RuleBasedStateMachine):
 
     @rule(index=objects, data=st.binary(min_size=1, max_size=4))
     def expedited(self, index: int, data: bytes) -> None:
-        request = head(0x23 | (4 - len(data)) << 2, index)[:4] + data.ljust(4, b"\xaa")
-        (answer,) = self.ask(request)
+        (answer,) = self.ask(head(0x23 | (4 - len(data)) << 2, index)[:4] + data.ljust(4, b"\xaa"))
         self.check_written(index, data, answer, head(0x60, index))
 
     @rule(index=objects, data=contents, indicated=st.booleans(), stop=st.integers(0, 200))
@@ -264,3 +267,88 @@ class PdoModel(RuleBasedStateMachine):
 
 SdoModel.TestCase.settings = PdoModel.TestCase.settings = FEW
 TestSdo, TestPdo = SdoModel.TestCase, PdoModel.TestCase
+
+
+Store = dict[str, bytes]
+
+
+def test_random_frames_break_no_invariant() -> None:
+    thrown, _, failure = fuzz.rounds(1, range(1, 21), frames=1500, measure=False)
+    assert not failure
+    assert thrown >= 30_000
+
+
+def test_the_memory_of_a_node_stays_bounded() -> None:
+    assert fuzz.rounds(2, range(1), frames=1500)[2] == ""
+
+
+def test_a_round_is_repeated_by_its_seed() -> None:
+    first: list[Step] = []
+    second: list[Step] = []
+    fuzz.play(3, 1, 500, first)
+    fuzz.play(3, 1, 500, second)
+    assert first == second
+
+
+def test_a_late_due_time_is_noticed_and_reduced_to_one_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that dislikes one NMT command: of a whole round the report keeps the frame that shows it."""
+    original = Device.step
+
+    def step(self: Device, now_us: int, frames: tuple[Frame, ...] = ()) -> tuple[list[Frame], int]:
+        sent, due_us = original(self, now_us, frames)
+        return sent, now_us - 1 if any(can_id == 0 and data[:1] == b"\1" for can_id, data in frames) else due_us
+
+    monkeypatch.setattr(Device, "step", step)
+    _, _, failure = fuzz.rounds(1, range(1), measure=False)
+    assert "due" in failure
+    assert len(failure.splitlines()) == 3
+
+
+def test_an_active_calibration_that_changes_without_a_commit_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def write(self: Calibration, _sub: int, value: object) -> int:
+        assert isinstance(value, bytes)
+        self._stage(value)
+        self._activate(value)
+        return 0
+
+    monkeypatch.setattr(Calibration, "_write_record", write)
+    failures = (fuzz.rounds(1, range(k, k + 1), measure=False)[2] for k in range(4))
+    assert any("changed without a commit" in failure for failure in failures)
+
+
+def test_an_exception_is_reported_with_its_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    def receive(_data: bytes) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("canopen_device.core.sync.SyncConsumer.receive", lambda _self, data: receive(data))
+    assert "ZeroDivisionError" in fuzz.rounds(1, range(1), measure=False)[2]
+
+
+@settings(derandomize=True, max_examples=150, deadline=None)
+@given(st.binary(max_size=60), st.booleans())
+def test_any_stored_bytes_leave_a_working_node(blob: bytes, checked: bool) -> None:
+    content = storage.with_crc(blob) if checked else blob
+    names = ("communication", "application", "calibration", "lss")
+    device = fingertip_node(5, SimulatedSource(fuzz.STRAIN_PER_NEWTON), load=dict.fromkeys(names, content).get)
+    sent, _ = device.step(0)
+    assert sent[0][1] == b"\0" or device.node_id == 255
+    device.step(1000, [(0x000, b"\1\0"), (0x080, b"")])
+
+
+def record(index: int, sub: int, data: bytes) -> bytes:
+    return struct.pack("<HBH", index, sub, len(data)) + data
+
+
+def test_a_stored_string_that_is_no_text_is_passed_over() -> None:
+    device = tiny().device
+    device.od.add(0x6010, 0, ("s", "rw", 0, "name", None, None))
+    storage.unpack_settings(device.od, 0x6000, 0x9FFF, record(0x6010, 0, b"\xff\xfe") + record(0x6000, 0, b"\7\0"))
+    assert (device.od.get(0x6010), device.od.get(0x6000)) == ("name", 7)
+
+
+def test_stored_scaling_points_that_make_no_line_give_way_to_the_defaults() -> None:
+    store: Store = {"application": storage.with_crc(record(0x6122, 2, struct.pack("<f", 0.0)))}
+    device = fingertip_node(5, SimulatedSource(fuzz.STRAIN_PER_NEWTON), load=store.get)
+    device.step(0)
+    assert device.od.get(0x6122, 2) == 10000.0
+    assert device.nmt.state == codes.PRE_OPERATIONAL

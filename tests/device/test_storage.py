@@ -10,6 +10,8 @@ from device.tiny import booted
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 RESET_NODE = "> 000#8105\n< 705#00"
+DEFAULTS = (0, 0xC0000185, 100, 0.5)
+COMMUNICATION = (500, 0x400001AA, 100, 0.5)
 
 
 def changed(store: MemoryStore | None) -> Conversation:
@@ -28,16 +30,7 @@ def changed(store: MemoryStore | None) -> Conversation:
 
 def settings(talk: Conversation) -> tuple[float, ...]:
     """What ``changed`` has changed."""
-    return (
-        talk.get("H", 0x1017),
-        talk.get("I", 0x1800, 1),
-        talk.get("H", 0x6000),
-        talk.get("f", 0x6001),
-    )
-
-
-DEFAULTS = (0, 0xC0000185, 100, 0.5)
-COMMUNICATION = (500, 0x400001AA, 100, 0.5)
+    return (talk.get("H", 0x1017), talk.get("I", 0x1800, 1), talk.get("H", 0x6000), talk.get("f", 0x6001))
 
 
 def test_store_that_refuses_is_said_to_the_client() -> None:

@@ -30,43 +30,35 @@ class Counted(MemoryStore):
         self.operations = 0
 
     def save(self, group: str, data: bytes) -> bool:
-        """Count a write."""
         self.operations += 1
         return super().save(group, data)
 
     def begin(self, _size: int) -> int:
-        """Count an erase."""
         self.operations += 1
         return 0
 
     def write(self, _part: bytes) -> int:
-        """Take everything."""
         return 0
 
     def end(self) -> int:
-        """Refuse every image."""
         return 1
 
     def cancel(self) -> None:
         """Nothing to give up."""
 
     def clear(self) -> int:
-        """Count an erase."""
         return self.begin(0)
 
     def start(self) -> int:
-        """Nothing was downloaded."""
         return 1
 
 
 def fingertip(store: Counted) -> Device:
     """A fingertip with program slots."""
-    source = SimulatedSource([[1e-4] * 3] * 3)
-    return fingertip_node(5, source, 3, 4711, store.save, store.load, programs=store)
+    return fingertip_node(5, SimulatedSource([[1e-4] * 3] * 3), 3, 4711, store.save, store.load, programs=store)
 
 
 def talking(device: Device) -> Conversation:
-    """A device that can be asked, with its EMCYs."""
     talk = Conversation(device, now_us=1_000_000, emcy=True)
     talk.take()
     talk.step([(0x7E5, b"\x04\x01" + bytes(6))])  # LSS configuration
@@ -94,7 +86,6 @@ def request(talk: Conversation, what: int, sub: int) -> int:
 
 
 def emcys(talk: Conversation) -> int:
-    """EMCY FF10h that were sent."""
     return [data[:2] for can_id, data in talk.take() if can_id == 0x85].count(b"\x10\xff")
 
 

@@ -6,6 +6,7 @@ from canopen_device.testing import Conversation, MemoryStore
 
 Value = int | float | str | bytes
 Number = int | float | None
+VENDOR, PRODUCT, REVISION, SERIAL = 0x11, 0x22334455, 0x00010002, 0x80000001
 
 
 class Recorder(Application):
@@ -17,15 +18,12 @@ class Recorder(Application):
         self.calls: list[str] = []
 
     def on_reset(self, now_us: int) -> None:
-        """Note it."""
         self.calls.append(f"reset {now_us}")
 
     def on_sync(self, now_us: int, _number: int) -> None:
-        """Note it."""
         self.calls.append(f"sync {now_us}")
 
     def refresh(self, now_us: int) -> None:
-        """Note it."""
         self.calls.append(f"refresh {now_us}")
 
 
@@ -109,9 +107,6 @@ def operational(store: MemoryStore | None = None, application: Application | Non
     talk = booted(store, application=application)
     talk.say("> 000#0105")
     return talk
-
-
-VENDOR, PRODUCT, REVISION, SERIAL = 0x11, 0x22334455, 0x00010002, 0x80000001
 
 
 def service_dictionary(node_id: int = 5) -> ObjectDictionary:

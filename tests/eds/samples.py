@@ -1,7 +1,5 @@
 """EDS and DCF texts for tests: a header, and objects written shortly."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Hostile device files: each is refused, or read, in work that its limits bound; work is calls and bytes, not time."""
 
-from __future__ import annotations
-
 import sys
 import tracemalloc
 from collections.abc import Callable, Iterator
@@ -214,8 +212,7 @@ def test_the_largest_file_within_the_limits_is_read(tmp_path: Path, monkeypatch:
     """At a tenth of the limit of entries, and at the other limits themselves."""
     monkeypatch.setattr(description, "MOST_ENTRIES", description.MOST_ENTRIES // 10)
     arrays = (description.MOST_ENTRIES - 6) // 255
-    found = described(tmp_path, text(compact(arrays, 5)))
-    assert len(found.entries()) == 255 * arrays + 4
+    assert len(described(tmp_path, text(compact(arrays, 5))).entries()) == 255 * arrays + 4
     plain = described(tmp_path, text(*(var(f"{0x2000 + k:04X}", 7, default="0x1") for k in range(2000))))
     assert len(plain.objects) == 2003
     value = "x" * (sections.LONGEST_TEXT - 1)

@@ -1,7 +1,5 @@
 """Files that leave CiA 306: each loads, says so with its line, and is read as the warning says."""
 
-from __future__ import annotations
-
 import random
 import re
 from collections.abc import Callable
@@ -209,8 +207,7 @@ def test_a_pdo_on_a_remote_request_is_never_sent(tmp_path: Path) -> None:
 
 
 def test_the_suffix_dcf_makes_a_dcf(tmp_path: Path) -> None:
-    content = text(var("2000", 5, "rw", "1", ParameterValue="9"))
-    found = described(tmp_path, content, name="any.dcf")
+    found = described(tmp_path, text(var("2000", 5, "rw", "1", ParameterValue="9")), name="any.dcf")
     assert found.find(0x2000).initial == 9
     assert found.warnings == ["any.dcf: no section [DeviceComissioning], as a DCF has"]
 
@@ -225,8 +222,7 @@ def test_1010h_reads_as_the_file_has_it(tmp_path: Path) -> None:
 
 def test_encodings(tmp_path: Path) -> None:
     content = text(var("2000", 9, "rw", "Grüße °C"))
-    utf8 = described(tmp_path, content)
-    assert utf8.warnings == []
+    assert described(tmp_path, content).warnings == []
     for encoded, said in (
         (content.encode("cp1252"), "read as Windows-1252"),
         (content.encode("utf-16"), "UTF-16"),

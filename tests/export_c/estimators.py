@@ -15,8 +15,6 @@ angle:
   difference of two angles, which may cancel: there the share is one of u(theta) + 2 u(phi).
 """
 
-from __future__ import annotations
-
 import math
 import shutil
 import subprocess
@@ -62,7 +60,6 @@ def build(folder: Path, n: int, real: str, extra: list[str], changed: tuple[str,
 
 
 def found_compiler(name: str) -> bool:
-    """It is on the path."""
     return shutil.which(name) is not None
 
 
@@ -245,7 +242,6 @@ def _u_x(f1: float, f2: float, f3: float, P: float, cov: Any) -> float:
 
 
 def _bounds(F: list[float], e: float, reference: dict[str, float], kind: str) -> dict[str, float]:
-    """The largest difference that each number may have."""
     r, (force_step, angle_step) = ROUNDING[kind], STEP[kind]
     hypotenuse, P = math.hypot(F[0], F[2]), reference["P"]
     found = {"P": 1.5 * e + 4 * r * P + force_step, "phi": math.inf, "theta": math.inf, "share": math.inf}

@@ -49,8 +49,7 @@ def test_agrees_with_python(programs: dict[str, Path]) -> None:
 @needs_gcc
 @pytest.mark.parametrize("n", [4, 8])
 def test_more_gauges(n: int, tmp_path: Path) -> None:
-    program = estimators.build(tmp_path, n, "float", SANITIZE)
-    estimators.compare({"float": program}, n, 1000, seed=n)
+    estimators.compare({"float": estimators.build(tmp_path, n, "float", SANITIZE)}, n, 1000, seed=n)
 
 
 @needs_gcc
@@ -130,8 +129,7 @@ def test_no_number(programs: dict[str, Path], value: float) -> None:
 def test_float_at_the_ends_of_its_range(programs: dict[str, Path]) -> None:
     """Squares of forces would over- or underflow: they are scaled first."""
     for size in (1e-28, 1e-20, 1e20, 1e35):
-        block = one([0, 0, 0], [3e-7 * size, 1e-7 * size, 4e-7 * size])
-        floating, _fixed = both(programs, block)
+        floating, _fixed = both(programs, one([0, 0, 0], [3e-7 * size, 1e-7 * size, 4e-7 * size]))
         assert abs(floating["P"] / (5e-6 * size) - 1.0) < 1e-6
         assert abs(floating["phi"] - math.atan2(3, 4)) < 1e-6
 
@@ -156,8 +154,6 @@ def test_what_the_caller_knows_hides_the_force(programs: dict[str, Path], early:
     assert math.isnan(floating["P"])
     assert fixed["P"] == 0.0
 
-
-# --- the dictionary -------------------------------------------------------------------------------------------------
 
 DUMP = """
 #include <stdio.h>

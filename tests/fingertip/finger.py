@@ -37,7 +37,6 @@ def matrix(n: int = 3) -> list[list[float]]:
 
 
 def forces(load: Load) -> Load:
-    """F1, F2, F3 of a load P, phi, theta (degrees)."""
     P, phi, delta = load[0], math.radians(load[1]), math.radians(load[1] - load[2])
     return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
 
@@ -126,7 +125,6 @@ class Finger(Conversation):
         return self.download(0x2141, 0, data) or self.put("I", 0x2103, 1, expected)
 
     def commit(self, signature: int = COMMIT) -> int:
-        """2104h: 0 or the abort code."""
         return self.put("I", 0x2104, 0, signature)
 
     def calibration(self) -> tuple[bytes | int, int, int]:
@@ -134,7 +132,6 @@ class Finger(Conversation):
         return self.upload(0x2140), int(self.get("I", 0x2103, 3)), int(self.get("I", 0x2103, 4))
 
     def channels(self, n: int = 3) -> list[float]:
-        """6130h of all channels."""
         return [self.get("f", 0x6130, sub) for sub in range(1, n + 7)]
 
 

@@ -1,24 +1,28 @@
-"""Autozero (6125h), autotare (6139h) and the command object (2130h), by SDO and by RPDO."""
+"""Commands of a node: tare, self-test, a calibration staged and committed, simulation objects."""
 
+import binascii
 import math
 
 import pytest
 
 from canopen_device.testing import MemoryStore
-from fingertip.finger import COMMIT, PUSH, SAVE, STALE, TARA, ZERO, Finger, finger, forces, matrix, record
+from fingertip.finger import COMMIT, OPEN, PUSH, SAVE, STALE, TARA, ZERO, Finger, finger, forces, matrix, record
 
 REFUSED = 0x08000022
 TARE, CLEAR, ZERO_GAUGES = 1, 2, 3
 OFFSETS = (12.0, -7.0, 30.0)  # microstrain: 0.34 N of force that is none
+SIGNATURE, LOCKED, CRC, VALUE, TOO_HIGH = 0x08000020, 0x08000022, 0x06040043, 0x06090030, 0x06090031
+FLAT = [[1e4, 0.0, 0.0], [0.0, 1e4, 0.0], [0.0, 0.0, 1e-1]]  # condition number 1e5
+DOUBLED = [[2.0 * value for value in row] for row in matrix()]
+WRITES = (("H", 0x2200, 1, 3), ("B", 0x2200, 2, 2), ("f", 0x2200, 3, 7.0), ("f", 0x2201, 1, 5.0), ("f", 0x2201, 2, 9.0),
+          ("f", 0x2201, 3, -4.0))  # fmt: skip
 
 
 def offsets(talk: Finger) -> list[float]:
-    """6124h of the three gauges."""
     return [talk.get("f", 0x6124, sub) for sub in (1, 2, 3)]
 
 
 def tare(talk: Finger) -> list[float]:
-    """2111h: applied tare and age."""
     return [talk.get("f", 0x2111, sub) for sub in (1, 2, 3)] + [talk.get("I", 0x2111, 4)]
 
 
@@ -102,8 +106,7 @@ def test_zero_of_all_gauges_is_stored_with_the_application_parameters() -> None:
     talk = finger(calibrated=False, offset_microstrain=OFFSETS, store=store)
     talk.sync()
     assert talk.put("H", 0x2130, 0, ZERO_GAUGES) == talk.put("I", 0x1010, 3, SAVE) == 0
-    again = finger(calibrated=False, offset_microstrain=OFFSETS, store=store)
-    assert again.sync().gauges == (0, 0, 0)
+    assert finger(calibrated=False, offset_microstrain=OFFSETS, store=store).sync().gauges == (0, 0, 0)
 
 
 @pytest.mark.parametrize("how", ["autotare", "command"])
@@ -129,16 +132,6 @@ def test_tare_again_within_one_sample_is_the_same_as_once() -> None:
     for _ in range(3):
         assert talk.put("I", 0x6139, 4, TARA) == 0
     assert tare(talk) == first
-    assert talk.sync().contact[0] == 0
-
-
-def test_tare_again_with_another_load() -> None:
-    talk = finger(load=PUSH)
-    talk.sync()
-    assert talk.put("H", 0x2130, 0, TARE) == 0
-    talk.source.load = (2.5, *PUSH[1:])
-    assert talk.sync().contact[0] == pytest.approx(1500, abs=2)
-    assert talk.put("H", 0x2130, 0, TARE) == 0
     assert talk.sync().contact[0] == 0
 
 
@@ -228,3 +221,112 @@ def test_commit_clears_the_tare() -> None:
     talk.stage(record(serial=2))
     assert talk.commit(COMMIT) == 0
     assert tare(talk) == [0.0] * 3 + [0]
+
+
+@pytest.fixture
+def talk() -> Finger:
+    """A calibrated node that is pushed with 1 N."""
+    return finger(load=PUSH)
+
+
+def refuse(talk: Finger, code: int, signature: int = COMMIT) -> None:
+    """A commit must be refused with ``code``, and leave record, CRC, generation and all values as they are."""
+    before = talk.sync()
+    active = talk.calibration()
+    assert talk.commit(signature) == code
+    after = talk.sync()
+    assert talk.calibration() == active
+    assert after[:3] == before[:3]
+    assert after.counter == before.counter + 1
+
+
+@pytest.mark.parametrize(("factor", "code"), [(9e-4, 0x06090032), (1.1e-3, 0), (9e2, 0), (1.1e3, TOO_HIGH)])
+def test_the_size_of_a_matrix_that_a_fingertip_may_have(talk: Finger, factor: float, code: int) -> None:
+    # N per microstrain instead of N per unit strain, and the reverse; 1e4 N per unit strain is that of the node.
+    talk.stage(record(C=[[factor * value for value in row] for row in matrix()]))
+    assert talk.commit() == code
+
+
+def test_coefficients_of_temperature_have_either_sign(talk: Finger) -> None:
+    talk.stage(record(validity=(5.0, 20.0, -20.0, -10.0, 0.01), offset_per_K=-1e-6, gain_per_K=-1e-3))
+    assert talk.commit() == 0
+
+
+def test_order_of_refusals(talk: Finger) -> None:
+    # All faults at once; each that is removed uncovers the next.
+    bad = record(C=[[float("nan"), 0.0, 0.0], [0.0, 1e4, 0.0], [0.0, 0.0, 1e-1]])
+    talk.stage(bad, crc=1)
+    assert talk.put("B", 0x2105, 2, 1) == 0
+    refuse(talk, SIGNATURE, 0)
+    refuse(talk, LOCKED)
+    assert talk.put("I", 0x2105, 3, OPEN) == 0
+    refuse(talk, CRC)
+    assert talk.put("I", 0x2103, 1, binascii.crc32(bad)) == 0
+    refuse(talk, VALUE)
+    talk.stage(record(C=FLAT))
+    refuse(talk, TOO_HIGH)
+    talk.stage(record(C=DOUBLED))
+    assert talk.commit() == 0
+    assert talk.calibration() == (record(C=DOUBLED), binascii.crc32(record(C=DOUBLED)), 2)
+
+
+def test_commit_acts_from_the_next_sample_on(talk: Finger) -> None:
+    assert talk.sync().contact[0] == pytest.approx(1000, abs=2)
+    talk.stage(record(C=DOUBLED))
+    assert talk.sync().contact[0] == pytest.approx(1000, abs=2)
+    assert talk.commit() == 0
+    assert talk.sync().contact[0] == pytest.approx(2000, abs=4)
+
+
+def test_lock_is_not_stored_and_outlasts_a_reset() -> None:
+    store = MemoryStore()
+    talk = finger(store=store)
+    assert talk.put("B", 0x2105, 2, 1) == 0
+    assert talk.put("I", 0x1010, 1, SAVE) == 0
+    talk.say("> 000#8105\n< 705#00")
+    assert talk.get("B", 0x2105, 2) == 1  # until a power cycle
+    assert finger(store=store, calibrated=False).get("B", 0x2105, 2) == 0
+
+
+def test_node_never_calibrated_has_zeros() -> None:
+    talk = finger(calibrated=False)
+    assert talk.calibration() == (bytes(158), 0, 0)
+    assert talk.commit() == CRC  # the expected CRC is still 0, that of 158 zero bytes is not
+    assert not talk.sync().status & 0x02
+
+
+def read(talk: Finger) -> list[float]:
+    return [talk.get(kind, index, sub) for kind, index, sub, _value in WRITES]
+
+
+def reset(talk: Finger, command: int) -> None:
+    talk.step([(0, bytes((command, 5)))])
+    talk.take()
+
+
+@pytest.mark.parametrize("load", [(0.0, 0.0, 0.0), PUSH])
+def test_reset_node_returns_both_to_power_on(load: tuple[float, float, float]) -> None:
+    talk = finger(load=load)
+    before = read(talk)
+    gauges = talk.sync().gauges
+    for write in WRITES:
+        assert talk.put(*write) == 0
+    assert read(talk) == [value for *_entry, value in WRITES]
+    assert talk.sync().gauges[1] == 32767
+    reset(talk, 0x82)
+    assert read(talk) == [value for *_entry, value in WRITES]
+    reset(talk, 0x81)
+    assert read(talk) == before
+    talk.step([(0, b"\x01\x05")])
+    talk.take()
+    assert talk.sync().gauges == gauges
+
+
+def test_what_the_program_set_stays() -> None:
+    talk = finger()
+    assert talk.put("f", 0x2201, 1, 5.0) == talk.put("H", 0x2200, 1, 3) == 0
+    talk.source.load = PUSH
+    talk.source.set_fault(2, 3, 0.0, talk.now_us)
+    reset(talk, 0x81)
+    assert talk.source.load == PUSH
+    assert (talk.source.fault, talk.source.fault_gauge) == (2, 3)

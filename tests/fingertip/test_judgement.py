@@ -79,8 +79,7 @@ def test_four_gauges_detect_and_isolate_nothing() -> None:
     drift(talk, 0, 50.0)
     assert talk.frames()[0x285][6] == CALIBRATED | FAULT
     drift(talk, 2, 50.0)  # gauge 3 alone sees F3: its fault is a force to whoever looks
-    sent = talk.frames()
-    assert sent[0x285][6] & FAULT == 0
+    assert talk.frames()[0x285][6] & FAULT == 0
 
 
 def test_the_limit_allows_for_the_model() -> None:

@@ -1,7 +1,5 @@
 """Real nodes on python-can's in-process bus, run by the product's own loop, and a host whose ears can be made bad."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence

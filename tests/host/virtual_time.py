@@ -1,7 +1,5 @@
 """An asyncio loop whose clock jumps to the next due time, and device cores on a canopen.Network in that loop."""
 
-from __future__ import annotations
-
 import asyncio
 import selectors
 from collections.abc import Coroutine, Sequence

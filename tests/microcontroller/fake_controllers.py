@@ -16,7 +16,6 @@ class FakeBus:
         self.bit_rates: "list[int]" = []
 
     def out(self, can_id: int, data: bytes) -> bool:
-        """Send a frame, if the bus takes one."""
         if not self.room or self.error == 3:
             return False
         self.room -= 1
@@ -24,11 +23,9 @@ class FakeBus:
         return True
 
     def state(self) -> int:
-        """The error state, as ``machine.CAN`` and ``pyb.CAN`` count it."""
         return self.error + 1
 
     def restart(self) -> None:
-        """Leave bus-off."""
         self.restarts += 1
         self.error = 0
 
@@ -45,21 +42,17 @@ class FakeMachineCan(FakeBus):
         self._filters = False
 
     def deinit(self) -> None:
-        """Off."""
         self._filters = False
 
     def init(self, bitrate: int, sample_point: int = 75) -> None:
-        """On."""
         assert 50 < sample_point < 90
         self.bit_rates.append(bitrate)
 
     def set_filters(self, filters) -> None:  # type: ignore[no-untyped-def]
-        """None takes all."""
         assert filters is None
         self._filters = True
 
     def recv(self) -> "list[object] | None":
-        """[id, memoryview, flags, errors]."""
         if not self.coming or not self._filters:
             return None
         can_id, data = self.coming.pop(0)
@@ -69,7 +62,6 @@ class FakeMachineCan(FakeBus):
         return [can_id & 0x1FFFFFFF, memoryview(data), flags, errors]
 
     def send(self, can_id: int, data: bytes, _flags: int = 0) -> "int | None":
-        """A buffer's number, None without room."""
         if self.error == 3:
             raise OSError(5)
         return 0 if self.out(can_id, data) else None
@@ -88,7 +80,6 @@ class FakePybCan(FakeBus):
         self.pending = 0
 
     def init(self, mode: int, baudrate: int = 0, sample_point: int = 75, auto_restart: bool = True) -> None:
-        """On."""
         assert mode == self.NORMAL
         assert not auto_restart
         assert 50 < sample_point < 90
@@ -96,12 +87,10 @@ class FakePybCan(FakeBus):
         self._takes = []
 
     def setfilter(self, bank: int, mode: int, fifo: int, params, rtr=(False, False)) -> None:  # type: ignore[no-untyped-def]
-        """A bank takes data frames or remote frames."""
         assert (bank, mode, fifo, params) == (len(self._takes), self.MASK16, 0, (0, 0, 0, 0))
         self._takes.append(rtr[0])
 
     def any(self, fifo: int) -> bool:
-        """A frame waits."""
         while self.coming and bool(self.coming[0][0] & 0x40000000) not in self._takes:
             self.coming.pop(0)
         return fifo == 0 and bool(self.coming)
@@ -121,7 +110,6 @@ class FakePybCan(FakeBus):
         return into
 
     def send(self, data: bytes, can_id: int, timeout: int = 0) -> None:
-        """OSError without room."""
         assert timeout == 0
         if not self.out(can_id, data):
             raise OSError(116)
@@ -152,12 +140,10 @@ class FakeMcp2515(FakeBus):
         self._in = bytearray()
 
     def write(self, data: bytes) -> None:
-        """Clock bytes in."""
         assert self.cs.level == 0, "SPI without chip select"
         self._in += data
 
     def readinto(self, buffer: bytearray, _write: int = 0) -> None:
-        """Clock bytes out."""
         assert self.cs.level == 0, "SPI without chip select"
         command = self._in[0]
         for k in range(len(buffer)):

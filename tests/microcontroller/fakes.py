@@ -14,11 +14,9 @@ class FakeClock:
         self.now_us = now_us
 
     def ticks(self) -> int:
-        """``time.ticks_us``."""
         return self.now_us % self.PERIOD
 
     def diff(self, end: int, start: int) -> int:
-        """``time.ticks_diff``."""
         half = self.PERIOD // 2
         return (end - start + half) % self.PERIOD - half
 
@@ -31,7 +29,6 @@ class FakePin:
         self._on_set, self._on_get = on_set, on_get
 
     def value(self, level: int = -1) -> int:
-        """Read or set."""
         if level < 0:
             return self._on_get() if self._on_get is not None else self.level
         if level != self.level:
@@ -56,7 +53,6 @@ class FakeNau7802:
         self.reset()
 
     def reset(self) -> None:
-        """All registers as after power-on; the data sheet's defaults."""
         self.registers = bytearray(0x20)
         self.calibrated = 0
         self._up_us = self._begun_us = self._calibration_us = -1
@@ -92,7 +88,6 @@ class FakeNau7802:
         self.registers[0] = self.registers[0] & ~0x20 | (0x20 if ready else 0)
 
     def readfrom_mem_into(self, address: int, register: int, buffer: bytearray) -> None:
-        """Read registers; reading the result takes CR back."""
         self._acknowledge(address)
         self._tick()
         if register == 0x12:
@@ -114,7 +109,6 @@ class FakeNau7802:
             self.registers[0x12 + k] = value >> 16 - 8 * k & 0xFF
 
     def writeto_mem(self, address: int, register: int, data: bytes) -> None:
-        """Write registers."""
         self._acknowledge(address)
         self._tick()
         assert len(data) == 1
@@ -172,12 +166,10 @@ class FakeAds1220:
         self._command = bytearray()
 
     def write(self, data: bytes) -> None:
-        """Clock bytes in."""
         assert self.cs.level == 0, "SPI without chip select"
         self._command += data
 
     def readinto(self, buffer: bytearray, _write: int = 0) -> None:
-        """Clock bytes out: registers after RREG, else the result."""
         assert self.cs.level == 0, "SPI without chip select"
         if self.dead:
             for k in range(len(buffer)):
@@ -282,10 +274,8 @@ class MemorySlots:
         self.writes = 0
 
     def read(self, slot: int) -> bytes:
-        """What is there."""
         return self.slots[slot]
 
     def write(self, slot: int, data: bytes) -> None:
-        """Replace it."""
         self.writes += 1
         self.slots[slot] = bytes(data)

@@ -1,7 +1,5 @@
 """A board with two program slots whose flash loses power after a number of bytes, and its node."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools
@@ -27,14 +25,13 @@ from tipforce_loader.programs import Programs
 Fault = Callable[[int, bytes], bytes]
 """(number of the frame, its data) -> the data that arrives."""
 
-
-def unchanged(_number: int, data: bytes) -> bytes:
-    return data
-
-
 KEY = b"a key of the bench"
 NODE_ID = 5
 INSTALLED_VERSION = "0.1.0"
+
+
+def unchanged(_number: int, data: bytes) -> bytes:
+    return data
 
 
 class PowerOffError(Exception):
@@ -99,8 +96,7 @@ class Board:
         self.power_on()
 
     def power_on(self) -> None:
-        store = FlashStore(self.flash)
-        self.programs = Programs(self.flash, store, KEY, table.PRODUCT, INSTALLED_VERSION)
+        self.programs = Programs(self.flash, FlashStore(self.flash), KEY, table.PRODUCT, INSTALLED_VERSION)
         self.slot = self.programs.choose()
         self.device: Device = fingertip_node(NODE_ID, SimulatedSource([[0.0] * 3] * 3), programs=self.programs)
         self.device.step(self.now_us)
@@ -124,10 +120,7 @@ class Board:
 
 
 def image(
-    version: tuple[int, int, int] = (0, 2, 0),
-    size: int = 3000,
-    product: int = table.PRODUCT,
-    key: bytes = KEY,
+    version: tuple[int, int, int] = (0, 2, 0), size: int = 3000, product: int = table.PRODUCT, key: bytes = KEY
 ) -> bytes:
     """A signed image with one file of ``size`` bytes."""
     content = bytes((k * 37 + version[1]) & 0xFF for k in range(size))

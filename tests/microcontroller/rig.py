@@ -113,10 +113,8 @@ class Replay:
         self.rig = Rig(json.loads(self._file.readline()))
 
     def go(self, count: int) -> None:
-        """Print the answers to the next ``count`` steps."""
         for _ in range(count):
             print(self.rig.step(self._file.readline()))
 
     def end(self) -> None:
-        """Print what is in flash."""
         print(self.rig.stored())

@@ -14,8 +14,7 @@ import pytest
 from canopen_device.testing import Conversation, Frame, parse
 from microcontroller import rig
 from micropython import recording, scripts
-from micropython.recording import Recording
-from micropython.talk import SYNC, Talk
+from micropython.recording import SYNC, Recording, Talk
 from tipforce.dictionary import table
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
@@ -44,17 +43,14 @@ class _Tap(Source):
         return self._found[-1]
 
     def read(self, _now_us: int) -> Reading | None:
-        """What was read, in the same order."""
         return self._found.pop(0)
 
     def due_us(self, now_us: int) -> int:
-        """As the gauges say."""
         due_us: int = self._gauges.due_us(now_us)
         return due_us
 
     @property
     def period_us(self) -> int:
-        """As the gauges have it."""
         period_us: int = self._gauges.period_us
         return period_us
 
@@ -89,11 +85,9 @@ class RecordedFirmware:
 
     @property
     def node_id(self) -> int:
-        """The node-id that it has now."""
         return self.rig.firmware.device.node_id
 
     def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
-        """One turn of the firmware's loop."""
         now_us += rig.WARM_UP_US
         words = [str(now_us), *self.pending]
         self.pending = []
@@ -123,7 +117,6 @@ class RecordedFirmware:
         assert {name: self.rig.store.load(name) for name in self._groups} == self._groups
 
     def stored(self) -> dict[str, str]:
-        """What is in flash, for a next life of this node."""
         return {name: content.hex() for name, content in self._groups.items()}
 
 

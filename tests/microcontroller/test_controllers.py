@@ -96,8 +96,7 @@ def test_an_overrun_is_told_once() -> None:
         port, bus = rig.controller(kind)
         bus.overrun = True
         bus.coming.append((1, b""))
-        found = port.receive() + port.receive()
-        assert sorted(found) == [(1, b""), (ERROR | 4, b"\0\1" + bytes(6))], kind
+        assert sorted(port.receive() + port.receive()) == [(1, b""), (ERROR | 4, b"\0\1" + bytes(6))], kind
         assert port.receive() == []
 
 
@@ -122,17 +121,13 @@ def test_no_mcp2515() -> None:
         Mcp2515(bus, bus.cs, 500000)
 
 
-# --- the loop -------------------------------------------------------------------------------------------------------
-
-
 def firmware_on(clock: fakes.FakeClock, slots: fakes.MemorySlots) -> tuple[Firmware, fake_controllers.FakeMachineCan]:
     bus = fake_controllers.FakeMachineCan()
     port = MachineCan(bus, 125000)
     fake = fakes.FakeAds1220(clock, [5])
     chips = [rig.chip("ads1220", clock, [k])[0] for k in range(3)]
     assert fake.registers[0] == 0
-    node = Firmware(5, Gauges(chips, 1000.0), port, FlashStore(slots), 7, Clock(clock.ticks, clock.diff))
-    return node, bus
+    return Firmware(5, Gauges(chips, 1000.0), port, FlashStore(slots), 7, Clock(clock.ticks, clock.diff)), bus
 
 
 def test_the_clock_goes_on_where_ticks_wrap() -> None:

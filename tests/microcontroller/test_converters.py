@@ -39,7 +39,6 @@ Builder = Callable[[FakeClock, list[int]], tuple[Any, Any]]
 
 
 def run(driver: Any, clock: FakeClock, microseconds: int) -> list[tuple[int, ...]]:
-    """Poll for so long; the readings."""
     found = []
     for _ in range(microseconds // STEP_US):
         clock.now_us += STEP_US
@@ -77,8 +76,7 @@ def test_two_channels_of_one_chip(build: Builder) -> None:
 def test_nau7802_is_set_up_as_asked() -> None:
     clock = FakeClock()
     fake = FakeNau7802(clock, [0, 0])
-    driver = Nau7802(fake, channels=2, gain=64, rate=80, ldo_millivolts=3300)
-    run(driver, clock, START_US)
+    run(Nau7802(fake, channels=2, gain=64, rate=80, ldo_millivolts=3300), clock, START_US)
     assert fake.calibrated == 3  # the offset of both channels
     assert fake.registers[1] == 4 << 3 | 6  # VLDO 3.3 V, gain 64
     assert fake.registers[2] & 0x77 == 3 << 4  # 80 conversions a second, no calibration under way
@@ -94,8 +92,7 @@ def test_nau7802_calibration_that_fails_is_done_again() -> None:
     clock = FakeClock()
     fake = FakeNau7802(clock, [123])
     fake.fail_calibrations = 2
-    driver = Nau7802(fake)
-    assert set(run(driver, clock, 2 * START_US)) == {(123,)}
+    assert set(run(Nau7802(fake), clock, 2 * START_US)) == {(123,)}
 
 
 @pytest.mark.parametrize("rate", [20, 45, 330, 1000, 2000, 350])
@@ -211,9 +208,6 @@ def test_no_setting_that_a_chip_has_not() -> None:
             build()
 
 
-# --- in the node ----------------------------------------------------------------------------------------------------
-
-
 class Node:
     """A node with two chips: three gauges, the first chip with two of them."""
 
@@ -229,7 +223,6 @@ class Node:
         self.device.step(0, [(0, b"\1\0")])
 
     def run(self, microseconds: int) -> None:
-        """A SYNC every ten milliseconds."""
         for _ in range(microseconds // STEP_US):
             self.clock.now_us += STEP_US
             self.gauges.poll(self.clock.now_us)
@@ -239,7 +232,6 @@ class Node:
             self.frames = [data.hex() for can_id, data in sent if can_id == 0x185] or self.frames
 
     def faults(self) -> int:
-        """2124h."""
         found = self.device.upload(0x2124, 0)
         assert isinstance(found, bytes)
         return int.from_bytes(found, "little")

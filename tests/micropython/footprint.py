@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from micropython import engine
-from micropython.recording import STEPS_PER_CALL
-from micropython.talk import Talk
+from micropython.recording import STEPS_PER_CALL, Talk
 from tipforce.dictionary import table_objects
 
 ROUNDS = 1000

@@ -22,22 +22,17 @@ if TYPE_CHECKING:
 
 
 class Store:
-    """Parameter groups in a dict."""
-
     def __init__(self, groups: "dict[str, str]") -> None:
         self.groups = {name: binascii.unhexlify(content) for name, content in groups.items()}
 
     def save(self, group: str, data: bytes) -> bool:
-        """Keep a group."""
         self.groups[group] = bytes(data)
         return True
 
     def load(self, group: str) -> "bytes | None":
-        """What was kept."""
         return self.groups.get(group)
 
     def shown(self) -> str:
-        """All groups in one line."""
         return " ".join([name + "=" + binascii.hexlify(self.groups[name]).decode() for name in sorted(self.groups)])
 
 
@@ -81,7 +76,6 @@ class Replay:
         self.device = build(header, self._store)
 
     def go(self, count: int) -> None:
-        """Print the answers to the next ``count`` steps."""
         for _ in range(count):
             words = self._file.readline().split()
             frames = []
@@ -91,7 +85,6 @@ class Replay:
             print(answer(self.device, int(words[0]), frames))
 
     def end(self) -> None:
-        """Print what was stored."""
         print(self._store.shown())
 
 

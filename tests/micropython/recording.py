@@ -1,17 +1,21 @@
-"""Conversations recorded on CPython, to be held again on MicroPython."""
+"""Conversations recorded on CPython, scripted or random, to be held again on MicroPython."""
 
 import json
+import random
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from canopen_device.testing import Frame, parse
+from canopen_device.testing import Conversation, Frame, parse
 from micropython import engine, on_node
+from tipforce.dictionary import table
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 
 STEPS_PER_CALL = 50  # garbage is collected between calls only
+SYNC: Frame = (0x80, b"")
+_LSS_MASTER, _LSS_SLAVE = 0x7E5, 0x7E4
 
 
 @dataclass
@@ -29,9 +33,7 @@ class Recording:
         return "\n".join([json.dumps(self.header), *self.steps, ""])
 
     def frames(self) -> tuple[int, int]:
-        """How many frames went in and how many came out."""
-        received = sum(len(step.split()) - 1 for step in self.steps)
-        return received, sum(answer.count("#") for answer in self.answers)
+        return sum(len(step.split()) - 1 for step in self.steps), sum(answer.count("#") for answer in self.answers)
 
 
 class RecordedDevice:
@@ -62,11 +64,9 @@ class RecordedDevice:
 
     @property
     def node_id(self) -> int:
-        """The node-id that it has now."""
         return self.device.node_id
 
     def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
-        """One step of the node, noted with its answer."""
         frames = [(can_id, bytes(data)) for can_id, data in frames]
         words = [str(now_us), *(f"{can_id:X}#{data.hex()}" for can_id, data in frames)]
         self.recording.steps.append(" ".join(words))
@@ -77,7 +77,6 @@ class RecordedDevice:
         return [parse(word) for word in words[1:] if "#" in word], int(words[0])
 
     def stored(self) -> dict[str, str]:
-        """What the store holds, for a next life of this node."""
         return {name: content.hex() for name, content in self._store.groups.items()}
 
 
@@ -105,3 +104,134 @@ def assert_same(
         for k, (step, here, there) in enumerate(zip(recording.steps, recording.answers, answers[:-1], strict=True)):
             assert here == there, f"{recording.name}, step {k} ({step}): CPython {here}, MicroPython {there}"
         assert recording.stored == answers[-1], f"{recording.name}: what was stored differs"
+
+
+class Talk(Conversation):
+    """A conversation with a recorded node, EMCY shown. What the node says is noted, and compared on MicroPython."""
+
+    def __init__(self, name: str, now_us: int = 0, **built: Any) -> None:
+        self.recorded = RecordedDevice(name, **built)
+        super().__init__(self.recorded, now_us, emcy=True)
+
+    @property
+    def recording(self) -> Recording:
+        """What was said so far."""
+        return self.recorded.recording
+
+    def start(self) -> None:
+        self.send("000#0100")
+
+    def load(self, P_newtons: float, phi_deg: float, theta_deg: float) -> None:
+        for sub, value in enumerate((P_newtons, phi_deg, theta_deg), 1):
+            assert self.put("f", 0x2201, sub, value) == 0
+
+    def sync(self, count: int = 1, period_us: int = 1000) -> list[Frame]:
+        """SYNCs a period apart; what the last one brought."""
+        sent: list[Frame] = []
+        for _ in range(count):
+            self.advance(period_us)
+            sent = self.step([SYNC])
+        return sent
+
+    def calibrate(self, layout: str | Sequence[str] = "I") -> None:
+        """Stage the calibration of an ideal sensor by SDO, entry by entry, and commit it."""
+        C = calibration_matrix(FABRICATED, layout)
+        n = C.shape[1]
+        for sub, value in enumerate(C.flat, 1):
+            assert self.put("f", 0x2100, sub, float(value)) == 0
+        for k in range(n):  # the diagonal of the upper triangle, by rows
+            assert self.put("f", 0x2106, 1 + k * n - k * (k - 1) // 2, 1e-12) == 0
+        for kind, sub, fact in (("I", 1, 77), ("I", 2, 20250131), ("f", 3, 23.0), ("B", 4, 1)):
+            assert self.put(kind, 0x2102, sub, fact) == 0
+        for sub, setting in enumerate((0.01, -80.0, 80.0, 0.05, 0.03), 1):
+            assert self.put("f", 0x2110, sub, setting) == 0
+        assert self.put("I", 0x2103, 1, self.get("I", 0x2103, 2)) == 0
+        assert self.put("I", 0x2104, 0, table.SIGNATURE_COMMIT) == 0
+
+    def remap(
+        self,
+        number: int,
+        cob_id: int,
+        mapping: tuple[tuple[int, int, int], ...],
+        transmission: int = 1,
+        inhibit: int = 0,
+        event_ms: int = 0,
+    ) -> None:
+        """Give TPDO ``number``, from 0, another mapping, by the procedure of CiA 301, 7.5.2.36."""
+        communication, mapped = 0x1800 + number, 0x1A00 + number
+        writes = [("I", communication, 1, 0xC0000000 | cob_id), ("B", mapped, 0, 0)]
+        writes += [("I", mapped, k, index << 16 | sub << 8 | bits) for k, (index, sub, bits) in enumerate(mapping, 1)]
+        writes += [("B", mapped, 0, len(mapping)), ("B", communication, 2, transmission)]
+        writes += [("H", communication, 3, inhibit), ("H", communication, 5, event_ms), ("I", communication, 1, cob_id)]
+        for kind, index, sub, value in writes:
+            assert self.put(kind, index, sub, value) == 0, f"{index:04X}h:{sub}"
+
+    def fastscan(self, identity: tuple[int, ...]) -> None:
+        """LSS fastscan (CiA 305, 6.6.4) with a master that knows nothing: bit by bit to ``identity``."""
+        assert self._scanned(0, 0x80, 0, 0)
+        found = []
+        for part in range(4):
+            number = 0
+            for bit in range(31, -1, -1):
+                if not self._scanned(number, bit, part, part):
+                    number |= 1 << bit
+            assert self._scanned(number, 0, part, (part + 1) % 4)
+            found.append(number)
+        assert tuple(found) == identity
+
+    def _scanned(self, number: int, bit: int, part: int, following: int) -> bool:
+        request = b"\x51" + number.to_bytes(4, "little") + bytes((bit, part, following))
+        return any(can_id == _LSS_SLAVE for can_id, _ in self.step([(_LSS_MASTER, request)]))
+
+
+NODE_ID = 5
+_OBJECTS = (
+    0x1000, 0x1001, 0x1003, 0x1005, 0x1007, 0x1008, 0x100C, 0x100D, 0x1010, 0x1011, 0x1012, 0x1013, 0x1014, 0x1015,
+    0x1016, 0x1017, 0x1018, 0x1019, 0x1029, 0x1400, 0x1600, 0x1800, 0x1801, 0x1802, 0x1803, 0x1A00, 0x1A01, 0x1A02,
+    0x1A03, 0x1F80, 0x2100, 0x2101, 0x2102, 0x2103, 0x2104, 0x2105, 0x2106, 0x2107, 0x2110, 0x2111, 0x2120, 0x2121,
+    0x2130, 0x2140, 0x2141, 0x2200, 0x2201, 0x6100, 0x6112, 0x6114, 0x6120, 0x6121, 0x6124, 0x6125, 0x6130, 0x6133,
+    0x6134, 0x6139, 0x6150, 0x61A0, 0x7120, 0x7124, 0x7130, 0x7133, 0x9122, 0x9130, 0x9135,
+)  # fmt: skip
+_SDO_COMMANDS = (
+    0x40, 0x40, 0x60, 0x70, 0x23, 0x2B, 0x2F, 0x21, 0x22, 0x00, 0x10, 0x0D, 0xC2, 0xC6, 0xA0, 0xA4, 0xA3, 0xA2,
+)  # fmt: skip
+_IDENTIFIERS = (
+    0x000, 0x080, 0x100, 0x205, 0x285, 0x585, 0x705, 0x70A, 0x7E5, 0x40000705, 0x20000004, 0x20000040, 0x20000100,
+)  # fmt: skip
+_NUMBERS = (
+    0, 1, 4, 5, 255, 0x65766173, 0x64616F6C, 0x74696D63, 0x6F72657A, 0x61726174, 0x6E65706F, 0x3F800000, 0x7FC00000,
+)  # fmt: skip
+
+
+def random_recording(seed: int, steps: int) -> Recording:
+    """``steps`` steps with one to three frames each; time goes on by up to 0.2 s between them."""
+    chance = random.Random(seed)
+    talk = Talk(f"random frames, seed {seed}")
+    if chance.random() < 0.7:
+        talk.calibrate()
+    talk.start()
+    for _ in range(steps):
+        talk.now_us += chance.choice((0, 100, 500, 500, 1000, 20_000, 200_000))
+        talk.step([_frame(chance) for _ in range(chance.choice((1, 1, 1, 2, 3)))])
+    return talk.recording
+
+
+def _frame(chance: random.Random) -> tuple[int, bytes]:
+    kind = chance.random()
+    if kind < 0.25:
+        return 0x80, b""
+    if kind < 0.75:
+        return 0x600 + NODE_ID, _sdo(chance)
+    if kind < 0.8:
+        # Mostly start: a node that is stopped or pre-operational for long says little.
+        return 0x000, bytes((chance.choice((1, 1, 1, 1, 2, 128, 129, 130)), chance.choice((0, NODE_ID))))
+    return chance.choice(_IDENTIFIERS), chance.randbytes(chance.randrange(9))
+
+
+def _sdo(chance: random.Random) -> bytes:
+    if chance.random() < 0.1:
+        return chance.randbytes(8)
+    value = chance.choice(_NUMBERS) if chance.random() < 0.5 else chance.getrandbits(chance.choice((8, 16, 32)))
+    return struct.pack(
+        "<BHBI", chance.choice(_SDO_COMMANDS), chance.choice(_OBJECTS), chance.choice((0, 1, 1, 2, 3, 4, 9)), value
+    )

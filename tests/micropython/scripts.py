@@ -6,8 +6,7 @@ from collections.abc import Callable
 from canopen_device.core import codes
 from canopen_device.core.sdo_client import BlockDownload, BlockUpload
 from canopen_device.testing import losing
-from micropython.recording import Recording
-from micropython.talk import Talk
+from micropython.recording import Recording, Talk
 from tipforce.dictionary import table
 from tipforce.dictionary.eds import eds_text
 

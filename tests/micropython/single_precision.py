@@ -15,7 +15,7 @@ import numpy as np
 
 from canopen_device.core.node import Device
 from micropython.footprint import ready_node
-from micropython.talk import Talk
+from micropython.recording import Talk
 from tipforce.dictionary import table
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.calibration import Active

@@ -1,15 +1,37 @@
-"""The same conversations on CPython and on MicroPython: every frame, due time, request and stored byte the same."""
+"""Conversations of CPython held again on MicroPython, which judges alike; its memory, its loop, single precision."""
 
+import json
 import os
+import random
+from pathlib import Path
 
 import pytest
 
 from conformance.fingertip import NODE_ID, SERIAL, all_cases, core_eds, run_in_process
-from micropython import engine, recording, scripts
-from micropython.random_frames import random_recording
-from micropython.recording import RecordedDevice, Recording
+from host.decoding.test_judged import recorded
+from micropython import engine, footprint, recording, scripts
+from micropython.recording import RecordedDevice, Recording, random_recording
+from micropython.single_precision import compare
+from tipforce.dictionary import table_objects
 
 RANDOM_SEEDS, RANDOM_STEPS = range(4), 2500
+# A node is a server; and what devices from an EDS need, a fingertip does without.
+OTHER_DEVICES = {f"canopen_device/core/{name}.py" for name in ("__init__", "sdo_client", "sync_producer", "wide_types")}
+HEAP_BYTES = 180_000  # MicroPython leaves about 200 000 of an ESP32's memory
+NODE_BYTES = 46_000
+# MicroPython's table of names doubles, some 9 kB, while the modules are imported or while the node is built.
+CODE_AND_NODE_BYTES = 164_000
+
+
+def conformance_recordings() -> list[Recording]:
+    """Every third case, or each with TIPFORCE_ALL_CASES=1 (``make long``), on a node of ``fingertip.core_node``."""
+    recordings = []
+    for case in all_cases()[:: 1 if os.environ.get("TIPFORCE_ALL_CASES") else 3]:
+        device = RecordedDevice(case.name, NODE_ID, eds=core_eds().decode(), serial=SERIAL)
+        _result, link = run_in_process(case, device)
+        assert len(link.steps) == len(device.recording.steps)
+        recordings.append(device.recording)
+    return recordings
 
 
 @pytest.fixture(scope="module")
@@ -25,17 +47,6 @@ def test_random_frames() -> None:
     recordings = [random_recording(seed, RANDOM_STEPS) for seed in RANDOM_SEEDS]
     assert sum(sum(one.frames()) for one in recordings) > 20_000
     recording.assert_same(recordings, engine.sources())
-
-
-def conformance_recordings() -> list[Recording]:
-    """Every third case, or each with TIPFORCE_ALL_CASES=1 (``make long``), on a node of ``fingertip.core_node``."""
-    recordings = []
-    for case in all_cases()[:: 1 if os.environ.get("TIPFORCE_ALL_CASES") else 3]:
-        device = RecordedDevice(case.name, NODE_ID, eds=core_eds().decode(), serial=SERIAL)
-        _result, link = run_in_process(case, device)
-        assert len(link.steps) == len(device.recording.steps)
-        recordings.append(device.recording)
-    return recordings
 
 
 def test_the_conformance_suite() -> None:
@@ -75,3 +86,141 @@ def test_the_conversations_speak_of_every_service(spoken: list[Recording]) -> No
     assert {name for one in spoken for name in one.stored.replace("=", " ").split()} >= {
         "application", "calibration", "communication", "lss",
     }  # fmt: skip
+
+
+PROGRAM = """
+import json
+import struct
+
+from tipforce.fingertip.calibration import Active
+from tipforce.fingertip.judgement import Judgement
+
+
+def judge(path):
+    with open(path) as file:
+        told = json.load(file)
+    record = bytes.fromhex(told["record"])
+    active = Active(record, list(struct.unpack(told["packing"], record)), told["n"])
+    for row, lost, temperature, overloaded in told["samples"]:
+        degC = float("nan") if temperature == -0x8000 else 0.01 * temperature
+        one = Judgement(active, row, lost, degC, overloaded)
+        print(json.dumps([one.bits, one.left_out, one.force, list(one.covariance()) if one.force else None]))
+"""
+
+
+@pytest.mark.parametrize("n", [3, 5, 8])
+def test_the_verdicts_of_both_interpreters_are_equal(n: int) -> None:
+    calibration, samples = recorded(n)
+    overloaded = [False, *(sample.overloaded for sample in samples[:-1])]
+    rows, here = [], []
+    for sample, before in zip(samples, overloaded, strict=True):
+        one = sample.judgement
+        assert one is not None
+        assert sample.reading is not None
+        rows.append([sample.microstrains, one._lost, sample.reading.temperature, before])
+        here.append([one.bits, one.left_out, one.force, one.covariance() if one.force else None])
+    packing = "<" + "".join(kind for _index, _sub, kind in table_objects.staged(n))
+    told = {"record": calibration.record().hex(), "packing": packing, "n": n, "samples": rows}
+    files = engine.sources() | {
+        f"{engine.LIBRARY}/judging.py": PROGRAM.encode(), "/samples": json.dumps(told).encode(),
+    }  # fmt: skip
+    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", "import judging", "judging.judge('/samples')"]
+    there = [json.loads(line) for line in engine.run(files, calls)]
+    assert [one[:2] for one in there] == [one[:2] for one in here]
+    for mine, theirs in zip(here, there, strict=True):
+        for ours, other in zip(mine[2:], theirs[2:], strict=True):
+            assert other == (None if ours is None else pytest.approx(ours, rel=1e-12, abs=1e-15))
+    assert len(here) > 100
+
+
+def test_the_whole_device_core_is_among_them_and_nothing_of_a_pc() -> None:
+    found = {path.relative_to(engine.SOURCE).as_posix() for path in engine.on_node_files()}
+    assert (
+        found
+        >= {str(path.relative_to(engine.SOURCE)) for path in engine.SOURCE.glob("canopen_device/core/*.py")}
+        - OTHER_DEVICES
+    )
+    assert not found & OTHER_DEVICES
+    assert found >= {f"tipforce/{name}.py" for name in ("dictionary/table", "sensor/contact/scalar", "fingertip/node")}
+    assert not [name for name in found if name.startswith("canopen_device/") and "/core/" not in name]
+    assert not found & {"tipforce/sensor/contact/estimate.py", "tipforce/errors.py"}
+
+
+@pytest.fixture(scope="module")
+def used() -> footprint.Heap:
+    return footprint.heap(engine.compiled(3))
+
+
+def test_a_node_after_boot(used: footprint.Heap) -> None:
+    assert 10_000 < used.node < NODE_BYTES, used
+
+
+def test_everything_at_the_worst_moment_fits_the_heap(used: footprint.Heap) -> None:
+    assert used.code > 10_000
+    assert used.code + used.node < CODE_AND_NODE_BYTES, used
+    assert used.code + used.node < used.peak < HEAP_BYTES, used
+
+
+def test_nothing_accumulates(used: footprint.Heap) -> None:
+    # What comes once (the EMCY history, a longer list) is in the first thousand steps.
+    assert abs(used.after_many - used.after_some) < 500, used
+
+
+DOCUMENT = Path(__file__).parents[2] / "docs/firmware.md"
+BOARD = """
+import firmware
+
+class Off(Exception):
+    pass
+
+def power(frames):
+    '''A bus that brings these frames, one a call, until power goes.'''
+    waiting = list(frames)
+    def receive(us):
+        assert 0 <= us <= 100000
+        if not waiting:
+            raise Off
+        return waiting.pop(0)
+    sent, requests, groups = [], [], {}
+    def save(group, data):
+        groups[group] = data
+        return True
+    try:
+        firmware.run(5, lambda: (100, -200, 300), receive, lambda *frame: sent.append(frame),
+                     lambda *request: requests.append(request), save, groups.get)
+    except Off:
+        pass
+    for can_id, data in sent:
+        print('%03X#%s' % (can_id, data.hex()))
+    print(requests, sorted(groups))
+
+power([None, (0x000, b'\\1\\5'), (0x080, b''), (0x605, b'\\x23\\x10\\x10\\x01save'), (0x000, b'\\x82\\5')])
+"""
+
+
+def test_the_documented_firmware() -> None:
+    (block,) = DOCUMENT.read_text(encoding="utf-8").split("```python\n")[1:]
+    files = engine.sources() | {f"{engine.LIBRARY}/firmware.py": block.split("```")[0].encode()}
+    assert engine.run(files, ["import sys", f"sys.path.append({engine.LIBRARY!r})", BOARD]) == [
+        "705#00",
+        # Counts of 0.1 microstrain are the gauges' INTEGER16; no calibration, so the contact is unknown.
+        "185#640038ff2c010001",
+        "285#0080008000800001",
+        "585#6010100100000000",
+        "705#00",
+        "[('reset-communication', 0, 0)] ['application', 'calibration', 'communication']",
+    ]
+
+
+def test_the_contact_pdo_differs_by_one_unit_at_most() -> None:
+    chance = random.Random(20250131)
+    loads = [
+        (10.0 ** chance.uniform(-1.5, 1.4), chance.uniform(-60.0, 60.0), chance.uniform(-60.0, 60.0))
+        for _ in range(1000)
+    ]
+    found = compare(loads)
+    assert found.P <= 1
+    assert found.phi <= 1
+    assert found.theta <= 1
+    assert found.status == 0
+    assert found.changed <= 20, found

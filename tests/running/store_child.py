@@ -1,4 +1,4 @@
-"""Run by test_kill.py as a process of its own: calibrate, store, say so, again and again until it is killed.
+"""Run by test_store.py as a process of its own: calibrate, store, say so, again and again until it is killed.
 
 Argument: the store file. Each line on stdin is a first serial number, and starts a child that is to be killed. On
 stdout: the child's process id, then each serial number whose store was confirmed, then "ended" and the signal.
@@ -29,8 +29,7 @@ def record(k: int) -> bytes:
 def main(path: str, first: int) -> None:
     """Commit and store over SDO frames; ends by SIGKILL, or when nobody reads any more."""
     store = FileStore(path)
-    device = fingertip_node(5, SimulatedSource(ROWS), save=store.save, load=store.load)
-    talk, k = Conversation(device), first
+    talk, k = Conversation(fingertip_node(5, SimulatedSource(ROWS), save=store.save, load=store.load)), first
     while True:
         data = record(k)
         refused = talk.download(0x2141, 0, data) or talk.put("I", 0x2103, 1, binascii.crc32(data))

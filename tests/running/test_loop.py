@@ -1,7 +1,5 @@
 """The loop of a node: its clock, its end, and hours of it."""
 
-from __future__ import annotations
-
 import errno
 import subprocess
 import time

@@ -1,7 +1,5 @@
 """Scene files that cannot be used, each complaint with place, value and what is allowed; and loads over time."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -33,6 +31,7 @@ P_N = 1.0
 phi_deg = -90
 theta_deg = 80
 """
+NUMBERS = st.floats(-1e3, 1e3, allow_subnormal=False)
 
 
 def read(tmp_path: Path, text: str) -> Scene:
@@ -136,9 +135,6 @@ def test_a_file_that_is_no_toml(tmp_path: Path, content: bytes | None, told: str
     with pytest.raises(InputError) as caught:
         read_scene(tmp_path / "scene.toml")
     assert told in str(caught.value)
-
-
-NUMBERS = st.floats(-1e3, 1e3, allow_subnormal=False)
 
 
 def test_lines_between_knots_and_steps_at_them() -> None:

@@ -1,7 +1,5 @@
 """Running a scene: the same seed gives the same bytes, and every estimate comes from the frames."""
 
-from __future__ import annotations
-
 import math
 import random
 from pathlib import Path
@@ -63,8 +61,7 @@ def test_no_random_number_is_drawn_without_noise(monkeypatch: pytest.MonkeyPatch
 def test_the_log_is_what_was_decoded_and_opens_in_python_can(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     outcome = run(read_scene(SCENES / "grasp.toml"), duration_s=0.5, log=str(path))
-    parser = CandumpParser(strict=True)
-    block = parser.parse(path.read_text().splitlines())
+    block = CandumpParser(strict=True).parse(path.read_text().splitlines())
     ids, counts = np.unique(block.frames["can_id"], return_counts=True)
     assert dict(zip(ids.tolist(), counts.tolist(), strict=True)) == outcome.frames_by_id
     with can.LogReader(path) as reader:
@@ -146,8 +143,7 @@ def test_a_mapping_without_status_is_decoded_too(tmp_path: Path) -> None:
 
 
 def test_an_uncalibrated_node_knows_nothing_and_says_why(tmp_path: Path) -> None:
-    scene = scene_of(tmp_path, TWO.replace("status = false", 'calibration = "none"'))
-    (finger,) = run(scene).fingers
+    (finger,) = run(scene_of(tmp_path, TWO.replace("status = false", 'calibration = "none"'))).fingers
     assert finger.known == (0, 0, 0)
     assert finger.missing == {"not calibrated": 20}
     assert math.isnan(finger.rms_error[0])
@@ -156,20 +152,13 @@ def test_an_uncalibrated_node_knows_nothing_and_says_why(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("expect", "ok"),
     [
-        ("P_error_N = 0.01", True),
-        ("P_error_N = 1e-9", False),
-        ("P_rms_N = 1e-9", False),
-        ("P_known_at_least = 1.0", True),
-        ("P_known_at_most = 0.5", False),
-        ('status_seen = ["saturated"]', False),
-        ('status_never = ["contact"]', False),
-        ('emcy_seen = ["5030"]', False),
-        ("emcy_none = true", True),
+        ("P_error_N = 0.01", True), ("P_error_N = 1e-9", False), ("P_rms_N = 1e-9", False),
+        ("P_known_at_least = 1.0", True), ("P_known_at_most = 0.5", False), ('status_seen = ["saturated"]', False),
+        ('status_never = ["contact"]', False), ('emcy_seen = ["5030"]', False), ("emcy_none = true", True),
     ],
-)
+)  # fmt: skip
 def test_expectations_hold_or_do_not(tmp_path: Path, expect: str, ok: bool) -> None:
-    text = TWO.replace("status = false", "") + f"[[expect]]\n{expect}\n"
-    outcome = run(scene_of(tmp_path, text))
+    outcome = run(scene_of(tmp_path, TWO.replace("status = false", "") + f"[[expect]]\n{expect}\n"))
     assert [check.ok for check in outcome.checks] == [ok]
     assert outcome.ok == ok
 
@@ -183,8 +172,7 @@ def test_what_lies_beyond_a_shorter_run_is_not_judged(tmp_path: Path) -> None:
     text = TWO.replace("status = false", "") + (
         "[[expect]]\nto_s = 0.05\nP_error_N = 1e-9\n[[expect]]\nP_error_N = 1e-9\n"
     )
-    outcome = run(scene_of(tmp_path, text), duration_s=0.1)
-    assert [check.ok for check in outcome.checks] == [False, None]
+    assert [check.ok for check in run(scene_of(tmp_path, text), duration_s=0.1).checks] == [False, None]
 
 
 def test_health_and_heartbeat_come_at_their_own_times(tmp_path: Path) -> None:
@@ -204,8 +192,7 @@ def test_a_fault_begins_and_ends_at_its_time(tmp_path: Path, monkeypatch: pytest
     header, *rows = (line.split(",") for line in path.read_text().splitlines())
     records = [dict(zip(header, row, strict=True)) for row in rows]
     contact = [record for record in records if record["message"] == "Contact"]
-    dead = [float(record["t_s"]) for record in contact if record["fault"] == "1"]
-    assert dead == [0.05, 0.06, 0.07, 0.08, 0.09]
+    assert [float(record["t_s"]) for record in contact if record["fault"] == "1"] == [0.05, 0.06, 0.07, 0.08, 0.09]
     assert all((record["P"] == "") == (record["fault"] == "1") for record in contact)
     assert [float(record["P"]) for record in contact if record["P"]] == pytest.approx([1.0] * 15, abs=2e-3)
 
@@ -255,8 +242,7 @@ def test_the_bus_load_is_that_of_the_standard_frame() -> None:
 def test_a_calibration_file_beside_the_scene(tmp_path: Path) -> None:
     C = calibration_matrix(FABRICATED, "I")
     write_calibration(tmp_path / "cal.toml", Calibration(2.0 * C, np.zeros(3), 1e-14 * np.eye(3)))
-    scene = scene_of(tmp_path, TWO.replace("status = false", 'calibration = "cal.toml"'))
-    outcome = run_scene(scene, tmp_path)
+    outcome = run_scene(scene_of(tmp_path, TWO.replace("status = false", 'calibration = "cal.toml"')), tmp_path)
     assert "calibration file" in outcome.built
     assert outcome.fingers[0].estimated_end[0] == pytest.approx(2.0, abs=0.003)
     wrong = scene_of(tmp_path, TWO.replace("status = false", 'calibration = "no-such.toml"'))

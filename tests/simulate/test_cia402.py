@@ -1,14 +1,11 @@
 """The drive: each transition of CiA 402-2, its modes, limits, faults. tests/vcan has canopen's BaseNode402 with it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
 from canopen_device.eds import read_eds
 from canopen_device.machine import Drive, SimulatedDevice
-from canopen_device.machine import cia402 as drive_module
 from canopen_device.machine.running import shipped_eds
 from canopen_device.testing import Conversation
 from tipforce.errors import InputError
@@ -27,12 +24,10 @@ class Axis(Conversation):
         self.step([(0, b"\x01\x05")])
 
     def store(self, key: int, value: int) -> None:
-        """An SDO write by a master."""
         size = self.simulated.description.find(key).type.size
         assert self.download(key, 0, (value & 0xFFFFFFFF).to_bytes(4, "little")[:size]) == 0
 
     def control(self, *words: int) -> int:
-        """Write controlwords; return the state bits."""
         for word in words:
             self.store(0x6040, word)
         return self.state
@@ -188,4 +183,3 @@ def test_a_file_that_is_no_drive_is_refused() -> None:
     with pytest.raises(InputError, match=r"no drive \(CiA 402\): without integers at 6040h"):
         SimulatedDevice(read_eds(eds, 5), Drive())
     assert read_eds(shipped_eds("cia402"), 5).warnings == []
-    assert drive_module.Drive is Drive

@@ -1,7 +1,5 @@
 """A tree of files as the kernel's Industrial I/O shows it, with devices that may be pulled out and changed."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path
@@ -61,7 +59,6 @@ class Tree:
         return fifo
 
     def add_trigger(self, number: int, name: str) -> Path:
-        """A trigger of the bus."""
         path = self.root / f"trigger{number}"
         path.mkdir()
         (path / "name").write_text(name + "\n")
@@ -69,7 +66,6 @@ class Tree:
         return path
 
     def remove(self, number: int) -> None:
-        """Pull a device out."""
         link = self.root / f"iio:device{number}"
         shutil.rmtree(link.resolve())
         link.unlink()

@@ -43,9 +43,6 @@ def test_nothing_named_is_the_ideal_converter() -> None:
         assert plain.sync() == named.sync()
 
 
-# --- bridge and amplifier ---------------------------------------------------------------------------------
-
-
 def arms(kind: str, change: float) -> float:
     """The output of a bridge per volt by Kirchhoff: two dividers, the active resistors changed."""
     up = 1.0 + change
@@ -59,8 +56,7 @@ def arms(kind: str, change: float) -> float:
 @pytest.mark.parametrize("microstrain", [-3000.0, -20.0, 0.0, 1.0, 2500.0])
 def test_bridge_is_that_of_its_resistors(kind: str, microstrain: float) -> None:
     bridge, gain = Bridge(kind, gauge_factor=2.1, excitation_volts=5.0), 50.0
-    front_end = FrontEnd(24, bridge, gain, reference_volts=2.5)
-    (counts,) = front_end.counts([microstrain], 0)
+    (counts,) = FrontEnd(24, bridge, gain, reference_volts=2.5).counts([microstrain], 0)
     volts = arms(kind, 2.1e-6 * microstrain) * 5.0 * gain
     assert counts == pytest.approx(volts / 2.5 * 2**23, abs=0.51)
 
@@ -87,9 +83,6 @@ def test_quarter_bridge_error_shows_in_the_gauge() -> None:
 
 def test_a_strain_that_leaves_no_resistance_reads_the_lower_end() -> None:
     assert FrontEnd(16, Bridge()).counts([-2e6, 0.0, 1e308], 0) == [-32768, 0, 32767]
-
-
-# --- conversion -------------------------------------------------------------------------------------------
 
 
 @given(st.floats(), st.sampled_from([16, 24]))
@@ -131,8 +124,7 @@ def test_24_bits_saturate_at_their_own_ends() -> None:
 
 
 def test_a_24_bit_reading_beyond_32767_is_not_taken_for_the_end_of_16() -> None:
-    talk = behind(FrontEnd(24))
-    assert not talk.sync().status & (SATURATED | FAULT)
+    assert not behind(FrontEnd(24)).sync().status & (SATURATED | FAULT)
 
 
 @pytest.mark.parametrize("converter", [table.CONVERTER_24, (16, 2.5)])
@@ -141,9 +133,6 @@ def test_the_eds_follows_the_converter(converter: tuple[int, float]) -> None:
     assert f"FileName={file_name(3, True, bits=converter[0])}" in text
     assert ("[7100]" in text, "[9100]" in text) == (converter[0] == 16, True)
     assert f"DefaultValue={1000.0 * converter[1]}" in text
-
-
-# --- noise ------------------------------------------------------------------------------------------------
 
 
 def drawn(front_end: FrontEnd, gauges: int, count: int, period_us: int = 500) -> npt.NDArray[np.float64]:
@@ -197,8 +186,7 @@ def test_spectrum_of_one_over_f_noise() -> None:
         lines = gauges * np.count_nonzero(band) / 1.5  # of the window's equivalent bandwidth
         assert np.mean(power[band]) == pytest.approx(wanted, rel=4.5 / math.sqrt(lines))
     bands = [(f >= low) & (f < 3 * low) for low in (1.0, 10.0)]
-    slope = math.log10(np.mean(power[bands[1]]) / np.mean(power[bands[0]]))
-    assert slope == pytest.approx(-1.0, abs=0.15)
+    assert math.log10(np.mean(power[bands[1]]) / np.mean(power[bands[0]])) == pytest.approx(-1.0, abs=0.15)
 
 
 def test_one_over_f_noise_does_not_hang_on_how_often_it_is_read() -> None:
@@ -206,8 +194,7 @@ def test_one_over_f_noise_does_not_hang_on_how_often_it_is_read() -> None:
     spread = []
     for period_us in (50_000, 500):
         noise = drawn(FrontEnd(24, one_over_f=(5.0, 0.1, 100.0), seed=2), 40, 50_000 // period_us * 6 + 1, period_us)
-        steps = np.diff(noise[:: 50_000 // period_us], axis=0)
-        spread.append(steps.std())
+        spread.append(np.diff(noise[:: 50_000 // period_us], axis=0).std())
     assert spread[0] == pytest.approx(spread[1], rel=0.2)
 
 
@@ -216,9 +203,6 @@ def test_one_over_f_noise_after_a_long_gap_or_time_that_stands_still() -> None:
     first = front_end.counts([0.0], 0)
     assert front_end.counts([0.0], 0) == first
     assert front_end.counts([0.0], 10**18) != first
-
-
-# --- temperature ------------------------------------------------------------------------------------------
 
 
 def test_temperature_trajectories() -> None:
@@ -271,9 +255,6 @@ def test_bridges_that_are_not_allowed() -> None:
         FrontEnd(temperature=20.0, apparent_strain=[1.0, 2.0]).counts([0.0] * 3, 0)
 
 
-# --- load histories ---------------------------------------------------------------------------------------
-
-
 def test_forces_replace_the_load_at_the_time_of_the_conversion() -> None:
     asked: list[int] = []
     source = SimulatedSource(strain_per_newton(), forces=lambda now_us: (asked.append(now_us) or 2.0, 0.0, -1.0))  # type: ignore[func-returns-value]
@@ -286,8 +267,7 @@ def test_forces_replace_the_load_at_the_time_of_the_conversion() -> None:
 @pytest.mark.parametrize("force", [math.nan, math.inf, -math.inf, 1e308])
 def test_a_load_that_is_no_number_is_marked_and_never_raises(force: float) -> None:
     source = SimulatedSource(strain_per_newton(), forces=lambda _now: (force, 0.0, 0.0))
-    talk = Finger(fingertip_node(5, source), source)
-    assert talk.sync().status & SATURATED
+    assert Finger(fingertip_node(5, source), source).sync().status & SATURATED
 
 
 def oscillator(frequency_hz: float, step_s: float) -> DynamicLoad:

@@ -1,7 +1,5 @@
 """Extreme calibrations on the node: impossible, ill-conditioned, corrupted, huge and tiny ones, and tares."""
 
-from __future__ import annotations
-
 import binascii
 import math
 from collections.abc import Iterable
@@ -21,7 +19,6 @@ _GROUP = 4
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("calibration.staged_not_finite", "NaN or an infinity staged by SDO in every REAL32 of the record",
              "refused", "staging is accepted, commit refuses with 06090030h, the active record stays", _not_finite),
@@ -161,8 +158,7 @@ def _flipped_in_transit() -> Observed:
 
 def _stored() -> MemoryStore:
     memory = MemoryStore()
-    finger = rig.finger(store=memory)
-    finger.put("I", communication.STORE_PARAMETERS, _GROUP, codes.SIGNATURE_SAVE)
+    rig.finger(store=memory).put("I", communication.STORE_PARAMETERS, _GROUP, codes.SIGNATURE_SAVE)
     return memory
 
 

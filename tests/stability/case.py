@@ -1,13 +1,20 @@
 """One extreme case: input, claim and observation."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from tipforce.errors import InputError
 from tipforce_lab.report.study import Outcome
+
+_PLAIN = (
+    (r"(?<![\w\])])\[([^\[\]]*)\]", r"\1"),  # lists, but not the indices of strain[17, 1]
+    (r"\{([^{}]*)\}", r"\1"),
+    (r"(?<![\w])\((-?[\w.]+(?:, -?[\w.]+)*),?\)", r"\1"),  # tuples, but not remarks of several words
+    (r"'([^'\s]*)'", r"\1"),
+    (r"\bTrue\b", "yes"), (r"\bFalse\b", "no"), (r"\bNone\b", "none"),
+    (r"\bnan\b", "NaN"), (r"(?<![\w/])inf\b", "infinity"), (r"\b0\.0e\+00\b", "0"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,16 +46,6 @@ def refusal(act: Callable[[], object]) -> str:
     except InputError as error:
         return str(error)
     return ""
-
-
-_PLAIN = (
-    (r"(?<![\w\])])\[([^\[\]]*)\]", r"\1"),  # lists, but not the indices of strain[17, 1]
-    (r"\{([^{}]*)\}", r"\1"),
-    (r"(?<![\w])\((-?[\w.]+(?:, -?[\w.]+)*),?\)", r"\1"),  # tuples, but not remarks of several words
-    (r"'([^'\s]*)'", r"\1"),
-    (r"\bTrue\b", "yes"), (r"\bFalse\b", "no"), (r"\bNone\b", "none"),
-    (r"\bnan\b", "NaN"), (r"(?<![\w/])inf\b", "infinity"), (r"\b0\.0e\+00\b", "0"),
-)  # fmt: skip
 
 
 def plain(figures: str) -> str:

@@ -1,7 +1,5 @@
 """Extreme times: counters and clocks that wrap, step back or stop, and sample rates that differ from that of SYNC."""
 
-from __future__ import annotations
-
 import datetime
 import itertools
 import struct
@@ -27,7 +25,6 @@ _HUSHED = (rig.UNKNOWN,) * 3
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("clock.counter_wrap", "the 8-bit sample counter over 1000 SYNCs, 40 frames lost in 5 gaps", "pass",
              "unwrapped it counts every sample; lost_samples() returns 40", _counter),

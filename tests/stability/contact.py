@@ -1,7 +1,5 @@
 """Extreme contacts: vanishing, enormous and broken loads, tangential ones, and those that miss the tip."""
 
-from __future__ import annotations
-
 import math
 from decimal import Decimal, localcontext
 from fractions import Fraction
@@ -18,7 +16,6 @@ _EPSILON = 2.0**-52
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("contact.no_load", "F = 0 exactly", "flagged",
              "P is 0 and phi and theta are unknown, on the host and in the node's PDO", _no_load),
@@ -91,8 +88,7 @@ def _overflow() -> Observed:
 
 
 def _not_finite() -> Observed:
-    rng = np.random.default_rng(3)
-    F = rng.standard_normal((1009, 3))
+    F = np.random.default_rng(3).standard_normal((1009, 3))
     good = estimate.contacts(F, pull=False)
     spoilt = F.copy()
     for k in range(9):

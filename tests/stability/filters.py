@@ -1,7 +1,5 @@
 """Filters and front ends at their limits: extreme constants, long runs, gaps, zero and extreme noise."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from fractions import Fraction
@@ -23,7 +21,6 @@ _HUSHED = (rig.UNKNOWN,) * 3
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("filter.constants", "61A1h = 0, 257 and 65535 for a moving average; unknown types 3, 99, 255", "refused",
              "06090032h, 06090031h, 06090030h; filter and constant stay", _constants),

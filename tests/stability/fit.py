@@ -1,7 +1,5 @@
 """Calibration fits from readings that are insufficient, contradictory, or in extreme units."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -20,7 +18,6 @@ _P = 4.4
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("fit.too_few_loads", "1, 2 or 3 loads and one tare: fewer than the 4 unknowns of a gauge", "refused",
              "InputError names what the rows cannot show, or that no rows remain to estimate the noise", _few),
@@ -99,8 +96,7 @@ def _plane() -> Observed:
 
 
 def _no_tare() -> Observed:
-    readings = _readings(slice(5, 8), tares=0, repeats=10)
-    said = _refusal(readings)
+    said = _refusal(_readings(slice(5, 8), tares=0, repeats=10))
     return Observed("cannot be told from a sensitivity" in said and "tare" in said, shortened(said, 200))
 
 
@@ -151,8 +147,7 @@ def _saturated() -> Observed:
 
 def _sigmas(found: Fit) -> float:
     """Return the largest error of C in its standard uncertainties."""
-    C = np.linalg.inv(strain_matrix(FABRICATED, "III"))
-    return float((np.abs(found.C - C) / found.C_uncertainty).max())
+    return float((np.abs(found.C - np.linalg.inv(strain_matrix(FABRICATED, "III"))) / found.C_uncertainty).max())
 
 
 def _relative(found: Fit) -> float:

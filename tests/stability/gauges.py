@@ -1,7 +1,5 @@
 """Gauges that are saturated, stuck, open, silent, swapped, or lost: detection by the node and the host."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -23,7 +21,6 @@ _HUSHED = (rig.UNKNOWN,) * 3
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("gauge.saturated", "3 gauges, SG1 at either end of its converter", "flagged",
              "SG1 reads +-3276.7 with 6150h 03h or 05h, P and the angles are unknown, bit 2, EMCY 5010h", _saturated),
@@ -62,7 +59,6 @@ class Fixed(Source):
         self.counts = tuple(counts)
 
     def read(self, now_us: int) -> Reading:
-        """Return the counts, room temperature, no fault."""
         del now_us
         return Reading(self.counts, 0, 2300)
 
@@ -190,8 +186,7 @@ def _pairs(n: int) -> list[list[int]]:
 
 
 def _swapped_six() -> Observed:
-    gauges = ("L", "R", "K_H", "S_H", "T", "U")
-    A, Sigma = strain_matrix(FABRICATED, gauges), 9e-14 * np.eye(6)
+    A, Sigma = strain_matrix(FABRICATED, ("L", "R", "K_H", "S_H", "T", "U")), 9e-14 * np.eye(6)
     C = redundancy.weighted_inverse(A, Sigma)
     model = redundancy.parity(C, Sigma)
     rng = np.random.default_rng(10)

@@ -1,7 +1,5 @@
 """Write the record of all extreme cases, which `tipforce report` shows (`make report`)."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Extreme uncertainties: none, enormous, beyond the range of squares, and near a tangential contact."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -20,7 +18,6 @@ _LIMITS = (0.05, 0.02, -180.0, 180.0)
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("uncertainty.no_noise", "covariance of F exactly 0, load oblique, and exactly tangential", "pass",
              "u of P, phi and theta are 0, not NaN, and theta counts as resolved", _no_noise),
@@ -52,8 +49,7 @@ def _no_noise() -> Observed:
     F, nothing = np.array([[0.3, 0.1, -0.9], [3.0, 5.0, 4.0]]), np.zeros((3, 3))
     u = estimate.standard_uncertainties(F, nothing, pull=False)
     node = [scalar.uncertainty(a, b, c, (0.0,) * 6, False) for a, b, c in F.tolist()]
-    found = estimate.contacts(F, pull=False)
-    bits = status(found, u, miss_uncertainties(F, nothing), _LIMITS)
+    bits = status(estimate.contacts(F, pull=False), u, miss_uncertainties(F, nothing), _LIMITS)
     held = not u.any() and not np.isnan(u).any() and node == [(0.0, 0.0, 0.0)] * 2
     return Observed(held and bits.tolist() == [1, 1], f"u {u.ravel().tolist()}, status {bits.tolist()}")
 
@@ -124,8 +120,7 @@ def _tangential() -> Observed:
     ratios = []
     for cosine in (0.0, 1e-3, 0.01, 0.03, 0.1, 0.3):
         F = np.array([0.6, math.sqrt(1.0 - cosine * cosine), 0.8])
-        u = estimate.standard_uncertainties(F, 1e-6 * np.eye(3), pull=False)[2]
-        ratios.append(float(u) / _spread(F, 1e-3))
+        ratios.append(float(estimate.standard_uncertainties(F, 1e-6 * np.eye(3), pull=False)[2]) / _spread(F, 1e-3))
     held = all(1.0 / 1.5 <= ratio <= 1.5 for ratio in ratios)
     return Observed(held, "u_theta over Monte Carlo: " + ", ".join(f"{ratio:.3f}" for ratio in ratios))
 
@@ -180,14 +175,11 @@ def _missing() -> Observed:
     bits = []
     for k in range(25):
         u = 0.01
-        miss = 0.25 * k * u
-        status = scalar.status_bits(1.0, u, 0.1, miss, u, 0.1, _LIMITS, True)
-        bits.append(bool(status & scalar.MISSES_TIP))
+        bits.append(bool(scalar.status_bits(1.0, u, 0.1, 0.25 * k * u, u, 0.1, _LIMITS, True) & scalar.MISSES_TIP))
     rng = np.random.default_rng(9)
     F = np.array([0.6, 1.0, 0.8]) + 0.01 * rng.standard_normal((200_000, 3))
     found = estimate.contacts(F, pull=False)
-    u_miss = miss_uncertainties(F, 1e-4 * np.eye(3))
-    rate = float(np.mean(found.miss_newtons > 3.0 * u_miss))
+    rate = float(np.mean(found.miss_newtons > 3.0 * miss_uncertainties(F, 1e-4 * np.eye(3))))
     held = bits == [0.25 * k > 3.0 for k in range(25)] and rate < 0.002
     return Observed(held, f"first set at {0.25 * bits.index(True):g} u; tangential load at noise: {rate:.2%}")
 

@@ -1,7 +1,5 @@
 """Extreme frames and values on the wire: REAL32 at its limits, integer overflow, frames of wrong length."""
 
-from __future__ import annotations
-
 import math
 import struct
 import warnings
@@ -34,7 +32,6 @@ _STAGED = (
 
 
 def cases() -> list[Case]:
-    """Return the cases of this area."""
     return [
         Case("wire.real32_not_finite", "NaN and both infinities by SDO to every REAL32 setting of the node", "refused",
              "06090030h for each (staged calibration values aside), and the setting stays", _not_finite),
@@ -108,8 +105,7 @@ def _overflow() -> Observed:
 
 
 def _integer16() -> Observed:
-    C = [[5e4 if i == k else 0.0 for k in range(3)] for i in range(3)]
-    finger = rig.finger(calibrated=rig.record(C=C))
+    finger = rig.finger(calibrated=rig.record(C=[[5e4 if i == k else 0.0 for k in range(3)] for i in range(3)]))
     held, seen = True, []
     for F1 in (32.766, 33.0, 45.0, -32.766, -33.0, -45.0):
         finger.source.forces = lambda _now, F1=F1: (0.2 * F1, 0.0, -0.2)
@@ -167,8 +163,7 @@ def _real32_pdo() -> Observed:
 def _short() -> Observed:
     right, total = 0, 0
     for number, message in enumerate(tpdo_messages(3)):
-        payloads = [bytes(length) for length in range(message.length_bytes)]
-        frames, name = _frames(number, payloads)
+        frames, name = _frames(number, [bytes(length) for length in range(message.length_bytes)])
         total += 1
         decoder = decode.Decoder()
         none = not decoder.decode(frames)

@@ -1,7 +1,5 @@
 """Blocks of frames for tests of the log tools: every kind of frame, as candump -L writes it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from tipforce.host.frames.frame_block import CandumpBlock

@@ -1,7 +1,5 @@
 """Every command line of tipforce, from the parsers."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 

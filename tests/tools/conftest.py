@@ -1,7 +1,5 @@
 """Commands in this process; what they leave behind is put back; a node command without its loop."""
 
-from __future__ import annotations
-
 import logging
 import signal
 from collections.abc import Callable, Iterator, Sequence
@@ -65,8 +63,6 @@ def tipforce(bus_words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.fixture
 def printed(capsys: pytest.CaptureFixture[str]) -> Printed:
-    """Run a command line and check its exit code."""
-
     def run(code: int, words: Sequence[str]) -> Streams:
         capsys.readouterr()
         ended = main(words)

@@ -1,7 +1,5 @@
 """What a hand of simulated nodes says, as candump's text: real nodes with a clock of the test's own."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable, Iterator
@@ -94,7 +92,6 @@ def hand_frames(
 
 
 def hand_log(*args: object, channel: str = "vcan0", **options: object) -> str:
-    """The same as candump -L writes it."""
     return "".join(
         f"({START_S + t_us // 1_000_000}.{t_us % 1_000_000:06d}) {channel} {can_id:03X}#{data.hex().upper()}\n"
         for t_us, can_id, data in hand_frames(*args, **options)  # type: ignore[arg-type]

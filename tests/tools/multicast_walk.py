@@ -59,7 +59,6 @@ def page_message(process: subprocess.Popen[str]) -> dict[str, Any]:
 
 
 def walk(folder: Path) -> None:
-    """The commands, in the order of a first hour."""
     write_calibration(folder / "cal.toml", beam_calibration("I", pull=True))
     (folder / "hand.toml").write_text(HAND)
     emergencies = can.BufferedReader()

@@ -1,7 +1,5 @@
 """A command line in this process: what it prints and its exit code."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import threading
@@ -29,7 +27,6 @@ class Ended(NamedTuple):
 
     @property
     def records(self) -> list[dict[str, Any]]:
-        """Its JSON lines."""
         return [json.loads(line) for line in self.out.splitlines()]
 
 
@@ -48,7 +45,6 @@ Printed = Callable[[int, Sequence[str]], Streams]
 
 
 def called(capsys: pytest.CaptureFixture[str], *words: object) -> Ended:
-    """Run the command line."""
     try:
         code = main([str(word) for word in words])
     except SystemExit as ended:  # argparse

@@ -1,7 +1,5 @@
 """A second person's board: the first command that somebody would try names what is missing, and the remedy."""
 
-from __future__ import annotations
-
 import re
 import struct
 import time
@@ -38,6 +36,7 @@ COMMANDS = (
     "view --port 0",
     "doctor --listen 0.3",
 )
+CAN0 = {"ifname": "can0", "link_type": "can", "flags": ["UP"]}
 
 
 @pytest.fixture(autouse=True)
@@ -90,8 +89,7 @@ def test_the_first_command_names_cause_and_remedy(
     command: str, situation: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name, channel = situation
-    words = [*command.replace("FOLDER", str(tmp_path)).split(), "-i", "virtual", "-c", channel]
-    code = main(words)
+    code = main([*command.replace("FOLDER", str(tmp_path)).split(), "-i", "virtual", "-c", channel])
     out, err = capsys.readouterr()
     said = re.findall(f"^.*(?:{SITUATIONS[name]}).*$", (err + out).replace(" -> ", ": "), re.MULTILINE)
     assert len(said) == 1, err + out
@@ -136,9 +134,6 @@ def test_swapped_serial_numbers(command: str, tmp_path: Path, capsys: pytest.Cap
         capsys.readouterr()
         main(words)
         assert "swapped" not in "".join(capsys.readouterr())
-
-
-CAN0 = {"ifname": "can0", "link_type": "can", "flags": ["UP"]}
 
 
 def link(**data: object) -> Link:

@@ -1,9 +1,10 @@
-"""The bus flags: defined here, but python-can's to the letter."""
+"""The bus flags, which are python-can's to the letter; and `tipforce doctor`: what stands in the way, the next step."""
 
 from __future__ import annotations
 
 import argparse
 import importlib.metadata
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,16 @@ import can.cli
 import pytest
 from can.interfaces import BACKENDS
 
+from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
+from tipforce.dictionary import objects as od
+from tipforce.errors import EnvironmentLackError
+from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.interfaces import link_of
 from tipforce_tools.cli import bus_flags
+from tipforce_tools.cli.main import main
+from tipforce_tools.doctor.command import configuration_check
+from tipforce_tools.doctor.machine import interface_check, software_checks, vcan_checks
+from tools.rig import Printed
 
 
 def parsers() -> tuple[argparse.ArgumentParser, argparse.ArgumentParser]:
@@ -110,3 +120,107 @@ def test_an_interface_of_a_plugin_is_allowed_and_listed(tmp_path: Path) -> None:
     code = f"import sys\nsys.path.append({str(tmp_path)!r})\n{LISTED}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "True True\n"), done.stderr
+
+
+UP = {"ifname": "can0", "flags": ["NOARP", "UP"], "txqlen": 1000}
+
+
+def can_link(**info: Any) -> dict[str, Any]:
+    """What `ip -details -json link show` says of a real interface."""
+    return UP | {"linkinfo": {"info_kind": "can", "info_data": {"bittiming": {"bitrate": 500000}} | info}}
+
+
+@pytest.fixture(autouse=True)
+def _no_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("can.util.CONFIG_FILES", [])
+    monkeypatch.setattr("tipforce_tools.doctor.machine.trial", lambda: 0)  # test_vcan_boot.py has the real one
+    monkeypatch.setattr("tipforce_tools.doctor.machine.multicast_checks", lambda: ())  # test_udp_multicast.py
+
+
+def test_a_bus_with_nodes_is_listened_to(capsys: pytest.CaptureFixture[str]) -> None:
+    channel = new_channel()
+    with connected(finger(5), channel=channel) as (connection, _):
+        connection.sdo(5).write(od.HEARTBEAT_PRODUCER_MS, 20)
+        FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
+        assert main(["doctor", "--listen", "0.3", "--json", "-i", "virtual", "-c", channel]) == 0
+    checks = {check["topic"]: check for check in map(json.loads, capsys.readouterr().out.splitlines())}
+    shown = "pre-operational, simulated fingertip, 3 gauges, serial 1005"
+    assert (checks["node 5 (0x05)"]["state"], checks["node 5 (0x05)"]["finding"]) == ("ok", shown)
+    assert "frames/s" in checks["traffic"]["finding"]
+    assert checks["software"]["state"] == "ok"
+
+
+def test_a_bus_that_does_not_open(printed: Printed) -> None:
+    out = printed(1, ["doctor", "--listen", "0.01", "-i", "socketcan", "-c", "nowhere9"]).out
+    assert "fail bus: " in out
+    assert "->" in out
+
+
+@pytest.mark.parametrize(
+    ("link", "state", "finding", "step"),
+    [
+        (can_link(), "ok", "up, 500000 bit/s", ""),
+        (can_link() | {"flags": ["NOARP"]}, "fail", "down, 500000", "ip link set can0 up type can bitrate 500000"),
+        (can_link(state="BUS-OFF"), "fail", "bus-off", "type can restart"),
+        (can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0}), "fail", "sent 128", "bitrate 1000000"),
+        (can_link() | {"txqlen": 10}, "note", "queue of 10", "txqueuelen 1000"),
+        (UP | {"linkinfo": {"info_kind": "vcan"}, "txqlen": 10}, "ok", "up, virtual", ""),
+    ],
+)
+def test_interfaces(link: dict[str, Any], state: str, finding: str, step: str) -> None:
+    last = interface_check(link_of(link))
+    assert last.state == state
+    assert finding in last.finding
+    assert step in last.next_step
+
+
+def test_where_the_name_comes_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    flags = {"interface": "virtual"}
+    assert "flags (--interface virtual)" in configuration_check(flags, flags).finding
+    monkeypatch.setenv("CAN_INTERFACE", "socketcan")
+    monkeypatch.setenv("CAN_CHANNEL", "can7")
+    assert configuration_check({}, {}).finding.startswith("socketcan can7, from CAN_INTERFACE=socketcan")
+    monkeypatch.setenv("CAN_INTERFACE", "nonsense")
+    assert configuration_check({}, {}).state == "fail"
+    monkeypatch.delenv("CAN_INTERFACE")
+    monkeypatch.delenv("CAN_CHANNEL")
+    path = tmp_path / "can.conf"
+    path.write_text("[default]\ninterface = virtual\nchannel = hand\n")
+    monkeypatch.setattr("can.util.CONFIG_FILES", [str(path)])
+    assert configuration_check({}, {}).finding == f"virtual hand, from {path}"
+
+
+def test_vcan_that_works_and_vcan_that_does_not(monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
+    monkeypatch.setattr("tipforce_tools.vcan.host.choose", lambda _interfaces: "uml")
+    assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in printed(0, ["doctor"]).out
+
+    def lacking() -> int:
+        raise EnvironmentLackError("User-mode Linux ended before it had booted\n  Kernel panic")
+
+    for trial, finding, step in (
+        (lacking, "User-mode Linux ended before it had booted", "`tipforce vcan -- true`"),
+        (lambda: 1, "`tipforce vcan -- true` ended with 1", "sudo modprobe vcan"),
+    ):
+        (check,) = vcan_checks(trial)
+        assert (check.state, check.finding) == ("note", finding)
+        assert step in check.next_step
+
+
+def test_missing_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tipforce_tools.doctor import machine as software
+
+    monkeypatch.setitem(software.EXTRAS, "science", ("no-such-package",))
+    checks = {check.topic: check for check in software_checks()}
+    assert "science" in checks["extras"].finding
+    assert "science" in checks["extras"].next_step
+
+
+def test_a_missing_core_is_named_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tipforce_tools.doctor import machine as software
+
+    monkeypatch.setattr(software, "core", None)
+    (check,) = [check for check in software_checks() if check.topic == "core"]
+    assert check.state == "note"
+    assert "pip install --force-reinstall" in check.next_step

@@ -1,7 +1,7 @@
-"""`tipforce calibrate fit`: what it prints, what it writes, and when it refuses."""
+"""`tipforce calibrate fit` and `tipforce estimate`: what they print and write, row by row, and when they refuse."""
 
-from __future__ import annotations
-
+import csv
+import io
 import json
 import math
 import tomllib
@@ -10,14 +10,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
-from tipforce.host.configuration.calibration import read_calibration, read_fit
+from tipforce.host.configuration.calibration import Calibration, read_calibration, read_fit, write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
+from tipforce.host.decoding import estimator
 from tipforce.sensor.calibration.fit import covariance_of_estimate
-from tipforce.sensor.calibration.simulation import Simulated, simulate
+from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
+from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.cli.main import main
+from tipforce_tools.estimate import COLUMNS
 from tools.rig import Printed
+
+LIMIT = ("--saturation", "853.85")
+"""Of the simulated converter, just below the value that it clips to."""
+FloatArray = npt.NDArray[np.float64]
+A = strain_matrix(FABRICATED, "I")
+OFFSET = np.array([20e-6, -30e-6, 5e-6])
 
 
 def measured(sim: Simulated) -> Measurements:
@@ -37,10 +49,6 @@ def data(sim: Simulated, tmp_path: Path) -> Path:
     path = tmp_path / "grooves.csv"
     write_measurements(path, measured(sim))
     return path
-
-
-LIMIT = ("--saturation", "853.85")
-"""Of the simulated converter, just below the value that it clips to."""
 
 
 def fitted(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
@@ -92,8 +100,7 @@ def test_the_file_has_the_digits_that_were_told_and_gives_the_covariance_again(
     assert (table["rows"], table["unloaded_rows"], table["drift"], table["bad_lines"]) == (77, 20, "tare", [])
     assert table["outlier_lines"] == [int(row) + 2 for row in np.flatnonzero(sim.true_outlier)]
     # S and N alone give nearly the same.
-    short = replace_in(path, "parameter_covariance_microstrain2")
-    again = read_fit(short)
+    again = read_fit(replace_in(path, "parameter_covariance_microstrain2"))
     assert again is not None
     assert again.parameter_covariance().shape == (3, 4, 3, 4)
 
@@ -158,8 +165,7 @@ def test_what_cannot_be_seen_is_refused(data: Path, sim: Simulated, capsys: pyte
 def test_strain_in_si_units_and_loads_in_grams_are_refused_with_the_factor(
     strain: float, load: float, text: str, data: Path, sim: Simulated, printed: Printed
 ) -> None:
-    given = replace(measured(sim), strain=strain * sim.strain, P_newtons=load * sim.P_newtons)
-    write_measurements(data, given)
+    write_measurements(data, replace(measured(sim), strain=strain * sim.strain, P_newtons=load * sim.P_newtons))
     assert text in printed(2, ["calibrate", "fit", str(data), "--saturation", str(strain * 853.85)]).err
 
 
@@ -204,8 +210,225 @@ def test_prior_for_few_loads(sim: Simulated, tmp_path: Path, capsys: pytest.Capt
     data = tmp_path / "few.csv"
     write_measurements(data, replace(some, **{name: getattr(some, name)[:8] for name in names}))
     words = (data, "--prior", "beam", "--layout", "I", "--noise", 1, "--drift", "none")
-    record = fitted(capsys, *words)
-    C = np.array(record["matrix_newtons_per_strain"])
+    C = np.array(fitted(capsys, *words)["matrix_newtons_per_strain"])
     assert np.abs(C @ sim.true_A - np.eye(3)).max() < 0.3
     assert main(["calibrate", "fit", *map(str, words)]) == 0
     assert "prior: beam theory within 10%" in capsys.readouterr().out
+
+
+@pytest.fixture
+def calibration(tmp_path: Path) -> Path:
+    path = tmp_path / "cal.toml"
+    write_calibration(
+        path,
+        Calibration(
+            calibration_matrix(FABRICATED, "I"), OFFSET, 1e-12 * np.eye(3), layout_code=1, pull=True,
+            calibrated_force_newtons=10.0,
+        ),
+    )  # fmt: skip
+    return path
+
+
+def microstrain(P: float, phi_deg: float, theta_deg: float, offset: FloatArray = OFFSET) -> str:
+    V = A @ force_vector(P, np.radians(phi_deg), np.radians(theta_deg)) + offset
+    return ",".join(repr(float(value * 1e6)) for value in V)
+
+
+def estimated(
+    calibration: Path, text: str, capsys: pytest.CaptureFixture[str], *words: str
+) -> tuple[list[dict[str, str]], str]:
+    path = calibration.with_name("gauges.csv")
+    path.write_text(text)
+    assert main(["estimate", str(calibration), str(path), *words]) == 0
+    out, err = capsys.readouterr()
+    return list(csv.DictReader(io.StringIO(out))), err
+
+
+def test_one_row_for_each_row(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loads = [(2.0, 30.0, 50.0), (0.5, -90.0, 90.0), (4.4, 100.0, 80.0)]
+    text = "SG1,SG2,SG3\n" + "\n".join(microstrain(*load) for load in loads) + "\n1,2\n"
+    rows, err = estimated(calibration, text, capsys)
+    assert tuple(rows[0]) == COLUMNS
+    assert [row["line"] for row in rows] == ["2", "3", "4", "5"]
+    for row, (P, phi, theta) in zip(rows[::2], loads[::2], strict=False):
+        assert float(row["P_N"]) == pytest.approx(P, rel=1e-6)
+        assert float(row["phi_deg"]) == pytest.approx(phi, rel=1e-6)
+        assert float(row["theta_deg"]) == pytest.approx(theta, rel=1e-6)
+        assert 0.005 < float(row["u_P_N"]) < 0.02
+        assert float(row["u_phi_deg"]) == pytest.approx(np.degrees(0.01 / P), rel=0.6)
+        assert row["status"] == "ok"
+    # The file says pull: pushing at 90 degrees is a pull from the other side of the tip.
+    assert rows[1]["status"] == "outside_pad"
+    assert float(rows[1]["theta_deg"]) == pytest.approx(-90, abs=1e-4)
+    assert list(rows[3].values()) == ["5", "", "", "", "", "", "", "bad: 2 cells, the header has 3"]
+    assert "1 of 4 rows are bad: line 5: 2 cells" in err
+    assert "no [fit] table" in err
+
+
+def test_several_nodes_in_one_file_are_refused(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What `decode` writes of a hand: one calibration can't be of all its fingers."""
+    load = microstrain(2.0, 30.0, 50.0)
+    rows, _ = estimated(calibration, f"t_s,node,SG1,SG2,SG3\n0,5,{load}\n1,5,{load}\n", capsys)
+    assert [row["status"] for row in rows] == ["ok", "ok"]
+    path = calibration.with_name("hand.csv")
+    cases = (("node", ("5", "6"), "(5, 6)"), ("channel,node", ("can0,5", "can1,5"), "(can0 5, can1 5)"))
+    for head, keys, told in cases:
+        path.write_text(f"{head},SG1,SG2,SG3\n" + "".join(f"{key},{load}\n" for key in keys))
+        assert main(["estimate", str(calibration), str(path)]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert f"readings of 2 nodes {told}" in err
+        assert "--nodes 5 " in err
+
+
+def test_the_mode_of_a_row_selects_the_branch(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    load = microstrain(2.0, -70.0, 90.0)
+    rows, _ = estimated(calibration, f"SG1,SG2,SG3,mode\n{load},push\n{load},pull\n{load},\n{load},tear\n", capsys)
+    assert [float(row["theta_deg"] or "nan") for row in rows[:3]] == pytest.approx([90.0, -50.0, -50.0], abs=1e-4)
+    assert [row["status"] for row in rows[:3]] == ["ok", "outside_pad", "outside_pad"]
+    assert rows[3]["status"] == "bad: mode is 'tear', allowed: push, pull, tare or blank"
+
+
+def test_tares_take_drift_off_by_time(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drift = np.array([40e-6, 10e-6, -30e-6])
+    lines = ["t_s,SG1,SG2,SG3,mode"]
+    for t, mode in ((0, "tare"), (25, ""), (50, ""), (100, "tare"), (100, "tare"), (150, "")):
+        load = (0.0, 0.0, 0.0) if mode else (1.0, 45.0, 60.0)
+        lines.append(f"{t},{microstrain(*load, OFFSET + drift * min(t, 100) / 100)},{mode}")
+    rows, err = estimated(calibration, "\n".join(lines), capsys)
+    assert [row["status"] for row in rows] == ["tare", "ok", "ok", "tare", "tare", "ok"]
+    assert all(row["P_N"] == "" for row in rows if row["status"] == "tare")
+    for row in (rows[1], rows[2], rows[5]):
+        assert float(row["P_N"]) == pytest.approx(1.0, rel=1e-6)
+        assert float(row["theta_deg"]) == pytest.approx(60.0, rel=1e-6)
+    # The tares' own noise counts: a mean of two after the last, one and two weighted by distance between.
+    noise = [float(row["u_P_N"]) ** 2 for row in (rows[1], rows[2], rows[5])]
+    expected = [1 + 0.75**2 + 0.25**2 / 2, 1 + 0.5**2 + 0.5**2 / 2, 1 + 1 / 2]
+    np.testing.assert_allclose(np.array(noise) / noise[2], np.array(expected) / expected[2], rtol=1e-4)
+    rows, err = estimated(calibration, "\n".join(line.split(",", 1)[1] for line in lines), capsys)
+    assert "interpolated between tares by row" in err
+    assert rows[1]["P_N"] != "1"
+
+
+def test_a_gauge_that_stands_still_is_frozen(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By the node's rule: 32 repetitions, of a gauge whose noise is at least the resolution of the table."""
+    rng = np.random.default_rng(14)
+    V = 1e6 * (A @ force_vector(2.0, np.radians(30.0), np.radians(50.0)) + OFFSET)
+    readings = np.round(V + rng.normal(size=(200, 3)), 1)
+    readings[50:82, 0] = readings[49, 0] + 7.0  # 32 equal readings: 31 repetitions
+    readings[100:133, 1] = readings[99, 1] + 7.0
+    text = "SG1,SG2,SG3\n" + "\n".join(",".join(map(str, row)) for row in readings.tolist())
+    rows, _ = estimated(calibration, text, capsys)
+    frozen = [k for k, row in enumerate(rows) if row["status"] == "frozen"]
+    assert frozen == list(range(100, 133))
+    assert {rows[k]["P_N"] for k in frozen} == {""}
+    coarse = np.round(readings / 50.0) * 50.0  # a resolution above the noise repeats readings by itself
+    text = "SG1,SG2,SG3\n" + "\n".join(",".join(map(str, row)) for row in coarse.tolist())
+    rows, _ = estimated(calibration, text, capsys)
+    assert "frozen" not in {row["status"] for row in rows}
+
+
+def test_a_parameter_covariance_that_is_none_is_refused(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    indefinite = np.eye(12)
+    indefinite[0, 5] = indefinite[5, 0] = 1.1
+    calibration.write_text(
+        calibration.read_text() + f"\n[fit]\nparameter_covariance_microstrain2 = {indefinite.tolist()}\n"
+    )
+    table = calibration.with_name("gauges.csv")
+    table.write_text("SG1,SG2,SG3\n1,2,3\n")
+    assert main(["estimate", str(calibration), str(table)]) == 2
+    assert "parameter covariance: not positive semi-definite; no correlation may be over 1" in capsys.readouterr().err
+
+
+def test_a_tare_ages(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """u(P) grows with the time to the nearest tare, or without one since the first row, by the stated rate."""
+    load = microstrain(2.0, 30.0, 50.0)
+    tared = f"t_s,mode,SG1,SG2,SG3\n0,tare,20,-30,5\n1,,{load}\n90,,{load}\n100,tare,20,-30,5\n300,,{load}\n"
+    bare = f"t_s,SG1,SG2,SG3\n5,{load}\n6,{load}\n205,{load}\n"
+
+    def u_P(text: str) -> FloatArray:
+        rows, _ = estimated(calibration, text, capsys)
+        return np.array([float(row["u_P_N"]) for row in rows if row["status"] != "tare"])
+
+    before = [u_P(text) for text in (tared, bare)]
+    content = calibration.read_text()
+    calibration.write_text(content.replace("serial =", "tare_drift_microstrain_per_s = 0.1\nserial =", 1))
+    after = [u_P(text) for text in (tared, bare)]
+    one_microstrain = before[1][0]  # the noise of each gauge is 1 microstrain
+    for old, new, ages in zip(before, after, ([1, 10, 200], [0, 1, 200]), strict=True):
+        added = np.sqrt(np.maximum(new**2 - old**2, 0.0))
+        np.testing.assert_allclose(added, 0.1 * np.array(ages) * one_microstrain, rtol=1e-4, atol=1e-6)
+    read = Calibration.read(calibration)
+    assert read.tare_drift_strain_per_s == pytest.approx(1e-7)
+    read.write(calibration)
+    assert Calibration.read(calibration).tare_drift_strain_per_s == pytest.approx(1e-7)
+    calibration.write_text(content.replace("serial =", "tare_drift_microstrain_per_s = -1.0\nserial =", 1))
+    table = calibration.with_name("gauges.csv")
+    assert main(["estimate", str(calibration), str(table)]) == 2
+    assert "tare_drift: -1 microstrain/s, allowed is 0" in capsys.readouterr().err
+    calibration.write_text(content.replace("serial =", "tare_drift_microstrain_per_s = 0.1\nserial =", 1))
+    _, err = estimated(calibration, f"SG1,SG2,SG3\n{load}\n", capsys)
+    assert "no t_s: the tare's age is unknown" in err
+
+
+def test_status_words_and_what_they_make_unknown(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    missing = A @ np.array([1.0, 1.5, 0.0]) + OFFSET
+    texts = [
+        microstrain(0.01, 30.0, 50.0),
+        microstrain(0.08, 30.0 + 88.0, 30.0),
+        ",".join(str(value * 1e6) for value in missing),
+        microstrain(2.0, 60.0 + 89.0, 60.0),
+        "900.1,0,0",
+    ]
+    rows, _ = estimated(calibration, "SG1,SG2,SG3\n" + "\n".join(texts), capsys, "--saturation", "900")
+    statuses = [row["status"] for row in rows]
+    assert "no_contact" in statuses[0].split()
+    assert (rows[0]["phi_deg"], rows[0]["theta_deg"]) == ("", "")
+    assert rows[0]["P_N"] != ""
+    assert "beyond_first_order" in statuses[1].split()
+    assert "misses_tip" in statuses[2].split()
+    assert (rows[2]["theta_deg"], rows[2]["u_theta_deg"]) == ("", "")
+    assert rows[2]["phi_deg"] != ""
+    assert "beyond_first_order" in statuses[3].split()
+    assert (statuses[4], rows[4]["P_N"]) == ("saturated", "")
+
+
+def test_the_fit_table_widens_the_uncertainty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sim = simulate("I", np.random.default_rng(3), Faults(outlier_share=0.0, saturation=None))
+    data, path = tmp_path / "data.csv", tmp_path / "cal.toml"
+    write_measurements(data, measured(sim))
+    assert main(["calibrate", "fit", str(data), "-o", str(path), "-q"]) == 0
+    capsys.readouterr()
+    gauges = ",".join(str(value * 1e6) for value in sim.strain[3])
+    with_fit, err = estimated(path, f"SG1,SG2,SG3\n{gauges}\n", capsys)
+    assert err == ""
+    path.write_text(path.read_text().split("[fit]")[0])
+    without, _ = estimated(path, f"SG1,SG2,SG3\n{gauges}\n", capsys)
+    assert float(with_fit[0]["u_P_N"]) > 1.05 * float(without[0]["u_P_N"])
+    assert with_fit[0]["P_N"] == without[0]["P_N"]
+
+
+def test_chunks_carry_the_hysteresis(
+    calibration: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loads = np.abs(np.random.default_rng(1).normal(size=200)) * 0.05
+    text = "SG1,SG2,SG3\n" + "\n".join(microstrain(float(P), 30.0, 50.0) for P in loads)
+    whole, _ = estimated(calibration, text, capsys)
+    monkeypatch.setattr(estimator, "BLOCK", 7)
+    parts, _ = estimated(calibration, text, capsys)
+    assert parts == whole
+    assert {"no_contact" in row["status"].split() for row in whole} == {True, False}
+
+
+def test_json_and_output_file(calibration: Path, tmp_path: Path, printed: Printed) -> None:
+    path = tmp_path / "gauges.csv"
+    path.write_text(f'SG1,SG2,SG3\n{microstrain(2.0, 30.0, 50.0)}\n"a,b",2,3\n')
+    out = tmp_path / "out.jsonl"
+    assert printed(1, ["estimate", str(calibration), str(path), "--json", "-o", str(out), "--strict", "-q"]) == ("", "")
+    first, second = (json.loads(line) for line in out.read_text().splitlines())
+    assert first["P_N"] == pytest.approx(2.0)
+    assert first["status"] == "ok"
+    assert second["P_N"] is None
+    assert second["status"] == "bad: SG1 is 'a,b', not a number"
+    rows = list(csv.reader(io.StringIO(printed(0, ["estimate", str(calibration), str(path), "-q"]).out)))
+    assert rows[2][-1] == "bad: SG1 is 'a,b', not a number"

@@ -1,7 +1,5 @@
 """scan, sdo, config, calibrate and export, run in this process against nodes on the in-process bus."""
 
-from __future__ import annotations
-
 import functools
 import io
 import json
@@ -40,9 +38,6 @@ def bus_words(bench: tuple[Bus, str]) -> tuple[str, ...]:
     return ("-i", "virtual", "-c", bench[1])
 
 
-# --- scan -----------------------------------------------------------------------------------------------------------
-
-
 def test_scan(tipforce: Tipforce) -> None:
     code, out, err = tipforce("scan", "--wait", "0.3")
     hint = "node {0} (0x0{0}): not calibrated: tipforce calibrate guide --node {0}, or apply CAL.toml\n"
@@ -61,40 +56,20 @@ def test_scan_as_json(tipforce: Tipforce) -> None:
     assert code == 0
     (record,) = (json.loads(line) for line in out.splitlines())
     assert record == {
-        "node_id": 6,
-        "state": "pre-operational",
-        "device": "simulated fingertip, 3 gauges",
-        "serial": 1006,
-        "calibration": "not calibrated",
-        "faults": "",
-        "eds": "match",
-        "duplicate": "",
-        "product": 0x54500103,
-    }
-
-
-# --- sdo ------------------------------------------------------------------------------------------------------------
+        "node_id": 6, "state": "pre-operational", "device": "simulated fingertip, 3 gauges", "serial": 1006,
+        "calibration": "not calibrated", "faults": "", "eds": "match", "duplicate": "", "product": 0x54500103,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("words", "shown"),
     [
-        ("0x1018 2 u32", "1414529283"),
-        ("0x1018 0x02", "1414529283"),
-        ("4120 2", "1414529283"),
-        ("identity.product", "1414529283"),
-        ("0x1018:02", "1414529283"),
-        ("1018h:02", "1414529283"),
-        ("0x1018 4 u32", "1005"),
-        ("calibration.generation", "0"),
-        ("calibration.matrix:3", "0.0"),
-        ("0x2100:03 ", "0.0"),
-        ("0x1017 0 d", "14 00"),
-        ("heartbeat.producer_ms", "20"),
-        ("P", "nan"),
-        ("SG2", "0.0"),
+        ("0x1018 2 u32", "1414529283"), ("0x1018 0x02", "1414529283"), ("4120 2", "1414529283"),
+        ("identity.product", "1414529283"), ("0x1018:02", "1414529283"), ("1018h:02", "1414529283"),
+        ("0x1018 4 u32", "1005"), ("calibration.generation", "0"), ("calibration.matrix:3", "0.0"),
+        ("0x2100:03 ", "0.0"), ("0x1017 0 d", "14 00"), ("heartbeat.producer_ms", "20"), ("P", "nan"), ("SG2", "0.0"),
     ],
-)
+)  # fmt: skip
 def test_sdo_read(tipforce: Tipforce, words: str, shown: str) -> None:
     assert tipforce("sdo", "read", "0x05", *words.split()) == (0, shown + "\n", "")
 
@@ -156,18 +131,12 @@ def test_sdo_dump_of_a_node_that_has_less(tipforce: Tipforce) -> None:
 
 @pytest.mark.parametrize(("name", "what"), [("store:1", "stores parameters"), ("restore:4", "restores defaults")])
 def test_sdo_asks_before_something_persists(
-    printed: Printed,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-    what: str,
+    printed: Printed, monkeypatch: pytest.MonkeyPatch, name: str, what: str
 ) -> None:
     """On a bus that counts as real; nobody is there to say yes."""
     monkeypatch.setattr("tipforce_tools.cli.bus_flags.open_connection", lambda _args: pytest.fail("the bus was opened"))
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
     assert what in printed(2, ["sdo", "write", "5", name, "0x65766173", "-i", "socketcan", "-c", "can0"]).err
-
-
-# --- calibrate ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -213,9 +182,6 @@ def test_calibrate_where_storing_is_refused(tipforce: Tipforce, cal: Path) -> No
     assert tipforce("calibrate", "apply", cal, "--node", 6, "--no-store", "--json", "-q")[0] == 0
 
 
-# --- config ---------------------------------------------------------------------------------------------------------
-
-
 def test_config_apply_then_verify(tipforce: Tipforce, tmp_path: Path) -> None:
     path = tmp_path / "finger.toml"
     path.write_text('[objects]\n"interrupt_delta:1" = 2.5\n"tpdo1.mapping" = ["status", "counter"]\n')
@@ -232,9 +198,6 @@ def test_config_apply_then_verify(tipforce: Tipforce, tmp_path: Path) -> None:
         "expected": "2.5",
         "found": "0.0",
     }
-
-
-# --- export ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -1,6 +1,4 @@
-"""`tipforce --completion`: each shell, itself, completes every command, action, flag and value."""
-
-from __future__ import annotations
+"""Completion in each shell, and docs/commands.md: every command, action, flag and value."""
 
 import argparse
 import os
@@ -12,9 +10,10 @@ import time
 from pathlib import Path
 
 import pytest
+from bench.documents import PATH, page
 
 from tipforce_tools.cli.completion import SHELLS, script
-from tipforce_tools.cli.main import COMMANDS, all_parsers
+from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, EXIT_TEXTS, all_parsers
 from tools.command_lines import LINES, PARSERS
 from tools.rig import Printed
 
@@ -220,3 +219,19 @@ def test_the_command_prints_it(shell: str, printed: Printed) -> None:
 def test_an_unknown_shell_is_refused(printed: Printed) -> None:
     for words in (["--completion"], ["--completion", "tcsh"]):
         assert "allowed are bash, zsh, fish" in printed(2, words).err
+
+
+def test_the_page_is_fresh() -> None:
+    assert PATH.read_text() == page(), "docs/commands.md is stale: run `make generate`"
+
+
+def test_every_command_and_flag_is_on_it() -> None:
+    text = PATH.read_text()
+    for path, parser in PARSERS.items():
+        assert f"\n## {path}\n" in text
+        for action in parser._actions:
+            assert all(f"`{name}`" in text for name in action.option_strings if name not in ("-h", "--help")), path
+
+
+def test_every_exit_code_has_a_meaning() -> None:
+    assert set(EXIT_CODES.values()) <= set(EXIT_TEXTS)

@@ -1,7 +1,5 @@
 """`tipforce calibrate guide`, walked through at a simulated node: by a person at the keys, and by itself."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -56,7 +54,6 @@ class Bench(NamedTuple):
         return self.folder / "finger.toml"
 
     def guide(self, *words: object, node: int = 5) -> int:
-        """Run the guide; its exit code."""
         line = ["calibrate", "guide", "--node", node, "--session", self.session, *QUICK, *words]
         try:
             return main([*map(str, line), "-i", "virtual", "-c", self.channel])
@@ -64,9 +61,7 @@ class Bench(NamedTuple):
             return int(error.code or 0)
 
     def auto(self, *words: object) -> tuple[int, str, str]:
-        """Run the guide by itself: (exit code, stdout, stderr)."""
-        code = self.guide("--auto", *FEW, *words)
-        return (code, *self.capsys.readouterr())
+        return (self.guide("--auto", *FEW, *words), *self.capsys.readouterr())
 
     def rows(self) -> list[dict[str, str]]:
         with self.session.open() as file:
@@ -110,17 +105,12 @@ def bench(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Iterator[Bench]
 
 @pytest.fixture
 def person(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Person]:
-    """Seat a person at the keys."""
-
     def seat(key: Callable[[str], str] = lambda _question: "") -> Person:
         found = Person(bench, key)
         monkeypatch.setattr(sys, "stdin", found)
         return found
 
     return seat
-
-
-# --- the whole walk ---------------------------------------------------------------------------------------------------
 
 
 def test_from_the_first_weight_to_the_stored_calibration(
@@ -172,8 +162,7 @@ def _check_stored(bench: Bench) -> None:
     calibration = read_calibration(bench.file)
     assert FingertipClient(bench.connection.sdo(5)).verify_calibration(calibration) == []
     assert (calibration.serial, calibration.pull, calibration.layout_code) == (1005, True, 1)
-    noise = np.sqrt(np.diag(calibration.covariance_strain2)) * 1e6
-    np.testing.assert_allclose(noise, 0.5, rtol=0.1)
+    np.testing.assert_allclose(np.sqrt(np.diag(calibration.covariance_strain2)) * 1e6, 0.5, rtol=0.1)
     np.testing.assert_allclose(calibration.offset_strain * 1e6, OFFSETS, atol=0.4)
 
 
@@ -233,9 +222,6 @@ def test_more_gauges_than_three(tmp_path: Path, capsys: pytest.CaptureFixture[st
     np.testing.assert_allclose(held.C, np.linalg.solve(A.T @ W @ A, A.T @ W), rtol=0.02, atol=20.0)
 
 
-# --- keys -------------------------------------------------------------------------------------------------------------
-
-
 def test_skip_redo_and_nonsense(bench: Bench, person: Callable[..., Person]) -> None:
     keys = iter(["r", "x", "", "", "r", "", "s", *[""] * 6, "r", "", "n"])
     found = person(lambda _question: next(keys))
@@ -276,9 +262,6 @@ def test_a_weight_that_was_forgotten_is_remarked_upon(bench: Bench, person: Call
     assert found.heard.count("is a load still applied? (r repeats it)") == 1
 
 
-# --- refused captures -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("fault", "magnitude", "reason"),
     [
@@ -313,8 +296,7 @@ def test_a_refused_capture(
 
 
 def test_refused_with_nobody_there_is_1(bench: Bench) -> None:
-    sdo = bench.connection.sdo(5)
-    sdo.write(od.SIMULATION_FAULT, SATURATED)
+    bench.connection.sdo(5).write(od.SIMULATION_FAULT, SATURATED)
     code, out, err = bench.auto()
     assert (code, out) == (1, "")
     assert err.count("refused: saturated: SG1") == 2
@@ -362,9 +344,6 @@ def test_a_node_that_goes_and_comes_back(
     found.listen()
     assert "no capture: node 5 (0x05)" in found.heard
     assert len(bench.rows()) == 2
-
-
-# --- sessions ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_line_that_was_cut_short(bench: Bench) -> None:

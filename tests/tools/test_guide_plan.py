@@ -1,7 +1,5 @@
 """The steps of a guided calibration, from flags and from a plan file; and flags that are refused before any weight."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -49,14 +47,11 @@ def test_the_papers_grooves() -> None:
     assert loads[2].instruction == "hang 4.4 N (448.7 g) in the x-groove at theta = 30 degrees (phi = 0)"
     assert loads[9].load == (4.4, 180.0, 175.0, "pull")
     assert loads[10].load == (4.4, 90.0, 30.0, "pull")
-    between = [k for k, step in enumerate(steps) if step.mode == "tare"]
-    assert all(b - a <= 5 for a, b in pairwise(between))
+    assert all(b - a <= 5 for a, b in pairwise([k for k, step in enumerate(steps) if step.mode == "tare"]))
 
 
 @pytest.fixture
 def plan(tmp_path: Path) -> Callable[[str], Path]:
-    """Write a plan file."""
-
     def write(text: str) -> Path:
         path = tmp_path / "plan.toml"
         path.write_text(text)

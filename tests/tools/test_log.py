@@ -1,8 +1,7 @@
-"""`tipforce log`: what its files hold, by format; how it ends; rotation; what it refuses."""
-
-from __future__ import annotations
+"""`tipforce log` and `tipforce replay`: what files hold by format, what reaches the buses, what is refused."""
 
 import gzip
+import io
 import json
 import os
 import re
@@ -10,33 +9,35 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 
 import can
 import pytest
 
+from canopen_device.core.codes import ERROR_FLAG
 from tipforce.host.logs.recorder import Recorder
 from tipforce_tools.cli.main import main
 from tipforce_tools.log import default_name
+from tipforce_tools.replay import Clock
 from tools.blocks import MIXED, MIXED_LOG, block_of_text, written
 from tools.rig import message, sending
 
 COUNT = 60
+KINDS = [(can_id & ~ERROR_FLAG, kind & 3 if isinstance(kind, int) else kind) for can_id, kind in MIXED]
 
 
 def counting(channel: str) -> AbstractContextManager[None]:
-    """Sends frames 285h with a running number."""
     return sending(channel, lambda number: [message(0x285, number.to_bytes(4, "little"))], 0.002)
 
 
 def text_of(path: Path) -> str:
-    """What a text file holds, unzipped."""
     data = path.read_bytes()
     return (gzip.decompress(data) if path.suffix == ".gz" else data).decode()
 
 
-def log(channel: str, *words: str) -> int:
+def logged(channel: str, *words: str) -> int:
     return main(["log", "-i", "virtual", "-c", channel, *words])
 
 
@@ -44,7 +45,7 @@ def test_the_file_is_candumps(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     path = tmp_path / "run.log"
     before = time.time()
     with counting("log1"):
-        assert log("log1", "-o", str(path), "-n", str(COUNT), "--json") == 0
+        assert logged("log1", "-o", str(path), "-n", str(COUNT), "--json") == 0
     out, err = capsys.readouterr()
     lines = path.read_text().splitlines()
     assert len(lines) == COUNT
@@ -64,7 +65,7 @@ def test_the_default_name_is_candumps(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with counting("log2"):
-        assert log("log2", "-n", "1", "-q") == 0
+        assert logged("log2", "-n", "1", "-q") == 0
     assert capsys.readouterr().err == ""
     (path,) = tmp_path.iterdir()
     assert re.fullmatch(r"candump-\d{4}-\d\d-\d\d_\d{6}\.log", path.name)
@@ -75,7 +76,7 @@ def test_the_default_name_is_candumps(
 def test_python_cans_formats(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     with counting("log3"):
-        assert log("log3", "-o", str(path), "-n", str(COUNT), "-q") == 0
+        assert logged("log3", "-o", str(path), "-n", str(COUNT), "-q") == 0
     with can.LogReader(path) as reader:
         found = [int.from_bytes(message.data, "little") for message in reader]
     assert found == list(range(found[0], found[0] + COUNT))
@@ -115,8 +116,7 @@ def test_rotation_by_size(tmp_path: Path) -> None:
 
 def test_rotation_by_time(tmp_path: Path) -> None:
     with counting("log4"):
-        words = ("-o", str(tmp_path / "run.log.gz"), "-n", "300", "--rotate-time", "0.2", "-q")
-        assert log("log4", *words) == 0
+        assert logged("log4", *("-o", str(tmp_path / "run.log.gz"), "-n", "300", "--rotate-time", "0.2", "-q")) == 0
     paths = sorted(tmp_path.iterdir())
     assert len(paths) >= 2
     assert paths[0].name == "run-0001.log.gz"
@@ -126,7 +126,7 @@ def test_rotation_by_time(tmp_path: Path) -> None:
 
 
 def test_silence_ends_it(tmp_path: Path) -> None:
-    assert log("log5", "-o", str(tmp_path / "run.log"), "-T", "100", "-q") == 0
+    assert logged("log5", "-o", str(tmp_path / "run.log"), "-T", "100", "-q") == 0
     assert (tmp_path / "run.log").read_text() == ""
 
 
@@ -174,5 +174,165 @@ def test_a_signal_closes_the_file(number: int, name: str, tmp_path: Path) -> Non
 def test_overwrite(tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     path.write_text("old")
-    assert log("log7", "-o", str(path), "-T", "50", "--overwrite", "-q") == 0
+    assert logged("log7", "-o", str(path), "-T", "50", "--overwrite", "-q") == 0
     assert path.read_text() == ""
+
+
+@contextmanager
+def listening(*channels: str) -> Iterator[list[can.BusABC]]:
+    with ExitStack() as opened:
+        yield [opened.enter_context(can.Bus(channel, interface="virtual")) for channel in channels]
+
+
+def received(bus: can.BusABC) -> list[can.Message]:
+    found = []
+    while (message := bus.recv(0)) is not None:
+        found.append(message)
+    return found
+
+
+def shown(message: can.Message) -> tuple[int, str | int]:
+    """Identifier and kind, as MIXED has them."""
+    kind: str | int = "remote" if message.is_remote_frame else "error" if message.is_error_frame else "data"
+    if message.is_fd:
+        kind = message.bitrate_switch + 2 * message.error_state_indicator
+    return message.arbitration_id, kind
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "run.log"
+    path.write_text(MIXED_LOG)
+    return path
+
+
+def replay(*words: str) -> int:
+    return main(["replay", "-i", "virtual", *words])
+
+
+def test_all_frames_to_one_bus(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with listening("replay1") as (bus,):
+        assert replay("-c", "replay1", str(log), "--json") == 0
+        messages = received(bus)
+    out, err = capsys.readouterr()
+    assert [shown(message) for message in messages] == KINDS
+    assert messages[0].data.hex() == "2e1129239a110303"
+    assert messages[4].dlc == 8
+    assert messages[8].data == bytes(range(12))
+    record = json.loads(out)
+    assert (record["sent"], record["left_out"], record["bad_lines"]) == (9, {}, {})
+    assert record["seconds"] >= 0.03
+    assert err.startswith("tipforce replay: 9 frames sent in 0.")
+
+
+@pytest.mark.parametrize("name", ["run.log.gz", "run.blf", "run.asc"])
+def test_other_formats(name: str, tmp_path: Path) -> None:
+    path = written(tmp_path / name)
+    with listening("replay2") as (bus,):
+        assert replay("-c", "replay2", "-q", str(path)) == 0
+        found = [shown(message) for message in received(bus)]
+    # ASC does not hold the class of an error frame.
+    assert [one for one in found if one[1] != "error"] == [one for one in KINDS if one[1] != "error"]
+    assert [kind for _, kind in found] == [kind for _, kind in KINDS]
+
+
+def test_assignments(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with listening("replay3", "replay4", "replay5") as (first, second, other):
+        assert replay(str(log), "replay3=can1", "replay4=can1") == 0
+        expected = [0x185, 0x12345678, 0x123]
+        assert [message.arbitration_id for message in received(first)] == expected
+        assert [message.arbitration_id for message in received(second)] == expected
+        assert received(other) == []
+    err = capsys.readouterr().err
+    assert "6 frames sent" in err
+    assert "6 frames left out: of vcan0, which no assignment names" in err
+
+
+def test_without_assignments_frames_go_where_they_came_from(log: Path) -> None:
+    with listening("vcan0", "can1") as (vcan0, can1):
+        assert replay("-q", str(log)) == 0
+        assert len(received(vcan0)) == 6
+        assert len(received(can1)) == 3
+
+
+def test_the_time_between_frames_is_the_logs(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    path.write_text("".join(f"(1700000000.{k * 50:03d}000) vcan0 285#{k:02X}\n" for k in range(4)))
+    with listening("replay6") as (bus,):
+        start = time.monotonic()
+        assert replay("-q", "-c", "replay6", str(path)) == 0
+        assert time.monotonic() - start >= 0.15
+        stamps = [message.timestamp for message in received(bus)]
+        # How late one is depends on the machine; none comes before its time.
+        assert all(stamp - stamps[0] > 0.05 * k - 0.04 for k, stamp in enumerate(stamps))
+
+
+def test_the_clock() -> None:
+    second = 1_000_000_000
+    plain, fast, capped, at_once = Clock(1, None), Clock(10, None), Clock(2, 1.0), Clock(float("inf"), None)
+    times = [5 * second, 6 * second, 6 * second, 5 * second, 100 * second]
+    assert [plain.due_s(t_ns) for t_ns in times] == [0, 1, 1, 1, 96]
+    assert [round(fast.due_s(t_ns), 9) for t_ns in times] == [0, 0.1, 0.1, 0.1, 9.6]
+    assert [capped.due_s(t_ns) for t_ns in times] == [0, 0.5, 0.5, 0.5, 1.0]
+    assert [at_once.due_s(t_ns) for t_ns in times] == [0] * 5
+    plain.begin_again()
+    assert [plain.due_s(t_ns) for t_ns in times[:2]] == [96, 97]
+
+
+def test_loops_speed_and_gaps(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    path.write_text("(1700000000.000000) vcan0 285#00\n(1700009999.000000) vcan0 285#01\n")
+    with listening("replay7") as (bus,):
+        assert replay(*("-q", "-c", "replay7", str(path), "--loop", "3", "--max-gap", "0.02", "--speed", "2")) == 0
+        assert [message.data[0] for message in received(bus)] == 3 * [0, 1]
+        assert replay("-q", "-c", "replay7", str(path), "--speed", "inf") == 0
+        assert len(received(bus)) == 2
+
+
+def test_stdin_and_bad_lines() -> None:
+    text = MIXED_LOG + "rubbish\n" + MIXED_LOG
+    words = [sys.executable, "-m", "tipforce_tools.cli.main", "replay"]
+    words += ["-i", "virtual", "-c", "x", "--speed", "inf", "-"]
+    done = subprocess.run(words, input=text, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0
+    assert "18 frames sent" in done.stderr
+    assert "bad lines left out (1 not a candump line), first line 10: 'rubbish'" in done.stderr
+    done = subprocess.run([*words, "--strict"], input=text, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    assert "tipforce replay: line 10: 'rubbish': not a candump line" in done.stderr
+    assert "9 frames sent" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_signal_ends_an_endless_loop(log: Path) -> None:
+    code = (
+        "import sys, threading, can\nfrom tipforce_tools.cli.main import main\n"
+        "bus = can.Bus(interface='virtual', channel='x')\n"
+        "threading.Thread(target=lambda: print(bus.recv() and 'sent', flush=True), daemon=True).start()\n"
+        "sys.exit(main(['replay', '-i', 'virtual', '-c', 'x', sys.argv[1], '--loop', 'inf']))\n"
+    )
+    words = [sys.executable, "-c", code, str(log)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "sent\n"
+        os.kill(process.pid, signal.SIGTERM)
+        _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert err.startswith("tipforce replay: ")
+    assert "Traceback" not in err
+
+
+def test_a_packed_log_that_breaks_off(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "broken.log.gz").write_bytes(gzip.compress(MIXED_LOG.encode() * 100)[:100])
+    assert replay("-c", "x", str(tmp_path / "broken.log.gz")) == 2
+    assert "broken.log.gz: " in capsys.readouterr().err
+
+
+def test_a_real_bus_is_asked_for_first(
+    log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert main(["replay", "-i", "socketcan", str(log), "can7=vcan0"]) == 2
+    assert "this sends the frames of" in capsys.readouterr().err
+    assert main(["replay", "-i", "socketcan", "--yes", str(log), "can7=vcan0"]) in {2, 9}
+    assert "interface socketcan, channel can7: " in capsys.readouterr().err

@@ -1,10 +1,7 @@
 """The command `tipforce` itself: help, unknown commands, what is imported, exit codes, pipes that close."""
 
-from __future__ import annotations
-
 import argparse
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,7 +21,6 @@ from tipforce.errors import (
     SdoAbortError,
     TipforceError,
 )
-from tipforce_tools.cli import main as module
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
 from tools.command_lines import LINES
 from tools.decode.logs import log_lines, write_log
@@ -32,6 +28,9 @@ from tools.rig import Printed
 
 HEAVY_FOR_ALL = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "shtab", "websockets")
 HEAVY = (*HEAVY_FOR_ALL, "hypothesis", "cyclonedds", "mcap")
+# Commands that do something when nothing more is said.
+RUN_ALONE = ["decode", "demo", "doctor", "dump", "export", "log", "monitor", "report", "ros2", "vcan", "view"]
+Run = Callable[[Callable[[argparse.Namespace], int]], int]
 
 
 def imported_by(*words: str, cwd: Path | None = None) -> set[str]:
@@ -62,10 +61,6 @@ def test_no_word_is_a_usage_error(printed: Printed) -> None:
 @pytest.mark.parametrize("flag", ["--version", "-V"])
 def test_version(flag: str, printed: Printed) -> None:
     assert printed(0, [flag]).out == f"tipforce {SOFTWARE_VERSION}\n"
-
-
-# Commands that do something when nothing more is said.
-RUN_ALONE = ["decode", "demo", "doctor", "dump", "export", "log", "monitor", "report", "ros2", "vcan", "view"]
 
 
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - set(RUN_ALONE)))
@@ -105,9 +100,6 @@ def test_a_command_imports_what_it_needs(command: str, left_out: tuple[str, ...]
     assert not imported_by(*command.split(), cwd=tmp_path) & set(left_out) - by_numpy
 
 
-# --- errors and exit codes ------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def run_command(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[argparse.Namespace], int]], int]:
     """Run `tipforce probe`, a command whose run() is what the test says."""
@@ -119,9 +111,6 @@ def run_command(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[argparse
         return main(["probe", "-1.5e-3", "-1,0,0", "-.5"])
 
     return run
-
-
-Run = Callable[[Callable[[argparse.Namespace], int]], int]
 
 
 def raising(error: BaseException, cause: BaseException | None = None) -> Callable[[argparse.Namespace], int]:
@@ -186,20 +175,6 @@ def test_a_permission_error_itself_is_9(run_command: Run, capsys: pytest.Capture
 @pytest.mark.parametrize("cause", [FileNotFoundError(2, "x"), ValueError("x")])
 def test_another_cause_changes_nothing(run_command: Run, cause: BaseException) -> None:
     assert run_command(raising(EnvironmentLackError("an operation is not permitted in this text"), cause)) == 2
-
-
-def test_interrupted_is_130(run_command: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command(raising(KeyboardInterrupt())) == 130
-    assert capsys.readouterr() == ("", "")
-
-
-def test_sigterm_ends_as_ctrl_c_does(run_command: Run) -> None:
-    def body(_args: argparse.Namespace) -> int:
-        module.terminate_as_interrupt()
-        os.kill(os.getpid(), signal.SIGTERM)
-        return 0
-
-    assert run_command(body) == 130
 
 
 def test_a_fault_of_ours_keeps_its_traceback(run_command: Run) -> None:
@@ -273,9 +248,6 @@ def test_closed_streams_are_no_fault(tmp_path: Path) -> None:
     )
     assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
     assert (tmp_path / "out.eds").read_text().startswith("[FileInfo]")
-
-
-# --- help ----------------------------------------------------------------------------------------------------------
 
 
 HEAVY_FOR_HELP = (*HEAVY_FOR_ALL, "matplotlib", "scipy", "pyarrow", "importlib.metadata")

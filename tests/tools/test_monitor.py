@@ -1,7 +1,5 @@
 """`tipforce monitor`: the state machine on a clock of the test's own, what is shown, and the command."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -50,9 +48,6 @@ def node(monitor: Monitor, t_ms: float = 0) -> NodeView:
 
 def contacts(count: int, period_ms: int = 10, status: int = 3) -> list[tuple[int, int, bytes]]:
     return [(k * period_ms, *contact_pdo(5, 1.5, 90.0, -45.0, status, k)) for k in range(count)]
-
-
-# --- values -----------------------------------------------------------------------------------------------------------
 
 
 def test_values_rate_and_age() -> None:
@@ -123,12 +118,10 @@ def test_what_the_calibration_says_of_a_sample_comes_from_tpdo4_and_emcy() -> No
     assert found.readings["P"].reason == "gauges contradict each other"
     assert found.status == ("calibrated", "fault", "contradiction")
     over = contact_pdo(5, NAN, NAN, NAN, CALIBRATED | 0x04)
-    health = struct.pack("<hHHBB", 2300, 0xFFFF, 0xA000, 0, 0)
-    found = node(fed([(0, 0x085, emcy), (1, 0x485, health), (2, *over)]))
+    found = node(fed([(0, 0x085, emcy), (1, 0x485, struct.pack("<hHHBB", 2300, 0xFFFF, 0xA000, 0, 0)), (2, *over)]))
     assert found.readings["P"].reason == "overload"
     assert found.status == ("calibrated", "saturated", "beyond_calibrated", "overload")
-    ended = struct.pack("<HBHHx", 0, 0, 0x5030, 12)
-    found = node(fed([(0, 0x085, emcy), (1, 0x085, ended), (2, *unknown)]))
+    found = node(fed([(0, 0x085, emcy), (1, 0x085, struct.pack("<HBHHx", 0, 0, 0x5030, 12)), (2, *unknown)]))
     assert found.readings["P"].reason == "front-end fault"
     found = node(fed([(0, 0x085, emcy), (1, 0x705, bytes(1)), (2, *unknown)]))
     assert found.readings["P"].reason == "front-end fault"
@@ -151,11 +144,7 @@ def test_samples_are_counted_once_whatever_pdos_carry_them() -> None:
 
 
 def test_lost_samples() -> None:
-    frames = [frame for k, frame in enumerate(contacts(300)) if k not in {100, 101, 250}]
-    assert node(fed(frames), 3000).lost == 3
-
-
-# --- services ---------------------------------------------------------------------------------------------------------
+    assert node(fed([frame for k, frame in enumerate(contacts(300)) if k not in {100, 101, 250}]), 3000).lost == 3
 
 
 def test_heartbeat_and_its_loss() -> None:
@@ -230,9 +219,6 @@ def test_the_same_node_on_two_buses() -> None:
     assert [(view.name, view.nodes[0].readings["P"].value) for view in views] == [("can0", 1.0), ("can1", 2.0)]
 
 
-# --- windows ----------------------------------------------------------------------------------------------------------
-
-
 def test_a_window_forgets() -> None:
     rng = np.random.default_rng(3)
     window, t_ns = Window(columns=1), np.sort(rng.integers(0, 10 * WINDOW_NS, 5000))
@@ -262,9 +248,6 @@ def test_nothing_has_come() -> None:
     assert monitor.views() == ()
     assert Window().periods() is None
     assert Window(columns=2).sums(0) == [0.0, 0.0]
-
-
-# --- sources ----------------------------------------------------------------------------------------------------------
 
 
 class FakeClock:
@@ -329,9 +312,6 @@ def test_a_pipe_that_goes_quiet_grows_old(log: Path) -> None:
     (view,) = monitor.views(source.now_ns())
     assert view.nodes[0].stale
     assert view.nodes[0].age_s == pytest.approx(3.0, abs=0.02)
-
-
-# --- the command ------------------------------------------------------------------------------------------------------
 
 
 def monitor(*words: str) -> int:

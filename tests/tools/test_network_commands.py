@@ -1,7 +1,5 @@
 """nmt, lss and tare, run in this process against nodes on the in-process bus."""
 
-from __future__ import annotations
-
 import json
 import re
 import threading
@@ -47,14 +45,10 @@ def unconfigured(tmp_path: Path) -> Iterator[tuple[Bus, str]]:
     rows = strain_matrix(FABRICATED, "I").tolist()
     for serial in (7, 0x80000001, 9):
         store = FileStore(tmp_path / f"{serial}.json")
-        device = fingertip_node(255, SimulatedSource(rows), serial=serial, save=store.save, load=store.load)
-        devices.append(device)
+        devices.append(fingertip_node(255, SimulatedSource(rows), serial=serial, save=store.save, load=store.load))
     channel = new_channel()
     with connected(finger(20), channel=channel) as (connection, _), running(devices, channel):
         yield connection, channel
-
-
-# --- nmt ------------------------------------------------------------------------------------------------------------
 
 
 def test_nmt_waits_for_each_heartbeat(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
@@ -99,9 +93,6 @@ def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureF
     assert capsys.readouterr().out == "   7 (0x07)  operational\n"
 
 
-# --- read -----------------------------------------------------------------------------------------------------------
-
-
 def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     connection = bench[0]
     FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
@@ -119,9 +110,6 @@ def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple
     code, out, err = tipforce("read", "9", "--wait", "0.2", "--timeout", "0.05", "--retries", "0")
     assert (code, out) == (5, "")
     assert "node 9" in err
-
-
-# --- lss ------------------------------------------------------------------------------------------------------------
 
 
 def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: tuple[Bus, str]) -> None:
@@ -151,17 +139,13 @@ def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Bus, str
 
 
 def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
-    words = ("--serial", "1005", "--product", "0x54500103")
-    code, out, err = tipforce("lss", "assign", "9", *words)
+    code, out, err = tipforce("lss", "assign", "9", *("--serial", "1005", "--product", "0x54500103"))
     assert code == 0
     assert out.endswith("serial 1005: node-id 9 (0x09)\n")
     assert "node-id 5 (0x05) remains active" in err
     assert tipforce("nmt", "reset-comm", "5")[0] == 0
     bench[0].wait_for({0x709})
     assert bench[0].sdo(9).read(od.IDENTITY_SERIAL) == 1005
-
-
-# --- tare -----------------------------------------------------------------------------------------------------------
 
 
 def test_tare_shows_and_clears(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:

@@ -1,7 +1,5 @@
 """`tipforce node`: what its flags make; --source from its words to scaled readings or a recording, or what to do."""
 
-from __future__ import annotations
-
 import csv
 import errno
 import re

@@ -1,8 +1,10 @@
-"""Outputs are safe: a failed write leaves the old file, and inputs and files of other kinds are refused."""
+"""Outputs are safe: a failed write leaves the old file; no control character of a file or device is shown."""
 
-from __future__ import annotations
-
+import contextlib
+import json
+import re
 import resource
+import struct
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,14 +13,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canopen_device.core.node import Device
+from canopen_device.eds import read_eds
+from canopen_device.eds.load import device_of
+from eds.samples import INFO, MANDATORY, record, var
 from host.bus_with_nodes import connected, finger, new_channel
+from host.logs.test_pcap import block, socketcan
 from tipforce.errors import InputError, WriteError
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.configuration.measurements import write_measurements
 from tipforce.output_file import CALIBRATION, NewFile, new_file, write_file
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
-from tipforce_tools.cli.main import main
+from tipforce_tools.cli.main import COMMANDS, main
 from tools.blocks import CONTACTS_LOG
 from tools.test_calibrate_fit import measured
 from tools.test_log import counting
@@ -178,3 +185,175 @@ def test_links_and_permissions_stay_and_devices_are_written_directly(tmp_path: P
         write_file("/dev/full", TOML)
     with pytest.raises(InputError, match="is a directory"):
         NewFile(tmp_path)
+
+
+CONTROLS = "".join(map(chr, (*range(1, 9), *range(11, 32), *range(127, 160)))) + "\u200f\u202e\u2066\u2028"
+HOSTILE = f"A\x1b[31mB\x1b]0;t\x07[bold]C[/] {CONTROLS}\nINJECTED line\r\x9b1mD\tE"
+"""Colours, titles, bidi controls, the markup of rich, and a line of its own."""
+NAME = "A\x1b[31mB[bold]\x01\x07\x08\r\t\x1c\x7f\x85\x9b\u2028\u202e\u2066 \udcff"  # of a file: 0xFF is no UTF-8
+QUOTED = json.dumps(HOSTILE)  # as TOML writes it, too
+HIDDEN = re.compile("[^\n\t -~\xa0-\uffff]|[\xad\u200b-\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+COLOURS = re.compile(r"\x1b\[[\d;]*m")
+
+KEY = "A\x1b[31mB[bold]\x01\x07\x08\x7f\x9b\u202e\u2066"  # without what ends a line
+MARKUP = "[bold]A[/] [red]B :smile:"
+EDS = INFO.replace("Anyone", KEY).replace("=Device", f"={KEY}") + MANDATORY.replace("Vendor\n", f"V{KEY}\n").replace(
+    "=2", "=3"
+)
+EDS += var("1008", 9, "const", "x") + var("2000", 4, "rw", "7").replace("P2000", f"P{KEY}")
+EDS += var("1018sub2", 7, "ro", "1") + var("100A", 9, "const", "x")
+for place in ("1F56", "1F57"):
+    EDS += record(place, var(f"{place}sub0", 5, "const", "1"), var(f"{place}sub1", 7, "ro", "0"))
+EDS += var("2002", 9, "rw", KEY).replace("P2002", f"Q{KEY}")
+NAMED_LOG = CONTACTS_LOG.replace("vcan0", "".join(one for one in NAME if not one.isspace() and one > " "))
+MARKED_SCENE = f"""
+title = {QUOTED}
+duration_s = 0.02
+sync_hz = 200
+[[nodes]]
+ids = [1]
+pdos = ["contact"]
+[[loads]]
+kind = "static"
+P_N = 2.0
+phi_deg = -90
+theta_deg = 80
+[[expect]]
+P_error_N = 0.001
+"""
+FILES = {
+    "any.eds": EDS,
+    "run.log": NAMED_LOG,
+    "comment.log": f"# {NAME}\n" + CONTACTS_LOG + f"{NAME}\n(1700000001.0) {NAME} 123#00\n",
+    "noise.asc": NAME,
+    "scene.toml": MARKED_SCENE,
+    "markup.toml": MARKED_SCENE.replace(QUOTED, json.dumps(MARKUP)),
+    "keys.toml": f"[objects]\n{QUOTED} = {QUOTED}\n[{QUOTED}]\nx = {QUOTED}\n",
+    "markup_hand.toml": f"[hand]\nsync_hz = 50\n[[finger]]\nname = {json.dumps(MARKUP)}\nnode_id = 5\n",
+    "hand.toml": f"[hand]\nsync_hz = 50\n[[finger]]\nname = {QUOTED}\nnode_id = 5\n",
+    "two.toml": 2 * f"[[finger]]\nname = {QUOTED}\nnode_id = 5\n",
+    "layout.toml": f"points = [{QUOTED}]\n",
+    "machine.toml": f'[[device]]\neds = "any.eds"\nnode_id = 5\napplication = {QUOTED}\n',
+    "values.toml": f'[[device]]\neds = "any.eds"\nnode_id = 5\nvalues = {{{QUOTED} = {QUOTED}}}\n',
+    "readings.csv": f"SG1,SG2,SG3,{KEY}\n1,2,3,{KEY}\n{KEY},1,2,3\n",
+    "data.csv": f"SG1,SG2,SG3,P_N,phi_deg,theta_deg\n{KEY},1,2,3,4,5\n",
+    NAME: NAME,
+    f"{NAME}.log": CONTACTS_LOG,
+}
+BUS = "-i virtual -c BUS"
+NODE = f"{BUS} --timeout 0.2 --retries 1"
+CASES: dict[str, list[str]] = {
+    "demo": ["demo HOSTILE"],
+    "node": ["node --node-id 5 --layout layout.toml " + BUS, "node --node-id 5 --layout NAME " + BUS],
+    "run": ["run scene.toml", "run markup.toml --color always", "run keys.toml", "run NAME",
+            *(f"run {name} --explain" for name in ("markup.toml", "keys.toml", "NAME"))],
+    "simulate": [f"simulate {name} {BUS}" for name in ("machine.toml", "values.toml", "keys.toml", "NAME --node-id 5")],
+    "scan": ["scan --wait 0.2 " + NODE, "scan --json --wait 0.2 " + NODE],
+    "read": ["read 5 -n 1 " + NODE],
+    "sdo": [
+        "sdo read 5 0x1008 " + NODE, "sdo read 5 0x1008 --json " + NODE, "sdo dump 5 " + NODE,
+        "sdo dump 6 --eds any.eds " + NODE, "sdo read 6 0x2002 --eds any.eds " + NODE, "sdo read 6 HOSTILE " + NODE,
+        "sdo write 5 0x1017 HOSTILE " + NODE,
+    ],
+    "hand": ["hand check hand.toml", "hand check markup_hand.toml", "hand check two.toml",
+             "hand run hand.toml --seconds 0.3 " + BUS],
+    "nmt": ["nmt start HOSTILE " + BUS],
+    "lss": ["lss assign HOSTILE " + BUS],
+    "firmware": [f"firmware {words} {NODE}" for words in ("show 5", "show 6", "show 6 --json", "install 5 NAME")],
+    "config": [
+        "config show 5 --all " + NODE, "config show 6 --eds any.eds " + NODE, "config apply 5 keys.toml " + NODE,
+        "config show 5 --all --json " + NODE,
+    ],
+    "calibrate": [f"calibrate {words}" for words in (
+        "fit data.csv", "fit NAME", "verify keys.toml --node 5 " + NODE, "apply NAME --node 5 " + NODE,
+        "budget keys.toml", "budget NAME", "budget cal.toml --layout layout.toml")],
+    "tare": ["tare HOSTILE " + BUS],
+    "estimate": ["estimate cal.toml readings.csv", "estimate keys.toml readings.csv", "estimate cal.toml NAME"],
+    "dump": ["dump run.log", "dump comment.log --decode", "dump run.log --json", "dump NAME"],
+    "decode": [
+        "decode run.log", "decode run.log lines.pcapng", "decode run.log lines.pcapng --format jsonl",
+        "decode run.log lines.pcapng --summary", "decode comment.log --strict", "decode noise.asc", "decode NAME.log",
+        "decode --eds 5=any.eds run.log", "decode NAME",
+    ],
+    "dataset": ["dataset show data", "dataset show data --json", "dataset show NAME", "dataset sql data SELECT",
+                "dataset sql data --json SELECT"],
+    "log": ["log -o none/NAME " + BUS],
+    "replay": ["replay NAME " + BUS],
+    "plot": ["plot run.log --bus HOSTILE -o x.svg", "plot NAME -o x.svg", "plot noise.asc -o x.svg"],
+    "monitor": ["monitor run.log", "monitor lines.pcapng run.log", "monitor lines.pcapng --eds 5=any.eds",
+                "monitor NAME"],
+    "view": ["view NAME", "view keys.toml", "view noise.asc"],
+    "ros2": ["ros2 two.toml", "ros2 NAME"],
+    "design": ["design sweep HOSTILE", "design sweep h2 --layout layout.toml", "design HOSTILE"],
+    "report": ["report HOSTILE"],
+    "conformance": ["conformance --node-id 6 --case HOSTILE " + BUS],
+    "export": ["export eds --eds NAME", "export dcf --node-id 5 --settings keys.toml",
+               "export ros2 --hand two.toml -o o"],
+    "doctor": ["doctor --listen HOSTILE"],
+    "vcan": ["vcan --HOSTILE", "--completion HOSTILE"],
+}  # fmt: skip
+
+
+def test_every_command_has_a_case() -> None:
+    assert set(CASES) == set(COMMANDS)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The hostile files, and a dataset of hostile logs."""
+    found = tmp_path_factory.mktemp("hostile")
+    for name, text in FILES.items():
+        (found / name).write_bytes(text.encode("utf-8", "surrogateescape"))
+    channel = f"{KEY}\nINJECTED".encode()
+    start = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1), "<")
+    start += block(1, struct.pack("<HHIHH", 227, 0, 0, 2, len(channel)) + channel + bytes(-len(channel) % 4 + 4), "<")
+    packets = [socketcan(0x285, bytes.fromhex(f"2E1129239A1103{k:02X}")) for k in range(50)]
+    frames = (block(6, struct.pack("<IIIII", 0, 0, k, len(one), len(one)) + one, "<") for k, one in enumerate(packets))
+    (found / "lines.pcapng").write_bytes(start + b"".join(frames))
+    write_calibration(found / "cal.toml", beam_calibration("I", pull=True))
+    logs = [str(found / name) for name in ("run.log", "lines.pcapng", f"{NAME}.log")]
+    main(["decode", *logs, "-q", "-o", f"{found}/data/"])
+    return found
+
+
+def hostile_devices(folder: Path) -> Iterator[Device]:
+    """A fingertip, 5, and a device of an EDS, 6: the content of each text is hostile."""
+    for device in (finger(5), device_of(read_eds(folder / "any.eds", 6))):
+        od = device.od
+        for index, subs in od._entries.items():
+            for sub, (kind, access, flags, _, low, high) in subs.items():
+                if kind in ("s", "D"):
+                    od.add(index, sub, (kind, access, flags, HOSTILE.encode() if kind == "D" else HOSTILE, low, high))
+        yield device
+
+
+def called(line: str, channel: str) -> None:
+    """Run a command line; BUS, NAME, HOSTILE, SELECT stand for what no line of words can hold."""
+    words = {"BUS": channel, "SELECT": "select *, chr(27) || chr(10) || 'INJECTED' as x from samples limit 2"}
+    given = [words.get(word, word).replace("NAME", NAME).replace("HOSTILE", HOSTILE) for word in line.split()]
+    with contextlib.suppress(SystemExit):  # argparse
+        main(given)
+
+
+LINES = [line for lines in CASES.values() for line in lines] + [f"{name} --HOSTILE" for name in COMMANDS]
+
+
+@pytest.mark.parametrize("line", LINES)
+def test_output_has_no_control_characters(
+    line: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(folder)
+    channel = new_channel()
+    with connected(*(hostile_devices(folder) if "BUS" in line else ()), channel=channel):
+        called(line, channel)
+    out, err = capsys.readouterr()
+    assert out + err
+    shown = COLOURS.sub("", out) if "--color always" in line else out
+    assert HIDDEN.findall(shown + err) == []
+    assert not re.search(r"^INJECTED", shown + err, re.MULTILINE), shown + err
+    assert "Traceback" not in err
+    if "markup" in line and "explain" not in line:
+        assert MARKUP in out
+    if "--json" in line or "jsonl" in line:
+        for record in out.splitlines():
+            json.loads(record)

@@ -1,6 +1,4 @@
-"""Files from elsewhere: names and links in them make nothing outside their folder be read, written or removed."""
-
-from __future__ import annotations
+"""Files from elsewhere reach nothing outside their folder; files that commands of 9931bb3 wrote keep working."""
 
 import json
 import os
@@ -11,14 +9,19 @@ from typing import Any
 
 import pytest
 
+import tipforce
 from canopen_device.machine.file import read_machine
 from canopen_device.running.store import FileStore
+from canopen_device.testing import Conversation
 from eds.samples import described, text, var
+from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import read_hand
 from tipforce.host.network.open_bus import open_bus
 from tipforce.scene import beam_calibration
+from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.cli.main import main
 from tools.decode.logs import decode, log_lines, write_log
 
@@ -39,6 +42,9 @@ NAMES = [
     "a\\..\\..\\x", "C:\\x", "nul\0x", "line\nx", "", ".", "..", "a/..", "~", "~/x", "long" + "x" * 300, 500 * "long/",
 ]  # fmt: skip
 """Names in files; with the suffix of their kind where they end in x or link."""
+
+Act = Callable[[], object]
+BUS = ["-i", "virtual", "-c", "earlier"]
 
 
 @pytest.fixture
@@ -76,8 +82,6 @@ def named(name: str, suffix: str, folder: Path) -> str:
 
 
 def run(*words: object) -> Callable[[], None]:
-    """A command that must be refused."""
-
     def act() -> None:
         code = main([*map(str, words)])
         if code:
@@ -86,12 +90,7 @@ def run(*words: object) -> Callable[[], None]:
     return act
 
 
-Act = Callable[[], object]
-
-
 def hand(key: str, place: str) -> Callable[[Path, str], Act]:
-    """A hand that names a file."""
-
     def make(folder: Path, name: str) -> Act:
         tables = {"hand": "", "finger": "node_id = 1\n"}
         tables[place] += f"{key} = {json.dumps(name)}\n"
@@ -104,8 +103,6 @@ def hand(key: str, place: str) -> Callable[[Path, str], Act]:
 
 
 def scene(key: str, output: bool) -> Callable[[Path, str], Act]:
-    """A scene that names a file."""
-
     def make(folder: Path, name: str) -> Act:
         line = f"{key} = {json.dumps(name)}\n"
         text = 'duration_s = 0.02\nsync_hz = 100\n[[nodes]]\nids = [1]\npdos = ["contact"]\n'
@@ -116,8 +113,6 @@ def scene(key: str, output: bool) -> Callable[[Path, str], Act]:
 
 
 def machine(key: str) -> Callable[[Path, str], Act]:
-    """A machine that names a file; a value of the store is saved."""
-
     def make(folder: Path, name: str) -> Act:
         (folder / "own.eds").write_text(text(var("2000", 5)))
         keys = {"eds": "own.eds", key: f"{name}:Press" if key == "application" else name}
@@ -233,9 +228,6 @@ def test_links_with_temporary_names_are_not_followed(received: Path) -> None:
     (received / "other.json.2").symlink_to(received.parent / "x.json")
     with pytest.raises(InputError, match=r"other\.json\.2.*a link leads out"):
         read_machine("machine.toml")
-
-
-# --- datasets -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -365,3 +357,63 @@ def test_marks_of_runs_remove_nothing_but_what_a_run_wrote(
     assert all(path.read_text() == "kept" for path in kept)
     assert main(["dataset", "verify", str(data)]) == 0
     capfd.readouterr()
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the files, in which commands run."""
+    shutil.copytree(Path(__file__).with_name("earlier"), tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    ("line", "code", "said"),
+    [
+        ("hand check hand.toml", 0, "thumb"),
+        ("run scene.toml -q", 0, "PASS: 3 of 3 expectations hold"),
+        ("estimate cal.toml session.csv -q", 0, "4,4.39951343,0.0246814928,59.9829389"),
+        ("calibrate budget cal.toml", 0, "total                       0.03429"),
+        ("calibrate fit session.csv --layout I -o new.toml --date 2026-01-02 -q", 0, "7290.433 +- 1.6e+02"),
+        ("decode run.log --calibration cal.toml --summary", 0, "50 samples"),
+        ("dataset show data", 2, "an earlier tipforce wrote this dataset"),
+        ("decode run.log -o data/", 2, "`tipforce decode LOGS -o NEW/` writes its logs again"),
+    ],
+)
+def test_a_command_takes_them(line: str, code: int, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(line.split()) == code
+    printed = capsys.readouterr()
+    assert said in printed.out + printed.err
+
+
+@pytest.mark.usefixtures("folder")
+def test_an_mcap_is_its_log(capsys: pytest.CaptureFixture[str]) -> None:
+    texts = []
+    for name in ("run.log", "run.mcap"):
+        assert main(["decode", name, "-q", "-o", "out.csv"]) == 0
+        texts.append(Path("out.csv").read_text())
+    assert texts[0] == texts[1]
+    assert main(["decode", "run.mcap", "--summary", "--json", "-q"]) == 0
+    assert json.loads(capsys.readouterr().out)["samples"] == 50
+
+
+def test_a_node_and_a_machine_start_with_their_stores(folder: Path) -> None:
+    store = FileStore(folder / "node-5.json")
+    talk = Conversation(fingertip_node(5, SimulatedSource([[1.0, 0.0, 0.0]] * 3), save=store.save, load=store.load))
+    assert talk.upload(0x1017) == (250).to_bytes(2, "little")
+    assert not any(can_id == 0x85 for can_id, _ in talk.sent)
+    lamp, other, drive = read_machine(folder / "machine.toml")
+    lamp.step(0)
+    assert (lamp[0x2001], other.node_id, drive.node_id) == (290, 8, 9)
+
+
+@pytest.mark.usefixtures("folder")
+def test_settings_are_applied_to_a_node(capsys: pytest.CaptureFixture[str]) -> None:
+    with tipforce.simulated_hand([5], interface="virtual", channel="earlier") as bus:
+        assert main(["config", "apply", "5", "kept.toml", "-y", *BUS]) == 0
+        assert main(["config", "verify", "5", "kept.toml", *BUS]) == 0
+        assert bus.finger(5).sdo.read(od.HEARTBEAT_PRODUCER_MS) == 250
+        assert main(["calibrate", "apply", "cal.toml", "--node", "5", "-y", *BUS]) == 0
+        assert main(["calibrate", "verify", "cal.toml", "--node", "5", *BUS]) == 0
+    assert "Traceback" not in capsys.readouterr().err

@@ -1,7 +1,5 @@
 """`tipforce run` and `tipforce run --explain`: tables, JSON lines, exit codes, what is loaded."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -81,8 +79,7 @@ def test_explain_prints_every_part_and_identifier(printed: Printed) -> None:
 
 
 def test_explain_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    path = SCENES / "tap.toml"
-    assert main(["run", "--explain", str(path), "--json"]) == 0
+    assert main(["run", "--explain", str(SCENES / "tap.toml"), "--json"]) == 0
     found = records(capsys)
     told = {record["part"]: record for record in found if "part" in record}
     assert told["dynamics"]["built"]

@@ -1,7 +1,5 @@
 """Two nodes with one node-id: every command that speaks or listens to them says it, with the remedy; and it helps."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re
@@ -53,6 +51,11 @@ SPEAKING = (
     "firmware show 5",
     "nmt reset-node 5 --wait",
 )
+SERVICES = {
+    "SDO": ({0x580, 0x600}, SAID),
+    "heartbeats": ({0x700}, "two nodes send heartbeats as node 5"),
+    "EMCY": ({0x080}, "node 5 reports that another node sends its identifier 0x705 (EMCY 8150h)"),
+}
 
 
 def node(serial: int, folder: Path | None = None) -> Device:
@@ -99,16 +102,6 @@ def test_the_remedy_that_is_named_helps(tmp_path: Path, capsys: pytest.CaptureFi
         assert serials == [(5, 1005, ""), (6, 1006, "")]
 
 
-# --- who only listens ---------------------------------------------------------------------------------------------
-
-
-SERVICES = {
-    "SDO": ({0x580, 0x600}, SAID),
-    "heartbeats": ({0x700}, "two nodes send heartbeats as node 5"),
-    "EMCY": ({0x080}, "node 5 reports that another node sends its identifier 0x705 (EMCY 8150h)"),
-}
-
-
 def log_of(service: str, folder: Path) -> Path:
     """A candump log in which one service alone shows that there are two nodes, beside SYNCs and a third node."""
     frames = [(0, 0x706, b"\x00")]
@@ -140,8 +133,7 @@ def log_of(service: str, folder: Path) -> Path:
     ],
 )
 def test_a_command_that_reads_a_log_says_it(line: str, service: str, tmp_path: Path, printed: Printed) -> None:
-    path = log_of(service, tmp_path)
-    words = line.replace("LOG", str(path)).replace("OUT", str(tmp_path / "out")).split()
+    words = line.replace("LOG", str(log_of(service, tmp_path))).replace("OUT", str(tmp_path / "out")).split()
     out, err = printed(0, words)
     assert SERVICES[service][1] in out + err
     if line.startswith("decode"):
@@ -190,8 +182,7 @@ def test_a_second_node_that_comes_while_samples_are_read_ends_them(passive: bool
     channel = new_channel()
     with connected(node(1005), channel=channel) as (connection, _):
         connection.nmt("start", 5)
-        stream = connection.finger(5).samples()
-        assert next(stream).node_id == 5
+        assert next(connection.finger(5).samples()).node_id == 5
         if passive:
             connection.finger(5).close()
         own = connection.finger(5, passive=passive)
@@ -229,9 +220,6 @@ def until(is_done: Callable[[], bool]) -> None:
             return
         time.sleep(0.01)
     raise AssertionError("not in 20 s")
-
-
-# --- one node ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))

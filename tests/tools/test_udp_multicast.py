@@ -1,7 +1,5 @@
 """python-can's udp_multicast as a bus without kernel CAN, in a network namespace with loopback only."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -17,7 +15,6 @@ ROUTE = "ip link set lo up && ip route add 239.0.0.0/8 dev lo && "
 
 
 def in_namespace(route: str, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run Python there."""
     command = ["unshare", "--map-root-user", "--net", "sh", "-c", f'{route} exec "$@"', "sh", sys.executable, *words]
     path = os.pathsep.join(sys.path)
     environment = {**os.environ, "PYTHONPATH": path, "PATH": f"{os.environ['PATH']}{os.pathsep}/sbin:/usr/sbin"}

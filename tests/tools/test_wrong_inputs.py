@@ -1,7 +1,5 @@
 """Wrong inputs: one line that names the place and the next step, and the documented exit code."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

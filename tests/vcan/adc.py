@@ -55,15 +55,12 @@ class Adcs:
         fcntl.ioctl(self._bus, _SMBUS, struct.pack("=BBxxIQ", _WRITE, 0, _WORD_DATA, ctypes.addressof(word)))
 
     def plug_in(self, address: int) -> None:
-        """Bind the driver: the device appears."""
         (_BUS / "new_device").write_text(f"adc121c {address:#x}")
 
     def pull_out(self, address: int) -> None:
-        """The device disappears."""
         (_BUS / "delete_device").write_text(f"{address:#x}")
 
     def close(self) -> None:
-        """Take away what is there."""
         for address in ADDRESSES:
             if (_BUS.parent / f"0-{address:04x}").exists():
                 self.pull_out(address)

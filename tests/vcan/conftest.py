@@ -1,7 +1,5 @@
 """Tests on real SocketCAN buses vcan0 and vcan1, with real peers (can-utils); nodes and host in separate processes."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from pathlib import Path

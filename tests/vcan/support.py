@@ -68,7 +68,6 @@ class RawBus:
         self._socket.close()
 
     def send(self, can_id: int, data: bytes = b"") -> None:
-        """Send one frame."""
         self._socket.send(_FRAME.pack(can_id, len(data), data))
 
     def receive(self, timeout_s: float = WAIT_S) -> Frame:
@@ -139,24 +138,20 @@ class Command:
 
     @property
     def pid(self) -> int:
-        """The id of the process."""
         pid = self._popen.pid if self._popen else self._forked.pid if self._forked else None
         assert pid is not None
         return pid
 
     @property
     def stdout(self) -> str:
-        """What it has written so far."""
         return self._outputs[0].read_text()
 
     @property
     def stderr(self) -> str:
-        """What it has written so far."""
         return self._outputs[1].read_text()
 
     @property
     def ended(self) -> bool:
-        """Has the process ended?"""
         return (self._popen.poll() if self._popen else self._forked.exitcode if self._forked else 0) is not None
 
     def wait(self, timeout_s: float = WAIT_S) -> int:
@@ -172,16 +167,13 @@ class Command:
         return code
 
     def send_signal(self, number: int) -> None:
-        """A signal to this process."""
         os.kill(self.pid, number)
 
     def end(self, number: int = signal.SIGTERM) -> int:
-        """Send a signal and return the exit code."""
         self.send_signal(number)
         return self.wait()
 
     def close(self) -> None:
-        """End the process if it still runs."""
         if not self.ended:
             self.end(signal.SIGKILL)
         if self._forked is not None:

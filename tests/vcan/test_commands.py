@@ -1,7 +1,5 @@
 """The commands of the host, each in a process of its own, against a node in another; tests/tools has their words."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable

@@ -6,8 +6,6 @@ processor which is emulated, and shared with whatever else a machine does. Heart
 processor, so while it stands still they do, and where nodes wait for their turn so does this clock.
 """
 
-from __future__ import annotations
-
 import subprocess
 import time
 from collections.abc import Iterator
@@ -85,7 +83,6 @@ class Session:
             bus.until(is_boot_up(node_id))
 
     def switch_off(self, node_id: int) -> None:
-        """No power."""
         process = self.nodes.pop(node_id)
         process.kill()
         process.join()
@@ -107,7 +104,6 @@ class Session:
         return sum(int(((rows.sync_ns > since_ns) & (rows.sync_ns < until_ns)).sum()) for rows in list(self.rows))
 
     def close(self) -> None:
-        """All off."""
         self.hand.close()
         for node_id in list(self.nodes):
             self.switch_off(node_id)

@@ -8,8 +8,6 @@ looks after its converters every 40 ms. So a period passes between new registers
 how fast the machine is, or on what ran before it.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import struct
@@ -153,8 +151,7 @@ def iio_node(
     folder = tmp_path_factory.mktemp("iio")
     (folder / "finger.toml").write_text(LAYOUT)
     with running_node(folder, *flags(folder, "0-0050,iio:device1,device2/voltage")) as node:
-        client = FingertipClient(host.sdo(NODE_ID))
-        client.apply_calibration(calibration(), store=False)
+        FingertipClient(host.sdo(NODE_ID)).apply_calibration(calibration(), store=False)
         yield node
         assert "Traceback" not in node.stderr
 

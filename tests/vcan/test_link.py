@@ -1,7 +1,5 @@
 """The interface itself: one that goes down and comes back during a run, and one without bit timing."""
 
-from __future__ import annotations
-
 import itertools
 import subprocess
 from pathlib import Path

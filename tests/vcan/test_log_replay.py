@@ -1,7 +1,5 @@
 """`tipforce log` and `replay` beside canplayer, candump and tshark on a real vcan; and the receive path under load."""
 
-from __future__ import annotations
-
 import shutil
 import socket
 import struct
@@ -26,7 +24,6 @@ PART = 100  # frames in one go; in User-mode Linux the receiver has the same one
 
 @contextmanager
 def logging(launch: Launch, path: Path, *words: str) -> Iterator[Command]:
-    """`tipforce log` that listens; SIGTERM ends it."""
     command = launch("log", "-o", str(path), *words)
     wait_until(lambda: "recording to" in command.stderr, "log does not listen")
     yield command

@@ -1,7 +1,6 @@
-"""The node as a process: how it ends, what it keeps, and what it does when its interface goes away."""
+"""The node as a process: how it ends, what it keeps, a disk that is full, an interface that goes away."""
 
-from __future__ import annotations
-
+import os
 import random
 import signal
 import subprocess
@@ -16,8 +15,10 @@ from tipforce.errors import SdoAbortError
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce_tools.demo.job import case_calibration
+from vcan.adc import in_user_mode_linux
 from vcan.support import (
     HEARTBEAT,
+    NMT,
     NODE_ID,
     OPERATIONAL_BEAT,
     SDO_REQUEST,
@@ -29,7 +30,7 @@ from vcan.support import (
     running_node,
     start_with_fast_heartbeats,
     wait_until,
-)  # fmt: skip
+)  # fmt: skip  # fmt: skip
 
 STORE_CALIBRATION = b"\x23\x10\x10\x04save"  # SDO download, expedited, 1010h:4
 OWN_BUS = "tipforce0"
@@ -38,8 +39,7 @@ KILLS = 5
 
 def receivers(channel: str) -> int:
     """How many sockets listen on a bus, as the kernel lists them (each of ours without a filter)."""
-    lines = Path("/proc/net/can/rcvlist_all").read_text().splitlines()
-    return sum(line.split()[:1] == [channel] for line in lines)
+    return sum(line.split()[:1] == [channel] for line in Path("/proc/net/can/rcvlist_all").read_text().splitlines())
 
 
 def active_crc(connection: Bus) -> int:
@@ -172,3 +172,94 @@ def test_node_outlives_its_interface(own_bus: str, tmp_path: Path, away: list[st
         ip("set", own_bus, "up")
         still_operational(own_bus, node)
         assert node.stderr.count(said) == 1
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 64 kB of its own."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    try:
+        subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)], check=True, capture_output=True
+        )
+    except subprocess.CalledProcessError as error:
+        pytest.skip(f"mounting needs root, `tipforce vcan --uml -- ...` has it: {error.stderr.decode().strip()}")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True, capture_output=True)
+
+
+def fill(disk: Path) -> None:
+    with (disk / "ballast").open("wb", buffering=0) as file:
+        for size in (4096, 1):
+            try:
+                while True:
+                    file.write(bytes(size))
+            except OSError:
+                continue
+
+
+def remount(disk: Path, mode: str) -> None:
+    subprocess.run(["mount", "-o", f"remount,{mode}", str(disk)], check=True, capture_output=True)
+
+
+def still_answers() -> None:
+    with RawBus() as bus:  # a new one: what came before must not pass for an answer
+        bus.send(NMT, bytes((1, NODE_ID)))
+        assert answers_a_sync(bus)
+
+
+@pytest.mark.parametrize(("trouble", "message"), [("full", "No space left on device"), ("read-only", "Read-only file")])
+def test_a_disk_that_takes_nothing_costs_nothing_but_the_storing(
+    disk: Path, host: Bus, tmp_path: Path, trouble: str, message: str
+) -> None:
+    store = ("--store", str(disk / "node.json"))
+    client = FingertipClient(host.sdo(NODE_ID))
+    first, second = case_calibration("I", pull=True), case_calibration("II", pull=True)
+    with running_node(tmp_path, *store) as node:
+        client.apply_calibration(first)
+        fill(disk) if trouble == "full" else remount(disk, "ro")
+        client.apply_calibration(second, store=False)
+        for _ in range(3):
+            with pytest.raises(SdoAbortError) as refused:
+                client.store(calibration=True)
+            assert refused.value.code == 0x06060000
+        assert node.stderr.count(message) == 1
+        assert client.verify_calibration(second) == [], "what is active stays active"
+        still_answers()
+        assert node.end(signal.SIGKILL) == -signal.SIGKILL
+    (disk / "ballast").unlink() if trouble == "full" else remount(disk, "rw")
+    with running_node(tmp_path, *store):
+        assert client.verify_calibration(first) == [], "what was stored is still there"
+        client.apply_calibration(second)
+    with running_node(tmp_path, *store):
+        assert client.verify_calibration(second) == []
+
+
+def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
+    if not in_user_mode_linux():
+        pytest.skip("sets the time of day: only on a kernel of its own, `tipforce vcan --uml -- ...`")
+    with running_node(tmp_path) as node:
+        start_with_fast_heartbeats(bus)
+        before = time.clock_gettime(time.CLOCK_REALTIME)
+        began = time.monotonic()
+        try:
+            for step_s in (86400.0, -2 * 86400.0, 1e9):
+                time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + step_s)
+                beats = [bus.until(lambda frame: frame == OPERATIONAL_BEAT) for _ in range(10)]
+                assert all(len(frames) == 1 for frames in beats), "nothing but heartbeats: no EMCY, no burst"
+        finally:
+            time.clock_settime(time.CLOCK_REALTIME, before + time.monotonic() - began)
+        # Thirty heartbeats of 20 ms: less would be a burst after a step forward. The lower bound alone is no timing.
+        assert time.monotonic() - began > 0.5
+        still_answers()
+        assert node.end() == 0
+
+
+def test_priority_and_locked_memory_as_root(tmp_path: Path) -> None:
+    if not in_user_mode_linux():
+        pytest.skip("needs real-time rights; `tipforce vcan --uml -- ...` has them")
+    with running_node(tmp_path, "--priority", "60", "--lock-memory") as node:
+        assert os.sched_getscheduler(node.pid) == os.SCHED_FIFO
+        assert os.sched_getparam(node.pid).sched_priority == 60
+        assert int(Path(f"/proc/{node.pid}/status").read_text().split("VmLck:")[1].split()[0]) > 1000, "kilobytes"

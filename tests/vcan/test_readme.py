@@ -1,7 +1,5 @@
 """The README's walk on a bus, pasted without waiting between its lines."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

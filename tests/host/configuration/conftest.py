@@ -1,7 +1,5 @@
 """A fingertip on a bus that can be made to fail."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

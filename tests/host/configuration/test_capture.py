@@ -1,7 +1,5 @@
 """Collecting gauge readings: by PDO, by SDO, from nodes that are stopped, stale, saturated, or gone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -53,11 +51,7 @@ def test_a_node_that_was_operational_stays_so() -> None:
 
 @pytest.mark.parametrize(
     ("entry", "value"),
-    [
-        (od.TPDO1_COB_ID, NO_PDO),
-        (od.TPDO1_TRANSMISSION_TYPE, 2),
-        (od.TPDO1_MAPPED, 3),
-    ],
+    [(od.TPDO1_COB_ID, NO_PDO), (od.TPDO1_TRANSMISSION_TYPE, 2), (od.TPDO1_MAPPED, 3)],
     ids=lambda x: str(x).partition(" ")[0] if not isinstance(x, int) else "",
 )
 def test_by_sdo_where_tpdo1_does_not_serve(entry: Entry[int], value: int) -> None:
@@ -162,8 +156,7 @@ def test_drift_and_floor() -> None:
     np.testing.assert_allclose(capture.drift, [6.0, -2.0, 0.0], atol=1e-12)
     assert capture.covariance[2, 2] == pytest.approx(RESOLUTION_MICROSTRAIN**2 / 12)
     assert capture.duration_s == 2.0
-    at_once = Capture(np.ones((3, 3)), np.zeros(3), 3, (0, 0, 0), 0, 0, 0, 0, 0, None)
-    assert not at_once.drift.any()
+    assert not Capture(np.ones((3, 3)), np.zeros(3), 3, (0, 0, 0), 0, 0, 0, 0, 0, None).drift.any()
 
 
 def test_a_node_that_goes_and_comes_back() -> None:

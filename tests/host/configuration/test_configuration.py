@@ -1,7 +1,5 @@
 """Configuration files, TOML and DCF: what they say, in which order it goes to the node, what is wrong with them."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 
@@ -25,6 +23,12 @@ from tipforce.host.network.bus import Bus
 from tipforce.host.network.sdo import SdoChannel
 
 NODE = 5
+REMAP = """[objects]
+"heartbeat.producer_ms" = 250
+"tpdo1.transmission_type" = 2
+"tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]
+"rpdo1.cob_id" = 0x205
+"""
 
 
 def read_text(tmp_path: Path, text: str, gauges: int = 3) -> Configuration:
@@ -53,9 +57,6 @@ class Recorder(SdoChannel):
         self.writes.append((index, sub, int.from_bytes(data, "little")))
 
 
-# --- what a file says -----------------------------------------------------------------------------------------------
-
-
 def test_names_indices_and_lists(tmp_path: Path) -> None:
     found = read_text(
         tmp_path,
@@ -69,15 +70,10 @@ def test_names_indices_and_lists(tmp_path: Path) -> None:
 """,
     )
     assert values(found) == {
-        (0x1017, 0): 500,
-        (0x1801, 1): 0xC0000285,
-        (0x2101, 1): 1e-6,
-        (0x2101, 2): 2,
-        (0x2101, 3): 0.5,
-        (0x6114, 1): 1000,
-        (0x6133, 1): pytest.approx(float("nan"), nan_ok=True),
+        (0x1017, 0): 500, (0x1801, 1): 0xC0000285, (0x2101, 1): 1e-6, (0x2101, 2): 2, (0x2101, 3): 0.5,
+        (0x6114, 1): 1000, (0x6133, 1): pytest.approx(float("nan"), nan_ok=True),
         **{(0x2100, k): k for k in range(1, 10)},
-    }
+    }  # fmt: skip
     assert list(found) == sorted(found)
 
 
@@ -122,10 +118,7 @@ def test_a_mapping_by_names_or_numbers_has_its_length(tmp_path: Path) -> None:
         ('[objects]\n"0x2100" = 1.0\n', "0x2100 has several sub-indices: write 0x2100:SS"),
         ('[objects]\n"calibration.offset" = [1, 2, 3, 4]\n', "allowed, in hex, with 3 gauges: 00-03"),
         ('[objects]\n"calibration.offset" = [1, "x"]\n', "calibration.offset:2 (0x2101:02): 'x' is not REAL32"),
-        (
-            '[objects]\n"calibration.offset" = [1, 1e39]\n',
-            "calibration.offset:2 (0x2101:02): 1e+39 does not fit",
-        ),
+        ('[objects]\n"calibration.offset" = [1, 1e39]\n', "calibration.offset:2 (0x2101:02): 1e+39 does not fit"),
         ('[objects]\n"heartbeat.producer_ms" = [1]\n', "heartbeat.producer_ms:1"),
         ('[objects]\n"tpdo1.cob_id" = 0x185\n', "bit 30 must be set: 0x40000185"),
         ('[objects]\n"tpdo1.mapping" = ["speed"]\n', "no object is called 'speed'"),
@@ -166,9 +159,6 @@ def test_more_gauges_have_more_objects(tmp_path: Path) -> None:
     assert recorder.writes == [(0x1804, 1, 0xC00001A5), (0x1804, 2, 1), (0x1804, 1, 0x400001A5)]
 
 
-# --- the order of the writes (CiA 301, 7.5.2.36) --------------------------------------------------------------------
-
-
 IN_ORDER = {
     "invalid, remapped, valid again": (
         '''"tpdo1.transmission_type" = 5
@@ -195,16 +185,6 @@ def test_the_order_of_the_writes(name: str, tmp_path: Path) -> None:
     recorder = Recorder()
     apply_configuration(recorder, read_text(tmp_path, f"[objects]\n{text}\n"))
     assert recorder.writes == writes
-
-
-# --- on a node ------------------------------------------------------------------------------------------------------
-
-REMAP = """[objects]
-"heartbeat.producer_ms" = 250
-"tpdo1.transmission_type" = 2
-"tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]
-"rpdo1.cob_id" = 0x205
-"""
 
 
 def test_apply_then_verify_on_a_node(tmp_path: Path, sdo: SdoChannel) -> None:
@@ -247,8 +227,7 @@ def test_a_refusal_puts_back_what_was_there(tmp_path: Path, sdo: SdoChannel) -> 
     before = {entry: sdo.read(entry) for entry in (od.TPDO1_COB_ID, od.TPDO1_MAPPED, od.HEARTBEAT_PRODUCER_MS)}
     mapping = [sdo.read(od.TPDO1_MAPPING[k]) for k in (1, 2, 3)]
     wanted = read_text(
-        tmp_path,
-        '[objects]\n"heartbeat.producer_ms" = 500\n"tpdo1.mapping" = [0x71300110, 0x21200008, 0x21000120]\n',
+        tmp_path, '[objects]\n"heartbeat.producer_ms" = 500\n"tpdo1.mapping" = [0x71300110, 0x21200008, 0x21000120]\n'
     )
     with pytest.raises(SdoAbortError, match="0x06040041"):
         apply_configuration(sdo, wanted)

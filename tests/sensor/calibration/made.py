@@ -1,7 +1,5 @@
 """Simulated calibrations for the tests of the fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

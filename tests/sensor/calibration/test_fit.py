@@ -1,7 +1,5 @@
 """The fit against the truth, closed forms and faults of every kind, rounded to what is finer than REAL32."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -68,8 +66,7 @@ def test_without_faults_it_is_ordinary_least_squares() -> None:
 
 
 def test_covariance_of_an_estimate_is_the_formula_of_the_paper_notes() -> None:
-    sim = simulated(2)
-    fit = fit_calibration(readings(sim), PLAIN)
+    fit = fit_calibration(readings(simulated(2)), PLAIN)
     S, N, F = fit.residual_covariance_strain2, fit.N, np.array([[1.0, -0.5, 2.0], [0.0, 0.0, 0.0]])
     found = covariance_of_estimate(fit.C, S, kronecker(S, N), F)
     for force, covariance in zip(F, found, strict=True):
@@ -84,12 +81,10 @@ def test_covariance_of_an_estimate_is_the_formula_of_the_paper_notes() -> None:
 
 
 def test_uncertainty_of_the_matrix_is_its_derivative_for_more_gauges_than_forces() -> None:
-    sim = simulated(3, gauges=layout(["K_H", "S_H", "U", "T", "L"]))
-    fit = fit_calibration(readings(sim), PLAIN)
+    fit = fit_calibration(readings(simulated(3, gauges=layout(["K_H", "S_H", "U", "T", "L"]))), PLAIN)
     whitener = np.linalg.inv(np.linalg.cholesky(fit.noise_covariance_strain2))
     variance = np.zeros(fit.C.shape)
-    blocks = fit.parameter_covariance[:, :3, :, :3].reshape(15, 15)
-    values, vectors = np.linalg.eigh(blocks)
+    values, vectors = np.linalg.eigh(fit.parameter_covariance[:, :3, :, :3].reshape(15, 15))
     for value, vector in zip(values, vectors.T, strict=True):
         step = 1e-3 * vector.reshape(5, 3) * np.abs(fit.A).max()
         change = [np.linalg.pinv(whitener @ (fit.A + side * step)) @ whitener for side in (1, -1)]
@@ -224,8 +219,7 @@ def test_three_loads_and_beam_theory() -> None:
 
 
 def test_residuals_by_load() -> None:
-    sim = simulated(13)
-    fit = fit_calibration(readings(sim), PLAIN)
+    fit = fit_calibration(readings(simulated(13)), PLAIN)
     tares, *loads = fit.loads
     assert (tares.P_newtons, len(tares.rows), len(loads)) == (0.0, 20, 57)
     assert sorted(row for load in fit.loads for row in load.rows) == list(range(77))
@@ -242,13 +236,11 @@ def test_gravity_off_between_x_and_y_grooves_shows_in_no_residual() -> None:
     sim = simulated(14, replace(CLEAN, noise_strain=2e-6))
     along_y = np.isclose(sim.phi_rad, 0.5 * np.pi)
     tilted = force_vector(sim.P_newtons, sim.phi_rad + np.radians(np.where(along_y, 1.0, 0.0)), sim.theta_rad)
-    written = force_vector(sim.P_newtons, sim.phi_rad, sim.theta_rad)
-    off = sim.strain + (tilted - written) @ sim.true_A.T
+    off = sim.strain + (tilted - force_vector(sim.P_newtons, sim.phi_rad, sim.theta_rad)) @ sim.true_A.T
     fits = [fit_calibration(readings(sim, strain=strain), PLAIN) for strain in (sim.strain, off)]
     sizes = [float(np.sqrt(np.diag(fit.residual_covariance_strain2)).max()) for fit in fits]
     assert sizes[1] < 1.5 * sizes[0]
-    error = np.linalg.norm(fits[1].C @ sim.true_A - np.eye(3), 2)
-    assert 0.01 < error < 0.03
+    assert 0.01 < np.linalg.norm(fits[1].C @ sim.true_A - np.eye(3), 2) < 0.03
 
 
 def test_the_papers_fit() -> None:
@@ -308,8 +300,7 @@ def test_all_values_are_rounded_to_the_place_of_the_largest() -> None:
 
 
 def test_nothing_that_the_data_show_is_lost() -> None:
-    sim = simulate("I", np.random.default_rng(4))
-    exact = fit_calibration(readings(sim), Model(saturation_strain=np.inf))
+    exact = fit_calibration(readings(simulate("I", np.random.default_rng(4))), Model(saturation_strain=np.inf))
     found = rounded(exact)
     assert (np.abs(found.C - exact.C) < 1e-5 * exact.C_uncertainty).all()
     scatter = np.sqrt(np.einsum("kiki->ki", exact.parameter_covariance)[:, 3])

@@ -1,7 +1,5 @@
 """More than three gauges: the weighted inverse and back, subsets, chi-square, isolation; numpy against scalar."""
 
-from __future__ import annotations
-
 from itertools import combinations
 from math import inf, isnan, nan
 from typing import Any
@@ -164,8 +162,7 @@ def test_gauges_are_alike_exactly_where_the_others_have_no_rank_3(n: int) -> Non
     for seed in (1, 2):
         covariance = correlated(n, seed)
         model = parity(weighted_inverse(rows * 1e-4, covariance), covariance)
-        shown = np.flatnonzero(model.visible)
-        pairs = [(int(i), int(k)) for i, k in combinations(shown, 2)]
+        pairs = [(int(i), int(k)) for i, k in combinations(np.flatnonzero(model.visible), 2)]
         expected = [pair for pair in pairs if np.linalg.matrix_rank(np.delete(rows, pair, axis=0)) < 3]
         assert [pair for pair in alike(model) if pair in pairs] == expected
 
@@ -173,15 +170,13 @@ def test_gauges_are_alike_exactly_where_the_others_have_no_rank_3(n: int) -> Non
 def test_four_gauges_isolate_nothing() -> None:
     A, covariance = structure(4), SIGMA**2 * np.eye(4)
     model = parity(weighted_inverse(A, covariance), covariance)
-    V = A @ force_vector(2.0, 1.0, 1.3) + np.array([1e-4, 0.0, 0.0, 0.0])
-    found = detect(model, V)
+    found = detect(model, A @ force_vector(2.0, 1.0, 1.3) + np.array([1e-4, 0.0, 0.0, 0.0]))
     assert found.fault
     assert found.isolated == UNCLEAR
     # Without U only the axial strain of the other beam tells F3: its fault shows 4000 times less, but it shows.
     assert found.candidates.tolist() == [True, True, bool(model.visible[2]), True]
     # Unless one gauge alone is visible: it responds to no force, the other three are all needed.
-    idle = np.vstack([structure(3), np.zeros(3)])
-    lonely = parity(weighted_inverse(idle, covariance), covariance)
+    lonely = parity(weighted_inverse(np.vstack([structure(3), np.zeros(3)]), covariance), covariance)
     assert np.flatnonzero(lonely.visible).tolist() == [3]
     assert detect(lonely, [0.0, 0.0, 0.0, 1e-4]).isolated == 3
     assert not detect(lonely, [1e-4, 0.0, 0.0, 0.0]).fault  # taken for a force
@@ -230,8 +225,7 @@ def test_extra_variance_is_that_of_a_larger_covariance(n: int) -> None:
     """Weighed by Sigma + diag(extra): chi-square is the smallest that any force leaves of it."""
     rng = np.random.default_rng(6)
     A, covariance = structure(n), correlated(n)
-    C = weighted_inverse(A, covariance)
-    W = scalar_redundancy.directions(C.tolist(), upper(covariance), list(range(n)))
+    W = scalar_redundancy.directions(weighted_inverse(A, covariance).tolist(), upper(covariance), list(range(n)))
     assert W is not None
     np.testing.assert_allclose(np.array(W) @ covariance @ np.array(W).T, np.eye(n - 3), atol=1e-8)
     shown = scalar_redundancy.columns(W, upper(covariance))

@@ -1,7 +1,5 @@
 """The error budget: each cause propagated analytically, against the thing itself simulated."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import pi
@@ -39,6 +37,10 @@ SENSOR = Sensor(C, A, COVARIANCE, False, True, FABRICATED, POSITIONS)
 LOADS = Loads(np.full(3, 2.0), np.radians([200.0, 262.0, 310.0]), np.radians([50.0, 90.0, 110.0]))
 CAUSES = Causes()
 HUNG = groove_loads()
+EVERY_LOAD = np.meshgrid(np.linspace(0.0, 2.0 * pi, 181), np.linspace(0.0, 2.0 * pi, 181))
+LARGEST = np.abs(force_vector(1.0, EVERY_LOAD[0].ravel(), EVERY_LOAD[1].ravel()) @ A.T).max(
+    axis=0
+)  # gauge, load of 1 N
 
 
 def contact_error(F: FloatArray) -> FloatArray:
@@ -52,8 +54,7 @@ def contact_error(F: FloatArray) -> FloatArray:
 def calibrated(hung: Loads, noise: FloatArray | float = 0.0) -> FloatArray:
     """Estimates at LOADS by a real fit to loads that the fit takes for HUNG, tares among them."""
     G = np.column_stack([np.vstack([HUNG.F, np.zeros((19, 3))]), np.ones(38)])
-    V = np.vstack([hung.F, np.zeros((19, 3))]) @ A.T + noise
-    B = np.linalg.lstsq(G, V, rcond=None)[0]
+    B = np.linalg.lstsq(G, np.vstack([hung.F, np.zeros((19, 3))]) @ A.T + noise, rcond=None)[0]
     F: FloatArray = (LOADS.F @ A.T - B[3]) @ np.linalg.inv(B[:3].T).T
     return F
 
@@ -84,12 +85,6 @@ def temperature(rng: np.random.Generator) -> FloatArray:
 
 def mismatch(rng: np.random.Generator) -> FloatArray:
     return (LOADS.F @ A.T + CAUSES.temperature_K * CAUSES.mismatch_strain_per_K * rng.normal(size=3)) @ C.T
-
-
-EVERY_LOAD = np.meshgrid(np.linspace(0.0, 2.0 * pi, 181), np.linspace(0.0, 2.0 * pi, 181))
-LARGEST = np.abs(force_vector(1.0, EVERY_LOAD[0].ravel(), EVERY_LOAD[1].ravel()) @ A.T).max(
-    axis=0
-)  # gauge, load of 1 N
 
 
 def hysteresis(rng: np.random.Generator) -> FloatArray:
@@ -133,27 +128,17 @@ def off_axis(rng: np.random.Generator) -> FloatArray:
 @pytest.mark.parametrize(
     ("cause", "draw", "draws"),
     [
-        ("gauge noise", gauge_noise, 4000),
-        ("quantisation", quantisation, 4000),
-        ("gain", gain, 4000),
-        ("offset", offset, 4000),
-        ("temperature, common", temperature, 4000),
-        ("temperature, mismatch", mismatch, 4000),
-        ("hysteresis", hysteresis, 4000),
-        ("creep", creep, 4000),
-        ("calibration noise", calibration_noise, 2000),
-        ("load angle", load_angle, 2000),
-        ("gravity", gravity, 2000),
-        ("gauge position", gauge_position, 2000),
+        ("gauge noise", gauge_noise, 4000), ("quantisation", quantisation, 4000), ("gain", gain, 4000),
+        ("offset", offset, 4000), ("temperature, common", temperature, 4000), ("temperature, mismatch", mismatch, 4000),
+        ("hysteresis", hysteresis, 4000), ("creep", creep, 4000), ("calibration noise", calibration_noise, 2000),
+        ("load angle", load_angle, 2000), ("gravity", gravity, 2000), ("gauge position", gauge_position, 2000),
         ("off-axis load", off_axis, 800),
     ],
-)
+)  # fmt: skip
 def test_each_cause_is_what_a_simulation_of_it_gives(cause: str, draw: Draw, draws: int) -> None:
     rng = np.random.default_rng(7)
-    sensor = replace(SENSOR, calibrated=cause != "gauge position")
-    uncertainties = budget(sensor, LOADS, CAUSES).rows[cause]
-    errors = contact_error(np.array([draw(rng) for _ in range(draws)]))
-    spread = np.sqrt(np.mean(errors**2, axis=0))
+    uncertainties = budget(replace(SENSOR, calibrated=cause != "gauge position"), LOADS, CAUSES).rows[cause]
+    spread = np.sqrt(np.mean(contact_error(np.array([draw(rng) for _ in range(draws)])) ** 2, axis=0))
     # Relative error of a standard deviation: 1 / sqrt(2 draws), here four times that.
     np.testing.assert_allclose(uncertainties, spread, rtol=4.0 / np.sqrt(2.0 * draws), atol=3e-6)
 
@@ -167,8 +152,7 @@ def test_one_degree_of_gravity_costs_one_percent_and_one_degree_and_hardly_shows
     assert worst_theta / DEGREE == pytest.approx(0.79, abs=0.02)
     assert gravity_residual(DEGREE) == pytest.approx(0.0022, abs=0.0001)
     # The same from the fit itself.
-    turned = replace(HUNG, phi_rad=HUNG.phi_rad + DEGREE * (np.arange(19) >= 10))
-    F = np.vstack([turned.F, np.zeros((19, 3))])
+    F = np.vstack([replace(HUNG, phi_rad=HUNG.phi_rad + DEGREE * (np.arange(19) >= 10)).F, np.zeros((19, 3))])
     G = np.column_stack([np.vstack([HUNG.F, np.zeros((19, 3))]), np.ones(38)])
     residual = (F - G @ np.linalg.lstsq(G, F, rcond=None)[0])[:19]
     assert np.sqrt(np.mean(np.sum(residual**2, axis=1))) / 4.4 == pytest.approx(gravity_residual(DEGREE), rel=0.02)
@@ -180,13 +164,11 @@ def test_total_is_the_sum_and_says_where_first_order_holds() -> None:
     np.testing.assert_allclose(found.total**2, squares, rtol=1e-3)
     assert found.holds.all()
     assert not found.left_out
-    small = Loads(np.array([2e-3]), np.array([pi]), np.array([0.5]))
-    assert not budget(SENSOR, small, CAUSES).holds.any()
+    assert not budget(SENSOR, Loads(np.array([2e-3]), np.array([pi]), np.array([0.5])), CAUSES).holds.any()
 
 
 def test_what_cannot_act_is_zero_and_what_cannot_be_told_has_no_row() -> None:
-    rows = budget(SENSOR, LOADS, CAUSES).rows
-    assert not rows["gauge position"].any()
+    assert not budget(SENSOR, LOADS, CAUSES).rows["gauge position"].any()
     theory = budget(replace(SENSOR, calibrated=False), LOADS, CAUSES).rows
     assert theory["gauge position"].all()
     assert not theory["gravity"].any()
@@ -210,8 +192,7 @@ def test_pad_loads_push_inwards_and_pull_outwards() -> None:
     for pull in (True, False):
         loads = pad_loads(1.5, 0.0, 180.0, pull=pull)
         assert loads.P_newtons.shape == (37 * 7,)
-        found = contacts(loads.F, pull=pull)
-        error = np.remainder(found.theta_rad - loads.theta_rad + pi, 2 * pi) - pi
+        error = np.remainder(contacts(loads.F, pull=pull).theta_rad - loads.theta_rad + pi, 2 * pi) - pi
         np.testing.assert_allclose(error, 0.0, atol=1e-12)
     h = 1e-6
     step = force_vector(LOADS.P_newtons, LOADS.phi_rad + h, LOADS.theta_rad) - LOADS.F

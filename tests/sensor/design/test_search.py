@@ -1,7 +1,5 @@
 """The search for better structures: its derivatives, its limits, what it finds, and what it proves of the paper."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace
@@ -54,9 +52,6 @@ def judged(design: Design, limits: Limits = LIMITS) -> Assessment:
 def case_I(gauge_length_m: float) -> Assessment:
     gauges = glued(FABRICATED, LAYOUTS["I"], gauge_length_m, 0.0) if gauge_length_m else LAYOUTS["I"]
     return assess("I", FABRICATED, gauges, loads=LOADS, noise_microstrain=NOISE, gauge_length_m=1e-3, slit_m=0.25e-3)
-
-
-# --- the search: formulas and derivatives ---------------------------------------------------------------------------
 
 
 def test_the_search_uses_the_strain_of_table_1() -> None:
@@ -122,9 +117,6 @@ def test_configurations() -> None:
             configurations(n)
 
 
-# --- what it finds --------------------------------------------------------------------------------------------------
-
-
 def check_limits(design: Design, limits: Limits) -> None:
     g, slack = design.geometry, 1e-8
     assert worst_stress(g, limits.load_newtons) <= limits.stress_pascals * (1 + 1e-6)
@@ -143,8 +135,7 @@ def check_limits(design: Design, limits: Limits) -> None:
     for one in design.gauges:
         for other in design.gauges:
             if one is not other and one._replace(position_m=0.0) == other._replace(position_m=0.0):
-                apart = abs(one.position_m - other.position_m)
-                assert apart >= limits.gauge_length_m + limits.clearance_m - slack
+                assert abs(one.position_m - other.position_m) >= limits.gauge_length_m + limits.clearance_m - slack
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
@@ -259,11 +250,7 @@ def test_pareto_keeps_what_nobody_beats() -> None:
         return replace(base, theory=replace(base.theory, u_theta_deg=u_theta_deg, condition_number=condition))
 
     entries = [entry(*pair) for pair in ((1.0, 3.0), (2.0, 2.0), (3.0, 2.5), (1.001, 2.999), (4.0, 1.0))]
-    kept = pareto(entries, (FIGURES["theta"], FIGURES["condition"]))
-    assert kept == [entries[0], entries[1], entries[4]]
-
-
-# --- what is refused ------------------------------------------------------------------------------------------------
+    assert pareto(entries, (FIGURES["theta"], FIGURES["condition"])) == [entries[0], entries[1], entries[4]]
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Reports made for the tests: two studies and cases of every outcome, in modules that stand in for the real ones."""
 
-from __future__ import annotations
-
 import sys
 import types
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The study of the estimator's arithmetic: its reference, its integers, and what theory says of the errors."""
 
-from __future__ import annotations
-
 import math
 from decimal import Decimal, localcontext
 

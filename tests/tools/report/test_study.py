@@ -1,15 +1,24 @@
-"""How a method is timed, with a clock that the test moves; the studies of decoders and of calibration fits."""
+"""Studies: how a method is timed; decoders, calibration fits, honesty, integrators: what theory says of them."""
 
-from __future__ import annotations
-
+import math
 import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce_lab.report.studies import decoders
-from tipforce_lab.report.study import Effort, Timing, timed, timed_together
+from tipforce.errors import InputError
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding import judged
+from tipforce_lab.dynamics.impact import Striker
+from tipforce_lab.report.studies import decoders, fits, honesty, integrators
+from tipforce_lab.report.study import Counted, Effort, Study, Timing, timed, timed_together
 from tools.report.made import Tiny, at_once
+
+SECONDS = 3.0
+NODE, FAULTS, DECODE, ESTIMATE, BARE = range(len(honesty.METHODS))
 
 
 class Clock:
@@ -27,8 +36,7 @@ class Clock:
 
 
 def test_a_time_is_per_unit_and_without_the_first_call(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = Clock(monkeypatch)
-    timing = timed(clock.work, Effort(quick=True), units=10, at_least_s=0.02)
+    timing = timed(Clock(monkeypatch).work, Effort(quick=True), units=10, at_least_s=0.02)
     assert timing.seconds == pytest.approx(1e-4)
     assert timing.first_quartile_s == pytest.approx(0.5e-4)  # of the processor time
     assert timing.runs == 3
@@ -37,8 +45,7 @@ def test_a_time_is_per_unit_and_without_the_first_call(monkeypatch: pytest.Monke
 
 def test_each_run_is_long_enough_for_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = Clock(monkeypatch)
-    timing = timed(clock.work, Effort(), at_least_s=0.02)
-    assert timing.runs == 7
+    assert timed(clock.work, Effort(), at_least_s=0.02).runs == 7
     assert clock.calls >= 7 * 20
 
 
@@ -93,3 +100,177 @@ def test_each_method_gives_every_signal() -> None:
         assert [found[name] for name in decoders.MEASURED] == pytest.approx([1.0, 100.0, -4.0]), method
         on = {signal.name for signal in message.signals if signal.bits == 1 and found[signal.name]}
         assert (on, found["counter"]) == ({"contact", "fault"}, 7), method
+
+
+@pytest.fixture(scope="module")
+def fit_studies() -> dict[str, Study]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fits, "timed", at_once)
+        patch.setattr(fits, "LOADS", (12, 50, 200))
+        patch.setattr(Tiny, "pick", lambda *_: 5)
+        return {one.key: one for one in fits.studies(Tiny(), lambda: None)}
+
+
+def errors(study: Study) -> dict[str, np.ndarray]:
+    return {one.method: np.array([point.error for point in one.points]) for one in study.series}
+
+
+def test_the_error_falls_with_the_root_of_the_number_of_loads(fit_studies: dict[str, Study]) -> None:
+    full = errors(fit_studies["fits"])[fits.FULL]
+    assert (np.diff(full) < 0.0).all()
+    assert np.polyfit(np.log([50, 200]), np.log(full[1:]), 1)[0] == pytest.approx(-0.5, abs=0.25)
+
+
+def test_without_an_offset_more_loads_do_not_help(fit_studies: dict[str, Study]) -> None:
+    clean = errors(fit_studies["fits"])
+    assert clean[fits.LINEAR][-1] > 50.0 * clean[fits.FULL][-1]
+    assert clean[fits.LINEAR][-1] > 0.5 * clean[fits.LINEAR][0]
+
+
+def test_least_squares_are_as_good_until_there_are_outliers(fit_studies: dict[str, Study]) -> None:
+    clean, odd = errors(fit_studies["fits"]), errors(fit_studies["fits-outliers"])
+    assert clean[fits.AFFINE] == pytest.approx(clean[fits.FULL], rel=0.1)
+    assert odd[fits.AFFINE][-1] > 5.0 * odd[fits.FULL][-1]
+    assert odd[fits.FULL][-1] < 1.5 * clean[fits.FULL][-1]
+
+
+def test_a_refusal_is_left_out_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refusing(_rig: object) -> fits.Fitted:
+        raise InputError("too few rows")
+
+    monkeypatch.setattr(fits, "timed", at_once)
+    monkeypatch.setattr(fits, "LOADS", (6,))
+    monkeypatch.setitem(fits._METHODS, fits.FULL, refusing)
+    for one in fits.studies(Tiny(), lambda: None):
+        assert one.left_out == {f"{fits.FULL}, 6 loads": "refused: too few rows"}
+        assert fits.FULL not in [series.method for series in one.series]
+
+
+@pytest.fixture(scope="module")
+def finger(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration]:
+    """Four gauges, calibrated by the command."""
+    folder = tmp_path_factory.mktemp("finger")
+    return folder, honesty.calibrated(folder, 4, np.random.default_rng(3))
+
+
+def counts(finger: tuple[Path, Calibration], fault: str, seed: int = 1) -> list[Counted]:
+    return honesty._counts(finger[0], honesty._scene(fault, 4, SECONDS, np.random.default_rng(seed)), finger[1])
+
+
+def test_a_good_finger_says_ok_and_is_right(finger: tuple[Path, Calibration]) -> None:
+    for cell in counts(finger, "none"):
+        assert cell.rows == 150
+        assert cell.ok > 0.98 * cell.rows
+        assert cell.wrong == 0
+
+
+@pytest.mark.parametrize("fault", ["open", "saturate", "drift"])
+def test_a_broken_gauge_is_no_longer_ok(finger: tuple[Path, Calibration], fault: str) -> None:
+    before = honesty.FAULT_FROM * 150
+    for cell in counts(finger, fault):
+        assert 0.9 * before < cell.ok < 0.6 * cell.rows
+        assert cell.wrong == 0
+
+
+def test_silence_and_overload_are_not_ok(finger: tuple[Path, Calibration]) -> None:
+    silent, overload = counts(finger, "silent"), counts(finger, "overload")
+    assert silent[NODE].wrong == silent[DECODE].wrong == 0
+    assert silent[ESTIMATE].wrong == silent[BARE].wrong == 0  # readings that repeat
+    assert [overload[k].ok for k in (NODE, FAULTS, DECODE, ESTIMATE)] == [150, 0, 0, 0]
+
+
+def test_a_judgement_that_is_switched_off_is_noticed(
+    finger: tuple[Path, Calibration], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(judged, "explained", lambda _W, shown, V, *_: (0.0 * V[0], [(0.0, 0.0)] * len(shown)))
+    found = counts(finger, "drift")
+    # The node judges by itself, and decode reads its status.
+    assert found[NODE].wrong == found[FAULTS].wrong == found[DECODE].wrong == 0
+    assert min(found[k].wrong for k in (ESTIMATE, BARE)) > 20
+    row = honesty._row("drift", 5, tuple(found))
+    assert row.over == (False, False, False, True, True)
+    assert not row.held  # five gauges can tell: no reason excuses it
+    assert honesty._row("drift", 3, tuple(found)).held
+
+
+def test_remarks_count_what_the_table_has() -> None:
+    rows = [
+        honesty._row(fault, 5, (Counted(100, 90, wrong), *[Counted(100, 99, 0)] * 4))
+        for fault, wrong in (("none", 0), ("warm", 8))
+    ]
+    told = honesty._remarks(rows)
+    assert "contact PDO alone 8 of 180" in told[0]
+    assert told[1] == f"Fewest: {honesty.METHODS[1]}."
+    assert "97.2 %" in told[2]
+    assert [row.held for row in rows] == [True, True]  # the contact PDO does not carry the temperature
+
+
+def once(works: Sequence[Callable[[], object]], *_arguments: object, **named: object) -> list[Timing]:
+    """In place of ``timed_together``: no run beyond the one for the error, which must have warmed them up."""
+    assert named["warm"]
+    return [Timing(1e-6, 1e-6, 1e-6, 2, 1e-6) for _ in works]
+
+
+@pytest.fixture(scope="module")
+def integrator_studies() -> dict[str, Study]:
+    """All four, with one coarse and one finer setting of each method."""
+    steps = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(integrators._SUBSTEPS, True, (1, 4))
+        patch.setitem(integrators._TOLERANCES, True, (1e-3, 1e-5))
+        patch.setattr(integrators, "timed_together", once)
+        patch.setattr("tipforce_lab.report.studies.integrators.time.process_time", float)  # no setting takes too long
+        studies = integrators.studies(Effort(quick=True), lambda: steps.append(1))
+    assert len(steps) == integrators.STEPS
+    return {study.key.removeprefix("integrators-"): study for study in studies}
+
+
+def test_each_task_compares_all_methods(integrator_studies: dict[str, Study]) -> None:
+    assert set(integrator_studies) == {"smooth", "step", "tap", "impact"}
+    others = ["RK4", "Newmark", "generalised-alpha 0.8", "Radau", "BDF", "LSODA", "DOP853"]
+    for key, study in integrator_studies.items():
+        first = "events (exact)" if key == "impact" else "held step (exact)"
+        assert [series.method for series in study.series] == [first, *others]
+        assert 0.0 < study.reference_error < 1e-12
+        assert study.check_difference is not None
+        assert study.check_difference < {"smooth": 1e-13, "step": 1e-10, "tap": 1e-12, "impact": 1e-11}[key]
+        assert not study.left_out
+        for series in study.series:
+            assert all(point.timing.seconds > 0.0 and point.timing.runs == 2 for point in series.points)
+            assert all(point.timing.cpu_seconds is not None for point in series.points)
+
+
+def test_finer_settings_are_better(integrator_studies: dict[str, Study]) -> None:
+    for key in ("smooth", "tap"):
+        for series in integrator_studies[key].series:
+            assert series.points[-1].error < series.points[0].error, (key, series.method)
+
+
+def test_the_held_step_is_exact_for_a_step_and_rk4_is_shown_unstable(integrator_studies: dict[str, Study]) -> None:
+    held, rk4 = integrator_studies["step"].series[:2]
+    assert max(point.error for point in held.points) < 1e-12
+    assert all(math.isinf(point.error) for point in rk4.points)
+    assert any("RK4 is unstable" in remark for remark in integrator_studies["step"].remarks)
+    assert any("stability limit" in remark for remark in integrator_studies["step"].remarks)
+    assert integrator_studies["impact"].series[0].points[0].error <= integrator_studies["impact"].reference_error
+
+
+def test_the_independent_check_finds_a_wrong_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tipforce.sensor.dynamics import first_order_hold
+    from tipforce_lab.dynamics import integrators as closed_forms
+
+    right = first_order_hold.hold
+
+    def wrong(x: float, zeta: float) -> first_order_hold.Hold:
+        integrator_studies = right(x, zeta)
+        return integrator_studies._replace(p12=integrator_studies.p12 * (1.0 + 1e-8))
+
+    monkeypatch.setattr(closed_forms, "hold", wrong)
+    task = integrators.TASKS["tap"]()
+    assert integrators.relative(integrators.checked(task), task.wanted) > 1e-10
+
+
+def test_the_independent_impact_finds_another_contact() -> None:
+    task = integrators.struck()
+    softer = Striker(0.01, 0.3, 1e7 * (1.0 + 1e-6))
+    assert integrators.relative(integrators.checked(task, softer), task.wanted) > 1e-9

@@ -24,7 +24,6 @@ _EMPTY = b"\x00\x01\x00\x00" + bytes(4)  # as rosidl sends it, padded; the encod
 
 
 def main(folder: str) -> None:
-    """Read, inject, tare, and print."""
     rosless.register_path(str(shipped_folder("ros2") / "tipforce_msgs"))
     hand = [sys.executable, str(Path(__file__).with_name("loopback_hand.py")), folder]
     with subprocess.Popen(hand, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -73,8 +72,7 @@ def _watch(process: subprocess.Popen[str]) -> dict[str, Any]:
     _until(lambda: contact.read(timeout=WAIT_S), lambda one: bool(one.status & Status.FAULT))
     _until(lambda: contact.read(timeout=WAIT_S), lambda one: bool(one.status & Status.FAULT))
     _all(wrench)
-    unknown = [contact.read(timeout=WAIT_S) for _ in range(20)]
-    found["unknown"] = [_dict(one) for one in unknown]
+    found["unknown"] = [_dict(one) for one in [contact.read(timeout=WAIT_S) for _ in range(20)]]
     found["wrenches while unknown"] = len(_all(wrench))
     return found
 

@@ -24,7 +24,6 @@ _KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def main(hand: list[str]) -> None:
-    """Subscribe, tare, and print."""
     rclpy.init()
     node = rclpy.create_node("reader")
     messages: dict[str, list[Any]] = {}

@@ -1,7 +1,5 @@
 """`tipforce ros2` beside a simulated hand, read by rosless in another process, both in a network namespace."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -20,7 +18,6 @@ LOOPBACK = 'ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo &&
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the reader saw."""
     assert shutil.which("unshare"), "install util-linux and iproute2"
     folder = tmp_path_factory.mktemp("ros2")
     reader = [sys.executable, str(Path(__file__).with_name("loopback_reader.py")), str(folder)]

@@ -254,7 +254,7 @@ _OFF_AXIS_NOTES = [
     "proportional to the lateral offset: more than half a newton per newton and millimetre, about twenty times what "
     "bending along z alone gives. It decays within 0.23 of the width (2.3 mm). So the claim holds for the angle (1 % "
     "of the load per degree for a 1 mm gauge, whose middle is 0.5 mm from the end); an offset costs 5 to 9 % of the "
-    "load per 0.1 mm. A plate model of the strip agrees within 12 % (tests/sensor/structure/test_off_axis.py).",
+    "load per 0.1 mm. A plate model of the strip agrees within 12 % (tests/sensor/structure/test_plane_frame.py).",
     "Three-dimensional Euler-Bernoulli beams between rigid bodies; every gauge off by the stated amount with either "
     "sign, each calibrated in the plane in that position; corners and gauge area ignored; nu = 0.29 assumed.",
 ]
