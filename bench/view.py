@@ -31,9 +31,9 @@ from tipforce.scene import beam_calibration
 from tipforce.watching.feeds import FrameFeed
 from tipforce.watching.frame_sources import BusSource
 from tipforce.watching.watcher import Finger, with_layout
-from tipforce_tools.view.guard import Guard
-from tipforce_tools.view.server import ViewServer
-from tipforce_tools.view.sources import LiveSource, Source
+from tipforce_tools.page.guard import Guard
+from tipforce_tools.page.server import ViewServer
+from tipforce_tools.page.sources import LiveSource, Source
 
 FINGERS, SYNC_HZ, SECONDS = 15, 400, 10.0
 HEADER = ["browsers", "pictures/s", "messages/s", "longest drawing ms", "frames dropped", "lost rows", "missing",
@@ -139,7 +139,7 @@ def screenshots(browser: Browser, folder: Path) -> None:
     """The demo's hand, light on a desktop while a finger has a fault, and dark on a phone; and a recording."""
     from tipforce.shipped_files import shipped_folder
     from tipforce.watching.watcher import finger_maker
-    from tipforce_tools.view.sources import scene_source
+    from tipforce_tools.page.sources import scene_source
 
     hand = scene_source(shipped_folder("scenes") / "hand.toml", finger_maker())
     with shown(browser, hand, 1280, 900, "light") as page:

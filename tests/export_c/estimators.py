@@ -27,7 +27,7 @@ import numpy as np
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
-from tipforce_tools.export_c.files import ESTIMATOR, write_c_files
+from tipforce_tools.export.c_sources import ESTIMATOR, write_c_files
 
 HERE = Path(__file__).parent
 HOST_FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic", "-O2"]

@@ -29,7 +29,7 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.configuration_file import read_configuration
 from tipforce.sensor.contact import scalar, scalar_redundancy
 from tipforce_tools.cli.main import main
-from tipforce_tools.export_c.files import c_files, write_c_files
+from tipforce_tools.export.c_sources import c_files, write_c_files
 
 needs_gcc = pytest.mark.skipif(not estimators.found_compiler("gcc"), reason="gcc is missing: apt-get install gcc")
 Library = Callable[[int, str], ctypes.CDLL]

@@ -52,7 +52,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         sleep(1.0)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tipforce_tools.view.serving.time", SimpleNamespace(sleep=serve))
+    monkeypatch.setattr("tipforce_tools.page.serving.time", SimpleNamespace(sleep=serve))
 
 
 @pytest.fixture(scope="module", params=SITUATIONS)

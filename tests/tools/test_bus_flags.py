@@ -193,7 +193,7 @@ def test_where_the_name_comes_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
 
 
 def test_vcan_that_works_and_vcan_that_does_not(monkeypatch: pytest.MonkeyPatch, printed: Printed) -> None:
-    monkeypatch.setattr("tipforce_tools.vcan.host.choose", lambda _interfaces: "uml")
+    monkeypatch.setattr("tipforce_tools.kernel.host.choose", lambda _interfaces: "uml")
     assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in printed(0, ["doctor"]).out
 
     def lacking() -> int:

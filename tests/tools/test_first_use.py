@@ -25,7 +25,7 @@ from tipforce.watching.watcher import Finger
 from tipforce_tools.cli import common
 from tipforce_tools.cli.main import main
 from tipforce_tools.demo import job
-from tipforce_tools.view.sources import is_scene, scene_source
+from tipforce_tools.page.sources import is_scene, scene_source
 from tools.rig import Printed
 
 SCENE = """\

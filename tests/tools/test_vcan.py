@@ -14,16 +14,17 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.vcan import command, host, uml
+from tipforce_tools import vcan
+from tipforce_tools.kernel import host, uml
 
-SCRIPT = files("tipforce_tools.vcan").joinpath("init.sh").read_text()
+SCRIPT = files("tipforce_tools.kernel").joinpath("init.sh").read_text()
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="the machine has no bash")
 
 
 def parse(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
     subcommands = parser.add_subparsers()
-    command.add_arguments(subcommands.add_parser("vcan"))
+    vcan.add_arguments(subcommands.add_parser("vcan"))
     return parser.parse_args(["vcan", *words])
 
 
@@ -46,7 +47,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[str]]]:
 
 
 def fake_kernel(monkeypatch: pytest.MonkeyPatch, *, up: Sequence[str] = (), can_make: bool = False) -> None:
-    monkeypatch.setattr("tipforce_tools.vcan.host.can_interfaces", lambda: dict.fromkeys(up, True))
+    monkeypatch.setattr("tipforce_tools.kernel.host.can_interfaces", lambda: dict.fromkeys(up, True))
     monkeypatch.setattr(host, "can_make", lambda _interfaces: can_make)
 
 
@@ -104,7 +105,7 @@ def test_the_command_is_taken_word_for_word(
     words: list[str], expected: list[str], monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
 ) -> None:
     fake_kernel(monkeypatch)
-    assert command.run(parse(*words)) == 4
+    assert vcan.run(parse(*words)) == 4
     assert asked == [("uml", expected)]
 
 
@@ -116,7 +117,7 @@ class FakeStdin:
 def test_no_command_is_a_usage_error_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
     with pytest.raises(InputError, match=r"tipforce vcan -- COMMAND"):
-        command.run(parse())
+        vcan.run(parse())
 
 
 @pytest.mark.parametrize(("shell", "expected"), [("/bin/sh", "/bin/sh"), ("/no/such/shell", "bash"), ("", "bash")])
@@ -126,7 +127,7 @@ def test_no_command_is_a_shell_on_a_terminal(
     fake_kernel(monkeypatch)
     monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=True))
     monkeypatch.setenv("SHELL", shell)
-    command.run(parse())
+    vcan.run(parse())
     assert asked == [("uml", [expected])]
 
 
@@ -144,19 +145,19 @@ def test_a_shell_is_told_where_it_is_and_what_becomes_of_its_files(
 ) -> None:
     fake_kernel(monkeypatch, can_make=can_make)
     monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=True))
-    command.run(parse(*flags))
+    vcan.run(parse(*flags))
     said = capsys.readouterr()
     assert expected in said.err
     assert said.err.count("\n") == 1
     assert said.out == ""
-    command.run(parse(*flags, "--", "true"))
+    vcan.run(parse(*flags, "--", "true"))
     assert capsys.readouterr().err == "", "a command's stderr is its own"
 
 
 def test_where_there_is_no_linux_one_line_says_what_works(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")
     with pytest.raises(EnvironmentLackError, match=r"^vcan exists on Linux only.*darwin.*`tipforce demo`.*$"):
-        command.run(parse("--", "true"))
+        vcan.run(parse("--", "true"))
 
 
 def test_a_command_that_is_not_there_is_127_before_anything_boots(

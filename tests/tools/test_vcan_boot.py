@@ -16,7 +16,7 @@ import pytest
 
 from tipforce.errors import EnvironmentLackError
 from tipforce_tools.doctor.machine import vcan_checks
-from tipforce_tools.vcan import host, uml
+from tipforce_tools.kernel import host, uml
 
 FILES = 600
 LACKING = host.missing_packages() if sys.platform == "linux" else ["Linux"]

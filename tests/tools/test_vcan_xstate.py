@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce_tools.vcan import uml
+from tipforce_tools.kernel import uml
 
 HERE = Path(__file__).parent
 

@@ -45,7 +45,7 @@ _context.set_forkserver_preload(
         "tipforce_tools.calibrate.fit",
         "tipforce_tools.dump.command", "tipforce_tools.dump.session", "tipforce_tools.log", "tipforce_tools.replay",
         "tipforce.host.live.receiver", "tipforce.host.live.send",
-        *(f"tipforce_tools.view.{name}" for name in ("command", "server", "sources")),
+        "tipforce_tools.view", "tipforce_tools.page.server", "tipforce_tools.page.sources",
     ]
 )  # fmt: skip
 

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EPILOG
     add_case_arguments(parser, common.node_id)
     common.add_confirm_argument(parser)
-    common.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

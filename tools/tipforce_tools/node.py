@@ -12,7 +12,7 @@ import math
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("operation")
     group.add_argument("--priority", type=int, metavar="N", help="SCHED_FIFO, 1 to 99 (80 is usual)")
     group.add_argument("--lock-memory", action="store_true", help="lock the process in memory (mlockall)")
-    common.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def _add_source_arguments(parser: argparse.ArgumentParser) -> None:

@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-gap", type=_gap, metavar="S", help="shorten gaps of the log that are longer than S")
     parser.add_argument("--strict", action="store_true", help="end at the first bad line of candump text")
     common.add_confirm_argument(parser)
-    common.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def _assignment(text: str) -> str:

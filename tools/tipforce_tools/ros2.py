@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.bus_flags import find_bus
 from tipforce_tools.cli.listening import add_sync_argument, check_sync, commissioned, counted, listening
 
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_sync_argument(parser)
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="log: times recorded speed (default 1)")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this time")
-    common.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 if TYPE_CHECKING:
     from canopen_device.machine.device import SimulatedDevice
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="[ID:]OBJECT=VALUE", dest="values", help="initial value"
     )
-    common.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

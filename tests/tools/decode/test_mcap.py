@@ -23,7 +23,7 @@ from tipforce.samples import reasons
 from tipforce.watching.watcher import Finger
 from tipforce_robots.ros2 import cdr
 from tipforce_tools.cli.main import main
-from tipforce_tools.view.sources import LogSource
+from tipforce_tools.page.sources import LogSource
 from tools.decode.logs import START_US, decode, log_lines, number, rows_of, write_log
 
 Found = dict[str, list[tuple[int, Any]]]

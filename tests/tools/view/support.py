@@ -18,10 +18,10 @@ from tipforce.samples.columns import Block
 from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
 from tipforce.watching.watcher import Finger, with_layout
-from tipforce_tools.view.guard import Guard
-from tipforce_tools.view.model import Model
-from tipforce_tools.view.server import ViewServer
-from tipforce_tools.view.sources import Source
+from tipforce_tools.page.guard import Guard
+from tipforce_tools.page.model import Model
+from tipforce_tools.page.server import ViewServer
+from tipforce_tools.page.sources import Source
 
 WAIT_S = 60.0
 START_NS = 1_700_000_000_000_000_000

@@ -17,8 +17,8 @@ from tipforce.samples.reasons import NO_ANSWER
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT
 from tipforce.shipped_files import file_or_shipped
 from tipforce.watching.watcher import Finger, finger_maker
-from tipforce_tools.view.server import ViewServer
-from tipforce_tools.view.sources import LogSource, scene_source
+from tipforce_tools.page.server import ViewServer
+from tipforce_tools.page.sources import LogSource, scene_source
 from tools.view.support import MovingSource, serving
 from tools.view.test_watcher import cycle, written
 

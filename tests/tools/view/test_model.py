@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from tipforce.samples.reasons import NO_ANSWER, Status
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT, MISSES_TIP, SATURATED, STALE
-from tipforce_tools.view.history import MAX_BYTES, History, row_bytes
-from tipforce_tools.view.messages import MAX_BINS, Cursor, Playhead
-from tipforce_tools.view.model import FingerState, Model, finger_states
+from tipforce_tools.page.history import MAX_BYTES, History, row_bytes
+from tipforce_tools.page.messages import MAX_BINS, Cursor, Playhead
+from tipforce_tools.page.model import FingerState, Model, finger_states
 from tools.view.support import MS, START_NS, block, fingers, with_status
 
 NAN = float("nan")

@@ -18,10 +18,10 @@ from websockets.frames import CloseCode
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact.scalar import CONTACT_PRESENT
-from tipforce_tools.view import page as view_page
-from tipforce_tools.view import server as view_server
-from tipforce_tools.view.guard import CONTENT_SECURITY_POLICY, Guard, access_token, host_names
-from tipforce_tools.view.server import MAX_OTHERS, MAX_PAGES, ViewServer, static_files
+from tipforce_tools.page import connection as view_page
+from tipforce_tools.page import server as view_server
+from tipforce_tools.page.guard import CONTENT_SECURITY_POLICY, Guard, access_token, host_names
+from tipforce_tools.page.server import MAX_OTHERS, MAX_PAGES, ViewServer, static_files
 from tools.view.support import WAIT_S, MovingSource, Page, get, serving
 
 
@@ -244,7 +244,7 @@ def test_no_number_of_connections_locks_others_out() -> None:
 
 
 def test_there_is_a_limit_of_pages_that_are_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tipforce_tools.view.server._SLOW_S", 3600.0)  # a busy machine makes no page slow
+    monkeypatch.setattr("tipforce_tools.page.server._SLOW_S", 3600.0)  # a busy machine makes no page slow
     with serving(MovingSource()) as server, contextlib.ExitStack() as stack:
         for _ in range(MAX_PAGES):
             stack.enter_context(Page(server)).ask("setup")

@@ -31,8 +31,8 @@ from tipforce.shipped_files import file_or_shipped
 from tipforce.watching.feeds import FrameFeed
 from tipforce.watching.frame_sources import FrameSource
 from tipforce.watching.watcher import Finger, Watcher, finger_maker
-from tipforce_tools.view.messages import drawing
-from tipforce_tools.view.sources import LiveSource, LogSource, scene_source
+from tipforce_tools.page.messages import drawing
+from tipforce_tools.page.sources import LiveSource, LogSource, scene_source
 from tools.view.support import MS, START_NS, WAIT_S, fingers
 
 STATUS = 3  # contact, calibrated

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scatter = next(action for action in parser._actions if action.dest == "angle_scatter")
     scatter.help = (scatter.help or "").replace("%(default)s", "0.5; --auto: 0")
     common.add_confirm_argument(parser)
-    common.add_sdo_arguments(parser)
+    bus_flags.add_sdo_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import NoReturn
 
 from canopen_device.visible_text import visible
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 
 Actions = Mapping[str, tuple[str, str]]
 """name -> (place, one line of help). A place is a module with add_arguments(parser) and run(args) -> exit code, or
@@ -113,7 +113,7 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 def shared_help() -> str:
     """Return the help of the flags that commands share: `tipforce --help-bus`."""
     parser = argparse.ArgumentParser("tipforce COMMAND", add_help=False)
-    common.add_sdo_arguments(parser)
+    bus_flags.add_sdo_arguments(parser)
     common.add_confirm_argument(parser)
     formatter = _Formatter(parser.prog)
     for group in parser._action_groups:

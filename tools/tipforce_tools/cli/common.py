@@ -67,25 +67,6 @@ OUTPUT = Output()
 OUTPUT.set_up(argparse.Namespace())
 
 
-def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add python-can's bus flags, -i -c -b --fd --data-bitrate --timing --bus-kwargs, and the output flags."""
-    from tipforce_tools.cli import bus_flags
-
-    bus_flags.add_bus_arguments(parser)
-    add_output_arguments(parser)
-
-
-def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the bus flags, the timeout and retries of SDO transfers, and the output flags."""
-    from tipforce_tools.cli import bus_flags
-
-    bus_flags.add_bus_arguments(parser)
-    group = parser.add_argument_group("SDO")
-    add_numbers(group, ("--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", timeout))
-    group.add_argument("--retries", type=whole_number, default=2, metavar="N", help="after a timeout (%(default)s)")
-    add_output_arguments(parser)
-
-
 def number(text: str) -> float:
     """Return the number of a flag whose limits are checked later; NaN, which fails every limit, if it is not one."""
     try:

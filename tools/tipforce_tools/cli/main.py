@@ -58,7 +58,7 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
     "try": {
         "demo": ("tipforce_tools.demo.command", "calibrate, load and compare simulated nodes; needs no hardware"),
         "run": ("tipforce_tools.scene", "run a scene: nodes, loads, faults and a recording in TOML"),
-        "vcan": ("tipforce_tools.vcan.command", "run a command where vcan interfaces exist"),
+        "vcan": ("tipforce_tools.vcan", "run a command where vcan interfaces exist"),
     },
     "bus": {
         "scan": ("tipforce_tools.network.nodes:scan", "list the nodes on the bus"),
@@ -75,7 +75,7 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
         "calibrate": (_CALIBRATE, "fit a calibration, write it to a node, verify it, budget its error"),
         "estimate": ("tipforce_tools.estimate", "compute contact from gauge readings, with its uncertainty"),
         "hand": ("tipforce_tools.network.hand", "check, commission and run a hand defined in TOML"),
-        "view": ("tipforce_tools.view.command", "serve a web page with the force on each fingertip"),
+        "view": ("tipforce_tools.view", "serve a web page with the force on each fingertip"),
         "ros2": ("tipforce_tools.ros2", "publish forces and contacts as ROS 2 topics, without ROS"),
         "node": ("tipforce_tools.node", "run one fingertip node on a CAN bus"),
     },
@@ -90,7 +90,7 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
     "develop": {
         "simulate": ("tipforce_tools.simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
         "conformance": ("tipforce_tools.conformance", "test a CANopen device against the CiA standards, by clause"),
-        "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
+        "export": ("tipforce_tools.export.command", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
         "design": (_DESIGN, "recompute the paper's tables, sweep and optimise the structure"),
         "report": ("tipforce_tools.report", "measure error against run time, and check extreme cases"),
         "doctor": ("tipforce_tools.doctor.command", "find what this machine and its bus lack"),

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 from tipforce_tools.cli import common
-from tipforce_tools.view.serving import add_page_arguments, page_guard, serve
+from tipforce_tools.page.serving import add_page_arguments, page_guard, serve
 
 if TYPE_CHECKING:
     from tipforce_tools.demo.job import Result
@@ -63,7 +63,7 @@ def _view(args: argparse.Namespace) -> int:
     """Serve the page with the scene of a hand, in a loop, until Ctrl-C. Its time is simulated: no row is missing."""
     from tipforce.shipped_files import file_or_shipped
     from tipforce.watching.watcher import finger_maker
-    from tipforce_tools.view.sources import scene_source
+    from tipforce_tools.page.sources import scene_source
 
     guard = page_guard(args)
     source = scene_source(file_or_shipped("hand", "scenes"), finger_maker())

@@ -94,7 +94,7 @@ def _can_raw() -> Finding:
 
 def trial() -> int:
     """Run `true` with the buses; return its exit code. Raises EnvironmentLackError."""
-    from tipforce_tools.vcan.uml import run_with_vcan
+    from tipforce_tools.kernel.uml import run_with_vcan
 
     return run_with_vcan(["true"], interfaces=INTERFACES, timeout_s=120.0)
 
@@ -104,7 +104,7 @@ def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Finding]:
     if sys.platform != "linux":
         yield Finding("vcan", "note", f"vcan exists on Linux only, and this is {sys.platform}", _UDP)
         return
-    from tipforce_tools.vcan.host import ELSEWHERE, choose
+    from tipforce_tools.kernel.host import ELSEWHERE, choose
 
     place = choose(INTERFACES)
     try:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import add_sync_argument
 from tipforce_tools.cli.log_flags import add_eds_argument
 
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_eds_argument(parser)
     add_sync_argument(parser)
     parser.add_argument("--strict", action="store_true", help="text: exit with 1 at the first bad line")
-    common.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -3,7 +3,7 @@
 import argparse
 import math
 
-from tipforce_tools.cli import common
+from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import add_sync_argument
 from tipforce_tools.cli.log_flags import add_eds_argument
 
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
     add_sync_argument(parser)
     add_eds_argument(parser)
-    common.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -47,7 +47,7 @@ def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
     )
     wait = common.number_within(0.0, threading.TIMEOUT_MAX, "is 0 s or more")
     common.add_numbers(parser, ("--wait", 1.2, "S", "wait for responses and heartbeats (default %(default)s s)", wait))
-    common.add_sdo_arguments(parser)
+    bus_flags.add_sdo_arguments(parser)
 
 
 def run_scan(args: argparse.Namespace) -> int:
@@ -93,7 +93,7 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
     _add_ids(parser)
     parser.add_argument("-n", "--count", type=common.count, default=1, metavar="N", help="samples of each (default 1)")
     common.add_numbers(parser, ("--wait", 5.0, "S", "for each sample (default %(default)g s)", common.timeout))
-    common.add_sdo_arguments(parser)
+    bus_flags.add_sdo_arguments(parser)
 
 
 def run_read(args: argparse.Namespace) -> int:
@@ -131,7 +131,7 @@ def add_tare_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--clear", action="store_true", help="clear the tare")
     group.add_argument("--show", action="store_true", help="change nothing")
-    common.add_sdo_arguments(parser)
+    bus_flags.add_sdo_arguments(parser)
 
 
 def run_tare(args: argparse.Namespace) -> int:
@@ -171,7 +171,7 @@ def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
         "--wait", nargs="?", type=common.timeout, const=10.0, metavar="S",
         help="repeat the command until each heartbeat confirms it, for this long (%(const)s s unless given)",
     )  # fmt: skip
-    common.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def run_nmt(args: argparse.Namespace) -> int:
@@ -222,7 +222,7 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
     timeout_help = "timeout of each response (default %(default)s s)"
     common.add_numbers(parser, ("--lss-timeout", 0.1, "S", timeout_help, common.timeout))
     common.add_confirm_argument(parser)
-    common.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def run_lss(args: argparse.Namespace) -> int:
@@ -295,7 +295,7 @@ def _print_lss(address: LssAddress, node_id: int | None, stored: bool) -> None:
 def add_firmware_show_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce firmware show`."""
     _add_ids(parser)
-    common.add_sdo_arguments(parser)
+    bus_flags.add_sdo_arguments(parser)
 
 
 def run_firmware_show(args: argparse.Namespace) -> int:
@@ -325,7 +325,7 @@ def add_firmware_install_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=common.InputFile(), metavar="FILE", help="program image")
     parser.add_argument("--allow-downgrade", action="store_true", help="install an image older than the program")
     common.add_confirm_argument(parser)
-    common.add_sdo_arguments(parser)
+    bus_flags.add_sdo_arguments(parser)
     parser.set_defaults(timeout=3.0)  # a node checks the complete image before it responds to the last block
 
 

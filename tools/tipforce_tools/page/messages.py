@@ -16,8 +16,8 @@ from tipforce.sensor.structure.gauges import Gauge, GaugePosition, gauge_name, p
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce.watching.watcher import Finger
-from tipforce_tools.view.history import Charted, Envelope
-from tipforce_tools.view.model import Model, Picture
+from tipforce_tools.page.history import Charted, Envelope
+from tipforce_tools.page.model import Model, Picture
 
 MAX_BINS = 1500
 """Limit per message: a browser that reconnects late gets the newest ones."""

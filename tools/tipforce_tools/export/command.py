@@ -145,7 +145,7 @@ def _write_folder(args: argparse.Namespace, converter: Converter) -> int:
 
         paths = write_ros2_bus(read_hand(args.hand), Path(args.output))
     else:
-        from tipforce_tools.export_c.files import write_c_files
+        from tipforce_tools.export.c_sources import write_c_files
 
         paths = write_c_files(Path(args.output), args.gauges, converter)
     for path in paths:

@@ -57,10 +57,10 @@ def run(args: argparse.Namespace) -> int:
         )
     command = args.command[1:] if args.command[:1] == ["--"] else args.command
     if args.attach:
-        from tipforce_tools.vcan.uml import run_attached
+        from tipforce_tools.kernel.uml import run_attached
 
         return run_attached(command, _shell, args.timeout)
-    from tipforce_tools.vcan.uml import run_with_vcan
+    from tipforce_tools.kernel.uml import run_with_vcan
 
     return run_with_vcan(
         command or _shell(),

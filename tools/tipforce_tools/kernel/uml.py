@@ -26,8 +26,8 @@ from typing import IO
 from canopen_device.visible_text import visible
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.cli.main import terminate_as_interrupt
-from tipforce_tools.vcan import host
-from tipforce_tools.vcan.host import (
+from tipforce_tools.kernel import host
+from tipforce_tools.kernel.host import (
     ELSEWHERE,
     INTERRUPTED,
     PREFIX,
@@ -226,7 +226,7 @@ def _write_request(
     write_list(folder / "command", command)
     write_list(folder / "environment", [name + b"=" + value for name, value in os.environb.items()])
     script = folder / "init.sh"
-    script.write_bytes(files("tipforce_tools.vcan").joinpath("init.sh").read_bytes())
+    script.write_bytes(files("tipforce_tools.kernel").joinpath("init.sh").read_bytes())
     script.chmod(0o700)
 
 
@@ -293,7 +293,7 @@ def build_whole_xstate(folder: Path) -> Path:
     if compiler is None:
         raise EnvironmentLackError(f"{what}, and none is installed: {_INSTALL}")
     library = folder / "whole_xstate.so"
-    with as_file(files("tipforce_tools.vcan").joinpath("whole_xstate.c")) as source:
+    with as_file(files("tipforce_tools.kernel").joinpath("whole_xstate.c")) as source:
         built = subprocess.run(
             [compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(source)],
             capture_output=True,

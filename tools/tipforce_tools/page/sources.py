@@ -25,8 +25,8 @@ from tipforce.samples.reasons import Status
 from tipforce.watching.feeds import Counters, Feed
 from tipforce.watching.findings import not_calibrated
 from tipforce.watching.watcher import Finger, FingerMaker, Watcher, with_layout
-from tipforce_tools.view.history import MAX_BYTES, row_bytes
-from tipforce_tools.view.model import Model
+from tipforce_tools.page.history import MAX_BYTES, row_bytes
+from tipforce_tools.page.model import Model
 
 LOG_BYTES = 8 * MAX_BYTES
 """Memory limit of a log's rows; of a longer log the user must choose a part."""

@@ -14,8 +14,8 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
 from tipforce.errors import InputError, RefusedError, TipforceError
-from tipforce_tools.view.history import Charted
-from tipforce_tools.view.messages import (
+from tipforce_tools.page.history import Charted
+from tipforce_tools.page.messages import (
     MAX_BINS,
     MAX_EVENTS,
     Cursor,
@@ -25,8 +25,8 @@ from tipforce_tools.view.messages import (
     envelope_message,
     largest_strain_per_newton,
 )
-from tipforce_tools.view.model import Model
-from tipforce_tools.view.sources import Source
+from tipforce_tools.page.model import Model
+from tipforce_tools.page.sources import Source
 
 Milliseconds = Annotated[float, msgspec.Meta(ge=0.0, le=9e12)]
 """Since 1970."""

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import bus_flags, common
-from tipforce_tools.view.serving import add_page_arguments, page_guard, serve
+from tipforce_tools.page.serving import add_page_arguments, page_guard, serve
 
 if TYPE_CHECKING:
-    from tipforce_tools.view.sources import Source
+    from tipforce_tools.page.sources import Source
 
 _MOST_SECONDS = 1e9
 
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--to", dest="end_s", type=float, metavar="S", help="end, likewise")
     add_page_arguments(parser).add_argument("--allow-writes", action="store_true", help="allow the page to tare")
-    common.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,7 +66,7 @@ def _source(args: argparse.Namespace, path: Path | None) -> Iterator[Source]:
     from tipforce.sources.layout_file import read_layout
     from tipforce.watching.watcher import finger_maker
     from tipforce_tools.cli.listening import check_sync, commissioned, listening
-    from tipforce_tools.view.sources import LiveSource, LogSource, is_scene, scene_source
+    from tipforce_tools.page.sources import LiveSource, LogSource, is_scene, scene_source
 
     is_table = path is not None and path.suffix == ".toml"
     if args.no_bring_up and not is_table:

@@ -25,9 +25,9 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 
 from tipforce.errors import EnvironmentLackError
-from tipforce_tools.view.guard import COOKIE, SECURITY_HEADERS, Guard
-from tipforce_tools.view.page import Page, Pulse
-from tipforce_tools.view.sources import Source
+from tipforce_tools.page.connection import Page, Pulse
+from tipforce_tools.page.guard import COOKIE, SECURITY_HEADERS, Guard
+from tipforce_tools.page.sources import Source
 
 _LOG = logging.getLogger(__name__)
 
@@ -54,7 +54,7 @@ _TYPES = {
 def static_files() -> dict[str, tuple[str, bytes]]:
     """Return the files that may be fetched, by path: no other file is reachable."""
     files = {}
-    for file in resources.files("tipforce_tools.view").joinpath("static").iterdir():
+    for file in resources.files("tipforce_tools.page").joinpath("static").iterdir():
         kind = _TYPES.get(file.name.rpartition(".")[2])
         if kind is not None:
             files["/" if file.name == "index.html" else f"/{file.name}"] = kind, file.read_bytes()

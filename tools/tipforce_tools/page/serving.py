@@ -11,8 +11,8 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce_tools.view.guard import Guard
-    from tipforce_tools.view.sources import Source
+    from tipforce_tools.page.guard import Guard
+    from tipforce_tools.page.sources import Source
 
 DEFAULT_PORT = 8404
 
@@ -33,7 +33,7 @@ def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGro
 
 def page_guard(args: argparse.Namespace) -> Guard:
     """Return the access rules of the page, before anything is opened. Raises InputError."""
-    from tipforce_tools.view.guard import Guard, access_token, host_names
+    from tipforce_tools.page.guard import Guard, access_token, host_names
 
     if not 0 <= args.port <= 65535:
         raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
@@ -48,7 +48,7 @@ def page_guard(args: argparse.Namespace) -> Guard:
 def serve(args: argparse.Namespace, source: Source, guard: Guard) -> int:
     """Serve the page of a source until Ctrl-C or SIGTERM."""
     from tipforce_tools.cli.main import terminate_as_interrupt
-    from tipforce_tools.view.server import ViewServer
+    from tipforce_tools.page.server import ViewServer
 
     server = ViewServer(source, guard, (args.host,) if args.host else ("127.0.0.1", "::1"), args.port)
     terminate_as_interrupt()

@@ -22,7 +22,7 @@ from tipforce.samples.columns import Block
 from tipforce.sensor.contact import scalar
 from tipforce.watching.feeds import Counters
 from tipforce.watching.watcher import Finger
-from tipforce_tools.view.history import Charted, Envelope, History
+from tipforce_tools.page.history import Charted, Envelope, History
 
 STALE_PERIODS = 2.5
 STALE_S = 0.5

@@ -1,0 +1,1 @@
+"""The web page with the force on each fingertip, for `tipforce view` and `demo --view`."""

@@ -1,1 +1,0 @@
-"""`tipforce vcan`: run a command on a kernel that has virtual CAN buses."""
