@@ -88,7 +88,7 @@ def test_killed_before_replaced_files_are_removed(tmp_path: Path, lines: list[st
 
 
 def test_compaction_beside_another_writer(tmp_path: Path, lines: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from tipforce_tools.decode import dataset_files
+    from tipforce_tools.writing import dataset_files
 
     log, data = write_log(tmp_path / "run.log", lines[:1500]), tmp_path / "data"
     assert decode(log, "-j", 1, "-o", f"{data}/") == 0

@@ -21,7 +21,7 @@ from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording, State
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, is_missing
 from tipforce_tools.decode.workers import Event, InOrder, Work
-from tipforce_tools.decode.writers import Shape
+from tipforce_tools.writing.writers import Shape
 from tools.decode.logs import decode, log_lines, write_log
 
 READING = Reading(Layouts(4, (1, 2)))
@@ -192,7 +192,8 @@ def test_parts_are_decoded_apart(tmp_path: Path) -> None:
 def test_a_worker_that_is_killed_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from tipforce_tools.decode import session, writers
+    from tipforce_tools.decode import session
+    from tipforce_tools.writing import writers
 
     monkeypatch.setattr(session, "_LEAST_PIECE_BYTES", 100_000)
     monkeypatch.setattr(session, "_PIECE_BYTES", 100_000)

@@ -135,7 +135,7 @@ def test_nothing_else_is_decoded(log: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [0, 1, -1, 9, 10, -10, 4400, -4400, 32767, -32767, 999, -999])
 def test_text_of_numbers_is_exact(value: int) -> None:
-    from tipforce_tools.decode import text_rows
+    from tipforce_tools.writing import text_rows
 
     for digits in range(4):
         made = text_rows.real_cells(np.array([value / 10**digits, np.nan, 12345.0]), digits)
@@ -144,7 +144,7 @@ def test_text_of_numbers_is_exact(value: int) -> None:
 
 
 def test_text_of_any_double() -> None:
-    from tipforce_tools.decode import text_rows
+    from tipforce_tools.writing import text_rows
 
     values = np.random.default_rng(3).standard_normal(500) * 10.0 ** np.random.default_rng(4).integers(-30, 30, 500)
     text = text_rows.rows_text([text_rows.real_cells(values, None), b"\n"], 500).decode().split()

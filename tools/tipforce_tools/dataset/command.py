@@ -53,7 +53,7 @@ def run_verify(args: argparse.Namespace) -> int:
 def run_compact(args: argparse.Namespace) -> int:
     """Join the files of a day: 0. Raises InputError, EnvironmentLackError without pyarrow."""
     from tipforce.host.dataset.reader import opened
-    from tipforce_tools.decode.dataset_files import compact
+    from tipforce_tools.writing.dataset_files import compact
 
     store, manifest = opened(args.directory)
     files = len(manifest.files())

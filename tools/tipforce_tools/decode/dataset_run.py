@@ -39,9 +39,9 @@ from tipforce.host.decoding.services import BusEvent
 from tipforce.host.logs.lines import open_file
 from tipforce.host.logs.reader import log_kind
 from tipforce.host.logs.unpacking import decompressed
-from tipforce_tools.decode.dataset_files import BASE, DatasetSink, joined_parts, put_file
 from tipforce_tools.decode.workers import InOrder, Sink, Workers, Written
-from tipforce_tools.decode.writers import Shape
+from tipforce_tools.writing.dataset_files import BASE, DatasetSink, joined_parts, put_file
+from tipforce_tools.writing.writers import Shape
 
 HASHED_BYTES = 1 << 16
 _COMPARED_BYTES = 1 << 12
@@ -327,7 +327,7 @@ class DatasetRun:
             return None
         import pyarrow.parquet
 
-        from tipforce_tools.decode.parquet import events_table
+        from tipforce_tools.writing.parquet import events_table
 
         with self.store.scratch(f"{FOLDER}/{self._token}") as folder:
             pyarrow.parquet.write_table(events_table(events), folder / "events")

@@ -1,7 +1,11 @@
-"""Resample to a uniform grid: the mean of each interval, per node; angles by the mean of their directions."""
+"""The steps on tables between the logs and the output: contact by a calibration, and a uniform grid.
+
+A grid has the mean of each interval, per node; angles by the mean of their directions.
+"""
 
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -19,6 +23,7 @@ from tipforce.host.decoding.sample_table import (
     in_order,
     is_missing,
 )
+from tipforce_tools.cli import log_choice
 
 COUNT = "count"
 MOST_EMPTY = 10_000_000
@@ -191,3 +196,36 @@ def _mean(column: Column, sums: FloatArray) -> Values:
             length = np.hypot(mean, cosine)
             mean = np.where(length > _NO_DIRECTION, np.degrees(np.arctan2(mean, cosine)), np.nan)
     return np.asarray(mean)
+
+
+class Steps:
+    """The steps on tables between the logs and the output, with the ``layouts`` and ``signals`` to read for them."""
+
+    def __init__(self, args: Namespace) -> None:
+        """Raises InputError."""
+        names = log_choice.names_of(args.signals)
+        self.layouts, calibrations = log_choice.calibrated(args, log_choice.layouts(args))
+        self._contact = self._resampler = None
+        if calibrations:
+            from tipforce.host.decoding import contact_columns
+
+            computed = {name: contact_columns.is_computed(name) for name in names or ()}
+            rest = log_choice.checked_signals(
+                self.layouts, tuple(name for name, signal in computed.items() if not signal)
+            )
+            left = iter(rest or ())
+            asked = None if names is None else tuple(computed[name] or next(left, "") for name in names)
+            self._contact = contact_columns.ContactColumns(calibrations, asked)
+            self.signals = contact_columns.signals_needed(asked, calibrations)
+        else:
+            asked = self.signals = log_choice.checked_signals(self.layouts, names)
+        if args.resample is not None:
+            self._resampler = Resampler(args.resample, asked)
+
+    def contact(self, tables: Iterable[Table]) -> Iterable[Table]:
+        """Add the contact columns if a calibration is given."""
+        return tables if self._contact is None else self._contact.tables(tables)
+
+    def resampled(self, tables: Iterable[Table]) -> Iterable[Table]:
+        """Resample to a uniform grid if a rate is given."""
+        return tables if self._resampler is None else self._resampler.tables(tables)

@@ -29,12 +29,20 @@ from tipforce.host.frames.frame_array import MAX_CHANNELS
 from tipforce.host.logs.lines import is_plain, line_borders
 from tipforce.host.logs.reader import log_kind
 from tipforce.samples import reasons
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, log_choice
 from tipforce_tools.cli.listening import counted
-from tipforce_tools.decode import choice
 from tipforce_tools.decode import summary as summaries
-from tipforce_tools.decode.text_rows import COUNTER, NODE, TIME
-from tipforce_tools.decode.writers import JoinedFile, Output, Shape, StreamWriter, check_format, format_of, is_directory
+from tipforce_tools.decode.resample import Steps
+from tipforce_tools.writing.text_rows import COUNTER, NODE, TIME
+from tipforce_tools.writing.writers import (
+    JoinedFile,
+    Output,
+    Shape,
+    StreamWriter,
+    check_format,
+    format_of,
+    is_directory,
+)
 
 if TYPE_CHECKING:
     from tipforce_robots.mcap_file import McapWriter
@@ -98,12 +106,12 @@ class _Run:
     def __init__(self, args: Namespace) -> None:
         """Raises InputError."""
         self._args = args
-        self.names = choice.logs(args.logs)
+        self.names = log_choice.logs(args.logs)
         json_on_stdout = args.json and not _to_file(args) and args.format is None
         self._kind = "jsonl" if json_on_stdout else format_of(args.output, args.format)
-        self._steps = choice.Steps(args)
+        self._steps = Steps(args)
         self._reading = replace(
-            choice.reading(args, self.names, self._steps.layouts, self._steps.signals),
+            log_choice.reading(args, self.names, self._steps.layouts, self._steps.signals),
             reasons=bool(args.summary or args.verbose or args.json),
         )
         self._recording = Recording(self._reading)
@@ -227,7 +235,7 @@ class _Run:
             common.note(reasons.not_seen(node for _, node in told.unseen))
         if complete and not summary.samples and told.notes:
             frames = sum(notes.frames for notes in told.notes)
-            flags = choice.narrowing_flags(args)
+            flags = log_choice.narrowing_flags(args)
             chosen = f"; {flags} may exclude it" if flags and frames else ""
             common.note(f"no sample of a fingertip in {counted(frames, 'frame')}{chosen}")
         if args.summary and not args.json:
@@ -366,7 +374,7 @@ def _check_readable(args: Namespace, told: Told) -> None:
     begun = _to_dataset(args) and not summaries.bad_lines(told)  # a log of a dataset may begin empty, and grow
     if told.notes and not frames and not args.follow and not begun:
         raise no_frame(names)
-    narrowed = args.signals or args.calibration or args.follow or choice.narrowing_flags(args)
+    narrowed = args.signals or args.calibration or args.follow or log_choice.narrowing_flags(args)
     if frames and not told.tally.messages and not told.tally.short and not told.events() and not narrowed:
         raise no_sample(names, frames, sum(notes.extended for notes in told.notes))
 

@@ -19,6 +19,7 @@ from tipforce.host.decoding.services import BusEvent
 from tipforce.output_file import Kind, write_file
 from tipforce.samples.reasons import CAUSES
 from tipforce_tools.cli.common import shown_id
+from tipforce_tools.writing.text_rows import event_rows
 
 EVENT_COLUMNS = ("t_s", "channel", "node", "event", "code", "text")
 _EVENTS_KIND = Kind("a file of events of `tipforce decode`", rb"\A" + ",".join(EVENT_COLUMNS).encode() + rb"\n")
@@ -252,10 +253,3 @@ def write_events(output: str, events: Sequence[BusEvent]) -> None:
         rows.writerow(EVENT_COLUMNS)
         rows.writerows(event_rows(events))
         write_file(path, text.getvalue(), _EVENTS_KIND)
-
-
-def event_rows(events: Sequence[BusEvent]) -> Iterator[tuple[str, str, int, str, str, str]]:
-    """Yield the cells of each event."""
-    for event in events:
-        t_s = f"{event.t_ns // 1_000_000_000}.{event.t_ns % 1_000_000_000:09d}"
-        yield t_s, event.channel, event.node_id, event.kind, f"0x{event.code:04X}", event.text

@@ -28,7 +28,7 @@ from tipforce.host.decoding.sample_table import Table
 from tipforce.host.decoding.services import BusEvent
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce_tools.decode.summary import Summary
-from tipforce_tools.decode.writers import Shape
+from tipforce_tools.writing.writers import Shape
 
 
 class Sink(Protocol):

@@ -15,9 +15,8 @@ from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Table
 from tipforce.host.logs.empty import no_sample
 from tipforce.output_file import FIGURES, check_output, figure_kind, save_figure
-from tipforce_tools.cli import common
+from tipforce_tools.cli import common, log_choice
 from tipforce_tools.cli.listening import counted
-from tipforce_tools.decode import choice
 from tipforce_tools.plot import figure
 from tipforce_tools.plot.fingers import Fingers
 
@@ -35,12 +34,12 @@ def plot(args: Namespace) -> int:
     if args.output is None:
         raise InputError("no output: add -o FILE.png, .svg or .pdf")
     path = Path(args.output)
-    names = choice.logs(args.logs)
+    names = log_choice.logs(args.logs)
     check_output(path, figure_kind(path, FIGURES), names)
     plt = figure.import_matplotlib()
     layouts, contact, computed = _layouts(args)
-    wanted = choice.names_of(args.signals) or _default(layouts)
-    reading = choice.reading(args, names, layouts, None)
+    wanted = log_choice.names_of(args.signals) or _default(layouts)
+    reading = log_choice.reading(args, names, layouts, None)
     recording = Recording(reading)
     fingers = Fingers(_signals(wanted, layouts, computed), computed)
     tables: Iterable[Table] = tables_of_logs(recording, names)
@@ -67,7 +66,7 @@ def plot(args: Namespace) -> int:
 
 def _layouts(args: Namespace) -> tuple[Layouts, ContactColumns | None, frozenset[str]]:
     """Return the layouts, and the estimator of the contact from gauges, with its signals."""
-    layouts, calibrations = choice.calibrated(args, choice.layouts(args))
+    layouts, calibrations = log_choice.calibrated(args, log_choice.layouts(args))
     if not calibrations:
         return layouts, None, frozenset()
     from tipforce.host.decoding.contact_columns import COLUMNS, ContactColumns
@@ -90,7 +89,7 @@ def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) 
             signals |= {f"SG{k + 1}" for k in range(layouts.gauges)}
         elif name != STATUS:
             known = name.rpartition("_")[0] if name in {"P_N", "phi_deg", "theta_deg"} else name
-            signals.add(known if known in computed else (choice.checked_signals(layouts, (known,)) or (known,))[0])
+            signals.add(known if known in computed else (log_choice.checked_signals(layouts, (known,)) or (known,))[0])
     return frozenset(signals)
 
 
@@ -99,7 +98,7 @@ def _check(args: Namespace, fingers: Fingers, notes: Sequence[Notes]) -> None:
     count = len(fingers.named())
     if not count:
         frames = sum(log.frames for log in notes)
-        flags = choice.narrowing_flags(args)
+        flags = log_choice.narrowing_flags(args)
         if not flags:
             raise no_sample(names, frames, sum(log.extended for log in notes))
         why = f" (of {counted(frames, 'frame')}, with {flags})"

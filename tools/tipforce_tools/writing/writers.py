@@ -16,8 +16,8 @@ from tipforce.host.decoding.recording import Tap
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.decoding.services import BusEvent
 from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, PARQUET, NewFile
-from tipforce_tools.decode import parquet_join, text_rows
-from tipforce_tools.decode.text_rows import CHANNEL
+from tipforce_tools.writing import parquet_join, text_rows
+from tipforce_tools.writing.text_rows import CHANNEL
 
 _SUFFIXES = {
     ".csv": "csv", ".jsonl": "jsonl", ".ndjson": "jsonl", ".json": "jsonl", ".parquet": "parquet", ".pq": "parquet",
@@ -173,7 +173,7 @@ class PartFile:
     def write(self, number: int, tables: Iterable[Table], shape: Shape) -> Pieces:
         """Write the rows."""
         if self._kind == "parquet":
-            from tipforce_tools.decode import parquet
+            from tipforce_tools.writing import parquet
 
             parquet.write_part(self.path(number), tables, shape)
             return [(0, len(shape.columns))]
@@ -232,7 +232,7 @@ class JoinedFile:
     def _join_parquet(self) -> None:
         paths = [path for path, _ in self._parts]
         if any(count < len(self._shape.columns) for _, pieces in self._parts for _, count in pieces):
-            from tipforce_tools.decode import parquet  # its import costs time
+            from tipforce_tools.writing import parquet  # its import costs time
 
             parquet.join_widened(paths, self._file.partial, parquet.schema_of(self._shape), self._shape.channel)
             return

@@ -1,4 +1,4 @@
-"""Selections by the flags of `tipforce decode`: logs, times, signals, layouts."""
+"""What the flags of ``log_flags`` choose: logs, times, signals, layouts, calibrations."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import glob
 import re
 import sys
 from argparse import Namespace
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -23,7 +23,6 @@ from tipforce_tools.cli.log_flags import eds_files
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration
-    from tipforce.host.decoding.sample_table import Table
 
 STDIN = "-"
 _EPOCH_FROM_S = 100_000_000  # 1973: smaller numbers are seconds since the first frame
@@ -145,36 +144,3 @@ def calibrated(args: Namespace, chosen: Layouts) -> tuple[Layouts, Mapping[int |
     calibrations = read_calibrations(args.calibration)
     told = args.gauges or args.dcf or args.ask
     return chosen if told else replace(chosen, gauges=gauges_of(calibrations)), calibrations
-
-
-class Steps:
-    """The steps on tables between the logs and the output, with the ``layouts`` and ``signals`` to read for them."""
-
-    def __init__(self, args: Namespace) -> None:
-        """Raises InputError."""
-        names = names_of(args.signals)
-        self.layouts, calibrations = calibrated(args, layouts(args))
-        self._contact = self._resampler = None
-        if calibrations:
-            from tipforce.host.decoding import contact_columns
-
-            computed = {name: contact_columns.is_computed(name) for name in names or ()}
-            rest = checked_signals(self.layouts, tuple(name for name, signal in computed.items() if not signal))
-            left = iter(rest or ())
-            asked = None if names is None else tuple(computed[name] or next(left, "") for name in names)
-            self._contact = contact_columns.ContactColumns(calibrations, asked)
-            self.signals = contact_columns.signals_needed(asked, calibrations)
-        else:
-            asked = self.signals = checked_signals(self.layouts, names)
-        if args.resample is not None:
-            from tipforce_tools.decode.resample import Resampler
-
-            self._resampler = Resampler(args.resample, asked)
-
-    def contact(self, tables: Iterable[Table]) -> Iterable[Table]:
-        """Add the contact columns if a calibration is given."""
-        return tables if self._contact is None else self._contact.tables(tables)
-
-    def resampled(self, tables: Iterable[Table]) -> Iterable[Table]:
-        """Resample to a uniform grid if a rate is given."""
-        return tables if self._resampler is None else self._resampler.tables(tables)

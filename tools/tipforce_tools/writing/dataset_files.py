@@ -33,11 +33,11 @@ from tipforce.host.dataset.manifest import (
 from tipforce.host.dataset.reader import damage_named
 from tipforce.host.dataset.store import FOLDER, Store
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
-from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
-from tipforce_tools.decode.writers import Shape
+from tipforce_tools.writing.text_rows import CHANNEL, COUNTER, NODE, TIME
+from tipforce_tools.writing.writers import Shape
 
 if TYPE_CHECKING:
-    from tipforce_tools.decode.parquet import Parts
+    from tipforce_tools.writing.parquet import Parts
 
 BASE = (TIME, CHANNEL, NODE, COUNTER)
 _DAY_NS = 86_400 * 10**9
@@ -71,7 +71,7 @@ class DatasetSink:
         schema: Any = None
         try:
             for table in tables:
-                from tipforce_tools.decode.parquet import Parts, arrow_table  # not before there are rows
+                from tipforce_tools.writing.parquet import Parts, arrow_table  # not before there are rows
 
                 shape.fits(table)
                 if schema is None or len(schema) + 1 != len(shape.base) + len(shape.columns):
@@ -94,7 +94,7 @@ class DatasetSink:
 
 def rows_schema(shape: Shape) -> Any:
     """Return the schema of a file of rows: the node stands in its path."""
-    from tipforce_tools.decode.parquet import schema_of
+    from tipforce_tools.writing.parquet import schema_of
 
     schema = schema_of(shape)
     return schema.remove(schema.get_field_index(NODE))
@@ -216,7 +216,7 @@ def _joined_files(
     """Write the rows of files one after the other; yield by number the rows of each in the new one."""
     import pyarrow.parquet as pq
 
-    from tipforce_tools.decode import parquet
+    from tipforce_tools.writing import parquet
 
     shape = Shape(BASE)
     shape.take(manifest.columns, ())

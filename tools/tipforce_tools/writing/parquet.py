@@ -12,12 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
-from tipforce_tools.decode.summary import event_rows
-from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
+from tipforce_tools.writing.text_rows import CHANNEL, COUNTER, NODE, TIME, event_rows
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.services import BusEvent
-    from tipforce_tools.decode.writers import Shape
+    from tipforce_tools.writing.writers import Shape
 
 ROW_GROUP_ROWS = 1 << 18
 _MOST_VALUES = 1 << 14

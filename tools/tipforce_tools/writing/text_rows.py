@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.host.decoding.sample_table import NO_COUNTER, NO_FLAG, Column, Table, Values, is_missing
+from tipforce.host.decoding.services import BusEvent
 from tipforce.samples import reasons
 
 Cells = npt.NDArray[np.uint8]
@@ -295,3 +296,10 @@ def _people_cells(column: Column, table: Table) -> Cells:
     if absent is not None:
         found = instead(found, absent, b"-")
     return right(found, width)
+
+
+def event_rows(events: Sequence[BusEvent]) -> Iterator[tuple[str, str, int, str, str, str]]:
+    """Yield the cells of each event."""
+    for event in events:
+        t_s = f"{event.t_ns // 1_000_000_000}.{event.t_ns % 1_000_000_000:09d}"
+        yield t_s, event.channel, event.node_id, event.kind, f"0x{event.code:04X}", event.text
