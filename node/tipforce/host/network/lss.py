@@ -72,16 +72,30 @@ class LssMaster:
             return None
         parts = [0, 0, 0, 0]
         for sub in range(4):
-            following = (sub + 1) % 4
-            if sub < len(known):
-                parts[sub] = known[sub]
-            else:
-                for bit in range(31, -1, -1):
-                    if not self._matches(parts[sub], bit, sub, sub):
-                        parts[sub] |= 1 << bit
-            if not self._matches(parts[sub], 0, sub, following):
+            part = self._scanned(sub) if sub >= len(known) else known[sub] if self._ends(known[sub], sub) else None
+            if part is None:
                 return None
+            parts[sub] = part
         return LssAddress(*parts)
+
+    def _scanned(self, sub: int) -> int | None:
+        """Return a part of the address, bit by bit; None if no node responds to what was found.
+
+        Silence is a bit of 1, and so is a response that is late: then the part is not confirmed, and is scanned again
+        with more patience.
+        """
+        for timeout_s in (self._timeout_s, 4.0 * self._timeout_s):
+            part = 0
+            for bit in range(31, -1, -1):
+                if not self._matches(part, bit, sub, sub, timeout_s):
+                    part |= 1 << bit
+            if self._ends(part, sub, timeout_s):
+                return part
+        return None
+
+    def _ends(self, part: int, sub: int, timeout_s: float | None = None) -> bool:
+        """Whether a node has this part; it goes on to the next one."""
+        return self._matches(part, 0, sub, (sub + 1) % 4, timeout_s)
 
     def select(self, address: LssAddress) -> bool:
         """Set the node with this address to the configuration state, node-id or not; False without a response."""
@@ -107,9 +121,9 @@ class LssMaster:
         if answer[1]:
             raise RefusedError(f"LSS: the node did not store: {_STORE_ERRORS.get(answer[1], f'error {answer[1]}')}")
 
-    def _matches(self, number: int, bit_check: int, sub: int, following: int) -> bool:
+    def _matches(self, number: int, bit_check: int, sub: int, following: int, timeout_s: float | None = None) -> bool:
         payload = struct.pack("<IBBB", number, bit_check, sub, following)
-        return self._ask(codes.LSS_FASTSCAN, payload, codes.LSS_IDENTIFIED) is not None
+        return self._ask(codes.LSS_FASTSCAN, payload, codes.LSS_IDENTIFIED, timeout_s) is not None
 
     def _required(self, service: int, payload: bytes, what: str, timeout_s: float) -> bytes:
         answer = self._ask(service, payload, service, timeout_s)
