@@ -108,7 +108,7 @@ def _redundant(
     calibration: Calibration,
 ) -> FloatArray:
     """The values of more than three gauges, judged here: one that is left out must not count."""
-    from tipforce.host.decoding.estimator import of_samples  # its import costs time
+    from tipforce.host.decoding.contact_columns import of_samples  # its import costs time
 
     values = np.full((len(status), 3), np.nan)
     hidden = np.uint16(Status.NO_ANSWER | Status.STALE | Status.FAULT)

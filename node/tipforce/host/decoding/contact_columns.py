@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,11 +13,12 @@ from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding import judged
-from tipforce.host.decoding.estimator import Before, Estimator
+from tipforce.host.decoding.estimator import Before, Contacts, Estimator, estimate
 from tipforce.host.decoding.health import lost_gauges
 from tipforce.host.decoding.judged import Readings
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, Values, computed, flag, in_order, missing_of
 from tipforce.samples import reasons
+from tipforce.samples.reasons import Status
 
 NEEDED_FLAGS = ("stale", "fault", "saturated")
 """The node's own word that a gauge reading is none."""
@@ -126,6 +128,27 @@ def _shown(estimator: Estimator, strain: FloatArray) -> BoolArray:
     verdict = estimator.judge.judge(Readings(strain, lost=judged.at_end(1e6 * strain)), False)
     seen: BoolArray = (verdict.faults & judged.GAUGES) != 0
     return seen
+
+
+def of_samples(
+    calibration: Calibration,
+    columns: Mapping[str, npt.NDArray[Any]],
+    microstrain: FloatArray,
+    status: npt.NDArray[np.uint16],
+    rows: npt.NDArray[np.intp],
+    temperature_degC: FloatArray | None = None,
+    was_present: bool = False,
+) -> tuple[Contacts, BoolArray]:
+    """Contact of some ``rows`` of a node's samples, and which hold: where the node left a gauge out, it must be known.
+
+    ``columns``, ``microstrain`` (k, n), ``status`` and ``temperature_degC`` (k,) are those of all samples.
+    """
+    missing = lost_gauges(columns, microstrain.shape)[rows] | judged.at_end(microstrain[rows])
+    temperature = None if temperature_degC is None else temperature_degC[rows]
+    contacts = estimate(
+        calibration, microstrain[rows], temperature_degC=temperature, lost=missing, was_present=was_present
+    )
+    return contacts, (status[rows] & np.uint16(Status.SATURATED) == 0) | contacts.has(Status.SATURATED)
 
 
 def signals_needed(

@@ -11,8 +11,8 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import MODES, Measurements
-from tipforce.host.decoding.estimator import Before, Estimator, frozen_gauges
-from tipforce.host.decoding.judged import Judge, Readings
+from tipforce.host.decoding.estimator import Before, Estimator
+from tipforce.host.decoding.judged import Judge, Readings, frozen_gauges
 from tipforce.samples import reasons
 from tipforce.sensor.calibration.regressors import tare_groups
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
@@ -11,12 +11,10 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
-from tipforce.fingertip.application import FROZEN_READINGS
 from tipforce.fingertip.judgement import RELEASE, Judgement
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import LARGEST_MICROSTRAIN
 from tipforce.host.decoding import judged
-from tipforce.host.decoding.health import lost_gauges
 from tipforce.host.decoding.judged import Judge, Judged, Readings
 from tipforce.samples import reasons
 from tipforce.samples.contact import Contact
@@ -72,15 +70,12 @@ class Contacts:
     @property
     def values(self) -> FloatArray:
         """(k, 6) the values and their uncertainties, in this order."""
-        return np.stack([getattr(self, name) for name in _VALUES], axis=-1)
+        return np.stack([getattr(self, name) for name in Contacts.__slots__[:6]], axis=-1)
 
     def has(self, status: Status) -> npt.NDArray[np.bool_]:
         """(k,) the samples with any of these bits."""
         has_bit: npt.NDArray[np.bool_] = (self.status & np.uint16(status)) != 0
         return has_bit
-
-
-_VALUES = Contacts.__slots__[:6]
 
 
 class Before(NamedTuple):
@@ -173,10 +168,10 @@ class Estimator:
         if row is not None and len(row) == n and out is None:
             degC = scalar.NAN if temperature_degC is None else temperature_degC
             if type(degC) is not float:
-                degC = float(_temperatures(degC, ()))
-            bits = lost if isinstance(lost, int) else int(_bits(lost, ()))
-            bits, values = self._one(row, degC, bits, was_present, was_overloaded)
-            status = _shown_one(bits)
+                degC = float(_numbers("temperature_degC", degC, ()))
+            bits = lost if isinstance(lost, int) else int(_numbers("lost", lost, ()))
+            faults, values = self._one(row, degC, bits, was_present, was_overloaded)
+            status = _shown_one(faults)
             if status not in self._status_of:
                 self._status_of[status] = Status(status)
             return Contact(0, scalar.NAN, -1, *values, self._status_of[status], tuple(row))
@@ -184,17 +179,18 @@ class Estimator:
             raise InputError(f"microstrain has the shape {np.shape(microstrain)}: allowed are (k, {n}) and ({n},)")
         shape = (len(readings),)
         if len(readings) <= FEW:
-            degC = _temperatures(scalar.NAN if temperature_degC is None else temperature_degC, shape)
-            return self._few(readings, degC, _bits(lost, shape), Before(was_present, was_overloaded), _room(out, shape))
+            degC = _numbers("temperature_degC", scalar.NAN if temperature_degC is None else temperature_degC, shape)
+            before = Before(was_present, was_overloaded)
+            return self._few(readings, degC, _numbers("lost", lost, shape), before, _room(out, shape))
         strain = np.where(np.abs(readings) <= LARGEST_MICROSTRAIN, readings, np.nan) * 1e-6
         given = Readings(
             strain,
-            None if temperature_degC is None else _temperatures(temperature_degC, shape),
-            _bits(lost, shape),
-            frozen_gauges(self._calibration, strain),
+            None if temperature_degC is None else _numbers("temperature_degC", temperature_degC, shape),
+            _numbers("lost", lost, shape),
+            judged.frozen_gauges(self._calibration, strain),
         )
-        contacts, faults, _ = self.rows(given, Before(was_present, was_overloaded), out)
-        contacts.status[:] = (faults | _shown(faults)) & 0xFFFF
+        contacts, status_of_rows, _ = self.rows(given, Before(was_present, was_overloaded), out)
+        contacts.status[:] = (status_of_rows | _shown(status_of_rows)) & 0xFFFF
         return contacts
 
     def rows(self, given: Readings, before: Before, out: Contacts | None = None) -> tuple[Contacts, IntArray, Before]:
@@ -204,13 +200,15 @@ class Estimator:
         """
         k = len(given.strain)
         contacts, status = _room(out, (k,)), np.zeros(k, dtype=np.int64)
-        columns = [getattr(contacts, name) for name in _VALUES]
+        columns = [getattr(contacts, name) for name in Contacts.__slots__[:6]]
         for start in range(0, k, BLOCK):
             rows = slice(start, start + BLOCK)
             values, status[rows] = self._block(given.part(rows), before)
             for column, value in zip(columns, values, strict=True):
                 column[rows] = value
-            before = _following(status[rows], before)
+            counted = status[rows][(status[rows] & reasons.NO_ESTIMATE) == 0]  # a row without a force changes nothing
+            present = bool(counted[-1] & scalar.CONTACT_PRESENT) if len(counted) else before.present
+            before = Before(present, bool(status[rows][-1] & reasons.OVERLOAD))
         return contacts, status, before
 
     def _block(self, given: Readings, before: Before) -> tuple[list[FloatArray], IntArray]:
@@ -223,7 +221,7 @@ class Estimator:
         F, K = model.forces(*verdict.F_newtons), model.covariances(verdict.covariance)
         sense = np.where(self._active.pull if given.pull is None else given.pull, 1.0, -1.0)
         contact = model.contact_columns(F, sense)
-        status = _judged_status(verdict, given)
+        status = judged.status_before_contact(verdict, given)
         counts = (status & reasons.NO_ESTIMATE) == 0
         misses = np.zeros(len(status), dtype=np.bool_)
         rows = np.flatnonzero(contact.miss_newtons > 0.0)
@@ -397,50 +395,6 @@ def estimate(
     return contacts
 
 
-def of_samples(
-    calibration: Calibration,
-    columns: Mapping[str, npt.NDArray[Any]],
-    microstrain: FloatArray,
-    status: npt.NDArray[np.uint16],
-    rows: npt.NDArray[np.intp],
-    temperature_degC: FloatArray | None = None,
-    was_present: bool = False,
-) -> tuple[Contacts, BoolArray]:
-    """Contact of some ``rows`` of a node's samples, and which hold: where the node left a gauge out, it must be known.
-
-    ``columns``, ``microstrain`` (k, n), ``status`` and ``temperature_degC`` (k,) are those of all samples.
-    """
-    missing = lost_gauges(columns, microstrain.shape)[rows] | judged.at_end(microstrain[rows])
-    temperature = None if temperature_degC is None else temperature_degC[rows]
-    contacts = estimate(
-        calibration, microstrain[rows], temperature_degC=temperature, lost=missing, was_present=was_present
-    )
-    return contacts, (status[rows] & np.uint16(Status.SATURATED) == 0) | contacts.has(Status.SATURATED)
-
-
-def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArray | None = None) -> IntArray | None:
-    """Bits of the gauges that repeat one reading more often than their noise allows, (m,); None: none does.
-
-    strain: (m, n) in time order, all of a table; weight: (m,), readings that a row averages. The smallest step in the
-    table is its resolution: a gauge with less noise may repeat itself. All rows of a run are marked, the first ones
-    too, which a node cannot know yet. At an end of the converter a gauge is saturated, not frozen.
-    """
-    if len(strain) <= FROZEN_READINGS:
-        return None
-    still = strain[1:] == strain[:-1]
-    repeating = np.flatnonzero(np.count_nonzero(still, axis=0) >= FROZEN_READINGS)
-    if not len(repeating):
-        return None
-    steps = np.abs(np.diff(strain, axis=0))
-    resolution = steps.min(where=steps > 0.0, initial=np.inf)
-    noise = np.sqrt(np.diagonal(calibration.covariance_strain2) / (1.0 if weight is None else weight.max()))
-    bits = np.zeros(len(strain), dtype=np.int64)
-    for gauge in repeating[noise[repeating] >= resolution * (1.0 - 1e-6)].tolist():
-        run = np.concatenate(([0], np.cumsum(~still[:, gauge])))
-        bits |= np.where(np.bincount(run)[run] > FROZEN_READINGS, 1 << gauge, 0)
-    return bits & ~judged.at_end(1e6 * strain) if bits.any() else None
-
-
 def _room(out: Contacts | None, shape: tuple[int, ...]) -> Contacts:
     """Return where the contacts go."""
     contacts = Contacts.empty(*shape) if out is None else out
@@ -448,30 +402,6 @@ def _room(out: Contacts | None, shape: tuple[int, ...]) -> Contacts:
     if any(not isinstance(column, np.ndarray) or column.shape != shape for column in columns):
         raise InputError(f"out: allowed is Contacts.empty({shape[0]})")
     return contacts
-
-
-def _following(status: IntArray, before: Before) -> Before:
-    """What the last sample leaves for the next; rows without a force leave contact as it was."""
-    counted = np.flatnonzero((status & reasons.NO_ESTIMATE) == 0)
-    present = bool(status[counted[-1]] & scalar.CONTACT_PRESENT) if len(counted) else before.present
-    return Before(present, bool(status[-1] & reasons.OVERLOAD) if len(status) else before.overloaded)
-
-
-def _judged_status(verdict: Judged, given: Readings) -> IntArray:
-    """The bits that are known before any contact is."""
-    faults, known = verdict.faults, judged.is_finite(verdict.F_newtons)
-    status = faults & (reasons.BEYOND_CALIBRATED | reasons.TEMPERATURE | reasons.OVERLOAD)
-    if not known.all():
-        contradict = ~known & ((faults & reasons.CONTRADICTION) != 0)
-        status |= np.where(contradict, reasons.CONTRADICTION, 0)
-        lost = ~known & ~contradict
-        if given.frozen is not None:
-            status |= np.where(lost & (given.frozen != 0), reasons.FROZEN, 0)
-        if given.lost is not None:
-            of_lost = lost & (given.lost != 0)
-            status = np.where(of_lost, status & ~reasons.FROZEN | scalar.SATURATED, status)
-    status |= np.where(known & ((faults & judged.GAUGES) != 0), reasons.LEFT_OUT, 0)
-    return status if given.unloaded is None else np.where(given.unloaded, reasons.TARE, status)
 
 
 def _shown(status: IntArray) -> IntArray:
@@ -492,19 +422,11 @@ def _shown_one(status: int) -> int:
     return status & 0xFFFF
 
 
-def _temperatures(values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    return _broadcast("temperature_degC", floats("temperature_degC", values), shape)
-
-
-def _bits(values: npt.ArrayLike, shape: tuple[int, ...]) -> IntArray:
-    lost = _broadcast("lost", np.asarray(values), shape)
-    if not np.issubdtype(lost.dtype, np.integer):
-        raise InputError(f"lost has the type {lost.dtype}: allowed are integers, bits of gauges")
-    return lost.astype(np.int64)
-
-
-def _broadcast(name: str, values: npt.NDArray[Any], shape: tuple[int, ...]) -> npt.NDArray[Any]:
+def _numbers(name: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    values = np.asarray(given) if name == "lost" else floats(name, given)
     if values.shape not in {(), shape}:
         allowed = f"are one number and {shape}" if shape else "is one number"
         raise InputError(f"{name} has the shape {values.shape}: allowed {allowed}")
-    return np.broadcast_to(values, shape)
+    if name == "lost" and not np.issubdtype(values.dtype, np.integer):
+        raise InputError(f"lost has the type {values.dtype}: allowed are integers, bits of gauges")
+    return np.broadcast_to(values.astype(np.int64) if name == "lost" else values, shape)

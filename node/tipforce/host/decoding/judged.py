@@ -13,10 +13,13 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.dictionary import table
+from tipforce.fingertip.application import FROZEN_READINGS
 from tipforce.fingertip.calibration import Active
 from tipforce.fingertip.judgement import RELEASE, difference
 from tipforce.host.configuration.calibration import Calibration
+from tipforce.samples import reasons
 from tipforce.samples.reasons import BEYOND_CALIBRATED, CONTRADICTION, OVERLOAD, TEMPERATURE
+from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import held
 from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE, NO_FAULT, explained
 
@@ -284,6 +287,46 @@ def at_end(microstrain: FloatArray) -> IntArray:
     with np.errstate(invalid="ignore"):
         bits: IntArray = (np.abs(microstrain) >= _END_MICROSTRAIN) @ (1 << np.arange(microstrain.shape[1]))
     return bits
+
+
+def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArray | None = None) -> IntArray | None:
+    """Bits of the gauges that repeat one reading more often than their noise allows, (m,); None: none does.
+
+    strain: (m, n) in time order, all of a table; weight: (m,), readings that a row averages. The smallest step in the
+    table is its resolution: a gauge with less noise may repeat itself. All rows of a run are marked, the first ones
+    too, which a node cannot know yet. At an end of the converter a gauge is saturated, not frozen.
+    """
+    if len(strain) <= FROZEN_READINGS:
+        return None
+    still = strain[1:] == strain[:-1]
+    repeating = np.flatnonzero(np.count_nonzero(still, axis=0) >= FROZEN_READINGS)
+    if not len(repeating):
+        return None
+    steps = np.abs(np.diff(strain, axis=0))
+    resolution = steps.min(where=steps > 0.0, initial=np.inf)
+    noise = np.sqrt(np.diagonal(calibration.covariance_strain2) / (1.0 if weight is None else weight.max()))
+    bits = np.zeros(len(strain), dtype=np.int64)
+    for gauge in repeating[noise[repeating] >= resolution * (1.0 - 1e-6)].tolist():
+        run = np.concatenate(([0], np.cumsum(~still[:, gauge])))
+        bits |= np.where(np.bincount(run)[run] > FROZEN_READINGS, 1 << gauge, 0)
+    return bits & ~at_end(1e6 * strain) if bits.any() else None
+
+
+def status_before_contact(verdict: Judged, given: Readings) -> IntArray:
+    """The bits that are known before any contact is."""
+    faults, known = verdict.faults, is_finite(verdict.F_newtons)
+    status = faults & (BEYOND_CALIBRATED | TEMPERATURE | OVERLOAD)
+    if not known.all():
+        contradict = ~known & ((faults & CONTRADICTION) != 0)
+        status |= np.where(contradict, CONTRADICTION, 0)
+        lost = ~known & ~contradict
+        if given.frozen is not None:
+            status |= np.where(lost & (given.frozen != 0), reasons.FROZEN, 0)
+        if given.lost is not None:
+            of_lost = lost & (given.lost != 0)
+            status = np.where(of_lost, status & ~reasons.FROZEN | scalar.SATURATED, status)
+    status |= np.where(known & ((faults & GAUGES) != 0), reasons.LEFT_OUT, 0)
+    return status if given.unloaded is None else np.where(given.unloaded, reasons.TARE, status)
 
 
 def last_known(values: FloatArray, before: float = float("nan")) -> FloatArray:

@@ -17,7 +17,8 @@ from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding import judged
-from tipforce.host.decoding.estimator import Contacts, of_samples
+from tipforce.host.decoding.contact_columns import of_samples
+from tipforce.host.decoding.estimator import Contacts
 from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
