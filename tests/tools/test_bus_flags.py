@@ -29,7 +29,7 @@ from tools.rig import Printed
 
 def parsers() -> tuple[argparse.ArgumentParser, argparse.ArgumentParser]:
     ours, theirs = (argparse.ArgumentParser(prog="x") for _ in range(2))
-    bus_flags.add_bus_arguments(ours)
+    bus_flags.add_bus_flags(ours)
     can.cli.add_bus_arguments(theirs)
     return ours, theirs
 
@@ -104,7 +104,7 @@ LISTED = """\
 import argparse, sys
 from tipforce_tools.cli import bus_flags
 parser = argparse.ArgumentParser()
-bus_flags.add_bus_arguments(parser)
+bus_flags.add_bus_flags(parser)
 assert "can" not in sys.modules
 text = parser.format_help()
 print("can" in sys.modules, "my_interface" in text)

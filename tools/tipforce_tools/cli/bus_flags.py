@@ -103,13 +103,13 @@ def add_bus_name_arguments(parser: argparse.ArgumentParser) -> argparse._Argumen
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """Add python-can's bus flags, -i -c -b --fd --data-bitrate --timing --bus-kwargs, and the output flags."""
-    _add_bus_flags(parser)
+    add_bus_flags(parser)
     common.add_output_arguments(parser)
 
 
 def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bus flags, the timeout and retries of SDO transfers, and the output flags."""
-    _add_bus_flags(parser)
+    add_bus_flags(parser)
     group = parser.add_argument_group("SDO")
     common.add_numbers(group, ("--timeout", 0.5, "S", "timeout of a response (default %(default)s s)", common.timeout))
     group.add_argument(
@@ -118,7 +118,8 @@ def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
     common.add_output_arguments(parser)
 
 
-def _add_bus_flags(parser: argparse.ArgumentParser) -> None:
+def add_bus_flags(parser: argparse.ArgumentParser) -> None:
+    """Add python-can's bus flags alone."""
     group, unset = add_bus_name_arguments(parser), argparse.SUPPRESS
     group.add_argument("--fd", default=unset, action="store_true", help="CAN FD")
     group.add_argument("--data-bitrate", type=int, default=unset, metavar="BIT/S", help="of the CAN FD data phase")
