@@ -132,6 +132,8 @@ exit codes: {codes}
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return the exit code. Errors that a user can cause print no traceback."""
     words = list(sys.argv[1:] if argv is None else argv)
+    # Before numpy is imported: the matrices are small, and threads of BLAS only wait, for a tenth of a second of processor.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _open_closed_streams()
     with visible_streams():
         return _run_line(words)
