@@ -132,7 +132,7 @@ exit codes: {codes}
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return the exit code. Errors that a user can cause print no traceback."""
     words = list(sys.argv[1:] if argv is None else argv)
-    # Before numpy is imported: the matrices are small, and threads of BLAS only wait, for a tenth of a second of processor.
+    # Before numpy is imported: for small matrices the threads of BLAS only wait, and cost 0.1 s of processor time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _open_closed_streams()
     with visible_streams():
