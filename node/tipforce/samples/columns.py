@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
-from tipforce.dictionary import table
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
@@ -84,10 +83,8 @@ def contact_values(
     if columns.keys() >= {"F1", "F2", "F3"}:
         F = np.stack([columns[name] for name in ("F1", "F2", "F3")], axis=-1)
         contact = estimate.contacts(F, pull=pull)
-    elif calibration is not None and calibration.gauges == strain.shape[-1] > table.MIN_GAUGES:
-        return _redundant(columns, strain, status, calibration)
     elif calibration is not None and calibration.gauges == strain.shape[-1]:
-        _, contact = estimate.estimate(calibration.C, strain, calibration.offset_strain, pull=pull)
+        return _estimated(columns, strain, status, calibration)
     else:  # a mapping may have P alone
         unknown = np.full(len(status), np.nan)
         return np.stack([columns.get(name, unknown) for name in ("P", "phi", "theta")], axis=-1).astype(np.float64)
@@ -101,13 +98,13 @@ def contact_values(
     return values
 
 
-def _redundant(
+def _estimated(
     columns: Mapping[str, npt.NDArray[Any]],
     strain: FloatArray,
     status: npt.NDArray[np.uint16],
     calibration: Calibration,
 ) -> FloatArray:
-    """The values of more than three gauges, judged here: one that is left out must not count."""
+    """The values of the gauges, judged here: one that is left out must not count."""
     from tipforce.host.decoding.contact_columns import of_samples  # its import costs time
 
     values = np.full((len(status), 3), np.nan)

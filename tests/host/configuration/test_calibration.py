@@ -84,6 +84,17 @@ def test_the_record_is_158_bytes_in_the_order_of_the_dictionary() -> None:
     assert record[105] == 1
 
 
+def test_its_arrays_are_its_own() -> None:
+    """What is prepared from a calibration, as by ``estimate``, stays true."""
+    C = np.array(beam_calibration().C)
+    calibration = beam_calibration(C=C)
+    with pytest.raises(ValueError, match="read-only"):
+        calibration.C[0, 0] = 1.0
+    before = calibration.C.copy()
+    C *= 2.0
+    np.testing.assert_array_equal(calibration.C, before)
+
+
 def test_covariance_of_force() -> None:
     calibration = beam_calibration()
     np.testing.assert_allclose(calibration.covariance_F, ROUNDING_STRAIN2 * calibration.C @ calibration.C.T)

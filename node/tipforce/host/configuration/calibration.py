@@ -115,7 +115,7 @@ class Calibration:
     contributes to the uncertainty (``covariance_of_estimate``). A node does not hold it."""
 
     def __post_init__(self) -> None:
-        """Arrays of float64, of shapes that belong together. Raises InputError naming the shape and what is allowed."""
+        """Own arrays of float64, read-only, of shapes that belong together. Raises InputError naming the allowed."""
         n = 0
         for of in fields(self):
             value, shape = getattr(self, of.name), stated(of).shape
@@ -130,6 +130,8 @@ class Calibration:
                 allowed = tuple(n if side == "n" else side for side in shape)
                 if value.shape != allowed:
                     raise InputError(f"calibration {_label(of)}: shape {value.shape}, allowed is {allowed}")
+                value = value.copy()
+                value.flags.writeable = False  # what is prepared from a calibration stays true
             elif of.type in ("int", "float"):
                 value = _number(of.name, value, of.type)
             elif of.type == "bool" and not isinstance(value, (bool, np.bool_)):

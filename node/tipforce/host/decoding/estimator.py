@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
@@ -371,6 +372,12 @@ def _first_order_holds(P: float, u_P: float, u_phi: float, u_sine: float, cosine
     return bias <= limit and bend <= limit and (not phi_known or u_P / P <= limit)
 
 
+@lru_cache(maxsize=32)
+def _prepared(calibration: Calibration) -> Estimator:
+    """Those of the last calibrations are kept: of a hand's fingers, row after row."""
+    return Estimator(calibration)
+
+
 def estimate(
     calibration: Calibration,
     microstrain: npt.ArrayLike,
@@ -389,7 +396,7 @@ def estimate(
     """
     readings = np.atleast_2d(floats("microstrain", microstrain))
     given = 0 if lost is None else lost
-    contacts: Contacts = Estimator(calibration)(
+    contacts: Contacts = _prepared(calibration)(
         readings, temperature_degC=temperature_degC, lost=given, was_present=was_present
     )
     return contacts
