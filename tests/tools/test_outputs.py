@@ -206,21 +206,7 @@ for place in ("1F56", "1F57"):
     EDS += record(place, var(f"{place}sub0", 5, "const", "1"), var(f"{place}sub1", 7, "ro", "0"))
 EDS += var("2002", 9, "rw", KEY).replace("P2002", f"Q{KEY}")
 NAMED_LOG = CONTACTS_LOG.replace("vcan0", "".join(one for one in NAME if not one.isspace() and one > " "))
-MARKED_SCENE = f"""
-title = {QUOTED}
-duration_s = 0.02
-sync_hz = 200
-[[nodes]]
-ids = [1]
-pdos = ["contact"]
-[[loads]]
-kind = "static"
-P_N = 2.0
-phi_deg = -90
-theta_deg = 80
-[[expect]]
-P_error_N = 0.001
-"""
+MARKED_SCENE = f"title = {QUOTED}{SCENE.replace('[outputs]', '[[expect]]')}P_error_N = 0.001\n"
 FILES = {
     "any.eds": EDS,
     "run.log": NAMED_LOG,

@@ -177,8 +177,10 @@ def test_the_rows_are_those_of_one_pass(
     ]
 
 
-def test_parts_are_decoded_apart(tmp_path: Path) -> None:
+@pytest.mark.parametrize("in_memory_bytes", [decoded_part._IN_MEMORY_BYTES, 1])
+def test_parts_are_decoded_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_memory_bytes: int) -> None:
     """The test above would prove nothing if each part waited for the ones in front."""
+    monkeypatch.setattr(decoded_part, "_IN_MEMORY_BYTES", in_memory_bytes)
     order = random.Random(3)
     steps = [(order.choice(KINDS), order.randrange(3), order.choice([0, 0, 1, 1, 2]), 30) for _ in range(1200)]
     for modulus in (0, 4):

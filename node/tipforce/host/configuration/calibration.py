@@ -115,7 +115,10 @@ class Calibration:
     contributes to the uncertainty (``covariance_of_estimate``). A node does not hold it."""
 
     def __post_init__(self) -> None:
-        """Own arrays of float64, read-only, of shapes that belong together. Raises InputError naming the allowed."""
+        """Copy the arrays: read-only, float64, of shapes that belong together.
+
+        Raises InputError naming the shape and what is allowed.
+        """
         n = 0
         for of in fields(self):
             value, shape = getattr(self, of.name), stated(of).shape

@@ -118,7 +118,7 @@ class _Kept:
             self._first.append(table)
             return
         if self._file is None:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the part
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed after the last row
         pickle.dump(table, self._file, protocol=5)
 
     def __iter__(self) -> Iterator[Table]:
@@ -129,6 +129,10 @@ class _Kept:
             with suppress(EOFError):
                 while True:
                     yield pickle.load(self._file)
+
+    def __del__(self) -> None:
+        if self._file is not None:
+            self._file.close()
 
     def __getstate__(self) -> list[Table]:
         """Return all tables: a cluster moved the part to another worker."""
