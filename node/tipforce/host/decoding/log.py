@@ -130,7 +130,8 @@ class Log(Mapping[int, NodeLog]):
 
     def __repr__(self) -> str:
         heads = [f"  {str(samples).splitlines()[0][1:-1]}, {self.lost[node]} lost" for node, samples in self.items()]
-        more = [f"  and {len(heads) - _SHOWN_NODES} more nodes"] if len(heads) > _SHOWN_NODES else []
+        others = len(heads) - _SHOWN_NODES
+        more = [f"  and {others} more node{'s' * (others > 1)}"] if others > 0 else []
         return "\n".join([f"<Log of {len(heads)} nodes, {self.bad_lines} bad lines>", *heads[:_SHOWN_NODES], *more])
 
     def to_arrow(self) -> pyarrow.Table:
