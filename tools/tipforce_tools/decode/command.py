@@ -51,10 +51,12 @@ def run(args: argparse.Namespace) -> int:
     """
     from tipforce_tools.cli.main import terminate_as_interrupt
 
+    collects = gc.isenabled()
     gc.disable()  # to look for garbage among what the imports make takes a tenth of the start
     try:
         from tipforce_tools.decode.session import decode
     finally:
-        gc.enable()
+        if collects:
+            gc.enable()
     terminate_as_interrupt()
     return decode(args)
