@@ -33,6 +33,8 @@ _SWITCH_ON, _VOLTAGE, _NO_QUICK_STOP, _ENABLE, _START, _AT_ONCE, _RELATIVE, _RES
 # Statusword bits beyond the state.
 _VOLTAGE_ON, _REMOTE, _REACHED, _LIMIT, _MODE_BIT = 1 << 4, 1 << 9, 1 << 10, 1 << 11, 1 << 12
 
+_MOST_PARTS = 500
+"""Of a step that came late: bounds its time after the process was stopped."""
 _CURRENT_POSITION = (35, 37)  # homing methods that move nothing
 _DEFAULTS = {
     PROFILE_VELOCITY: 10_000, PROFILE_ACCELERATION: 100_000, PROFILE_DECELERATION: 100_000,
@@ -196,7 +198,12 @@ class Drive(DeviceApplication):
             self.velocity = 0.0
 
     def _approach(self, target: float, speed: float, dt_s: float) -> None:
-        """Follow a trapezoidal profile to ``target``."""
+        """Follow a trapezoidal profile to ``target``, in parts: a step that came late would go far beyond it."""
+        parts = min(max(math.ceil(dt_s / self.period_s), 1), _MOST_PARTS)
+        for _ in range(parts):
+            self._approach_in_part(target, speed, dt_s / parts)
+
+    def _approach_in_part(self, target: float, speed: float, dt_s: float) -> None:
         left = target - self.position
         slow_down = max(self._get(PROFILE_DECELERATION), 1.0)
         # The velocity from which the rest of the way, less that of this step, is enough to stop.
