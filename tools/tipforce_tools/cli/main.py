@@ -134,6 +134,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     # Before numpy is imported: for small matrices the threads of BLAS only wait, and cost 0.1 s of processor time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Before pyarrow is: its own allocator returns memory between the parts of a log, and clears it again for the next.
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     _open_closed_streams()
     with visible_streams():
         return _run_line(words)
