@@ -20,10 +20,14 @@ class Chip:
     period_us = 0
     faults = 0
     temperature = table.UNKNOWN_I16
+    _state = _next_us = _deadline_us = 0  # state 0 resets the chip
 
     def poll(self, now_us: int) -> "tuple[int, ...] | None":
         """Run one small step; return the counts of all channels if there are new ones."""
         raise NotImplementedError
+
+    def _again(self, now_us: int) -> None:
+        self._state, self._next_us = 0, now_us + RETRY_US
 
 
 class Gauges(Source):
@@ -91,10 +95,6 @@ class Gauges(Source):
             elif now_us - self._inside_us[k] >= self._wire_break_us:
                 faults |= 1 << table.FAULT_WIRE_BREAK
         return Reading(tuple(counts), faults, temperature)
-
-    def due_us(self, now_us: int) -> int:
-        """Return the time of the next conversion, for a filter."""
-        return now_us + self.period_us
 
 
 def signed24(data: "bytes | bytearray") -> int:

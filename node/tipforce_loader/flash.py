@@ -59,8 +59,12 @@ class FlashStore:
         groups[group] = bytes(data)
         sequence = self._sequence + 1 & 0xFFFFFFFF or 1
         slot = 1 - self._slot
+        content = b""
+        for name in sorted(groups):
+            content += struct.pack("<BI", len(name), len(groups[name])) + name.encode() + groups[name]
+        head = struct.pack("<III", _MAGIC, sequence, len(content))
         try:
-            self._slots.write(slot, _packed(sequence, groups))
+            self._slots.write(slot, head + struct.pack("<I", binascii.crc32(head + content) & 0xFFFFFFFF) + content)
         except OSError as error:
             self.error = "slot %d: %r" % (slot, error)
             return False
@@ -71,37 +75,25 @@ class FlashStore:
         return True
 
     def _read(self, slot: int) -> "tuple[int, dict[str, bytes]]":
+        """Return (sequence, groups) of a slot; sequence 0 if it is empty, incomplete or damaged. Padding may follow."""
         try:
-            return _unpacked(self._slots.read(slot))
+            image = self._slots.read(slot)
         except OSError:
             return _NOTHING
-
-
-def _packed(sequence: int, groups: "dict[str, bytes]") -> bytes:
-    content = b""
-    for name in sorted(groups):
-        data = groups[name]
-        content += struct.pack("<BI", len(name), len(data)) + name.encode() + data
-    head = struct.pack("<III", _MAGIC, sequence, len(content))
-    return head + struct.pack("<I", binascii.crc32(head + content) & 0xFFFFFFFF) + content
-
-
-def _unpacked(image: bytes) -> "tuple[int, dict[str, bytes]]":
-    """Return (sequence, groups) of a slot; sequence 0 if it is empty, incomplete or damaged. Padding may follow."""
-    if len(image) < _HEAD_SIZE:
-        return _NOTHING
-    magic, sequence, length, crc = struct.unpack(_HEAD, image[:_HEAD_SIZE])
-    if magic != _MAGIC or not sequence or length > len(image) - _HEAD_SIZE:
-        return _NOTHING
-    content = image[_HEAD_SIZE : _HEAD_SIZE + length]
-    if binascii.crc32(image[:12] + content) & 0xFFFFFFFF != crc:
-        return _NOTHING
-    groups, at = {}, 0
-    while at < len(content):
-        size, count = struct.unpack("<BI", content[at : at + 5])
-        at += 5 + size + count
-        groups[content[at - count - size : at - count].decode()] = content[at - count : at]
-    return sequence, groups
+        if len(image) < _HEAD_SIZE:
+            return _NOTHING
+        magic, sequence, length, crc = struct.unpack(_HEAD, image[:_HEAD_SIZE])
+        if magic != _MAGIC or not sequence or length > len(image) - _HEAD_SIZE:
+            return _NOTHING
+        content = image[_HEAD_SIZE : _HEAD_SIZE + length]
+        if binascii.crc32(image[:12] + content) & 0xFFFFFFFF != crc:
+            return _NOTHING
+        groups, at = {}, 0
+        while at < len(content):
+            size, count = struct.unpack("<BI", content[at : at + 5])
+            at += 5 + size + count
+            groups[content[at - count - size : at - count].decode()] = content[at - count : at]
+        return sequence, groups
 
 
 class FileSlots:
