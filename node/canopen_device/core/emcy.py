@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from .node import Device
     from .object_dictionary import Value
 
-
 # Error codes (table 26) and the bits that each sets in the error register (table 48) in addition to bit 0, generic.
 GENERIC, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MANUFACTURER = 0x01, 0x04, 0x08, 0x10, 0x20, 0x80
 NO_ERROR = 0x0000

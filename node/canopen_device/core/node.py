@@ -247,7 +247,7 @@ class Device:
                 routes[can_id] = handler
             if self.nmt.state == codes.OPERATIONAL:
                 for can_id in self.rpdos.can_ids():
-                    routes[can_id] = self.rpdos.receiver(can_id)
+                    routes[can_id] = lambda data, can_id=can_id: self.rpdos.receive(can_id, data)  # type: ignore[misc]
             if self.nmt.state in codes.TALKING:
                 if self.time.can_id is not None:
                     routes[self.time.can_id] = self.time.receive
