@@ -44,17 +44,9 @@ class Firmware:
     """A fingertip node with its gauges, its controller and its flash. ``poll`` once, or ``run`` until power-off."""
 
     def __init__(
-        self,
-        node_id: int,
-        gauges: "Gauges",
-        port: "CanPort",
-        store: "FlashStore",
-        serial: int,
-        clock: Clock,
-        programs: "Programs | None" = None,
-        restart: "Callable[[], None]" = lambda: None,
-        restarted: bool = False,
-    ) -> None:
+        self, node_id: int, gauges: "Gauges", port: "CanPort", store: "FlashStore", serial: int, clock: Clock,
+        programs: "Programs | None" = None, restart: "Callable[[], None]" = lambda: None, restarted: bool = False,
+    ) -> None:  # fmt: skip
         self.gauges, self.port, self._clock = gauges, port, clock
         self.device = fingertip_node(node_id, gauges, gauges.n, serial, store.save, store.load, programs=programs)
         if restarted:

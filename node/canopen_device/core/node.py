@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     Request = tuple[str, int, int]
 
 _STATE_AFTER = {
-    codes.NMT_START: codes.OPERATIONAL,
-    codes.NMT_STOP: codes.STOPPED,
+    codes.NMT_START: codes.OPERATIONAL, codes.NMT_STOP: codes.STOPPED,
     codes.NMT_ENTER_PRE_OPERATIONAL: codes.PRE_OPERATIONAL,
-}
+}  # fmt: skip
 SELF_START_OFF = 4  # 1F80h bit 2 (CiA 302-2)
 
 

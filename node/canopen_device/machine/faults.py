@@ -15,11 +15,8 @@ Frame = tuple[int, bytes]
 
 SILENT, SLOW, WRONG_TOGGLE, EMCY = "silent", "slow", "wrong_toggle", "emcy"
 PARAMETERS: dict[str, dict[str, float]] = {
-    SILENT: {},
-    SLOW: {"delay_s": 0.5},
-    WRONG_TOGGLE: {},
-    EMCY: {"code": 0, "register": GENERIC},
-}
+    SILENT: {}, SLOW: {"delay_s": 0.5}, WRONG_TOGGLE: {}, EMCY: {"code": 0, "register": GENERIC},
+}  # fmt: skip
 _SEGMENTS = (0x00, 0x20)  # server responses with a toggle bit: upload segment, download segment
 _TOGGLE = 0x10
 _MOST_WAITING = 4096

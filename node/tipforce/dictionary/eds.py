@@ -41,14 +41,9 @@ def eds_text(
 
 
 def dcf_text(
-    n: int,
-    node_id: int,
-    values: Values,
-    simulated: bool = False,
-    *,
-    converter: Converter = table.CONVERTER_16,
+    n: int, node_id: int, values: Values, simulated: bool = False, *, converter: Converter = table.CONVERTER_16,
     programs: bool = False,
-) -> str:
+) -> str:  # fmt: skip
     """The DCF of node ``node_id`` (1..127): its EDS with a ParameterValue for each (index, sub) of ``values``.
 
     Raises InputError for an entry that the node does not have or that is not of its type or limits.

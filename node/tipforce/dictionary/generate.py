@@ -153,12 +153,9 @@ def _limits(entry: Entry[Any]) -> str:
 
 def _notes(entry: Entry[Any], views: Collection[int]) -> str:
     flags = (
-        (table.TPDO, "T"),
-        (table.RPDO, "R"),
-        (table.STAGED, "staged"),
-        (table.NOT_STORED, "state"),
+        (table.TPDO, "T"), (table.RPDO, "R"), (table.STAGED, "staged"), (table.NOT_STORED, "state"),
         (table.COUNTED, "counted"),
-    )
+    )  # fmt: skip
     is_profile = entry.index >= communication.FIRST_PROFILE
     forms = [entry.index + form for form in (table.INT16_FORM, table.INT32_FORM)] if is_profile else []
     notes = [_limits(entry), entry.unit, *(text for flag, text in flags if entry.flags & flag)]

@@ -170,18 +170,9 @@ def _run(first: int, last: int) -> "Mapped":
 
 
 def run(
-    first: int,
-    count: int,
-    names: "str | tuple[str, ...]",
-    slug: str,
-    kind: str,
-    access: str,
-    flags: int = 0,
-    default: "Value | tuple[Value, ...]" = 0,
-    low: "Limit" = None,
-    high: "Limit" = None,
-    unit: str = "",
-) -> "Run":
+    first: int, count: int, names: "str | tuple[str, ...]", slug: str, kind: str, access: str, flags: int = 0,
+    default: "Value | tuple[Value, ...]" = 0, low: "Limit" = None, high: "Limit" = None, unit: str = "",
+) -> "Run":  # fmt: skip
     """Equal entries from sub-index ``first`` on; the functions below pass ``rest`` from ``kind`` on."""
     return (first, count, names, slug, kind, access, flags, default, low, high, unit)
 

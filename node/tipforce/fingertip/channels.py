@@ -23,10 +23,7 @@ MAX_I16, MAX_I32 = 0x7FFF, 0x7FFFFFFF
 NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h
 _HALF_TURN = 18000  # of an angle, in 0.01 degree
 # Of the integer forms: from the REAL32 index to that of the form, and its range.
-_FORMS = (
-    (table.INT16_FORM, MAX_I16, table.UNKNOWN_I16),
-    (table.INT32_FORM, MAX_I32, table.UNKNOWN_I32),
-)
+_FORMS = ((table.INT16_FORM, MAX_I16, table.UNKNOWN_I16), (table.INT32_FORM, MAX_I32, table.UNKNOWN_I32))
 _STATUS_AND_COUNTER = [(indices.STATUS, 0), (indices.COUNTER, 0)]
 _INT16_VALUE = indices.PROCESS_VALUE + table.INT16_FORM
 _SCALING = (

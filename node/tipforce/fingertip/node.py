@@ -20,14 +20,9 @@ if TYPE_CHECKING:
 
 
 def build(
-    n: int,
-    node_id: int,
-    simulated: bool,
-    serial: int = 0,
-    eds: bytes = b"",
-    converter: "Converter" = table.CONVERTER_16,
-    programs: bool = False,
-) -> ObjectDictionary:
+    n: int, node_id: int, simulated: bool, serial: int = 0, eds: bytes = b"",
+    converter: "Converter" = table.CONVERTER_16, programs: bool = False,
+) -> ObjectDictionary:  # fmt: skip
     """The dictionary of a node with ``n`` gauges at its defaults. ``eds`` is what 1021h gives; empty leaves it out.
 
     ``programs`` adds the objects of program slots.
@@ -53,15 +48,9 @@ def build(
 
 
 def fingertip_node(
-    node_id: int,
-    source: "Source",
-    n: int = 3,
-    serial: int = 0,
-    save: "Callable[[str, bytes], bool] | None" = None,
-    load: "Callable[[str], bytes | None] | None" = None,
-    eds: bytes = b"",
-    programs: "Programs | None" = None,
-) -> Device:
+    node_id: int, source: "Source", n: int = 3, serial: int = 0, save: "Callable[[str, bytes], bool] | None" = None,
+    load: "Callable[[str], bytes | None] | None" = None, eds: bytes = b"", programs: "Programs | None" = None,
+) -> Device:  # fmt: skip
     """A device that measures with ``source`` (n gauges). Step it, or hand it to a bus loop.
 
     ``node_id`` is 1..127, or 255 for a node that waits until LSS gives it one.

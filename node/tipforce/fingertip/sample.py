@@ -49,22 +49,11 @@ class Sample:
     )  # fmt: skip
 
     def __init__(
-        self,
-        reading: "Reading | None",
-        scaling: "list[tuple[float, float]]",
-        active: "Active | None",
-        tare: "tuple[float, float, float]" = NO_TARE,
-        was_present: bool = False,
-        faults: int = 0,
-        stale: bool = False,
-        counter: int = 0,
-        latched_us: int = -NEVER_US,
-        frozen: int = 0,
-        filtered: "list[float] | None" = None,
-        ends: "tuple[int, int]" = _ENDS,
-        was_overloaded: bool = False,
-        spans: "Sequence[tuple[float, float]]" = (),
-    ) -> None:
+        self, reading: "Reading | None", scaling: "list[tuple[float, float]]", active: "Active | None",
+        tare: "tuple[float, float, float]" = NO_TARE, was_present: bool = False, faults: int = 0, stale: bool = False,
+        counter: int = 0, latched_us: int = -NEVER_US, frozen: int = 0, filtered: "list[float] | None" = None,
+        ends: "tuple[int, int]" = _ENDS, was_overloaded: bool = False, spans: "Sequence[tuple[float, float]]" = (),
+    ) -> None:  # fmt: skip
         self.reading, self.active, self.tare = reading, active, tare
         self.stale, self.counter, self.latched_us = stale, counter, latched_us
         self._was_present = was_present
