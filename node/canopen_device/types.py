@@ -169,10 +169,17 @@ def format_value(letter: str, value: Value) -> str:
     kind = data_type(letter)
     if kind.python is bytes:
         return encode(letter, value).hex(" ").upper()
-    if letter == "f":
-        return _shortest_real32(_checked_real(kind, value))
-    encode(letter, value)
-    return str(value)
+    if letter != "f":
+        encode(letter, value)
+        return str(value)
+    number = _checked_real(kind, value)
+    wire = struct.pack("<f", number)
+    for digits in range(1, 10):
+        text = f"{number:.{digits}g}"
+        with suppress(OverflowError):  # rounded up beyond the largest REAL32
+            if struct.pack("<f", float(text)) == wire:
+                break
+    return repr(float(text))
 
 
 def _checked_integer(kind: DataType, value: object) -> int:
@@ -197,13 +204,3 @@ def _checked_real(kind: DataType, value: Value) -> float:
         limits = f"-{_REAL32_MAXIMUM!r} to {_REAL32_MAXIMUM!r}"
         raise InputError(f"{number!r} does not fit {kind.name}: allowed are {limits}") from None
     return number
-
-
-def _shortest_real32(value: float) -> str:
-    wire = struct.pack("<f", value)
-    for digits in range(1, 10):
-        text = f"{value:.{digits}g}"
-        with suppress(OverflowError):  # rounded up beyond the largest REAL32
-            if struct.pack("<f", float(text)) == wire:
-                break
-    return repr(float(text))

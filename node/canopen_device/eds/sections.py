@@ -73,7 +73,9 @@ class Section:
         return [f"[{self.name}]", *(f"{self.written[key]}={value}" for key, value in self.keys.items()), ""]
 
     def say(self, key: str, what: str) -> None:
-        """Note what is wrong with a key, at its line: ``[name] key=value: what``."""
+        """Note what is wrong with a key, at its line: ``[name] key=value: what``; nothing for an empty text."""
+        if not what:
+            return
         value = self.get(key)
         shown = f"{key} missing" if value is None else f"{self.written[key.lower()]}={shortened(value)}"
         self.findings.append(Finding(self.lines.get(key.lower(), self.line), f"[{self.name}] {shown}: {what}"))
@@ -240,8 +242,7 @@ def _name(text: str) -> Parsed:
 
 
 def _number(text: str) -> Parsed:
-    value, _, remark = values.integer(text)
-    return value, remark
+    return values.integer(text)[::2]
 
 
 def _code(text: str) -> Parsed:
