@@ -64,11 +64,8 @@ def test_damaged_group_gives_its_defaults_and_is_noted(damage: str) -> None:
     assert changed(store).put("I", 0x1010, 1, SAVE) == 0
     blob = store.groups["application"]
     store.groups["application"] = {
-        "flip": blob[:-1] + bytes((blob[-1] ^ 1,)),
-        "cut": blob[:-1],
-        "short": blob[:3],
-        "append": blob + b"\0",
-    }[damage]
+        "flip": blob[:-1] + bytes((blob[-1] ^ 1,)), "cut": blob[:-1], "short": blob[:3], "append": blob + b"\0",
+    }[damage]  # fmt: skip
     talk = booted(store)
     assert settings(talk) == COMMUNICATION
     assert talk.device.storage.damaged == ["application"]
@@ -96,15 +93,10 @@ def test_records_that_no_longer_fit_the_dictionary_are_passed_over() -> None:
     records = b"".join(
         struct.pack("<HBH", index, sub, len(data)) + data
         for index, sub, data in (
-            (0x6002, 0, b"\1"),
-            (0x6000, 3, b"\1\0"),
-            (0x6000, 0, b"\1"),
-            (0x6001, 0, struct.pack("<f", 9.0)),
-            (0x6001, 0, struct.pack("<f", float("nan"))),
-            (0x2000, 0, b"\7"),
-            (0x6000, 0, b"\x2a\0"),
+            (0x6002, 0, b"\1"), (0x6000, 3, b"\1\0"), (0x6000, 0, b"\1"), (0x6001, 0, struct.pack("<f", 9.0)),
+            (0x6001, 0, struct.pack("<f", float("nan"))), (0x2000, 0, b"\7"), (0x6000, 0, b"\x2a\0"),
         )
-    ) + struct.pack("<HBHH", 0x6001, 0, 4, 0)  # its end is missing
+    ) + struct.pack("<HBHH", 0x6001, 0, 4, 0)  # its end is missing  # fmt: skip
     store = MemoryStore()
     store.groups["application"] = struct.pack("<I", binascii.crc32(records)) + records
     talk = booted(store)

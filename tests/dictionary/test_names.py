@@ -48,21 +48,13 @@ def test_every_entry_resolves_from_both_of_its_names(n: int) -> None:
 @pytest.mark.parametrize(
     ("text", "help_"),
     [
-        ("calibraton.matrx:3", "calibration.matrix"),
-        ("generation", "calibration.generation"),
-        ("temprature", "temperature"),
-        ("xyzzy", "write a name such as"),
-        ("", "write a name such as"),
-        ("8451", "write a name such as"),
-        ("calibration.matrix", "SUB is 1-9"),
-        ("calibration.matrix:10", "SUB is 1-9"),
-        ("autotare:1", "SUB is 4"),
-        ("0x2100:10", r"no sub-index 16 \(0x10\); allowed, in hex, with 3 gauges: 00-09"),
-        ("0x1800:04", "00-03, 05-06"),
-        ("0x2103", "several sub-indices"),
-        ("0x2999", "no object 0x2999.*nearest"),
+        ("calibraton.matrx:3", "calibration.matrix"), ("generation", "calibration.generation"),
+        ("temprature", "temperature"), ("xyzzy", "write a name such as"), ("", "write a name such as"),
+        ("8451", "write a name such as"), ("calibration.matrix", "SUB is 1-9"), ("calibration.matrix:10", "SUB is 1-9"),
+        ("autotare:1", "SUB is 4"), ("0x2100:10", r"no sub-index 16 \(0x10\); allowed, in hex, with 3 gauges: 00-09"),
+        ("0x1800:04", "00-03, 05-06"), ("0x2103", "several sub-indices"), ("0x2999", "no object 0x2999.*nearest"),
     ],
-)
+)  # fmt: skip
 def test_suggestions(text: str, help_: str) -> None:
     with pytest.raises(InputError, match=help_):
         names.resolve(text)

@@ -164,11 +164,8 @@ def test_parameters_of_an_editor(tmp_path: Path) -> None:
         "the DefaultValues apply"
     ]
     assert (found.vendor_name, found.lss, found.bit_rates, found.dummies) == (
-        "Anyone",
-        False,
-        (500_000,),
-        frozenset({5}),
-    )
+        "Anyone", False, (500_000,), frozenset({5}),
+    )  # fmt: skip
     talk = Talk(found)
     assert [talk.upload(0x1000), talk.upload(0x1014), talk.upload(0x1018, 1), talk.upload(0x2000)] == [
         b"\x92\1\0\0", b"\x85\0\0\0", b"\x12\0\0\0", b"\xfb\xff"

@@ -235,11 +235,8 @@ def test_a_parameter_value_without_a_default_is_the_default_of_an_eds(code: int,
     found = described(tmp_path, written)
     first, second = found.find(0x2000), found.find(0x2001)
     assert (first.default, first.initial, first.has_default, first.value) == (
-        second.default,
-        second.initial,
-        True,
-        None,
-    )
+        second.default, second.initial, True, None,
+    )  # fmt: skip
     assert "where there is none (1) the ParameterValue" in " ".join(found.warnings)
     stored = described(tmp_path, dcf_text(found, {(0x2001, 0): second.default}), None, "saved.dcf")
     assert (stored.find(0x2000).default, stored.find(0x2001).value) == (first.default, second.default)

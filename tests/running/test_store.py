@@ -118,17 +118,11 @@ def test_directory_that_vanishes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content",
     [
-        b"",
-        b"{",
-        b"[]",
-        b"null",
-        b'"text"',
-        b"\xff\xfe\x00",
-        b"[" * 100_000,
+        b"", b"{", b"[]", b"null", b'"text"', b"\xff\xfe\x00", b"[" * 100_000,
         b'{"calibration": 5, "application": "zz", "communication": null}',
         b'{"calibration": "00", "application": "0", "communication": []}',
     ],
-)
+)  # fmt: skip
 def test_damaged_file_gives_defaults_and_is_noted(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "node.json"
     path.write_bytes(content)
