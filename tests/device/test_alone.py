@@ -90,12 +90,9 @@ def copied(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_device_of_an_eds_needs_the_standard_library_alone(copied: Path) -> None:
-    alone(copied, CORE)
-
-
-def test_a_device_of_an_eds_answers_sdo_on_a_bus(copied: Path) -> None:
-    alone(copied, BUS, "python-can")
+@pytest.mark.parametrize(("code", "requirements"), [(CORE, []), (BUS, ["python-can"])])
+def test_a_device_of_an_eds_alone_and_on_a_bus(copied: Path, code: str, requirements: list[str]) -> None:
+    alone(copied, code, *requirements)
 
 
 def test_its_own_tests_pass(copied: Path) -> None:

@@ -33,18 +33,12 @@ def settings(talk: Conversation) -> tuple[float, ...]:
     return (talk.get("H", 0x1017), talk.get("I", 0x1800, 1), talk.get("H", 0x6000), talk.get("f", 0x6001))
 
 
-def test_store_that_refuses_is_said_to_the_client() -> None:
-    store = MemoryStore()
-    store.refuses = True
-    talk = changed(store)
-    assert talk.put("I", 0x1010, 1, SAVE) == 0x06060000
-    assert talk.put("I", 0x1011, 1, LOAD) == 0x06060000
-
-
-def test_node_without_a_store_refuses() -> None:
-    talk = changed(None)
-    assert talk.put("I", 0x1010, 1, SAVE) == 0x06060000
-    assert talk.put("I", 0x1011, 1, LOAD) == 0x06060000
+def test_a_store_that_refuses_and_none_are_said_to_the_client() -> None:
+    refusing = MemoryStore()
+    refusing.refuses = True
+    for store in (refusing, None):
+        talk = changed(store)
+        assert talk.put("I", 0x1010, 1, SAVE) == talk.put("I", 0x1011, 1, LOAD) == 0x06060000
 
 
 def test_defaults_are_not_stored_so_that_cob_ids_follow_a_new_node_id() -> None:
