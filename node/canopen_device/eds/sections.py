@@ -115,11 +115,6 @@ class EdsFile:
         """The error for a file that is beyond a limit."""
         return InputError(f"{self.path}:{line}: {what}")
 
-    @property
-    def text(self) -> str:
-        """The sections as the text of an EDS, without comments."""
-        return "\n".join(line for section in self.sections.values() for line in section.text_lines())
-
     def add(self, line: int, text: str) -> None:
         """Note what is wrong at ``line``."""
         self.findings.append(Finding(line, text))

@@ -130,47 +130,26 @@ def _general(n: int, simulated: bool, converter: Converter, node_id: int | None)
     time, date = "12:00AM", "01-01-2025"  # the form of CiA 306-1, 4.5.2: hh:mmAM, mm-dd-yyyy
     eds, own = file_name(n, simulated, "eds", bits), file_name(n, simulated, "dcf", bits)
     lines = [
-        "[FileInfo]",
-        f"FileName={eds if node_id is None else own}",
-        "FileVersion=1",
-        "FileRevision=0",
-        "EDSVersion=4.0",
-        f"Description=Fingertip force sensor with {n} strain gauges{note}",
-        f"CreationTime={time}",
-        f"CreationDate={date}",
-        f"CreatedBy={__name__}",
-        f"ModificationTime={time}",
-        f"ModificationDate={date}",
-        f"ModifiedBy={__name__}",
-        *([] if node_id is None else [f"LastEDS={eds}"]),
-        "",
-        "[DeviceInfo]",
-        "VendorName=tipforce",
-        "VendorNumber=0x00000000",  # never blank: canopen can't read that
+        "[FileInfo]", f"FileName={eds if node_id is None else own}", "FileVersion=1", "FileRevision=0",
+        "EDSVersion=4.0", f"Description=Fingertip force sensor with {n} strain gauges{note}",
+        f"CreationTime={time}", f"CreationDate={date}", f"CreatedBy={__name__}",
+        f"ModificationTime={time}", f"ModificationDate={date}", f"ModifiedBy={__name__}",
+        *([] if node_id is None else [f"LastEDS={eds}"]), "",
+        "[DeviceInfo]", "VendorName=tipforce", "VendorNumber=0x00000000",  # never blank: canopen can't read that
         f"ProductName=tipforce fingertip, {n} gauges{f', {bits} bits' if bits > 16 else ''}{note}",
         f"ProductNumber=0x{table.product_code(n, simulated, converter):08X}",
-        f"RevisionNumber=0x{table.REVISION:08X}",
-        f"OrderCode={eds.removesuffix('.eds')}",
+        f"RevisionNumber=0x{table.REVISION:08X}", f"OrderCode={eds.removesuffix('.eds')}",
         *(f"BaudRate_{rate}=1" for rate in _BIT_RATES_KBIT_S),
-        "SimpleBootUpMaster=0",
-        "SimpleBootUpSlave=1",
-        "Granularity=8",
-        "DynamicChannelsSupported=0",
-        "CompactPDO=0",
-        "GroupMessaging=0",
-        f"NrOfRXPDO={len(table.rpdos())}",
-        f"NrOfTXPDO={len(table.tpdos(n))}",
-        "LSS_Supported=1",
-        "",
-    ]
+        "SimpleBootUpMaster=0", "SimpleBootUpSlave=1", "Granularity=8", "DynamicChannelsSupported=0", "CompactPDO=0",
+        "GroupMessaging=0", f"NrOfRXPDO={len(table.rpdos())}", f"NrOfTXPDO={len(table.tpdos(n))}",
+        "LSS_Supported=1", "",
+    ]  # fmt: skip
     if node_id is not None:
         lines += [
-            "[DeviceComissioning]",
-            f"NodeID=0x{node_id:02X}",
-            f"NodeName=TIP{node_id:02d}",
-        ]  # spelt so in CiA 306
-        lines += [f"Baudrate={_BIT_RATES_KBIT_S[-1]}", "NetNumber=1", "NetworkName=", "CANopenManager=0"]
-        lines += ["LSS_SerialNumber=0", ""]
+            "[DeviceComissioning]",  # spelt so in CiA 306
+            f"NodeID=0x{node_id:02X}", f"NodeName=TIP{node_id:02d}", f"Baudrate={_BIT_RATES_KBIT_S[-1]}", "NetNumber=1",
+            "NetworkName=", "CANopenManager=0", "LSS_SerialNumber=0", "",
+        ]  # fmt: skip
     lines += ["[DummyUsage]", *(f"Dummy{k:04d}=0" for k in range(1, _DUMMY_TYPES + 1)), "", "[Comments]", "Lines=3"]
     return [
         *lines,
@@ -193,13 +172,9 @@ def _object_lists(indices: list[int]) -> list[str]:
 
 
 def _entry(entry: Entry[Any], values: Values) -> list[str]:
-    lines = [
-        f"ParameterName={entry.title}",
-        f"ObjectType=0x{table.VAR:X}",
-        f"DataType=0x{types.data_type(entry.type).code:04X}",
-        f"AccessType={access_text(entry)}",
-        f"DefaultValue={default_text(entry)}",
-    ]
+    lines = [f"ParameterName={entry.title}", f"ObjectType=0x{table.VAR:X}"]
+    lines.append(f"DataType=0x{types.data_type(entry.type).code:04X}")
+    lines += [f"AccessType={access_text(entry)}", f"DefaultValue={default_text(entry)}"]
     if entry.low is not None:
         lines.append(f"LowLimit={value_text(entry.type, entry.low)}")
     if entry.high is not None:
