@@ -1,7 +1,4 @@
-"""Common part of the CAN drivers: the transmit queue, and the controller's state as SocketCAN error frames.
-
-Frames are (can_id, data) with the flags of SocketCAN in can_id, as in the device core.
-"""
+"""Common part of the CAN drivers: transmit queue, and error frames of the controller's state; flags as in SocketCAN."""
 
 from canopen_device.core import codes
 from canopen_device.core.emcy import ACTIVE, BUS_OFF, CONTROLLER, TRANSMIT_OVERFLOW, WARNING

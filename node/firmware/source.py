@@ -10,10 +10,7 @@ SUPPLY = 1 << table.FAULT_SUPPLY
 
 
 class Chip:
-    """A converter of 24 bits with one or more gauges. ``period_us`` lies between two complete readings.
-
-    ``faults`` are its bits of 2124h, ``temperature`` is in 0.01 degC.
-    """
+    """A converter of 24 bits: ``period_us`` of a whole reading, ``faults`` of 2124h, ``temperature`` in 0.01 degC."""
 
     bits, count_min, count_max = 24, -0x800000, 0x7FFFFF
     channels = 1

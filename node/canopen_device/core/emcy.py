@@ -1,7 +1,4 @@
-"""EMCY producer (CiA 301, 7.2.7): objects 1001h, 1003h, 1014h and 1015h.
-
-An error is raised once and cleared once; in between it is active and sets its bits in the error register.
-"""
+"""EMCY producer (CiA 301, 7.2.7), objects 1001h, 1003h, 1014h, 1015h; an error is active until it is cured."""
 
 import struct
 

@@ -99,10 +99,7 @@ class ObjectDictionary:
         self.packer: "Callable[[list[tuple[int, int]]], Callable[[], bytes] | None]" = lambda _keys: None
 
     def add(self, index: int, sub: int, entry: "Entry") -> "Entry":
-        """Declare an entry: (type, access, flags, default, low, high). It starts at its default.
-
-        Return the entry as it is kept: default and limits of a REAL32 are what a client can read and write.
-        """
+        """Declare an entry, (type, access, flags, default, low, high); return it as kept, with numbers of REAL32."""
         kind, access, flags, default, low, high = entry
         if kind == "f":
             numbers = tuple([None if v is None else real32(v) for v in (default, low, high)])  # type: ignore[arg-type]

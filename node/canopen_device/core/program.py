@@ -14,11 +14,7 @@ if TYPE_CHECKING:
     from .sdo_server import Sink
 
     class Programs(Protocol):
-        """The slots of a node. Methods return 0 or a reason of it.
-
-        ``busy``: a download or a trial is in progress. ``locked``: a program is on trial, the other slot is needed
-        until it has proved healthy.
-        """
+        """The slots of a node; methods return 0 or a reason. ``busy``: a download or trial; ``locked``: a trial."""
 
         reason: int
         version: str

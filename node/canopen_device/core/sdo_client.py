@@ -50,10 +50,7 @@ class Transfer:
         self.ignored: "bytes | None" = None
 
     def step(self, now_us: int, response: "bytes | None" = None) -> "tuple[list[bytes], int]":
-        """Process a response (data of a frame), or the time that has passed; return (requests, next due time).
-
-        The first call starts the transfer. A request is the data of a frame, 8 bytes.
-        """
+        """Start, or process a response or the time that has passed; return (requests of 8 bytes, next due time)."""
         self._requests = []
         if not self.ended:
             try:
@@ -193,10 +190,7 @@ class Upload(Transfer):
 
 
 class Download(Transfer):
-    """Expedited (1 to 4 bytes) or segmented download: write an object.
-
-    ``progress`` receives the number of bytes that the server has acknowledged.
-    """
+    """Expedited (1 to 4 bytes) or segmented download; ``progress`` gets the number of acknowledged bytes."""
 
     def __init__(
         self, index: int, sub: int, timeout_us: int, deadline_us: int, content: bytes,

@@ -190,10 +190,7 @@ OPERATIONS, PERIOD_US = 200, 18000000  # so many at once; one back in each perio
 
 
 class WearBudget:
-    """Operations that 1010h, 1011h, the store of LSS, 1F50h and the erase of 1F51h share. A reset does not refill it.
-
-    An operation is the write of one group of parameters, or the erase of one program.
-    """
+    """Writes of a group (1010h, 1011h, LSS) and erases (1F50h, 1F51h) that are allowed; a reset does not refill it."""
 
     def __init__(self, device: "Device") -> None:
         self._device = device

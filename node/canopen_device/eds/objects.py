@@ -279,10 +279,7 @@ class _Reader:
 
 
 def file_content(path: Path, name: str) -> tuple[bytes | None, str]:
-    """Return the bytes of the file ``name`` beside the DCF at ``path`` and "", or None and why not.
-
-    Only files in the folder of the DCF are read: a device serves their content on the bus to anyone.
-    """
+    """Return (bytes of the file beside the DCF, "") or (None, why not): a device serves them to anyone on its bus."""
     try:
         file = below(path.resolve().parent, name.replace("\\", "/"))
         if file.stat().st_size > _MOST_FILE_BYTES:

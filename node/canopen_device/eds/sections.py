@@ -52,10 +52,7 @@ class Findings(list[Finding]):
 
 @dataclass(slots=True)
 class Section:
-    """One section; keys are in lower case, ``name`` and ``written`` as the file has them, ``lines`` by key.
-
-    ``findings`` are those of its file.
-    """
+    """One section; ``keys`` in lower case, ``written`` as in the file, ``lines`` by key, ``findings`` of its file."""
 
     name: str
     line: int

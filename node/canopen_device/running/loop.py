@@ -78,10 +78,7 @@ def run(devices: Sequence[Runnable], port: Port, stop: Callable[[], bool] = lamb
 def running(
     devices: Sequence[Runnable], port: Port, wake: Callable[[], object] = lambda: None
 ) -> Iterator[threading.Thread]:
-    """Run ``devices`` in a thread while the block lasts; at its end raise the error that ended them, if any.
-
-    ``wake`` is called at the end: a frame that it sends to the port ends the wait there at once.
-    """
+    """Run ``devices`` in a thread during the block, then raise their error; ``wake`` ends the wait of the port."""
     stopped, failures = threading.Event(), list[BaseException]()
 
     def work() -> None:

@@ -1,7 +1,4 @@
-"""The electronic data sheet of a node and its device configuration file, from the table (CiA 306-1).
-
-The text is the same at each run: the dates are constants. Lines end with LF; CiA 306 tools read both.
-"""
+"""The EDS of a node and its DCF, from the table (CiA 306-1): lines end with LF, the dates are constants."""
 
 from __future__ import annotations
 
@@ -67,10 +64,7 @@ def dcf_text(
 
 
 def value_text(letter: str, value: types.Value) -> str:
-    """A value as CiA 306 writes it: UNSIGNED32 in hex, other integers and REAL32 in decimal, bytes as hex.
-
-    Signed defaults stay decimal: hex ones are read as unsigned by canopen.
-    """
+    """A value as CiA 306 has it: UNSIGNED32 and bytes in hex, others decimal, as canopen reads hex as unsigned."""
     if letter == "I" and isinstance(value, int):
         return f"0x{value:08X}"
     text = types.format_value(letter, value)

@@ -139,10 +139,7 @@ class Fingertip(Application):
         return self.sample.reading is None or now_us - self._read_us >= self.source.period_us
 
     def expire(self, now_us: int) -> None:
-        """A filter takes a conversion. Interrupts are watched: without SYNC take a sample each sample period.
-
-        A source that may fail is looked after where no SYNC does, so that its EMCY comes all the same.
-        """
+        """Take a conversion into the filter; without SYNC take samples for interrupts, and look after the source."""
         filtering = self.filtering
         if filtering is None:
             watching = self._watching()

@@ -85,10 +85,7 @@ class Active:
         return W, scalar_redundancy.columns(W, self.noise), alarm, exclusion
 
     def solver(self, lost: int) -> "Solver | None":
-        """(matrix, covariance of F in N^2) that do without the gauges of the bit mask ``lost``.
-
-        None where the gauges left have no rank 3, always so with three gauges and one lost.
-        """
+        """(matrix, covariance of F in N^2) without the gauges of mask ``lost``; None where the rest has no rank 3."""
         if lost not in self.solvers:
             if len(self.solvers) >= _MOST_SOLVERS:
                 self.solvers = {0: self.solvers[0]}

@@ -98,10 +98,7 @@ class Channels:
         return sample.overloads[sub - 1] if live else 0
 
     def packer(self, keys: "list[tuple[int, int]]") -> "Callable[[], bytes] | None":
-        """Return what packs three consecutive channels as INTEGER16 with 2120h and 2121h: most default PDOs, else None.
-
-        A closure over what does not change, because two of these fill the PDOs of each SYNC.
-        """
+        """Return what packs three consecutive channels as INTEGER16 with 2120h and 2121h: most default PDOs, else None."""
         index, first = keys[0] if keys else (0, 0)
         if index != _INT16_VALUE or keys != [(index, first + k) for k in range(3)] + _STATUS_AND_COUNTER:
             return None
@@ -111,7 +108,7 @@ class Channels:
         # No angle that would be rounded to -180 degrees, which is 180.
         low_1, low_2, low_3 = [0.5 - _HALF_TURN if k > self._n + 4 else -MAX_I16 for k in (first, first + 1, last)]
 
-        def pack() -> bytes:
+        def pack() -> bytes:  # a closure over what does not change: two of these fill the PDOs of each SYNC
             sample = fingertip.sample
             status = sample.known_status
             if status < 0:

@@ -23,10 +23,7 @@ def build(
     n: int, node_id: int, simulated: bool, serial: int = 0, eds: bytes = b"",
     converter: "Converter" = table.CONVERTER_16, programs: bool = False,
 ) -> ObjectDictionary:  # fmt: skip
-    """The dictionary of a node with ``n`` gauges at its defaults. ``eds`` is what 1021h gives; empty leaves it out.
-
-    ``programs`` adds the objects of program slots.
-    """
+    """The dictionary of ``n`` gauges at its defaults; ``eds``: of 1021h, or empty; ``programs``: with slots."""
     od = ObjectDictionary(node_id)
     shared: "dict[Entry, Entry]" = {}  # equal entries are one tuple: a microcontroller has no room for all of them
     for index, _code, _name, _slug, entries in table_objects.declared(n, simulated, converter, programs):

@@ -210,10 +210,7 @@ class Sample:
         return scalar.magnitude_uncertainty(f1, f2, f3, self.covariance())
 
     def find_values(self, sub: int) -> "list[float]":
-        """The value of each channel in the unit of 6131h, in double precision; NaN where it may not be shown.
-
-        The gauges alone, the forces too, or the contact too: what channel ``sub`` needs and no more.
-        """
+        """The channels in the unit of 6131h, NaN where hidden: gauges, forces, contact, as far as ``sub`` needs."""
         if self._unknown == 0 == self._early:
             P, phi, theta, _miss = self._contact or self.contact()
             F1, F2, F3 = self._force or self.force()
