@@ -54,13 +54,9 @@ TIME_CONSUMER = 0x80000000  # of 1012h: bit 31, the device consumes TIME
 def restricted(can_id: int) -> bool:
     """Return True for an identifier that no configurable object may have (7.3.5, table 41)."""
     return (
-        can_id <= 0x7F
-        or 0x101 <= can_id <= 0x180
-        or 0x581 <= can_id <= 0x5FF
-        or 0x601 <= can_id <= 0x67F
-        or 0x6E0 <= can_id <= 0x6FF
-        or can_id >= 0x701
-    )
+        can_id <= 0x7F or 0x101 <= can_id <= 0x180 or 0x581 <= can_id <= 0x5FF or 0x601 <= can_id <= 0x67F
+        or 0x6E0 <= can_id <= 0x6FF or can_id >= 0x701
+    )  # fmt: skip
 
 
 # A due time that never occurs: later than any clock in microseconds, and exact as a float.

@@ -236,10 +236,8 @@ class Device:
         routes: "dict[int, Callable[[bytes], None]]" = {}
         if self.node_id != codes.LSS_UNCONFIGURED:
             # Identifiers that only this node may send; a service that receives the same identifier takes precedence.
-            for can_id in self.tpdos.can_ids() + [
-                codes.SDO_RESPONSE_BASE + self.node_id,
-                codes.HEARTBEAT_BASE + self.node_id,
-            ]:
+            own = [codes.SDO_RESPONSE_BASE + self.node_id, codes.HEARTBEAT_BASE + self.node_id]
+            for can_id in self.tpdos.can_ids() + own:
                 routes[can_id] = self.bus_faults.collision(can_id)
             routes[codes.HEARTBEAT_BASE + self.node_id | codes.REMOTE_FLAG] = self.guarding.receive
             for can_id, handler in self.heartbeat_consumer.routes():

@@ -280,9 +280,8 @@ class BlockDownload(Download):
 
     def _converse(self) -> "Conversation":
         content = self._content
-        first = yield from self._initiate(
-            0xC0 | _WITH_CRC | _WITH_SIZE, struct.pack("<I", len(content)), (_BLOCK_DOWNLOAD,)
-        )
+        command = 0xC0 | _WITH_CRC | _WITH_SIZE
+        first = yield from self._initiate(command, struct.pack("<I", len(content)), (_BLOCK_DOWNLOAD,))
         offset, block_size, empty_blocks = 0, first[4], 0
         while offset < (len(content) or 1):
             sent = self._send_block(offset, block_size)

@@ -122,16 +122,11 @@ def _line(title: str, run: list[Entry[Any]], views: Collection[int]) -> tuple[ob
     shown = first.stem + (":SUB" if first is not last else f":{sub}" if first.is_counted else "")
     name = title + (f"{first.title} .. {last.title}" if len(run) > 3 else ", ".join(entry.title for entry in run))
     kind = f"{types.data_type(first.type).name} {first.access}"
-    return place, name, f"`{shown}`" if shown else "", kind, _defaults(run), _notes(first, views)
-
-
-def _defaults(run: list[Entry[Any]]) -> str:
-    texts = [default_text(entry) for entry in run]
-    if len(set(texts)) == 1:
-        return texts[0].replace("$NODEID+", "node-id + ")
-    while len(texts) > 1 and texts[-1] == texts[-2] == "0x00000000":
-        texts.pop()
-    return ", ".join(texts)
+    defaults = [default_text(entry) for entry in run]
+    while len(defaults) > 1 and (len(set(defaults)) == 1 or defaults[-1] == defaults[-2] == "0x00000000"):
+        defaults.pop()
+    default = ", ".join(defaults).replace("$NODEID+", "node-id + ")
+    return place, name, f"`{shown}`" if shown else "", kind, default, _notes(first, views)
 
 
 def _notes(entry: Entry[Any], views: Collection[int]) -> str:

@@ -310,19 +310,13 @@ def profile(n: int, converter: "Converter") -> "Iterator[Object]":
     ):
         flags = TPDO if access == "ro" else 0
         digits = tuple(0 if unit == "counts" else c[3] for c in chans[:count])
+        values = default[:count] if isinstance(default, tuple) else (default,) * count
         yield array(index, "AI " + name, slug, count, symbols[:count], REAL32, access,
-            flags if access == "ro" else COUNTED, default if isinstance(default, float) else default[:count], unit=unit)
+            flags if access == "ro" else COUNTED, default if isinstance(default, float) else values, unit=unit)
         for form, kind, suffix in ((INT16_FORM, I16, "int16"), (INT32_FORM, I32, "int32")):
             if kind == I16 and unit == "counts" and converter[0] > 16:
                 continue
-            yield array(
-                index + form, "AI " + name + " " + suffix, slug + "_" + suffix, count, symbols[:count],
-                kind, access, flags | VIEW, _scaled(default, digits),
-                unit=unit if unit == "counts" else "resolution of 6132h",
-            )
-
-
-def _scaled(default: "float | tuple[float, ...]", digits: "tuple[int, ...]") -> "tuple[int, ...]":
-    """The integer form of REAL32 defaults: times ten to the 6132h digits of each channel."""
-    values = (default,) * len(digits) if isinstance(default, float) else default
-    return tuple(round(values[k] * 10 ** digits[k]) for k in range(len(digits)))
+            # The integer form of a default: times ten to the 6132h digits of its channel.
+            yield array(index + form, "AI " + name + " " + suffix, slug + "_" + suffix, count, symbols[:count],
+                kind, access, flags | VIEW, tuple(round(values[k] * 10 ** digits[k]) for k in range(count)),
+                unit=unit if unit == "counts" else "resolution of 6132h")

@@ -98,7 +98,7 @@ class Channels:
         return sample.overloads[sub - 1] if live else 0
 
     def packer(self, keys: "list[tuple[int, int]]") -> "Callable[[], bytes] | None":
-        """Return what packs three consecutive channels as INTEGER16 with 2120h and 2121h: most default PDOs, else None."""
+        """Return what packs three consecutive channels as INTEGER16 with 2120h and 2121h; None for other mappings."""
         index, first = keys[0] if keys else (0, 0)
         if index != _INT16_VALUE or keys != [(index, first + k) for k in range(3)] + _STATUS_AND_COUNTER:
             return None

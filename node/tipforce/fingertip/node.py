@@ -58,9 +58,8 @@ def fingertip_node(
     """
     if not (1 <= node_id <= 127 or node_id == LSS_UNCONFIGURED):
         raise ValueError("node-id: %r, allowed 1 to 127, and 255 for none yet" % node_id)
-    device = Device(
-        build(n, node_id, source.simulated, serial, eds, source.converter, programs is not None), save, load
-    )
+    od = build(n, node_id, source.simulated, serial, eds, source.converter, programs is not None)
+    device = Device(od, save, load)
     if programs is not None:
         from canopen_device.core.program import ProgramDownload
 

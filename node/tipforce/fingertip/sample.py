@@ -234,11 +234,8 @@ class Sample:
                 values += (NAN, NAN, NAN)
                 return values
             P, phi, theta, _miss = self.contact()
-            values += (
-                P,
-                NAN if unknown & scalar.UNKNOWN_PHI else phi * scalar.DEGREES,
-                NAN if unknown & scalar.UNKNOWN_THETA else theta * scalar.DEGREES,
-            )
+            values += (P, NAN if unknown & scalar.UNKNOWN_PHI else phi * scalar.DEGREES)
+            values.append(NAN if unknown & scalar.UNKNOWN_THETA else theta * scalar.DEGREES)
         return values
 
     def _early_status(self) -> int:
