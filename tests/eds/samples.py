@@ -96,6 +96,13 @@ def described(folder: Path, content: str | bytes, node_id: int | None = 5, name:
     return read_eds(path, node_id)
 
 
+def sound(folder: Path, content: str | bytes, node_id: int | None = 5, name: str = "any.eds") -> Description:
+    """The same of a text in which nothing is wrong."""
+    found = described(folder, content, node_id, name)
+    assert found.warnings == []
+    return found
+
+
 class Talk(Conversation):
     """A conversation with a device from its EDS, node-id 5, its boot-up heard."""
 
