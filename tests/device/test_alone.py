@@ -115,7 +115,6 @@ def test_its_own_tests_pass(copied: Path) -> None:
 
 
 def name(path: Path) -> str:
-    """A file as the tests call it."""
     return str(path.relative_to(ROOT))
 
 

@@ -46,7 +46,6 @@ class DirectBus:
         self._deliver([] if self.drop(*frame) else [frame])
 
     def pass_time(self, microseconds: int) -> None:
-        """Let the node's clock run on."""
         self._now_us += microseconds
         self._deliver([])
 
@@ -61,8 +60,6 @@ class DirectBus:
 
 
 class Client:
-    """A network with one remote node and its device."""
-
     def __init__(self, node_id: int = 5, device: Device | None = None) -> None:
         self.network = canopen.Network()
         store, source = MemoryStore(), SimulatedSource(STRAIN_PER_NEWTON)

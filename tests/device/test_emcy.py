@@ -94,7 +94,6 @@ def controller(detail: int) -> tuple[int, bytes]:
 
 
 def said(talk: Conversation, frame: tuple[int, bytes]) -> list[str]:
-    """What the device says to an error frame."""
     talk.step([frame])
     return [data.hex() for _, data in talk.take()]
 

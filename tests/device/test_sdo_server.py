@@ -123,7 +123,6 @@ def test_an_upload_shows_one_value_although_it_changes_meanwhile() -> None:
 
 
 def loaded(data: bytes = DATA) -> Conversation:
-    """A node whose DOMAIN 2005h holds ``data``."""
     talk = booted()
     assert talk.download(0x2005, 0, data) == 0
     return talk

@@ -29,7 +29,6 @@ def changed(store: MemoryStore | None) -> Conversation:
 
 
 def settings(talk: Conversation) -> tuple[float, ...]:
-    """What ``changed`` has changed."""
     return (talk.get("H", 0x1017), talk.get("I", 0x1800, 1), talk.get("H", 0x6000), talk.get("f", 0x6001))
 
 

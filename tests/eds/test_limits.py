@@ -66,7 +66,6 @@ def compact(count: int, kind: int, default: str = "", first: int = 0x2000) -> st
 
 
 def xdd(body: str, before: str = "") -> str:
-    """An XDD with parameters or objects."""
     return f"<?xml version='1.0'?>{before}\n<ISO15745ProfileContainer>\n{body}\n</ISO15745ProfileContainer>\n"
 
 
@@ -137,7 +136,6 @@ def test_a_hostile_file_is_refused_in_bounded_work(name: str, tmp_path: Path) ->
 
 
 def sum_of(count: int) -> str:
-    """A number as a long sum."""
     return "+".join(["$NODEID", *"1" * count])
 
 

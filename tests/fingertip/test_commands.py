@@ -191,7 +191,6 @@ def test_command_by_rpdo_runs_once_per_reception() -> None:
 
 @pytest.fixture
 def talk() -> Finger:
-    """A calibrated node that is pushed with 1 N."""
     return finger(load=PUSH)
 
 

@@ -25,7 +25,7 @@ from fingertip.finger import (
     Finger,
     finger,
     record,
-)  # fmt: skip  # fmt: skip
+)  # fmt: skip
 from tipforce.fingertip import filters
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
@@ -38,7 +38,6 @@ CONSTANT = st.integers(2, 40)
 
 
 def filtered(kind: int, constant: int, **options: object) -> Finger:
-    """A node with a filter that has just begun."""
     talk = finger(**options)  # type: ignore[arg-type]
     assert talk.put("H", 0x61A1, 1, constant) == talk.put("B", 0x61A0, 1, kind) == 0
     return talk
@@ -62,7 +61,6 @@ def outputs(kind: int, constant: int, counts: list[int]) -> list[float]:
 
 
 def mean_so_far(counts: list[int], constant: int) -> npt.NDArray[np.float64]:
-    """Moving average by its definition, in numpy."""
     return np.array([np.mean(counts[max(0, k + 1 - constant) : k + 1]) for k in range(len(counts))])
 
 

@@ -23,7 +23,6 @@ def redundant(n: int, model: float = 0.0, **changes: object) -> Finger:
 
 
 def magnitude(sent: dict[int, bytes]) -> int:
-    """7130h P of TPDO2, 1 mN."""
     return int(struct.unpack("<h", sent[0x285][:2])[0])
 
 

@@ -122,7 +122,6 @@ class Board:
 def image(
     version: tuple[int, int, int] = (0, 2, 0), size: int = 3000, product: int = table.PRODUCT, key: bytes = KEY
 ) -> bytes:
-    """A signed image with one file of ``size`` bytes."""
     content = bytes((k * 37 + version[1]) & 0xFF for k in range(size))
     return build.image(version, product, {"canopen_device/core/node.mpy": content}, key)
 

@@ -194,8 +194,6 @@ def test_run_feeds_the_watchdog_and_sleeps_shortly() -> None:
 
 
 class Trial:
-    """A program on trial: what the loop asks of it."""
-
     def __init__(self) -> None:
         self.on_trial = True
 

@@ -137,7 +137,6 @@ def test_flash_that_fails_refuses_and_keeps(tmp_path: Path) -> None:
 
 
 def firmware_files() -> dict[str, bytes]:
-    """The firmware, the loader and the fakes, by their place on MicroPython."""
     own = [path for folder in (FOLDER, LOADER) for path in sorted(folder.glob("*.py")) if path.name != "build.py"]
     found = {f"{engine.LIBRARY}/{path.parent.name}/{path.name}": path.read_bytes() for path in own}
     names = "fakes.py", "fake_controllers.py", "rig.py"

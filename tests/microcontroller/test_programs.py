@@ -42,7 +42,6 @@ def update(board: Board, content: bytes) -> None:
 
 @pytest.fixture(scope="module")
 def with_old() -> Flash:
-    """The flash of a board that runs OLD."""
     board = Board()
     update(board, OLD)
     board.flash.written = 0

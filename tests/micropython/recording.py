@@ -105,7 +105,6 @@ class Talk(Conversation):
 
     @property
     def recording(self) -> Recording:
-        """What was said so far."""
         return self.recorded.recording
 
     def start(self) -> None:

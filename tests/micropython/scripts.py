@@ -233,7 +233,6 @@ def lss() -> list[Recording]:
 
 
 def _wrong_crc(data: bytes) -> bytes:
-    """Change the CRC of the end of a block download."""
     return data[:1] + b"\1\0" + data[3:] if data[0] & 0xE3 == 0xC1 else data
 
 

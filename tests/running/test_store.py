@@ -31,7 +31,6 @@ Parent = subprocess.Popen[str]  # of the children that are killed: store_child.p
 
 
 def node(path: Path) -> Finger:
-    """A node on a file store."""
     return finger(calibrated=False, store=FileStore(path))
 
 
@@ -44,8 +43,6 @@ def stored(path: Path, serial: int = 1) -> Finger:
 
 
 def failing(error: OSError) -> Callable[..., Any]:
-    """A call of the disk that fails."""
-
     def refuse(*_arguments: object, **_names: object) -> None:
         raise error
 
