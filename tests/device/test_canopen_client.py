@@ -1,6 +1,5 @@
 """The canopen library as a foreign client, in one thread: what its Network sends, a fingertip node answers at once."""
 
-import struct
 import zlib
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
@@ -15,16 +14,13 @@ from canopen.sdo.exceptions import SdoAbortedError
 from canopen_device.core.node import Device
 from canopen_device.testing import MemoryStore
 from device.tiny import dictionary
+from fingertip.finger import record
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
 CANOPEN = tuple(map(int, version("canopen").split(".")[:2]))
 EDS = Path(__file__).parents[2] / "eds" / "tipforce-3.eds"
-RECORD = struct.pack(
-    "<9f3fIIfB6f5fB13f",
-    2e4, 1, 2, 3, 2e4, 4, 5, 6, 2e4, 0, 0, 0, 7, 20260101, 23, 1, 1e-13, 0, 0, 1e-13, 0, 1e-13,
-    8e-3, -60, 60, 0.05, 0.03, 0, *(0.0,) * 13,
-)  # fmt: skip
+RECORD = record()
 
 
 class DirectBus:

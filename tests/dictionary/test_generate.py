@@ -117,13 +117,10 @@ def _compare(variable: Any, row: Entry[Any]) -> None:
 
 def test_device_information(tmp_path: Path) -> None:
     information = _import(eds_text(5, True), tmp_path).device_information
-    assert information.vendor_number == 0
-    assert information.product_number == 0x54500105
-    assert information.revision_number == table.REVISION
-    assert (information.nr_of_RXPDO, information.nr_of_TXPDO) == (1, 5)
-    assert information.LSS_supported
-    assert information.simple_boot_up_slave
-    assert not information.simple_boot_up_master
+    identity = (information.vendor_number, information.product_number, information.revision_number)
+    assert identity == (0, 0x54500105, table.REVISION)
+    assert (information.nr_of_RXPDO, information.nr_of_TXPDO, information.LSS_supported) == (1, 5, True)
+    assert (information.simple_boot_up_slave, information.simple_boot_up_master) == (True, False)
     assert information.allowed_baudrates == {k * 1000 for k in (10, 20, 50, 125, 250, 500, 800, 1000)}
 
 

@@ -5,6 +5,7 @@ import hmac
 import io
 import os
 import random
+from collections.abc import Iterator
 from copy import deepcopy
 from pathlib import Path
 
@@ -97,10 +98,10 @@ def test_corrupted_transfers(with_old: Flash) -> None:
     refused = 0
     for _ in range(CORRUPTED):
         board = Board(deepcopy(with_old))
-        wrong, bit = chance.randrange(len(NEW) // 7 + 3), chance.randrange(64)
+        frames_left, bit = iter(range(chance.randrange(len(NEW) // 7 + 3), -1, -1)), chance.randrange(64)
 
-        def fault(number: int, data: bytes, wrong: int = wrong, bit: int = bit) -> bytes:
-            if number != wrong:
+        def fault(data: bytes, frames_left: Iterator[int] = frames_left, bit: int = bit) -> bytes:
+            if next(frames_left, -1) != 0:
                 return data
             changed = bytearray(data)
             changed[bit // 8] ^= 1 << bit % 8
