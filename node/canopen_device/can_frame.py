@@ -1,7 +1,4 @@
-"""A classic CAN frame: the kernel's ``struct can_frame``, python-can's Message, and its length on the wire.
-
-Inside the package an identifier always carries its type in the flag bits of linux/can.h.
-"""
+"""A classic CAN frame in the kernel and in python-can, and its length; identifiers carry the flags of linux/can.h."""
 
 from __future__ import annotations
 

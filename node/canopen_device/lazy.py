@@ -6,9 +6,7 @@ if TYPE_CHECKING:
     from types import CodeType
 
 
-def lazy(
-    package: "Mapping[str, object]",
-) -> "tuple[Callable[[str], object], Callable[[], list[str]], list[str]]":
+def lazy(package: "Mapping[str, object]") -> "tuple[Callable[[str], object], Callable[[], list[str]], list[str]]":
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, whose globals are given.
 
     The names are those that its source imports for type checkers, one a line: "    from MODULE import NAME as PUBLIC";

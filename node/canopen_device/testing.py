@@ -23,7 +23,6 @@ from typing import Any
 
 from canopen_device.core.codes import EMCY_BASE, NEVER_US, SDO_REQUEST_BASE, SDO_RESPONSE_BASE
 from canopen_device.core.sdo_client import Download, Transfer, Upload
-from canopen_device.running.loop import Stepped
 from canopen_device.running.store import MemoryStore
 
 __all__ = ["Conversation", "Fault", "Frame", "MemoryStore", "losing", "parse", "text"]
@@ -59,11 +58,12 @@ def parse(line: str) -> Frame:
 class Conversation:
     """All frames to and from one device. ``sent`` holds the frames of the device that no line has named yet.
 
-    ``emcy`` False hides its EMCY messages: "nothing else was sent" then speaks of all other services.
+    ``device`` is a ``Device``, or what has its ``node_id`` and ``step``. ``emcy`` False hides its EMCY messages:
+    "nothing else was sent" then speaks of all other services.
     """
 
-    def __init__(self, device: Stepped, now_us: int = 0, emcy: bool = False) -> None:
-        self.device: Any = device  # of the class that was given
+    def __init__(self, device: Any, now_us: int = 0, emcy: bool = False) -> None:
+        self.device = device
         self.now_us = now_us
         self.due_us = NEVER_US
         self.sent: list[Frame] = []

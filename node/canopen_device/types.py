@@ -50,33 +50,21 @@ class DataType:
 TYPES: Final = {
     t.letter: t
     for t in (
-        DataType("?", 0x01, "BOOLEAN", 1, int, "b"),
-        DataType("b", 0x02, "INTEGER8", 1, int, "i8"),
-        DataType("h", 0x03, "INTEGER16", 2, int, "i16"),
-        DataType("i", 0x04, "INTEGER32", 4, int, "i32"),
-        DataType("B", 0x05, "UNSIGNED8", 1, int, "u8"),
-        DataType("H", 0x06, "UNSIGNED16", 2, int, "u16"),
-        DataType("I", 0x07, "UNSIGNED32", 4, int, "u32"),
-        DataType("f", 0x08, "REAL32", 4, float, "r32"),
-        DataType("s", 0x09, "VISIBLE_STRING", None, str, "vs"),
-        DataType("o", 0x0A, "OCTET_STRING", None, bytes, "os"),
-        DataType("u", 0x0B, "UNICODE_STRING", None, str, "us"),
-        DataType("t", 0x0C, "TIME_OF_DAY", 6, bytes, "t"),
-        DataType("T", 0x0D, "TIME_DIFFERENCE", 6, bytes, "td"),
-        DataType("D", 0x0F, "DOMAIN", None, bytes, "d"),
-        DataType("i3", 0x10, "INTEGER24", 3, int, "i24"),
-        DataType("d", 0x11, "REAL64", 8, float, "r64"),
-        DataType("i5", 0x12, "INTEGER40", 5, int, "i40"),
-        DataType("i6", 0x13, "INTEGER48", 6, int, "i48"),
-        DataType("i7", 0x14, "INTEGER56", 7, int, "i56"),
-        DataType("q", 0x15, "INTEGER64", 8, int, "i64"),
-        DataType("u3", 0x16, "UNSIGNED24", 3, int, "u24"),
-        DataType("u5", 0x18, "UNSIGNED40", 5, int, "u40"),
-        DataType("u6", 0x19, "UNSIGNED48", 6, int, "u48"),
-        DataType("u7", 0x1A, "UNSIGNED56", 7, int, "u56"),
+        DataType("?", 0x01, "BOOLEAN", 1, int, "b"), DataType("b", 0x02, "INTEGER8", 1, int, "i8"),
+        DataType("h", 0x03, "INTEGER16", 2, int, "i16"), DataType("i", 0x04, "INTEGER32", 4, int, "i32"),
+        DataType("B", 0x05, "UNSIGNED8", 1, int, "u8"), DataType("H", 0x06, "UNSIGNED16", 2, int, "u16"),
+        DataType("I", 0x07, "UNSIGNED32", 4, int, "u32"), DataType("f", 0x08, "REAL32", 4, float, "r32"),
+        DataType("s", 0x09, "VISIBLE_STRING", None, str, "vs"), DataType("o", 0x0A, "OCTET_STRING", None, bytes, "os"),
+        DataType("u", 0x0B, "UNICODE_STRING", None, str, "us"), DataType("t", 0x0C, "TIME_OF_DAY", 6, bytes, "t"),
+        DataType("T", 0x0D, "TIME_DIFFERENCE", 6, bytes, "td"), DataType("D", 0x0F, "DOMAIN", None, bytes, "d"),
+        DataType("i3", 0x10, "INTEGER24", 3, int, "i24"), DataType("d", 0x11, "REAL64", 8, float, "r64"),
+        DataType("i5", 0x12, "INTEGER40", 5, int, "i40"), DataType("i6", 0x13, "INTEGER48", 6, int, "i48"),
+        DataType("i7", 0x14, "INTEGER56", 7, int, "i56"), DataType("q", 0x15, "INTEGER64", 8, int, "i64"),
+        DataType("u3", 0x16, "UNSIGNED24", 3, int, "u24"), DataType("u5", 0x18, "UNSIGNED40", 5, int, "u40"),
+        DataType("u6", 0x19, "UNSIGNED48", 6, int, "u48"), DataType("u7", 0x1A, "UNSIGNED56", 7, int, "u56"),
         DataType("Q", 0x1B, "UNSIGNED64", 8, int, "u64"),
     )
-}
+}  # fmt: skip
 LETTER_OF_WORD: Final = {t.word: t.letter for t in TYPES.values()}
 LETTER_OF_CODE: Final = {t.code: t.letter for t in TYPES.values()}
 
@@ -169,10 +157,17 @@ def format_value(letter: str, value: Value) -> str:
     kind = data_type(letter)
     if kind.python is bytes:
         return encode(letter, value).hex(" ").upper()
-    if letter == "f":
-        return _shortest_real32(_checked_real(kind, value))
-    encode(letter, value)
-    return str(value)
+    if letter != "f":
+        encode(letter, value)
+        return str(value)
+    number = _checked_real(kind, value)
+    wire = struct.pack("<f", number)
+    for digits in range(1, 10):
+        text = f"{number:.{digits}g}"
+        with suppress(OverflowError):  # rounded up beyond the largest REAL32
+            if struct.pack("<f", float(text)) == wire:
+                break
+    return repr(float(text))
 
 
 def _checked_integer(kind: DataType, value: object) -> int:
@@ -197,13 +192,3 @@ def _checked_real(kind: DataType, value: Value) -> float:
         limits = f"-{_REAL32_MAXIMUM!r} to {_REAL32_MAXIMUM!r}"
         raise InputError(f"{number!r} does not fit {kind.name}: allowed are {limits}") from None
     return number
-
-
-def _shortest_real32(value: float) -> str:
-    wire = struct.pack("<f", value)
-    for digits in range(1, 10):
-        text = f"{value:.{digits}g}"
-        with suppress(OverflowError):  # rounded up beyond the largest REAL32
-            if struct.pack("<f", float(text)) == wire:
-                break
-    return repr(float(text))

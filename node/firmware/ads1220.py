@@ -7,7 +7,7 @@ converts continuously restarts the conversion, and the filter settles in one. MU
 1110: both inputs to mid-supply, which shows the offset. TS: 14 bits at the left, 0.03125 degC each.
 """
 
-from .source import CONVERSIONS_LOST, RETRY_US, SUPPLY, Chip, choice, signed24
+from .source import CONVERSIONS_LOST, SUPPLY, Chip, choice, signed24
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -66,15 +66,14 @@ class Ads1220(Chip):
         self._spi, self._cs, self._drdy = spi, cs, drdy
         self._cs.value(1)
         self.channels = channels
-        self._conversion_us = 1000000 // rate
-        self.period_us = self._conversion_us * channels
+        self.period_us = 1000000 // rate * channels
+        self._patience_us = 1000000 // rate * CONVERSIONS_LOST + RESET_US
         self.offset = 0
         self._three, self._four = bytearray(3), bytearray(4)
         self._counts = [0] * channels
         self._channel = self._left = self._sum = 0
         self._warming = False  # the current conversion measures the temperature
         self._temperature_us = 0
-        self._state, self._next_us, self._deadline_us = _RESET, 0, 0
 
     def poll(self, now_us: int) -> "tuple[int, ...] | None":
         """Run one small step; return the counts of all channels after the last of them."""
@@ -91,9 +90,6 @@ class Ads1220(Chip):
             self._again(now_us)
         return None
 
-    def _again(self, now_us: int) -> None:
-        self._state, self._next_us = _RESET, now_us + RETRY_US
-
     def _configure(self, now_us: int) -> None:
         wanted = bytes((MUX_SHORTED | self._reg0, self._reg1, self._reg2, 0))
         self._command(bytes((WREG_ALL,)) + wanted)
@@ -108,14 +104,14 @@ class Ads1220(Chip):
         self._command(bytes((START,)))
         self._state, self._left, self._sum = _OFFSET, OFFSET_READINGS, 0
         self._channel, self._warming, self._temperature_us = 0, False, now_us
-        self._expect(now_us)
+        self._deadline_us = now_us + self._patience_us
 
     def _take(self, now_us: int) -> "tuple[int, ...] | None":
         self._cs.value(0)
         self._spi.readinto(self._three)
         self._cs.value(1)
         raw = signed24(self._three)
-        self._expect(now_us)
+        self._deadline_us = now_us + self._patience_us
         if self._state == _OFFSET:
             self._sum += raw
             self._left -= 1
@@ -144,9 +140,6 @@ class Ads1220(Chip):
 
     def _select(self) -> None:
         self._command(bytes((WREG_0, MUX[self._channel] | self._reg0)))
-
-    def _expect(self, now_us: int) -> None:
-        self._deadline_us = now_us + self._conversion_us * CONVERSIONS_LOST + RESET_US
 
     def _command(self, data: bytes) -> None:
         self._cs.value(0)

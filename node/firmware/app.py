@@ -44,17 +44,9 @@ class Firmware:
     """A fingertip node with its gauges, its controller and its flash. ``poll`` once, or ``run`` until power-off."""
 
     def __init__(
-        self,
-        node_id: int,
-        gauges: "Gauges",
-        port: "CanPort",
-        store: "FlashStore",
-        serial: int,
-        clock: Clock,
-        programs: "Programs | None" = None,
-        restart: "Callable[[], None]" = lambda: None,
-        restarted: bool = False,
-    ) -> None:
+        self, node_id: int, gauges: "Gauges", port: "CanPort", store: "FlashStore", serial: int, clock: Clock,
+        programs: "Programs | None" = None, restart: "Callable[[], None]" = lambda: None, restarted: bool = False,
+    ) -> None:  # fmt: skip
         self.gauges, self.port, self._clock = gauges, port, clock
         self.device = fingertip_node(node_id, gauges, gauges.n, serial, store.save, store.load, programs=programs)
         if restarted:
@@ -72,7 +64,9 @@ class Firmware:
     def poll(self) -> int:
         """Run the loop once; return the microseconds until the node is due."""
         now_us = self._clock.now()
-        self._switch(now_us)
+        if self._bit_rate and now_us >= self._bit_rate_at_us:
+            self.port.set_bit_rate(self._bit_rate)
+            self._bit_rate = 0
         self.gauges.poll(now_us)
         frames = self.port.receive()
         sent, due_us = self.device.step(now_us, frames)
@@ -80,7 +74,14 @@ class Firmware:
             for can_id, data in sent:
                 self.port.send(can_id, data)
         for what, value, delay_ms in self.device.requests:
-            self._request(what, value, delay_ms, now_us)
+            if what == "bus-restart":
+                self.port.restart()
+            elif what == "bit-rate":
+                # CiA 305, 6.4.4: no node sends during the delay before the switch and the delay after it.
+                self._bit_rate, self._bit_rate_at_us = value, now_us + 1000 * delay_ms
+                self._mute_until_us = now_us + 2000 * delay_ms
+            elif what == "restart":
+                self._restart_at_us = now_us + 1000 * delay_ms
         self.device.requests.clear()
         if self._programs is not None:
             self._heard = self._heard or bool(frames)
@@ -96,16 +97,6 @@ class Firmware:
             if wait_us and not self.port.busy():
                 sleep_us(min(wait_us, POLL_US))
 
-    def _request(self, what: str, value: int, delay_ms: int, now_us: int) -> None:
-        if what == "bus-restart":
-            self.port.restart()
-        elif what == "bit-rate":
-            # CiA 305, 6.4.4: no node sends during the delay before the switch and the delay after it.
-            self._bit_rate, self._bit_rate_at_us = value, now_us + 1000 * delay_ms
-            self._mute_until_us = now_us + 2000 * delay_ms
-        elif what == "restart":
-            self._restart_at_us = now_us + 1000 * delay_ms
-
     def _judge(self, programs: "Programs", now_us: int) -> None:
         """Confirm a program on trial that has run for a while and received a frame; give up one that receives none."""
         if 0 <= self._restart_at_us <= now_us:
@@ -115,11 +106,6 @@ class Firmware:
                 programs.confirm()
             elif now_us - self._began_us >= TRIAL_US:
                 self._restart()
-
-    def _switch(self, now_us: int) -> None:
-        if self._bit_rate and now_us >= self._bit_rate_at_us:
-            self.port.set_bit_rate(self._bit_rate)
-            self._bit_rate = 0
 
 
 def start(port: "CanPort") -> None:

@@ -2,7 +2,7 @@
 
 from canopen_device.core import codes
 
-from .can_port import STATE_ACTIVE, STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
+from .can_port import STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -15,10 +15,8 @@ class MachineCan(CanPort):
     def __init__(self, can: "Any", bit_rate: int) -> None:
         self._can = can
         self._states = {
-            can.STATE_WARNING: STATE_WARNING,
-            can.STATE_PASSIVE: STATE_PASSIVE,
-            can.STATE_BUS_OFF: STATE_OFF,
-        }
+            can.STATE_WARNING: STATE_WARNING, can.STATE_PASSIVE: STATE_PASSIVE, can.STATE_BUS_OFF: STATE_OFF,
+        }  # fmt: skip
         super().__init__(bit_rate)
 
     def _start(self, bit_rate: int) -> None:
@@ -45,9 +43,3 @@ class MachineCan(CanPort):
             return self._can.send(can_id, data) is not None
         except OSError:  # bus-off, which the state reports next
             return False
-
-    def _state(self) -> int:
-        return self._states.get(self._can.state(), STATE_ACTIVE)
-
-    def _restart(self) -> None:
-        self._can.restart()

@@ -53,44 +53,35 @@ class Mcp2515(CanPort):
         """Switch the mode, with a few checks because it changes only when the bus allows it; OSError without a chip."""
         for _ in range(MODE_TRIES):
             self._write(bytes((MODIFY, CANCTRL, MODES, mode)))
-            if self._register(CANSTAT) & MODES == mode:
+            if self._read(self._one, READ, CANSTAT)[0] & MODES == mode:
                 return
         raise OSError("MCP2515: no response, or it does not change its mode")
 
     def _next(self) -> "tuple[int, bytes] | None":
         while True:
-            status = self._ask(STATUS)
+            status = self._read(self._one, STATUS)[0]
             if not status & 3:
                 return None
             # Both full: buffer 0 is the older one, because buffer 1 fills only while it is full.
-            frame = self._fetch(READ_RX[0] if status & 1 else READ_RX[1])
-            if frame is not None:
-                return frame
-
-    def _fetch(self, instruction: int) -> "tuple[int, bytes] | None":
-        frame = self._frame
-        self._cs.value(0)
-        self._spi.write(bytes((instruction,)))
-        self._spi.readinto(frame)
-        self._cs.value(1)
-        sidl = frame[1]
-        if sidl & 0x08:
-            return None  # 29 bits: this node has no such identifiers
-        can_id = frame[0] << 3 | sidl >> 5
-        if sidl & 0x10:  # SRR: a remote frame with a standard identifier
-            return can_id | codes.REMOTE_FLAG, b""
-        return can_id, bytes(frame[5 : 5 + min(frame[4] & 0x0F, 8)])
+            frame = self._read(self._frame, READ_RX[0] if status & 1 else READ_RX[1])
+            sidl = frame[1]
+            if sidl & 0x08:
+                continue  # 29 bits: this node has no such identifiers
+            can_id = frame[0] << 3 | sidl >> 5
+            if sidl & 0x10:  # SRR: a remote frame with a standard identifier
+                return can_id | codes.REMOTE_FLAG, b""
+            return can_id, bytes(frame[5 : 5 + min(frame[4] & 0x0F, 8)])
 
     def _put(self, can_id: int, data: bytes) -> bool:
         # Only one of the three buffers is used: at equal priority the chip sends the higher number first.
-        if self._ask(STATUS) & 0x04:
+        if self._read(self._one, STATUS)[0] & 0x04:
             return False
         self._write(bytes((LOAD_TX, can_id >> 3, (can_id & 7) << 5, 0, 0, len(data))) + data)
         self._write(bytes((RTS,)))
         return True
 
     def _state(self) -> int:
-        flags = self._register(EFLG)
+        flags = self._read(self._one, READ, EFLG)[0]
         if flags & OVERRUNS:
             self._write(bytes((MODIFY, EFLG, OVERRUNS, 0)))
             self.overrun()
@@ -109,19 +100,12 @@ class Mcp2515(CanPort):
         self._spi.write(data)
         self._cs.value(1)
 
-    def _register(self, address: int) -> int:
+    def _read(self, answer: bytearray, *instruction: int) -> bytearray:
         self._cs.value(0)
-        self._spi.write(bytes((READ, address)))
-        self._spi.readinto(self._one)
+        self._spi.write(bytes(instruction))
+        self._spi.readinto(answer)
         self._cs.value(1)
-        return self._one[0]
-
-    def _ask(self, instruction: int) -> int:
-        self._cs.value(0)
-        self._spi.write(bytes((instruction,)))
-        self._spi.readinto(self._one)
-        self._cs.value(1)
-        return self._one[0]
+        return answer
 
 
 def bit_timing(oscillator_hz: int, bit_rate: int) -> bytes:

@@ -1,13 +1,12 @@
-"""Common part of the CAN drivers: the transmit queue, and the controller's state as SocketCAN error frames.
-
-Frames are (can_id, data) with the flags of SocketCAN in can_id, as in the device core.
-"""
+"""Common part of the CAN drivers: transmit queue, and error frames of the controller's state; flags as in SocketCAN."""
 
 from canopen_device.core import codes
 from canopen_device.core.emcy import ACTIVE, BUS_OFF, CONTROLLER, TRANSMIT_OVERFLOW, WARNING
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     Frame = tuple[int, bytes]
 
 STATE_ACTIVE, STATE_WARNING, STATE_PASSIVE, STATE_OFF = 0, 1, 2, 3
@@ -19,10 +18,13 @@ _SHOWN = {STATE_ACTIVE: ACTIVE, STATE_WARNING: WARNING, STATE_PASSIVE: 0x30}
 
 
 class CanPort:
-    """One controller. A driver implements ``_start``, ``_next``, ``_put``, ``_state``, ``_restart``.
+    """One controller. A driver implements ``_start``, ``_next``, ``_put``, and if its ``_can`` lacks them the others.
 
     No method waits: ``send`` queues, ``receive`` also passes queued frames to the controller.
     """
+
+    _can: "Any" = None  # a controller of MicroPython
+    _states: "dict[int, int]" = {}  # one of STATE_... by its state; any other is STATE_ACTIVE
 
     def __init__(self, bit_rate: int) -> None:
         self._queue: "list[Frame]" = []
@@ -47,17 +49,24 @@ class CanPort:
 
     def _state(self) -> int:
         """Return one of STATE_..."""
-        raise NotImplementedError
+        return self._states.get(self._can.state(), STATE_ACTIVE)
 
     def _restart(self) -> None:
         """Leave the bus-off state; frames that wait in the controller are dropped."""
-        raise NotImplementedError
+        self._can.restart()
 
     # --- used by the node -----------------------------------------------------------------------------------
 
     def receive(self) -> "list[Frame]":
         """Return the frames since the last call, with error frames for changes of the controller's state first."""
-        self._watch()
+        state = self._state()
+        if state != self._known:
+            self._known = state
+            if state == STATE_OFF:
+                self._queue = []
+                self._news.append((codes.ERROR_FLAG | BUS_OFF, bytes(8)))
+            else:
+                self._news.append((codes.ERROR_FLAG | CONTROLLER, bytes((0, _SHOWN[state], 0, 0, 0, 0, 0, 0))))
         found, self._news = self._news, []
         while len(found) < RECEIVE_AT_ONCE:
             frame = self._next()
@@ -103,14 +112,3 @@ class CanPort:
     def overrun(self) -> None:
         """Note that frames were lost; drivers call this when the controller reports it."""
         self._news.append(_RECEIVE_OVERFLOW)
-
-    def _watch(self) -> None:
-        state = self._state()
-        if state == self._known:
-            return
-        self._known = state
-        if state == STATE_OFF:
-            self._queue = []
-            self._news.append((codes.ERROR_FLAG | BUS_OFF, bytes(8)))
-        else:
-            self._news.append((codes.ERROR_FLAG | CONTROLLER, bytes((0, _SHOWN[state], 0, 0, 0, 0, 0, 0))))

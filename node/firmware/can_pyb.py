@@ -2,7 +2,7 @@
 
 from canopen_device.core import codes
 
-from .can_port import STATE_ACTIVE, STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
+from .can_port import STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -49,9 +49,3 @@ class PybCan(CanPort):
         except OSError:
             return False
         return True
-
-    def _state(self) -> int:
-        return self._states.get(self._can.state(), STATE_ACTIVE)
-
-    def _restart(self) -> None:
-        self._can.restart()

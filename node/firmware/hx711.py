@@ -39,14 +39,13 @@ class Hx711(Chip):
         self._three = bytearray(3)
         self._left = SETTLING
         self._asleep = True  # PD_SCK is set high first: a reset from any state of the chip
-        self._next_us = self._deadline_us = 0
+        self._next_us = -1  # not begun
         self._sck.value(1)
-        self._begun = False
 
     def poll(self, now_us: int) -> "tuple[int, ...] | None":
         """Return the counts of a finished conversion; a chip that is silent or out of step is reset."""
-        if not self._begun:
-            self._begun, self._next_us = True, now_us + RESET_US
+        if self._next_us < 0:
+            self._next_us = now_us + RESET_US
         if now_us < self._next_us:
             return None
         if self._asleep:

@@ -7,7 +7,7 @@ channel's inputs. Power-up: RR, then PUD, PUR within 200 us. CALS goes back to z
 then tells whether it failed. After a change of channel the filter needs some conversions to settle.
 """
 
-from .source import CONVERSIONS_LOST, RETRY_US, SUPPLY, Chip, choice, signed24
+from .source import CONVERSIONS_LOST, SUPPLY, Chip, choice, signed24
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -63,7 +63,6 @@ class Nau7802(Chip):
         self._byte, self._three = bytearray(1), bytearray(3)
         self._counts = [0] * channels
         self._channel = self._left = 0
-        self._state, self._next_us, self._deadline_us = _RESET, 0, 0
 
     def poll(self, now_us: int) -> "tuple[int, ...] | None":
         """Run one small step; return the counts of all channels after the last of them."""
@@ -76,9 +75,6 @@ class Nau7802(Chip):
         except OSError:  # no acknowledge, or the bus is blocked
             self._again(now_us)
         return None
-
-    def _again(self, now_us: int) -> None:
-        self._state, self._next_us = _RESET, now_us + RETRY_US
 
     def _start(self, now_us: int) -> None:
         if self._state == _RESET:

@@ -10,20 +10,21 @@ SUPPLY = 1 << table.FAULT_SUPPLY
 
 
 class Chip:
-    """A converter of 24 bits with one or more gauges. ``period_us`` lies between two complete readings.
-
-    ``faults`` are its bits of 2124h, ``temperature`` is in 0.01 degC.
-    """
+    """A converter of 24 bits: ``period_us`` of a whole reading, ``faults`` of 2124h, ``temperature`` in 0.01 degC."""
 
     bits, count_min, count_max = 24, -0x800000, 0x7FFFFF
     channels = 1
     period_us = 0
     faults = 0
     temperature = table.UNKNOWN_I16
+    _state = _next_us = _deadline_us = 0  # state 0 resets the chip
 
     def poll(self, now_us: int) -> "tuple[int, ...] | None":
         """Run one small step; return the counts of all channels if there are new ones."""
         raise NotImplementedError
+
+    def _again(self, now_us: int) -> None:
+        self._state, self._next_us = 0, now_us + RETRY_US
 
 
 class Gauges(Source):
@@ -91,10 +92,6 @@ class Gauges(Source):
             elif now_us - self._inside_us[k] >= self._wire_break_us:
                 faults |= 1 << table.FAULT_WIRE_BREAK
         return Reading(tuple(counts), faults, temperature)
-
-    def due_us(self, now_us: int) -> int:
-        """Return the time of the next conversion, for a filter."""
-        return now_us + self.period_us
 
 
 def signed24(data: "bytes | bytearray") -> int:

@@ -49,11 +49,10 @@ class ImageFiles:
                 for depth in range(1, len(parts)):
                     self._folders.add("/".join(parts[:depth]))
 
-    def mount(self, _readonly: bool, _make: bool) -> None:
+    def mount(self, *_arguments: bool) -> None:
         """Do nothing: MicroPython calls it."""
 
-    def umount(self) -> None:
-        """Do nothing: MicroPython calls it."""
+    umount = mount
 
     def stat(self, path: str) -> "tuple[int, ...]":
         """Return the type and size of a file or folder. Raises OSError if there is none."""

@@ -18,18 +18,10 @@ if TYPE_CHECKING:
         def read(self, slot: int) -> bytes: ...  # the whole content; empty if there is none
         def write(self, slot: int, data: bytes) -> None: ...  # returns only when the content is in flash
 
-    class BlockDevice(Protocol):
-        """The used part of ``esp32.Partition`` or another block device of MicroPython: the simple interface."""
-
-        def readblocks(self, block: int, buffer: bytearray) -> None: ...
-        def writeblocks(self, block: int, buffer: bytearray) -> None: ...  # erases them first
-        def ioctl(self, operation: int, argument: int) -> "int | None": ...  # 4: number of blocks, 5: size, 3: sync
-
 
 _MAGIC = 0x31504954  # "TIP1"
 _HEAD = "<IIII"
 _HEAD_SIZE = 16
-_LARGEST = 1 << 20
 _NOTHING: "tuple[int, dict[str, bytes]]" = (0, {})
 
 
@@ -59,8 +51,12 @@ class FlashStore:
         groups[group] = bytes(data)
         sequence = self._sequence + 1 & 0xFFFFFFFF or 1
         slot = 1 - self._slot
+        content = b""
+        for name in sorted(groups):
+            content += struct.pack("<BI", len(name), len(groups[name])) + name.encode() + groups[name]
+        head = struct.pack("<III", _MAGIC, sequence, len(content))
         try:
-            self._slots.write(slot, _packed(sequence, groups))
+            self._slots.write(slot, head + struct.pack("<I", binascii.crc32(head + content) & 0xFFFFFFFF) + content)
         except OSError as error:
             self.error = "slot %d: %r" % (slot, error)
             return False
@@ -71,37 +67,25 @@ class FlashStore:
         return True
 
     def _read(self, slot: int) -> "tuple[int, dict[str, bytes]]":
+        """Return (sequence, groups) of a slot; sequence 0 if it is empty, incomplete or damaged. Padding may follow."""
         try:
-            return _unpacked(self._slots.read(slot))
+            image = self._slots.read(slot)
         except OSError:
             return _NOTHING
-
-
-def _packed(sequence: int, groups: "dict[str, bytes]") -> bytes:
-    content = b""
-    for name in sorted(groups):
-        data = groups[name]
-        content += struct.pack("<BI", len(name), len(data)) + name.encode() + data
-    head = struct.pack("<III", _MAGIC, sequence, len(content))
-    return head + struct.pack("<I", binascii.crc32(head + content) & 0xFFFFFFFF) + content
-
-
-def _unpacked(image: bytes) -> "tuple[int, dict[str, bytes]]":
-    """Return (sequence, groups) of a slot; sequence 0 if it is empty, incomplete or damaged. Padding may follow."""
-    if len(image) < _HEAD_SIZE:
-        return _NOTHING
-    magic, sequence, length, crc = struct.unpack(_HEAD, image[:_HEAD_SIZE])
-    if magic != _MAGIC or not sequence or length > len(image) - _HEAD_SIZE:
-        return _NOTHING
-    content = image[_HEAD_SIZE : _HEAD_SIZE + length]
-    if binascii.crc32(image[:12] + content) & 0xFFFFFFFF != crc:
-        return _NOTHING
-    groups, at = {}, 0
-    while at < len(content):
-        size, count = struct.unpack("<BI", content[at : at + 5])
-        at += 5 + size + count
-        groups[content[at - count - size : at - count].decode()] = content[at - count : at]
-    return sequence, groups
+        if len(image) < _HEAD_SIZE:
+            return _NOTHING
+        magic, sequence, length, crc = struct.unpack(_HEAD, image[:_HEAD_SIZE])
+        if magic != _MAGIC or not sequence or length > len(image) - _HEAD_SIZE:
+            return _NOTHING
+        content = image[_HEAD_SIZE : _HEAD_SIZE + length]
+        if binascii.crc32(image[:12] + content) & 0xFFFFFFFF != crc:
+            return _NOTHING
+        groups, at = {}, 0
+        while at < len(content):
+            size, count = struct.unpack("<BI", content[at : at + 5])
+            at += 5 + size + count
+            groups[content[at - count - size : at - count].decode()] = content[at - count : at]
+        return sequence, groups
 
 
 class FileSlots:
@@ -128,37 +112,3 @@ class FileSlots:
             file.write(data)
         if hasattr(os, "sync"):
             os.sync()
-
-
-class BlockSlots:
-    """Two halves of a block device without a file system, such as ``esp32.Partition.find(label="tip")[0]``.
-
-    Raises ValueError for a device with less than two blocks.
-    """
-
-    def __init__(self, device: "BlockDevice") -> None:
-        count, self._size = device.ioctl(4, 0) or 0, device.ioctl(5, 0) or 512
-        if count < 2:
-            raise ValueError("block device: %d blocks, 2 are needed" % count)
-        self._device, self._count = device, count // 2
-
-    def read(self, slot: int) -> bytes:
-        """Return whole blocks, as many as the header of the content requires."""
-        first = bytearray(self._size)
-        self._device.readblocks(slot * self._count, first)
-        magic, _sequence, length, _crc = struct.unpack(_HEAD, first[:_HEAD_SIZE])
-        blocks = (min(length, _LARGEST) + _HEAD_SIZE + self._size - 1) // self._size if magic == _MAGIC else 1
-        if blocks == 1 or blocks > self._count:
-            return bytes(first)
-        rest = bytearray(self._size * (blocks - 1))
-        self._device.readblocks(slot * self._count + 1, rest)
-        return bytes(first + rest)
-
-    def write(self, slot: int, data: bytes) -> None:
-        """Erase and write the blocks; OSError if the content does not fit."""
-        blocks = (len(data) + self._size - 1) // self._size
-        if blocks > self._count:
-            raise OSError(28)  # ENOSPC
-        buffer = bytearray(data + b"\xff" * (blocks * self._size - len(data)))
-        self._device.writeblocks(slot * self._count, buffer)
-        self._device.ioctl(3, 0)

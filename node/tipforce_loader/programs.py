@@ -6,9 +6,8 @@ the next restart returns to the old one unless ``confirm`` came before. If no sl
 copied to the board's file system with the loader.
 """
 
-import os
-
 from . import image
+from .flash import FileSlots
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -185,15 +184,12 @@ class Programs:
         return self.reason
 
 
-class FileProgramSlots:
+class FileProgramSlots(FileSlots):
     """Two files in a directory of the board's file system, which is created if it is missing."""
 
     def __init__(self, folder: str, size: int = 1 << 20) -> None:
-        self._folder, self.size = folder, size
-        try:
-            os.mkdir(folder)
-        except OSError:
-            pass  # it exists; if not, the first write raises the error
+        FileSlots.__init__(self, folder)
+        self.size = size
 
     def open(self, slot: int, mode: str) -> "BinaryIO":
         """Open the file of a slot."""

@@ -10,7 +10,6 @@ from canopen_conformance.dut import Dut
 from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, run_on
 from canopen_conformance.wire import CoreLink
 from canopen_device.core import codes, lss, pdo, sdo_block
-from canopen_device.core.codes import SIGNATURE_SAVE
 from canopen_device.core.emcy import Emcy
 from canopen_device.core.error_control import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
 from canopen_device.core.lss import LssSlave
@@ -158,7 +157,7 @@ FAULTS: dict[str, tuple[str, Injection]] = {
     "EMCY without inhibit time": ("emcy.*", forced(Emcy, "schedule", "_free_us", 0)),
     "errors never cured": ("emcy.*", replaced(Emcy, "cure", lambda *_: None)),
     "oldest error first": ("emcy.*", replaced(Emcy, "_read_history", oldest_first)),
-    "any signature stores": ("storage.*", arguments(Storage, "_write_store", lambda _, sub, _v: (sub, SIGNATURE_SAVE))),
+    "any signature stores": ("storage.*", arguments(Storage, "_write_command", lambda _, sub, _v, s: (sub, s, s))),
     "LSS selects by the vendor": ("lss.*", arguments(LssSlave, "_select", vendor_alone)),
     "LSS takes any node-id": ("lss.*", replaced(lss, "_valid_node_id", lambda _node_id: True)),
 }

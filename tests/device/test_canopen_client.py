@@ -1,6 +1,5 @@
 """The canopen library as a foreign client, in one thread: what its Network sends, a fingertip node answers at once."""
 
-import struct
 import zlib
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
@@ -15,16 +14,13 @@ from canopen.sdo.exceptions import SdoAbortedError
 from canopen_device.core.node import Device
 from canopen_device.testing import MemoryStore
 from device.tiny import dictionary
+from fingertip.finger import record
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
 CANOPEN = tuple(map(int, version("canopen").split(".")[:2]))
 EDS = Path(__file__).parents[2] / "eds" / "tipforce-3.eds"
-RECORD = struct.pack(
-    "<9f3fIIfB6f5fB13f",
-    2e4, 1, 2, 3, 2e4, 4, 5, 6, 2e4, 0, 0, 0, 7, 20260101, 23, 1, 1e-13, 0, 0, 1e-13, 0, 1e-13,
-    8e-3, -60, 60, 0.05, 0.03, 0, *(0.0,) * 13,
-)  # fmt: skip
+RECORD = record()
 
 
 class DirectBus:
@@ -46,7 +42,6 @@ class DirectBus:
         self._deliver([] if self.drop(*frame) else [frame])
 
     def pass_time(self, microseconds: int) -> None:
-        """Let the node's clock run on."""
         self._now_us += microseconds
         self._deliver([])
 
@@ -61,8 +56,6 @@ class DirectBus:
 
 
 class Client:
-    """A network with one remote node and its device."""
-
     def __init__(self, node_id: int = 5, device: Device | None = None) -> None:
         self.network = canopen.Network()
         store, source = MemoryStore(), SimulatedSource(STRAIN_PER_NEWTON)
@@ -71,6 +64,19 @@ class Client:
         self.network.bus = self.bus  # type: ignore[assignment]
         self.node = self.network.add_node(5, str(EDS))
         self.node.sdo.RESPONSE_TIMEOUT = 0.05
+        self.network.lss.RESPONSE_TIMEOUT = 0.01  # of a silent slave, as fast_scan waits for each bit that is set
+
+    def lose_fifth(self, lost_id: int, most: int) -> set[bytes]:
+        """Lose the fifth frame of each block once, ``most`` of them; return what got lost, as it grows."""
+        lost: set[bytes] = set()
+
+        def drop(can_id: int, data: bytes) -> bool:
+            hit = can_id == lost_id and data[0] == 5 and data not in lost and len(lost) < most
+            lost.update([data] if hit else [])
+            return hit
+
+        self.bus.drop = drop
+        return lost
 
 
 @pytest.fixture
@@ -116,15 +122,7 @@ def test_the_eds_of_a_node_makes_a_dictionary(client: Client) -> None:
 )
 def test_block_upload_with_lost_segments(client: Client) -> None:
     """Of each block's frames the fifth is lost once: the client acknowledges four, the server goes on from there."""
-    lost: set[bytes] = set()
-
-    def drop(can_id: int, data: bytes) -> bool:
-        hit = can_id == 0x585 and data[0] == 5 and data not in lost and len(lost) < 3
-        if hit:
-            lost.add(data)
-        return hit
-
-    client.bus.drop = drop
+    lost = client.lose_fifth(0x585, 3)
     with client.node.sdo[0x2140].open("rb", block_transfer=True) as file:
         assert file.read() == bytes(len(RECORD))
     assert lost
@@ -132,16 +130,8 @@ def test_block_upload_with_lost_segments(client: Client) -> None:
 
 def test_block_download_with_a_lost_segment() -> None:
     """In the first of two blocks: canopen 2.4.1 cannot resend in the last one."""
-    lost: list[bytes] = []
-
-    def drop(can_id: int, data: bytes) -> bool:
-        hit = can_id == 0x605 and data[0] == 5 and not lost
-        if hit:
-            lost.append(data)
-        return hit
-
     client = Client(device=Device(dictionary()))
-    client.bus.drop = drop
+    lost = client.lose_fifth(0x605, 1)
     content = bytes(k * 3 & 0xFF for k in range(1500))
     with client.node.sdo.open(0x2005, 0, "wb", size=len(content), block_transfer=True, buffering=7) as file:
         file.write(content)
@@ -187,15 +177,8 @@ def test_pdo_read_remap_save(client: Client) -> None:
     assert client.device.od.get(0x6124, 1) == 0.0
 
 
-def lss_client(node_id: int = 255) -> Client:
-    """A client that does not wait long for a silent slave, as fast_scan does for each bit that is set."""
-    client = Client(node_id)
-    client.network.lss.RESPONSE_TIMEOUT = 0.01
-    return client
-
-
 def test_lss_fast_scan_gives_a_node_id() -> None:
-    client = lss_client()
+    client = Client(255)
     found, identity = client.network.lss.fast_scan()
     assert found
     assert identity == [0, 0x54500103, 0x00020000, 0x1234]
@@ -209,7 +192,7 @@ def test_lss_fast_scan_gives_a_node_id() -> None:
 
 
 def test_lss_selective_inquire_configure() -> None:
-    lss = (client := lss_client(5)).network.lss
+    lss = (client := Client()).network.lss
     assert lss.send_switch_state_selective(0, 0x54500103, 0x00020000, 0x1234)
     assert lss.inquire_node_id() == 5
     assert lss.inquire_lss_address(0x5D) == 0x1234

@@ -9,13 +9,8 @@ from canopen_device.core.codes import NEVER_US, REMOTE_FLAG
 from canopen_device.testing import Conversation, MemoryStore
 from device.tiny import Recorder, booted, operational, serving
 
-ENABLE_TPDO1 = """
-    > 605#2300180185010040
-    < 585#6000180100000000
-"""
 CONFIGURE = "> 7E5#0401000000000000\n"
 DAY_MS = 86_400_000
-GUARD = (0x705 | REMOTE_FLAG, b"")
 
 
 def test_reset_communication_returns_only_the_communication_area() -> None:
@@ -27,12 +22,8 @@ def test_reset_communication_returns_only_the_communication_area() -> None:
     assert (talk.get("I", 0x1005), talk.get("H", 0x6000), talk.get("B", 0x2000)) == (0x80, 7, 9)
     assert talk.device.requests == [("reset-communication", 0, 0)]
     assert [call for call in recorder.calls if call.startswith("reset")] == ["reset 0"]
-
-
-def test_reset_node_returns_the_application_area_too() -> None:
-    recorder = Recorder()
-    talk = booted(application=recorder)
-    assert talk.put("I", 0x1005, 0, 0x90) == talk.put("H", 0x6000, 0, 7) == 0
+    # A reset of the node returns the application area, too.
+    talk.device.requests.clear()
     talk.say("+ 30\n> 000#8100\n< 705#00")
     assert (talk.get("I", 0x1005), talk.get("H", 0x6000)) == (0x80, 100)
     assert talk.device.requests == [("reset-node", 0, 0)]
@@ -41,7 +32,7 @@ def test_reset_node_returns_the_application_area_too() -> None:
 
 def test_frames_after_a_reset_in_one_step_meet_the_new_state() -> None:
     talk = operational()
-    talk.say(ENABLE_TPDO1)
+    assert talk.put("I", 0x1800, 1, 0x40000185) == 0
     talk.step([(0, b"\x82\x05"), (0x80, b""), (0, b"\x01\x05"), (0x80, b"")])
     # The reset made TPDO1 invalid again, so the boot-up message is all there is.
     talk.say("< 705#00")
@@ -63,9 +54,7 @@ def test_store_and_start_again() -> None:
     store.refuses = False
     talk.say("> 7E5#1700000000000000\n< 7E4#1700000000000000")
     assert serving(store=store).device.node_id == 9
-
-
-def test_store_where_nothing_can_be_stored() -> None:
+    # Where nothing can be stored:
     serving().say(CONFIGURE + "> 7E5#1700000000000000\n< 7E4#1701000000000000")
 
 
@@ -95,8 +84,9 @@ def test_network_time_is_known_after_a_time_message_and_runs_on() -> None:
     talk.say("")
 
 
-def test_consuming_is_switched_off_and_moved() -> None:
+def test_time_is_not_heard_in_stopped_switched_off_or_elsewhere() -> None:
     talk = serving()
+    talk.say("> 000#0205\n> 100#000000000000\n> 000#8005")
     assert talk.put("I", 0x1012, 0, 0x100) == 0
     talk.step([(0x100, bytes(6))])
     assert talk.device.time.unix_ms() is None
@@ -105,56 +95,29 @@ def test_consuming_is_switched_off_and_moved() -> None:
     assert talk.device.time.unix_ms() == 5113 * DAY_MS
 
 
-def test_it_is_not_heard_in_stopped() -> None:
-    talk = serving()
-    talk.say("> 000#0205\n> 100#000000000000")
-    assert talk.device.time.unix_ms() is None
-
-
-def beating(period_ms: int) -> Conversation:
-    """A booted node with this producer heartbeat time."""
-    talk = booted()
-    assert talk.put("H", 0x1017, 0, period_ms) == 0
-    return talk
-
-
-def test_late_steps_do_not_add_up() -> None:
+def test_heartbeats_of_a_process_that_is_late_or_slept() -> None:
     # Each step comes 3 ms late; the hundredth heartbeat is still due at 100 periods.
-    talk = beating(10)
+    talk = booted()
+    assert talk.put("H", 0x1017, 0, 10) == 0
     for k in range(1, 101):
         assert talk.due_us == 10_000 * k
         talk.sleep(talk.due_us + 3000 - talk.now_us)
     assert talk.take() == [(0x705, b"\x7f")] * 100
-
-
-def test_a_process_that_slept_sends_one_heartbeat_and_no_burst() -> None:
-    beating(10).say("~ 1000000\n< 705#7F\n+ 9999\n+ 1\n< 705#7F")
-
-
-def watching(node_id: int = 7, period_ms: int = 100) -> Conversation:
-    """A node that watches another."""
-    talk = serving()
-    assert talk.put("I", 0x1016, 1, node_id << 16 | period_ms) == 0
-    return talk
+    talk.say("~ 1000000\n< 705#7F\n+ 9999\n+ 1\n< 705#7F")
 
 
 def test_a_new_time_starts_the_watch_anew() -> None:
-    talk = watching()
+    talk = serving()
+    assert talk.put("I", 0x1016, 1, 7 << 16 | 100) == 0
     talk.say("> 707#05\n+ 50000")
     assert talk.put("I", 0x1016, 1, 7 << 16 | 200) == 0
     talk.say("+ 10000000\n> 707#05\n+ 199999\n+ 1\n< 085#3081110700000000")
 
 
-def guarded(guard_ms: int = 100, factor: int = 3) -> Conversation:
-    """A node with life guarding."""
-    talk = serving()
-    assert talk.put("H", 0x100C, 0, guard_ms) == talk.put("B", 0x100D, 0, factor) == 0
-    return talk
-
-
 def test_life_guarding_that_was_switched_off_misses_nobody() -> None:
-    talk = guarded()
-    talk.step([GUARD])
+    talk = serving()
+    assert talk.put("H", 0x100C, 0, 100) == talk.put("B", 0x100D, 0, 3) == 0
+    talk.step([(0x705 | REMOTE_FLAG, b"")])
     talk.say("< 705#7F")
     assert talk.put("B", 0x100D, 0, 0) == 0
     talk.say("+ 10000000")
@@ -169,36 +132,23 @@ def beating_for_a_second() -> Conversation:
     return talk
 
 
-def test_heartbeats_go_on_at_their_period() -> None:
+@pytest.mark.parametrize(("times", "back_us"), [(1, 900_000), (1000, 10)])
+def test_heartbeats_go_on_at_their_period_when_the_clock_goes_back(times: int, back_us: int) -> None:
     talk = beating_for_a_second()
-    talk.now_us -= 900_000
-    talk.step()
+    for _ in range(times):
+        talk.now_us -= back_us
+        talk.step()
     assert talk.due_us == talk.now_us + 100_000
     talk.say("+ 99999\n+ 1\n< 705#7F\n+ 100000\n< 705#7F")
 
 
-def test_many_small_steps_back_add_up() -> None:
-    talk = beating_for_a_second()
-    for _ in range(1000):
-        talk.now_us -= 10
-        talk.step()
-    assert talk.due_us == talk.now_us + 100_000
-    talk.say("+ 99999\n+ 1\n< 705#7F")
-
-
-def test_own_time_never_falls() -> None:
+def test_own_time_never_falls_and_what_is_never_due_stays_far_away() -> None:
     talk = beating_for_a_second()
     before = talk.device.now_us
-    talk.now_us = 5
-    talk.step()
-    assert talk.device.now_us == before
-    talk.now_us = 15
-    talk.step()
-    assert talk.device.now_us == before + 10
-
-
-def test_nothing_due_stays_far_away() -> None:
-    talk = beating_for_a_second()
+    for now_us, own_us in ((5, before), (15, before + 10)):
+        talk.now_us = now_us
+        talk.step()
+        assert talk.device.now_us == own_us
     talk.put("H", 0x1017, 0, 0)
     talk.now_us = 0
     talk.step()

@@ -9,18 +9,9 @@ NO_RTR = 0x40000000
 TPDO2 = "< 285#11FEFF"
 
 
-@pytest.fixture
-def talk() -> Conversation:
-    """A node whose TPDO1 and RPDO1 are valid, and TPDO2 and RPDO2 not."""
-    talk = booted()
-    assert talk.put("I", 0x1800, 1, NO_RTR | 0x185) == 0
-    assert talk.put("I", 0x1400, 1, 0x205) == 0
-    return talk
-
-
 @pytest.mark.parametrize("can_id", [0x80, 0x100, 0x181, 0x57F, 0x580, 0x600, 0x680, 0x6DF, 0x700])
-def test_can_ids_at_the_edge_of_restricted_ranges_are_allowed(talk: Conversation, can_id: int) -> None:
-    assert talk.put("I", 0x1801, 1, NO_RTR | can_id) == 0
+def test_can_ids_at_the_edge_of_restricted_ranges_are_allowed(can_id: int) -> None:
+    assert booted().put("I", 0x1801, 1, NO_RTR | can_id) == 0
 
 
 def receiving(transmission: int = 255, mapping: list[int] | None = None) -> Conversation:
@@ -31,15 +22,9 @@ def receiving(transmission: int = 255, mapping: list[int] | None = None) -> Conv
         for sub, word in enumerate(mapping, 1):
             assert talk.put("I", 0x1600, sub, word) == 0
         assert talk.put("B", 0x1600, 0, len(mapping)) == 0
-    assert talk.put("B", 0x1400, 2, transmission) == 0
-    assert talk.put("I", 0x1400, 1, 0x205) == 0
+    assert talk.put("B", 0x1400, 2, transmission) == talk.put("I", 0x1400, 1, 0x205) == 0
     talk.say("> 000#0105")
     return talk
-
-
-def received(talk: Conversation) -> tuple[float, float]:
-    """2000h and 2001h."""
-    return talk.get("B", 0x2000), talk.get("h", 0x2001)
 
 
 def test_value_that_is_refused_leaves_the_others() -> None:
@@ -54,7 +39,7 @@ def test_two_rpdos_with_one_identifier_both_act() -> None:
     assert talk.put("B", 0x1601, 0, 0) == talk.put("I", 0x1601, 1, 0x20020020) == talk.put("B", 0x1601, 0, 1) == 0
     assert talk.put("I", 0x1401, 1, 0x205) == 0
     talk.say("> 205#22FBFF01")
-    assert received(talk) == (0x22, -5)
+    assert (talk.get("B", 0x2000), talk.get("h", 0x2001)) == (0x22, -5)
     assert talk.upload(0x2002) == bytes.fromhex("22FBFF01")
 
 
@@ -92,49 +77,34 @@ def event_driven(event_ms: int = 0, inhibit_100us: int = 0, transmission: int = 
     return talk
 
 
-@pytest.mark.parametrize("transmission", [254, 255])
-def test_event_timer_sends_at_the_start_and_each_period(transmission: int) -> None:
-    event_driven(20, transmission=transmission).say(f"""
-        + 100000
-        > 000#0105
-        {TPDO2}
-        + 19999
-        + 1
-        {TPDO2}
-        + 20000
-        {TPDO2}
-        > 080#
-        > 000#8005
-        + 100000
-    """)
+STARTED = f"> 000#0105\n{TPDO2}"
+PERIODS = f"+ 100000\n{STARTED}\n+ 19999\n+ 1\n{TPDO2}\n+ 20000\n{TPDO2}\n> 080#\n> 000#8005\n+ 100000"
 
 
-def test_request_is_sent_at_once_and_restarts_the_event_timer() -> None:
-    talk = event_driven(20)
-    talk.say(f"> 000#0105\n{TPDO2}\n+ 5000")
-    talk.device.tpdos.request(2)
-    talk.step()
-    talk.say(f"{TPDO2}\n+ 19999\n+ 1\n{TPDO2}")
-
-
-def test_inhibit_time_separates_requests() -> None:
-    talk = event_driven(0, 50)
-    talk.say(f"> 000#0105\n{TPDO2}\n+ 1000")
-    for _ in range(3):
-        talk.device.tpdos.request(2)
-    # Three events within the inhibit time of 5 ms: one frame at its end.
-    talk.step()
-    talk.say(f"+ 3999\n+ 1\n{TPDO2}\n+ 100000")
-
-
-def test_inhibit_time_outlasts_a_stop_and_a_start() -> None:
-    event_driven(0, 50).say(f"> 000#0105\n{TPDO2}\n> 000#0205\n+ 1000\n> 000#0105\n+ 3999\n+ 1\n{TPDO2}")
-
-
-def test_request_outside_operational_sends_nothing() -> None:
-    talk = event_driven()
-    talk.device.tpdos.request(2)
-    talk.say("+ 100000")
+@pytest.mark.parametrize(
+    ("event_ms", "inhibit_100us", "transmission", "script"),
+    [
+        (20, 0, 254, PERIODS),
+        (20, 0, 255, PERIODS),
+        # A request is sent at once and restarts the event timer; before the start it sends nothing.
+        (20, 0, 255, f"{STARTED}\n+ 5000 request {TPDO2}\n+ 19999\n+ 1\n{TPDO2}"),
+        (0, 0, 255, "request + 100000"),
+        # Three events within the inhibit time of 5 ms: one frame at its end, which a stop and a start do not shorten.
+        (0, 50, 255, f"{STARTED}\n+ 1000 request request request + 3999\n+ 1\n{TPDO2}\n+ 100000"),
+        (0, 50, 255, f"{STARTED}\n> 000#0205\n+ 1000\n> 000#0105\n+ 3999\n+ 1\n{TPDO2}"),
+        # A process that slept sends one, and no burst.
+        (20, 0, 255, f"{STARTED}\n~ 1000000\n{TPDO2}\n+ 19999\n+ 1\n{TPDO2}"),
+    ],
+)
+def test_event_timer_inhibit_time_and_requests(
+    event_ms: int, inhibit_100us: int, transmission: int, script: str
+) -> None:
+    talk = event_driven(event_ms, inhibit_100us, transmission)
+    for number, part in enumerate(script.split("request")):
+        if number:
+            talk.device.tpdos.request(2)
+            talk.step()
+        talk.say(part)
 
 
 def test_request_of_an_invalid_tpdo_sends_nothing() -> None:

@@ -4,6 +4,7 @@ import itertools
 import struct
 import tracemalloc
 from collections.abc import Callable, Iterable
+from functools import partial
 
 import pytest
 from bench import fuzz, fuzz_sdo
@@ -19,6 +20,7 @@ Behaviour = Callable[[int, bytes], Iterable[Response]]
 ONE_MS = 1000
 START = b"\x40" + PLACE  # an upload without a size
 BLOCK = b"\xc4" + PLACE  # a block upload without a size, with CRC
+TAKEN = b"\xa4" + PLACE + b"\x7f"  # a block download, with CRC
 Malice = tuple[Callable[[], Transfer], Behaviour, int, str]
 
 
@@ -28,6 +30,13 @@ def upload(kind: type[Upload] = Upload) -> Upload:
 
 def download(kind: type[Download] = Download, size: int = 40) -> Download:
     return kind(INDEX, 0, TIMEOUT_US, DEADLINE_US, bytes(range(size)))
+
+
+block_upload, block_download = partial(upload, BlockUpload), partial(download, BlockDownload)
+
+
+def crc(data: bytes) -> str:
+    return crc16(data).to_bytes(2, "little").hex(" ")
 
 
 def talk(transfer: Transfer, script: str) -> None:
@@ -43,109 +52,48 @@ def talk(transfer: Transfer, script: str) -> None:
     assert not sent, [request.hex(" ") for request in sent]
 
 
-def test_expedited_upload() -> None:
-    transfer = upload()
-    talk(transfer, "> 40 00 20 00 \n < 4B 00 20 00 11 22")
-    assert (transfer.ended, transfer.data) == (True, b"\x11\x22")
-
-
-def test_segmented_upload() -> None:
-    transfer = upload()
-    talk(
-        transfer,
-        """
-        > 40 00 20 00
-        < 41 00 20 00 09
-        > 60
-        < 00 01 02 03 04 05 06 07
-        > 70
-        < 1B 08 09
-        """,
-    )
-    assert (transfer.failure, transfer.data) == (None, bytes(range(1, 10)))
+CONTENT, SIXTEEN = bytes(range(1, 17)), bytes(range(16))
 
 
 @pytest.mark.parametrize(
-    ("size", "script"),
-    [(2, "> 2B 00 20 00 00 01 \n < 60 00 20 00"), (0, "> 21 00 20 00 \n < 60 00 20 00 \n > 0F \n < 20")],
-)
-def test_short_downloads(size: int, script: str) -> None:
-    transfer = download(size=size)
+    ("make", "script", "data"),
+    [
+        (upload, "> 40 00 20 00 \n < 4B 00 20 00 11 22", b"\x11\x22"),
+        (
+            upload, "> 40 00 20 00 \n < 41 00 20 00 09 \n > 60 \n < 00 01 02 03 04 05 06 07 \n > 70 \n < 1B 08 09",
+            bytes(range(1, 10)),
+        ),
+        (partial(download, size=2), "> 2B 00 20 00 00 01 \n < 60 00 20 00", b""),
+        (partial(download, size=0), "> 21 00 20 00 \n < 60 00 20 00 \n > 0F \n < 20", b""),
+        (
+            partial(download, size=9),
+            "> 21 00 20 00 09 \n < 60 00 20 00 \n > 00 00 01 02 03 04 05 06 \n < 20 \n > 1B 07 08 \n < 30", b"",
+        ),
+        # A block upload asks for a lost segment again; the protocol switch.
+        (
+            block_upload,
+            f"""> A4 00 20 00 7F 1C \n < C6 00 20 00 10 \n > A3 \n < 01 01 02 03 04 05 06 07 \n < 83 0F 10 \n > A2 01 7F
+            < 01 08 09 0A 0B 0C 0D 0E \n < 82 0F 10 \n > A2 02 7F \n < D5 {crc(CONTENT)} \n > A1""",
+            CONTENT,
+        ),
+        (block_upload, "> A4 00 20 00 7F 1C \n < 43 00 20 00 01 02 03 04", b"\1\2\3\4"),
+        # A block download repeats what is not acknowledged.
+        (
+            partial(block_download, size=16),
+            f"""> C6 00 20 00 10 \n < A4 00 20 00 02 \n > 01 00 01 02 03 04 05 06 \n > 02 07 08 09 0A 0B 0C 0D
+            < A2 01 7F \n > 01 07 08 09 0A 0B 0C 0D \n > 82 0E 0F \n < A2 02 7F \n > D5 {crc(SIXTEEN)} \n < A1""",
+            b"",
+        ),
+    ],
+)  # fmt: skip
+def test_a_transfer_byte_for_byte(make: Callable[[], Transfer], script: str, data: bytes) -> None:
+    transfer = make()
     talk(transfer, script)
-    assert transfer.ended
-    assert (transfer.failure, transfer.abort_code) == (None, None)
-
-
-def test_segmented_download() -> None:
-    transfer = download(size=9)
-    talk(
-        transfer,
-        """
-        > 21 00 20 00 09
-        < 60 00 20 00
-        > 00 00 01 02 03 04 05 06
-        < 20
-        > 1B 07 08
-        < 30
-        """,
-    )
-    assert transfer.ended
-    assert transfer.failure is None
-
-
-def test_block_upload_asks_for_a_lost_segment_again() -> None:
-    content = bytes(range(1, 17))
-    transfer = upload(BlockUpload)
-    low, high = crc16(content).to_bytes(2, "little")
-    talk(
-        transfer,
-        f"""
-        > A4 00 20 00 7F 1C
-        < C6 00 20 00 10
-        > A3
-        < 01 01 02 03 04 05 06 07
-        < 83 0F 10
-        > A2 01 7F
-        < 01 08 09 0A 0B 0C 0D 0E
-        < 82 0F 10
-        > A2 02 7F
-        < D5 {low:02X} {high:02X}
-        > A1
-        """,
-    )
-    assert (transfer.failure, transfer.data) == (None, content)
-
-
-def test_block_upload_by_the_protocol_switch() -> None:
-    transfer = upload(BlockUpload)
-    talk(transfer, "> A4 00 20 00 7F 1C \n < 43 00 20 00 01 02 03 04")
-    assert transfer.data == b"\1\2\3\4"
-
-
-def test_block_download_repeats_what_is_not_acknowledged() -> None:
-    transfer = download(BlockDownload, size=16)
-    low, high = crc16(bytes(range(16))).to_bytes(2, "little")
-    talk(
-        transfer,
-        f"""
-        > C6 00 20 00 10
-        < A4 00 20 00 02
-        > 01 00 01 02 03 04 05 06
-        > 02 07 08 09 0A 0B 0C 0D
-        < A2 01 7F
-        > 01 07 08 09 0A 0B 0C 0D
-        > 82 0E 0F
-        < A2 02 7F
-        > D5 {low:02X} {high:02X}
-        < A1
-        """,
-    )
-    assert transfer.ended
-    assert transfer.failure is None
+    assert (transfer.ended, transfer.failure, transfer.abort_code, transfer.data) == (True, None, None, data)
 
 
 def test_silence_in_a_block_is_acknowledged_once_and_then_ends_the_transfer() -> None:
-    transfer = upload(BlockUpload)
+    transfer = block_upload()
     talk(transfer, "> A4 00 20 00 7F 1C \n < C4 00 20 00 \n > A3 \n < 01 01 02 03 04 05 06 07")
     assert transfer.step(TIMEOUT_US - 1) == ([], TIMEOUT_US)
     assert transfer.step(TIMEOUT_US) == ([bytes.fromhex("A2017F0000000000")], 2 * TIMEOUT_US)
@@ -230,41 +178,29 @@ def malice() -> dict[str, Malice]:
         "trickle": (upload, trickle, codes.TIMEOUT, "exceeded its deadline"),
         "silence in the middle": (upload, scripted(START, segments(0), lambda _: []), codes.TIMEOUT, ""),
         "silence in a download": (download, scripted(b"\x60" + PLACE, lambda _: []), codes.TIMEOUT, ""),
-        "silence in a block": (
-            lambda: upload(BlockUpload), scripted(BLOCK, block((1, 2)), lambda _: []), codes.TIMEOUT, "",
-        ),
+        "silence in a block": (block_upload, scripted(BLOCK, block((1, 2)), lambda _: []), codes.TIMEOUT, ""),
         "wrong CRC": (
-            lambda: upload(BlockUpload), scripted(BLOCK, block((0x81,)), b"\xc1\x12\x34"), codes.BLOCK_CRC,
-            "CRC of the blocks",
+            block_upload, scripted(BLOCK, block((0x81,)), b"\xc1\x12\x34"), codes.BLOCK_CRC, "CRC of the blocks",
         ),
-        "sequence number 0": (
-            lambda: upload(BlockUpload), scripted(BLOCK, block((0,))), codes.BLOCK_SEQUENCE, "sequence number 0",
-        ),
-        "sequence never begins": (
-            lambda: upload(BlockUpload), scripted(BLOCK, block(range(2, 128))), codes.BLOCK_SEQUENCE, "3 blocks had no",
-        ),
-        "endless blocks": (
-            lambda: upload(BlockUpload), scripted(BLOCK, block(range(1, 128))), codes.TOO_LONG, "than the 2048 allowed",
-        ),
+        "number 0": (block_upload, scripted(BLOCK, block((0,))), codes.BLOCK_SEQUENCE, "sequence number 0"),
+        "never begins": (block_upload, scripted(BLOCK, block(range(2, 128))), codes.BLOCK_SEQUENCE, "3 blocks had no"),
+        "endless blocks": (block_upload, scripted(BLOCK, block(range(1, 128))), codes.TOO_LONG, "the 2048 allowed"),
         "block shorter than announced": (
-            lambda: upload(BlockUpload), scripted(b"\xc2" + PLACE + b"\x64", block((0x81,)), b"\xc1"), codes.TOO_SHORT,
+            block_upload, scripted(b"\xc2" + PLACE + b"\x64", block((0x81,)), b"\xc1"), codes.TOO_SHORT,
             "7 bytes of 100 announced",
         ),
         "acknowledges what was not sent": (
-            lambda: download(BlockDownload), scripted(b"\xa4" + PLACE + b"\x7f", b"\xa2\x7f\x7f"), codes.BLOCK_SEQUENCE,
-            "127 segments acknowledged of 6 sent",
+            block_download, scripted(TAKEN, b"\xa2\x7f\x7f"), codes.BLOCK_SEQUENCE, "127 segments acknowledged of 6",
         ),
         "acknowledges nothing": (
-            lambda: download(BlockDownload), scripted(b"\xa4" + PLACE + b"\x7f", b"\xa2\x00\x7f"), codes.BLOCK_SEQUENCE,
+            block_download, scripted(TAKEN, b"\xa2\x00\x7f"), codes.BLOCK_SEQUENCE,
             "no segment of 3 blocks was acknowledged",
         ),
-        "block size 0": (lambda: download(BlockDownload), scripted(b"\xa4" + PLACE), codes.BLOCK_SIZE, "block size 0"),
-        "block that is never confirmed": (
-            lambda: download(BlockDownload), scripted(b"\xa4" + PLACE + b"\x7f", b"\xa2\x06\x7f"), codes.TIMEOUT, "",
-        ),
+        "block size 0": (block_download, scripted(b"\xa4" + PLACE), codes.BLOCK_SIZE, "block size 0"),
+        "never confirmed": (block_download, scripted(TAKEN, b"\xa2\x06\x7f"), codes.TIMEOUT, ""),
         "aborts of others": (upload, storm(b"\x80" + OTHER), codes.TIMEOUT, ""),
         "answers to others": (download, storm(b"\x43" + OTHER), codes.TIMEOUT, ""),
-        "answers of another kind": (lambda: download(BlockDownload), storm(b"\x60" + PLACE), codes.TIMEOUT, ""),
+        "answers of another kind": (block_download, storm(b"\x60" + PLACE), codes.TIMEOUT, ""),
     }  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from canopen_device.core.sdo_block import crc16, crc16_by_nibbles
 from canopen_device.testing import Conversation
-from device.tiny import Recorder, booted, tiny
+from device.tiny import Recorder, booted
 
 TIMEOUT_US = 1_000_000
 DATA = bytes(range(1, 21))  # three segments: 7, 7 and 6 bytes
@@ -75,11 +75,10 @@ def test_application_refreshes_live_values_before_an_upload() -> None:
     talk = booted(application=recorder)
     talk.say("+ 40")
     talk.upload(0x2000)
-    assert recorder.calls[-1] == "refresh 40"
-    refreshes = len(recorder.calls)
     talk.upload(0x2001)
     talk.upload(0x1000)
-    assert len(recorder.calls) == refreshes
+    talk.say("+ 1\n> 605#A40020007F000000\n< 585#C600200001000000")
+    assert recorder.calls == ["reset 0", "refresh 40", "refresh 41"]
 
 
 def test_integer_range_is_held_when_a_value_from_inside_does_not_fit() -> None:
@@ -95,15 +94,6 @@ def test_limit_that_real32_cannot_hold_is_allowed_as_its_nearest_real32() -> Non
     talk.device.od.add(0x200C, 0, ("f", "rw", 0, 1.0, 0.1, 1e30))
     for value, code in ((1e30, 0), (1.1e30, 0x06090031), (0.1, 0), (0.0999, 0x06090032)):
         assert talk.put("f", 0x200C, 0, value) == code
-
-
-def test_string_of_no_bytes() -> None:
-    booted().say("""
-        > 605#4004200000000000
-        < 585#4104200000000000
-        > 605#6000000000000000
-        < 585#0F00000000000000
-    """)
 
 
 def test_data_without_an_end_is_cut_off() -> None:
@@ -133,7 +123,6 @@ def test_an_upload_shows_one_value_although_it_changes_meanwhile() -> None:
 
 
 def loaded(data: bytes = DATA) -> Conversation:
-    """A node whose DOMAIN 2005h holds ``data``."""
     talk = booted()
     assert talk.download(0x2005, 0, data) == 0
     return talk
@@ -150,24 +139,13 @@ def test_crc_of_the_standard(function: Callable[..., int]) -> None:
     assert function(b"56789", function(b"1234")) == 0x31C3
 
 
-def test_pst_0_forbids_the_switch_even_for_nothing() -> None:
+def test_block_uploads_of_nothing_without_a_switch_and_that_the_client_forgets_or_gives_up() -> None:
     loaded(b"").say("> 605#A40520007F000000\n< 585#C605200000000000")
-
-
-def test_an_upload_that_the_client_forgets_or_gives_up() -> None:
     loaded().say(BEGIN_UPLOAD + f"+ {TIMEOUT_US - 1}\n+ 1\n< 585#8005200000000405")
     abort = "> 605#8005200000000008\n"
     loaded().say(BEGIN_UPLOAD + START + "\n".join(SEGMENTS) + "\n" + abort + f"+ {TIMEOUT_US}")
     another = "> 605#4000200000000000\n< 585#4F00200011000000\n"
     loaded().say(BEGIN_UPLOAD + START + "\n".join(SEGMENTS) + "\n" + another + f"+ {TIMEOUT_US}")
-
-
-def test_a_live_value_is_refreshed_before_a_block_upload() -> None:
-    recorder = Recorder()
-    talk = tiny(application=recorder)
-    talk.take()
-    talk.say("> 605#A40020007F000000\n< 585#C600200001000000")
-    assert recorder.calls == ["reset 0", "refresh 0"]
 
 
 HALF_US = 500_000
@@ -191,11 +169,17 @@ def test_download_whose_last_segment_is_lost() -> None:
     assert talk.upload(0x2005) == DATA
 
 
-def test_download_that_stalls_is_aborted() -> None:
-    said = f"+ {HALF_US}\n< 585#A2007F0000000000\n+ {HALF_US - 1}\n+ 1\n< 585#8005200000000405\n+ {TIMEOUT_US}"
-    booted().say(BEGIN_DOWNLOAD + said)
-    booted().say(BEGIN_DOWNLOAD + "".join(SENT) + f"< 585#A2037F0000000000\n+ {HALF_US}\n< 585#8005200000000405")
+STALLED = f"+ {HALF_US}\n< 585#A2007F0000000000\n+ {HALF_US - 1}\n+ 1\n< 585#8005200000000405\n+ {TIMEOUT_US}"
 
 
-def test_frames_of_other_lengths_are_no_sdo() -> None:
-    booted().say(BEGIN_DOWNLOAD + "> 605#01.010203\n" + "".join(SENT) + "< 585#A2037F0000000000")
+@pytest.mark.parametrize(
+    "script",
+    [
+        "> 605#4004200000000000\n< 585#4104200000000000\n> 605#6000000000000000\n< 585#0F00000000000000",  # no bytes
+        BEGIN_DOWNLOAD + STALLED,
+        BEGIN_DOWNLOAD + "".join(SENT) + f"< 585#A2037F0000000000\n+ {HALF_US}\n< 585#8005200000000405",
+        BEGIN_DOWNLOAD + "> 605#01.010203\n" + "".join(SENT) + "< 585#A2037F0000000000",  # a frame that is no SDO
+    ],
+)
+def test_an_empty_string_a_download_that_stalls_and_a_frame_of_another_length(script: str) -> None:
+    booted().say(script)

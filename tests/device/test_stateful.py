@@ -269,16 +269,11 @@ SdoModel.TestCase.settings = PdoModel.TestCase.settings = FEW
 TestSdo, TestPdo = SdoModel.TestCase, PdoModel.TestCase
 
 
-Store = dict[str, bytes]
-
-
 def test_random_frames_break_no_invariant() -> None:
     thrown, _, failure = fuzz.rounds(1, range(1, 21), frames=1500, measure=False)
     assert not failure
     assert thrown >= 30_000
-
-
-def test_the_memory_of_a_node_stays_bounded() -> None:
+    # The memory of a node stays bounded.
     assert fuzz.rounds(2, range(1), frames=1500)[2] == ""
 
 
@@ -347,7 +342,7 @@ def test_a_stored_string_that_is_no_text_is_passed_over() -> None:
 
 
 def test_stored_scaling_points_that_make_no_line_give_way_to_the_defaults() -> None:
-    store: Store = {"application": storage.with_crc(record(0x6122, 2, struct.pack("<f", 0.0)))}
+    store = {"application": storage.with_crc(record(0x6122, 2, struct.pack("<f", 0.0)))}
     device = fingertip_node(5, SimulatedSource(fuzz.STRAIN_PER_NEWTON), load=store.get)
     device.step(0)
     assert device.od.get(0x6122, 2) == 10000.0

@@ -29,30 +29,22 @@ def changed(store: MemoryStore | None) -> Conversation:
 
 
 def settings(talk: Conversation) -> tuple[float, ...]:
-    """What ``changed`` has changed."""
     return (talk.get("H", 0x1017), talk.get("I", 0x1800, 1), talk.get("H", 0x6000), talk.get("f", 0x6001))
 
 
-def test_store_that_refuses_is_said_to_the_client() -> None:
-    store = MemoryStore()
-    store.refuses = True
-    talk = changed(store)
-    assert talk.put("I", 0x1010, 1, SAVE) == 0x06060000
-    assert talk.put("I", 0x1011, 1, LOAD) == 0x06060000
-
-
-def test_node_without_a_store_refuses() -> None:
-    talk = changed(None)
-    assert talk.put("I", 0x1010, 1, SAVE) == 0x06060000
-    assert talk.put("I", 0x1011, 1, LOAD) == 0x06060000
+def test_a_store_that_refuses_and_none_are_said_to_the_client() -> None:
+    refusing = MemoryStore()
+    refusing.refuses = True
+    for store in (refusing, None):
+        talk = changed(store)
+        assert talk.put("I", 0x1010, 1, SAVE) == talk.put("I", 0x1011, 1, LOAD) == 0x06060000
 
 
 def test_defaults_are_not_stored_so_that_cob_ids_follow_a_new_node_id() -> None:
     store = MemoryStore()
     talk = booted(store)
     # Written back as it is: still the default, which is 180h plus the node-id.
-    assert talk.put("I", 0x1801, 1, 0xC0000285) == talk.put("H", 0x6000, 0, 7) == 0
-    assert talk.put("I", 0x1010, 1, SAVE) == 0
+    assert talk.put("I", 0x1801, 1, 0xC0000285) == talk.put("H", 0x6000, 0, 7) == talk.put("I", 0x1010, 1, SAVE) == 0
     moved = booted(store, node_id=9)
     assert moved.get("I", 0x1801, 1) == 0xC0000289
     assert moved.get("H", 0x6000) == 7
@@ -64,11 +56,8 @@ def test_damaged_group_gives_its_defaults_and_is_noted(damage: str) -> None:
     assert changed(store).put("I", 0x1010, 1, SAVE) == 0
     blob = store.groups["application"]
     store.groups["application"] = {
-        "flip": blob[:-1] + bytes((blob[-1] ^ 1,)),
-        "cut": blob[:-1],
-        "short": blob[:3],
-        "append": blob + b"\0",
-    }[damage]
+        "flip": blob[:-1] + bytes((blob[-1] ^ 1,)), "cut": blob[:-1], "short": blob[:3], "append": blob + b"\0",
+    }[damage]  # fmt: skip
     talk = booted(store)
     assert settings(talk) == COMMUNICATION
     assert talk.device.storage.damaged == ["application"]
@@ -96,15 +85,10 @@ def test_records_that_no_longer_fit_the_dictionary_are_passed_over() -> None:
     records = b"".join(
         struct.pack("<HBH", index, sub, len(data)) + data
         for index, sub, data in (
-            (0x6002, 0, b"\1"),
-            (0x6000, 3, b"\1\0"),
-            (0x6000, 0, b"\1"),
-            (0x6001, 0, struct.pack("<f", 9.0)),
-            (0x6001, 0, struct.pack("<f", float("nan"))),
-            (0x2000, 0, b"\7"),
-            (0x6000, 0, b"\x2a\0"),
+            (0x6002, 0, b"\1"), (0x6000, 3, b"\1\0"), (0x6000, 0, b"\1"), (0x6001, 0, struct.pack("<f", 9.0)),
+            (0x6001, 0, struct.pack("<f", float("nan"))), (0x2000, 0, b"\7"), (0x6000, 0, b"\x2a\0"),
         )
-    ) + struct.pack("<HBHH", 0x6001, 0, 4, 0)  # its end is missing
+    ) + struct.pack("<HBHH", 0x6001, 0, 4, 0)  # its end is missing  # fmt: skip
     store = MemoryStore()
     store.groups["application"] = struct.pack("<I", binascii.crc32(records)) + records
     talk = booted(store)

@@ -54,7 +54,6 @@ class Counted(MemoryStore):
 
 
 def fingertip(store: Counted) -> Device:
-    """A fingertip with program slots."""
     return fingertip_node(5, SimulatedSource([[1e-4] * 3] * 3), 3, 4711, store.save, store.load, programs=store)
 
 
@@ -66,7 +65,6 @@ def talking(device: Device) -> Conversation:
 
 
 def lss_store(talk: Conversation) -> bytes:
-    """The answer to a store of LSS."""
     talk.step([(0x7E5, b"\x17" + bytes(7))])
     return next((data[:2] for can_id, data in reversed(talk.take()) if can_id == 0x7E4), NO_LSS)
 

@@ -115,35 +115,24 @@ def _compare(variable: Any, row: Entry[Any]) -> None:
     assert (variable.min, variable.max) == ((None, None) if row.type == "f" else (row.low, row.high))
 
 
-def test_limits_of_real32_are_written() -> None:
-    section = parse(eds_text()).entry(0x2105, 1)
-    assert section is not None
-    assert (section.get("LowLimit"), section.get("HighLimit")) == ("1.0", "1e+30")
-
-
 def test_device_information(tmp_path: Path) -> None:
     information = _import(eds_text(5, True), tmp_path).device_information
-    assert information.vendor_number == 0
-    assert information.product_number == 0x54500105
-    assert information.revision_number == table.REVISION
-    assert (information.nr_of_RXPDO, information.nr_of_TXPDO) == (1, 5)
-    assert information.LSS_supported
-    assert information.simple_boot_up_slave
-    assert not information.simple_boot_up_master
+    identity = (information.vendor_number, information.product_number, information.revision_number)
+    assert identity == (0, 0x54500105, table.REVISION)
+    assert (information.nr_of_RXPDO, information.nr_of_TXPDO, information.LSS_supported) == (1, 5, True)
+    assert (information.simple_boot_up_slave, information.simple_boot_up_master) == (True, False)
     assert information.allowed_baudrates == {k * 1000 for k in (10, 20, 50, 125, 250, 500, 800, 1000)}
 
 
-def test_commands_are_not_downloaded_and_what_is_write_only_not_scanned() -> None:
+def test_commands_are_not_downloaded_what_is_write_only_not_scanned_and_real32_has_limits() -> None:
     eds = parse(eds_text(3, True))
-
-    def flags(index: int, sub: int) -> str | None:
+    for index, sub, key, value in (
+        (0x2104, 0, "ObjFlags", "0x3"), (0x1010, 1, "ObjFlags", "0x1"), (0x2100, 1, "ObjFlags", None),
+        (0x2105, 1, "LowLimit", "1.0"), (0x2105, 1, "HighLimit", "1e+30"),
+    ):  # fmt: skip
         section = eds.entry(index, sub)
         assert section is not None
-        return section.get("ObjFlags")
-
-    assert flags(0x2104, 0) == "0x3"
-    assert flags(0x1010, 1) == "0x1"
-    assert flags(0x2100, 1) is None
+        assert section.get(key) == value
 
 
 def test_dcf(tmp_path: Path) -> None:
@@ -206,14 +195,9 @@ def test_messages_and_nodes() -> None:
     frames = {m.name: m.frame_id for m in db.messages}
     assert len(frames) == len(set(frames.values())) == 15 * 7 + 2
     assert [n.name for n in db.nodes] == ["HOST"] + [f"TIP{k:02d}" for k in range(1, 16)]
-    assert frames["TIP05_Gauges"] == 0x185
-    assert frames["TIP05_Contact"] == 0x285
-    assert frames["TIP05_Force"] == 0x385
-    assert frames["TIP05_Health"] == 0x485
-    assert frames["TIP05_Command"] == 0x205
-    assert frames["TIP05_EMCY"] == 0x085
-    assert frames["TIP15_Heartbeat"] == 0x70F
-    assert (frames["NMT"], frames["SYNC"]) == (0, 0x80)
+    names = ("TIP05_Gauges", "TIP05_Contact", "TIP05_Force", "TIP05_Health", "TIP05_Command", "TIP05_EMCY")
+    assert [frames[name] for name in names] == [0x185, 0x285, 0x385, 0x485, 0x205, 0x085]
+    assert (frames["TIP15_Heartbeat"], frames["NMT"], frames["SYNC"]) == (0x70F, 0, 0x80)
     assert db.get_message_by_name("SYNC").length == 0
     assert db.get_message_by_name("TIP05_Contact").senders == ["TIP05"]
     assert db.get_message_by_name("TIP05_Command").senders == ["HOST"]

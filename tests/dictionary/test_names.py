@@ -31,38 +31,26 @@ def test_resolves(text: str, place: tuple[int, int]) -> None:
     assert (entry.index, entry.sub) == place
 
 
-def test_sub_indices_are_decimal_after_a_name_and_hexadecimal_after_an_index() -> None:
-    assert names.resolve("calibration.matrix:10", 4).sub == 10
-    assert names.resolve("0x2100:0A", 4).sub == 10
-    assert names.resolve("0x2106:10", 8).sub == 16
-
-
 @pytest.mark.parametrize("n", [3, 5, 8])
 def test_every_entry_resolves_from_both_of_its_names(n: int) -> None:
     for (index, sub), row in entries(n, True).items():
         for text in (row.name, f"0x{index:04X}:{sub:02X}"):
             entry = names.resolve(text, n)
             assert (entry.index, entry.sub, entry.type, entry.name) == (index, sub, row.type, row.name)
+    # Decimal after a name, hexadecimal after an index.
+    assert [names.resolve(text, 8).sub for text in ("calibration.matrix:10", "0x2100:0A", "0x2106:10")] == [10, 10, 16]
 
 
 @pytest.mark.parametrize(
     ("text", "help_"),
     [
-        ("calibraton.matrx:3", "calibration.matrix"),
-        ("generation", "calibration.generation"),
-        ("temprature", "temperature"),
-        ("xyzzy", "write a name such as"),
-        ("", "write a name such as"),
-        ("8451", "write a name such as"),
-        ("calibration.matrix", "SUB is 1-9"),
-        ("calibration.matrix:10", "SUB is 1-9"),
-        ("autotare:1", "SUB is 4"),
-        ("0x2100:10", r"no sub-index 16 \(0x10\); allowed, in hex, with 3 gauges: 00-09"),
-        ("0x1800:04", "00-03, 05-06"),
-        ("0x2103", "several sub-indices"),
-        ("0x2999", "no object 0x2999.*nearest"),
+        ("calibraton.matrx:3", "calibration.matrix"), ("generation", "calibration.generation"),
+        ("temprature", "temperature"), ("xyzzy", "write a name such as"), ("", "write a name such as"),
+        ("8451", "write a name such as"), ("calibration.matrix", "SUB is 1-9"), ("calibration.matrix:10", "SUB is 1-9"),
+        ("autotare:1", "SUB is 4"), ("0x2100:10", r"no sub-index 16 \(0x10\); allowed, in hex, with 3 gauges: 00-09"),
+        ("0x1800:04", "00-03, 05-06"), ("0x2103", "several sub-indices"), ("0x2999", "no object 0x2999.*nearest"),
     ],
-)
+)  # fmt: skip
 def test_suggestions(text: str, help_: str) -> None:
     with pytest.raises(InputError, match=help_):
         names.resolve(text)
@@ -109,18 +97,11 @@ def test_other_mappings() -> None:
     assert (clock.name, clock.start_bit, clock.unit) == ("time_high_resolution_us", 16, "us")
 
 
-def test_channels_move_with_the_number_of_gauges() -> None:
-    assert mapping_signals([(0x7130, 7, 16)], 3)[0].name == "P"
-    assert mapping_signals([(0x7130, 7, 16)], 8)[0].name == "SG7"
-
-
-def test_one_quantity_twice_gets_two_names() -> None:
+def test_channels_move_with_the_gauges_one_quantity_twice_gets_two_names_and_dummies_are_gaps() -> None:
+    assert [mapping_signals([(0x7130, 7, 16)], n)[0].name for n in (3, 8)] == ["P", "SG7"]
     found = mapping_signals([(0x7130, 7, 16), (0x6130, 7, 32), (0x7130, 7, 16)])
     assert [s.name for s in found] == ["P", "P_6130", "P_7130"]
     assert len({s.name for s in mapping_signals([(0x2121, 0, 8)] * 4)}) == 4
-
-
-def test_dummies_are_gaps() -> None:
     (force,) = mapping_signals([(0x0005, 0, 8), (0x7130, 7, 16)])
     assert force.start_bit == 8
     assert mapping_signals([]) == ()

@@ -62,7 +62,6 @@ def record(index: str, *subs: str, code: str = "0x9") -> str:
 
 
 def pdo(index: int, cob_id: str, kind: int, *mapped: int, event_ms: int = 0, inhibit: int = 0) -> str:
-    """A PDO: both parameter objects."""
     parameter, mapping = f"{index:04X}", f"{index + 0x200:04X}"
     return record(
         parameter, var(f"{parameter}sub0", 5, "const", "5"), var(f"{parameter}sub1", 7, "rw", cob_id),
@@ -75,7 +74,6 @@ def pdo(index: int, cob_id: str, kind: int, *mapped: int, event_ms: int = 0, inh
 
 
 def text(*sections: str, info: str = INFO, mandatory: str = MANDATORY) -> str:
-    """A whole EDS, with its object lists."""
     objects = mandatory + "".join(sections)
     indices = [name for name in re.findall(r"(?m)^\[([0-9A-F]{4})\]$", objects) if name >= "1000"]
     own = [name for name in indices if name in ("1000", "1001", "1018")]
@@ -90,10 +88,16 @@ def _list(name: str, indices: list[str]) -> str:
 
 
 def described(folder: Path, content: str | bytes, node_id: int | None = 5, name: str = "any.eds") -> Description:
-    """The description of a text."""
     path = folder / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     return read_eds(path, node_id)
+
+
+def sound(folder: Path, content: str | bytes, node_id: int | None = 5, name: str = "any.eds") -> Description:
+    """The same of a text in which nothing is wrong."""
+    found = described(folder, content, node_id, name)
+    assert found.warnings == []
+    return found
 
 
 class Talk(Conversation):

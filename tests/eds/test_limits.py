@@ -66,7 +66,6 @@ def compact(count: int, kind: int, default: str = "", first: int = 0x2000) -> st
 
 
 def xdd(body: str, before: str = "") -> str:
-    """An XDD with parameters or objects."""
     return f"<?xml version='1.0'?>{before}\n<ISO15745ProfileContainer>\n{body}\n</ISO15745ProfileContainer>\n"
 
 
@@ -137,7 +136,6 @@ def test_a_hostile_file_is_refused_in_bounded_work(name: str, tmp_path: Path) ->
 
 
 def sum_of(count: int) -> str:
-    """A number as a long sum."""
     return "+".join(["$NODEID", *"1" * count])
 
 
@@ -235,11 +233,8 @@ def test_a_parameter_value_without_a_default_is_the_default_of_an_eds(code: int,
     found = described(tmp_path, written)
     first, second = found.find(0x2000), found.find(0x2001)
     assert (first.default, first.initial, first.has_default, first.value) == (
-        second.default,
-        second.initial,
-        True,
-        None,
-    )
+        second.default, second.initial, True, None,
+    )  # fmt: skip
     assert "where there is none (1) the ParameterValue" in " ".join(found.warnings)
     stored = described(tmp_path, dcf_text(found, {(0x2001, 0): second.default}), None, "saved.dcf")
     assert (stored.find(0x2000).default, stored.find(0x2001).value) == (first.default, second.default)

@@ -47,19 +47,11 @@ def packing(n: int = 3) -> str:
 
 
 def record(
-    n: int = 3,
-    C: Matrix | None = None,
-    offsets: Sequence[float] | None = None,
-    serial: int = 1,
-    noise_strain: float = 9e-8,
-    variance: Sequence[float] | None = None,
-    tip: Sequence[float] = (0.015, -60.0, 60.0, 0.05, 0.02, 0),
-    validity: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
-    converter_limit: float = 0.0,
-    offset_per_K: float = 0.0,
-    gain_per_K: float = 0.0,
-    redundancy_limit: float = 0.0,
-) -> bytes:
+    n: int = 3, C: Matrix | None = None, offsets: Sequence[float] | None = None, serial: int = 1,
+    noise_strain: float = 9e-8, variance: Sequence[float] | None = None,
+    tip: Sequence[float] = (0.015, -60.0, 60.0, 0.05, 0.02, 0), validity: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+    converter_limit: float = 0.0, offset_per_K: float = 0.0, gain_per_K: float = 0.0, redundancy_limit: float = 0.0,
+) -> bytes:  # fmt: skip
     """A complete record; ``tip`` is 2110h, ``validity`` 2112h. Noise below one count: a source without is not frozen.
 
     ``variance`` is the upper triangle of the gauges' covariance, in place of ``noise_strain``. The fields of version 2
@@ -136,15 +128,10 @@ class Finger(Conversation):
 
 
 def finger(
-    n: int = 3,
-    calibrated: bool | bytes = True,
-    load: Load = (0.0, 0.0, 0.0),
-    noise_microstrain: float = 0.0,
-    store: Any = None,
-    offset_microstrain: Sequence[float] | None = None,
-    source: Source | None = None,
+    n: int = 3, calibrated: bool | bytes = True, load: Load = (0.0, 0.0, 0.0), noise_microstrain: float = 0.0,
+    store: Any = None, offset_microstrain: Sequence[float] | None = None, source: Source | None = None,
     emcy: bool = False,
-) -> Finger:
+) -> Finger:  # fmt: skip
     """A simulated fingertip, or one with a source; ``calibrated`` may be the record to commit."""
     if source is None:
         source = SimulatedSource(strain_per_newton(n), noise_microstrain, offset_microstrain, seed=7)

@@ -44,20 +44,13 @@ def test_autozero_makes_one_gauge_read_zero_and_changes_its_offset_only() -> Non
     assert talk.get("h", 0x7124, 2) == 70
 
 
-def test_autozero_adds_to_an_offset_that_is_there() -> None:
+def test_autozero_adds_to_an_offset_and_twice_within_one_sample_is_the_same_as_once() -> None:
     talk = drifted()
     assert talk.put("f", 0x6124, 1, 100.0) == 0
     talk.sync()
-    assert talk.put("I", 0x6125, 1, ZERO) == 0
-    assert talk.sync().gauges[0] == 0
-    assert offsets(talk)[0] == pytest.approx(-12.0)
-
-
-def test_autozero_twice_within_one_sample_is_the_same_as_once() -> None:
-    talk = drifted()
-    talk.sync()
     for _ in range(3):
         assert talk.put("I", 0x6125, 1, ZERO) == 0
+        assert offsets(talk)[0] == pytest.approx(-12.0)
     assert talk.put("H", 0x2130, 0, ZERO_GAUGES) == talk.put("H", 0x2130, 0, ZERO_GAUGES) == 0
     assert offsets(talk) == [-OFFSETS[0], -OFFSETS[1], -OFFSETS[2]]
     assert talk.sync().gauges == (0, 0, 0)
@@ -75,7 +68,7 @@ def test_autozero_without_sync_looks_at_the_load_of_now() -> None:
     assert offsets(talk) == [0.0] * 3
 
 
-def test_autozero_is_refused_while_any_gauge_is_saturated() -> None:
+def test_autozero_is_refused_while_any_gauge_is_saturated_and_on_a_stale_sample() -> None:
     # What saturates one gauge is most likely a heavy load, which the others must not be zeroed under.
     talk = finger(calibrated=False, load=(1.0, 0.0, 0.0))
     talk.source.offset_microstrain[1] = 5000.0
@@ -83,9 +76,6 @@ def test_autozero_is_refused_while_any_gauge_is_saturated() -> None:
     for sub in (1, 2, 3):
         assert talk.put("I", 0x6125, sub, ZERO) == REFUSED
     assert offsets(talk) == [0.0] * 3
-
-
-def test_autozero_is_refused_on_a_stale_sample() -> None:
     talk = drifted()
     talk.sync()
     assert talk.sync(after_us=1).status & STALE
@@ -113,7 +103,11 @@ def test_zero_of_all_gauges_is_stored_with_the_application_parameters() -> None:
 def test_tare_takes_the_present_force_as_zero(how: str) -> None:
     talk = finger(load=PUSH)
     talk.sync()
-    assert talk.put("I", 0x6139, 4, TARA) == 0 if how == "autotare" else talk.put("H", 0x2130, 0, TARE) == 0
+    taken = []
+    for _ in range(3):  # again within one sample is the same as once
+        assert talk.put("I", 0x6139, 4, TARA) == 0 if how == "autotare" else talk.put("H", 0x2130, 0, TARE) == 0
+        taken.append(tare(talk))
+    assert taken == taken[:1] * 3
     pdos = talk.sync()
     assert pdos.contact[0] == 0
     assert pdos.contact[1:] == (-0x8000, -0x8000)  # no contact, no direction
@@ -122,17 +116,6 @@ def test_tare_takes_the_present_force_as_zero(how: str) -> None:
     assert talk.put("H", 0x2130, 0, CLEAR) == 0
     assert talk.sync().contact[0] == pytest.approx(1000, abs=1)
     assert tare(talk) == [0.0] * 3 + [0]
-
-
-def test_tare_again_within_one_sample_is_the_same_as_once() -> None:
-    talk = finger(load=PUSH)
-    talk.sync()
-    assert talk.put("I", 0x6139, 4, TARA) == 0
-    first = tare(talk)
-    for _ in range(3):
-        assert talk.put("I", 0x6139, 4, TARA) == 0
-    assert tare(talk) == first
-    assert talk.sync().contact[0] == 0
 
 
 def test_tare_after_a_zero_or_a_commit_within_one_sample_uses_what_holds_now() -> None:
@@ -158,13 +141,22 @@ def test_tare_without_sync_uses_the_load_of_now() -> None:
     assert math.hypot(tare(talk)[0], tare(talk)[2]) == pytest.approx(2.0, abs=2e-3)
 
 
-def test_age_of_the_tare() -> None:
-    talk = finger(load=PUSH)
+def test_the_age_of_a_tare_and_what_ends_it() -> None:
+    talk = finger(load=PUSH, store=MemoryStore())
     talk.sync()
     assert talk.put("H", 0x2130, 0, TARE) == 0
     for seconds in range(4):
         assert tare(talk)[3] == seconds
         talk.advance(1_000_000)
+    talk.say("> 000#8205\n< 705#00")  # not a reset of communication
+    assert tare(talk)[2] == pytest.approx(-0.996, abs=1e-3)
+    talk.stage(record(serial=2))
+    assert talk.commit(COMMIT) == 0
+    assert tare(talk) == [0.0] * 3 + [0]
+    assert talk.put("H", 0x2130, 0, TARE) == talk.put("I", 0x1010, 1, SAVE) == 0
+    assert tare(talk)[0] != 0.0
+    talk.say("> 000#8105\n< 705#00")  # it is not stored
+    assert tare(talk) == [0.0] * 3 + [0]
 
 
 @pytest.mark.parametrize("why", ["uncalibrated", "stale", "saturated"])
@@ -177,22 +169,6 @@ def test_tare_is_refused_while_the_force_is_unknown(why: str) -> None:
         talk.sync(after_us=1)
     assert talk.put("H", 0x2130, 0, TARE) == talk.put("I", 0x6139, 4, TARA) == REFUSED
     assert tare(talk) == [0.0] * 3 + [0]
-
-
-def test_tare_is_not_persistent() -> None:
-    talk = finger(load=PUSH, store=MemoryStore())
-    talk.sync()
-    assert talk.put("H", 0x2130, 0, TARE) == talk.put("I", 0x1010, 1, SAVE) == 0
-    talk.say("> 000#8105\n< 705#00")
-    assert tare(talk) == [0.0] * 3 + [0]
-
-
-def test_reset_communication_keeps_the_tare() -> None:
-    talk = finger(load=PUSH)
-    talk.sync()
-    assert talk.put("H", 0x2130, 0, TARE) == 0
-    talk.say("> 000#8205\n< 705#00")
-    assert tare(talk)[2] == pytest.approx(-0.996, abs=1e-3)
 
 
 def test_command_by_rpdo_runs_once_per_reception() -> None:
@@ -213,19 +189,8 @@ def test_command_by_rpdo_runs_once_per_reception() -> None:
     assert talk.sync().contact[0] == pytest.approx(3000, abs=2)
 
 
-def test_commit_clears_the_tare() -> None:
-    talk = finger(load=PUSH)
-    talk.sync()
-    assert talk.put("I", 0x6139, 4, TARA) == 0
-    assert tare(talk)[0] != 0.0
-    talk.stage(record(serial=2))
-    assert talk.commit(COMMIT) == 0
-    assert tare(talk) == [0.0] * 3 + [0]
-
-
 @pytest.fixture
 def talk() -> Finger:
-    """A calibrated node that is pushed with 1 N."""
     return finger(load=PUSH)
 
 
@@ -245,11 +210,8 @@ def test_the_size_of_a_matrix_that_a_fingertip_may_have(talk: Finger, factor: fl
     # N per microstrain instead of N per unit strain, and the reverse; 1e4 N per unit strain is that of the node.
     talk.stage(record(C=[[factor * value for value in row] for row in matrix()]))
     assert talk.commit() == code
-
-
-def test_coefficients_of_temperature_have_either_sign(talk: Finger) -> None:
     talk.stage(record(validity=(5.0, 20.0, -20.0, -10.0, 0.01), offset_per_K=-1e-6, gain_per_K=-1e-3))
-    assert talk.commit() == 0
+    assert talk.commit() == 0  # coefficients of temperature have either sign
 
 
 def test_order_of_refusals(talk: Finger) -> None:
@@ -266,23 +228,16 @@ def test_order_of_refusals(talk: Finger) -> None:
     talk.stage(record(C=FLAT))
     refuse(talk, TOO_HIGH)
     talk.stage(record(C=DOUBLED))
+    assert talk.sync().contact[0] == pytest.approx(1000, abs=2)
     assert talk.commit() == 0
+    assert talk.sync().contact[0] == pytest.approx(2000, abs=4)  # from the next sample on
     assert talk.calibration() == (record(C=DOUBLED), binascii.crc32(record(C=DOUBLED)), 2)
-
-
-def test_commit_acts_from_the_next_sample_on(talk: Finger) -> None:
-    assert talk.sync().contact[0] == pytest.approx(1000, abs=2)
-    talk.stage(record(C=DOUBLED))
-    assert talk.sync().contact[0] == pytest.approx(1000, abs=2)
-    assert talk.commit() == 0
-    assert talk.sync().contact[0] == pytest.approx(2000, abs=4)
 
 
 def test_lock_is_not_stored_and_outlasts_a_reset() -> None:
     store = MemoryStore()
     talk = finger(store=store)
-    assert talk.put("B", 0x2105, 2, 1) == 0
-    assert talk.put("I", 0x1010, 1, SAVE) == 0
+    assert talk.put("B", 0x2105, 2, 1) == talk.put("I", 0x1010, 1, SAVE) == 0
     talk.say("> 000#8105\n< 705#00")
     assert talk.get("B", 0x2105, 2) == 1  # until a power cycle
     assert finger(store=store, calibrated=False).get("B", 0x2105, 2) == 0
@@ -299,11 +254,6 @@ def read(talk: Finger) -> list[float]:
     return [talk.get(kind, index, sub) for kind, index, sub, _value in WRITES]
 
 
-def reset(talk: Finger, command: int) -> None:
-    talk.step([(0, bytes((command, 5)))])
-    talk.take()
-
-
 @pytest.mark.parametrize("load", [(0.0, 0.0, 0.0), PUSH])
 def test_reset_node_returns_both_to_power_on(load: tuple[float, float, float]) -> None:
     talk = finger(load=load)
@@ -313,12 +263,11 @@ def test_reset_node_returns_both_to_power_on(load: tuple[float, float, float]) -
         assert talk.put(*write) == 0
     assert read(talk) == [value for *_entry, value in WRITES]
     assert talk.sync().gauges[1] == 32767
-    reset(talk, 0x82)
+    talk.nmt(0x82)
     assert read(talk) == [value for *_entry, value in WRITES]
-    reset(talk, 0x81)
+    talk.nmt(0x81)
     assert read(talk) == before
-    talk.step([(0, b"\x01\x05")])
-    talk.take()
+    talk.nmt(1)
     assert talk.sync().gauges == gauges
 
 
@@ -327,6 +276,6 @@ def test_what_the_program_set_stays() -> None:
     assert talk.put("f", 0x2201, 1, 5.0) == talk.put("H", 0x2200, 1, 3) == 0
     talk.source.load = PUSH
     talk.source.set_fault(2, 3, 0.0, talk.now_us)
-    reset(talk, 0x81)
+    talk.nmt(0x81)
     assert talk.source.load == PUSH
     assert (talk.source.fault, talk.source.fault_gauge) == (2, 3)

@@ -267,8 +267,6 @@ class FakeHx711:
 
 
 class MemorySlots:
-    """Two slots in memory. ``cut`` bytes into a write power goes: the rest stays ``rest`` of what was there."""
-
     def __init__(self) -> None:
         self.slots = [b"", b""]
         self.writes = 0

@@ -2,8 +2,7 @@
 
 import contextlib
 import io
-import itertools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import can
@@ -13,7 +12,7 @@ from canopen_device.core.sdo_client import BlockDownload, Download, Transfer
 from canopen_device.running import loop
 from canopen_device.running.loop import Port
 from canopen_device.running.ports import PythonCanPort
-from canopen_device.testing import Conversation
+from canopen_device.testing import Conversation, Fault, intact
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.fingertip.node import fingertip_node
@@ -22,16 +21,9 @@ from tipforce_loader import build
 from tipforce_loader.flash import FlashStore
 from tipforce_loader.programs import Programs
 
-Fault = Callable[[int, bytes], bytes]
-"""(number of the frame, its data) -> the data that arrives."""
-
 KEY = b"a key of the bench"
 NODE_ID = 5
 INSTALLED_VERSION = "0.1.0"
-
-
-def unchanged(_number: int, data: bytes) -> bytes:
-    return data
 
 
 class PowerOffError(Exception):
@@ -101,15 +93,15 @@ class Board:
         self.device: Device = fingertip_node(NODE_ID, SimulatedSource([[0.0] * 3] * 3), programs=self.programs)
         self.device.step(self.now_us)
 
-    def exchange(self, transfer: Transfer, fault: Fault = unchanged) -> Transfer:
+    def exchange(self, transfer: Transfer, fault: Fault = intact) -> Transfer:
         """Lead a transfer to its end; ``fault`` changes the requests on their way."""
-        talk, numbers = Conversation(self.device, self.now_us, emcy=True), itertools.count()
+        talk = Conversation(self.device, self.now_us, emcy=True)
         try:
-            return talk.transfer(transfer, lambda request: fault(next(numbers), request))
+            return talk.transfer(transfer, fault)
         finally:
             self.now_us = talk.now_us
 
-    def download(self, image: bytes, fault: Fault = unchanged) -> Transfer:
+    def download(self, image: bytes, fault: Fault = intact) -> Transfer:
         entry = od.PROGRAM_DATA[1]
         return self.exchange(BlockDownload(entry.index, entry.sub, 500000, 1 << 50, image), fault)
 
@@ -122,7 +114,6 @@ class Board:
 def image(
     version: tuple[int, int, int] = (0, 2, 0), size: int = 3000, product: int = table.PRODUCT, key: bytes = KEY
 ) -> bytes:
-    """A signed image with one file of ``size`` bytes."""
     content = bytes((k * 37 + version[1]) & 0xFF for k in range(size))
     return build.image(version, product, {"canopen_device/core/node.mpy": content}, key)
 

@@ -28,7 +28,6 @@ STATES = ("active", "warning", "passive", "off")
 
 
 def chip(kind: str, clock: "fakes.FakeClock", signal: "list[int]") -> "tuple[Any, Any]":
-    """(driver, fake) of one converter."""
     if kind == "nau7802":
         nau = fakes.FakeNau7802(clock, signal)
         return Nau7802(nau, channels=len(signal)), nau
@@ -40,7 +39,6 @@ def chip(kind: str, clock: "fakes.FakeClock", signal: "list[int]") -> "tuple[Any
 
 
 def controller(kind: str) -> "tuple[Any, Any]":
-    """(driver, fake) of one controller."""
     if kind == "mcp2515":
         mcp = fake_controllers.FakeMcp2515()
         return Mcp2515(mcp, mcp.cs, BIT_RATE), mcp
@@ -101,7 +99,6 @@ class Rig:
                 fake.stuck = what == "silent"
 
     def stored(self) -> str:
-        """The content of flash, in one line."""
         return " ".join([binascii.hexlify(self.slots.read(slot)).decode() or "-" for slot in (0, 1)])
 
 

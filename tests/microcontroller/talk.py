@@ -172,7 +172,6 @@ def firmware_talk(adc: str, can: str) -> type[Talk]:
 
 
 def spoken(adc: str, can: str, wanted: Iterable[Callable[[], list[Recording]]]) -> list[Recording]:
-    """Those scripts, held with the firmware."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(scripts, "Talk", firmware_talk(adc, can))
         return [one for script in wanted for one in script()]

@@ -5,6 +5,8 @@ import hmac
 import io
 import os
 import random
+from collections.abc import Iterator
+from copy import deepcopy
 from pathlib import Path
 
 import pytest
@@ -40,18 +42,11 @@ def update(board: Board, content: bytes) -> None:
 
 
 @pytest.fixture(scope="module")
-def with_old() -> tuple[list[bytes], list[bytes]]:
-    """The flash of a board that runs OLD."""
+def with_old() -> Flash:
     board = Board()
     update(board, OLD)
-    return [bytes(slot) for slot in board.flash.programs], list(board.flash.records)
-
-
-def restored(content: tuple[list[bytes], list[bytes]]) -> Flash:
-    flash = Flash()
-    flash.programs = [bytearray(slot) for slot in content[0]]
-    flash.records = list(content[1])
-    return flash
+    board.flash.written = 0
+    return board.flash
 
 
 def running(board: Board) -> tuple[str, int]:
@@ -70,13 +65,13 @@ def test_updates_take_turns_and_survive_a_power_cycle() -> None:
         assert board.device.od.get(0x100A) == version_of(content)[0]
 
 
-def test_power_cuts(with_old: tuple[list[bytes], list[bytes]]) -> None:
-    whole = restored(with_old)
+def test_power_cuts(with_old: Flash) -> None:
+    whole = deepcopy(with_old)
     update(Board(whole), NEW)
     random_cut = random.Random(17)
     seen = set()
     for number in range(POWER_CUTS):
-        flash = restored(with_old)
+        flash = deepcopy(with_old)
         # The last cuts are in the records, where the program changes.
         flash.left = random_cut.randrange(whole.written) if number % 4 else whole.written - 1 - number // 4
         with pytest.raises(PowerOffError):
@@ -97,16 +92,16 @@ def test_power_cuts(with_old: tuple[list[bytes], list[bytes]]) -> None:
     assert version_of(OLD) in seen
 
 
-def test_corrupted_transfers(with_old: tuple[list[bytes], list[bytes]]) -> None:
+def test_corrupted_transfers(with_old: Flash) -> None:
     """One bit of one frame is wrong: the node refuses, or its client does; the next transfer succeeds."""
     chance = random.Random(50)
     refused = 0
     for _ in range(CORRUPTED):
-        board = Board(restored(with_old))
-        wrong, bit = chance.randrange(len(NEW) // 7 + 3), chance.randrange(64)
+        board = Board(deepcopy(with_old))
+        frames_left, bit = iter(range(chance.randrange(len(NEW) // 7 + 3), -1, -1)), chance.randrange(64)
 
-        def fault(number: int, data: bytes, wrong: int = wrong, bit: int = bit) -> bytes:
-            if number != wrong:
+        def fault(data: bytes, frames_left: Iterator[int] = frames_left, bit: int = bit) -> bytes:
+            if next(frames_left, -1) != 0:
                 return data
             changed = bytearray(data)
             changed[bit // 8] ^= 1 << bit % 8
@@ -149,23 +144,22 @@ def test_a_refused_image_says_why(content: bytes, abort: int, reason: int, error
     assert board.slot == INSTALLED
 
 
-def test_an_unhealthy_program_runs_once(with_old: tuple[list[bytes], list[bytes]]) -> None:
-    board = Board(restored(with_old))
+def test_an_unhealthy_program_runs_once(with_old: Flash) -> None:
+    board = Board(deepcopy(with_old))
     board.download(NEW)
     board.control(program.START)
     board.power_on()
     assert running(board) == version_of(NEW)
     assert int(board.device.od.get(0x1F57, 1)) & program.IN_PROGRESS
     # The slot of the old program is needed until the new one is confirmed.
-    assert board.download(OLD).abort_code == codes.DEVICE_STATE
-    assert board.control(program.CLEAR) == codes.DEVICE_STATE
+    assert board.download(OLD).abort_code == board.control(program.CLEAR) == codes.DEVICE_STATE
     board.power_on()
     assert running(board) == version_of(OLD)
     assert board.device.od.get(0x1F57, 1) == loader_image.UNHEALTHY << 16 | 63 << 1
 
 
-def test_a_damaged_program_leaves_the_installed_one(with_old: tuple[list[bytes], list[bytes]]) -> None:
-    flash = restored(with_old)
+def test_a_damaged_program_leaves_the_installed_one(with_old: Flash) -> None:
+    flash = deepcopy(with_old)
     flash.programs[0][2000] ^= 1
     board = Board(flash)
     assert (board.slot, board.programs.reason) == (INSTALLED, loader_image.DAMAGED)
@@ -190,8 +184,7 @@ def test_control() -> None:
     board.control(program.RESET)
     assert board.device.requests == [("restart", 0, program.RESTART_DELAY_MS)]
     board.device.step(board.now_us, [(0, b"\1\5")])
-    assert board.download(NEW).abort_code == codes.DEVICE_STATE
-    assert board.control(program.STOP) == codes.DEVICE_STATE
+    assert board.download(NEW).abort_code == board.control(program.STOP) == codes.DEVICE_STATE
 
 
 def test_the_signature_is_the_hmac_of_the_standard_library() -> None:

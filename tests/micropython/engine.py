@@ -41,12 +41,10 @@ def on_node_files() -> tuple[Path, ...]:
 
 
 def place(path: Path) -> str:
-    """Where a file of a package lies on MicroPython."""
     return f"{LIBRARY}/{path.relative_to(SOURCE).as_posix()}"
 
 
 def program() -> dict[str, bytes]:
-    """``on_node.py``, which the tests run."""
     return {f"{LIBRARY}/on_node.py": (HERE / "on_node.py").read_bytes()}
 
 

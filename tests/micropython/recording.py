@@ -40,24 +40,14 @@ class RecordedDevice:
     """A node whose steps are noted; for the rest it is the node itself."""
 
     def __init__(
-        self,
-        name: str,
-        node_id: int = 5,
-        layout: str | Sequence[str] = "I",
-        store: dict[str, str] | None = None,
-        eds: str = "",
-        serial: int = 0x01020304,
-        front_end: dict[str, Any] | None = None,
-    ) -> None:
+        self, name: str, node_id: int = 5, layout: str | Sequence[str] = "I", store: dict[str, str] | None = None,
+        eds: str = "", serial: int = 0x01020304, front_end: dict[str, Any] | None = None,
+    ) -> None:  # fmt: skip
         rows = strain_matrix(FABRICATED, layout)
         header = {
-            "node_id": node_id,
-            "serial": serial,
-            "rows": struct.pack(f"<{rows.size}d", *rows.flat).hex(),
-            "store": store or {},
-            "eds": eds,
-            "front_end": front_end,
-        }
+            "node_id": node_id, "serial": serial, "rows": struct.pack(f"<{rows.size}d", *rows.flat).hex(),
+            "store": store or {}, "eds": eds, "front_end": front_end,
+        }  # fmt: skip
         self.recording = Recording(name, header)
         self._store = on_node.Store(header["store"])  # type: ignore[arg-type]
         self.device = on_node.build(header, self._store)
@@ -115,7 +105,6 @@ class Talk(Conversation):
 
     @property
     def recording(self) -> Recording:
-        """What was said so far."""
         return self.recorded.recording
 
     def start(self) -> None:
@@ -149,14 +138,9 @@ class Talk(Conversation):
         assert self.put("I", 0x2104, 0, table.SIGNATURE_COMMIT) == 0
 
     def remap(
-        self,
-        number: int,
-        cob_id: int,
-        mapping: tuple[tuple[int, int, int], ...],
-        transmission: int = 1,
-        inhibit: int = 0,
-        event_ms: int = 0,
-    ) -> None:
+        self, number: int, cob_id: int, mapping: tuple[tuple[int, int, int], ...], transmission: int = 1,
+        inhibit: int = 0, event_ms: int = 0,
+    ) -> None:  # fmt: skip
         """Give TPDO ``number``, from 0, another mapping, by the procedure of CiA 301, 7.5.2.36."""
         communication, mapped = 0x1800 + number, 0x1A00 + number
         writes = [("I", communication, 1, 0xC0000000 | cob_id), ("B", mapped, 0, 0)]

@@ -10,8 +10,10 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -23,13 +25,12 @@ from running import store_child
 KILLS = int(os.environ.get("TIPFORCE_KILLS", "50"))
 AT_ONCE = 2
 LONGEST_US = 6000  # a few cycles of commit and store
-CHILD = Path(__file__).with_name("store_child.py")
+CHILD = str(Path(__file__).with_name("store_child.py"))
 
 Parent = subprocess.Popen[str]  # of the children that are killed: store_child.py
 
 
 def node(path: Path) -> Finger:
-    """A node on a file store."""
     return finger(calibrated=False, store=FileStore(path))
 
 
@@ -41,19 +42,24 @@ def stored(path: Path, serial: int = 1) -> Finger:
     return talk
 
 
-def test_what_is_stored_is_there_after_a_restart(tmp_path: Path) -> None:
+def failing(error: OSError) -> Callable[..., Any]:
+    def refuse(*_arguments: object, **_names: object) -> None:
+        raise error
+
+    return refuse
+
+
+FULL = OSError(28, "No space left on device")
+
+
+def test_what_is_stored_is_there_after_a_restart_and_no_file_yet_is_no_damage(tmp_path: Path) -> None:
+    talk = node(tmp_path / "node.json")
+    assert (talk.calibration()[1], talk.device.storage.damaged, list(tmp_path.iterdir())) == (0, [], [])
     stored(tmp_path / "node.json")
     again = node(tmp_path / "node.json")
     assert again.upload(0x2140) == record()
     assert again.device.storage.damaged == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["node.json", "node.json.2"]
-
-
-def test_no_file_yet_is_no_damage(tmp_path: Path) -> None:
-    talk = node(tmp_path / "node.json")
-    assert talk.calibration()[1] == 0
-    assert talk.device.storage.damaged == []
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_file_is_flushed_then_renamed_then_its_directory_is_flushed(
@@ -77,24 +83,17 @@ def test_file_is_flushed_then_renamed_then_its_directory_is_flushed(
     assert seen == ["fsync", "rename", "fsync"] if os.name == "posix" else ["fsync", "rename"]
 
 
-@pytest.mark.parametrize("failing", ["fsync", "replace", "open"])
+@pytest.mark.parametrize("call", ["os.fsync", "os.replace", "builtins.open"])
 def test_disk_that_refuses_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "node.json"
     talk = stored(path)
     before = path.read_bytes()
-
-    def refuse(*_arguments: object, **_names: object) -> None:
-        raise OSError(28, "No space left on device")
-
     talk.stage(record(serial=2))
     assert talk.commit() == 0
     with monkeypatch.context() as patch:
-        if failing == "open":
-            patch.setattr("builtins.open", refuse)
-        else:
-            patch.setattr(os, failing, refuse)
+        patch.setattr(call, failing(FULL))
         assert talk.put("I", 0x1010, 4, SAVE) == 0x06060000
     assert path.read_bytes() == before
     assert "No space left on device" in caplog.text
@@ -109,8 +108,7 @@ def test_directory_that_vanishes(tmp_path: Path) -> None:
     directory.mkdir()
     talk = stored(directory / "node.json")
     shutil.rmtree(directory)
-    assert talk.put("I", 0x1010, 1, SAVE) == 0x06060000
-    assert talk.put("I", 0x1011, 1, 0x64616F6C) == 0x06060000
+    assert talk.put("I", 0x1010, 1, SAVE) == talk.put("I", 0x1011, 1, 0x64616F6C) == 0x06060000
     # The node itself goes on.
     assert talk.upload(0x2140) == record()
 
@@ -118,17 +116,11 @@ def test_directory_that_vanishes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content",
     [
-        b"",
-        b"{",
-        b"[]",
-        b"null",
-        b'"text"',
-        b"\xff\xfe\x00",
-        b"[" * 100_000,
+        b"", b"{", b"[]", b"null", b'"text"', b"\xff\xfe\x00", b"[" * 100_000,
         b'{"calibration": 5, "application": "zz", "communication": null}',
         b'{"calibration": "00", "application": "0", "communication": []}',
     ],
-)
+)  # fmt: skip
 def test_damaged_file_gives_defaults_and_is_noted(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "node.json"
     path.write_bytes(content)
@@ -209,14 +201,10 @@ def test_trouble_is_said_once_until_a_save_succeeds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     store = FileStore(tmp_path / "node.json")
-
-    def full(_fd: int) -> None:
-        raise OSError(28, "No space left on device")
-
     for _ in range(2):
         caplog.clear()
         with monkeypatch.context() as patch:
-            patch.setattr(os, "fsync", full)
+            patch.setattr(os, "fsync", failing(FULL))
             assert [store.save("a", b"\1") for _ in range(5)] == [False] * 5
         assert caplog.text.count("No space left on device; nothing was changed") == 1
         assert not (tmp_path / "node.json.new").exists()
@@ -239,12 +227,8 @@ def test_file_that_cannot_be_read_is_not_replaced(
     path = tmp_path / "node.json"
     stored(path)
     store = FileStore(path)
-
-    def refuse(_path: Path) -> bytes:
-        raise PermissionError(13, "Permission denied")
-
     with monkeypatch.context() as patch, caplog.at_level(logging.ERROR):
-        patch.setattr(Path, "read_bytes", refuse)
+        patch.setattr(Path, "read_bytes", failing(PermissionError(13, "Permission denied")))
         assert not store.save("application", b"\1")
         assert node(path).device.storage.damaged == ["communication", "application", "calibration"]
     assert "Permission denied" in caplog.text
@@ -263,11 +247,6 @@ def test_calibration_group_of_another_number_of_gauges_is_not_taken(tmp_path: Pa
     assert finger(4, calibrated=False, store=FileStore(tmp_path / "node.json")).calibration() == (bytes(198), 0, 0)
 
 
-def restarted(path: Path) -> Finger:
-    """The node after a power cycle, on what the disk holds."""
-    return finger(calibrated=False, store=FileStore(path))
-
-
 def survive(parent: Parent, path: Path, first: int, wait_us: int) -> tuple[int, int]:
     """Let a child store calibrations from ``first`` on and kill it; the last confirmed number, and the one found."""
     assert parent.stdin is not None
@@ -283,7 +262,7 @@ def survive(parent: Parent, path: Path, first: int, wait_us: int) -> tuple[int, 
     while not (line := parent.stdout.readline()).startswith("ended"):
         confirmed = int(line)  # one write to a pipe each: a number is said as a whole or not at all
     assert line == f"ended {int(signal.SIGKILL)}\n", "the child must have been killed, not have ended by itself"
-    talk = restarted(path)
+    talk = node(path)
     active = talk.upload(0x2140)
     assert isinstance(active, bytes)
     found = int(talk.get("I", 0x2102, 1))
@@ -294,13 +273,6 @@ def survive(parent: Parent, path: Path, first: int, wait_us: int) -> tuple[int, 
     return confirmed, found
 
 
-def start() -> str:
-    """The first statement of the children's parent: find the package, then run the script."""
-    package_root = Path(str(sys.modules["tipforce"].__file__)).parents[1]
-    run = f"runpy.run_path({str(CHILD)!r}, run_name='__main__')"
-    return f"import sys, runpy; sys.path.insert(0, {str(package_root)!r}); {run}"
-
-
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="SIGKILL is POSIX")
 def test_calibration_survives_sigkill_at_any_instant(tmp_path: Path) -> None:
     rng = random.Random(200)
@@ -309,7 +281,9 @@ def test_calibration_survives_sigkill_at_any_instant(tmp_path: Path) -> None:
     def series(worker: int) -> list[tuple[int, int]]:
         path, first, seen = tmp_path / f"node-{worker}.json", 1, []
         # -I -S: a start without site packages is faster; the path of the package is handed over.
-        command = [sys.executable, "-I", "-S", "-c", start(), str(path)]
+        package_root = str(Path(str(sys.modules["tipforce"].__file__)).parents[1])
+        run = f"import sys, runpy; sys.path.insert(0, {package_root!r}); runpy.run_path({CHILD!r}, run_name='__main__')"
+        command = [sys.executable, "-I", "-S", "-c", run, str(path)]
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as parent:
             for wait_us in waits[worker]:
                 seen.append(survive(parent, path, first, wait_us))

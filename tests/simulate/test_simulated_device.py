@@ -11,7 +11,6 @@ import pytest
 import tipforce
 from canopen_device.eds import Entry
 from canopen_device.machine import DeviceApplication, Follows, Ramp, RandomWalk, SimulatedDevice, Sine, recorded
-from canopen_device.machine.faults import Planned
 from canopen_device.machine.file import read_machine
 from canopen_device.testing import Conversation
 from canopen_device.types import Value
@@ -196,7 +195,7 @@ def test_faults(tmp_path: Path) -> None:
 
 def test_planned_faults_begin_and_end(tmp_path: Path) -> None:
     device = press(tmp_path)
-    device.faults.plan(Planned("emcy", 0.5, 0.25, {"code": 0x4210}))
+    device.faults.plan("emcy", 0.5, 0.25, code=0x4210)
     talk = Conversation(device, emcy=True)
     talk.sent.clear()
     talk.advance(400_000)

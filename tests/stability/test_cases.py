@@ -137,7 +137,7 @@ def _truncating(right: Any) -> Any:
 
     def push(self: Any, counts: Any) -> bool:
         right(self, counts)
-        self._states = [int(state * (1.0 - 1e-9)) for state in self._states]
+        self._sums = [int(state * (1.0 - 1e-9)) for state in self._sums]
         return True
 
     return push

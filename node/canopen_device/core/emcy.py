@@ -1,7 +1,4 @@
-"""EMCY producer (CiA 301, 7.2.7): objects 1001h, 1003h, 1014h and 1015h.
-
-An error is raised once and cleared once; in between it is active and sets its bits in the error register.
-"""
+"""EMCY producer (CiA 301, 7.2.7), objects 1001h, 1003h, 1014h, 1015h; an error is active until it is cured."""
 
 import struct
 
@@ -14,7 +11,6 @@ if TYPE_CHECKING:
 
     from .node import Device
     from .object_dictionary import Value
-
 
 # Error codes (table 26) and the bits that each sets in the error register (table 48) in addition to bit 0, generic.
 GENERIC, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MANUFACTURER = 0x01, 0x04, 0x08, 0x10, 0x20, 0x80

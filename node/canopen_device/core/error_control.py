@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from .node import Device
     from .object_dictionary import Value
 
-
 MASTER = 0  # detail of the EMCY: the lost node is the one that guards
 
 
@@ -54,7 +53,7 @@ class HeartbeatProducer(Timed):
 
     def __init__(self, device: "Device") -> None:
         super().__init__(device)
-        device.od.writers[communication.PRODUCER_HEARTBEAT] = self._write_period
+        device.od.writers[communication.PRODUCER_HEARTBEAT] = lambda _sub, value: self._restart(int(value))
 
     def reset(self) -> None:
         """Restart with the present value of 1017h after a boot-up."""
@@ -69,12 +68,9 @@ class HeartbeatProducer(Timed):
             # The process was suspended for one or more periods: continue from now, without a burst.
             self.due_us = now_us + period_us
 
-    def _write_period(self, _sub: int, value: "Value") -> int:
-        self._restart(value)  # type: ignore[arg-type]
-        return 0
-
-    def _restart(self, period_ms: int) -> None:
+    def _restart(self, period_ms: int) -> int:
         self.due_us = self._device.now_us + 1000 * period_ms if period_ms else codes.NEVER_US
+        return 0
 
 
 class HeartbeatConsumer(Timed):
@@ -106,7 +102,8 @@ class HeartbeatConsumer(Timed):
 
     def routes(self) -> "list[tuple[int, Callable[[bytes], None]]]":
         """Return (can_id, handler) of each monitored heartbeat."""
-        return [(codes.HEARTBEAT_BASE + node_id, self._route(node_id)) for node_id in self._periods]
+        base = codes.HEARTBEAT_BASE
+        return [(base + n, lambda data, n=n: self._receive(n, data)) for n in self._periods]  # type: ignore[misc]
 
     def expire(self, now_us: int) -> None:
         """Report each node whose heartbeat is overdue."""
@@ -118,17 +115,14 @@ class HeartbeatConsumer(Timed):
                 self._device.communication_failed()
         self._schedule()
 
-    def _route(self, node_id: int) -> "Callable[[bytes], None]":
-        def receive(data: bytes) -> None:
-            if len(data) != 1:
-                return
-            self._deadlines[node_id] = self._device.now_us + self._periods[node_id]
-            if node_id in self._lost:
-                self._lost.remove(node_id)
-                self._device.emcy.cure(HEARTBEAT_LOST, node_id)
-            self._schedule()
-
-        return receive
+    def _receive(self, node_id: int, data: bytes) -> None:
+        if len(data) != 1:
+            return
+        self._deadlines[node_id] = self._device.now_us + self._periods[node_id]
+        if node_id in self._lost:
+            self._lost.remove(node_id)
+            self._device.emcy.cure(HEARTBEAT_LOST, node_id)
+        self._schedule()
 
     def _schedule(self) -> None:
         self.due_us = min(self._deadlines.values()) if self._deadlines else codes.NEVER_US

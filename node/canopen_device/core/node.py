@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     Request = tuple[str, int, int]
 
 _STATE_AFTER = {
-    codes.NMT_START: codes.OPERATIONAL,
-    codes.NMT_STOP: codes.STOPPED,
+    codes.NMT_START: codes.OPERATIONAL, codes.NMT_STOP: codes.STOPPED,
     codes.NMT_ENTER_PRE_OPERATIONAL: codes.PRE_OPERATIONAL,
-}
+}  # fmt: skip
 SELF_START_OFF = 4  # 1F80h bit 2 (CiA 302-2)
 
 
@@ -237,17 +236,15 @@ class Device:
         routes: "dict[int, Callable[[bytes], None]]" = {}
         if self.node_id != codes.LSS_UNCONFIGURED:
             # Identifiers that only this node may send; a service that receives the same identifier takes precedence.
-            for can_id in self.tpdos.can_ids() + [
-                codes.SDO_RESPONSE_BASE + self.node_id,
-                codes.HEARTBEAT_BASE + self.node_id,
-            ]:
+            own = [codes.SDO_RESPONSE_BASE + self.node_id, codes.HEARTBEAT_BASE + self.node_id]
+            for can_id in self.tpdos.can_ids() + own:
                 routes[can_id] = self.bus_faults.collision(can_id)
             routes[codes.HEARTBEAT_BASE + self.node_id | codes.REMOTE_FLAG] = self.guarding.receive
             for can_id, handler in self.heartbeat_consumer.routes():
                 routes[can_id] = handler
             if self.nmt.state == codes.OPERATIONAL:
                 for can_id in self.rpdos.can_ids():
-                    routes[can_id] = self.rpdos.receiver(can_id)
+                    routes[can_id] = lambda data, can_id=can_id: self.rpdos.receive(can_id, data)  # type: ignore[misc]
             if self.nmt.state in codes.TALKING:
                 if self.time.can_id is not None:
                     routes[self.time.can_id] = self.time.receive

@@ -6,7 +6,7 @@ from . import codes, communication
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from .sdo_server import Sink
 
@@ -18,13 +18,9 @@ TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, VIEW, NOT_STORED, COUNTED = 1, 2, 4, 8, 16, 
 
 SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4}  # module ``wide_types`` adds to these tables
 RANGES = {
-    "B": (0, 0xFF),
-    "b": (-0x80, 0x7F),
-    "H": (0, 0xFFFF),
-    "h": (-0x8000, 0x7FFF),
-    "I": (0, 0xFFFFFFFF),
-    "i": (-0x80000000, 0x7FFFFFFF),
-}
+    "B": (0, 0xFF), "H": (0, 0xFFFF), "I": (0, 0xFFFFFFFF),
+    "b": (-0x80, 0x7F), "h": (-0x8000, 0x7FFF), "i": (-0x80000000, 0x7FFFFFFF),
+}  # fmt: skip
 FORMATS = {"B": "<B", "b": "<b", "H": "<H", "h": "<h", "I": "<I", "i": "<i", "f": "<f"}  # of struct
 DUMMIES = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}
 REAL32_MAX = 3.4028234663852886e38
@@ -103,10 +99,7 @@ class ObjectDictionary:
         self.packer: "Callable[[list[tuple[int, int]]], Callable[[], bytes] | None]" = lambda _keys: None
 
     def add(self, index: int, sub: int, entry: "Entry") -> "Entry":
-        """Declare an entry: (type, access, flags, default, low, high). It starts at its default.
-
-        Return the entry as it is kept: default and limits of a REAL32 are what a client can read and write.
-        """
+        """Declare an entry, (type, access, flags, default, low, high); return it as kept, with numbers of REAL32."""
         kind, access, flags, default, low, high = entry
         if kind == "f":
             numbers = tuple([None if v is None else real32(v) for v in (default, low, high)])  # type: ignore[arg-type]
@@ -211,14 +204,6 @@ class ObjectDictionary:
             if entry[2] & COUNTED and self.changed is not None:
                 self.changed()
         return 0
-
-    def stored_entries(self, first: int, last: int) -> "Iterator[tuple[int, int, str]]":
-        """Return (index, sub, type) of each setting among the objects ``first`` to ``last``: the values to store."""
-        for index in self.indices(first, last):
-            subs = self._entries[index]
-            for sub in sorted(subs):
-                if is_setting(subs[sub]):
-                    yield index, sub, subs[sub][0]
 
 
 def is_setting(entry: "Entry") -> bool:

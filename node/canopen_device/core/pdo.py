@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from .node import Device
     from .object_dictionary import ObjectDictionary, Value
 
-
 _OTHER_BITS = codes.COB_ID_RESERVED & ~codes.NO_RTR
 MAX_BYTES = 8
 
@@ -52,12 +51,6 @@ class Pdo:
         self.valid = not cob_id & codes.COB_ID_INVALID
         # Bit 29, a 29-bit identifier, may come from an EDS; a write of it is rejected.
         self.active = self.valid and usable and not cob_id & codes.EXTENDED_COB_ID and not codes.restricted(self.can_id)
-
-    def parameter(self, sub: int) -> int:
-        """Return a communication parameter, 0 if this PDO has no such sub-index."""
-        if isinstance(self._od.find(self.communication, sub), int):
-            return 0
-        return self._od.integer(self.communication, sub)
 
     def _compile(self, words: "list[int]") -> int:
         """Apply a mapping; return the abort code of a rejected one, which changes nothing."""
@@ -179,10 +172,6 @@ class ReceivePdos(Timed):
         """Return the identifiers of the RPDOs that this device receives."""
         return [pdo.can_id for pdo in self._pdos if pdo.active]
 
-    def receiver(self, can_id: int) -> "Callable[[bytes], None]":
-        """Return the handler of the frames with an identifier."""
-        return lambda data: self.receive(can_id, data)
-
     def receive(self, can_id: int, data: bytes) -> None:
         """Process the frame of an RPDO. A frame shorter than the mapping changes nothing (7.2.2.5.1)."""
         emcy = self._device.emcy
@@ -193,7 +182,7 @@ class ReceivePdos(Timed):
                 emcy.raise_error(PDO_LENGTH, COMMUNICATION, can_id)
                 continue
             emcy.cure(PDO_LENGTH, can_id)
-            event_ms = pdo.parameter(5)
+            event_ms = self._device.od.integer(pdo.communication, 5)
             pdo.deadline_us = self._device.now_us + 1000 * event_ms if event_ms else codes.NEVER_US
             emcy.cure(RPDO_TIMEOUT, can_id)
             if pdo.transmission > codes.LAST_SYNCHRONOUS:

@@ -14,11 +14,7 @@ if TYPE_CHECKING:
     from .sdo_server import Sink
 
     class Programs(Protocol):
-        """The slots of a node. Methods return 0 or a reason of it.
-
-        ``busy``: a download or a trial is in progress. ``locked``: a program is on trial, the other slot is needed
-        until it has proved healthy.
-        """
+        """The slots of a node; methods return 0 or a reason. ``busy``: a download or trial; ``locked``: a trial."""
 
         reason: int
         version: str
@@ -64,7 +60,9 @@ class ProgramDownload:
         od.writers[communication.PROGRAM_CONTROL] = self._control
         od.readers[communication.PROGRAM_CONTROL] = lambda _sub: self._state
         od.readers[communication.PROGRAM_IDENTIFICATION] = lambda _sub: programs.crc
-        od.readers[communication.FLASH_STATUS] = lambda _sub: self._status()
+        od.readers[communication.FLASH_STATUS] = lambda _sub: (
+            (IN_PROGRESS if programs.busy else 0) | _ERRORS[programs.reason] << 1 | programs.reason << REASON_SHIFT
+        )
 
     def write(self, part: bytes) -> int:
         """Write the next bytes of a download; return 0 or an abort code."""
@@ -87,10 +85,6 @@ class ProgramDownload:
 
     def _refuses(self) -> bool:
         return self._device.nmt.state == codes.OPERATIONAL or self._programs.locked
-
-    def _status(self) -> int:
-        reason = self._programs.reason
-        return (IN_PROGRESS if self._programs.busy else 0) | _ERRORS[reason] << 1 | reason << REASON_SHIFT
 
     def _control(self, _sub: int, value: "Value") -> int:
         if self._refuses():

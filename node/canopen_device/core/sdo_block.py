@@ -15,10 +15,7 @@ _NIBBLE = (
 
 
 def crc16_by_nibbles(data: "bytes | bytearray", crc: int = 0) -> int:
-    """Continue ``crc`` over ``data`` (7.2.4.3.16): polynomial x^16 + x^12 + x^5 + 1, start value 0.
-
-    The table has 16 entries instead of 256 to save memory on a microcontroller.
-    """
+    """Continue ``crc`` (7.2.4.3.16: x^16 + x^12 + x^5 + 1, start 0); 16 entries instead of 256 save memory."""
     for byte in data:
         crc = (crc << 4 & 0xFFFF) ^ _NIBBLE[crc >> 12 ^ byte >> 4]
         crc = (crc << 4 & 0xFFFF) ^ _NIBBLE[crc >> 12 ^ byte & 15]
@@ -43,10 +40,7 @@ _WITH_CRC = 4
 
 
 class BlockDownload:
-    """Block download. Segments out of order are discarded; the response to a block states the last one in order.
-
-    The sink gets the segments of a block before the response: a sink that is slow loses no segments.
-    """
+    """Block download; segments out of order are discarded. The sink gets a block before the response."""
 
     def __init__(self, server: "SdoServer", size: "int | None", limit: int, with_crc: bool) -> None:
         self._server = server

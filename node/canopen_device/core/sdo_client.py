@@ -50,10 +50,7 @@ class Transfer:
         self.ignored: "bytes | None" = None
 
     def step(self, now_us: int, response: "bytes | None" = None) -> "tuple[list[bytes], int]":
-        """Process a response (data of a frame), or the time that has passed; return (requests, next due time).
-
-        The first call starts the transfer. A request is the data of a frame, 8 bytes.
-        """
+        """Start, or process a response or the time that has passed; return (requests of 8 bytes, next due time)."""
         self._requests = []
         if not self.ended:
             try:
@@ -193,10 +190,7 @@ class Upload(Transfer):
 
 
 class Download(Transfer):
-    """Expedited (1 to 4 bytes) or segmented download: write an object.
-
-    ``progress`` receives the number of bytes that the server has acknowledged.
-    """
+    """Expedited (1 to 4 bytes) or segmented download; ``progress`` gets the number of acknowledged bytes."""
 
     def __init__(
         self, index: int, sub: int, timeout_us: int, deadline_us: int, content: bytes,
@@ -286,9 +280,8 @@ class BlockDownload(Download):
 
     def _converse(self) -> "Conversation":
         content = self._content
-        first = yield from self._initiate(
-            0xC0 | _WITH_CRC | _WITH_SIZE, struct.pack("<I", len(content)), (_BLOCK_DOWNLOAD,)
-        )
+        command = 0xC0 | _WITH_CRC | _WITH_SIZE
+        first = yield from self._initiate(command, struct.pack("<I", len(content)), (_BLOCK_DOWNLOAD,))
         offset, block_size, empty_blocks = 0, first[4], 0
         while offset < (len(content) or 1):
             sent = self._send_block(offset, block_size)

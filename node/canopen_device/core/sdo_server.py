@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     from .node import Device
-    from .object_dictionary import ObjectDictionary
 
     class Sink(Protocol):
         """Where the content of a segmented or block download goes, in parts and in order; 0 or an abort code each."""
@@ -28,26 +27,6 @@ _IDLE = 0
 MAX_DOWNLOAD_BYTES = 4096  # bounds memory for objects that state no length
 
 
-class Collected:
-    """The sink of an ordinary object: the value is written when it is complete."""
-
-    def __init__(self, od: "ObjectDictionary", index: int, sub: int) -> None:
-        self._od, self._index, self._sub = od, index, sub
-        self._content = bytearray()
-
-    def write(self, part: bytes) -> int:
-        """Take the next bytes."""
-        self._content += part
-        return 0
-
-    def end(self) -> int:
-        """Write the value; return 0, or the abort code if the object rejects it."""
-        return self._od.download(self._index, self._sub, bytes(self._content))
-
-    def cancel(self) -> None:
-        """Do nothing: nothing has been written."""
-
-
 class SdoServer(Timed):
     """Default SDO server: receives frames of 8 bytes on 0x600 + node-id, responds on 0x580 + node-id."""
 
@@ -61,7 +40,7 @@ class SdoServer(Timed):
         """Discard any transfer."""
         self._transfer = _IDLE
         self._block: "BlockDownload | BlockUpload | None" = None
-        self._buffer = b""
+        self._buffer: "bytes | bytearray" = b""
         sink, self.sink = self.sink, None
         if sink is not None:
             sink.cancel()
@@ -146,7 +125,11 @@ class SdoServer(Timed):
 
     def write(self, part: bytes) -> bool:
         """Write the next part of a download; return False where it was aborted."""
-        abort = self.sink.write(part) if part and self.sink is not None else 0
+        abort = 0
+        if self.sink is None:
+            self._buffer += part  # of an ordinary object: written when it is complete
+        elif part:
+            abort = self.sink.write(part)
         if abort:
             self.abort(abort)
         return not abort
@@ -154,8 +137,9 @@ class SdoServer(Timed):
     def end(self, part: bytes, confirmation: bytes) -> None:
         """Write the last part of a download and end it; confirm it, or abort if the object rejects the content."""
         if self.write(part):
-            sink, self.sink = self.sink, None
-            self._finish(sink.end() if sink is not None else 0, confirmation)
+            sink, self.sink, od = self.sink, None, self._device.od
+            abort = od.download(self._index, self._sub, bytes(self._buffer)) if sink is None else sink.end()
+            self._finish(abort, confirmation)
 
     def _finish(self, abort: int, confirmation: bytes) -> None:
         if abort:
@@ -209,7 +193,7 @@ class SdoServer(Timed):
             else:
                 self.sink = sink
         elif not abort:
-            self.sink = Collected(od, index, sub)
+            self._buffer = bytearray()
             if size is not None and size > self._limit():
                 abort = codes.TOO_LONG
         if abort:

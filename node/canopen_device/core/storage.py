@@ -9,7 +9,7 @@ import struct
 
 from . import codes, communication
 from .emcy import WEAR_BUDGET_EMPTY
-from .object_dictionary import check, decode, encode
+from .object_dictionary import check, decode, encode, is_setting
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -43,18 +43,19 @@ class Storage:
         self._device = device
         self._save = save
         self._load = load
+        self.available = save is not None  # parameters can be stored
         self.damaged: "list[str]" = []  # groups whose stored bytes failed their CRC at the last start
         self.after_communication: "Callable[[], None] | None" = None  # called when that group was restored
         self._groups: "dict[int, Group]" = {}
         self._verified = False  # 1020h was written since the last reset; ``od.edited``: a setting was changed since
         self.add_range(COMMUNICATION, _COMMUNICATION_NAME, communication.FIRST, communication.LAST)
         self.add_range(APPLICATION, "application", communication.FIRST_PROFILE, communication.LAST_PROFILE)
-        device.od.writers[communication.STORE_PARAMETERS] = self._write_store
-        device.od.writers[communication.RESTORE_DEFAULTS] = self._write_restore
-        device.od.writers[communication.VERIFY_CONFIGURATION] = self._write_verification
-        values, store, restore = device.od.values, communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS
-        device.od.readers[store] = lambda sub: 1 if sub else values[store << 8]  # bit 0: stores on command, never
-        device.od.readers[restore] = lambda sub: 1 if sub else values[restore << 8]  # autonomously
+        od, store, restore = device.od, communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS
+        od.writers[store] = lambda sub, value: self._write_command(sub, value, codes.SIGNATURE_SAVE)
+        od.writers[restore] = lambda sub, value: self._write_command(sub, value, codes.SIGNATURE_LOAD)
+        od.writers[communication.VERIFY_CONFIGURATION] = self._write_verification
+        od.readers[store] = lambda sub: 1 if sub else od.values[store << 8]  # bit 0: stores on command, never
+        od.readers[restore] = lambda sub: 1 if sub else od.values[restore << 8]  # autonomously
 
     def add_range(self, sub: int, name: str, first: int, last: int) -> None:
         """Add a group of every setting among the objects ``first`` to ``last`` that differs from its default."""
@@ -84,11 +85,6 @@ class Storage:
                 if sub == COMMUNICATION and self.after_communication is not None:
                     self.after_communication()
 
-    @property
-    def available(self) -> bool:
-        """Return True if parameters can be stored."""
-        return self._save is not None
-
     def save_blob(self, name: str, data: bytes) -> int:
         """Store ``data`` under its own name, outside the groups of 1010h; return 0 or an abort code."""
         return self._write([(name, with_crc(data))], False)
@@ -101,19 +97,14 @@ class Storage:
         sound = len(blob) >= 4 and struct.unpack("<I", blob[:4])[0] == binascii.crc32(blob[4:]) & 0xFFFFFFFF
         return blob[4:] if sound else None
 
-    def _write_store(self, sub: int, value: "Value") -> int:
-        if value != codes.SIGNATURE_SAVE:
+    def _write_command(self, sub: int, value: "Value", signature: int) -> int:
+        if value != signature:
             return codes.NOT_TRANSFERRED
-        groups = [(name, with_crc(dump())) for name, dump in self._chosen(sub)]
+        chosen = [self._groups[number] for number in sorted(self._groups) if sub in (ALL, number)]
+        if signature == codes.SIGNATURE_LOAD:
+            return self._write([(name, _RESTORED) for name, _dump, _restore in chosen], False)
+        groups = [(name, with_crc(dump())) for name, dump, _restore in chosen]
         return self._write(groups, self._verified and not self._device.od.edited)
-
-    def _write_restore(self, sub: int, value: "Value") -> int:
-        if value != codes.SIGNATURE_LOAD:
-            return codes.NOT_TRANSFERRED
-        return self._write([(name, _RESTORED) for name, _dump in self._chosen(sub)], False)
-
-    def _chosen(self, sub: int) -> "list[tuple[str, Callable[[], bytes]]]":
-        return [self._groups[number][:2] for number in sorted(self._groups) if sub in (ALL, number)]
 
     def _write(self, blobs: "list[Blob]", verified: bool) -> int:
         """Write all blobs if the budget of wear allows it; return 0 or an abort code. Every write passes here."""
@@ -122,8 +113,14 @@ class Storage:
         # Whether boot-up will load other content than before, besides 1020h.
         changes = [_without_1020(n, blob[4:]) != _without_1020(n, self.read_blob(n) or b"") for n, blob in blobs]
         clears = not verified and True in changes
-        if clears:
-            blobs = self._without_verification(blobs)
+        if clears:  # 1020h is left out, and out of what is stored already, which is written first
+            name = _COMMUNICATION_NAME
+            stored = self.read_blob(name) or b""
+            content = _without_1020(name, stored)
+            if name not in [other for other, _blob in blobs] and content != stored:
+                blobs = [(name, with_crc(content))] + blobs
+            else:
+                blobs = [(other, with_crc(_without_1020(other, blob[4:])) if blob else blob) for other, blob in blobs]
         abort = self._device.wear.spend(len(blobs))
         if abort:
             return abort
@@ -139,15 +136,6 @@ class Storage:
         self._device.od.edited = False
         return 0
 
-    def _without_verification(self, blobs: "list[Blob]") -> "list[Blob]":
-        """The same with 1020h left out, and out of what is stored already, which is written first."""
-        name = _COMMUNICATION_NAME
-        if name in [other for other, _blob in blobs]:
-            return [(other, with_crc(_without_1020(other, blob[4:])) if blob else blob) for other, blob in blobs]
-        stored = self.read_blob(name) or b""
-        content = _without_1020(name, stored)
-        return blobs if content == stored else [(name, with_crc(content))] + blobs
-
 
 def with_crc(data: bytes) -> bytes:
     """Return the content of a group as it is stored: CRC-32, then ``data``."""
@@ -157,11 +145,12 @@ def with_crc(data: bytes) -> bytes:
 def pack_settings(od: "ObjectDictionary", first: int, last: int) -> bytes:
     """Return the settings that differ from their defaults, as records."""
     records = []
-    for index, sub, kind in od.stored_entries(first, last):
-        value = od.values[index << 8 | sub]
-        if value != od.default(index, sub):
-            data = encode(kind, value)
-            records.append(struct.pack(_HEAD, index, sub, len(data)) + data)
+    for index in od.indices(first, last):
+        for sub in od.subs(index):
+            entry, value = od.find(index, sub), od.values[index << 8 | sub]
+            if is_setting(entry) and value != od.default(index, sub):  # type: ignore[arg-type]
+                data = encode(entry[0], value)  # type: ignore[index]
+                records.append(struct.pack(_HEAD, index, sub, len(data)) + data)
     return b"".join(records)
 
 
@@ -201,10 +190,7 @@ OPERATIONS, PERIOD_US = 200, 18000000  # so many at once; one back in each perio
 
 
 class WearBudget:
-    """Operations that 1010h, 1011h, the store of LSS, 1F50h and the erase of 1F51h share. A reset does not refill it.
-
-    An operation is the write of one group of parameters, or the erase of one program.
-    """
+    """Writes of a group (1010h, 1011h, LSS) and erases (1F50h, 1F51h) that are allowed; a reset does not refill it."""
 
     def __init__(self, device: "Device") -> None:
         self._device = device

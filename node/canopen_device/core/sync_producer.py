@@ -23,7 +23,7 @@ class SyncProducer(Timed):
         od = device.od
         write_cob_id = od.writers[communication.COB_ID_SYNC]
         od.writers[communication.COB_ID_SYNC] = lambda sub, value: self._write_cob_id(write_cob_id, sub, value)
-        od.writers[communication.SYNC_PERIOD] = self._write_period
+        od.writers[communication.SYNC_PERIOD] = lambda _sub, value: self._start(int(value))
         od.writers[communication.SYNC_OVERFLOW] = self._write_overflow
 
     def reset(self) -> None:
@@ -54,10 +54,11 @@ class SyncProducer(Timed):
             self.due_us = now_us + device.od.integer(communication.SYNC_PERIOD)
         device.sync.receive(data)
 
-    def _start(self, period_us: int) -> None:
+    def _start(self, period_us: int) -> int:
         self._counter = 0
         talking = self._device.nmt.state in codes.TALKING
         self.due_us = self._device.now_us + period_us if self._on and period_us and talking else codes.NEVER_US
+        return 0
 
     def _write_cob_id(self, write: "Callable[[int, Value], int]", sub: int, value: "Value") -> int:
         cob_id = int(value)
@@ -68,10 +69,6 @@ class SyncProducer(Timed):
             self._on = not self._on
             self._start(self._device.od.integer(communication.SYNC_PERIOD))
         return abort
-
-    def _write_period(self, _sub: int, value: "Value") -> int:
-        self._start(int(value))
-        return 0
 
     def _write_overflow(self, _sub: int, value: "Value") -> int:
         if self._device.od.integer(communication.SYNC_PERIOD):

@@ -24,9 +24,9 @@ class TransmitPdo(Pdo):
         if LAST_SYNCHRONOUS < self.transmission < EVENT_DRIVEN:  # reserved or on RTR; only an EDS can have it
             self.active = False
         self.pack = self._od.packer(self.keys) or self._packer()
-        self.inhibit_us = 100 * self.parameter(3)
-        self.event_us = 1000 * self.parameter(5)
-        self.sync_start = self.parameter(6)
+        self.inhibit_us = 100 * self._od.integer(self.communication, 3)
+        self.event_us = 1000 * self._od.integer(self.communication, 5)
+        self.sync_start = self._od.integer(self.communication, 6)
         self.each_sync = self.transmission == 1 and not self.sync_start
         self.syncs = self.free_us = 0
         self.pending = False

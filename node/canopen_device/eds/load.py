@@ -12,7 +12,7 @@ from canopen_device.core import communication
 from canopen_device.core.node import Device
 from canopen_device.core.object_dictionary import ADD_NODE_ID, ANY_FLOAT, NOT_STORED, ObjectDictionary
 from canopen_device.core.storage import pack_settings, with_crc
-from canopen_device.eds.description import CONSTANT, READ_ONLY, WRITE_ONLY, Description, Entry
+from canopen_device.eds.description import CONSTANT, READ_ONLY, Description, Entry
 from canopen_device.eds.reader import read_eds
 from canopen_device.types import LETTER_OF_CODE, TYPES, Value
 
@@ -22,10 +22,14 @@ if TYPE_CHECKING:
 Save = Callable[[str, bytes], bool]
 Load = Callable[[str], bytes | None]
 
+_GROUPS = (
+    ("communication", communication.FIRST, communication.LAST),
+    ("application", communication.FIRST_PROFILE, communication.LAST_PROFILE),
+    ("manufacturer", communication.FIRST_MANUFACTURER, communication.LAST_MANUFACTURER),
+)
 MANUFACTURER = 4  # sub-index of 1010h and 1011h: the manufacturer's objects
 _NEVER_STORED = (communication.ERROR_HISTORY, communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS)
 _LONGEST_DOWNLOAD_BYTES = 16 << 20
-_CORE_ACCESS = {READ_ONLY: READ_ONLY, CONSTANT: CONSTANT, WRITE_ONLY: WRITE_ONLY}
 
 
 class EdsWarning(UserWarning):
@@ -66,9 +70,7 @@ def device_of(description: Description, save: Save | None = None, load: Load | N
         return stored.get(group) if data is None else data
 
     device = Device(od, save, load_or_stored if stored else load)
-    device.storage.add_range(
-        MANUFACTURER, "manufacturer", communication.FIRST_MANUFACTURER, communication.LAST_MANUFACTURER
-    )
+    device.storage.add_range(MANUFACTURER, *_GROUPS[2])
     for index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS):
         device.od.readers[index] = _capability(description, index, device.od.readers[index])
     device.lss.supported = description.lss
@@ -125,7 +127,8 @@ def _core_entry(entry: Entry, node_id: int) -> tuple[str, str, int, CoreValue, i
     elif entry.has_node_id and isinstance(default, int):
         flags |= ADD_NODE_ID
         default -= node_id
-    return core_kind(entry.letter), _CORE_ACCESS.get(entry.access, "rw"), flags, default, entry.low, entry.high
+    access = "rw" if entry.access.startswith("rw") else entry.access
+    return core_kind(entry.letter), access, flags, default, entry.low, entry.high
 
 
 def _dcf_settings(description: Description, od: ObjectDictionary) -> dict[str, bytes]:
@@ -134,9 +137,4 @@ def _dcf_settings(description: Description, od: ObjectDictionary) -> dict[str, b
     for entry in given:
         if entry.access not in (READ_ONLY, CONSTANT) and entry.value is not None:
             od.values[entry.index << 8 | entry.sub] = core_value(entry.letter, entry.value)
-    groups = (
-        ("communication", communication.FIRST, communication.LAST),
-        ("application", communication.FIRST_PROFILE, communication.LAST_PROFILE),
-        ("manufacturer", communication.FIRST_MANUFACTURER, communication.LAST_MANUFACTURER),
-    )
-    return {name: with_crc(pack_settings(od, first, last)) for name, first, last in groups if given}
+    return {name: with_crc(pack_settings(od, first, last)) for name, first, last in _GROUPS if given}

@@ -124,8 +124,7 @@ class _Reader:
             text = listed.get("value", {}).get(sub)
             if text is not None:
                 value, has_node_id, remark = values.typed(entry.type, text, self._into.node_id)
-                if remark:
-                    lists["value"].say(str(sub), remark)
+                lists["value"].say(str(sub), remark)
                 if self._into.is_dcf:
                     entry.value = value
                 else:
@@ -202,7 +201,8 @@ class _Reader:
             how = f"{TYPES[letter].name} of CiA 301" if expected else f"{TYPES[letter].name}, its bytes as they come"
             section.say("DataType", f"{wrong}; read as {how}")
         elif expected is not None and (
-            (expected not in "sD" and not _is_unsigned(letter))  # the services of the device compute with it
+            # The services of the device compute with it.
+            (expected not in "sD" and ((TYPES[letter].limits or (1,))[0] != 0 or letter == "?"))
             or (sub == 0 and letter != expected and standard.is_mapping(self._index))  # the device counts to it
             or (self._index == communication.STORED_EDS and TYPES[letter].size is not None)
         ):
@@ -225,8 +225,7 @@ class _Reader:
         plain, remark = values.uncommented(text)
         access = plain.lower()
         if access in _ACCESS:
-            if remark:
-                section.say("AccessType", remark)
+            section.say("AccessType", remark)
             return access
         word = access.replace(" ", "").replace("only", "")
         access = _ACCESS_WORDS.get(word, "ro" if sub == 0 and parent is not None else "rw")
@@ -241,13 +240,13 @@ class _Reader:
         if section.get("ParameterValue") and self._into.is_dcf:
             entry.value, _ = self._value(entry, section, "ParameterValue")
         for key in ("UploadFile", "DownloadFile"):
-            name, content = section.get(key), None
-            wrong = f"only a DOMAIN has a file, not {entry.type.name}; not read"
+            name = section.get(key)
             if name and entry.type.python is bytes:
                 content, wrong = file_content(self._into.path, name)
-            if name and wrong:
                 section.say(key, wrong)
-            entry.value = entry.value if content is None else content
+                entry.value = entry.value if content is None else content
+            elif name:
+                section.say(key, f"only a DOMAIN has a file, not {entry.type.name}; not read")
 
     def _value(self, entry: Entry, section: Section, key: str) -> tuple[Value, bool]:
         value, has_node_id, remark = values.typed(entry.type, section.get(key) or "", self._into.node_id)
@@ -258,7 +257,7 @@ class _Reader:
     def _read_limits(self, entry: Entry, section: Section) -> None:
         if entry.type.python not in (int, float):
             return
-        low, high = (self._limit(entry, section, key) for key in ("LowLimit", "HighLimit"))
+        low, high = limits = [self._limit(entry, section, key) for key in ("LowLimit", "HighLimit")]
         if low is not None and high is not None and (low > high or low == high == 0):
             why = "above HighLimit" if low > high else "HighLimit, too, is 0: no other value were allowed"
             section.say("LowLimit", f"{why}; neither limit applies")
@@ -268,24 +267,19 @@ class _Reader:
             if not section.get(key) or not isinstance(value, int | float):
                 continue
             if (low is not None and value < low) or (high is not None and value > high):
-                limits = " to ".join("any" if limit is None else str(limit) for limit in (low, high))
-                section.say(key, f"outside the limits {limits}; the value stays, a write of it is rejected")
+                shown = " to ".join("any" if limit is None else str(limit) for limit in limits)
+                section.say(key, f"outside the limits {shown}; the value stays, a write of it is rejected")
 
     def _limit(self, entry: Entry, section: Section, key: str) -> int | float | None:
         text = section.get(key)
-        if not text:
-            return None
-        value, remark = values.limit(entry.type, text, self._into.node_id)
+        value, remark = values.limit(entry.type, text, self._into.node_id) if text else (None, "")
         if remark:
             section.say(key, remark)
         return value
 
 
 def file_content(path: Path, name: str) -> tuple[bytes | None, str]:
-    """Return the bytes of the file ``name`` beside the DCF at ``path`` and "", or None and why not.
-
-    Only files in the folder of the DCF are read: a device serves their content on the bus to anyone.
-    """
+    """Return (bytes of the file beside the DCF, "") or (None, why not): a device serves them to anyone on its bus."""
     try:
         file = below(path.resolve().parent, name.replace("\\", "/"))
         if file.stat().st_size > _MOST_FILE_BYTES:
@@ -293,11 +287,6 @@ def file_content(path: Path, name: str) -> tuple[bytes | None, str]:
         return file.read_bytes(), ""
     except (OSError, InputError) as error:
         return None, f"{getattr(error, 'strerror', None) or error}; not read"
-
-
-def _is_unsigned(letter: str) -> bool:
-    limits = TYPES[letter].limits
-    return limits is not None and limits[0] == 0 and letter != "?"
 
 
 def _sub_of(key: str) -> int | None:

@@ -27,7 +27,8 @@ def read_eds(path: str | Path, node_id: int | None = None) -> Description:
     ``node_id``, names no node.
     """
     file = read(path)
-    content = file.text.encode() if file.is_xml else Path(path).read_bytes()
+    lines = [line for section in file.sections.values() for line in section.text_lines()] if file.is_xml else []
+    content = "\n".join(lines).encode() if file.is_xml else Path(path).read_bytes()
     return describe(file, Path(path), content, node_id)
 
 

@@ -52,10 +52,7 @@ class Findings(list[Finding]):
 
 @dataclass(slots=True)
 class Section:
-    """One section; keys are in lower case, ``name`` and ``written`` as the file has them, ``lines`` by key.
-
-    ``findings`` are those of its file.
-    """
+    """One section; ``keys`` in lower case, ``written`` as in the file, ``lines`` by key, ``findings`` of its file."""
 
     name: str
     line: int
@@ -73,7 +70,9 @@ class Section:
         return [f"[{self.name}]", *(f"{self.written[key]}={value}" for key, value in self.keys.items()), ""]
 
     def say(self, key: str, what: str) -> None:
-        """Note what is wrong with a key, at its line: ``[name] key=value: what``."""
+        """Note what is wrong with a key, at its line: ``[name] key=value: what``; nothing for an empty text."""
+        if not what:
+            return
         value = self.get(key)
         shown = f"{key} missing" if value is None else f"{self.written[key.lower()]}={shortened(value)}"
         self.findings.append(Finding(self.lines.get(key.lower(), self.line), f"[{self.name}] {shown}: {what}"))
@@ -112,11 +111,6 @@ class EdsFile:
     def error(self, line: int, what: str) -> InputError:
         """The error for a file that is beyond a limit."""
         return InputError(f"{self.path}:{line}: {what}")
-
-    @property
-    def text(self) -> str:
-        """The sections as the text of an EDS, without comments."""
-        return "\n".join(line for section in self.sections.values() for line in section.text_lines())
 
     def add(self, line: int, text: str) -> None:
         """Note what is wrong at ``line``."""
@@ -240,8 +234,7 @@ def _name(text: str) -> Parsed:
 
 
 def _number(text: str) -> Parsed:
-    value, _, remark = values.integer(text)
-    return value, remark
+    return values.integer(text)[::2]
 
 
 def _code(text: str) -> Parsed:

@@ -93,7 +93,6 @@ def xdd_text(described: Description, creator: str = "canopen_device") -> str:
         f'    <ProfileBody xsi:type="co:ProfileBody_CommunicationNetwork_CANopen" {body}>\n',
         "      <ApplicationLayers>\n",
         *_objects(described),
-        *_dummies(described),
         "      </ApplicationLayers>\n",
         *_transport(described),
         "    </ProfileBody>\n  </co:ISO15745Profile>\n</co:ISO15745ProfileContainer>\n",
@@ -111,16 +110,6 @@ def _identity(described: Description) -> list[str]:
     return [*lines, "      </co:DeviceIdentity>\n"]
 
 
-def _dummies(described: Description) -> list[str]:
-    """Return the data types that an RPDO may map as placeholders."""
-    if described.dummies is None:
-        return []
-    entries = "".join(
-        f'          <dummy entry="Dummy{code:04X}={int(code in described.dummies)}"/>\n' for code in range(1, 8)
-    )
-    return [f"        <dummyUsage>\n{entries}        </dummyUsage>\n"]
-
-
 def _objects(described: Description) -> list[str]:
     counts = " ".join(
         f'{name[0].lower()}{name[1:]}="{len(indices)}"' for name, indices in _lists(described.objects).items()
@@ -128,7 +117,12 @@ def _objects(described: Description) -> list[str]:
     lines = [f"        <co:CANopenObjectList {counts}>\n"]
     for _, part in sorted(described.objects.items()):
         lines += _object(part, described.node_id)
-    return [*lines, "        </co:CANopenObjectList>\n"]
+    lines.append("        </co:CANopenObjectList>\n")
+    if described.dummies is not None:  # the data types that an RPDO may map as placeholders
+        used = [(code, int(code in described.dummies)) for code in range(1, 8)]
+        entries = "".join(f'          <dummy entry="Dummy{code:04X}={flag}"/>\n' for code, flag in used)
+        lines.append(f"        <dummyUsage>\n{entries}        </dummyUsage>\n")
+    return lines
 
 
 def _object(part: Object, node_id: int) -> list[str]:

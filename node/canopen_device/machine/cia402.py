@@ -1,7 +1,4 @@
-"""A CiA 402 drive: state machine, profile position and velocity, homing, cyclic position and velocity (CiA 402-2).
-
-Units are those of the objects: increments, increments per second, increments per second squared.
-"""
+"""A CiA 402 drive: states, profile and cyclic position and velocity, homing (CiA 402-2); in increments and seconds."""
 
 from __future__ import annotations
 

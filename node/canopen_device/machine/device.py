@@ -62,13 +62,9 @@ class SimulatedDevice:
     """
 
     def __init__(
-        self,
-        description: Description,
-        application: DeviceApplication | None = None,
-        signals: Mapping[Key, Signal] | None = None,
-        save: Save | None = None,
-        load: Load | None = None,
-    ) -> None:
+        self, description: Description, application: DeviceApplication | None = None,
+        signals: Mapping[Key, Signal] | None = None, save: Save | None = None, load: Load | None = None,
+    ) -> None:  # fmt: skip
         self.description = description
         self.core = device_of(description, save, load)
         self.faults = Faults(self.core)

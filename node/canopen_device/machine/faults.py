@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 
 from canopen_device.core import codes
 from canopen_device.core.emcy import GENERIC
@@ -15,24 +14,11 @@ Frame = tuple[int, bytes]
 
 SILENT, SLOW, WRONG_TOGGLE, EMCY = "silent", "slow", "wrong_toggle", "emcy"
 PARAMETERS: dict[str, dict[str, float]] = {
-    SILENT: {},
-    SLOW: {"delay_s": 0.5},
-    WRONG_TOGGLE: {},
-    EMCY: {"code": 0, "register": GENERIC},
-}
+    SILENT: {}, SLOW: {"delay_s": 0.5}, WRONG_TOGGLE: {}, EMCY: {"code": 0, "register": GENERIC},
+}  # fmt: skip
 _SEGMENTS = (0x00, 0x20)  # server responses with a toggle bit: upload segment, download segment
 _TOGGLE = 0x10
 _MOST_WAITING = 4096
-
-
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """A fault from ``at_s`` on, for ``for_s`` seconds (None: to the end)."""
-
-    kind: str
-    at_s: float = 0.0
-    for_s: float | None = None
-    parameters: dict[str, float] = field(default_factory=dict)
 
 
 class Faults:
@@ -42,18 +28,21 @@ class Faults:
         self._core = core
         self._active: dict[str, dict[str, float]] = {}
         self._waiting: deque[tuple[int, Frame]] = deque()
-        self._planned: list[tuple[int, bool, Planned]] = []
+        self._planned: list[tuple[int, str, dict[str, float] | None]] = []  # time, kind, parameters of a start
         self._origin_us: int | None = None
 
-    def plan(self, planned: Planned) -> None:
-        """Start and end a fault by time. Raises InputError for an unknown kind or parameter, and a time before 0."""
-        checked(planned.kind, planned.parameters)
-        if planned.at_s < 0.0 or (planned.for_s is not None and planned.for_s <= 0.0):
-            shown = f"at_s {planned.at_s:g}, for_s {planned.for_s}"
-            raise InputError(f"fault {planned.kind}: {shown}: allowed are at_s from 0 on, for_s above 0")
-        self._planned.append((int(1e6 * planned.at_s), True, planned))
-        if planned.for_s is not None:
-            self._planned.append((int(1e6 * (planned.at_s + planned.for_s)), False, planned))
+    def plan(self, kind: str, at_s: float = 0.0, for_s: float | None = None, **parameters: float) -> None:
+        """Start a fault at ``at_s``, and end it after ``for_s`` seconds (None: never).
+
+        Raises InputError for an unknown kind or parameter, and a time before 0.
+        """
+        checked(kind, parameters)
+        if at_s < 0.0 or (for_s is not None and for_s <= 0.0):
+            shown = f"at_s {at_s:g}, for_s {for_s}"
+            raise InputError(f"fault {kind}: {shown}: allowed are at_s from 0 on, for_s above 0")
+        self._planned.append((int(1e6 * at_s), kind, parameters))
+        if for_s is not None:
+            self._planned.append((int(1e6 * (at_s + for_s)), kind, None))
         self._planned.sort(key=lambda event: event[0])
 
     def start(self, kind: str, **parameters: float) -> None:
@@ -77,11 +66,11 @@ class Faults:
         if self._origin_us is None:
             self._origin_us = now_us
         while self._planned and self._origin_us + self._planned[0][0] <= now_us:
-            _, starts, planned = self._planned.pop(0)
-            if starts:
-                self.start(planned.kind, **planned.parameters)
+            _, kind, parameters = self._planned.pop(0)
+            if parameters is None:
+                self.end(kind)
             else:
-                self.end(planned.kind)
+                self.start(kind, **parameters)
 
     def received(self, frames: Iterable[Frame]) -> Iterable[Frame]:
         """Return the frames that the device hears."""

@@ -14,7 +14,7 @@ import msgspec
 from canopen_device.errors import InputError
 from canopen_device.machine import signals
 from canopen_device.machine.device import Key, SimulatedDevice
-from canopen_device.machine.faults import EMCY, SILENT, SLOW, WRONG_TOGGLE, Planned
+from canopen_device.machine.faults import EMCY, SILENT, SLOW, WRONG_TOGGLE
 from canopen_device.machine.running import made_device
 from canopen_device.paths_below import below
 from canopen_device.toml_table import convert, read_table
@@ -37,23 +37,17 @@ def _tables(kinds: Mapping[str, Sequence[tuple[Any, ...]]]) -> Any:
 _OBJECT = ("object", str | int)
 _SIGNALS = _tables({
     "ramp": [_OBJECT, ("start", float), ("end", float), ("duration_s", float), ("repeats", bool, False)],
-    "sine": [
-        _OBJECT, ("amplitude", float), ("cycle_s", float), ("offset", float, 0.0), ("phase_deg", float, 0.0),
-    ],
+    "sine": [_OBJECT, ("amplitude", float), ("cycle_s", float), ("offset", float, 0.0), ("phase_deg", float, 0.0)],
     "random_walk": [
         _OBJECT, ("step", float), ("low", float), ("high", float), ("start", float, 0.0), ("every_s", float, 0.1),
         ("seed", int, 0),
     ],
     "csv": [_OBJECT, ("file", str), ("column", str), ("time_column", str, "t_s"), ("repeats", bool, False)],
-    "follows": [
-        _OBJECT, ("source", str | int), ("gain", float, 1.0), ("offset", float, 0.0), ("lag_s", float, 0.0),
-    ],
+    "follows": [_OBJECT, ("source", str | int), ("gain", float, 1.0), ("offset", float, 0.0), ("lag_s", float, 0.0)],
 })  # fmt: skip
 _WHEN = (("at_s", float, 0.0), ("for_s", float | None, None))
 _FAULTS = _tables({
-    SILENT: _WHEN,
-    SLOW: [("delay_s", float), *_WHEN],
-    WRONG_TOGGLE: _WHEN,
+    SILENT: _WHEN, SLOW: [("delay_s", float), *_WHEN], WRONG_TOGGLE: _WHEN,
     EMCY: [("code", int), ("register", int, 1), *_WHEN],
 })  # fmt: skip
 _DEVICE = msgspec.defstruct(
@@ -100,9 +94,7 @@ def _device(part: Any, folder: Path) -> SimulatedDevice:
         driven[table.object] = _signal(folder, str(table.__struct_config__.tag), **msgspec.structs.asdict(table))
     device = made_device(part.eds, part.node_id, part.application, part.values, driven, part.store, folder)
     for table in part.fault:
-        given = msgspec.structs.asdict(table)
-        at_s, for_s = given.pop("at_s"), given.pop("for_s")
-        device.faults.plan(Planned(str(table.__struct_config__.tag), at_s, for_s, given))
+        device.faults.plan(str(table.__struct_config__.tag), **msgspec.structs.asdict(table))
     return device
 
 

@@ -40,12 +40,9 @@ def shipped_eds(name: str) -> Path:
 
 
 def device_from_file(
-    path: str | os.PathLike[str],
-    node_id: int | None = None,
-    application: DeviceApplication | None = None,
-    values: Mapping[Key, Value] | None = None,
-    signals: Mapping[Key, Signal] | None = None,
-) -> SimulatedDevice:
+    path: str | os.PathLike[str], node_id: int | None = None, application: DeviceApplication | None = None,
+    values: Mapping[Key, Value] | None = None, signals: Mapping[Key, Signal] | None = None,
+) -> SimulatedDevice:  # fmt: skip
     """Return the simulated device of a file, its parameters stored in memory. Raises InputError."""
     device = made_device(os.fspath(path), node_id, application, values, signals)
     for text in device.description.warnings:
@@ -54,14 +51,10 @@ def device_from_file(
 
 
 def made_device(
-    eds: str,
-    node_id: int | None,
-    application: DeviceApplication | str | None = None,
-    values: Mapping[Any, Value] | None = None,
-    signals: Mapping[Key, Signal] | None = None,
-    store: str = "",
+    eds: str, node_id: int | None, application: DeviceApplication | str | None = None,
+    values: Mapping[Any, Value] | None = None, signals: Mapping[Key, Signal] | None = None, store: str = "",
     folder: Path | None = None,
-) -> SimulatedDevice:
+) -> SimulatedDevice:  # fmt: skip
     """Return a device: ``eds`` "cia402" is the shipped drive, ``application`` also a name, ``store`` a file.
 
     A text among ``values`` is read as its entry's type. ``folder`` is that of the file that names the others. Raises
@@ -121,14 +114,10 @@ def load_application(name: str, folder: Path | None) -> DeviceApplication | None
 
 @contextmanager
 def simulated_device(
-    path: str | os.PathLike[str],
-    node_id: int | None = None,
-    bus: Any = None,
-    *,
-    application: DeviceApplication | None = None,
-    values: Mapping[Key, Value] | None = None,
+    path: str | os.PathLike[str], node_id: int | None = None, bus: Any = None, *,
+    application: DeviceApplication | None = None, values: Mapping[Key, Value] | None = None,
     signals: Mapping[Key, Signal] | None = None,
-) -> Iterator[SimulatedDevice]:
+) -> Iterator[SimulatedDevice]:  # fmt: skip
     """Run the device of an EDS or DCF on a bus while the block lasts; yield it after its boot-up message is sent.
 
     ``path`` is a file, or "cia402" for the shipped drive. ``bus`` is that of the master: a ``can.BusABC``, or an object

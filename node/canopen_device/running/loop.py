@@ -31,8 +31,8 @@ class Port(Protocol):
         """Execute a device's request to its bus: see ``Device.requests``."""
 
 
-class Stepped(Protocol):
-    """What behaves as a ``Device``: its node-id at present, and a step of it."""
+class Runnable(Protocol):
+    """What the loop steps: a ``Device``, or what behaves as one."""
 
     @property
     def node_id(self) -> int:
@@ -40,10 +40,6 @@ class Stepped(Protocol):
 
     def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
         """Frames in; frames out and the next due time."""
-
-
-class Runnable(Stepped, Protocol):
-    """What the loop steps: a ``Device``, or what behaves as one."""
 
     @property
     def requests(self) -> list[tuple[str, int, int]]:
@@ -62,7 +58,18 @@ def run(devices: Sequence[Runnable], port: Port, stop: Callable[[], bool] = lamb
     """
     frames: list[Frame] = []
     while not stop():
-        due_us = _step(devices, port, frames)
+        t_us = now_us()
+        due_us = t_us + 1_000_000
+        for device in devices:
+            sent, device_due_us = device.step(t_us, frames)
+            if sent:
+                port.send(sent)
+            if device.requests:
+                for what, value, delay_ms in device.requests:
+                    _LOG.info("node %d: %s", device.node_id, what)
+                    port.request(what, value, delay_ms)
+                device.requests.clear()
+            due_us = min(due_us, device_due_us)
         frame = port.receive(min(max(0.0, (due_us - now_us()) * 1e-6), _IDLE_S))
         frames = [] if frame is None else [frame]
 
@@ -71,10 +78,7 @@ def run(devices: Sequence[Runnable], port: Port, stop: Callable[[], bool] = lamb
 def running(
     devices: Sequence[Runnable], port: Port, wake: Callable[[], object] = lambda: None
 ) -> Iterator[threading.Thread]:
-    """Run ``devices`` in a thread while the block lasts; at its end raise the error that ended them, if any.
-
-    ``wake`` is called at the end: a frame that it sends to the port ends the wait there at once.
-    """
+    """Run ``devices`` in a thread during the block, then raise their error; ``wake`` ends the wait of the port."""
     stopped, failures = threading.Event(), list[BaseException]()
 
     def work() -> None:
@@ -105,19 +109,3 @@ def say_stopped(devices: Sequence[Device], port: Port) -> None:
         if device.node_id != codes.LSS_UNCONFIGURED:
             device.nmt.enter(codes.STOPPED)
             port.send([(codes.HEARTBEAT_BASE + device.node_id, bytes((codes.STOPPED,)))])
-
-
-def _step(devices: Sequence[Runnable], port: Port, frames: list[Frame]) -> int:
-    t_us = now_us()
-    due_us = t_us + 1_000_000
-    for device in devices:
-        sent, device_due_us = device.step(t_us, frames)
-        if sent:
-            port.send(sent)
-        if device.requests:
-            for what, value, delay_ms in device.requests:
-                _LOG.info("node %d: %s", device.node_id, what)
-                port.request(what, value, delay_ms)
-            device.requests.clear()
-        due_us = min(due_us, device_due_us)
-    return due_us

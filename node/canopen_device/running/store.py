@@ -73,7 +73,9 @@ class FileStore:
             sequences = {slot.path: slot.sequence if slot.sound else 0 for slot in slots}
             # The missing slot is replaced, else a damaged one, else the older one.
             target = min(self._paths, key=lambda path: sequences.get(path, -1))
-            self._replace(target, _text(1 + max(sequences.values(), default=0), groups))
+            sequence = 1 + max(sequences.values(), default=0)
+            content = {"sequence": sequence, "crc32": _crc32(sequence, groups), "groups": groups}
+            self._replace(target, json.dumps(content, indent=1).encode() + b"\n")
         except OSError as error:
             rejected = "stores are rejected (06060000h) until the disk accepts them"
             self._say(f"{error.strerror}; nothing was changed; {rejected}")
@@ -140,24 +142,17 @@ def _newest(slots: list[_Slot]) -> _Slot | None:
     return max(usable, key=lambda slot: (slot.sound, slot.sequence if slot.sound else len(slot.groups)), default=None)
 
 
-def _text(sequence: int, groups: dict[str, str]) -> bytes:
-    content = {"sequence": sequence, "crc32": _crc32(sequence, groups), "groups": groups}
-    return json.dumps(content, indent=1).encode() + b"\n"
-
-
 def _crc32(sequence: int, groups: dict[str, str]) -> str:
     """Return a CRC-32 that does not depend on the formatting of the file."""
     return f"{binascii.crc32(json.dumps([sequence, groups], sort_keys=True).encode()):08x}"
 
 
 def _parsed(path: Path, content: bytes) -> _Slot:
-    try:
+    with contextlib.suppress(ValueError, RecursionError, KeyError, TypeError):
         stored = json.loads(content)
         if isinstance(stored, dict) and stored and all(isinstance(text, str) for text in stored.values()):
             return _Slot(path, 0, stored, True)  # earlier format without slots: only the groups
         sequence, groups = stored["sequence"], stored["groups"]
         if isinstance(groups, dict) and isinstance(sequence, int):
             return _Slot(path, sequence, groups, stored["crc32"] == _crc32(sequence, groups))
-    except (ValueError, RecursionError, KeyError, TypeError):
-        pass
     return _Slot(path, 0, {}, False)

@@ -62,17 +62,13 @@ class OwnEchoFreeBus(UdpMulticastBus):
             if received is None:
                 return None, False
             data, _, timestamp_s = received
-            message = None if self._mark in data else _unpacked(data, timestamp_s)
+            message = None
+            try:
+                if self._mark not in data:
+                    message = unpack_message(data, replace={"timestamp": timestamp_s}, check=True)
+            except Exception as error:  # of another program; msgpack raises errors of several kinds, python-can others
+                _LOG.debug("a datagram that holds no frame: %s", error)
             if message is not None and (not message.is_fd or self._can_protocol is can.CanProtocol.CAN_FD):
                 return message, False
             if deadline_s is not None:
                 timeout = max(deadline_s - time.monotonic(), 0.0)
-
-
-def _unpacked(data: bytes, timestamp_s: float) -> can.Message | None:
-    """Return the frame of a datagram, None for one of another program."""
-    try:
-        return unpack_message(data, replace={"timestamp": timestamp_s}, check=True)
-    except Exception as error:  # msgpack raises errors of several kinds, python-can others
-        _LOG.debug("a datagram that holds no frame: %s", error)
-        return None

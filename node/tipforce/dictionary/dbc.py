@@ -22,11 +22,9 @@ _CHOICES = {
     ("EMCY", "error_code"): EMCY_CODES,
     ("Heartbeat", "state"): NMT_STATES,
     ("Command", "command"): {
-        table.COMMAND_TARE: "tare",
-        table.COMMAND_CLEAR_TARE: "clear tare",
-        table.COMMAND_ZERO: "zero gauges",
+        table.COMMAND_TARE: "tare", table.COMMAND_CLEAR_TARE: "clear tare", table.COMMAND_ZERO: "zero gauges",
     },
-}
+}  # fmt: skip
 """By message and signal."""
 
 
@@ -74,10 +72,8 @@ def _of_node(node_id: int, name: str, n: int) -> list[Message]:
         _number("error_register", 16, 8, "object 1001h: bit 0 is set with any error"),
         *(_number(f"manufacturer_{k}", 16 + 8 * k, 8, f"byte {k} of 5 that tell more") for k in range(1, 6)),
     ]
-    heartbeat = [
-        _number("state", 0, 7, "NMT state (CiA 301, 7.2.8.3.2)"),
-        _number("toggle", 7, 1, "node guarding alternates it, a heartbeat has 0"),
-    ]
+    heartbeat = [_number("state", 0, 7, "NMT state (CiA 301, 7.2.8.3.2)")]
+    heartbeat.append(_number("toggle", 7, 1, "node guarding alternates it, a heartbeat has 0"))
     for base, title, length, parts, text in (
         (codes.EMCY_BASE, "EMCY", 8, emcy, "emergency: an error came or went"),
         (codes.HEARTBEAT_BASE, "Heartbeat", 1, heartbeat, "heartbeat, boot-up and node guarding"),

@@ -1,7 +1,4 @@
-"""The electronic data sheet of a node and its device configuration file, from the table (CiA 306-1).
-
-The text is the same at each run: the dates are constants. Lines end with LF; CiA 306 tools read both.
-"""
+"""The EDS of a node and its DCF, from the table (CiA 306-1): lines end with LF, the dates are constants."""
 
 from __future__ import annotations
 
@@ -41,14 +38,9 @@ def eds_text(
 
 
 def dcf_text(
-    n: int,
-    node_id: int,
-    values: Values,
-    simulated: bool = False,
-    *,
-    converter: Converter = table.CONVERTER_16,
+    n: int, node_id: int, values: Values, simulated: bool = False, *, converter: Converter = table.CONVERTER_16,
     programs: bool = False,
-) -> str:
+) -> str:  # fmt: skip
     """The DCF of node ``node_id`` (1..127): its EDS with a ParameterValue for each (index, sub) of ``values``.
 
     Raises InputError for an entry that the node does not have or that is not of its type or limits.
@@ -72,10 +64,7 @@ def dcf_text(
 
 
 def value_text(letter: str, value: types.Value) -> str:
-    """A value as CiA 306 writes it: UNSIGNED32 in hex, other integers and REAL32 in decimal, bytes as hex.
-
-    Signed defaults stay decimal: hex ones are read as unsigned by canopen.
-    """
+    """A value as CiA 306 has it: UNSIGNED32 and bytes in hex, others decimal, as canopen reads hex as unsigned."""
     if letter == "I" and isinstance(value, int):
         return f"0x{value:08X}"
     text = types.format_value(letter, value)
@@ -135,47 +124,26 @@ def _general(n: int, simulated: bool, converter: Converter, node_id: int | None)
     time, date = "12:00AM", "01-01-2025"  # the form of CiA 306-1, 4.5.2: hh:mmAM, mm-dd-yyyy
     eds, own = file_name(n, simulated, "eds", bits), file_name(n, simulated, "dcf", bits)
     lines = [
-        "[FileInfo]",
-        f"FileName={eds if node_id is None else own}",
-        "FileVersion=1",
-        "FileRevision=0",
-        "EDSVersion=4.0",
-        f"Description=Fingertip force sensor with {n} strain gauges{note}",
-        f"CreationTime={time}",
-        f"CreationDate={date}",
-        f"CreatedBy={__name__}",
-        f"ModificationTime={time}",
-        f"ModificationDate={date}",
-        f"ModifiedBy={__name__}",
-        *([] if node_id is None else [f"LastEDS={eds}"]),
-        "",
-        "[DeviceInfo]",
-        "VendorName=tipforce",
-        "VendorNumber=0x00000000",  # never blank: canopen can't read that
+        "[FileInfo]", f"FileName={eds if node_id is None else own}", "FileVersion=1", "FileRevision=0",
+        "EDSVersion=4.0", f"Description=Fingertip force sensor with {n} strain gauges{note}",
+        f"CreationTime={time}", f"CreationDate={date}", f"CreatedBy={__name__}",
+        f"ModificationTime={time}", f"ModificationDate={date}", f"ModifiedBy={__name__}",
+        *([] if node_id is None else [f"LastEDS={eds}"]), "",
+        "[DeviceInfo]", "VendorName=tipforce", "VendorNumber=0x00000000",  # never blank: canopen can't read that
         f"ProductName=tipforce fingertip, {n} gauges{f', {bits} bits' if bits > 16 else ''}{note}",
         f"ProductNumber=0x{table.product_code(n, simulated, converter):08X}",
-        f"RevisionNumber=0x{table.REVISION:08X}",
-        f"OrderCode={eds.removesuffix('.eds')}",
+        f"RevisionNumber=0x{table.REVISION:08X}", f"OrderCode={eds.removesuffix('.eds')}",
         *(f"BaudRate_{rate}=1" for rate in _BIT_RATES_KBIT_S),
-        "SimpleBootUpMaster=0",
-        "SimpleBootUpSlave=1",
-        "Granularity=8",
-        "DynamicChannelsSupported=0",
-        "CompactPDO=0",
-        "GroupMessaging=0",
-        f"NrOfRXPDO={len(table.rpdos())}",
-        f"NrOfTXPDO={len(table.tpdos(n))}",
-        "LSS_Supported=1",
-        "",
-    ]
+        "SimpleBootUpMaster=0", "SimpleBootUpSlave=1", "Granularity=8", "DynamicChannelsSupported=0", "CompactPDO=0",
+        "GroupMessaging=0", f"NrOfRXPDO={len(table.rpdos())}", f"NrOfTXPDO={len(table.tpdos(n))}",
+        "LSS_Supported=1", "",
+    ]  # fmt: skip
     if node_id is not None:
         lines += [
-            "[DeviceComissioning]",
-            f"NodeID=0x{node_id:02X}",
-            f"NodeName=TIP{node_id:02d}",
-        ]  # spelt so in CiA 306
-        lines += [f"Baudrate={_BIT_RATES_KBIT_S[-1]}", "NetNumber=1", "NetworkName=", "CANopenManager=0"]
-        lines += ["LSS_SerialNumber=0", ""]
+            "[DeviceComissioning]",  # spelt so in CiA 306
+            f"NodeID=0x{node_id:02X}", f"NodeName=TIP{node_id:02d}", f"Baudrate={_BIT_RATES_KBIT_S[-1]}", "NetNumber=1",
+            "NetworkName=", "CANopenManager=0", "LSS_SerialNumber=0", "",
+        ]  # fmt: skip
     lines += ["[DummyUsage]", *(f"Dummy{k:04d}=0" for k in range(1, _DUMMY_TYPES + 1)), "", "[Comments]", "Lines=3"]
     return [
         *lines,
@@ -198,13 +166,9 @@ def _object_lists(indices: list[int]) -> list[str]:
 
 
 def _entry(entry: Entry[Any], values: Values) -> list[str]:
-    lines = [
-        f"ParameterName={entry.title}",
-        f"ObjectType=0x{table.VAR:X}",
-        f"DataType=0x{types.data_type(entry.type).code:04X}",
-        f"AccessType={access_text(entry)}",
-        f"DefaultValue={default_text(entry)}",
-    ]
+    lines = [f"ParameterName={entry.title}", f"ObjectType=0x{table.VAR:X}"]
+    lines.append(f"DataType=0x{types.data_type(entry.type).code:04X}")
+    lines += [f"AccessType={access_text(entry)}", f"DefaultValue={default_text(entry)}"]
     if entry.low is not None:
         lines.append(f"LowLimit={value_text(entry.type, entry.low)}")
     if entry.high is not None:

@@ -20,7 +20,6 @@ from tipforce.dictionary.dbc import dbc_text
 from tipforce.dictionary.eds import default_text, eds_text, value_text
 from tipforce.dictionary.entries import Entry, Object, objects
 
-_LINE = 120
 _HEADER = '''\
 """Entries of the dictionary as typed constants, those that are used. Written by ``tipforce.dictionary.generate``.
 
@@ -45,17 +44,11 @@ def accessors_text() -> str:
     for each in objects(table.MIN_GAUGES, True, programs=True):
         for entry in each.entries:
             if constant_name(entry.stem) in named:
-                lines.setdefault(entry.stem, _constant(entry))
+                kind, place = ("Array", "") if entry.is_counted else ("Entry", f"{entry.sub}, ")
+                line = f"{constant_name(entry.stem)}: Final = {kind}[{types.data_type(entry.type).python.__name__}]("
+                line += f'0x{entry.index:04X}, {place}"{entry.type}", "{entry.stem}", "{entry.access}", "{entry.unit}")'
+                lines.setdefault(entry.stem, line)
     return "\n".join(lines.values()) + "\n"
-
-
-def _constant(entry: Entry[Any]) -> str:
-    python = types.data_type(entry.type).python.__name__
-    place = f"0x{entry.index:04X}, " + ("" if entry.is_counted else f"{entry.sub}, ")
-    rest = f'{place}"{entry.type}", "{entry.stem}", "{entry.access}", "{entry.unit}"'
-    start = f"{constant_name(entry.stem)}: Final = {'Array' if entry.is_counted else 'Entry'}[{python}]("
-    line = f"{start}{rest})"
-    return line if len(line) <= _LINE else f"{start}\n    {rest}\n)"
 
 
 _AREAS = (
@@ -77,21 +70,28 @@ Generated from `node/tipforce/dictionary/table_objects.py` by `make generate`, f
   the same in the resolution of 6132h (field values: counts), with `_int16` or `_int32` after its dotted name.
 - Unknown is 0x8000 in INTEGER16, 0x80000000 in INTEGER32, 0xFFFF in UNSIGNED16 and NaN in REAL32.
 - Sub-index 0 of an array or record without a row is the highest sub-index (UNSIGNED8, const)."""
-_HEAD = ("index", "name", "dotted name", "type", "default", "notes")
+_HEAD, _BIT = ("index", "name", "dotted name", "type", "default", "notes"), ("bit", "signal", "meaning")
+_CHANNEL = ("sub", "channel", "what", "unit", "INTEGER16 and INTEGER32 resolution")
 
 
 def reference_markdown(n: int = 3) -> str:
     """The reference for ``n`` gauges, with the objects of a simulated node. Raises InputError outside 3..8."""
     declared = objects(n, True, programs=True)
     views = {each.index for each in declared if each.entries[-1].flags & table.VIEW}
-    parts = [_INTRODUCTION.format(n=n), _channels(n)]
+    channels: list[tuple[object, ...]] = [
+        (k, c[0], c[1], c[5], f"{types.format_value('f', 10.0 ** -c[3])} {c[5]}")
+        for k, c in enumerate(table.channels(n), 1)
+    ]
+    parts = [_INTRODUCTION.format(n=n), f"## Channels of the profile area\n\n{_table(_CHANNEL, channels)}"]
     for title, first, last in _AREAS:
         lines = [
             line for o in declared if first <= o.index <= last and o.index not in views for line in _object(o, views)
         ]
         start = f'<details markdown="1" open>\n<summary>{len(lines)} entries</summary>'
         parts += [f"## {title}", start, _table(_HEAD, lines), "</details>"]
-    parts.append(_status_bits(n))
+    for title, index in (("Status byte 2120h", indices.STATUS), ("Front-end faults 2124h", indices.FAULTS)):
+        bits = signals.mapping_signals([(index, 0, table.mapped_bits(index))], n)
+        parts.append(f"## {title}\n\n{_table(_BIT, [(s.start_bit, f'`{s.name}`', s.description) for s in bits])}")
     parts += [_pdo(message) for message in signals.tpdo_messages(n) + signals.rpdo_messages()]
     return "\n\n".join(parts) + "\n"
 
@@ -99,15 +99,6 @@ def reference_markdown(n: int = 3) -> str:
 def _table(head: tuple[str, ...], lines: list[tuple[object, ...]]) -> str:
     shown = [" | ".join(head), "|".join("---" for _ in head), *(" | ".join(map(str, line)) for line in lines)]
     return "\n".join(f"|{line}|" if line.startswith("---") else f"| {line} |" for line in shown)
-
-
-def _channels(n: int) -> str:
-    head = ("sub", "channel", "what", "unit", "INTEGER16 and INTEGER32 resolution")
-    lines: list[tuple[object, ...]] = [
-        (k, c[0], c[1], c[5], f"{types.format_value('f', 10.0 ** -c[3])} {c[5]}")
-        for k, c in enumerate(table.channels(n), 1)
-    ]
-    return f"## Channels of the profile area\n\n{_table(head, lines)}"
 
 
 def _object(each: Object, views: Collection[int]) -> list[tuple[object, ...]]:
@@ -131,47 +122,27 @@ def _line(title: str, run: list[Entry[Any]], views: Collection[int]) -> tuple[ob
     shown = first.stem + (":SUB" if first is not last else f":{sub}" if first.is_counted else "")
     name = title + (f"{first.title} .. {last.title}" if len(run) > 3 else ", ".join(entry.title for entry in run))
     kind = f"{types.data_type(first.type).name} {first.access}"
-    return place, name, f"`{shown}`" if shown else "", kind, _defaults(run), _notes(first, views)
-
-
-def _defaults(run: list[Entry[Any]]) -> str:
-    texts = [default_text(entry) for entry in run]
-    if len(set(texts)) == 1:
-        return texts[0].replace("$NODEID+", "node-id + ")
-    while len(texts) > 1 and texts[-1] == texts[-2] == "0x00000000":
-        texts.pop()
-    return ", ".join(texts)
-
-
-def _limits(entry: Entry[Any]) -> str:
-    if entry.low is None and entry.high is None:
-        return ""
-    low = "" if entry.low is None else value_text(entry.type, entry.low)
-    high = "" if entry.high is None else value_text(entry.type, entry.high)
-    return f"{low} to {high}"
+    defaults = [default_text(entry) for entry in run]
+    while len(defaults) > 1 and (len(set(defaults)) == 1 or defaults[-1] == defaults[-2] == "0x00000000"):
+        defaults.pop()
+    default = ", ".join(defaults).replace("$NODEID+", "node-id + ")
+    return place, name, f"`{shown}`" if shown else "", kind, default, _notes(first, views)
 
 
 def _notes(entry: Entry[Any], views: Collection[int]) -> str:
     flags = (
-        (table.TPDO, "T"),
-        (table.RPDO, "R"),
-        (table.STAGED, "staged"),
-        (table.NOT_STORED, "state"),
+        (table.TPDO, "T"), (table.RPDO, "R"), (table.STAGED, "staged"), (table.NOT_STORED, "state"),
         (table.COUNTED, "counted"),
-    )
+    )  # fmt: skip
     is_profile = entry.index >= communication.FIRST_PROFILE
     forms = [entry.index + form for form in (table.INT16_FORM, table.INT32_FORM)] if is_profile else []
-    notes = [_limits(entry), entry.unit, *(text for flag, text in flags if entry.flags & flag)]
-    return ", ".join(filter(None, [*notes, *(f"{index:04X}h" for index in forms if index in views)]))
-
-
-def _status_bits(n: int) -> str:
-    status: list[tuple[object, ...]] = [(k, f"`{bit[0]}`", bit[1]) for k, bit in enumerate(table.STATUS_BITS)]
-    faults: list[tuple[object, ...]] = [
-        (s.start_bit, f"`{s.name}`", s.description) for s in signals.mapping_signals([(indices.FAULTS, 0, 16)], n)
+    low, high = ("" if limit is None else value_text(entry.type, limit) for limit in (entry.low, entry.high))
+    notes = [
+        f"{low} to {high}" if low or high else "",
+        entry.unit,
+        *(text for flag, text in flags if entry.flags & flag),
     ]
-    head = ("bit", "signal", "meaning")
-    return f"## Status byte 2120h\n\n{_table(head, status)}\n\n## Front-end faults 2124h\n\n{_table(head, faults)}"
+    return ", ".join(filter(None, [*notes, *(f"{index:04X}h" for index in forms if index in views)]))
 
 
 def _pdo(message: signals.Message) -> str:
@@ -179,11 +150,9 @@ def _pdo(message: signals.Message) -> str:
     cob_id = f"0x{message.cob_id_base:03X} + node-id" if message.cob_id_base else "none assigned"
     timer = f", event timer {message.event_timer_ms} ms" if message.event_timer_ms else ""
     title = f"## {message.kind.upper()}{message.number} {message.name.lower()}"
-    facts = f"COB-ID {cob_id}, {state}, transmission type {message.transmission_type}{timer}, " + (
-        f"{message.length_bytes} bytes."
-    )
+    facts = f"COB-ID {cob_id}, {state}, transmission type {message.transmission_type}{timer}"
     head = ("byte", "signal", "type", "resolution", "minimum", "maximum", "unknown", "object")
-    return f"{title}\n\n{facts}\n\n{_table(head, list(_signal_lines(message.signals)))}"
+    return f"{title}\n\n{facts}, {message.length_bytes} bytes.\n\n{_table(head, list(_signal_lines(message.signals)))}"
 
 
 def _signal_lines(mapped: Sequence[signals.Signal]) -> Iterator[tuple[object, ...]]:

@@ -126,10 +126,9 @@ def _signals_of(entry: Entry[Any], start: int, n: int) -> list[Signal]:
     if entry.index == indices.STATUS:
         return [_flag(entry, start, k, *bit) for k, bit in enumerate(table.STATUS_BITS)]
     if entry.index == indices.FAULTS:
-        gauges = [
-            _flag(entry, start, k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated or left out") for k in range(n)
-        ]
-        return gauges + [_flag(entry, start, k, f"fault_{name}", text) for k, name, text in table.FAULT_BITS]
+        bits = [(k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated or left out") for k in range(n)]
+        bits += [(k, f"fault_{name}", text) for k, name, text in table.FAULT_BITS]
+        return [_flag(entry, start, *bit) for bit in bits]
     return [_measurement(entry, start, n) or _plain(entry, start, n)]
 
 
@@ -175,9 +174,10 @@ def _scaled(
         low, high = -limit, limit
     text = f"{what}, in {unit}; {note}"
     signed = kind.letter in "hif"
+    low, high = (float(f"{value:.10g}") for value in (low, high))  # 3276.7000000000003, of a product, becomes 3276.7
     return Signal(
-        name, start, bits, signed, round(scale, 9), unit, _neat(low), _neat(high), unknown, text,
-        entry.index, entry.sub, kind.python is float,
+        name, start, bits, signed, round(scale, 9), unit, low, high, unknown, text, entry.index, entry.sub,
+        kind.python is float,
     )  # fmt: skip
 
 
@@ -191,15 +191,8 @@ def _plain(entry: Entry[Any], start: int, n: int) -> Signal:
         name = f"{name}_{entry.sub}"
     low = limits[0] if entry.low is None else entry.low
     high = limits[1] if entry.high is None else entry.high
-    signed = limits[0] < 0
-    return Signal(
-        name, start, 8 * _size(entry), signed, 1, entry.unit, low, high, None, entry.title, entry.index, entry.sub
-    )
-
-
-def _neat(value: float) -> float:
-    """Without the tail of a binary product: 3276.7000000000003 becomes 3276.7."""
-    return float(f"{value:.10g}")
+    bits, signed = 8 * _size(entry), limits[0] < 0
+    return Signal(name, start, bits, signed, 1, entry.unit, low, high, None, entry.title, entry.index, entry.sub)
 
 
 def _unique(signals: list[Signal]) -> tuple[Signal, ...]:

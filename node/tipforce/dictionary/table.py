@@ -126,10 +126,7 @@ def channels(n: int) -> "tuple[Channel, ...]":
 
 
 def tpdos(n: int) -> "tuple[Pdo, ...]":
-    """TPDO declarations, each in the form of ``Pdo``; a mapping is a tuple of (index, sub).
-
-    The parameter objects 18xxh and 1Axxh and the DBC messages follow from this.
-    """
+    """TPDOs in the form of ``Pdo``, mappings as (index, sub): 18xxh, 1Axxh and the DBC messages follow from them."""
     status, counter = (indices.STATUS, 0), (indices.COUNTER, 0)
     health = (
         (indices.TEMPERATURE, 0), (indices.U_P, 0), (indices.FAULTS, 0), (indices.CONFIGURATION_COUNTER, 0),
@@ -170,18 +167,9 @@ def _run(first: int, last: int) -> "Mapped":
 
 
 def run(
-    first: int,
-    count: int,
-    names: "str | tuple[str, ...]",
-    slug: str,
-    kind: str,
-    access: str,
-    flags: int = 0,
-    default: "Value | tuple[Value, ...]" = 0,
-    low: "Limit" = None,
-    high: "Limit" = None,
-    unit: str = "",
-) -> "Run":
+    first: int, count: int, names: "str | tuple[str, ...]", slug: str, kind: str, access: str, flags: int = 0,
+    default: "Value | tuple[Value, ...]" = 0, low: "Limit" = None, high: "Limit" = None, unit: str = "",
+) -> "Run":  # fmt: skip
     """Equal entries from sub-index ``first`` on; the functions below pass ``rest`` from ``kind`` on."""
     return (first, count, names, slug, kind, access, flags, default, low, high, unit)
 

@@ -13,23 +13,10 @@ if TYPE_CHECKING:
     from tipforce.fingertip.source import Source as Source
 
 _MODULES = {
-    "fingertip_node": "node",
-    "Source": "source",
-    "Reading": "source",
-    "algorithm": "filters",
-    "MOVING_AVERAGE": "filters",
-    "REPEATING_AVERAGE": "filters",
-    "FIRST_ORDER": "filters",
-}
-__all__ = [
-    "FIRST_ORDER",
-    "MOVING_AVERAGE",
-    "REPEATING_AVERAGE",
-    "Reading",
-    "Source",
-    "algorithm",
-    "fingertip_node",
-]
+    "fingertip_node": "node", "Source": "source", "Reading": "source", "algorithm": "filters",
+    "MOVING_AVERAGE": "filters", "REPEATING_AVERAGE": "filters", "FIRST_ORDER": "filters",
+}  # fmt: skip
+__all__ = ["FIRST_ORDER", "MOVING_AVERAGE", "REPEATING_AVERAGE", "Reading", "Source", "algorithm", "fingertip_node"]
 
 
 def __getattr__(name: str) -> object:

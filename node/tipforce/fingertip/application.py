@@ -13,7 +13,7 @@ from .sample import NO_TARE, Sample
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from canopen_device.core.object_dictionary import ObjectDictionary, Value
+    from canopen_device.core.object_dictionary import Value
 
     from .filters import Filtering
     from .source import Reading, Source
@@ -59,10 +59,7 @@ class Fingertip(Application):
         device.application = self
         device.storage.add_group(CALIBRATION_GROUP, "calibration", self.calibration.dump, self.calibration.restore)
         device.storage.after_communication = self.calibration.drop_old_mapping
-        self._own_live_objects(device.od)
-
-    def _own_live_objects(self, od: "ObjectDictionary") -> None:
-        readers, writers = od.readers, od.writers
+        readers, writers = device.od.readers, device.od.writers
         readers[communication.MANUFACTURER_STATUS] = lambda _sub: self.sample.status() | self.sample.faults << 16
         readers[indices.UNCERTAINTY] = self._read_uncertainty
         readers[indices.TARE] = self._read_tare
@@ -142,10 +139,7 @@ class Fingertip(Application):
         return self.sample.reading is None or now_us - self._read_us >= self.source.period_us
 
     def expire(self, now_us: int) -> None:
-        """A filter takes a conversion. Interrupts are watched: without SYNC take a sample each sample period.
-
-        A source that may fail is looked after where no SYNC does, so that its EMCY comes all the same.
-        """
+        """Take a conversion into the filter; without SYNC take samples for interrupts, and look after the source."""
         filtering = self.filtering
         if filtering is None:
             watching = self._watching()

@@ -32,7 +32,7 @@ class Active:
     """
 
     __slots__ = (
-        "C", "_checks", "checked", "converter", "forces", "gain_per_kelvin", "limits", "model", "noise",
+        "C", "_checks", "checked", "compensated", "converter", "forces", "gain_per_kelvin", "limits", "model", "noise",
         "offsets", "per_kelvin", "pull", "range_degC", "record", "redundancy", "reference_degC",
         "solvers",
     )  # fmt: skip
@@ -53,14 +53,11 @@ class Active:
         self.converter = converter if any(converter) else None
         self.per_kelvin = per_kelvin if any(per_kelvin) else None
         self.gain_per_kelvin, self.redundancy = coefficients
-        known = any(self.forces) or any(self.range_degC) or self.compensated()
+        self.compensated = self.per_kelvin is not None or self.gain_per_kelvin != 0.0  # by temperature
+        known = any(self.forces) or any(self.range_degC) or self.compensated
         self.checked = known or self.model > 0.0 or (n > 3 and self.redundancy > 0.0)
         self._checks: "dict[int, Check | None]" = {}
         self.solvers: "dict[int, Solver | None]" = {0: (self.C, _propagate(self.C, self.noise, n))}
-
-    def compensated(self) -> bool:
-        """True where the record has a coefficient of temperature."""
-        return self.per_kelvin is not None or self.gain_per_kelvin != 0.0
 
     def check(self, lost: int) -> "Check | None":
         """What judges the gauges that are left without those of the bit mask ``lost``; None where nothing can.
@@ -88,10 +85,7 @@ class Active:
         return W, scalar_redundancy.columns(W, self.noise), alarm, exclusion
 
     def solver(self, lost: int) -> "Solver | None":
-        """(matrix, covariance of F in N^2) that do without the gauges of the bit mask ``lost``.
-
-        None where the gauges left have no rank 3, always so with three gauges and one lost.
-        """
+        """(matrix, covariance of F in N^2) without the gauges of mask ``lost``; None where the rest has no rank 3."""
         if lost not in self.solvers:
             if len(self.solvers) >= _MOST_SOLVERS:
                 self.solvers = {0: self.solvers[0]}
@@ -182,7 +176,10 @@ class Calibration:
         for index, _sub, _kind in fields:
             od.writers[index] = lambda _sub, _value: codes.DEVICE_STATE if self._locked else 0
         od.sizes[indices.CALIBRATION_STAGED_RECORD] = struct.calcsize(self.packing)
-        od.readers[indices.CALIBRATION_FACTS] = self._read_facts
+        first = indices.CALIBRATION_FACTS << 8
+        od.readers[indices.CALIBRATION_FACTS] = lambda sub: (
+            condition_number(self._staged_matrix()) if sub == 5 else od.values[first | sub]
+        )
         od.readers[indices.CALIBRATION_CHECK] = self._read_check
         od.readers[guard] = lambda sub: int(self._locked) if sub == 2 else od.values[guard << 8 | sub]
         od.readers[indices.CALIBRATION_ACTIVE_RECORD] = lambda _sub: self.active_record()
@@ -239,11 +236,6 @@ class Calibration:
         values, first = self._od.values, indices.CALIBRATION_MATRIX << 8 | 1
         rows: "list[list[float]]" = [[values[first + row * n + k] for k in range(n)] for row in range(3)]  # type: ignore[misc]
         return rows
-
-    def _read_facts(self, sub: int) -> "Value":
-        if sub == 5:
-            return condition_number(self._staged_matrix())
-        return self._od.values[indices.CALIBRATION_FACTS << 8 | sub]
 
     def _read_check(self, sub: int) -> "Value":
         if sub == 2:

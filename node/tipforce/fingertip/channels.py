@@ -23,10 +23,7 @@ MAX_I16, MAX_I32 = 0x7FFF, 0x7FFFFFFF
 NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h
 _HALF_TURN = 18000  # of an angle, in 0.01 degree
 # Of the integer forms: from the REAL32 index to that of the form, and its range.
-_FORMS = (
-    (table.INT16_FORM, MAX_I16, table.UNKNOWN_I16),
-    (table.INT32_FORM, MAX_I32, table.UNKNOWN_I32),
-)
+_FORMS = ((table.INT16_FORM, MAX_I16, table.UNKNOWN_I16), (table.INT32_FORM, MAX_I32, table.UNKNOWN_I32))
 _STATUS_AND_COUNTER = [(indices.STATUS, 0), (indices.COUNTER, 0)]
 _INT16_VALUE = indices.PROCESS_VALUE + table.INT16_FORM
 _SCALING = (
@@ -59,10 +56,14 @@ class Channels:
         od.readers[indices.CHANNEL_STATUS] = self._status
         od.readers[indices.FIELD_VALUE] = lambda sub: self._counts(sub, scalar.NAN)
         for beyond, highest, unknown in _FORMS:
-            self._own_form(beyond, highest, unknown)
+            # The live integer objects of this form: views of the REAL32 values.
+            od.readers[beyond + indices.FIELD_VALUE] = lambda sub, u=unknown: self._counts(sub, u)  # type: ignore[misc]
+            od.readers[beyond + indices.PROCESS_VALUE] = lambda sub, h=highest, u=unknown: (  # type: ignore[misc]
+                self._integer(self.exact(sub), sub, h, u)
+            )
         od.views = self._read_view, self._write_view
         for index in _SCALING:
-            od.writers[index] = self._scaling_writer(index)
+            od.writers[index] = lambda sub, value, i=index: self._write_scaling(i, sub, value)  # type: ignore[misc]
         for index in _INTERRUPTS:
             od.writers[index] = self._writer(index, fingertip.on_settings)
         for index in _SPAN:
@@ -72,14 +73,8 @@ class Channels:
             fingertip.zero([sub - 1]) if value == table.SIGNATURE_ZERO else codes.NOT_TRANSFERRED
         )
         for index in _FILTER:
-            od.writers[index] = self._filter_writer(index)
+            od.writers[index] = lambda _sub, value, i=index: self._write_filter(i, value)  # type: ignore[misc]
         self.load()
-
-    def _own_form(self, beyond: int, highest: int, unknown: int) -> None:
-        """The live integer objects of one form: views of the REAL32 values."""
-        readers = self._od.readers
-        readers[beyond + indices.FIELD_VALUE] = lambda sub: self._counts(sub, unknown)
-        readers[beyond + indices.PROCESS_VALUE] = lambda sub: self._integer(self.exact(sub), sub, highest, unknown)
 
     # --- live values ----------------------------------------------------------------------------------------
 
@@ -103,10 +98,7 @@ class Channels:
         return sample.overloads[sub - 1] if live else 0
 
     def packer(self, keys: "list[tuple[int, int]]") -> "Callable[[], bytes] | None":
-        """Return what packs three consecutive channels as INTEGER16 with 2120h and 2121h: most default PDOs, else None.
-
-        A closure over what does not change, because two of these fill the PDOs of each SYNC.
-        """
+        """Return what packs three consecutive channels as INTEGER16 with 2120h and 2121h; None for other mappings."""
         index, first = keys[0] if keys else (0, 0)
         if index != _INT16_VALUE or keys != [(index, first + k) for k in range(3)] + _STATUS_AND_COUNTER:
             return None
@@ -116,7 +108,7 @@ class Channels:
         # No angle that would be rounded to -180 degrees, which is 180.
         low_1, low_2, low_3 = [0.5 - _HALF_TURN if k > self._n + 4 else -MAX_I16 for k in (first, first + 1, last)]
 
-        def pack() -> bytes:
+        def pack() -> bytes:  # a closure over what does not change: two of these fill the PDOs of each SYNC
             sample = fingertip.sample
             status = sample.known_status
             if status < 0:
@@ -226,19 +218,16 @@ class Channels:
         self.load()
         return 0
 
-    def _scaling_writer(self, index: int) -> "Callable[[int, Value], int]":
-        def write(sub: int, value: "Value") -> int:
-            before = self._od.values[index << 8 | sub]
-            self._od.values[index << 8 | sub] = value
-            field_1, field_2 = [self._od.values[field << 8 | sub] for field in _FIELD_SETTINGS]
-            if field_1 == field_2:
-                # Two scaling points at one field value make no line.
-                self._od.values[index << 8 | sub] = before
-                return codes.INVALID_VALUE
-            self.load()
-            return 0
-
-        return write
+    def _write_scaling(self, index: int, sub: int, value: "Value") -> int:
+        before = self._od.values[index << 8 | sub]
+        self._od.values[index << 8 | sub] = value
+        field_1, field_2 = [self._od.values[field << 8 | sub] for field in _FIELD_SETTINGS]
+        if field_1 == field_2:
+            # Two scaling points at one field value make no line.
+            self._od.values[index << 8 | sub] = before
+            return codes.INVALID_VALUE
+        self.load()
+        return 0
 
     def _writer(self, index: int, apply: "Callable[[], None]") -> "Callable[[int, Value], int]":
         def write(sub: int, value: "Value") -> int:
@@ -274,19 +263,16 @@ class Channels:
             self._fingertip.load_filter()
         return 0
 
-    def _filter_writer(self, index: int) -> "Callable[[int, Value], int]":
-        def write(_sub: int, value: "Value") -> int:
-            # A force from gauges that are filtered differently would be wrong while it changes: one filter for all.
-            kind, constant = [value if index == of else self._od.values[of << 8 | 1] for of in _FILTER]
-            abort = self._filter_abort(kind, constant)  # type: ignore[arg-type]
-            if abort:
-                return abort if index == indices.FILTER_TYPE else codes.TOO_HIGH
-            for sub in range(1, self._n + 1):
-                self._od.values[index << 8 | sub] = value
-            self._fingertip.load_filter()
-            return 0
-
-        return write
+    def _write_filter(self, index: int, value: "Value") -> int:
+        # A force from gauges that are filtered differently would be wrong while it changes: one filter for all.
+        kind, constant = [value if index == of else self._od.values[of << 8 | 1] for of in _FILTER]
+        abort = self._filter_abort(kind, constant)  # type: ignore[arg-type]
+        if abort:
+            return abort if index == indices.FILTER_TYPE else codes.TOO_HIGH
+        for sub in range(1, self._n + 1):
+            self._od.values[index << 8 | sub] = value
+        self._fingertip.load_filter()
+        return 0
 
     def _filter_abort(self, kind: int, constant: int) -> int:
         if not kind:

@@ -20,21 +20,31 @@ _FRACTION_BITS = 8  # of the first-order filter's state: it is exact to 1/256 co
 _ONE = 1 << _FRACTION_BITS
 
 
-class MovingAverage:
-    """The mean of the last ``constant`` conversions; of as many as there are, while they are fewer."""
+class Average:
+    """What the filters share: sums of ``n`` gauges, and how many conversions are in them."""
 
-    __slots__ = ("_at", "_constant", "_filled", "_n", "_ring", "_sums")
+    __slots__ = ("_constant", "_filled", "_n", "_sums")
 
     def __init__(self, n: int, constant: int) -> None:
         self._n = n
         self._constant = constant
-        self._ring = array("i", bytes(4 * n * constant))
         self.restart()
 
     def restart(self) -> None:
-        """Forget all conversions."""
+        """Forget all conversions, and the last output."""
         self._sums = [0] * self._n
-        self._filled = self._at = 0
+        self._filled = 0
+
+
+class MovingAverage(Average):
+    """The mean of the last ``constant`` conversions; of as many as there are, while they are fewer."""
+
+    __slots__ = ("_at", "_ring")
+
+    def __init__(self, n: int, constant: int) -> None:
+        Average.__init__(self, n, constant)
+        self._ring = array("i", bytes(4 * n * constant))
+        self._at = 0
 
     def push(self, counts: "Sequence[int]") -> bool:
         """Take a conversion; True when there is a new output."""
@@ -53,20 +63,14 @@ class MovingAverage:
         return [total / self._filled for total in self._sums] if self._filled else None
 
 
-class RepeatingAverage:
+class RepeatingAverage(Average):
     """The mean of ``constant`` conversions, then of the next ``constant``: one output for so many conversions."""
 
-    __slots__ = ("_constant", "_filled", "_mean", "_n", "_sums")
-
-    def __init__(self, n: int, constant: int) -> None:
-        self._n = n
-        self._constant = constant
-        self.restart()
+    __slots__ = ("_mean",)
 
     def restart(self) -> None:
         """Forget all conversions, and the last output."""
-        self._sums = [0] * self._n
-        self._filled = 0
+        Average.restart(self)
         self._mean: "list[float] | None" = None
 
     def push(self, counts: "Sequence[int]") -> bool:
@@ -86,31 +90,21 @@ class RepeatingAverage:
         return self._mean
 
 
-class FirstOrder:
+class FirstOrder(Average):
     """y += (x - y) / constant at each conversion; while fewer than ``constant`` came, the mean of them.
 
-    The state is constant * y in 1/256 count, an integer that gains x - y at each conversion. It settles exactly on a
-    constant input, and lies within 1/256 count of the real-valued filter.
+    The state, in place of a sum, is constant * y in 1/256 count, an integer that gains x - y at each conversion. It
+    settles exactly on a constant input, and lies within 1/256 count of the real-valued filter.
     """
 
-    __slots__ = ("_age", "_constant", "_n", "_states")
-
-    def __init__(self, n: int, constant: int) -> None:
-        self._n = n
-        self._constant = constant
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget all conversions."""
-        self._states = [0] * self._n
-        self._age = 0
+    __slots__ = ()
 
     def push(self, counts: "Sequence[int]") -> bool:
         """Take a conversion; True when there is a new output."""
-        states = self._states
-        if self._age < self._constant:
+        states = self._sums
+        if self._filled < self._constant:
             # A mean's sum is already the state with which the filter goes on.
-            self._age += 1
+            self._filled += 1
             for k in range(self._n):
                 states[k] += counts[k] * _ONE
         else:
@@ -120,7 +114,7 @@ class FirstOrder:
 
     def output(self) -> "list[float] | None":
         """y of each gauge in counts; None while there is none."""
-        return [state // self._age / _ONE for state in self._states] if self._age else None
+        return [state // self._filled / _ONE for state in self._sums] if self._filled else None
 
 
 def offered(kind: int, constant: int) -> bool:

@@ -132,8 +132,8 @@ def difference(active: "Active", temperature_degC: float) -> "tuple[float, float
         kelvin = temperature_degC - active.reference_degC
         beyond = max(low - temperature_degC, temperature_degC - high, 0.0) if ranged else 0.0
         if 1.0 + active.gain_per_kelvin * kelvin > 0.0:
-            return (kelvin if active.compensated() else 0.0), beyond, beyond > 0.0
-    if not active.compensated():
+            return (kelvin if active.compensated else 0.0), beyond, beyond > 0.0
+    if not active.compensated:
         return 0.0, 0.0, False
     if not ranged:
         return 0.0, UNSTATED_KELVIN, True

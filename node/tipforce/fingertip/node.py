@@ -20,18 +20,10 @@ if TYPE_CHECKING:
 
 
 def build(
-    n: int,
-    node_id: int,
-    simulated: bool,
-    serial: int = 0,
-    eds: bytes = b"",
-    converter: "Converter" = table.CONVERTER_16,
-    programs: bool = False,
-) -> ObjectDictionary:
-    """The dictionary of a node with ``n`` gauges at its defaults. ``eds`` is what 1021h gives; empty leaves it out.
-
-    ``programs`` adds the objects of program slots.
-    """
+    n: int, node_id: int, simulated: bool, serial: int = 0, eds: bytes = b"",
+    converter: "Converter" = table.CONVERTER_16, programs: bool = False,
+) -> ObjectDictionary:  # fmt: skip
+    """The dictionary of ``n`` gauges at its defaults; ``eds``: of 1021h, or empty; ``programs``: with slots."""
     od = ObjectDictionary(node_id)
     shared: "dict[Entry, Entry]" = {}  # equal entries are one tuple: a microcontroller has no room for all of them
     for index, _code, _name, _slug, entries in table_objects.declared(n, simulated, converter, programs):
@@ -53,15 +45,9 @@ def build(
 
 
 def fingertip_node(
-    node_id: int,
-    source: "Source",
-    n: int = 3,
-    serial: int = 0,
-    save: "Callable[[str, bytes], bool] | None" = None,
-    load: "Callable[[str], bytes | None] | None" = None,
-    eds: bytes = b"",
-    programs: "Programs | None" = None,
-) -> Device:
+    node_id: int, source: "Source", n: int = 3, serial: int = 0, save: "Callable[[str, bytes], bool] | None" = None,
+    load: "Callable[[str], bytes | None] | None" = None, eds: bytes = b"", programs: "Programs | None" = None,
+) -> Device:  # fmt: skip
     """A device that measures with ``source`` (n gauges). Step it, or hand it to a bus loop.
 
     ``node_id`` is 1..127, or 255 for a node that waits until LSS gives it one.
@@ -72,9 +58,8 @@ def fingertip_node(
     """
     if not (1 <= node_id <= 127 or node_id == LSS_UNCONFIGURED):
         raise ValueError("node-id: %r, allowed 1 to 127, and 255 for none yet" % node_id)
-    device = Device(
-        build(n, node_id, source.simulated, serial, eds, source.converter, programs is not None), save, load
-    )
+    od = build(n, node_id, source.simulated, serial, eds, source.converter, programs is not None)
+    device = Device(od, save, load)
     if programs is not None:
         from canopen_device.core.program import ProgramDownload
 

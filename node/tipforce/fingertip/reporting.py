@@ -57,17 +57,13 @@ class Interrupts:
         for sub, numbers in self.watched.items():
             value = self._value(sub)
             zone = self._zone(sub, value)
-            moved = self._moved(sub, value)
+            delta, last = self._setting(indices.INTERRUPT_DELTA, sub), self._sent.get(sub)
+            moved = delta > 0.0 and last is not None and abs(value - last) >= delta
             if moved or zone != self._zones.get(sub):
                 self._sent[sub] = value
                 self._zones[sub] = zone
                 for number in numbers:
                     self._device.tpdos.request(number)
-
-    def _moved(self, sub: int, value: float) -> bool:
-        delta = self._setting(indices.INTERRUPT_DELTA, sub)
-        last = self._sent.get(sub)
-        return delta > 0.0 and last is not None and abs(value - last) >= delta
 
     def _zone(self, sub: int, value: float) -> int:
         """Where a value lies; a value inside by less than the hysteresis stays where it was."""

@@ -49,22 +49,11 @@ class Sample:
     )  # fmt: skip
 
     def __init__(
-        self,
-        reading: "Reading | None",
-        scaling: "list[tuple[float, float]]",
-        active: "Active | None",
-        tare: "tuple[float, float, float]" = NO_TARE,
-        was_present: bool = False,
-        faults: int = 0,
-        stale: bool = False,
-        counter: int = 0,
-        latched_us: int = -NEVER_US,
-        frozen: int = 0,
-        filtered: "list[float] | None" = None,
-        ends: "tuple[int, int]" = _ENDS,
-        was_overloaded: bool = False,
-        spans: "Sequence[tuple[float, float]]" = (),
-    ) -> None:
+        self, reading: "Reading | None", scaling: "list[tuple[float, float]]", active: "Active | None",
+        tare: "tuple[float, float, float]" = NO_TARE, was_present: bool = False, faults: int = 0, stale: bool = False,
+        counter: int = 0, latched_us: int = -NEVER_US, frozen: int = 0, filtered: "list[float] | None" = None,
+        ends: "tuple[int, int]" = _ENDS, was_overloaded: bool = False, spans: "Sequence[tuple[float, float]]" = (),
+    ) -> None:  # fmt: skip
         self.reading, self.active, self.tare = reading, active, tare
         self.stale, self.counter, self.latched_us = stale, counter, latched_us
         self._was_present = was_present
@@ -221,10 +210,7 @@ class Sample:
         return scalar.magnitude_uncertainty(f1, f2, f3, self.covariance())
 
     def find_values(self, sub: int) -> "list[float]":
-        """The value of each channel in the unit of 6131h, in double precision; NaN where it may not be shown.
-
-        The gauges alone, the forces too, or the contact too: what channel ``sub`` needs and no more.
-        """
+        """The channels in the unit of 6131h, NaN where hidden: gauges, forces, contact, as far as ``sub`` needs."""
         if self._unknown == 0 == self._early:
             P, phi, theta, _miss = self._contact or self.contact()
             F1, F2, F3 = self._force or self.force()
@@ -248,11 +234,8 @@ class Sample:
                 values += (NAN, NAN, NAN)
                 return values
             P, phi, theta, _miss = self.contact()
-            values += (
-                P,
-                NAN if unknown & scalar.UNKNOWN_PHI else phi * scalar.DEGREES,
-                NAN if unknown & scalar.UNKNOWN_THETA else theta * scalar.DEGREES,
-            )
+            values += (P, NAN if unknown & scalar.UNKNOWN_PHI else phi * scalar.DEGREES)
+            values.append(NAN if unknown & scalar.UNKNOWN_THETA else theta * scalar.DEGREES)
         return values
 
     def _early_status(self) -> int:

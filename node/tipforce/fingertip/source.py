@@ -39,10 +39,7 @@ class Source:
         raise NotImplementedError
 
     def look(self, now_us: int) -> "int | None":  # noqa: ARG002
-        """The bits of 2124h that show now, and nothing else changes: the next ``read`` gives what was seen.
-
-        None when there is nothing new.
-        """
+        """New bits of 2124h, None for nothing new; the next ``read`` gives what was seen here."""
         return None
 
     def due_us(self, now_us: int) -> int:

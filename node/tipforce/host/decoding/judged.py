@@ -262,7 +262,7 @@ class Judge:
         if low != 0.0 or high != 0.0:
             beyond = np.maximum(np.maximum(low - temperature_degC, temperature_degC - high), 0.0)
         return (
-            np.where(known, kelvin if active.compensated() else 0.0, unknown[0]),
+            np.where(known, kelvin if active.compensated else 0.0, unknown[0]),
             np.where(known, beyond, unknown[1]),
             np.where(known, beyond > 0.0, unknown[2]),
         )
