@@ -22,7 +22,7 @@ from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.interfaces import link_of
 from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor.command import configuration_check
+from tipforce_tools.doctor import configuration_check
 from tipforce_tools.doctor.machine import interface_check, software_checks, vcan_checks
 from tools.rig import Printed
 

@@ -56,14 +56,14 @@ _FIRMWARE = {
 # group -> name -> (place, or the actions with a place each: ``actions.Actions``; one line of help)
 GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
     "try": {
-        "demo": ("tipforce_tools.demo.command", "calibrate, load and compare simulated nodes; needs no hardware"),
+        "demo": ("tipforce_tools.demo", "calibrate, load and compare simulated nodes; needs no hardware"),
         "run": ("tipforce_tools.scene", "run a scene: nodes, loads, faults and a recording in TOML"),
         "vcan": ("tipforce_tools.vcan", "run a command where vcan interfaces exist"),
     },
     "bus": {
         "scan": ("tipforce_tools.network.nodes:scan", "list the nodes on the bus"),
         "read": ("tipforce_tools.network.nodes:read", "read the contact of fingers, with its uncertainty"),
-        "monitor": ("tipforce_tools.monitor.command", "show a live table of the nodes on a bus or in a log"),
+        "monitor": ("tipforce_tools.monitor", "show a live table of the nodes on a bus or in a log"),
         "sdo": ("tipforce_tools.network.sdo", "read or write one object of a node, or read all objects"),
         "nmt": ("tipforce_tools.network.nodes:nmt", "start, stop or reset nodes, and wait for their heartbeats"),
         "lss": ("tipforce_tools.network.nodes:lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
@@ -80,20 +80,20 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
         "node": ("tipforce_tools.node", "run one fingertip node on a CAN bus"),
     },
     "logs": {
-        "dump": ("tipforce_tools.dump.command", "print frames as candump does, with --decode their meaning"),
+        "dump": ("tipforce_tools.dump", "print frames as candump does, with --decode their meaning"),
         "log": ("tipforce_tools.log", "record frames to a file that canplayer and Wireshark read"),
         "replay": ("tipforce_tools.replay", "send the frames of a log with their recorded timing"),
         "decode": ("tipforce_tools.decode.command", "convert logs to contact: CSV, JSON lines, Parquet, MCAP"),
         "dataset": (_DATASET, "show, verify, compact and query a dataset of `tipforce decode`"),
-        "plot": ("tipforce_tools.plot.command", "plot the contact, gauges and faults of a log"),
+        "plot": ("tipforce_tools.plot", "plot the contact, gauges and faults of a log"),
     },
     "develop": {
         "simulate": ("tipforce_tools.simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
         "conformance": ("tipforce_tools.conformance", "test a CANopen device against the CiA standards, by clause"),
-        "export": ("tipforce_tools.export.command", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
+        "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
         "design": (_DESIGN, "recompute the paper's tables, sweep and optimise the structure"),
         "report": ("tipforce_tools.report", "measure error against run time, and check extreme cases"),
-        "doctor": ("tipforce_tools.doctor.command", "find what this machine and its bus lack"),
+        "doctor": ("tipforce_tools.doctor", "find what this machine and its bus lack"),
     },
 }
 COMMANDS = {name: entry for commands in GROUPS.values() for name, entry in commands.items()}
