@@ -74,10 +74,7 @@ def hand_fingers(hand: HandFile | Hand, fallback: Fallback | None = None) -> tup
 def finger_maker(node_ids: Collection[int] | None = None, fallback: Fallback | None = None) -> FingerMaker:
     """Return what makes the fingers; those that are not in ``node_ids`` are hidden."""
 
-    def make(node_id: int) -> Finger | None:
-        return with_layout(Finger(node_id), "", fallback) if node_ids is None or node_id in node_ids else None
-
-    return make
+    return lambda node: with_layout(Finger(node), "", fallback) if node_ids is None or node in node_ids else None
 
 
 HEARTBEAT_TIMEOUT_S = 2.5
@@ -90,11 +87,7 @@ _UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
 
 
 class Watcher:
-    """Find fingers by their PDOs, collect rows, monitor heartbeats and EMCY.
-
-    ``make_finger`` returns the finger of a node-id found on the bus, None to hide it. ``fingers`` are shown from the
-    start.
-    """
+    """Find fingers by their PDOs, collect rows, monitor heartbeats and EMCY. ``fingers`` are shown from the start."""
 
     def __init__(self, make_finger: FingerMaker, gauges: int = 3, fingers: Sequence[Finger] = ()) -> None:
         self._make_finger, self._gauges = make_finger, gauges

@@ -24,6 +24,8 @@ MAX_BINS = 1500
 MAX_EVENTS = 200
 SPEEDS = 0.05, 50.0
 _BIN_DIGITS = 4
+_ROWS = 200
+_PAUSE_S = 0.002
 
 
 class Playhead:
@@ -88,10 +90,6 @@ def envelope_message(envelope: Envelope) -> dict[str, Any]:
     unknown = envelope.unknown[..., np.newaxis].astype(np.float64)
     table = np.concatenate([*parts, unknown], axis=-1)
     return {"i": envelope.index.tolist(), "v": table.reshape(len(table), table.shape[1] * table.shape[2]).tolist()}
-
-
-_ROWS = 200
-_PAUSE_S = 0.002
 
 
 def csv_chunks(model: Model) -> Iterator[bytes]:
