@@ -211,7 +211,7 @@ def test_vcan_that_works_and_vcan_that_does_not(monkeypatch: pytest.MonkeyPatch,
 def test_missing_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     from tipforce_tools.doctor import machine as software
 
-    monkeypatch.setitem(software.EXTRAS, "science", ("no-such-package",))
+    monkeypatch.setitem(software.EXTRAS, "science", "no-such-package")
     checks = {check.topic: check for check in software_checks()}
     assert "science" in checks["extras"].finding
     assert "science" in checks["extras"].next_step

@@ -17,7 +17,6 @@ from tipforce_tools.cli import bus_flags, common
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from canopen_device.core.node import Device
     from canopen_device.running.store import FileStore
     from tipforce.fingertip.source import Source
     from tipforce.sensor.structure.gauges import Gauge
@@ -83,10 +82,19 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until Ctrl-C or SIGTERM; return 0."""
+    from canopen_device.running.store import FileStore
+    from tipforce.dictionary.eds import eds_text
+    from tipforce.fingertip.node import fingertip_node
+    from tipforce.sources.layout_file import read_layout
     from tipforce_tools.cli import service
 
     service.mark_levels_for_journal()
-    device, source = _device(args)
+    geometry, gauges = read_layout(args.layout)
+    source = _source(args, geometry, gauges)
+    store = FileStore(args.store) if args.store else None
+    save, load = store.save if store else None, _load(args, store, source, geometry, gauges)
+    eds = eds_text(len(gauges), simulated=args.source == "sim", converter=source.converter).encode()
+    device = fingertip_node(args.node_id, source, len(gauges), args.serial or args.node_id, save, load, eds)
     with contextlib.closing(source):  # stop a started capture in every case
         port, place = service.open_port(args)
         if args.priority is not None:
@@ -98,27 +106,6 @@ def run(args: argparse.Namespace) -> int:
         who, what = common.shown_node(args.node_id), f"layout {args.layout}, {origin}{place}"
         service.serve(who, what, [device], [device], port)
     return 0
-
-
-def _device(args: argparse.Namespace) -> tuple[Device, Source]:
-    from canopen_device.running.store import FileStore
-    from tipforce.dictionary.eds import eds_text
-    from tipforce.fingertip.node import fingertip_node
-    from tipforce.sources.layout_file import read_layout
-
-    geometry, gauges = read_layout(args.layout)
-    source = _source(args, geometry, gauges)
-    store = FileStore(args.store) if args.store else None
-    device = fingertip_node(
-        args.node_id,
-        source,
-        len(gauges),
-        args.serial or args.node_id,
-        store.save if store else None,
-        _load(args, store, source, geometry, gauges),
-        eds_text(len(gauges), simulated=args.source == "sim", converter=source.converter).encode(),
-    )
-    return device, source
 
 
 def _load(

@@ -42,9 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout of fingers that do not report it")
     add_sync_argument(parser)
     group = parser.add_argument_group("log or scene")
-    group.add_argument(
-        "--from", dest="start_s", type=float, default=0.0, metavar="S", help="start, seconds from its beginning"
-    )
+    what = "start, seconds from its beginning"
+    group.add_argument("--from", dest="start_s", type=float, default=0.0, metavar="S", help=what)
     group.add_argument("--to", dest="end_s", type=float, metavar="S", help="end, likewise")
     add_page_arguments(parser).add_argument("--allow-writes", action="store_true", help="allow the page to tare")
     bus_flags.add_bus_arguments(parser)
@@ -82,11 +81,7 @@ def _source(args: argparse.Namespace, path: Path | None) -> Iterator[Source]:
         common.note(f"{path}: running the scene")
         source = scene_source(path, maker, args.start_s, args.end_s)
     elif is_table:
-        from tipforce.host.hand.file import read_hand
-        from tipforce.host.hand.hand import Hand
-
-        hand = Hand.from_file(path, **bus_flags.find_bus(args, read_hand(path).bus))
-        source = LiveSource(commissioned(hand, fallback), path.name)
+        source = LiveSource(commissioned(args, path, fallback), path.name)
     elif str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
     else:

@@ -35,12 +35,6 @@ def check_files(parser: argparse.ArgumentParser, args: argparse.Namespace) -> No
                 action.type.check(text)
 
 
-def run_place(place: str, args: argparse.Namespace) -> int:
-    """Set up the output by its flags, and run the command of a place."""
-    common.OUTPUT.set_up(args)
-    return functions(place)[1](args)
-
-
 SHARED = {"bus arguments": "bus", "SDO": "SDO", "changes": "change", "output": "output"}
 """Groups of flags that many commands have: one page, `tipforce --help-bus`, lists them, and each help their names."""
 
@@ -131,10 +125,7 @@ def lines(summaries: Mapping[str, str]) -> str:
 
 
 def add_choice(parser: argparse.ArgumentParser, dest: str, summaries: Mapping[str, str]) -> None:
-    """Add the first positional word of a command with common flags: one of ``summaries``, each with a line of help.
-
-    The epilog follows these lines.
-    """
+    """Add the first positional word of a command: one of ``summaries``, each with a line of help before the epilog."""
     parser.epilog = f"{dest}s:\n{lines(summaries)}\n\n{parser.epilog or ''}"
     parser.add_argument(dest, choices=tuple(summaries))
     if isinstance(parser, CommandParser):

@@ -68,12 +68,9 @@ class _PythonCanAction(argparse.Action):
     """Parse as the action of the same name in can.cli; its output goes to stderr, because stdout is for data."""
 
     def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: str | Sequence[Any] | None,
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: str | Sequence[Any] | None,
         option_string: str | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         import can.cli
 
         real = argparse.ArgumentParser(add_help=False)
@@ -183,24 +180,22 @@ def _only_interface() -> str:
     if len(up) == 1:
         common.note(f"bus: -i socketcan -c {up[0]}, the only CAN interface that is up")
         return up[0]
+    reason = (
+        "no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0, or set CAN_INTERFACE and "
+        "CAN_CHANNEL; `tipforce vcan` has buses without hardware"
+    )
     if up:
         reason = f"{', '.join(up)} are up: add -i socketcan -c {up[0]}"
     elif known:
-        name = next(iter(known))
-        reason = f"{', '.join(known)} down; `sudo ip link set {name} up type can bitrate 1000000`"
-    else:
-        reason = (
-            "no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0, or set CAN_INTERFACE and "
-            "CAN_CHANNEL; `tipforce vcan` has buses without hardware"
-        )
+        reason = f"{', '.join(known)} down; `sudo ip link set {next(iter(known))} up type can bitrate 1000000`"
     raise EnvironmentLackError(f"no bus given: {reason}")
 
 
 def open_bus(args: argparse.Namespace) -> can.BusABC:
     """Open the bus that ``find_bus`` returns."""
-    from tipforce.host.network.open_bus import open_bus as open_bus_by_options
+    from tipforce.host.network import open_bus as by_options
 
-    return open_bus_by_options(**find_bus(args))
+    return by_options.open_bus(**find_bus(args))
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Shared by the commands: common flags, numbers and node-ids, and the printing of records."""
+"""Shared by the commands: common flags, also of logs, numbers and node-ids, and the printing of records."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import repeat
 from pathlib import Path
@@ -22,7 +22,6 @@ from tipforce_tools.cli.output import rich_console, visible_streams
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
-
 
 _LINE_S = 10.0
 
@@ -204,10 +203,7 @@ def shown_node(number: int) -> str:
 
 
 def print_json(record: dict[str, Any]) -> None:
-    """Print one JSON line; NaN and infinity become null, because JSON has neither.
-
-    Line and newline are one write: the events of a hand come from another thread.
-    """
+    """Print one JSON line, in one write, because other threads print, too; NaN and infinity become null."""
     sys.stdout.write(json_line(record) + "\n")
 
 
@@ -302,13 +298,9 @@ def print_table(table: Table) -> None:
 
 
 def print_rows(
-    title: str,
-    headings: Iterable[str],
-    rows: Iterable[Iterable[str]],
-    styles: Iterable[str | None] | None = None,
-    *,
+    title: str, headings: Iterable[str], rows: Iterable[Iterable[str]], styles: Iterable[str | None] | None = None, *,
     lines: bool = False,
-) -> None:
+) -> None:  # fmt: skip
     """Print a table on stdout, with ``lines`` between rows; > in front of a heading puts its column at the right."""
     from rich.table import Table
 
@@ -324,3 +316,48 @@ def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
     """`--yes`."""
     group = parser.add_argument_group("changes")
     group.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
+
+
+def add_eds_argument(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    """Add the flag."""
+    parser.add_argument("--eds", action="append", metavar="ID=FILE", help="EDS, DCF or XDD of a node; repeatable")
+
+
+def add_choice_arguments(parser: argparse.ArgumentParser, signals: str) -> None:
+    """Add the flags that choose rows and columns of logs, and the PDOs; ``signals`` is the help of --signals."""
+    group = parser.add_argument_group("choice")
+    group.add_argument("--signals", metavar="NAMES", help=signals)
+    group.add_argument("--nodes", type=node_ids, metavar="IDS", help="as 1,2,5-9")
+    group.add_argument("--bus", metavar="NAMES", help="only of these interfaces: can0,can1")
+    group.add_argument("--from", dest="start", metavar="TIME", help="seconds from the start or of the epoch, ISO time")
+    group.add_argument("--to", dest="end", metavar="TIME", help="end, exclusive; same formats")
+    calibration = "compute contact from the gauges; repeatable"
+    group.add_argument("--calibration", action="append", metavar="[ID=]CAL.toml", help=calibration)
+    group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
+    group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
+    group.add_argument("--dbc", metavar="FILE", help="a DBC instead; tipforce: the shipped one")
+    add_eds_argument(group)
+
+
+def eds_files(given: Sequence[str]) -> tuple[tuple[int, str], ...]:
+    """Return (node-id, file) of each flag, after reading the files once: their warnings go to stderr.
+
+    Raises InputError for another form, a repeated node-id, and a file that is no EDS.
+    """
+    from canopen_device.eds.reader import read_eds
+
+    files: dict[int, str] = {}
+    for text in given:
+        head, equal, path = text.partition("=")
+        try:
+            number = node_id(head)
+        except (argparse.ArgumentTypeError, ValueError):
+            number = 0
+        if not equal or not path or not number:
+            raise InputError(f"--eds {text}: the form is ID=FILE, such as 5=drive.eds")
+        if number in files:
+            raise InputError(f"--eds {text}: node {number} has a file already")
+        for warning in read_eds(path, number).warnings:
+            print(f"warning: {warning}", file=sys.stderr)
+        files[number] = path
+    return tuple(files.items())

@@ -99,26 +99,14 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
 COMMANDS = {name: entry for commands in GROUPS.values() for name, entry in commands.items()}
 
 EXIT_CODES: dict[type[TipforceError], int] = {
-    LogError: 1,
-    DuplicateNodeError: 1,
-    InputError: 2,
-    NoResponseError: 5,
-    EnvironmentLackError: 2,
-    SdoAbortError: 11,
-    RefusedError: 12,
-    WriteError: 1,
-}
+    LogError: 1, DuplicateNodeError: 1, InputError: 2, NoResponseError: 5, EnvironmentLackError: 2,
+    SdoAbortError: 11, RefusedError: 12, WriteError: 1,
+}  # fmt: skip
 PERMISSION, INTERRUPTED = 9, 130
 EXIT_TEXTS = {
-    0: "ok",
-    1: "a check or a write failed, or a log is damaged",
-    2: "usage",
-    5: "no response",
-    PERMISSION: "permission",
-    11: "SDO abort",
-    12: "the device refused",
-    INTERRUPTED: "interrupted",
-}
+    0: "ok", 1: "a check or a write failed, or a log is damaged", 2: "usage", 5: "no response",
+    PERMISSION: "permission", 11: "SDO abort", 12: "the device refused", INTERRUPTED: "interrupted",
+}  # fmt: skip
 
 TOP_FLAGS = ("--help", "--help-bus", "--completion", "--version")
 USAGE = """usage: tipforce COMMAND [options]
@@ -134,34 +122,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     # Before numpy is imported: for small matrices the threads of BLAS only wait, and cost 0.1 s of processor time.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    _open_closed_streams()
-    with visible_streams():
-        return _run_line(words)
-
-
-def _run_line(words: list[str]) -> int:
-    try:
-        code = _answer(words)
-        sys.stdout.flush()
-        return code
-    except TipforceError as error:
-        return _failed(str(error), _exit_code(error))
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except BrokenPipeError:
-        # The reader (head, less) closed the pipe. Python would report it again when it flushes stdout at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:  # stdout on a full disk, a file that was removed
-        return _failed(str(error), PERMISSION if isinstance(error, PermissionError) else 1)
-
-
-def _open_closed_streams() -> None:
-    """Open the null device for each standard stream that is closed (`>&-`), so that no file gets its descriptor."""
+    # The null device for each standard stream that is closed (`>&-`), so that no file gets its descriptor.
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             number = os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY)
             setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
+    with visible_streams():
+        try:
+            code = _answer(words)
+            sys.stdout.flush()
+            return code
+        except TipforceError as error:
+            return _failed(str(error), _exit_code(error))
+        except KeyboardInterrupt:
+            return INTERRUPTED
+        except BrokenPipeError:
+            # The reader (head, less) closed the pipe. Python would report it again when it flushes stdout at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except OSError as error:  # stdout on a full disk, a file that was removed
+            return _failed(str(error), PERMISSION if isinstance(error, PermissionError) else 1)
 
 
 def _answer(words: list[str]) -> int:
@@ -202,7 +182,8 @@ def _run(name: str, words: list[str]) -> int:
         near = difflib.get_close_matches(name, [*COMMANDS, *TOP_FLAGS], 3, cutoff=0.7)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
-    from tipforce_tools.cli.actions import check_files, parser_of, run_place
+    from tipforce_tools.cli import common
+    from tipforce_tools.cli.actions import check_files, functions, parser_of
 
     place, parser = COMMANDS[name][0], command_parser(name)
     if not isinstance(place, str):
@@ -212,7 +193,8 @@ def _run(name: str, words: list[str]) -> int:
     passes_on = any(action.nargs == "..." for action in parser._actions)  # argparse.REMAINDER
     args = parser.parse_args(words) if passes_on else parser.parse_intermixed_args(words)
     check_files(parser, args)
-    return run_place(place, args)
+    common.OUTPUT.set_up(args)
+    return functions(place)[1](args)
 
 
 def all_parsers() -> dict[str, tuple[str, CommandParser]]:

@@ -21,9 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit code 1 if an error is outside its bound: z x standard uncertainty (z for a family-wise error of 1e-6\n"
         "over all comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution."
     )
-    parser.add_argument(
-        "--seed", type=common.whole_number, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)"
-    )
+    what = "of the simulated noise (default %(default)s)"
+    parser.add_argument("--seed", type=common.whole_number, default=DEFAULT_SEED, help=what)
     parser.add_argument("--spoil", action="store_true", help="corrupt an element of each matrix: the demo must fail")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--table", action="store_true", help="print each load: true, estimated, error, uncertainty")
@@ -34,8 +33,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the demo; return 0 if every error is inside its bound and the host agrees with the nodes, otherwise 1."""
-    if args.view:
-        return _view(args)
+    if args.view:  # the scene of a hand, in a loop. Its time is simulated: no row is missing
+        from tipforce.shipped_files import file_or_shipped
+        from tipforce.watching.watcher import finger_maker
+        from tipforce_tools.page.sources import scene_source
+
+        guard = page_guard(args)
+        source = scene_source(file_or_shipped("hand", "scenes"), finger_maker())
+        source.loops = True
+        return serve(args, source, guard)
     from tipforce.sensor.structure.layouts import CASES
     from tipforce.sensor.structure.published import GROOVES_DEG
     from tipforce_tools.demo.job import run_demo
@@ -59,18 +65,6 @@ def run(args: argparse.Namespace) -> int:
     return _summary(args, results, time.monotonic() - started_s)
 
 
-def _view(args: argparse.Namespace) -> int:
-    """Serve the page with the scene of a hand, in a loop, until Ctrl-C. Its time is simulated: no row is missing."""
-    from tipforce.shipped_files import file_or_shipped
-    from tipforce.watching.watcher import finger_maker
-    from tipforce_tools.page.sources import scene_source
-
-    guard = page_guard(args)
-    source = scene_source(file_or_shipped("hand", "scenes"), finger_maker())
-    source.loops = True
-    return serve(args, source, guard)
-
-
 def _print_table(case: str, results: list[Result]) -> None:
     headings = [f">{word}" for name in ("P N", "phi deg", "theta deg") for word in (name, "est", "err", "u")]
     good = [result.inside and result.host_agrees for result in results]
@@ -78,12 +72,8 @@ def _print_table(case: str, results: list[Result]) -> None:
     for result, ok in zip(results, good, strict=True):
         cells = [result.sense]
         for k, digits in enumerate((3, 2, 2)):
-            cells += [
-                f"{result.applied[k]:g}",  # short, so that the table fits 80 columns
-                f"{result.estimated[k]:.{digits}f}",
-                f"{result.error[k]:+.{digits}f}",
-                f"{result.u[k]:.{digits}f}",
-            ]
+            error = f"{result.error[k]:+.{digits}f}"
+            cells += [f"{result.applied[k]:g}", f"{result.estimated[k]:.{digits}f}", error, f"{result.u[k]:.{digits}f}"]
         rows.append([*cells, "ok" if ok else "OUT"])
     title = f"Case {case}: applied, estimated by the node, error, standard uncertainty"
     common.print_rows(title, [">sense", *headings, ">"], rows, [None if ok else "bold red" for ok in good])

@@ -70,10 +70,8 @@ def _findings(args: argparse.Namespace) -> Iterator[Finding]:
         configuration = Finding("configuration", "note", *str(error).split(": ", 1))
     for check in machine.kernel_checks():
         # Of the kernel, only what the wanted bus needs is wrong.
-        wanted = options.get("interface") == "socketcan" and check.topic in (
-            "kernel",
-            f"interface {options['channel']}",
-        )
+        topics = ("kernel", f"interface {options.get('channel')}")
+        wanted = options.get("interface") == "socketcan" and check.topic in topics
         yield check if wanted or check.state != "fail" else replace(check, state="note")
     yield configuration
     if configuration.state != "ok":
@@ -137,15 +135,12 @@ def bus_findings(options: Mapping[str, Any], listen_s: float, wanted: tuple[Fing
     if seen.frames:
         rate = int(options.get("bitrate") or (link.bit_rate if link else 0) or DEFAULT_BIT_RATE)
         least, most = (bits / seen.heard_s / rate for bits in range_of_bits(frames))
-        finding = (
-            f"{len(frames) / seen.heard_s:.0f} frames/s, load {100 * least:.0f} to {100 * most:.0f} % of {rate} bit/s"
-        )
+        load = f"load {100 * least:.0f} to {100 * most:.0f} % of {rate} bit/s"
+        finding = f"{len(frames) / seen.heard_s:.0f} frames/s, {load}"
         step = "a lower SYNC rate or fewer PDOs: `tipforce hand check` computes them" if most > _LOADED else ""
         yield Finding("traffic", "note" if step else "ok", finding, step)
     for node in nodes:
         if not node.duplicate:
-            words = (
-                f"{node.state}, {node.device}, serial {node.serial}" if node.product else f"{node.state}, {node.device}"
-            )
-            yield Finding(shown([node.node_id]), "ok", words)
+            serial = f", serial {node.serial}" if node.product else ""
+            yield Finding(shown([node.node_id]), "ok", f"{node.state}, {node.device}{serial}")
     yield from findings(seen, wanted=wanted)

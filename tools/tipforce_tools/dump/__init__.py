@@ -4,7 +4,6 @@ import argparse
 
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import add_sync_argument
-from tipforce_tools.cli.log_flags import add_eds_argument
 
 DESCRIPTION = """\
 Print frames byte for byte as candump does; with --decode, add what they mean: NMT, SYNC, EMCY, SDO with the names of
@@ -29,21 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce dump` and python-can's bus flags to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument(
-        "targets",
-        nargs="*",
-        type=common.TARGET,
-        metavar="CHANNEL[,FILTER...] | FILE | -",
-        help="buses, or a file of candump text",
-    )
+    metavar, what = "CHANNEL[,FILTER...] | FILE | -", "buses, or a file of candump text"
+    parser.add_argument("targets", nargs="*", type=common.TARGET, metavar=metavar, help=what)
     look = parser.add_argument_group("candump's flags")
-    look.add_argument(
-        "-t",
-        dest="timestamps",
-        choices=("a", "d", "z", "A"),
-        default="",
-        help="timestamps: -ta absolute, -td since the line before, -tz from zero, -tA with the date",
-    )
+    stamps = "timestamps: -ta absolute, -td since the line before, -tz from zero, -tA with the date"
+    look.add_argument("-t", dest="timestamps", choices=("a", "d", "z", "A"), default="", help=stamps)
     look.add_argument("-L", dest="log", action="store_true", help="log file format")
     look.add_argument("-x", dest="extra", action="store_true", help="show whether a frame was received or sent here")
     look.add_argument("-e", dest="errors", action="store_true", help="explain error frames")
@@ -53,17 +42,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     look.add_argument("-T", dest="timeout_ms", type=common.count, metavar="MS", help="end after MS without a frame")
     parser.add_argument("--decode", action="store_true", help="add the meaning of each frame")
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
-    add_eds_argument(parser)
+    common.add_eds_argument(parser)
     add_sync_argument(parser)
     parser.add_argument("--strict", action="store_true", help="text: exit with 1 at the first bad line")
     bus_flags.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print frames until the end; return 0, or 1 for a bad line with --strict.
-
-    Raises InputError for an unusable target and EnvironmentLackError for a bus that cannot be opened.
-    """
+    """Print frames; return 0, or 1 for a bad line with --strict. Raises InputError and EnvironmentLackError."""
     from tipforce_tools.cli.main import terminate_as_interrupt
     from tipforce_tools.dump.session import dump
 

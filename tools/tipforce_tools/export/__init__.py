@@ -24,8 +24,6 @@ FORMATS = {
     "c": "C99 sources of the dictionary and the estimator, in one folder",
     "mjcf": "body of the fingertip for MuJoCo: outline, mass, tip site, beams as springs",
 }
-
-
 _NO_PROGRAMS = "the exported C has no program slots, and other formats list no objects"
 
 
@@ -37,35 +35,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_choice(parser, "format", FORMATS)
     parser.add_argument("-o", "--output", metavar="PATH", help="default: stdout; c, ros2: a folder, required")
-    parser.add_argument(
-        "--dialect",
-        choices=("decimal", "lely"),
-        default="decimal",
-        help="eds, dcf: REAL32 as decimals, or as hexadecimal bits for Lely's dcfgen (default %(default)s)",
-    )
+    what = "eds, dcf: REAL32 as decimals, or as hexadecimal bits for Lely's dcfgen (default %(default)s)"
+    parser.add_argument("--dialect", choices=("decimal", "lely"), default="decimal", help=what)
     parser.add_argument("--eds", type=common.InputFile(), metavar="FILE", help="xdd: the EDS, DCF or XDD of any device")
     parser.add_argument("--hand", type=common.InputFile(), metavar="FILE", help="ros2: the hand in TOML, required")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="gauges, 3 to 8 (default %(default)s)")
-    parser.add_argument(
-        "--nodes", type=common.node_ids, default=list(range(1, 16)), metavar="IDS", help="dbc: 1,2,5-9 (default 1-15)"
-    )
+    ids = list(range(1, 16))
+    parser.add_argument("--nodes", type=common.node_ids, default=ids, metavar="IDS", help="dbc: 1,2,5-9 (default 1-15)")
     parser.add_argument("--node-id", type=common.node_id, metavar="ID", help="dcf: 1 to 127, required")
-    parser.add_argument(
-        "--settings",
-        type=common.InputFile(),
-        metavar="FILE",
-        help="dcf: TOML or DCF with the settings that are not at their default, as for `config apply`",
-    )
+    what = "dcf: TOML or DCF with the settings that are not at their default, as for `config apply`"
+    parser.add_argument("--settings", type=common.InputFile(), metavar="FILE", help=what)
     parser.add_argument("--bits", type=int, choices=(16, 24), default=16, help="converter resolution (default 16)")
     parser.add_argument("--simulated", action="store_true", help="eds, dcf: add 2200h and 2201h of a simulated node")
-    parser.add_argument(
-        "--programs", action="store_true", help="eds, dcf, xdd: add 1F50h to 1F57h of firmware with program slots"
-    )
+    what = "eds, dcf, xdd: add 1F50h to 1F57h of firmware with program slots"
+    parser.add_argument("--programs", action="store_true", help=what)
     parser.add_argument("--prefix", default="", metavar="TEXT", help="mjcf: in front of every name")
     parser.add_argument("--rigid", action="store_true", help="mjcf: no springs, the tip is fixed to the fixture")
-    parser.add_argument(
-        "--damping-ratio", type=float, default=0.05, metavar="RATIO", help="mjcf: of the lowest mode (default 0.05)"
-    )
+    what = "mjcf: of the lowest mode (default 0.05)"
+    parser.add_argument("--damping-ratio", type=float, default=0.05, metavar="RATIO", help=what)
     common.add_output_arguments(parser)
 
 
@@ -111,9 +98,13 @@ def _text(args: argparse.Namespace, converter: Converter) -> str:
     elif args.node_id is None:
         raise InputError("--node-id: a DCF belongs to one node; add it, for example --node-id 5")
     else:
-        text = dcf_text(
-            args.gauges, args.node_id, _values(args), args.simulated, converter=converter, programs=args.programs
-        )
+        values: Values = {}  # without --settings the DCF has no ParameterValue: all defaults apply
+        if args.settings:
+            from tipforce.host.configuration.configuration_file import read_configuration
+
+            wanted = read_configuration(args.settings, args.node_id, args.gauges)
+            values = {place: value for place, (_entry, value) in wanted.items()}
+        text = dcf_text(args.gauges, args.node_id, values, args.simulated, converter=converter, programs=args.programs)
     return lely_dialect(text) if args.dialect == "lely" else text
 
 
@@ -151,13 +142,3 @@ def _write_folder(args: argparse.Namespace, converter: Converter) -> int:
     for path in paths:
         common.note(str(path))
     return 0
-
-
-def _values(args: argparse.Namespace) -> Values:
-    """Return the values of the settings file; without one the DCF has no ParameterValue: all defaults apply."""
-    if not args.settings:
-        return {}
-    from tipforce.host.configuration.configuration_file import read_configuration
-
-    configuration = read_configuration(args.settings, args.node_id, args.gauges)
-    return {place: value for place, (_entry, value) in configuration.items()}

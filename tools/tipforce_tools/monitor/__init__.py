@@ -5,7 +5,6 @@ import math
 
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.listening import add_sync_argument
-from tipforce_tools.cli.log_flags import add_eds_argument
 
 DESCRIPTION = """\
 Show the active nodes, one row each: samples per second, their regularity, the age of the last one, contact, status,
@@ -38,15 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--speed", type=_speed, default=math.inf, metavar="X", help="log: times recorded speed (inf)")
     parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
     add_sync_argument(parser)
-    add_eds_argument(parser)
+    common.add_eds_argument(parser)
     bus_flags.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the table until an end condition; return 0, or 130 after a signal.
-
-    Raises InputError for a log that cannot be read and EnvironmentLackError for a bus that cannot be opened or fails.
-    """
+    """Show the table; return 0, or 130 after a signal. Raises InputError and EnvironmentLackError."""
     from tipforce_tools.monitor.session import monitor
 
     return monitor(args)
