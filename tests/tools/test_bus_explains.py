@@ -29,13 +29,9 @@ SITUATIONS = {
     "two nodes": "two nodes .* node 5|another node sends its identifier.*: .*`tipforce (lss assign|scan)",
 }
 COMMANDS = (
-    "scan --wait 0.3",
-    "monitor --once 1",
-    "dump --decode -T 1000 -n 60",
-    "log -o FOLDER/run.log --seconds 1",
-    "view --port 0",
-    "doctor --listen 0.3",
-)
+    "scan --wait 0.3", "monitor --once 1", "dump --decode -T 1000 -n 60", "log -o FOLDER/run.log --seconds 1",
+    "view --port 0", "doctor --listen 0.3",
+)  # fmt: skip
 CAN0 = {"ifname": "can0", "link_type": "can", "flags": ["UP"]}
 
 

@@ -101,15 +101,12 @@ COMPLETIONS = [
 @pytest.mark.parametrize(
     ("typed", "completed"),
     [
-        *COMPLETIONS,
-        ("tipforce sdo read 5 heartbeat.consumer:", "1 2 3 4"),
-        ("tipforce export eds ", ""),
-        ("tipforce node --layout I", "I II III"),
-        ("tipforce scan --wait ", ""),
+        *COMPLETIONS, ("tipforce sdo read 5 heartbeat.consumer:", "1 2 3 4"), ("tipforce export eds ", ""),
+        ("tipforce node --layout I", "I II III"), ("tipforce scan --wait ", ""),
         ("tipforce nothing -", "-h --help -V --version --help-bus --completion"),
         ("tipforce --completion ", "bash zsh fish"),
     ],
-)
+)  # fmt: skip
 def test_bash_completes(tmp_path: Path, typed: str, completed: str) -> None:
     assert bash(tmp_path, typed) == [completed.split()]
 
