@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tipforce.samples.reasons import NO_ANSWER, Status
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT, MISSES_TIP, SATURATED, STALE
 from tipforce_tools.page.history import MAX_BYTES, History, row_bytes
-from tipforce_tools.page.messages import MAX_BINS, Cursor, Playhead
+from tipforce_tools.page.messages import MAX_BINS, Cursor
 from tipforce_tools.page.model import FingerState, Model, finger_states
 from tools.rig import Clock
 from tools.view.support import MS, START_NS, block, fingers, with_status
@@ -208,7 +208,7 @@ def model_of(live: bool = True) -> tuple[Model, Clock]:
 @pytest.mark.parametrize("pause", [1, 7, 60])
 def test_a_slow_browser_gets_every_extreme(pause: int) -> None:
     model, clock = model_of()
-    cursor = Cursor(model, Playhead(model, clock=clock), 20 * MS)
+    cursor = Cursor(model, 20 * MS, clock=clock)
     generator = np.random.default_rng(3)
     highest, bins, sent = 0.0, dict[int, float](), []
     for step in range(120):
@@ -229,7 +229,7 @@ def test_a_slow_browser_gets_every_extreme(pause: int) -> None:
 
 def test_a_browser_that_was_away_for_long_gets_a_bounded_message() -> None:
     model, clock = model_of()
-    cursor = Cursor(model, Playhead(model, clock=clock), MS)
+    cursor = Cursor(model, MS, clock=clock)
     model.add(block(1000 + np.arange(20_000), np.ones((20_000, 2))))
     message = cursor.message()
     assert message.bins is not None
@@ -239,11 +239,11 @@ def test_a_browser_that_was_away_for_long_gets_a_bounded_message() -> None:
 
 def test_the_present_moves_with_the_clock_when_no_row_comes_and_late_rows_are_as_old_as_they_are() -> None:
     model, clock = model_of()
-    playhead = Playhead(model, clock=clock)
-    assert playhead.now_ns() == (START_NS + 990 * MS, False)
+    cursor = Cursor(model, MS, clock=clock)
+    assert cursor.now_ns() == (START_NS + 990 * MS, False)
     clock.now_s += 3.0
-    assert playhead.now_ns() == (START_NS + 3990 * MS, False)
-    assert [state.word for state in model.picture(playhead.now_ns()[0]).states] == ["silent", "silent"]
+    assert cursor.now_ns() == (START_NS + 3990 * MS, False)
+    assert [state.word for state in model.picture(cursor.now_ns()[0]).states] == ["silent", "silent"]
     clock.now_s += 2.0
     model.add(block([1000], np.ones((1, 2))), clock.now_s - 1.0)
     assert [state.word for state in model.picture().states] == ["stale", "stale"]
@@ -251,13 +251,13 @@ def test_the_present_moves_with_the_clock_when_no_row_comes_and_late_rows_are_as
 
 def test_a_log_plays_at_its_speed_to_its_end_and_a_replay_catches_up_with_the_present() -> None:
     model, clock = model_of(live=False)
-    playhead = Playhead(model, START_NS, 0.5, clock)
+    cursor = Cursor(model, MS, START_NS, 0.5, clock=clock)
     clock.now_s += 1.0
-    assert playhead.now_ns() == (START_NS + 500 * MS, False)
+    assert cursor.now_ns() == (START_NS + 500 * MS, False)
     clock.now_s += 9.0
-    assert playhead.now_ns() == (START_NS + 990 * MS, True)
+    assert cursor.now_ns() == (START_NS + 990 * MS, True)
     model, clock = model_of()
-    playhead = Playhead(model, START_NS - 10_000 * MS, 4.0, clock)
-    assert playhead.now_ns()[0] == START_NS  # not before the first row
+    cursor = Cursor(model, MS, START_NS - 10_000 * MS, 4.0, clock=clock)
+    assert cursor.now_ns()[0] == START_NS  # not before the first row
     clock.now_s += 60.0
-    assert playhead.now_ns() == (model.now_ns(), False)
+    assert cursor.now_ns() == (model.now_ns(), False)

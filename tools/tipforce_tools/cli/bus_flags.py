@@ -214,8 +214,13 @@ def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
         except (DuplicateNodeError, InputError):
             raise
         except TipforceError:
+            from tipforce.watching.findings import Observed, of_the_wire
+
             connection.check_duplicates()  # the cause of the error
-            note_wire(args, connection, begun_s)
+            seen = Observed(heard_s=time.monotonic() - begun_s, link=link_of(args))
+            seen.count(connection.buffer.take_all())
+            for finding in of_the_wire(seen):
+                common.note(str(finding))
             raise
         connection.check_duplicates()
 
@@ -226,16 +231,6 @@ def link_of(args: argparse.Namespace) -> Link | None:
 
     options = find_bus(args)
     return links().get(str(options.get("channel"))) if options.get("interface") == "socketcan" else None
-
-
-def note_wire(args: argparse.Namespace, connection: Bus, begun_s: float) -> None:
-    """Say on stderr what is wrong below the nodes, by what was received since ``begun_s``."""
-    from tipforce.watching.findings import Observed, of_the_wire
-
-    seen = Observed(heard_s=time.monotonic() - begun_s, link=link_of(args))
-    seen.count(connection.buffer.take_all())
-    for finding in of_the_wire(seen):
-        common.note(str(finding))
 
 
 def confirm(args: argparse.Namespace, what: str) -> None:

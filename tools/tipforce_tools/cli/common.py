@@ -16,8 +16,9 @@ from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from canopen_device.visible_text import visible_lines
 from tipforce.errors import InputError
-from tipforce_tools.cli.output import rich_console, visible_streams
+from tipforce_tools.cli.output import terminal, visible_streams
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -268,14 +269,34 @@ def progress(
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width."""
+    """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width.
+
+    It is on the stream below: its colours pass, every text is escaped, and none is markup.
+    """
+    from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.segment import Segment
+    from rich.text import Text
+
+    class VisibleConsole(Console):
+        def on_broken_pipe(self) -> None:  # rich's own exits with code 1; `| head` is not a failure
+            raise BrokenPipeError
+
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(visible_lines(text), **options | {"markup": False, "emoji": False})
+
+        def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+            for segment in super().render(renderable, options):
+                yield segment if segment.control else Segment(visible_lines(segment.text), segment.style)
+
     plain = OUTPUT.color == "never" or (OUTPUT.color == "auto" and bool(os.environ.get("NO_COLOR")))
     stream = sys.stderr if stderr else sys.stdout
     width = None if stream.isatty() else 120
     always = True if OUTPUT.color == "always" else None
     # Without a colour system rich prints no bold text either: the output is plain text.
     system: Literal["auto"] | None = None if plain else "auto"
-    return rich_console(stream, force_terminal=always, color_system=system, no_color=plain, width=width)
+    return VisibleConsole(
+        file=terminal(stream), force_terminal=always, color_system=system, no_color=plain, width=width
+    )
 
 
 def print_table(table: Table) -> None:
