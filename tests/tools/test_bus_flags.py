@@ -23,7 +23,7 @@ from tipforce.host.network.interfaces import link_of
 from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.main import main
 from tipforce_tools.doctor import configuration_check, machine
-from tipforce_tools.doctor.machine import interface_check, vcan_checks
+from tipforce_tools.doctor.machine import interface_check
 from tools.rig import Printed
 
 
@@ -189,7 +189,8 @@ def test_vcan_that_works_and_vcan_that_does_not(monkeypatch: pytest.MonkeyPatch,
         (lacking, "User-mode Linux ended before it had booted", "`tipforce vcan -- true`"),
         (lambda: 1, "`tipforce vcan -- true` ended with 1", "sudo modprobe vcan"),
     ):
-        (check,) = vcan_checks(trial)
+        monkeypatch.setattr(machine, "trial", trial)
+        (check,) = machine.vcan_checks()
         assert (check.state, check.finding) == ("note", finding)
         assert step in check.next_step
 

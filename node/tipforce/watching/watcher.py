@@ -139,14 +139,14 @@ class Watcher:
 
     def tally(self) -> tuple[list[int], list[int], list[int], list[int]]:
         """Return missing, late, mixed and doubtful responses of each finger, over all collectors so far."""
-        sums = []
-        for what in _TALLIED:
+
+        def sums(what: str) -> list[int]:
             now: dict[int, int] = {}
             if self._collector is not None:
                 now = dict(zip(self._collector.node_ids, getattr(self._collector.tally, what).tolist(), strict=True))
-            sums.append([now.get(f.node_id, 0) + self._past.get((what, f.node_id), 0) for f in self.fingers])
-        missing, late, mixed, doubtful = sums
-        return missing, late, mixed, doubtful
+            return [now.get(f.node_id, 0) + self._past.get((what, f.node_id), 0) for f in self.fingers]
+
+        return sums("missing"), sums("late"), sums("mixed"), sums("doubtful")
 
     def discover(self, frames: FrameArray) -> None:
         """Only find the fingers: the first pass over a log."""

@@ -36,7 +36,9 @@ def logs(words: Sequence[str]) -> list[str]:
     for word in words or [STDIN]:
         matches = [word]
         if word != STDIN and not is_url(word) and not Path(word).exists():
-            matches = sorted(glob.glob(word, recursive=True), key=_natural) if glob.has_magic(word) else []
+            matches = glob.glob(word, recursive=True) if glob.has_magic(word) else []
+            # run-2.log before run-10.log
+            matches.sort(key=lambda name: [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", name)])
             if not matches:
                 raise InputError(f"{word}: no {'file matches' if glob.has_magic(word) else 'such file'}")
         found += matches
@@ -52,11 +54,6 @@ def narrowing_flags(args: Namespace) -> str:
     """Return the given flags that leave samples out, as written; empty for none."""
     given = (("--nodes", args.nodes), ("--bus", args.bus), ("--from", args.start), ("--to", args.end))
     return ", ".join(flag for flag, value in given if value is not None)
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Return a sort key that puts run-2.log before run-10.log."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def when(flag: str, text: str | None) -> When | None:

@@ -7,7 +7,7 @@ import platform
 import shutil
 import socket
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -75,9 +75,6 @@ def interface_check(link: Link) -> Finding:
     return Finding(topic, "ok", f"up, {kind}" + (f", sample point {link.sample_point}" if link.sample_point else ""))
 
 
-# --- buses without hardware ---------------------------------------------------------------------------------------
-
-
 def trial() -> int:
     """Run `true` with the buses; return its exit code. Raises EnvironmentLackError."""
     from tipforce_tools.kernel.uml import run_with_vcan
@@ -85,8 +82,8 @@ def trial() -> int:
     return run_with_vcan(["true"], interfaces=INTERFACES, timeout_s=120.0)
 
 
-def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Finding]:
-    """Yield one check; ``try_it`` replaces the trial in tests. Never raises."""
+def vcan_checks() -> Iterator[Finding]:
+    """Yield one check. Never raises."""
     if sys.platform != "linux":
         yield Finding("vcan", "note", f"vcan exists on Linux only, and this is {sys.platform}", _UDP)
         return
@@ -94,7 +91,7 @@ def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Finding]:
 
     place = choose(INTERFACES)
     try:
-        code = (try_it or trial)()
+        code = trial()
     except TipforceError as error:
         yield Finding("vcan", "note", str(error).splitlines()[0], "`tipforce vcan -- true` shows the details")
         return
@@ -113,9 +110,6 @@ def multicast_checks() -> Iterator[Finding]:
         yield Finding("UDP bus", "ok", f"{_UDP} between programs, where vcan is not available")
     except TipforceError as error:
         yield Finding("UDP bus", "note", str(error))
-
-
-# --- converters ---------------------------------------------------------------------------------------------------
 
 
 def iio_checks(root: Path = _IIO, device_files: Path = Path("/dev"), configfs: Path | None = None) -> Iterator[Finding]:
@@ -191,9 +185,6 @@ def _buffering(devices: list[Device], root: Path, configfs: Path | None) -> Find
         return Finding(topic, "ok", f"triggers: {others}", "--trigger NAME")
     step = "for buffered capture: `modprobe iio-trig-hrtimer` and `mount -t configfs none /sys/kernel/config`"
     return Finding(topic, "note", "no trigger: converters are polled", step)
-
-
-# --- software -----------------------------------------------------------------------------------------------------
 
 
 def software_checks() -> Iterator[Finding]:

@@ -58,6 +58,12 @@ def write_list(path: Path, items: Sequence[str | bytes]) -> None:
     path.write_bytes(b"".join(item + b"\0" for item in encoded))
 
 
+def _write_lists(folder: Path, settings: Sequence[str], command: Sequence[str]) -> None:
+    environment = [name + b"=" + value for name, value in os.environb.items()]
+    for name, items in (("settings", settings), ("command", command), ("environment", environment)):
+        write_list(folder / name, items)
+
+
 def run_in_uml(
     command: Sequence[str], interfaces: Sequence[str], memory: str, timeout_s: float | None, writable: bool
 ) -> int:
@@ -202,9 +208,7 @@ def _write_request(
     if writable:
         (folder / "writable").touch()
     settings = [os.getcwd(), access, "terminal" if terminal else "pipes", _terminal_size(), os.uname().nodename]
-    write_list(folder / "settings", [*settings, *interfaces])
-    write_list(folder / "command", command)
-    write_list(folder / "environment", [name + b"=" + value for name, value in os.environb.items()])
+    _write_lists(folder, [*settings, *interfaces], command)
     script = folder / "init.sh"
     script.write_bytes(files("tipforce_tools.kernel").joinpath("init.sh").read_bytes())
     script.chmod(0o700)
@@ -363,9 +367,7 @@ def _in_machine(folder: Path, command: Sequence[str], timeout_s: float | None) -
     """Leave the request in the folder, where the machine looks for it; copy the output until it has a status."""
     terminal = _on_terminal()
     place = Path(tempfile.mkdtemp(prefix="attach-", dir=folder))
-    write_list(place / "settings", [os.getcwd(), _terminal_size(), _console(folder) if terminal else ""])
-    write_list(place / "command", command)
-    write_list(place / "environment", [name + b"=" + value for name, value in os.environb.items()])
+    _write_lists(place, [os.getcwd(), _terminal_size(), _console(folder) if terminal else ""], command)
     end_s = time.monotonic() + (timeout_s or float("inf"))
     with (place / "stdout").open("w+b") as out, (place / "stderr").open("w+b") as err, _terminal_kept(terminal):
         (place / "ready").touch()

@@ -65,9 +65,6 @@ def run(args: argparse.Namespace) -> int:
     return _transfer(args, words, value_text)
 
 
-# --- the device, by its identity or an EDS: for `tipforce config`, too ------------------------------------------------
-
-
 @contextmanager
 def connection_or(args: argparse.Namespace, error: InputError | None) -> Iterator[Bus]:
     """Open the connection. Where that fails, raise ``error`` if there is one: it does not depend on the bus."""
@@ -125,9 +122,6 @@ def _stored(sdo: SdoChannel) -> Description | None:
         # The node does not choose files of this machine: its UploadFile is below no folder.
         return describe(file, Path(os.devnull, "1021h"), content, sdo.node_id)
     return None
-
-
-# --- one object -----------------------------------------------------------------------------------------------------
 
 
 def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None) -> int:
@@ -211,9 +205,6 @@ def _index_sub(words: list[str], example: str) -> tuple[int, int]:
         return int(words[0], 0), int(words[1], 0)
     except ValueError:
         raise InputError(f"sdo: {words[0]!r} {words[1]!r} is not INDEX SUB; write {example} 0, or one NAME") from None
-
-
-# --- all objects ----------------------------------------------------------------------------------------------------
 
 
 def _dump(args: argparse.Namespace) -> int:

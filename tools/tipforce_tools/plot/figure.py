@@ -112,13 +112,14 @@ def panel_of(signal: str) -> str:
 
 
 def _frame(fingers: Sequence[Finger], recording: Fingers) -> _Frame:
-    lines: dict[str, list[Line]] = {}
+    ends: dict[str, list[float]] = {}  # of all lines of a panel of angles, with bands
     for finger in fingers:
         for signal, trace in finger.traces.items():
             line = trace.line()
             if line is not None and finger.units[signal] == "degree":
-                lines.setdefault(panel_of(signal), []).append(line)
-    circles = {panel for panel, of_panel in lines.items() if _span(of_panel) >= TURN}
+                low, high = np.fmin(line.low, line.band_low).min(), np.fmax(line.high, line.band_high).max()
+                ends.setdefault(panel_of(signal), []).extend((float(low), float(high)))
+    circles = {panel for panel, of_panel in ends.items() if max(of_panel) - min(of_panel) >= TURN}
     happened = {name for finger in fingers for flags in finger.flags.values() for name in flags.bars()}
     names = [name for name in _HATCHES if name in happened or name == "contact"] + sorted(happened - {*_HATCHES})
     bars = [(name, BY_NAME.get(name, name.replace("_", " ")), _HATCHES.get(name, "xx")) for name in names]
@@ -187,12 +188,6 @@ def _draw_line(ax: Axes, signal: str, line: Line, number: int, *, whole: bool, s
         ax.vlines(
             x[alone], y - (line.mean - line.low)[alone], y + (line.high - line.mean)[alone], color=ink, linewidth=0.8
         )
-
-
-def _span(lines: Sequence[Line]) -> float:
-    """Return the minimum and maximum of all lines, with bands."""
-    high = max(np.fmax(line.high, line.band_high).max() for line in lines)
-    return float(high - min(np.fmin(line.low, line.band_low).min() for line in lines))
 
 
 def _share_limits(axes: Sequence[Axes], panel: str, *, whole: bool) -> None:

@@ -132,22 +132,17 @@ class Flags:
         # A flag holds until the next sample, unless that is late.
         until = np.append(first[1:], last[-1])
         until = np.where(until - last > np.maximum(_PERIODS * usual_ns, self._bins.width_ns), last, until)
-        bars = {}
+        bars: dict[str, list[tuple[int, int]]] = {}
         for number, name in enumerate(self._names):
             is_set = (bins["set"] >> number & 1).astype(np.bool_)
-            if is_set.any():
-                bars[name] = _runs(is_set, first, until)
+            if not is_set.any():
+                continue
+            starts = np.flatnonzero(is_set & ~np.concatenate(([False], is_set[:-1] & (until[:-1] >= first[1:]))))
+            bars[name] = []
+            for start, end in zip(starts.tolist(), [*starts[1:].tolist(), len(is_set)], strict=True):
+                inside = np.flatnonzero(is_set[start:end])
+                bars[name].append((int(first[start]), int(until[start + inside[-1]])))
         return bars
-
-
-def _runs(is_set: BoolArray, first: Array, until: Array) -> list[tuple[int, int]]:
-    starts = np.flatnonzero(is_set & ~np.concatenate(([False], is_set[:-1] & (until[:-1] >= first[1:]))))
-    ends = np.append(starts[1:], len(is_set))
-    bars = []
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        inside = np.flatnonzero(is_set[start:end])
-        bars.append((int(first[start]), int(until[start + inside[-1]])))
-    return bars
 
 
 class Lost:
