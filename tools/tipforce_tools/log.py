@@ -34,8 +34,7 @@ format: .log (candump's, for canplayer, Wireshark, `tipforce replay` and `decode
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce log` and python-can's bus flags to `parser`."""
-    parser.description = DESCRIPTION
-    parser.epilog = EPILOG
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
     what = "buses with their filters"
     parser.add_argument("targets", nargs="*", type=common.TARGET, metavar="CHANNEL[,FILTER...]", help=what)
     parser.add_argument("-o", "--output", metavar="FILE", help="default: a name as of candump -l, by date and time")

@@ -52,10 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("Industrial I/O source")
-    group.add_argument(
-        "--capture", choices=("auto", "poll", "buffer"), default="auto",
-        help="poll: on demand; buffer: by a trigger (default %(default)s)",
-    )  # fmt: skip
+    what = "poll: on demand; buffer: by a trigger (default %(default)s)"
+    group.add_argument("--capture", choices=("auto", "poll", "buffer"), default="auto", help=what)
     group.add_argument("--trigger", metavar="NAME", help="default: the device's own, else a timer")
     rate = common.number_within(0.0, 100_000.0, "is above 0 up to 100000 Hz", over=True)
     common.add_numbers(group, ("--scan-rate", 1000.0, "HZ", "of that timer (default 1000)", rate))
@@ -73,11 +71,8 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--offset", default="", metavar="UE,UE,...", help="unloaded reading of each gauge, microstrain")
     group.add_argument("--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons, degrees (default %(default)s)")
     group.add_argument("--seed", type=common.whole_number, default=0, help="of the noise (default %(default)s)")
-    group.add_argument(
-        "--uncalibrated", action="store_true",
-        help="as before its first calibration; otherwise a node that has stored none has that of beam theory, in the "
-        "sense (push or pull) of --load",
-    )  # fmt: skip
+    what = "as before its first calibration; otherwise a node that has stored none has that of beam theory, in the "
+    group.add_argument("--uncalibrated", action="store_true", help=f"{what}sense (push or pull) of --load")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -49,8 +49,7 @@ _gap = common.number_that(lambda gap_s: 0 <= gap_s < math.inf, "are 0 or more se
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce replay` and python-can's bus flags to `parser`."""
-    parser.description = DESCRIPTION
-    parser.epilog = EPILOG
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
     what = "a log file, or - for candump text on stdin"
     parser.add_argument("log", type=common.InputFile(), metavar="LOG", help=what)
     parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")

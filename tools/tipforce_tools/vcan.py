@@ -29,8 +29,7 @@ signal n ended it, 130 interrupted
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce vcan` to `parser`."""
-    parser.description = DESCRIPTION
-    parser.epilog = EPILOG
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
     parser.add_argument("--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (%(default)s)")
     parser.add_argument("--memory", default="2G", metavar="SIZE", help="of User-mode Linux (default: %(default)s)")
     parser.add_argument("--timeout", type=common.seconds, metavar="S", help="end COMMAND after S seconds, exit with 1")

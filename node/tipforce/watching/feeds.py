@@ -137,13 +137,9 @@ class FrameFeed(Feed):
     """Frames of a bus or a log; sends nothing to the bus."""
 
     def __init__(
-        self,
-        source: FrameSource,
-        make_finger: FingerMaker,
-        gauges: int = 3,
-        fingers: Sequence[Finger] = (),
+        self, source: FrameSource, make_finger: FingerMaker, gauges: int = 3, fingers: Sequence[Finger] = (),
         bit_rate: int = DEFAULT_BIT_RATE,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._watcher, self._load = Watcher(make_finger, gauges, fingers), LoadMeter(bit_rate)
         super().__init__(source.close, self._watcher.state, fingers, gauges)
         self.rows = self.frames = 0

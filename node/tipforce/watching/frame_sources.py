@@ -108,13 +108,9 @@ class LogSource(FrameSource):
     """
 
     def __init__(
-        self,
-        log: LogReader,
-        speed: float,
-        step_ns: int,
-        clock: Clock = time.monotonic,
+        self, log: LogReader, speed: float, step_ns: int, clock: Clock = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(log.close, clock)
         self._log = log
         self._blocks: Iterator[FrameArray] = iter(log)

@@ -87,14 +87,11 @@ def add_bus_name_arguments(parser: argparse.ArgumentParser) -> argparse._Argumen
     )
     unset = argparse.SUPPRESS
     group.add_argument("-c", "--channel", default=unset, metavar="CHANNEL", help="can0, vcan0, /dev/ttyACM0, ...")
+    known, rate = Interfaces(), "if the interface sets it; for SocketCAN use `ip link`"
     group.add_argument(
-        "-i", "--interface", default=unset, choices=Interfaces(), metavar="INTERFACE",
-        help="one of %(choices)s",
-    )  # fmt: skip
-    group.add_argument(
-        "-b", "--bitrate", type=int, default=unset, metavar="BIT/S",
-        help="if the interface sets it; for SocketCAN use `ip link`",
-    )  # fmt: skip
+        "-i", "--interface", default=unset, choices=known, metavar="INTERFACE", help="one of %(choices)s"
+    )
+    group.add_argument("-b", "--bitrate", type=int, default=unset, metavar="BIT/S", help=rate)
     return group
 
 
@@ -120,14 +117,10 @@ def add_bus_flags(parser: argparse.ArgumentParser) -> None:
     group, unset = add_bus_name_arguments(parser), argparse.SUPPRESS
     group.add_argument("--fd", default=unset, action="store_true", help="CAN FD")
     group.add_argument("--data-bitrate", type=int, default=unset, metavar="BIT/S", help="of the CAN FD data phase")
-    group.add_argument(
-        "--timing", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="NAME=N",
-        help="bit timing instead of a bit rate: f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1",
-    )  # fmt: skip
-    group.add_argument(
-        "--bus-kwargs", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="NAME=VALUE",
-        help="further options of the interface, for example app_name=MyCanApp serial=1234",
-    )  # fmt: skip
+    timing = "bit timing instead of a bit rate: f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1"
+    further = "further options of the interface, for example app_name=MyCanApp serial=1234"
+    for flag, metavar, text in (("--timing", "NAME=N", timing), ("--bus-kwargs", "NAME=VALUE", further)):
+        group.add_argument(flag, action=_PythonCanAction, nargs="+", default=unset, metavar=metavar, help=text)
 
 
 _BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")

@@ -26,8 +26,7 @@ With text, CHANNEL (or `any`) selects by the interface named in each line.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce dump` and python-can's bus flags to `parser`."""
-    parser.description = DESCRIPTION
-    parser.epilog = EPILOG
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
     metavar, what = "CHANNEL[,FILTER...] | FILE | -", "buses, or a file of candump text"
     parser.add_argument("targets", nargs="*", type=common.TARGET, metavar=metavar, help=what)
     look = parser.add_argument_group("candump's flags")

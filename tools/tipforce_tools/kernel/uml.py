@@ -298,15 +298,9 @@ def preloading(folder: Path) -> dict[str, str]:
 
 
 def run_with_vcan(
-    command: Sequence[str],
-    *,
-    interfaces: Sequence[str] = ("vcan0", "vcan1"),
-    memory: str = "2G",
-    timeout_s: float | None = None,
-    place: str = "auto",
-    writable: bool = False,
-    announced: bool = False,
-) -> int:
+    command: Sequence[str], *, interfaces: Sequence[str] = ("vcan0", "vcan1"), memory: str = "2G",
+    timeout_s: float | None = None, place: str = "auto", writable: bool = False, announced: bool = False,
+) -> int:  # fmt: skip
     """Run `command` where all `interfaces` are vcan buses and up; return the command's own exit code.
 
     Directory and environment are the caller's. Besides the command's own codes: 127 if it is not found, 126 if it

@@ -26,8 +26,7 @@ _speed = common.number_that(lambda speed: speed > 0, "is more than 0, or inf")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce monitor` and python-can's bus flags to `parser`."""
-    parser.description = DESCRIPTION
-    parser.epilog = EPILOG
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
     targets = "CHANNEL[,FILTER...] | LOG | -"
     parser.add_argument("targets", nargs="*", type=common.TARGET, metavar=targets, help="buses, filters, or a log")
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="1,2,5-9 (default: all)")

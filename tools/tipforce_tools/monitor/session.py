@@ -72,13 +72,9 @@ def monitor(args: Namespace) -> int:
 
 
 def run(
-    watched: Monitor,
-    source: FrameSource,
-    stopped: Callable[[], bool],
-    interval_s: float,
-    show: Show | None,
+    watched: Monitor, source: FrameSource, stopped: Callable[[], bool], interval_s: float, show: Show | None,
     once_s: float = math.inf,
-) -> bool:
+) -> bool:  # fmt: skip
     """Update the monitor until the source ends, ``stopped`` is true, or --once is over; return whether it was shown.
 
     It is shown at each interval of the frames' clock, so that a log gives the same lines.
@@ -109,13 +105,9 @@ def run(
 
 
 def _source(
-    args: Namespace,
-    name: Path | str | None,
-    targets: Sequence[Target],
-    interval_s: float,
-    opened: ExitStack,
+    args: Namespace, name: Path | str | None, targets: Sequence[Target], interval_s: float, opened: ExitStack,
     hints: Hints,
-) -> tuple[FrameSource, LogReader | None]:
+) -> tuple[FrameSource, LogReader | None]:  # fmt: skip
     if name is None:
         if args.follow or args.speed != math.inf:
             raise InputError("--follow and --speed: need a log")

@@ -24,8 +24,7 @@ _INCHES = {"": 1.0, "in": 1.0, "cm": 1 / 2.54, "mm": 1 / 25.4}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce plot` to `parser`."""
-    parser.description = DESCRIPTION
-    parser.epilog = EPILOG
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
     parser.add_argument("logs", nargs="+", type=common.LOG, metavar="LOG", help="files and globs, or -")
     parser.add_argument("-o", "--output", metavar="FILE", help=".png, .svg or .pdf")
     parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in")

@@ -186,12 +186,8 @@ class Bins:
         self.start_ns = start_ns
         self.width_ns = _FIRST_WIDTH_NS
         last = np.iinfo(np.int64)
-        self._how: dict[str, tuple[np.ufunc, Any]] = {
-            **columns,
-            "count": (np.add, 0),
-            "first_ns": (np.minimum, last.max),
-            "last_ns": (np.maximum, last.min),
-        }
+        times = {"first_ns": (np.minimum, last.max), "last_ns": (np.maximum, last.min)}
+        self._how: dict[str, tuple[np.ufunc, Any]] = {**columns, "count": (np.add, 0), **times}
         self._columns = {name: np.full(BINS, empty) for name, (_, empty) in self._how.items()}
 
     def add(self, t_ns: IntArray, **columns: Array) -> None:
