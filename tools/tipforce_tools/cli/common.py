@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -86,19 +87,12 @@ def _whole(text: str, low: int, high: float, allowed: str, base: int = 0) -> int
     return value
 
 
-def count(text: str) -> int:
-    """Parse a count for argparse: a whole number of at least 1."""
-    return _whole(text, 1, math.inf, "whole numbers from 1", 10)
-
-
-def whole_number(text: str) -> int:
-    """Parse a whole number from 0 for argparse: a seed of random numbers, a number of retries."""
-    return _whole(text, 0, math.inf, "whole numbers from 0", 10)
-
-
-def unsigned32(text: str) -> int:
-    """Parse an UNSIGNED32, `10` or `0x0A`, for argparse."""
-    return _whole(text, 0, 0xFFFFFFFF, "0 to 0xFFFFFFFF")
+count = partial(_whole, low=1, high=math.inf, allowed="whole numbers from 1", base=10)
+"""Parse a count for argparse: a whole number of at least 1."""
+whole_number = partial(_whole, low=0, high=math.inf, allowed="whole numbers from 0", base=10)
+"""Parse a whole number from 0 for argparse: a seed of random numbers, a number of retries."""
+unsigned32 = partial(_whole, low=0, high=0xFFFFFFFF, allowed="0 to 0xFFFFFFFF")
+"""Parse an UNSIGNED32, `10` or `0x0A`, for argparse."""
 
 
 def number_that(accepted: Callable[[float], bool], allowed: str) -> Callable[[str], float]:
