@@ -12,8 +12,6 @@ from tipforce_tools.page.serving import add_page_arguments, page_guard, serve
 if TYPE_CHECKING:
     from tipforce_tools.demo.job import Result
 
-DEFAULT_SEED = 20261121
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce demo`."""
@@ -22,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "over all comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution."
     )
     what = "of the simulated noise (default %(default)s)"
-    parser.add_argument("--seed", type=common.whole_number, default=DEFAULT_SEED, help=what)
+    parser.add_argument("--seed", type=common.whole_number, default=20261121, help=what)
     parser.add_argument("--spoil", action="store_true", help="corrupt an element of each matrix: the demo must fail")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--table", action="store_true", help="print each load: true, estimated, error, uncertainty")

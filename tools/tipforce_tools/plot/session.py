@@ -20,7 +20,6 @@ from tipforce_tools.plot import figure
 from tipforce_tools.plot.fingers import Fingers
 
 MOST_FINGERS = 20
-DPI = 130
 STATUS, GAUGES = "status", "gauges"
 _DEFAULT = ("P", "phi", "theta", GAUGES, STATUS)
 
@@ -52,7 +51,7 @@ def plot(args: Namespace) -> int:
         raise InputError(f"{', '.join(names)}: no {', '.join(wanted)} in it, so there is nothing to draw")
     drawn = figure.draw(fingers, plt, args.size, status=STATUS in wanted)
     try:
-        save_figure(drawn, path, FIGURES, dpi=DPI)
+        save_figure(drawn, path, FIGURES, dpi=130)
     finally:
         plt.close(drawn)
     for log in notes:
