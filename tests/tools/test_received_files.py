@@ -122,18 +122,13 @@ def machine(key: str) -> Callable[[Path, str], Act]:
 
 
 KINDS: dict[str, tuple[str, Callable[[Path, str], Act]]] = {
-    "hand: calibration": (".toml", hand("calibration", "finger")),
-    "hand: config": (".toml", hand("config", "hand")),
+    "hand: calibration": (".toml", hand("calibration", "finger")), "hand: config": (".toml", hand("config", "hand")),
     "hand: config of a finger": (".toml", hand("config", "finger")),
-    "scene: calibration": (".toml", scene("calibration", False)),
-    "scene: log": (".log", scene("log", True)),
-    "scene: table": (".csv", scene("table", True)),
-    "scene: plot": (".png", scene("plot", True)),
-    "machine: eds": (".eds", machine("eds")),
-    "machine: store": (".json", machine("store")),
-    "machine: application": (".py", machine("application")),
-    "machine: signal": (".csv", machine("file")),
-}
+    "scene: calibration": (".toml", scene("calibration", False)), "scene: log": (".log", scene("log", True)),
+    "scene: table": (".csv", scene("table", True)), "scene: plot": (".png", scene("plot", True)),
+    "machine: eds": (".eds", machine("eds")), "machine: store": (".json", machine("store")),
+    "machine: application": (".py", machine("application")), "machine: signal": (".csv", machine("file")),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NAMES)
