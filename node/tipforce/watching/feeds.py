@@ -47,14 +47,12 @@ class Counters:
 
 
 class Feed:
-    """Rows of all fingers, and events. ``close`` releases the hand or the source."""
+    """Rows of all fingers, and events. ``close`` releases the source; ``state``: the NMT state of a node-id, or ""."""
 
     def __init__(
         self, close: Callable[[], object], state: Callable[[int], str], fingers: Sequence[Finger], gauges: int
     ) -> None:
-        self.close, self.gauges = close, gauges
-        self.state = state
-        """The NMT state of a node-id; empty if it is not known."""
+        self.close, self.state, self.gauges = close, state, gauges
         self.fingers = tuple(fingers)
         """In the order of the columns; more may be found."""
         self.ended = False
