@@ -64,13 +64,9 @@ def _node(node_id: int, *, health: bool) -> tuple[Conversation, SimulatedSource]
 
 
 def hand_frames(
-    node_ids: tuple[int, ...] = (5,),
-    seconds: float = 2.0,
-    rate_hz: int = 100,
-    load: Load = touch,
-    faults: tuple[Fault, ...] = (),
-    health: bool = True,
-) -> Iterator[tuple[int, int, bytes]]:
+    node_ids: tuple[int, ...] = (5,), seconds: float = 2.0, rate_hz: int = 100, load: Load = touch,
+    faults: tuple[Fault, ...] = (), health: bool = True,
+) -> Iterator[tuple[int, int, bytes]]:  # fmt: skip
     """(microseconds since the start, identifier, data): SYNC and what the nodes answer, their heartbeats and EMCY."""
     nodes = [_node(node_id, health=health) for node_id in node_ids]
     for k in range(round(seconds * rate_hz)):

@@ -18,6 +18,20 @@ from tipforce.fingertip.source import Source
 from tipforce_tools.cli.main import main
 
 
+class Clock:
+    """Seconds that pass when somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds > 0
+        self.now_s += seconds
+
+
 class Ended(NamedTuple):
     """The exit code of a command, and what it wrote."""
 

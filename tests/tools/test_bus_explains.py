@@ -29,13 +29,9 @@ SITUATIONS = {
     "two nodes": "two nodes .* node 5|another node sends its identifier.*: .*`tipforce (lss assign|scan)",
 }
 COMMANDS = (
-    "scan --wait 0.3",
-    "monitor --once 1",
-    "dump --decode -T 1000 -n 60",
-    "log -o FOLDER/run.log --seconds 1",
-    "view --port 0",
-    "doctor --listen 0.3",
-)
+    "scan --wait 0.3", "monitor --once 1", "dump --decode -T 1000 -n 60", "log -o FOLDER/run.log --seconds 1",
+    "view --port 0", "doctor --listen 0.3",
+)  # fmt: skip
 CAN0 = {"ifname": "can0", "link_type": "can", "flags": ["UP"]}
 
 
@@ -188,13 +184,9 @@ def test_nothing_is_said_of_a_bus_that_works_nor_of_another_device() -> None:
 )
 @pytest.mark.parametrize("command", ["scan", "read 5", "monitor", "log -o x", "view", "node --node-id 5", "hand up H"])
 def test_the_interface_is_the_only_one_that_is_up(
-    command: str,
-    known: dict[str, bool],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    command: str, known: dict[str, bool], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:
+) -> None:  # fmt: skip
     def refuse(*_: object, **options: object) -> None:
         raise EnvironmentLackError(f"it would open {options or _}")
 

@@ -22,8 +22,8 @@ from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.interfaces import link_of
 from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor.command import configuration_check
-from tipforce_tools.doctor.machine import interface_check, software_checks, vcan_checks
+from tipforce_tools.doctor import configuration_check, machine
+from tipforce_tools.doctor.machine import interface_check
 from tools.rig import Printed
 
 
@@ -36,16 +36,9 @@ def parsers() -> tuple[argparse.ArgumentParser, argparse.ArgumentParser]:
 
 def described(action: argparse.Action) -> dict[str, Any]:
     """What a flag takes; the words of its help are ours."""
-    return {
-        "flags": list(action.option_strings),
-        "dest": action.dest,
-        "nargs": action.nargs,
-        "const": action.const,
-        "default": action.default,
-        "type": action.type,
-        "choices": None if action.choices is None else list(action.choices),
-        "required": action.required,
-    }
+    names = ("option_strings", "dest", "nargs", "const", "default", "type", "required")
+    choices = None if action.choices is None else list(action.choices)
+    return {name: getattr(action, name) for name in names} | {"choices": choices}
 
 
 def test_the_flags_are_python_cans() -> None:
@@ -69,18 +62,11 @@ TIMING = "--timing f_clock=8000000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1"
 @pytest.mark.parametrize(
     "words",
     [
-        "",
-        "-i socketcan -c vcan0 -b 500000",
-        "--interface virtual --channel x --fd --data-bitrate 2000000",
-        TIMING,
-        "--bus-kwargs a=1 b=x c=True d=1.5",
-        "-i nothing",
-        "-b fast",
-        "--timing f_clock=8000000",
-        "--timing x",
+        "", "-i socketcan -c vcan0 -b 500000", "--interface virtual --channel x --fd --data-bitrate 2000000", TIMING,
+        "--bus-kwargs a=1 b=x c=True d=1.5", "-i nothing", "-b fast", "--timing f_clock=8000000", "--timing x",
         "--bus-kwargs =1",
     ],
-)
+)  # fmt: skip
 def test_they_parse_as_python_cans(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     results = []
     for parser in parsers():
@@ -203,24 +189,17 @@ def test_vcan_that_works_and_vcan_that_does_not(monkeypatch: pytest.MonkeyPatch,
         (lacking, "User-mode Linux ended before it had booted", "`tipforce vcan -- true`"),
         (lambda: 1, "`tipforce vcan -- true` ended with 1", "sudo modprobe vcan"),
     ):
-        (check,) = vcan_checks(trial)
+        monkeypatch.setattr(machine, "trial", trial)
+        (check,) = machine.vcan_checks()
         assert (check.state, check.finding) == ("note", finding)
         assert step in check.next_step
 
 
-def test_missing_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tipforce_tools.doctor import machine as software
-
-    monkeypatch.setitem(software.EXTRAS, "science", ("no-such-package",))
-    checks = {check.topic: check for check in software_checks()}
+def test_missing_extras_and_a_missing_core_are_named_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(machine.EXTRAS, "science", "no-such-package")
+    monkeypatch.setattr(machine, "core", None)
+    checks = {check.topic: check for check in machine.software_checks()}
     assert "science" in checks["extras"].finding
     assert "science" in checks["extras"].next_step
-
-
-def test_a_missing_core_is_named_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tipforce_tools.doctor import machine as software
-
-    monkeypatch.setattr(software, "core", None)
-    (check,) = [check for check in software_checks() if check.topic == "core"]
-    assert check.state == "note"
-    assert "pip install --force-reinstall" in check.next_step
+    assert checks["core"].state == "note"
+    assert "pip install --force-reinstall" in checks["core"].next_step

@@ -85,13 +85,10 @@ def test_sdo_read_as_json(tipforce: Tipforce) -> None:
 @pytest.mark.parametrize(
     ("words", "value", "shown"),
     [
-        ("simulation.P", "-1.5e-3", "-0.0015"),
-        ("simulation.phi", "-90", "-90.0"),
-        ("0x2101 2 r32", "nan", "nan"),
-        ("0x1800 3", "0x64", "100"),
-        ("tpdo1.inhibit_100us", "7", "7"),
+        ("simulation.P", "-1.5e-3", "-0.0015"), ("simulation.phi", "-90", "-90.0"), ("0x2101 2 r32", "nan", "nan"),
+        ("0x1800 3", "0x64", "100"), ("tpdo1.inhibit_100us", "7", "7"),
     ],
-)
+)  # fmt: skip
 def test_sdo_write_then_read(tipforce: Tipforce, words: str, value: str, shown: str) -> None:
     tipforce("sdo", "write", 5, "tpdo1.cob_id", "0xC0000185")  # an inhibit time changes in an invalid PDO only
     code, out, err = tipforce("sdo", "write", 5, *words.split(), value)
@@ -193,11 +190,8 @@ def test_config_apply_then_verify(tipforce: Tipforce, tmp_path: Path) -> None:
     assert tipforce("config", "verify", 5, path, "--json", "-q") == (0, "", "")
     code, out, _ = tipforce("config", "verify", 6, path, "--json", "-q")
     assert code == 1
-    assert json.loads(out.splitlines()[-1]) == {
-        "object": "interrupt_delta:1 (0x6133:01)",
-        "expected": "2.5",
-        "found": "0.0",
-    }
+    expected = {"object": "interrupt_delta:1 (0x6133:01)", "expected": "2.5", "found": "0.0"}
+    assert json.loads(out.splitlines()[-1]) == expected
 
 
 @pytest.fixture

@@ -31,15 +31,10 @@ def test_what_is_no_node_id(text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "numbers"),
     [
-        ("5", [5]),
-        ("1,2,5-9", [1, 2, 5, 6, 7, 8, 9]),
-        ("0x0A-0x0C, 3", [3, 10, 11, 12]),
-        ("9,1,9,1-2", [1, 2, 9]),
-        ("7-7", [7]),
-        ("1-127", list(range(1, 128))),
-        (" 1 - 3 ", [1, 2, 3]),
+        ("5", [5]), ("1,2,5-9", [1, 2, 5, 6, 7, 8, 9]), ("0x0A-0x0C, 3", [3, 10, 11, 12]), ("9,1,9,1-2", [1, 2, 9]),
+        ("7-7", [7]), ("1-127", list(range(1, 128))), (" 1 - 3 ", [1, 2, 3]),
     ],
-)
+)  # fmt: skip
 def test_a_set_of_node_ids(text: str, numbers: list[int]) -> None:
     assert common.node_ids(text) == numbers
 
@@ -47,18 +42,12 @@ def test_a_set_of_node_ids(text: str, numbers: list[int]) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "write 1,2,5-9"),
-        ("1,,2", "write 1,2,5-9"),
-        ("1-", "write 1,2,5-9"),
-        ("-3", "write 1,2,5-9"),
-        ("1-2-3", "write 1,2,5-9"),
-        ("1;2", "write 1,2,5-9"),
-        ("9-5", "the second is smaller than the first"),
-        ("0-5", "node-id '0': allowed are 1 to 127"),
-        ("1-128", "node-id '128': allowed are 1 to 127"),
+        ("", "write 1,2,5-9"), ("1,,2", "write 1,2,5-9"), ("1-", "write 1,2,5-9"), ("-3", "write 1,2,5-9"),
+        ("1-2-3", "write 1,2,5-9"), ("1;2", "write 1,2,5-9"), ("9-5", "the second is smaller than the first"),
+        ("0-5", "node-id '0': allowed are 1 to 127"), ("1-128", "node-id '128': allowed are 1 to 127"),
         ("x", "node-id 'x': allowed are 1 to 127"),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_set_of_node_ids(text: str, message: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError, match=message):
         common.node_ids(text)
@@ -83,12 +72,8 @@ def bus_arguments(*words: str) -> argparse.Namespace:
 def test_only_what_was_said_goes_to_python_can() -> None:
     assert bus_flags.bus_options(bus_arguments()) == {}
     words = ["-i", "socketcan", "-c", "vcan0", "-b", "500000", "--bus-kwargs", "receive_own_messages=True"]
-    assert bus_flags.bus_options(bus_arguments(*words)) == {
-        "interface": "socketcan",
-        "channel": "vcan0",
-        "bitrate": 500000,
-        "receive_own_messages": True,
-    }
+    expected = {"interface": "socketcan", "channel": "vcan0", "bitrate": 500000, "receive_own_messages": True}
+    assert bus_flags.bus_options(bus_arguments(*words)) == expected
 
 
 @pytest.mark.parametrize("words", ["--timeout 0", "--timeout -1", "--timeout nan", "--timeout inf", "--retries -1"])
@@ -148,27 +133,21 @@ def test_notes_go_to_stderr_and_not_with_quiet(capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("words", "environment", "coloured"),
     [
-        ([], {}, False),
-        (["--color", "always"], {}, True),
-        (["--color", "always"], {"NO_COLOR": "1"}, True),
-        (["--color", "never"], {"FORCE_COLOR": "1"}, False),
-        ([], {"NO_COLOR": "1", "FORCE_COLOR": "1"}, False),
+        ("", {}, False), ("--color always", {}, True), ("--color always", {"NO_COLOR": "1"}, True),
+        ("--color never", {"FORCE_COLOR": "1"}, False), ("", {"NO_COLOR": "1", "FORCE_COLOR": "1"}, False),
     ],
-)
+)  # fmt: skip
 def test_colour(
-    words: list[str],
-    environment: dict[str, str],
-    coloured: bool,
-    monkeypatch: pytest.MonkeyPatch,
+    words: str, environment: dict[str, str], coloured: bool, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:
+) -> None:  # fmt: skip
     for name in ("NO_COLOR", "FORCE_COLOR"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("TERM", "xterm")
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     for stderr in (False, True):
-        common.OUTPUT.set_up(bus_arguments(*words))
+        common.OUTPUT.set_up(bus_arguments(*words.split()))
         common.console(stderr=stderr).print("x", style="bold red")
         out, err = capsys.readouterr()
         assert ("\x1b[1;31m" in (err if stderr else out)) is coloured

@@ -83,33 +83,25 @@ def test_bash_completes_every_choice(tmp_path: Path) -> None:
 
 
 COMPLETIONS = [
-    ("tipforce ca", "calibrate"),
-    ("tipforce sdo ", "read write dump"),
+    ("tipforce ca", "calibrate"), ("tipforce sdo ", "read write dump"),
     ("tipforce sdo -i virtual -c x --fd re", "read"),
     ("tipforce sdo read 5 calibration.gen", "calibration.generation"),
-    ("tipforce sdo write 5 heartbeat.prod", "heartbeat.producer_ms"),
-    ("tipforce dump --color=al", "always"),
-    ("tipforce dump --color al", "always"),
-    ("tipforce dump --color=never --deco", "--decode"),
-    ("tipforce dump -i soc", "socketcan socketcand"),
-    ("tipforce export ", "eds dbc dcf xdd ros2 c mjcf"),
-    ("tipforce calibrate fit --drift ", "none tare linear"),
-    ("tipforce node --node-id 1", "1 10 11 12 13 14 15"),
-]
+    ("tipforce sdo write 5 heartbeat.prod", "heartbeat.producer_ms"), ("tipforce dump --color=al", "always"),
+    ("tipforce dump --color al", "always"), ("tipforce dump --color=never --deco", "--decode"),
+    ("tipforce dump -i soc", "socketcan socketcand"), ("tipforce export ", "eds dbc dcf xdd ros2 c mjcf"),
+    ("tipforce calibrate fit --drift ", "none tare linear"), ("tipforce node --node-id 1", "1 10 11 12 13 14 15"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("typed", "completed"),
     [
-        *COMPLETIONS,
-        ("tipforce sdo read 5 heartbeat.consumer:", "1 2 3 4"),
-        ("tipforce export eds ", ""),
-        ("tipforce node --layout I", "I II III"),
-        ("tipforce scan --wait ", ""),
+        *COMPLETIONS, ("tipforce sdo read 5 heartbeat.consumer:", "1 2 3 4"), ("tipforce export eds ", ""),
+        ("tipforce node --layout I", "I II III"), ("tipforce scan --wait ", ""),
         ("tipforce nothing -", "-h --help -V --version --help-bus --completion"),
         ("tipforce --completion ", "bash zsh fish"),
     ],
-)
+)  # fmt: skip
 def test_bash_completes(tmp_path: Path, typed: str, completed: str) -> None:
     assert bash(tmp_path, typed) == [completed.split()]
 

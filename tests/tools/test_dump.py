@@ -134,12 +134,9 @@ def test_json(log: Path, printed: Printed) -> None:
     assert found[6]["id"] == "12345678"
 
 
-def test_json_without_decode_and_without_time(piped: Tipforce) -> None:
+def test_no_time_and_health_and_more_gauges(piped: Tipforce) -> None:
     done = piped("  vcan0  285   [8]  2E 11 29 23 9A 11 03 03\n", "--json", "-")
     assert done.records == [{"t": None, "interface": "vcan0", "id": "285", "data": "2E1129239A110303"}]
-
-
-def test_health_and_more_gauges(piped: Tipforce) -> None:
     health = "(1700000000.000000) vcan0 485#FFFFFFFF01080701\n"
     done = piped(health, "--decode", "--gauges", "8", "-L", "-")
     assert done.out == health[:-1] + (
@@ -151,23 +148,13 @@ def test_health_and_more_gauges(piped: Tipforce) -> None:
 @pytest.mark.parametrize(
     ("targets", "shown"),
     [
-        (["vcan0"], 6),
-        (["vcan1"], 1),
-        (["any"], 7),
-        (["vcan0,285:7FF"], 2),
-        (["vcan0,285:7FF", "vcan1"], 3),
-        (["any,285~7FF"], 4),
-        (["any,285:7FF,080:7FF"], 3),
-        (["any,285~7FF,080~7FF,j"], 3),
-        (["any,0~0,#4"], 1),
-        (["any,0~0,#3"], 0),
-        (["any,12345678:DFFFFFFF"], 1),
-        (["any,181:C00007FF"], 0),
-        (["can7"], 0),
+        ("vcan0", 6), ("vcan1", 1), ("any", 7), ("vcan0,285:7FF", 2), ("vcan0,285:7FF vcan1", 3), ("any,285~7FF", 4),
+        ("any,285:7FF,080:7FF", 3), ("any,285~7FF,080~7FF,j", 3), ("any,0~0,#4", 1), ("any,0~0,#3", 0),
+        ("any,12345678:DFFFFFFF", 1), ("any,181:C00007FF", 0), ("can7", 0),
     ],
-)
-def test_filters(targets: list[str], shown: int, log: Path, printed: Printed) -> None:
-    assert len(printed(0, ["dump", *targets, str(log)]).out.splitlines()) == shown
+)  # fmt: skip
+def test_filters(targets: str, shown: int, log: Path, printed: Printed) -> None:
+    assert len(printed(0, ["dump", *targets.split(), str(log)]).out.splitlines()) == shown
 
 
 def test_can_fd_frames_are_shown_counted_and_filtered_but_not_decoded(
@@ -211,13 +198,10 @@ def test_what_was_left_out_is_told_at_the_end(piped: Tipforce) -> None:
     assert piped(text, "-q", "-").err == ""
 
 
-def test_verbose_counts_messages_and_lost_samples(piped: Tipforce) -> None:
+def test_verbose_counts_messages_and_lost_samples_by_the_numbers_of_the_syncs(piped: Tipforce) -> None:
     text = "".join(f"(1700000000.{k:06d}) vcan0 285#00000000000002{k:02X}\n" for k in (0, 1, 1, 5))
     lines = piped(text, "-v", "-").err.splitlines()
     assert lines[-1] == "tipforce dump: node 5 (0x05) Contact: 4 frames, 3 samples lost"
-
-
-def test_verbose_counts_by_the_numbers_of_the_syncs(piped: Tipforce) -> None:
     sent = [("080", "")] + [("080", f"{k:02X}") for k in (239, 240, 1, 2, 4)]
     frames = [(f"{can_id}#{data}", f"285#00000000000002{data or 'F0'}") for can_id, data in sent]
     text = "".join(f"(1700000000.{k:06d}) vcan0 {one}\n" for k, one in enumerate(sum(frames, ())))
@@ -231,6 +215,7 @@ def test_strict_stops_at_the_first_bad_line(piped: Tipforce) -> None:
     assert (done.code, done.out) == (1, good[0])
     assert done.err.startswith("tipforce dump: line 2: 'rubbish': not a candump line: expected ")
     assert piped(GOOD, "--strict", "-").code == 0
+    assert piped(GOOD.rstrip("\n"), "-L", "-").out == GOOD, "the last line may lack its end"
 
 
 def test_bytes_that_are_no_text() -> None:
@@ -238,10 +223,6 @@ def test_bytes_that_are_no_text() -> None:
     done = subprocess.run([*DUMP, "-"], input=noise, capture_output=True, timeout=60, check=False)
     assert (done.returncode, done.stdout) == (1, b"")
     assert b"no frames in it; is it a log?" in done.stderr
-
-
-def test_a_last_line_without_its_end(piped: Tipforce) -> None:
-    assert piped(GOOD.rstrip("\n"), "-L", "-").out == GOOD
 
 
 def test_a_closed_pipe_ends_quietly(tmp_path: Path) -> None:
@@ -307,7 +288,7 @@ def test_filters_remote_and_fd(capsys: pytest.CaptureFixture[str]) -> None:
     ]
     with repeated("dump2", *sent):
         assert main(["dump", "-i", "virtual", "-n", "2", "--json", "dump2,285~7FF"]) == 0
-    found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    found = records(capsys.readouterr().out)
     shown = {(record["id"], record.get("length"), record.get("fd"), record.get("error")) for record in found}
     assert shown == {("181", 4, None, None), ("123", None, True, None)}
     with repeated("dump2", *sent):

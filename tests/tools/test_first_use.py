@@ -202,29 +202,23 @@ def test_spoiled_calibrations_are_found(capsys: pytest.CaptureFixture[str]) -> N
     assert {row["case"] for row in outside} == set(CASES), "each node has a falsified matrix"
 
 
-def test_it_ends_in_three_lines(printed: Printed) -> None:
-    first, second, third = printed(0, ["demo", "--color", "never"]).out.splitlines()
+@pytest.mark.parametrize("table", [(), ("--table",)])
+def test_it_ends_in_three_lines_below_its_table(table: tuple[str, ...], printed: Printed) -> None:
+    out, err = printed(0, ["demo", "--color", "never", *table])
+    *above, first, second, third = out.splitlines()
+    assert (bool(above), out.count("Case "), out.count(" ok ")) == ((True, 3, LOADS) if table else (False, 0, 0))
+    assert "\x1b" not in out
+    assert "OUT" not in out
     assert first.startswith("114 loads of 4.4 N on 3 nodes: RMS error P 0.00")
     assert second == "errors outside their bound: 0; host estimates that differ from the node's: 0"
     assert third.startswith("PASS in ")
-    lines = printed(1, ["demo", "--color", "never", "--spoil", "-q"]).out
-    assert 0 < lines.count("OUT") < LOADS, "those that are wrong are shown"
-    assert " ok " not in lines
-
-
-def test_the_table_for_people(printed: Printed) -> None:
-    out, err = printed(0, ["demo", "--color", "never", "--table"])
-    assert out.count("Case ") == 3
-    assert "\x1b" not in out
-    assert out.count(" ok ") == LOADS
-    assert "OUT" not in out
-    assert "114 loads of 4.4 N on 3 nodes: RMS error P 0.00" in out
-    assert "errors outside their bound: 0; host estimates that differ from the node's: 0\nPASS in " in out
     assert err.count("after a reset the stored calibration is active") == 6
 
 
-def run(seed: int) -> list[job.Result]:
-    return list(job.run_demo(seed, False, lambda _: None, lambda: None))
+def test_without_a_table_what_is_wrong_is_shown(printed: Printed) -> None:
+    lines = printed(1, ["demo", "--color", "never", "--spoil", "-q"]).out
+    assert 0 < lines.count("OUT") < LOADS
+    assert " ok " not in lines
 
 
 def test_any_seed_passes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -235,21 +229,17 @@ def test_any_seed_passes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(job, "coverage_factor", lambda _: whole)
     estimates = []
     for seed in range(5):
-        results = run(seed)
+        results = list(job.run_demo(seed, False, lambda _: None, lambda: None))
         assert len(results) == 6 * len(few)
         assert all(result.inside and result.host_agrees for result in results)
         estimates.append(tuple(float(result.estimated[0]) for result in results))
     assert len(set(estimates)) == 5, "the seed changes the noise"
 
 
-def test_a_missing_value_is_outside() -> None:
+def test_a_missing_value_is_outside_and_angles_are_compared_round_the_circle() -> None:
     nothing = np.full(3, np.nan)
     result = job.Result("I", "pull", np.ones(3), nothing, np.ones(3), np.ones(3), np.full(3, 1e9), np.full(3, 1e9))
-    assert not result.inside
-    assert not result.host_agrees
-
-
-def test_angles_are_compared_round_the_circle() -> None:
+    assert (result.inside, result.host_agrees) == (False, False)
     near, far = np.array([1.0, 179.99, 5.0]), np.array([1.0, -179.99, 5.0])
     result = job.Result("I", "pull", far, near, near, np.ones(3), np.full(3, 0.1), np.full(3, 0.1))
     np.testing.assert_allclose(result.error, [0.0, -0.02, 0.0], atol=1e-9)

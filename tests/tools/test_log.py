@@ -90,10 +90,9 @@ def test_every_kind_of_frame_as_candump_writes_it(name: str, tmp_path: Path) -> 
 def test_every_kind_of_frame_as_messages(tmp_path: Path) -> None:
     with can.LogReader(written(tmp_path / "run.blf")) as reader:
         messages = list(reader)
-    assert [message.arbitration_id for message in messages] == [can_id & 0x1FFFFFFF for can_id, _ in MIXED]
-    assert [message.is_fd for message in messages] == [isinstance(kind, int) for _, kind in MIXED]
-    assert [message.is_remote_frame for message in messages] == [kind == "remote" for _, kind in MIXED]
-    assert [message.is_error_frame for message in messages] == [kind == "error" for _, kind in MIXED]
+    assert [(each.arbitration_id, each.is_fd, each.is_remote_frame, each.is_error_frame) for each in messages] == [
+        (can_id & 0x1FFFFFFF, isinstance(kind, int), kind == "remote", kind == "error") for can_id, kind in MIXED
+    ]
 
 
 def test_a_database_holds_all_that_was_written_at_once(tmp_path: Path) -> None:
@@ -125,9 +124,14 @@ def test_rotation_by_time(tmp_path: Path) -> None:
     assert numbers == list(range(numbers[0], numbers[0] + 300)), "nothing is lost between two files"
 
 
-def test_silence_ends_it(tmp_path: Path) -> None:
-    assert logged("log5", "-o", str(tmp_path / "run.log"), "-T", "100", "-q") == 0
-    assert (tmp_path / "run.log").read_text() == ""
+@pytest.mark.parametrize("before", [None, "old"])
+def test_silence_ends_it(before: str | None, tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    if before is not None:
+        path.write_text(before)
+    overwrite = [] if before is None else ["--overwrite"]
+    assert logged("log5", "-o", str(path), "-T", "100", "-q", *overwrite) == 0
+    assert path.read_text() == ""
 
 
 CHILD = """
@@ -171,13 +175,6 @@ def test_a_signal_closes_the_file(number: int, name: str, tmp_path: Path) -> Non
     assert "Traceback" not in said
 
 
-def test_overwrite(tmp_path: Path) -> None:
-    path = tmp_path / "run.log"
-    path.write_text("old")
-    assert logged("log7", "-o", str(path), "-T", "50", "--overwrite", "-q") == 0
-    assert path.read_text() == ""
-
-
 @contextmanager
 def listening(*channels: str) -> Iterator[list[can.BusABC]]:
     with ExitStack() as opened:
@@ -185,10 +182,7 @@ def listening(*channels: str) -> Iterator[list[can.BusABC]]:
 
 
 def received(bus: can.BusABC) -> list[can.Message]:
-    found = []
-    while (message := bus.recv(0)) is not None:
-        found.append(message)
-    return found
+    return list(iter(lambda: bus.recv(0), None))
 
 
 def shown(message: can.Message) -> tuple[int, str | int]:

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +17,9 @@ from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 from tipforce.host.logs.reader import open_log
 from tipforce.watching.bus_monitor import WINDOW_NS, BusView, Monitor, NodeView, Window
 from tipforce.watching.frame_sources import LogSource, PipeSource
-from tipforce_tools.cli.main import main
 from tipforce_tools.monitor import session
 from tools.hand_log import START_S, Fault, contact_pdo, hand_log
-from tools.rig import message, sending
+from tools.rig import Clock, Printed, message, sending
 
 MS = 1_000_000
 T0 = START_S * 1_000_000_000
@@ -60,10 +58,8 @@ def test_values_rate_and_age() -> None:
     assert found.age_s == pytest.approx(0.002)
     assert (found.stale, found.status, found.lost) == (False, ("contact", "calibrated"), 0)
 
-
-def test_one_late_sample_shows_in_the_longest_period() -> None:
-    frames = contacts(100)
-    frames = [(t + (7 if k == 50 else 0), can_id, data) for k, (t, can_id, data) in enumerate(frames)]
+    # One late sample shows in the longest period.
+    frames = [(t + (7 if k == 50 else 0), can_id, data) for k, (t, can_id, data) in enumerate(contacts(100))]
     periods = node(fed(frames), 990).periods
     assert periods is not None
     assert (periods.p50_ms, periods.max_ms) == pytest.approx((10.0, 17.0))
@@ -129,11 +125,8 @@ def test_what_the_calibration_says_of_a_sample_comes_from_tpdo4_and_emcy() -> No
 
 def test_a_known_value_needs_no_reason() -> None:
     found = node(fed([(0, *contact_pdo(5, 0.01, NAN, NAN, CALIBRATED | 0x10))]))
-    assert [session.shown(found.readings[name]) for name in ("P", "phi", "theta")] == [
-        "0.010 N",
-        "unknown: no contact",
-        "unknown: no contact",
-    ]
+    shown = [session.shown(found.readings[name]) for name in ("P", "phi", "theta")]
+    assert shown == ["0.010 N", "unknown: no contact", "unknown: no contact"]
 
 
 def test_samples_are_counted_once_whatever_pdos_carry_them() -> None:
@@ -169,9 +162,8 @@ def test_a_boot_up_message_is_no_state_that_lasts() -> None:
 
 
 def test_emergency() -> None:
-    found = node(
-        fed([(0, 0x85, bytes.fromhex("1050810100000000")), (5, 0x85, bytes.fromhex("3050810100000000"))]), 2005
-    )
+    emcy = [(5 * k, 0x85, bytes.fromhex(data)) for k, data in enumerate(("1050810100000000", "3050810100000000"))]
+    found = node(fed(emcy), 2005)
     assert found.emergency is not None
     assert (found.emergency.code, found.emergency.register, found.emergency.text) == (0x5030, 0x81, "front end")
     assert "5030h front end, 2.0 s ago" in session.cells(found)
@@ -192,9 +184,8 @@ def test_other_nodes_are_left_out() -> None:
 
 def test_error_and_remote_frames_are_no_values() -> None:
     data = contact_pdo(5, 1, 2, 3)[1]
-    found = bus(
-        fed([(0, 0x285 | REMOTE_FLAG, b""), (1, 0x705 | ERROR_FLAG, b"\x05"), (2, 0x285 | EXTENDED_FLAG, data)])
-    )
+    frames = [(0, 0x285 | REMOTE_FLAG, b""), (1, 0x705 | ERROR_FLAG, b"\x05"), (2, 0x285 | EXTENDED_FLAG, data)]
+    found = bus(fed(frames))
     assert (found.nodes, found.errors) == ((), 1)
 
 
@@ -234,9 +225,8 @@ def test_a_window_forgets() -> None:
 
 def test_a_clock_that_was_set_back_starts_anew() -> None:
     monitor = fed(contacts(101))
-    monitor.feed(
-        frame_array([(T0 - 3600_000 * MS + 20 * k * MS, *contact_pdo(5, 1, 2, 3)) for k in range(51)]), ["can0"]
-    )
+    frames = [(T0 - 3600_000 * MS + 20 * k * MS, *contact_pdo(5, 1, 2, 3)) for k in range(51)]
+    monitor.feed(frame_array(frames), ["can0"])
     found = monitor.views()[0].nodes[0]
     assert found.rate_hz == pytest.approx(50.0)
     assert found.age_s == 0.0
@@ -250,20 +240,6 @@ def test_nothing_has_come() -> None:
     assert Window(columns=2).sums(0) == [0.0, 0.0]
 
 
-class FakeClock:
-    """Seconds that pass when somebody sleeps."""
-
-    def __init__(self) -> None:
-        self.now = 100.0
-
-    def __call__(self) -> float:
-        return self.now
-
-    def sleep(self, seconds: float) -> None:
-        assert seconds > 0
-        self.now += seconds
-
-
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
     path = tmp_path / "hand.log"
@@ -273,7 +249,7 @@ def log(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("speed", [1.0, 4.0])
 def test_a_log_in_its_own_time(log: Path, speed: float) -> None:
-    clock = FakeClock()
+    clock = Clock()
     with open_log(log) as reader:
         source = LogSource(reader, speed, 250 * MS, clock, clock.sleep)
         count = 0
@@ -284,25 +260,25 @@ def test_a_log_in_its_own_time(log: Path, speed: float) -> None:
             assert now_ns is not None
             if len(frames):
                 assert int(frames["t_ns"].max()) <= now_ns
-                assert now_ns - T0 <= (clock.now - 100.0) * speed * 1e9 + MS
+                assert now_ns - T0 <= (clock.now_s - 100.0) * speed * 1e9 + MS
     assert count == len(log.read_text().splitlines())
-    assert clock.now - 100.0 == pytest.approx(2.0 / speed, abs=0.02)
+    assert clock.now_s - 100.0 == pytest.approx(2.0 / speed, abs=0.02)
 
 
 def test_a_log_as_fast_as_it_is_read(log: Path) -> None:
-    clock = FakeClock()
+    clock = Clock()
     with open_log(log) as reader:
         source = LogSource(reader, math.inf, 250 * MS, clock, clock.sleep)
         steps: list[FrameArray] = []
         while not source.ended:
             steps.append(source.take(0.1)[0])
-    assert clock.now == 100.0
+    assert clock.now_s == 100.0
     assert len(steps) in {9, 10}
     assert all(int(step["t_ns"].max() - step["t_ns"].min()) <= 251 * MS for step in steps[:-1])
 
 
 def test_a_pipe_that_goes_quiet_grows_old(log: Path) -> None:
-    clock = FakeClock()
+    clock = Clock()
     with open_log(log) as reader:
         source = PipeSource(reader, clock)
         monitor = Monitor()
@@ -314,46 +290,35 @@ def test_a_pipe_that_goes_quiet_grows_old(log: Path) -> None:
     assert view.nodes[0].age_s == pytest.approx(3.0, abs=0.02)
 
 
-def monitor(*words: str) -> int:
-    return main(["monitor", *words])
-
-
-def records(text: str) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in text.splitlines()]
-
-
-def test_a_table_at_the_end_of_a_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert monitor(str(log)) == 0
-    out, err = capsys.readouterr()
+def test_a_table_at_the_end_of_a_log(log: Path, printed: Printed) -> None:
+    out, err = printed(0, ["monitor", str(log)])
     lines = out.splitlines()
     assert lines[0].startswith("vcan0: ")
     assert "SYNC 100.0 Hz" in lines[0]
     assert lines[1].split()[:2] == ["node", "Hz"]
     assert lines[2].startswith("5 (0x05)  ")
     assert " operational " in lines[2]
-    assert len(lines) == 3
-    assert not err
+    assert (len(lines), err) == (3, "")
+    assert "no node found yet" in printed(0, ["monitor", str(log), "--nodes", "6"]).out
+    log.write_text(log.read_text() + "nonsense\n")
+    assert "tipforce monitor: 1 bad line left out" in printed(0, ["monitor", str(log)]).err
 
 
-def test_a_json_line_for_each_interval_of_the_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert monitor(str(log), "--json", "--interval", "0.5") == 0
-    found = records(capsys.readouterr().out)
+def test_a_json_line_for_each_interval_of_the_log(log: Path, printed: Printed) -> None:
+    found = [
+        json.loads(line)
+        for line in printed(0, ["monitor", str(log), *["--json", "--interval", "0.5"]]).out.splitlines()
+    ]
     assert [record["t"] for record in found] == pytest.approx([START_S + t for t in (0.5, 1.0, 1.5)], abs=0.01)
 
 
-def test_once(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert monitor(str(log), "--once", "1.55", "--json") == 0
-    (record,) = records(capsys.readouterr().out)
+def test_once(log: Path, printed: Printed) -> None:
+    record = json.loads(printed(0, ["monitor", str(log), "--once", "1.55", "--json"]).out)
     assert record["t"] == pytest.approx(START_S + 1.55, abs=0.01)
     (view,) = record["buses"]
     (of_node,) = view["nodes"]
     assert "stale" in of_node["status"]
     assert of_node["readings"]["P"] == {"value": None, "unit": "N", "reason": "no new sample", "stale": False}
-
-
-def test_nodes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert monitor(str(log), "--nodes", "6") == 0
-    assert "no node found yet" in capsys.readouterr().out
 
 
 def test_from_stdin(log: Path) -> None:
@@ -364,21 +329,11 @@ def test_from_stdin(log: Path) -> None:
     assert "5 (0x05)" in done.stdout
 
 
-def test_bad_lines_are_told(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log.write_text(log.read_text() + "nonsense\n")
-    assert monitor(str(log)) == 0
-    assert "tipforce monitor: 1 bad line left out" in capsys.readouterr().err
-
-
-def test_a_silent_bus(capsys: pytest.CaptureFixture[str]) -> None:
-    assert monitor("-i", "virtual", "-c", "monitor2", "--once", "0.1") == 0
-    assert capsys.readouterr().out == "no frames received\n"
-
-
-def test_on_a_bus(capsys: pytest.CaptureFixture[str]) -> None:
+def test_on_a_bus(printed: Printed) -> None:
+    words = ["monitor", "-i", "virtual", "--once"]
+    assert printed(0, [*words, "0.1", "-c", "monitor2"]).out == "no frames received\n"
     with sending("monitor1", lambda number: [message(*contact_pdo(5, 1.5, 90.0, -45.0, counter=number))]):
-        assert monitor("-i", "virtual", "-c", "monitor1", "--once", "0.2", "--json") == 0
-    (record,) = records(capsys.readouterr().out)
+        record = json.loads(printed(0, [*words, "0.2", "--json", "-c", "monitor1"]).out)
     (of_node,) = record["buses"][0]["nodes"]
     assert (of_node["node_id"], of_node["readings"]["P"]["value"], of_node["lost"]) == (5, 1.5, 0)
 

@@ -385,13 +385,9 @@ def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], capsys: p
     ],
 )
 def test_a_recording_that_is_wrong(
-    tmp_path: Path,
-    devices: list[Device],
-    text: str | None,
-    flags: str,
-    message: str,
+    tmp_path: Path, devices: list[Device], text: str | None, flags: str, message: str,
     capsys: pytest.CaptureFixture[str],
-) -> None:
+) -> None:  # fmt: skip
     path = tmp_path / "recording"
     if text is not None:
         path.write_text(text)

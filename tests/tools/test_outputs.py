@@ -106,14 +106,9 @@ def files(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize(("command", "name", "old"), WRITES, ids=[f"{c.split()[0]}-{n}" for c, n, _ in WRITES])
 def test_a_failed_write_leaves_the_old_file(
-    command: str,
-    name: str,
-    old: bytes,
-    inputs: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    command: str, name: str, old: bytes, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:
+) -> None:  # fmt: skip
     for path in inputs.iterdir():
         (tmp_path / path.name).symlink_to(path)
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

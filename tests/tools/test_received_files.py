@@ -28,15 +28,10 @@ from tools.decode.logs import decode, log_lines, write_log
 MARK = "5EC4E7"
 """Stands in every file outside; no output may have it."""
 OUTSIDE = {
-    ".toml": f"{MARK} = 1\n",
-    ".json": json.dumps({"application": MARK}),
-    ".csv": f"t_s,{MARK}\n0,1\n",
-    ".log": f"(1.000000) can0 123#{MARK}\n",
-    ".png": "",
-    ".eds": f"[FileInfo]\nFileName={MARK}\n[{MARK}]\n",
-    ".py": f"print({MARK!r})\n",
-    ".parquet": MARK,
-}
+    ".toml": f"{MARK} = 1\n", ".json": json.dumps({"application": MARK}), ".csv": f"t_s,{MARK}\n0,1\n",
+    ".log": f"(1.000000) can0 123#{MARK}\n", ".png": "", ".eds": f"[FileInfo]\nFileName={MARK}\n[{MARK}]\n",
+    ".py": f"print({MARK!r})\n", ".parquet": MARK,
+}  # fmt: skip
 NAMES = [
     "../x", "/etc/passwd", "{outside}/x", "a/../../x", "a/../../received/../x", "link", "folder/x", "..\\x",
     "a\\..\\..\\x", "C:\\x", "nul\0x", "line\nx", "", ".", "..", "a/..", "~", "~/x", "long" + "x" * 300, 500 * "long/",
@@ -127,18 +122,13 @@ def machine(key: str) -> Callable[[Path, str], Act]:
 
 
 KINDS: dict[str, tuple[str, Callable[[Path, str], Act]]] = {
-    "hand: calibration": (".toml", hand("calibration", "finger")),
-    "hand: config": (".toml", hand("config", "hand")),
+    "hand: calibration": (".toml", hand("calibration", "finger")), "hand: config": (".toml", hand("config", "hand")),
     "hand: config of a finger": (".toml", hand("config", "finger")),
-    "scene: calibration": (".toml", scene("calibration", False)),
-    "scene: log": (".log", scene("log", True)),
-    "scene: table": (".csv", scene("table", True)),
-    "scene: plot": (".png", scene("plot", True)),
-    "machine: eds": (".eds", machine("eds")),
-    "machine: store": (".json", machine("store")),
-    "machine: application": (".py", machine("application")),
-    "machine: signal": (".csv", machine("file")),
-}
+    "scene: calibration": (".toml", scene("calibration", False)), "scene: log": (".log", scene("log", True)),
+    "scene: table": (".csv", scene("table", True)), "scene: plot": (".png", scene("plot", True)),
+    "machine: eds": (".eds", machine("eds")), "machine: store": (".json", machine("store")),
+    "machine: application": (".py", machine("application")), "machine: signal": (".csv", machine("file")),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -31,26 +31,12 @@ from tools.rig import Printed
 
 SAID = "two nodes respond as node 5"
 SPEAKING = (
-    "scan",
-    "scan --nodes 5 --wait 0.2 --json",
-    "read 5",
-    "tare 5",
-    "tare 5 --show",
-    "sdo read 5 0x1000 0",
-    "sdo read 5 calibration.generation",
-    "sdo write 5 0x1017 0 u16 200",
-    "sdo dump 5",
-    "config show 5",
-    "config save 5 FOLDER/saved.toml",
-    "config apply 5 FOLDER/settings.toml",
-    "config diff 5 FOLDER/settings.toml",
-    "config verify 5 FOLDER/settings.toml",
-    "calibrate apply FOLDER/cal.toml --node 5",
-    "calibrate verify FOLDER/cal.toml --node 5",
-    "calibrate guide --node 5 --auto --yes -q -o FOLDER/guided.toml",
-    "firmware show 5",
-    "nmt reset-node 5 --wait",
-)
+    "scan", "scan --nodes 5 --wait 0.2 --json", "read 5", "tare 5", "tare 5 --show", "sdo read 5 0x1000 0",
+    "sdo read 5 calibration.generation", "sdo write 5 0x1017 0 u16 200", "sdo dump 5", "config show 5",
+    "config save 5 FOLDER/saved.toml", *(f"config {do} 5 FOLDER/settings.toml" for do in ("apply", "diff", "verify")),
+    "calibrate apply FOLDER/cal.toml --node 5", "calibrate verify FOLDER/cal.toml --node 5",
+    "calibrate guide --node 5 --auto --yes -q -o FOLDER/guided.toml", "firmware show 5", "nmt reset-node 5 --wait",
+)  # fmt: skip
 SERVICES = {
     "SDO": ({0x580, 0x600}, SAID),
     "heartbeats": ({0x700}, "two nodes send heartbeats as node 5"),
@@ -125,13 +111,10 @@ def log_of(service: str, folder: Path) -> Path:
 @pytest.mark.parametrize(
     "line",
     [
-        "decode LOG -o OUT.csv",
-        "decode LOG -o OUT.csv --json",
-        "dump LOG --decode",
-        "monitor LOG --once 5.8",
+        "decode LOG -o OUT.csv", "decode LOG -o OUT.csv --json", "dump LOG --decode", "monitor LOG --once 5.8",
         "monitor LOG --once 5.8 --json",
     ],
-)
+)  # fmt: skip
 def test_a_command_that_reads_a_log_says_it(line: str, service: str, tmp_path: Path, printed: Printed) -> None:
     words = line.replace("LOG", str(log_of(service, tmp_path))).replace("OUT", str(tmp_path / "out")).split()
     out, err = printed(0, words)

@@ -17,42 +17,26 @@ from tools.test_calibrate_fit import measured
 LOG = "".join(f"({1700000000 + k / 1000:.6f}) vcan0 285#2E1129239A1103{k:02X}\n" for k in range(50))
 EXTENDED = "".join(f"(1700000000.{k:06d}) can0 18FEF1{k:02X}#0102030405060708\n" for k in range(40))
 FILES = {
-    "run.log": LOG,
-    "j1939.log": EXTENDED,
-    "other.log": EXTENDED.replace("18FEF1", "3"),
-    "prose.txt": "these are no frames\n",
-    "broken.blf": "XXXX" + 200 * "x",
-    "noise.asc": "\x01\x02\x03",
-    "bad.toml": "[hand\n",
-    "empty.toml": "",
-    "hand.toml": '[[finger]]\nnode_id = 1\ncalibration = "none.toml"\n',
-    "one.toml": "[[finger]]\nnode_id = 1\n",
-    "taken/bus.yml": "routes: 12\n",
-    "twice.toml": "[[finger]]\nnode_id = 1\n[[finger]]\nnode_id = 1\n",
-    "scene.toml": "duration_s = -1\n",
-    "readings.csv": "SG1,SG2,SG3\n1,2,3\n",
-    "two.csv": "SG1,SG2\n1,2\n",
-    "si.csv": "SG1,SG2,SG3,P_N,phi_deg,theta_deg\n",
-    "objects.toml": '[objects]\n"heartbeat.producer_sm" = 1\n',
-    "layout.toml": 'points = ["K_H", "S_H"]\n',
-    "empty.dcf": "",
-    "much.toml": '[objects]\n"interrupt_delta:1" = "much"\n',
-    "unknown.toml": '[objects]\n"contact_unknown" = 1\n',
+    "run.log": LOG, "j1939.log": EXTENDED, "other.log": EXTENDED.replace("18FEF1", "3"),
+    "prose.txt": "these are no frames\n", "broken.blf": "XXXX" + 200 * "x", "noise.asc": "\x01\x02\x03",
+    "bad.toml": "[hand\n", "empty.toml": "", "hand.toml": '[[finger]]\nnode_id = 1\ncalibration = "none.toml"\n',
+    "one.toml": "[[finger]]\nnode_id = 1\n", "taken/bus.yml": "routes: 12\n",
+    "twice.toml": "[[finger]]\nnode_id = 1\n[[finger]]\nnode_id = 1\n", "scene.toml": "duration_s = -1\n",
+    "readings.csv": "SG1,SG2,SG3\n1,2,3\n", "two.csv": "SG1,SG2\n1,2\n",
+    "si.csv": "SG1,SG2,SG3,P_N,phi_deg,theta_deg\n", "objects.toml": '[objects]\n"heartbeat.producer_sm" = 1\n',
+    "layout.toml": 'points = ["K_H", "S_H"]\n', "empty.dcf": "",
+    "much.toml": '[objects]\n"interrupt_delta:1" = "much"\n', "unknown.toml": '[objects]\n"contact_unknown" = 1\n',
     "minus.toml": '[objects]\n"tpdo3.cob_id" = "$NODEID-1"\n',
     "zero-hand.toml": '[[finger]]\nnode_id = 5\ncalibration = "zero.toml"\n',
     "zero-scene.toml": 'duration_s = 1\nsync_hz = 9\n[[nodes]]\nids=[5]\npdos = ["contact"]\ncalibration="zero.toml"\n',
-    "four.csv": "SG1,SG2,SG3,SG4\n1,2,3,4\n",
-    "five.toml": 'points = ["K_H", "S_H", "U", "T", "L"]',
+    "four.csv": "SG1,SG2,SG3,SG4\n1,2,3,4\n", "five.toml": 'points = ["K_H", "S_H", "U", "T", "L"]',
     "untimed.log": "  vcan0  285   [8]  2E 11 29 23 9A 11 03 03\n",
     "leap.log": "(0000000001.000000) can0 285#E80364006400030A\n(1700000000.000000) can0 285#E80364006400030B\n",
-    "node.toml": "duration_s = 1\n[[node]]\n",
-    "nan.csv": "SG1,SG2,SG3,P_N,phi_deg,theta_deg\n1,2,3,nan,0,0\n",
-    "inf.toml": "[[finger]]\nnode_id = inf\n",
-    "fast.toml": "[hand]\nsync_hz = 1e12\n[[finger]]\nnode_id = 1\n",
+    "node.toml": "duration_s = 1\n[[node]]\n", "nan.csv": "SG1,SG2,SG3,P_N,phi_deg,theta_deg\n1,2,3,nan,0,0\n",
+    "inf.toml": "[[finger]]\nnode_id = inf\n", "fast.toml": "[hand]\nsync_hz = 1e12\n[[finger]]\nnode_id = 1\n",
     "names.toml": '[[finger]]\nname = "\u261d"\nnode_id = 1\n[[finger]]\nname = "\u261d"\nnode_id = 2\n',
-    "empty.log": "",
-    "static.toml": (Path(__file__).parents[2] / "scenes" / "static.toml").read_text(),
-}
+    "empty.log": "", "static.toml": (Path(__file__).parents[2] / "scenes" / "static.toml").read_text(),
+}  # fmt: skip
 _UNIT = "[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4]]"
 NO_SENSOR = {  # calibrations that no sensor can have: matrix, variance and covariance of SG1 with SG2, what is said
     "zero": (_UNIT.replace("1e4", "0.0"), 0.25, 0, "rank below 3"),
@@ -70,19 +54,14 @@ for _name, (_matrix, _variance, _covariance, _) in NO_SENSOR.items():
         f"covariance_microstrain2 = [[{_variance}, {_covariance}, 0], [{_covariance}, 0.25, 0], [0, 0, 0.25]]\n"
     )
 MACROS = {
-    "X": "-i virtual -c x",
-    "NOBODY": "-i virtual -c nobody --timeout 0.01 --retries 0",
-    "NODE": "node --node-id 5 -i virtual -c x",
-    "READ": "sdo read 5",
-    "WRITE": "sdo write 5 heartbeat.producer_ms",
-    "FIT": "calibrate fit data.csv --saturation none",
-    "GUIDE": "calibrate guide --node 5 --auto -q --session s.csv",
-    "ESTIMATE": "estimate cal.toml readings.csv",
-    "PLOT": "plot run.log -o x.png",
+    "X": "-i virtual -c x", "NOBODY": "-i virtual -c nobody --timeout 0.01 --retries 0",
+    "NODE": "node --node-id 5 -i virtual -c x", "READ": "sdo read 5", "WRITE": "sdo write 5 heartbeat.producer_ms",
+    "FIT": "calibrate fit data.csv --saturation none", "GUIDE": "calibrate guide --node 5 --auto -q --session s.csv",
+    "ESTIMATE": "estimate cal.toml readings.csv", "PLOT": "plot run.log -o x.png",
     "OPTIMISE": "design optimise --starts 2",
     "NO_LOG": "prose.txt: no frames in it; is it a log? line 1: 'these are no frames'",
     "NO_BUS": "no bus given: no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0",
-}
+}  # fmt: skip
 # Commands, and a part of the one line that each prints: @ is the last word before the bus, % the word before it.
 TABLE = """
 exit 2

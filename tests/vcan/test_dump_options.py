@@ -31,47 +31,22 @@ from vcan.support import NODE_ID, REPOSITORY, SYNC, WAIT_S, Command, RawBus, pee
 EVERYTHING = "vcan0,0:0,#FFFFFFFF"
 TWO_BUSES = ["vcan0,123:7FF", "vcan1,123~7FF"]
 WORDS = [
-    [EVERYTHING],
-    ["-L", EVERYTHING],
-    ["-ta", EVERYTHING],
-    ["-tz", EVERYTHING],
-    ["-td", EVERYTHING],
-    ["-tA", EVERYTHING],
-    ["-e", EVERYTHING],
-    ["-x", EVERYTHING],
-    ["-a", EVERYTHING],
-    ["-x", "-e", "-a", "-tz", EVERYTHING],
-    ["-L", "-x", EVERYTHING],
-    ["-n", "37", "-ta", EVERYTHING],
-    ["any"],
-    ["any,0:0,#FFFFFFFF", "-x", "-L"],
-    ["vcan0,181:7FF,00000123:DFFFFFFF,#4"],
-    ["vcan0,181~7FF"],
-    ["vcan0,180:780,1:1,j"],
-    ["vcan0,12345678:DFFFFFFF"],
-    ["vcan0,#FFFFFFFF"],
-    ["vcan0"],
-    ["vcan0,123:C00007FF"],
+    [EVERYTHING], ["-L", EVERYTHING], ["-ta", EVERYTHING], ["-tz", EVERYTHING], ["-td", EVERYTHING],
+    ["-tA", EVERYTHING], ["-e", EVERYTHING], ["-x", EVERYTHING], ["-a", EVERYTHING],
+    ["-x", "-e", "-a", "-tz", EVERYTHING], ["-L", "-x", EVERYTHING], ["-n", "37", "-ta", EVERYTHING], ["any"],
+    ["any,0:0,#FFFFFFFF", "-x", "-L"], ["vcan0,181:7FF,00000123:DFFFFFFF,#4"], ["vcan0,181~7FF"],
+    ["vcan0,180:780,1:1,j"], ["vcan0,12345678:DFFFFFFF"], ["vcan0,#FFFFFFFF"], ["vcan0"], ["vcan0,123:C00007FF"],
     TWO_BUSES,
-]
+]  # fmt: skip
 CHOSEN = [
-    (0x285, bytes.fromhex("2E1129239A110303")),
-    (0x181, b"\x01\x02"),
-    (0x80, b""),
-    (0x40000181, bytes(8)),
-    (0x40000182, b""),
-    (0x20000004, bytes([0, 4, 0, 0, 0, 0, 0, 0])),
-    (0x200001FF, bytes([5, 0x3F, 0xFF, 0x19, 0x34, 0, 96, 128])),
-    (0x20000200, bytes([0, 0, 0, 0, 0, 0, 7, 8])),
-    (0x20000008, bytes([0, 0, 0x80, 0x1E])),
-    (0x92345678, bytes(range(8))),
-    (0x80000123, b"\xff"),
-    (0xC0000123, bytes(3)),
-    (0x7FF, bytes(7)),
-    (0x123, b""),
+    (0x285, bytes.fromhex("2E1129239A110303")), (0x181, b"\x01\x02"), (0x80, b""), (0x40000181, bytes(8)),
+    (0x40000182, b""), (0x20000004, bytes([0, 4, 0, 0, 0, 0, 0, 0])),
+    (0x200001FF, bytes([5, 0x3F, 0xFF, 0x19, 0x34, 0, 96, 128])), (0x20000200, bytes([0, 0, 0, 0, 0, 0, 7, 8])),
+    (0x20000008, bytes([0, 0, 0x80, 0x1E])), (0x92345678, bytes(range(8))), (0x80000123, b"\xff"),
+    (0xC0000123, bytes(3)), (0x7FF, bytes(7)), (0x123, b""),
     (0x60000004, bytes(8)),  # an error frame with the remote flag, which no controller makes
     (0xA0000004, bytes(8)),
-]
+]  # fmt: skip
 RANDOM = 150
 BUSY = 0x7FE
 

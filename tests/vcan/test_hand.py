@@ -1,26 +1,26 @@
 """Nodes in processes of their own: read together, held by the example's force controller, shown by `tipforce view`."""
 
-import http.client
 import json
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Self
+from types import SimpleNamespace
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from websockets.sync.client import connect
 
 from tipforce.dictionary import objects as od
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
 from tipforce_tools.demo.job import bounds, case_calibration, coverage_factor
+from tools.view.support import Page, get
 from vcan.support import BUS, REPOSITORY, WAIT_S, Command, RawBus, is_boot_up, running_node, wait_until
 
 CASES = {5: "I", 6: "II"}
@@ -100,52 +100,17 @@ SAMPLES = 20
 Message = dict[str, Any]
 
 
-class Page:
-    """A page as a browser has it: what it fetches, and its stream."""
-
-    def __init__(self, command: Command) -> None:
-        wait_until(lambda: "\n" in command.stdout or command.ended, "the page's address should be told")
-        assert not command.ended, command.stderr
-        parts = urlsplit(json.loads(command.stdout)["url"])
-        assert (parts.hostname, parts.path, parts.query) == ("127.0.0.1", "/", "")
-        self.command, self._port = command, parts.port
-        self._address = f"ws://127.0.0.1:{parts.port}/live"
-
-    def get(self, path: str) -> tuple[str, bytes]:
-        connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=WAIT_S)
-        connection.request("GET", path)
-        answer = connection.getresponse()
-        assert answer.status == 200
-        found = answer.getheader("Content-Type", ""), answer.read()
-        connection.close()
-        return found
-
-    def __enter__(self) -> Self:
-        self._connecting = connect(self._address)
-        self._socket = self._connecting.__enter__()
-        self._socket.send('{"do": "stream"}')
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._connecting.__exit__(None, None, None)
-
-    def setup(self) -> Message:
-        with connect(self._address) as socket:
-            socket.send('{"do": "setup"}')
-            found: Message = json.loads(socket.recv(WAIT_S))["answer"]
-        return found
-
-    def messages(self, last: Callable[[Message], bool]) -> list[Message]:
-        found: list[Message] = []
-        deadline_s = time.monotonic() + WAIT_S
-        while not found or not last(found[-1]):
-            assert time.monotonic() < deadline_s, found[-1:]
-            found.append(json.loads(self._socket.recv(WAIT_S))["answer"])
-        return found
+def server_of(command: Command) -> Any:
+    """The server of `tipforce view`, as tools.view.support takes it."""
+    wait_until(lambda: "\n" in command.stdout or command.ended, "the page's address should be told")
+    assert not command.ended, command.stderr
+    parts = urlsplit(json.loads(command.stdout)["url"])
+    assert (parts.hostname, parts.path, parts.query) == ("127.0.0.1", "/", "")
+    return SimpleNamespace(guard=SimpleNamespace(port=parts.port))
 
 
 @pytest.fixture
-def pages(tmp_path: Path) -> Iterator[dict[str, Page]]:
+def pages(tmp_path: Path) -> Iterator[dict[str, Any]]:
     """Two loaded nodes; `view hand.toml`, which calibrates and starts them and sends the SYNC; `view -i -c` beside.
 
     Afterwards the commands end as they should.
@@ -166,7 +131,7 @@ def pages(tmp_path: Path) -> Iterator[dict[str, Page]]:
         }
         for command in commands.values():
             stack.callback(command.close)
-        yield {title: Page(command) for title, command in commands.items()}
+        yield {title: server_of(command) for title, command in commands.items()}
         for command in commands.values():
             assert command.end() == 0
             assert "Traceback" not in command.stderr
@@ -185,19 +150,25 @@ def check_ages(messages: list[Message]) -> None:
                 assert message["t"] - finger["since"] <= limit_ms, message
 
 
-def test_the_pages_and_the_force_on_each_finger(pages: dict[str, Page]) -> None:
-    for title, page in pages.items():
-        check_page(title, page)
+def test_the_pages_and_the_force_on_each_finger(pages: dict[str, Any]) -> None:
+    for title, server in pages.items():
+        check_page(title, server)
 
 
-def check_page(title: str, page: Page) -> None:
-    kind, html = page.get("/")
-    assert kind.startswith("text/html")
+def check_page(title: str, server: Any) -> None:
+    status, headers, html = get(server, "/")
+    assert (status, headers["content-type"].partition(";")[0]) == (200, "text/html")
     assert b"<script" in html
-    with page:
-        messages = [page.messages(all_live)[-1] for _ in range(SAMPLES)]
+    messages: list[Message] = []
+    with Page(server) as page:
+        page.send("stream")
+        deadline_s = time.monotonic() + WAIT_S
+        while len(messages) < SAMPLES:
+            assert time.monotonic() < deadline_s, messages[-1:]
+            message = page.receive()["answer"]
+            messages += [message] if all_live(message) else []
+        setup = page.ask("setup")
     check_ages(messages)
-    setup = page.setup()
     assert [finger["node_id"] for finger in setup["fingers"]] == list(PAGE_LOADS)
     assert setup["title"].startswith(title)
     z = coverage_factor(SAMPLES * len(PAGE_LOADS) * 3)

@@ -179,12 +179,9 @@ def test_the_host_sees_the_recorded_contact_within_the_bound(rig: Rig) -> None:
         truth_P, truth_phi, truth_theta = rig.load
         angles = math.radians(truth_phi), math.radians(truth_phi - truth_theta)
         u = scalar.uncertainty(
-            truth_P * math.sin(angles[0]),
-            truth_P * math.sin(angles[1]),
-            truth_P * math.cos(angles[0]),
-            covariance,
+            truth_P * math.sin(angles[0]), truth_P * math.sin(angles[1]), truth_P * math.cos(angles[0]), covariance,
             True,
-        )
+        )  # fmt: skip
         errors = (P - truth_P, turned(phi - truth_phi), turned(theta - truth_theta))
         bounds = (Z * u[0] + 5e-4, math.degrees(Z * u[1]) + 5e-3, math.degrees(Z * u[2]) + 5e-3)
         assert all(abs(error) <= bound for error, bound in zip(errors, bounds, strict=True)), (rig.load, errors, bounds)

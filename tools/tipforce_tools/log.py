@@ -34,11 +34,9 @@ format: .log (candump's, for canplayer, Wireshark, `tipforce replay` and `decode
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce log` and python-can's bus flags to `parser`."""
-    parser.description = DESCRIPTION
-    parser.epilog = EPILOG
-    parser.add_argument(
-        "targets", nargs="*", type=common.TARGET, metavar="CHANNEL[,FILTER...]", help="buses with their filters"
-    )
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    what = "buses with their filters"
+    parser.add_argument("targets", nargs="*", type=common.TARGET, metavar="CHANNEL[,FILTER...]", help=what)
     parser.add_argument("-o", "--output", metavar="FILE", help="default: a name as of candump -l, by date and time")
     parser.add_argument("--overwrite", action="store_true", help="overwrite existing files")
     parser.add_argument("-n", dest="count", type=common.count, metavar="COUNT", help="end after COUNT frames")
@@ -52,11 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record until an end condition; return 0, or 130 after a signal.
+    """Record until an end condition; return 0, or 130 after a signal. The file holds what was received until then.
 
-
-    Raises InputError for an unusable target or file, EnvironmentLackError for a bus that cannot be opened or fails,
-    WriteError for a full disk; the file holds the frames received until then.
+    Raises InputError for a target or a file, EnvironmentLackError for a bus, WriteError for a full disk.
     """
     from tipforce.host.live.targets import split_targets
     from tipforce.host.logs.recorder import Recorder

@@ -17,7 +17,6 @@ from tipforce_tools.cli import bus_flags, common
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from canopen_device.core.node import Device
     from canopen_device.running.store import FileStore
     from tipforce.fingertip.source import Source
     from tipforce.sensor.structure.gauges import Gauge
@@ -53,10 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("Industrial I/O source")
-    group.add_argument(
-        "--capture", choices=("auto", "poll", "buffer"), default="auto",
-        help="poll: on demand; buffer: by a trigger (default %(default)s)",
-    )  # fmt: skip
+    what = "poll: on demand; buffer: by a trigger (default %(default)s)"
+    group.add_argument("--capture", choices=("auto", "poll", "buffer"), default="auto", help=what)
     group.add_argument("--trigger", metavar="NAME", help="default: the device's own, else a timer")
     rate = common.number_within(0.0, 100_000.0, "is above 0 up to 100000 Hz", over=True)
     common.add_numbers(group, ("--scan-rate", 1000.0, "HZ", "of that timer (default 1000)", rate))
@@ -74,19 +71,25 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--offset", default="", metavar="UE,UE,...", help="unloaded reading of each gauge, microstrain")
     group.add_argument("--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons, degrees (default %(default)s)")
     group.add_argument("--seed", type=common.whole_number, default=0, help="of the noise (default %(default)s)")
-    group.add_argument(
-        "--uncalibrated", action="store_true",
-        help="as before its first calibration; otherwise a node that has stored none has that of beam theory, in the "
-        "sense (push or pull) of --load",
-    )  # fmt: skip
+    what = "as before its first calibration; otherwise a node that has stored none has that of beam theory, in the "
+    group.add_argument("--uncalibrated", action="store_true", help=f"{what}sense (push or pull) of --load")
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until Ctrl-C or SIGTERM; return 0."""
+    from canopen_device.running.store import FileStore
+    from tipforce.dictionary.eds import eds_text
+    from tipforce.fingertip.node import fingertip_node
+    from tipforce.sources.layout_file import read_layout
     from tipforce_tools.cli import service
 
     service.mark_levels_for_journal()
-    device, source = _device(args)
+    geometry, gauges = read_layout(args.layout)
+    source = _source(args, geometry, gauges)
+    store = FileStore(args.store) if args.store else None
+    save, load = store.save if store else None, _load(args, store, source, geometry, gauges)
+    eds = eds_text(len(gauges), simulated=args.source == "sim", converter=source.converter).encode()
+    device = fingertip_node(args.node_id, source, len(gauges), args.serial or args.node_id, save, load, eds)
     with contextlib.closing(source):  # stop a started capture in every case
         port, place = service.open_port(args)
         if args.priority is not None:
@@ -98,27 +101,6 @@ def run(args: argparse.Namespace) -> int:
         who, what = common.shown_node(args.node_id), f"layout {args.layout}, {origin}{place}"
         service.serve(who, what, [device], [device], port)
     return 0
-
-
-def _device(args: argparse.Namespace) -> tuple[Device, Source]:
-    from canopen_device.running.store import FileStore
-    from tipforce.dictionary.eds import eds_text
-    from tipforce.fingertip.node import fingertip_node
-    from tipforce.sources.layout_file import read_layout
-
-    geometry, gauges = read_layout(args.layout)
-    source = _source(args, geometry, gauges)
-    store = FileStore(args.store) if args.store else None
-    device = fingertip_node(
-        args.node_id,
-        source,
-        len(gauges),
-        args.serial or args.node_id,
-        store.save if store else None,
-        _load(args, store, source, geometry, gauges),
-        eds_text(len(gauges), simulated=args.source == "sim", converter=source.converter).encode(),
-    )
-    return device, source
 
 
 def _load(

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, TypeAlias
 
 from canopen_device.core.codes import ERROR_FLAG
 from tipforce.errors import InputError, TipforceError
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
     from tipforce.host.live.send import Sender
     from tipforce.host.logs.candump import CandumpParser
+
+    Frame: TypeAlias = FdFrame | tuple[int, int, int, bytes, int, bool]
+    """As CandumpBlock.in_order has them: t_ns, identifier, length, data, number of the interface, sent."""
 
 DESCRIPTION = """\
 Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
@@ -46,14 +49,13 @@ _gap = common.number_that(lambda gap_s: 0 <= gap_s < math.inf, "are 0 or more se
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce replay` and python-can's bus flags to `parser`."""
-    parser.description = DESCRIPTION
-    parser.epilog = EPILOG
-    parser.add_argument(
-        "log", type=common.InputFile(), metavar="LOG", help="a log file, or - for candump text on stdin"
-    )
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    what = "a log file, or - for candump text on stdin"
+    parser.add_argument("log", type=common.InputFile(), metavar="LOG", help=what)
     parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times recorded speed (inf: no waiting)")
-    parser.add_argument("--loop", type=_loop, default=1, metavar="N", help="number of passes, or inf (default: 1)")
+    loop = lambda text: None if text in {"inf", "i"} else common.count(text)  # noqa: E731
+    parser.add_argument("--loop", type=loop, default=1, metavar="N", help="number of passes, or inf (default: 1)")
     parser.add_argument("--max-gap", type=_gap, metavar="S", help="shorten gaps of the log that are longer than S")
     parser.add_argument("--strict", action="store_true", help="end at the first bad line of candump text")
     common.add_confirm_argument(parser)
@@ -67,15 +69,10 @@ def _assignment(text: str) -> str:
     return text
 
 
-def _loop(text: str) -> int | None:
-    return None if text in {"inf", "i"} else common.count(text)
-
-
 def run(args: argparse.Namespace) -> int:
     """Send the frames; return 0, 1 for a bad line with --strict, or 130 after a signal.
 
-    Raises InputError for a log that cannot be read, a wrong assignment or the answer "no", EnvironmentLackError for a
-    bus that cannot be opened or fails.
+    Raises InputError, also for the answer "no", and EnvironmentLackError for a bus that fails.
     """
     from tipforce.host.logs.candump import BadLineError, CandumpParser
     from tipforce.host.logs.empty import MESSAGES, PACKED, TEXT, no_frame
@@ -90,11 +87,13 @@ def run(args: argparse.Namespace) -> int:
         buses = Buses(args, opened)
         start_s, started = time.monotonic(), True
         try:
-            for frame in _frames(args, parser):
-                if not _wait_until(start_s + frame.due_s, stop):
+            for due_s, name, frame in _frames(args, parser):
+                while (rest_s := start_s + due_s - time.monotonic()) > 0 and not stop.stopped:
+                    time.sleep(min(rest_s, _SLICE_S))
+                if stop.stopped:
                     break
-                late_s = max(late_s, time.monotonic() - start_s - frame.due_s)
-                buses.send(frame)
+                late_s = max(late_s, -rest_s)
+                buses.send(name, frame)
             if not (stop.stopped or buses.sent or buses.left_out):
                 raise no_frame(args.log, next(iter(parser.bad_lines), None), (TEXT, PACKED, MESSAGES))
         except BadLineError as error:
@@ -109,8 +108,8 @@ def run(args: argparse.Namespace) -> int:
     return INTERRUPTED if stop.stopped else 0
 
 
-def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[Frame]:
-    """Yield all frames in order, --loop times. Raises InputError for a log without timestamps or frames."""
+def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[float, str, Frame]]:
+    """Yield all frames in order, --loop times: seconds after the start, interface, frame. Raises InputError."""
     from tipforce.host.frames.frame_block import FdFrame
 
     clock = Clock(args.speed, args.max_gap)
@@ -122,23 +121,10 @@ def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[Frame]:
                 raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
             empty = empty and not len(block)
             for frame in block.in_order():
-                if isinstance(frame, FdFrame):
-                    yield Frame(clock.due_s(frame.t_ns), block.names[frame.interface], frame.can_id, 0, b"", frame)
-                else:
-                    t_ns, can_id, length, data, interface, _ = frame
-                    yield Frame(clock.due_s(t_ns), block.names[interface], can_id, length, data, None)
+                t_ns, interface = (frame.t_ns, frame.interface) if isinstance(frame, FdFrame) else (frame[0], frame[4])
+                yield clock.due_s(t_ns), block.names[interface], frame
         if empty:
             return
-
-
-def _wait_until(due_s: float, stop: StopSignals) -> bool:
-    """Sleep until ``due_s`` of the monotonic clock; return False after a signal."""
-    while not stop.stopped:
-        rest_s = due_s - time.monotonic()
-        if rest_s <= 0:
-            return True
-        time.sleep(min(rest_s, _SLICE_S))
-    return False
 
 
 def _report(buses: Buses, parser: CandumpParser, seconds: float, late_s: float) -> None:
@@ -151,14 +137,9 @@ def _report(buses: Buses, parser: CandumpParser, seconds: float, late_s: float) 
         common.note(f"tipforce replay: bad lines left out ({reasons}), first {parser.bad_lines[0]}")
     if common.OUTPUT.json:
         common.print_json(
-            {
-                "sent": buses.sent,
-                "seconds": round(seconds, 3),
-                "latest_s": round(late_s, 6),
-                "left_out": dict(buses.left_out),
-                "bad_lines": parser.bad,
-            }
-        )
+            {"sent": buses.sent, "seconds": round(seconds, 3), "latest_s": round(late_s, 6),
+             "left_out": dict(buses.left_out), "bad_lines": parser.bad}
+        )  # fmt: skip
 
 
 STDIN = "-"
@@ -225,17 +206,6 @@ _SLICE_S = 0.2  # maximum delay of a signal
 _VIRTUAL = ("virtual", "udp_multicast")
 
 
-class Frame(NamedTuple):
-    """One frame to send: ``due_s`` after the start; ``fd`` instead of length and data."""
-
-    due_s: float
-    name: str
-    can_id: int
-    length: int
-    data: bytes
-    fd: FdFrame | None
-
-
 class Clock:
     """Due times of frames: the steps of the log, none backwards and none longer than a given gap, scaled by a speed."""
 
@@ -279,29 +249,31 @@ class Buses:
         for target in dict.fromkeys(known):
             self._open(target)
 
-    def send(self, frame: Frame) -> None:
-        """Send one frame to its bus, or count the reason. Raises EnvironmentLackError if the bus fails."""
-        targets = [self._only] if self._only else self._targets_of.get(frame.name, [])
+    def send(self, name: str, frame: Frame) -> None:
+        """Send one frame to the bus of its interface, or count the reason. Raises EnvironmentLackError."""
+        targets = [self._only] if self._only else self._targets_of.get(name, [])
         if not self._only and not self._targets_of:
-            targets = [frame.name]
+            targets = [name]
         for target in targets:
             self._send(frame, target)
         if not targets:
-            self.left_out[f"of {frame.name}, which no assignment names"] += 1
+            self.left_out[f"of {name}, which no assignment names"] += 1
 
     def _send(self, frame: Frame, target: str) -> None:
+        from tipforce.host.frames.frame_block import FdFrame
         from tipforce.host.live.send import NotCarriedError
 
+        can_id = frame.can_id if isinstance(frame, FdFrame) else frame[1]
         sender = self._senders.get(target) or self._open(target)
         virtual = self._options.get("interface") in _VIRTUAL or "vcan" in target
-        if frame.can_id & ERROR_FLAG and not virtual:
+        if can_id & ERROR_FLAG and not virtual:
             self.left_out["error frames, which only a virtual bus can send"] += 1
             return
         try:
-            if frame.fd is None:
-                sender.send(frame.can_id, frame.length, frame.data)
+            if isinstance(frame, FdFrame):
+                sender.send_fd(frame)
             else:
-                sender.send_fd(frame.fd)
+                sender.send(can_id, frame[2], frame[3])
             self.sent += 1
         except NotCarriedError as error:
             self.left_out[f"because {error}"] += 1

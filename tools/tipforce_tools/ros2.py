@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce_tools.cli import bus_flags, common
-from tipforce_tools.cli.bus_flags import find_bus
 from tipforce_tools.cli.listening import add_sync_argument, check_sync, commissioned, counted, listening
 
 if TYPE_CHECKING:
     from tipforce.watching.feeds import Feed
-    from tipforce_robots.ros2.bridge import Bridge
 
 DESCRIPTION = """\
 Publish each fingertip's force and contact at each SYNC, and diagnostics once a second and at each event, as ROS 2
@@ -53,21 +51,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Publish until Ctrl-C, SIGTERM, the end of the log, or --seconds; return 0.
-
-    Raises InputError, and EnvironmentLackError for a missing package, a bus that fails, or DDS that does not start.
-    """
+    """Publish until Ctrl-C, SIGTERM, the end of the log, or --seconds; return 0. Raises TipforceError."""
     is_hand = args.source is not None and Path(args.source).suffix == ".toml"
     _check(args, is_hand)
-    from tipforce_robots.ros2.bridge import Bridge
+    from tipforce_robots.ros2.bridge import OK, Bridge
     from tipforce_robots.ros2.dds import RosDomain, domain_id, namespace
+    from tipforce_tools.cli.main import terminate_as_interrupt
 
     prefix, domain = namespace(args.namespace), domain_id(args.domain)
     with closing(_feed(args, Path(args.source) if is_hand else None)) as feed:
         bridge = Bridge(feed, RosDomain(domain), prefix, args.allow_tare)
         common.note(f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
+        terminate_as_interrupt()
+        end_s = math.inf if args.seconds is None else time.monotonic() + args.seconds
         try:
-            _publish(feed, bridge, args.seconds)
+            while not feed.ended and time.monotonic() < end_s:
+                for status in bridge.step():
+                    if common.OUTPUT.verbose or status["level"] > OK:
+                        common.note(f"{status['name']}: {status['message']}")
+            bridge.report(feed.now_ns())
         except KeyboardInterrupt:
             pass
         finally:
@@ -98,28 +100,12 @@ def _check(args: argparse.Namespace, is_hand: bool) -> None:
         raise InputError(f"--gauges {args.gauges}: allowed are 3 to 8")
 
 
-def _publish(feed: Feed, bridge: Bridge, seconds: float | None) -> None:
-    from tipforce_robots.ros2.bridge import OK
-    from tipforce_tools.cli.main import terminate_as_interrupt
-
-    terminate_as_interrupt()
-    end_s = math.inf if seconds is None else time.monotonic() + seconds
-    while not feed.ended and time.monotonic() < end_s:
-        for status in bridge.step():
-            if common.OUTPUT.verbose or status["level"] > OK:
-                common.note(f"{status['name']}: {status['message']}")
-    bridge.report(feed.now_ns())
-
-
 def _feed(args: argparse.Namespace, hand_file: Path | None) -> Feed:
     """Return what to publish from."""
     if args.source is None or args.no_bring_up:
         return listening(args, hand_file)[0]
     if hand_file is not None:
-        from tipforce.host.hand.file import read_hand
-        from tipforce.host.hand.hand import Hand
-
-        feed = commissioned(Hand.from_file(hand_file, **find_bus(args, read_hand(hand_file).bus)))
+        feed = commissioned(args, hand_file)
         feed.take(0.0)  # reported already
         return feed
     from tipforce.host.logs.reader import open_log

@@ -12,8 +12,7 @@ from tipforce_tools.cli.bus_flags import add_bus_name_arguments
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from tipforce.scene.registry import Identifier
-    from tipforce.scene.results import Check, FingerResult
+    from tipforce.scene.results import Check
     from tipforce.scene.run import Outcome
     from tipforce.scene.schema import Scene
 
@@ -117,11 +116,14 @@ def _verdict(check: Check) -> str:
 
 def _print_outcome(outcome: Outcome) -> None:
     for finger in outcome.fingers:
-        common.print_json(_finger_record(finger))
+        values: dict[str, object] = {"node": finger.node_id, "syncs": finger.syncs, "samples": finger.samples}
+        for name in ("applied_end", "estimated_end", "rms_error", "max_error", "known"):
+            for key, value in zip(_KEYS, getattr(finger, name), strict=True):
+                values[f"{name.removesuffix('_end')}_{key}"] = value
+        common.print_json({**values, "slit_closed": finger.slit_closed, "missing": finger.missing, "emcy": finger.emcy})
     for check in outcome.checks:
-        common.print_json(
-            {"node": check.node_id, "expected": check.expected, "found": check.found, "verdict": _verdict(check)}
-        )
+        record = {"node": check.node_id, "expected": check.expected, "found": check.found}
+        common.print_json(record | {"verdict": _verdict(check)})
     common.print_json(
         {
             "summary": True, "ok": outcome.ok, "duration_s": outcome.duration_s, "syncs": outcome.syncs,
@@ -129,14 +131,6 @@ def _print_outcome(outcome: Outcome) -> None:
             "frames": {f"0x{can_id:03X}": count for can_id, count in sorted(outcome.frames_by_id.items())},
         }
     )  # fmt: skip
-
-
-def _finger_record(finger: FingerResult) -> dict[str, object]:
-    record: dict[str, object] = {"node": finger.node_id, "syncs": finger.syncs, "samples": finger.samples}
-    for name in ("applied_end", "estimated_end", "rms_error", "max_error", "known"):
-        for key, value in zip(_KEYS, getattr(finger, name), strict=True):
-            record[f"{name.removesuffix('_end')}_{key}"] = value
-    return {**record, "slit_closed": finger.slit_closed, "missing": finger.missing, "emcy": finger.emcy}
 
 
 # --- run --explain ----------------------------------------------------------------------------------------------------
@@ -162,7 +156,13 @@ def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
     ]  # fmt: skip
     if with_cost:
         rows.append({"part": "all", "built": True, "why": "", "modules": [], "on_demand": [], **costs["all"]})
-    sent = [_sent(scene, each) for each in identifiers(scene)]
+    sent = []
+    for each in identifiers(scene):
+        least, most = (each.rate_hz * bits / scene.bit_rate for bits in each.bits)
+        sent.append(
+            {"cob_id": f"0x{each.can_id:03X}", "what": each.what, "rate_hz": each.rate_hz,
+             "data_bytes": each.data_bytes, "load": least, "load_at_most": most}
+        )  # fmt: skip
     low, high = bus_load(scene)
     load = {"bit_rate": scene.bit_rate, "bus_load": low, "bus_load_at_most": high}
     if common.OUTPUT.json:
@@ -172,19 +172,9 @@ def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
     _print_parts(rows, f"{name}: parts", with_cost)
     _print_identifiers(sent)
     fits = "" if high <= 1.0 else " (with the most stuff bits it does not fit)" if low <= 1.0 else " (it does not fit)"
-    print(
-        f"bus load at {scene.bit_rate} bit/s: {100 * low:.1f} % without stuff bits, {100 * high:.1f} % with the most "
-        f"stuff bits{fits}"
-    )
+    shown = f"{100 * low:.1f} % without stuff bits, {100 * high:.1f} % with the most stuff bits{fits}"
+    print(f"bus load at {scene.bit_rate} bit/s: {shown}")
     return 0
-
-
-def _sent(scene: Scene, sent: Identifier) -> dict[str, Any]:
-    low, high = (sent.rate_hz * bits / scene.bit_rate for bits in sent.bits)
-    return {
-        "cob_id": f"0x{sent.can_id:03X}", "what": sent.what, "rate_hz": sent.rate_hz, "data_bytes": sent.data_bytes,
-        "load": low, "load_at_most": high,
-    }  # fmt: skip
 
 
 def _print_parts(rows: list[dict[str, Any]], title: str, with_cost: bool) -> None:

@@ -28,9 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--node-id", type=common.node_ids, metavar="IDS", help="5, or 1,2,5-9: one for each file")
     parser.add_argument("--application", default="", metavar="NAME", help="cia402, or FILE:CLASS")
     parser.add_argument("--store", metavar="FILE", default="", help="file of stored parameters, for one node")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="[ID:]OBJECT=VALUE", dest="values", help="initial value"
-    )
+    metavar = "[ID:]OBJECT=VALUE"
+    parser.add_argument("--set", action="append", default=[], metavar=metavar, dest="values", help="initial value")
     bus_flags.add_bus_arguments(parser)
 
 
@@ -56,26 +55,20 @@ def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:
         if len(args.files) > 1 or args.node_id or args.values or args.application or args.store:
             raise InputError("a machine in TOML stands alone: its devices have their node-ids, values and applications")
         return read_machine(args.files[0])
-    pairs = _pairs(args.files, args.node_id)
+    files, ids = args.files, args.node_id
+    if ids is None:  # a DCF names its own
+        pairs: list[tuple[str, int | None]] = [(file, None) for file in files]
+    else:  # one file may have many node-ids
+        files = files * len(ids) if len(files) == 1 else files
+        if len(files) != len(ids):
+            raise InputError(f"--node-id: {len(ids)} for {len(files)} files; give one for each")
+        pairs = list(zip(files, ids, strict=True))
     if args.store and len(pairs) > 1:
         raise InputError("--store: one file belongs to one node; use a TOML file for several")
     values = _values(args.values, [node_id for _, node_id in pairs])
-    made = [
-        made_device(file, node_id, args.application, values.get(node_id), store=args.store) for file, node_id in pairs
-    ]
+    made = [made_device(file, each, args.application, values.get(each), store=args.store) for file, each in pairs]
     check_node_ids(made)
     return made
-
-
-def _pairs(files: list[str], node_ids: list[int] | None) -> list[tuple[str, int | None]]:
-    """Return (file, node-id): one file may have many node-ids; a DCF names its own."""
-    if node_ids is None:
-        return [(file, None) for file in files]
-    if len(files) == 1:
-        files = files * len(node_ids)
-    if len(files) != len(node_ids):
-        raise InputError(f"--node-id: {len(node_ids)} for {len(files)} files; give one for each")
-    return list(zip(files, node_ids, strict=True))
 
 
 def _values(given: list[str], node_ids: list[int | None]) -> dict[int | None, dict[str, str]]:

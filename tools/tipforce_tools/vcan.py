@@ -29,22 +29,17 @@ signal n ended it, 130 interrupted
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce vcan` to `parser`."""
-    parser.description = DESCRIPTION
-    parser.epilog = EPILOG
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
     parser.add_argument("--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (%(default)s)")
     parser.add_argument("--memory", default="2G", metavar="SIZE", help="of User-mode Linux (default: %(default)s)")
     parser.add_argument("--timeout", type=common.seconds, metavar="S", help="end COMMAND after S seconds, exit with 1")
-    parser.add_argument(
-        "--attach", action="store_true", help="COMMAND or a shell on the buses of a running `tipforce vcan`"
-    )
+    what = "COMMAND or a shell on the buses of a running `tipforce vcan`"
+    parser.add_argument("--attach", action="store_true", help=what)
     parser.add_argument("--rw", action="store_true", help="User-mode Linux: let COMMAND write your files")
     places = parser.add_mutually_exclusive_group()
-    places.add_argument(
-        "--uml", dest="place", action="store_const", const="uml", default="auto", help="use User-mode Linux"
-    )
-    places.add_argument(
-        "--host", dest="place", action="store_const", const="host", help="use this kernel; an error if it has no vcan"
-    )
+    parser.set_defaults(place="auto")
+    for place, what in (("uml", "use User-mode Linux"), ("host", "use this kernel; an error if it has no vcan")):
+        places.add_argument(f"--{place}", dest="place", action="store_const", const=place, help=what)
     parser.add_argument("command", nargs=argparse.REMAINDER, metavar="-- COMMAND ...", help="default: a shell")
 
 
@@ -56,21 +51,14 @@ def run(args: argparse.Namespace) -> int:
             "here -i udp_multicast -c 239.74.163.2 is a bus of UDP datagrams; `tipforce demo` and log tools work too"
         )
     command = args.command[1:] if args.command[:1] == ["--"] else args.command
+    from tipforce_tools.kernel.uml import run_attached, run_with_vcan
+
     if args.attach:
-        from tipforce_tools.kernel.uml import run_attached
-
         return run_attached(command, _shell, args.timeout)
-    from tipforce_tools.kernel.uml import run_with_vcan
-
     return run_with_vcan(
-        command or _shell(),
-        interfaces=[name.strip() for name in args.interfaces.split(",")],
-        memory=args.memory,
-        timeout_s=args.timeout,
-        place=args.place,
-        writable=args.rw,
-        announced=not command,
-    )
+        command or _shell(), interfaces=[name.strip() for name in args.interfaces.split(",")], memory=args.memory,
+        timeout_s=args.timeout, place=args.place, writable=args.rw, announced=not command,
+    )  # fmt: skip
 
 
 def _shell() -> list[str]:

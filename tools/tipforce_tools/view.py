@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -42,9 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout of fingers that do not report it")
     add_sync_argument(parser)
     group = parser.add_argument_group("log or scene")
-    group.add_argument(
-        "--from", dest="start_s", type=float, default=0.0, metavar="S", help="start, seconds from its beginning"
-    )
+    what = "start, seconds from its beginning"
+    group.add_argument("--from", dest="start_s", type=float, default=0.0, metavar="S", help=what)
     group.add_argument("--to", dest="end_s", type=float, metavar="S", help="end, likewise")
     add_page_arguments(parser).add_argument("--allow-writes", action="store_true", help="allow the page to tare")
     bus_flags.add_bus_arguments(parser)
@@ -57,12 +55,11 @@ def run(args: argparse.Namespace) -> int:
     for flag, value in (("--from", args.start_s), ("--to", args.end_s)):
         if value is not None and not 0.0 <= value <= _MOST_SECONDS:
             raise InputError(f"{flag} {value:g}: allowed is 0 to {_MOST_SECONDS:g} s from the beginning")
-    with _source(args, path) as source:
+    with contextlib.closing(_source(args, path)) as source:
         return serve(args, source, guard)
 
 
-@contextlib.contextmanager
-def _source(args: argparse.Namespace, path: Path | None) -> Iterator[Source]:
+def _source(args: argparse.Namespace, path: Path | None) -> Source:
     from tipforce.sources.layout_file import read_layout
     from tipforce.watching.watcher import finger_maker
     from tipforce_tools.cli.listening import check_sync, commissioned, listening
@@ -77,19 +74,12 @@ def _source(args: argparse.Namespace, path: Path | None) -> Iterator[Source]:
     if path is None or args.no_bring_up:
         feed, channel = listening(args, path, fallback)
         title = f"{path.name} on {channel}" if path else channel
-        source: Source = LiveSource(feed, f"{title}, listening", "this page only listens to the bus")
-    elif is_table and is_scene(path):
+        return LiveSource(feed, f"{title}, listening", "this page only listens to the bus")
+    if is_table and is_scene(path):
         common.note(f"{path}: running the scene")
-        source = scene_source(path, maker, args.start_s, args.end_s)
-    elif is_table:
-        from tipforce.host.hand.file import read_hand
-        from tipforce.host.hand.hand import Hand
-
-        hand = Hand.from_file(path, **bus_flags.find_bus(args, read_hand(path).bus))
-        source = LiveSource(commissioned(hand, fallback), path.name)
-    elif str(path) == "-":
+        return scene_source(path, maker, args.start_s, args.end_s)
+    if is_table:
+        return LiveSource(commissioned(args, path, fallback), path.name)
+    if str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
-    else:
-        source = LogSource(path, maker, args.gauges, args.start_s, args.end_s)
-    with contextlib.closing(source):
-        yield source
+    return LogSource(path, maker, args.gauges, args.start_s, args.end_s)

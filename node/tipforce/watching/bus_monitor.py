@@ -36,8 +36,6 @@ STALE_NS = 500_000_000
 """A value is stale after this, or after three of its periods if that is longer."""
 QUANTITIES = ("P", "phi", "theta")
 FLAGS = (*(name for name, _ in STATUS_BITS), *(f"fault_{name}" for _, name, _ in FAULT_BITS))
-
-
 WINDOW_NS = 2_000_000_000
 _LEAST_NS = 100_000_000  # minimum time for a rate
 MOST = 65_536  # events kept: a full bus for more than the window

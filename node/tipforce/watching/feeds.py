@@ -47,10 +47,12 @@ class Counters:
 
 
 class Feed:
-    """Rows of all fingers, and events. ``close`` releases the hand or the source."""
+    """Rows of all fingers, and events. ``close`` releases the source; ``state``: the NMT state of a node-id, or ""."""
 
-    def __init__(self, close: Callable[[], object], fingers: Sequence[Finger], gauges: int) -> None:
-        self.close, self.gauges = close, gauges
+    def __init__(
+        self, close: Callable[[], object], state: Callable[[int], str], fingers: Sequence[Finger], gauges: int
+    ) -> None:
+        self.close, self.state, self.gauges = close, state, gauges
         self.fingers = tuple(fingers)
         """In the order of the columns; more may be found."""
         self.ended = False
@@ -70,10 +72,6 @@ class Feed:
         """Return the present on the clock of the rows, nanoseconds of the epoch."""
         return time.time_ns()
 
-    def state(self, node_id: int) -> str:
-        """Return the NMT state; empty if it is not known."""
-        raise NotImplementedError
-
     def counters(self) -> Counters:
         """Return the sums so far."""
         raise NotImplementedError
@@ -87,7 +85,7 @@ class HandFeed(Feed):
     """A hand that the program commissions."""
 
     def __init__(self, hand: Hand, fingers: Sequence[Finger]) -> None:
-        super().__init__(hand.close, fingers, hand.file.finger[0].gauges)
+        super().__init__(hand.close, hand.state, fingers, hand.file.finger[0].gauges)
         self._hand = hand
         self._waiting: deque[Rows | Event] = deque()
         self._changed = threading.Condition()
@@ -118,10 +116,6 @@ class HandFeed(Feed):
         blocks = [joined(rows).block([finger.calibration for finger in self.fingers], self.gauges)] if rows else []
         return blocks, [item for item in items if isinstance(item, Event)]
 
-    def state(self, node_id: int) -> str:
-        """See Feed."""
-        return self._hand.state(node_id)
-
     def tare(self, node_id: int) -> str:
         """See Feed."""
         return self._hand.tare(node_id)
@@ -141,17 +135,13 @@ class FrameFeed(Feed):
     """Frames of a bus or a log; sends nothing to the bus."""
 
     def __init__(
-        self,
-        source: FrameSource,
-        make_finger: FingerMaker,
-        gauges: int = 3,
-        fingers: Sequence[Finger] = (),
+        self, source: FrameSource, make_finger: FingerMaker, gauges: int = 3, fingers: Sequence[Finger] = (),
         bit_rate: int = DEFAULT_BIT_RATE,
-    ) -> None:
-        super().__init__(source.close, fingers, gauges)
+    ) -> None:  # fmt: skip
+        self._watcher, self._load = Watcher(make_finger, gauges, fingers), LoadMeter(bit_rate)
+        super().__init__(source.close, self._watcher.state, fingers, gauges)
         self.rows = self.frames = 0
         self._source, self._down = source, False
-        self._watcher, self._load = Watcher(make_finger, gauges, fingers), LoadMeter(bit_rate)
 
     def take(self, timeout_s: float) -> tuple[list[Block], list[Event]]:
         """See Feed."""
@@ -188,10 +178,6 @@ class FrameFeed(Feed):
     def now_ns(self) -> int:
         """See Feed."""
         return self._source.now_ns() or time.time_ns()
-
-    def state(self, node_id: int) -> str:
-        """See Feed."""
-        return self._watcher.state(node_id)
 
     def counters(self) -> Counters:
         """See Feed."""

@@ -91,24 +91,19 @@ class Observed:
         last = {can_id: row for row, can_id in enumerate(plain["can_id"].tolist())}
         self.syncs += codes.SYNC_COB_ID in last
         for can_id, row in last.items():
-            if node_id := can_id & codes.NODE_ID_MASK:
-                data = plain["data"][row].tobytes()[: int(plain["length"][row])]
-                self._frame_of(node_id, can_id & codes.FUNCTION_MASK, data)
-
-    def _frame_of(self, node_id: int, base: int, data: bytes) -> None:
-        if base == codes.HEARTBEAT_BASE and data:
-            self.states[node_id] = data[0] & 0x7F
-        elif base == codes.EMCY_BASE and len(data) == 8:
-            self.emergencies[node_id] = int.from_bytes(data[:2], "little"), data[2]
-            if data[:2] == b"\0\0":
-                del self.emergencies[node_id]
-        elif base in codes.TPDO_BASES:
-            self.sampled.add(node_id)
-            # Another device may send anything in TPDO2: only a sample without any value says "not calibrated".
-            if base == _CONTACT and len(data) == 8 and data[_STATUS] & _CALIBRATED:
-                self.calibrated[node_id] = True
-            elif base == _CONTACT and len(data) == 8 and data[:_STATUS] == _UNKNOWN:
-                self.calibrated[node_id] = False
+            node_id, base = can_id & codes.NODE_ID_MASK, can_id & codes.FUNCTION_MASK
+            data = plain["data"][row].tobytes()[: int(plain["length"][row])]
+            if base == codes.HEARTBEAT_BASE and data and node_id:
+                self.states[node_id] = data[0] & 0x7F
+            elif base == codes.EMCY_BASE and len(data) == 8 and node_id:
+                self.emergencies[node_id] = int.from_bytes(data[:2], "little"), data[2]
+                if data[:2] == b"\0\0":
+                    del self.emergencies[node_id]
+            elif base in codes.TPDO_BASES and node_id:
+                self.sampled.add(node_id)
+                # Another device may send anything in TPDO2: only a sample without any value says "not calibrated".
+                if base == _CONTACT and len(data) == 8 and (data[_STATUS] & _CALIBRATED or data[:_STATUS] == _UNKNOWN):
+                    self.calibrated[node_id] = bool(data[_STATUS] & _CALIBRATED)
 
     def add_nodes(self, nodes: Iterable[FoundNode]) -> None:
         """Take what a scan returned."""
@@ -122,9 +117,9 @@ class Observed:
 
 
 def findings(seen: Observed, sync: str = SEND_SYNC, wanted: Sequence[FingerPlan] = ()) -> list[Finding]:
-    """Return what is missing on a bus, the most fundamental first.
+    """Return what is missing on a bus, the most fundamental first; ``sync``: the remedy of a missing SYNC.
 
-    ``sync`` is the remedy of a missing SYNC, ``wanted`` the fingers of a hand file, to compare serial numbers with.
+    ``wanted``: the fingers of a hand file, to compare serial numbers with.
     """
     return [*of_the_wire(seen), *_of_the_nodes(seen, sync), *_of_the_hand(wanted, seen)]
 

@@ -6,6 +6,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,11 +32,8 @@ class FrameSource:
         self.ended = False
         self.close, self._clock = close, clock
         self._newest: tuple[int, float] | None = None
-
-    @property
-    def dropped(self) -> int:
-        """Frames that the kernel dropped so far."""
-        return 0
+        self.dropped = 0
+        """Frames that the kernel had dropped at the last ``take``."""
 
     def take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
         """Wait for frames up to a timeout; return a FRAME array (k,), k may be 0, and the names of the interfaces.
@@ -65,13 +63,9 @@ class BusSource(FrameSource):
         super().__init__(receiver.close)
         self._receiver = receiver
 
-    @property
-    def dropped(self) -> int:
-        """See FrameSource."""
-        return self._receiver.dropped
-
     def _take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
         block = self._receiver.receive_block(timeout_s)
+        self.dropped = self._receiver.dropped
         return block.frames, block.names
 
 
@@ -98,14 +92,13 @@ class PipeSource(FrameSource):
 
     def _take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
         frames: FrameArray = np.zeros(0, dtype=FRAME)
-        try:
+        with suppress(queue.Empty):
             item = self._arrived.get(timeout=timeout_s)
-        except queue.Empty:
-            return frames, self._log.channels
-        if isinstance(item, TipforceError):
-            raise item
-        self.ended = item is None
-        return frames if item is None else item, self._log.channels
+            if isinstance(item, TipforceError):
+                raise item
+            self.ended = item is None
+            frames = frames if item is None else item
+        return frames, self._log.channels
 
 
 class LogSource(FrameSource):
@@ -115,13 +108,9 @@ class LogSource(FrameSource):
     """
 
     def __init__(
-        self,
-        log: LogReader,
-        speed: float,
-        step_ns: int,
-        clock: Clock = time.monotonic,
+        self, log: LogReader, speed: float, step_ns: int, clock: Clock = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(log.close, clock)
         self._log = log
         self._blocks: Iterator[FrameArray] = iter(log)

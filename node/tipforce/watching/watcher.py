@@ -74,10 +74,7 @@ def hand_fingers(hand: HandFile | Hand, fallback: Fallback | None = None) -> tup
 def finger_maker(node_ids: Collection[int] | None = None, fallback: Fallback | None = None) -> FingerMaker:
     """Return what makes the fingers; those that are not in ``node_ids`` are hidden."""
 
-    def make(node_id: int) -> Finger | None:
-        return with_layout(Finger(node_id), "", fallback) if node_ids is None or node_id in node_ids else None
-
-    return make
+    return lambda node: with_layout(Finger(node), "", fallback) if node_ids is None or node in node_ids else None
 
 
 HEARTBEAT_TIMEOUT_S = 2.5
@@ -90,11 +87,7 @@ _UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
 
 
 class Watcher:
-    """Find fingers by their PDOs, collect rows, monitor heartbeats and EMCY.
-
-    ``make_finger`` returns the finger of a node-id found on the bus, None to hide it. ``fingers`` are shown from the
-    start.
-    """
+    """Find fingers by their PDOs, collect rows, monitor heartbeats and EMCY. ``fingers`` are shown from the start."""
 
     def __init__(self, make_finger: FingerMaker, gauges: int = 3, fingers: Sequence[Finger] = ()) -> None:
         self._make_finger, self._gauges = make_finger, gauges
@@ -146,14 +139,14 @@ class Watcher:
 
     def tally(self) -> tuple[list[int], list[int], list[int], list[int]]:
         """Return missing, late, mixed and doubtful responses of each finger, over all collectors so far."""
-        sums = []
-        for what in _TALLIED:
+
+        def sums(what: str) -> list[int]:
             now: dict[int, int] = {}
             if self._collector is not None:
                 now = dict(zip(self._collector.node_ids, getattr(self._collector.tally, what).tolist(), strict=True))
-            sums.append([now.get(f.node_id, 0) + self._past.get((what, f.node_id), 0) for f in self.fingers])
-        missing, late, mixed, doubtful = sums
-        return missing, late, mixed, doubtful
+            return [now.get(f.node_id, 0) + self._past.get((what, f.node_id), 0) for f in self.fingers]
+
+        return sums("missing"), sums("late"), sums("mixed"), sums("doubtful")
 
     def discover(self, frames: FrameArray) -> None:
         """Only find the fingers: the first pass over a log."""

@@ -23,11 +23,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     reader = [sys.executable, str(Path(__file__).with_name("loopback_reader.py")), str(folder)]
     # ROS_LOCALHOST_ONLY: the configuration that users choose for one machine.
     environment = {
-        **os.environ,
-        "ROS_DOMAIN_ID": "7",
-        "ROS_LOCALHOST_ONLY": "1",
-        "PYTHONPATH": os.pathsep.join(sys.path),
-    }
+        **os.environ, "ROS_DOMAIN_ID": "7", "ROS_LOCALHOST_ONLY": "1", "PYTHONPATH": os.pathsep.join(sys.path),
+    }  # fmt: skip
     done = subprocess.run(
         ["unshare", "-rn", "sh", "-c", LOOPBACK, "sh", *reader],
         env=environment, capture_output=True, text=True, timeout=600, check=False,

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from tipforce.samples.reasons import NO_ANSWER, Status
 from tipforce.sensor.contact.scalar import CALIBRATED, CONTACT_PRESENT, FRONT_END_FAULT, MISSES_TIP, SATURATED, STALE
 from tipforce_tools.page.history import MAX_BYTES, History, row_bytes
-from tipforce_tools.page.messages import MAX_BINS, Cursor, Playhead
+from tipforce_tools.page.messages import MAX_BINS, Cursor
 from tipforce_tools.page.model import FingerState, Model, finger_states
+from tools.rig import Clock
 from tools.view.support import MS, START_NS, block, fingers, with_status
 
 NAN = float("nan")
@@ -49,25 +50,17 @@ def test_an_envelope_keeps_extremes_and_gaps(values: list[float | None], width_m
         known = inside[~np.isnan(inside)]
         assert found.unknown[k, 0] == np.isnan(inside).sum()
         if len(known):
-            assert (found.low[k, 0, 0], found.high[k, 0, 0]) == (
-                pytest.approx(known.min()), pytest.approx(known.max()),
-            )  # fmt: skip
+            assert (found.low[k, 0, 0], found.high[k, 0, 0]) == pytest.approx((known.min(), known.max()))
         else:
-            assert np.isnan(found.low[k, 0, 0])
-            assert np.isnan(found.high[k, 0, 0])
+            assert np.isnan([found.low[k, 0, 0], found.high[k, 0, 0]]).all()
 
 
-def test_a_missing_finger_is_a_gap_of_the_envelope() -> None:
+def test_a_missing_finger_is_a_gap_of_the_envelope_and_nothing_an_empty_one() -> None:
     history = History(2, 3, 100)
+    assert len(history.envelope(0, 10, MS).index) == 0
     history.append(with_status(block([0, 1, 2], np.ones((3, 2))), 1, 1, NO_ANSWER))
     found = history.envelope(START_NS // (10 * MS), START_NS // (10 * MS), 10 * MS)
     assert found.unknown.tolist() == [[0, 1]]
-
-
-def test_nothing_gives_an_empty_envelope() -> None:
-    history = History(2, 3, 10)
-    assert len(history.envelope(0, 10, MS).index) == 0
-    history.append(block([0], [[1.0, 2.0]]))
     assert len(history.envelope(0, 10, MS).index) == 0
 
 
@@ -199,34 +192,23 @@ def test_what_is_unknown_or_doubtful_says_why(
 
 def test_a_repeated_sample_does_not_hide_the_one_before_while_it_is_young() -> None:
     history = filled(30, 10, 1)
-    rows = block([300, 310, 320, 330], np.full((4, 1), NAN), CALIBRATED | STALE)
-    history.append(rows)
-    assert at(history, 300, 1)[0].contact[0] == 29.0
-    assert at(history, 310, 1)[0].contact[0] == 29.0
+    history.append(block([300, 310, 320, 330], np.full((4, 1), NAN), CALIBRATED | STALE))
+    assert [at(history, t_ms, 1)[0].contact[0] for t_ms in (300, 310)] == [29.0, 29.0]
     assert at(history, 330, 1)[0].word == "unknown"
 
 
-class Clock:
-    """Seconds, set by the test."""
-
-    def __init__(self) -> None:
-        self.now_s = 100.0
-
-    def __call__(self) -> float:
-        return self.now_s
-
-
-def live_model(clock: Clock, rows: int = 100, live: bool = True) -> Model:
+def model_of(live: bool = True) -> tuple[Model, Clock]:
+    """100 rows, one every 10 ms."""
+    clock = Clock()
     model = Model(fingers(2), 3, live=live, clock=clock)
-    model.add(block(10 * np.arange(rows), np.ones((rows, 2))))
-    return model
+    model.add(block(10 * np.arange(100), np.ones((100, 2))))
+    return model, clock
 
 
 @pytest.mark.parametrize("pause", [1, 7, 60])
 def test_a_slow_browser_gets_every_extreme(pause: int) -> None:
-    clock = Clock()
-    model = live_model(clock)
-    cursor = Cursor(model, Playhead(model, clock=clock), 20 * MS)
+    model, clock = model_of()
+    cursor = Cursor(model, 20 * MS, clock=clock)
     generator = np.random.default_rng(3)
     highest, bins, sent = 0.0, dict[int, float](), []
     for step in range(120):
@@ -246,9 +228,8 @@ def test_a_slow_browser_gets_every_extreme(pause: int) -> None:
 
 
 def test_a_browser_that_was_away_for_long_gets_a_bounded_message() -> None:
-    clock = Clock()
-    model = live_model(clock)
-    cursor = Cursor(model, Playhead(model, clock=clock), MS)
+    model, clock = model_of()
+    cursor = Cursor(model, MS, clock=clock)
     model.add(block(1000 + np.arange(20_000), np.ones((20_000, 2))))
     message = cursor.message()
     assert message.bins is not None
@@ -256,39 +237,27 @@ def test_a_browser_that_was_away_for_long_gets_a_bounded_message() -> None:
     assert message.bins["i"][-1] == (START_NS + 20_999 * MS) // MS
 
 
-def test_the_present_moves_with_the_clock_when_no_row_comes() -> None:
-    clock = Clock()
-    model = live_model(clock)
-    playhead = Playhead(model, clock=clock)
-    assert playhead.now_ns() == (START_NS + 990 * MS, False)
+def test_the_present_moves_with_the_clock_when_no_row_comes_and_late_rows_are_as_old_as_they_are() -> None:
+    model, clock = model_of()
+    cursor = Cursor(model, MS, clock=clock)
+    assert cursor.now_ns() == (START_NS + 990 * MS, False)
     clock.now_s += 3.0
-    assert playhead.now_ns() == (START_NS + 3990 * MS, False)
-    assert [state.word for state in model.picture(playhead.now_ns()[0]).states] == ["silent", "silent"]
-
-
-def test_rows_that_were_put_in_late_are_as_old_as_they_are() -> None:
-    clock = Clock()
-    model = live_model(clock)
-    clock.now_s += 5.0
+    assert cursor.now_ns() == (START_NS + 3990 * MS, False)
+    assert [state.word for state in model.picture(cursor.now_ns()[0]).states] == ["silent", "silent"]
+    clock.now_s += 2.0
     model.add(block([1000], np.ones((1, 2))), clock.now_s - 1.0)
     assert [state.word for state in model.picture().states] == ["stale", "stale"]
 
 
-def test_a_log_plays_at_its_speed_to_its_end() -> None:
-    clock = Clock()
-    model = live_model(clock, live=False)
-    playhead = Playhead(model, START_NS, 0.5, clock)
+def test_a_log_plays_at_its_speed_to_its_end_and_a_replay_catches_up_with_the_present() -> None:
+    model, clock = model_of(live=False)
+    cursor = Cursor(model, MS, START_NS, 0.5, clock=clock)
     clock.now_s += 1.0
-    assert playhead.now_ns() == (START_NS + 500 * MS, False)
+    assert cursor.now_ns() == (START_NS + 500 * MS, False)
     clock.now_s += 9.0
-    assert playhead.now_ns() == (START_NS + 990 * MS, True)
-
-
-def test_a_replay_of_the_past_catches_up_with_the_present() -> None:
-    clock = Clock()
-    model = live_model(clock)
-    playhead = Playhead(model, START_NS - 10_000 * MS, 4.0, clock)
-    assert playhead.now_ns()[0] == START_NS  # not before the first row
+    assert cursor.now_ns() == (START_NS + 990 * MS, True)
+    model, clock = model_of()
+    cursor = Cursor(model, MS, START_NS - 10_000 * MS, 4.0, clock=clock)
+    assert cursor.now_ns()[0] == START_NS  # not before the first row
     clock.now_s += 60.0
-    present = model.now_ns()
-    assert playhead.now_ns() == (present, False)
+    assert cursor.now_ns() == (model.now_ns(), False)

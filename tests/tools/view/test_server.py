@@ -8,7 +8,7 @@ import json
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from http import HTTPStatus
 from typing import Any
 
@@ -139,18 +139,20 @@ def test_wrong_requests_are_refused() -> None:
     assert source.tared == []
 
 
-def closed_with(closed: pytest.ExceptionInfo[ConnectionClosed]) -> int:
-    """The code with which the server closed a connection."""
+@contextlib.contextmanager
+def closed_with(code: int) -> Iterator[None]:
+    """The server closes the connection with this code in the block."""
+    with pytest.raises(ConnectionClosed) as closed:
+        yield
     assert closed.value.rcvd is not None
-    return closed.value.rcvd.code
+    assert closed.value.rcvd.code == code
 
 
 def test_a_long_request_ends_the_connection() -> None:
     with serving(MovingSource()) as server, Page(server) as page:
         page.socket.send(" " * 5000)
-        with pytest.raises(ConnectionClosed) as closed:
+        with closed_with(CloseCode.MESSAGE_TOO_BIG):
             page.receive()
-        assert closed_with(closed) == CloseCode.MESSAGE_TOO_BIG
 
 
 def test_the_stream_is_live_and_the_past_can_be_asked_for() -> None:
@@ -199,6 +201,13 @@ def test_the_buffer_as_csv() -> None:
         assert lines[2].split(",")[1:6] == ["2", "f2", lines[2].split(",")[3], "-90", "90"]
 
 
+def until(is_done: Callable[[], object]) -> None:
+    deadline_s = time.monotonic() + WAIT_S
+    while not is_done():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
 def test_a_page_that_does_not_read_slows_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(view_page, "SEND_TIMEOUT_S", 0.5)
     source = MovingSource(3)
@@ -210,11 +219,7 @@ def test_a_page_that_does_not_read_slows_nobody(monkeypatch: pytest.MonkeyPatch)
             messages = page.stream(30)
             assert source.model.counters.rows > before + 50
             assert messages[-1]["fingers"][0]["w"] == "live"
-            # It is dropped in the end; the page goes on.
-            deadline_s = time.monotonic() + WAIT_S
-            while len(server.pages) > 1:
-                assert time.monotonic() < deadline_s
-                time.sleep(0.05)
+            until(lambda: len(server.pages) == 1)  # it is dropped in the end; the page goes on
             assert page.ask("setup")["title"] == "test hand"
 
 
@@ -223,10 +228,7 @@ def test_a_page_that_breaks_off_is_no_error(caplog: pytest.LogCaptureFixture) ->
         with Page(server) as page:
             page.stream(2)
             page.socket.socket.shutdown(socket.SHUT_RDWR)
-        deadline_s = time.monotonic() + WAIT_S
-        while server.pages:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.05)
+        until(lambda: not server.pages)
     assert [record.getMessage() for record in caplog.records if record.levelname not in ("DEBUG", "INFO")] == []
 
 
@@ -248,9 +250,8 @@ def test_there_is_a_limit_of_pages_that_are_at_work(monkeypatch: pytest.MonkeyPa
     with serving(MovingSource()) as server, contextlib.ExitStack() as stack:
         for _ in range(MAX_PAGES):
             stack.enter_context(Page(server)).ask("setup")
-        with pytest.raises(ConnectionClosed) as closed, Page(server) as page:
+        with closed_with(CloseCode.TRY_AGAIN_LATER), Page(server) as page:
             page.receive()
-        assert closed_with(closed) == CloseCode.TRY_AGAIN_LATER
 
 
 def test_a_pump_that_fails_is_told() -> None:
@@ -261,9 +262,7 @@ def test_a_pump_that_fails_is_told() -> None:
 
     with serving(source) as server, Page(server) as page:
         source.pump = fail  # type: ignore[method-assign]
-        deadline_s = time.monotonic() + WAIT_S
-        while not source.model.error and time.monotonic() < deadline_s:
-            time.sleep(0.01)
+        until(lambda: source.model.error)
         assert page.ask("setup")["picture"]["error"] == "OSError: bus is gone"
 
 
@@ -317,9 +316,8 @@ def test_a_page_that_is_closed_learns_why(monkeypatch: pytest.MonkeyPatch) -> No
     with serving(MovingSource()) as server, Page(server) as page:
         for _ in range(3):
             page.ask("setup")
-        with pytest.raises(ConnectionClosed) as closed:
+        with closed_with(CloseCode.POLICY_VIOLATION):
             page.ask("setup")
-        assert closed_with(closed) == CloseCode.POLICY_VIOLATION
         assert server.refused == 1
 
 

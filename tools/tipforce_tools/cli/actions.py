@@ -35,12 +35,6 @@ def check_files(parser: argparse.ArgumentParser, args: argparse.Namespace) -> No
                 action.type.check(text)
 
 
-def run_place(place: str, args: argparse.Namespace) -> int:
-    """Set up the output by its flags, and run the command of a place."""
-    common.OUTPUT.set_up(args)
-    return functions(place)[1](args)
-
-
 SHARED = {"bus arguments": "bus", "SDO": "SDO", "changes": "change", "output": "output"}
 """Groups of flags that many commands have: one page, `tipforce --help-bus`, lists them, and each help their names."""
 
@@ -86,11 +80,7 @@ class CommandParser(argparse.ArgumentParser):
             if group.title in SHARED:
                 shared += [action.option_strings[0] for action in group._group_actions]
                 continue
-            formatter.start_section(group.title)
-            formatter.add_text(group.description)
-            shown = (action for action in group._group_actions if action.help and action.dest != "help")
-            formatter.add_arguments(shown)
-            formatter.end_section()
+            formatter.add_group(group)
         formatter.add_text(self.epilog)
         formatter.add_text(f"also {' '.join(shared)}: see `tipforce --help-bus`" if shared else None)
         return formatter.format_help()
@@ -102,6 +92,13 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
     def __init__(self, prog: str) -> None:
         fixed = not (sys.stdout.isatty() or os.environ.get("COLUMNS"))  # as tables that are written to a pipe
         super().__init__(prog, max_help_position=30, width=118 if fixed else None)
+
+    def add_group(self, group: argparse._ArgumentGroup) -> None:
+        """Add the flags of a group that have a help text, without -h."""
+        self.start_section(group.title)
+        self.add_text(group.description)
+        self.add_arguments(action for action in group._group_actions if action.help and action.dest != "help")
+        self.end_section()
 
     def _format_action_invocation(self, action: argparse.Action) -> str:
         if not action.option_strings or action.nargs == 0:
@@ -117,10 +114,7 @@ def shared_help() -> str:
     common.add_confirm_argument(parser)
     formatter = _Formatter(parser.prog)
     for group in parser._action_groups:
-        formatter.start_section(group.title)
-        formatter.add_text(group.description)
-        formatter.add_arguments(group._group_actions)
-        formatter.end_section()
+        formatter.add_group(group)
     return formatter.format_help()
 
 
@@ -131,10 +125,7 @@ def lines(summaries: Mapping[str, str]) -> str:
 
 
 def add_choice(parser: argparse.ArgumentParser, dest: str, summaries: Mapping[str, str]) -> None:
-    """Add the first positional word of a command with common flags: one of ``summaries``, each with a line of help.
-
-    The epilog follows these lines.
-    """
+    """Add the first positional word of a command: one of ``summaries``, each with a line of help before the epilog."""
     parser.epilog = f"{dest}s:\n{lines(summaries)}\n\n{parser.epilog or ''}"
     parser.add_argument(dest, choices=tuple(summaries))
     if isinstance(parser, CommandParser):

@@ -68,12 +68,9 @@ class _PythonCanAction(argparse.Action):
     """Parse as the action of the same name in can.cli; its output goes to stderr, because stdout is for data."""
 
     def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: str | Sequence[Any] | None,
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: str | Sequence[Any] | None,
         option_string: str | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         import can.cli
 
         real = argparse.ArgumentParser(add_help=False)
@@ -90,14 +87,11 @@ def add_bus_name_arguments(parser: argparse.ArgumentParser) -> argparse._Argumen
     )
     unset = argparse.SUPPRESS
     group.add_argument("-c", "--channel", default=unset, metavar="CHANNEL", help="can0, vcan0, /dev/ttyACM0, ...")
+    known, rate = Interfaces(), "if the interface sets it; for SocketCAN use `ip link`"
     group.add_argument(
-        "-i", "--interface", default=unset, choices=Interfaces(), metavar="INTERFACE",
-        help="one of %(choices)s",
-    )  # fmt: skip
-    group.add_argument(
-        "-b", "--bitrate", type=int, default=unset, metavar="BIT/S",
-        help="if the interface sets it; for SocketCAN use `ip link`",
-    )  # fmt: skip
+        "-i", "--interface", default=unset, choices=known, metavar="INTERFACE", help="one of %(choices)s"
+    )
+    group.add_argument("-b", "--bitrate", type=int, default=unset, metavar="BIT/S", help=rate)
     return group
 
 
@@ -123,14 +117,10 @@ def add_bus_flags(parser: argparse.ArgumentParser) -> None:
     group, unset = add_bus_name_arguments(parser), argparse.SUPPRESS
     group.add_argument("--fd", default=unset, action="store_true", help="CAN FD")
     group.add_argument("--data-bitrate", type=int, default=unset, metavar="BIT/S", help="of the CAN FD data phase")
-    group.add_argument(
-        "--timing", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="NAME=N",
-        help="bit timing instead of a bit rate: f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1",
-    )  # fmt: skip
-    group.add_argument(
-        "--bus-kwargs", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="NAME=VALUE",
-        help="further options of the interface, for example app_name=MyCanApp serial=1234",
-    )  # fmt: skip
+    timing = "bit timing instead of a bit rate: f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1"
+    further = "further options of the interface, for example app_name=MyCanApp serial=1234"
+    for flag, metavar, text in (("--timing", "NAME=N", timing), ("--bus-kwargs", "NAME=VALUE", further)):
+        group.add_argument(flag, action=_PythonCanAction, nargs="+", default=unset, metavar=metavar, help=text)
 
 
 _BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
@@ -183,24 +173,22 @@ def _only_interface() -> str:
     if len(up) == 1:
         common.note(f"bus: -i socketcan -c {up[0]}, the only CAN interface that is up")
         return up[0]
+    reason = (
+        "no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0, or set CAN_INTERFACE and "
+        "CAN_CHANNEL; `tipforce vcan` has buses without hardware"
+    )
     if up:
         reason = f"{', '.join(up)} are up: add -i socketcan -c {up[0]}"
     elif known:
-        name = next(iter(known))
-        reason = f"{', '.join(known)} down; `sudo ip link set {name} up type can bitrate 1000000`"
-    else:
-        reason = (
-            "no CAN interface here; use -i and -c, as in -i slcan -c /dev/ttyACM0, or set CAN_INTERFACE and "
-            "CAN_CHANNEL; `tipforce vcan` has buses without hardware"
-        )
+        reason = f"{', '.join(known)} down; `sudo ip link set {next(iter(known))} up type can bitrate 1000000`"
     raise EnvironmentLackError(f"no bus given: {reason}")
 
 
 def open_bus(args: argparse.Namespace) -> can.BusABC:
     """Open the bus that ``find_bus`` returns."""
-    from tipforce.host.network.open_bus import open_bus as open_bus_by_options
+    from tipforce.host.network import open_bus as by_options
 
-    return open_bus_by_options(**find_bus(args))
+    return by_options.open_bus(**find_bus(args))
 
 
 @contextmanager
@@ -219,8 +207,13 @@ def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
         except (DuplicateNodeError, InputError):
             raise
         except TipforceError:
+            from tipforce.watching.findings import Observed, of_the_wire
+
             connection.check_duplicates()  # the cause of the error
-            note_wire(args, connection, begun_s)
+            seen = Observed(heard_s=time.monotonic() - begun_s, link=link_of(args))
+            seen.count(connection.buffer.take_all())
+            for finding in of_the_wire(seen):
+                common.note(str(finding))
             raise
         connection.check_duplicates()
 
@@ -231,16 +224,6 @@ def link_of(args: argparse.Namespace) -> Link | None:
 
     options = find_bus(args)
     return links().get(str(options.get("channel"))) if options.get("interface") == "socketcan" else None
-
-
-def note_wire(args: argparse.Namespace, connection: Bus, begun_s: float) -> None:
-    """Say on stderr what is wrong below the nodes, by what was received since ``begun_s``."""
-    from tipforce.watching.findings import Observed, of_the_wire
-
-    seen = Observed(heard_s=time.monotonic() - begun_s, link=link_of(args))
-    seen.count(connection.buffer.take_all())
-    for finding in of_the_wire(seen):
-        common.note(str(finding))
 
 
 def confirm(args: argparse.Namespace, what: str) -> None:

@@ -1,4 +1,4 @@
-"""Shared by the commands: common flags, numbers and node-ids, and the printing of records."""
+"""Shared by the commands: common flags, also of logs, numbers and node-ids, and the printing of records."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from canopen_device.visible_text import visible_lines
 from tipforce.errors import InputError
-from tipforce_tools.cli.output import rich_console, visible_streams
+from tipforce_tools.cli.output import terminal, visible_streams
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
-
 
 _LINE_S = 10.0
 
@@ -86,19 +87,12 @@ def _whole(text: str, low: int, high: float, allowed: str, base: int = 0) -> int
     return value
 
 
-def count(text: str) -> int:
-    """Parse a count for argparse: a whole number of at least 1."""
-    return _whole(text, 1, math.inf, "whole numbers from 1", 10)
-
-
-def whole_number(text: str) -> int:
-    """Parse a whole number from 0 for argparse: a seed of random numbers, a number of retries."""
-    return _whole(text, 0, math.inf, "whole numbers from 0", 10)
-
-
-def unsigned32(text: str) -> int:
-    """Parse an UNSIGNED32, `10` or `0x0A`, for argparse."""
-    return _whole(text, 0, 0xFFFFFFFF, "0 to 0xFFFFFFFF")
+count = partial(_whole, low=1, high=math.inf, allowed="whole numbers from 1", base=10)
+"""Parse a count for argparse: a whole number of at least 1."""
+whole_number = partial(_whole, low=0, high=math.inf, allowed="whole numbers from 0", base=10)
+"""Parse a whole number from 0 for argparse: a seed of random numbers, a number of retries."""
+unsigned32 = partial(_whole, low=0, high=0xFFFFFFFF, allowed="0 to 0xFFFFFFFF")
+"""Parse an UNSIGNED32, `10` or `0x0A`, for argparse."""
 
 
 def number_that(accepted: Callable[[float], bool], allowed: str) -> Callable[[str], float]:
@@ -204,10 +198,7 @@ def shown_node(number: int) -> str:
 
 
 def print_json(record: dict[str, Any]) -> None:
-    """Print one JSON line; NaN and infinity become null, because JSON has neither.
-
-    Line and newline are one write: the events of a hand come from another thread.
-    """
+    """Print one JSON line, in one write, because other threads print, too; NaN and infinity become null."""
     sys.stdout.write(json_line(record) + "\n")
 
 
@@ -272,14 +263,34 @@ def progress(
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width."""
+    """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width.
+
+    It is on the stream below: its colours pass, every text is escaped, and none is markup.
+    """
+    from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.segment import Segment
+    from rich.text import Text
+
+    class VisibleConsole(Console):
+        def on_broken_pipe(self) -> None:  # rich's own exits with code 1; `| head` is not a failure
+            raise BrokenPipeError
+
+        def render_str(self, text: str, **options: Any) -> Text:
+            return super().render_str(visible_lines(text), **options | {"markup": False, "emoji": False})
+
+        def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+            for segment in super().render(renderable, options):
+                yield segment if segment.control else Segment(visible_lines(segment.text), segment.style)
+
     plain = OUTPUT.color == "never" or (OUTPUT.color == "auto" and bool(os.environ.get("NO_COLOR")))
     stream = sys.stderr if stderr else sys.stdout
     width = None if stream.isatty() else 120
     always = True if OUTPUT.color == "always" else None
     # Without a colour system rich prints no bold text either: the output is plain text.
     system: Literal["auto"] | None = None if plain else "auto"
-    return rich_console(stream, force_terminal=always, color_system=system, no_color=plain, width=width)
+    return VisibleConsole(
+        file=terminal(stream), force_terminal=always, color_system=system, no_color=plain, width=width
+    )
 
 
 def print_table(table: Table) -> None:
@@ -302,13 +313,9 @@ def print_table(table: Table) -> None:
 
 
 def print_rows(
-    title: str,
-    headings: Iterable[str],
-    rows: Iterable[Iterable[str]],
-    styles: Iterable[str | None] | None = None,
-    *,
+    title: str, headings: Iterable[str], rows: Iterable[Iterable[str]], styles: Iterable[str | None] | None = None, *,
     lines: bool = False,
-) -> None:
+) -> None:  # fmt: skip
     """Print a table on stdout, with ``lines`` between rows; > in front of a heading puts its column at the right."""
     from rich.table import Table
 
@@ -324,3 +331,48 @@ def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
     """`--yes`."""
     group = parser.add_argument_group("changes")
     group.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
+
+
+def add_eds_argument(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
+    """Add the flag."""
+    parser.add_argument("--eds", action="append", metavar="ID=FILE", help="EDS, DCF or XDD of a node; repeatable")
+
+
+def add_choice_arguments(parser: argparse.ArgumentParser, signals: str) -> None:
+    """Add the flags that choose rows and columns of logs, and the PDOs; ``signals`` is the help of --signals."""
+    group = parser.add_argument_group("choice")
+    group.add_argument("--signals", metavar="NAMES", help=signals)
+    group.add_argument("--nodes", type=node_ids, metavar="IDS", help="as 1,2,5-9")
+    group.add_argument("--bus", metavar="NAMES", help="only of these interfaces: can0,can1")
+    group.add_argument("--from", dest="start", metavar="TIME", help="seconds from the start or of the epoch, ISO time")
+    group.add_argument("--to", dest="end", metavar="TIME", help="end, exclusive; same formats")
+    calibration = "compute contact from the gauges; repeatable"
+    group.add_argument("--calibration", action="append", metavar="[ID=]CAL.toml", help=calibration)
+    group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
+    group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
+    group.add_argument("--dbc", metavar="FILE", help="a DBC instead; tipforce: the shipped one")
+    add_eds_argument(group)
+
+
+def eds_files(given: Sequence[str]) -> tuple[tuple[int, str], ...]:
+    """Return (node-id, file) of each flag, after reading the files once: their warnings go to stderr.
+
+    Raises InputError for another form, a repeated node-id, and a file that is no EDS.
+    """
+    from canopen_device.eds.reader import read_eds
+
+    files: dict[int, str] = {}
+    for text in given:
+        head, equal, path = text.partition("=")
+        try:
+            number = node_id(head)
+        except (argparse.ArgumentTypeError, ValueError):
+            number = 0
+        if not equal or not path or not number:
+            raise InputError(f"--eds {text}: the form is ID=FILE, such as 5=drive.eds")
+        if number in files:
+            raise InputError(f"--eds {text}: node {number} has a file already")
+        for warning in read_eds(path, number).warnings:
+            print(f"warning: {warning}", file=sys.stderr)
+        files[number] = path
+    return tuple(files.items())

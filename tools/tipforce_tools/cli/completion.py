@@ -10,12 +10,14 @@ import argparse
 import re
 import shlex
 from collections.abc import Mapping
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import actions as shared
 from tipforce_tools.cli import common
 
+Value: TypeAlias = tuple[tuple[str, ...], tuple[str, ...]]
+"""Completions of one position: words, and those of sources (FILE, CAN, COMMAND)."""
 Parsers: TypeAlias = Mapping[str, tuple[str, argparse.ArgumentParser]]
 """Summary and parser of each command."""
 SHELLS = ("bash", "zsh", "fish")
@@ -65,13 +67,6 @@ complete -F _tipforce tipforce
 """
 
 
-class Value(NamedTuple):
-    """Completions of one position: ``words``, and those of the ``sources`` (FILE, CAN, COMMAND)."""
-
-    words: tuple[str, ...] = ()
-    sources: tuple[str, ...] = ()
-
-
 def script(shell: str, parsers: Parsers) -> str:
     """Return the script for "bash", "zsh" or "fish". Raises InputError for another."""
     if shell not in SHELLS:
@@ -118,11 +113,12 @@ def _with_values(parser: argparse.ArgumentParser, shell: str) -> argparse.Argume
 
 def _completer(value: Value, shell: str) -> dict[str, Any]:
     """Return shtab's form: the function to call, and its definition; equal definitions are printed once."""
-    offers = [_OFFERS[shell][source] for source in value.sources]
-    if value.words:
-        offers.append(_OFFERS[shell]["words"].format(shlex.join(value.words)))
+    words, sources = value
+    offers = [_OFFERS[shell][source] for source in sources]
+    if words:
+        offers.append(_OFFERS[shell]["words"].format(shlex.join(words)))
     # shtab's script for bash treats completions as file names depending on the function's name.
-    what = "_".join((*value.sources, *value.words[:3], *map(str, [len(value.words)] if value.words else ())))
+    what = "_".join((*sources, *words[:3], *map(str, [len(words)] if words else ())))
     name = "_tipforce_" + re.sub(r"\W", "_", what)
     definition = _FUNCTION.get(shell, _POSIX_FUNCTION).format(name, "\n  ".join(offers))
     return {shell: f"({name})" if shell == "fish" else name, "preamble": {shell: definition}}
@@ -131,9 +127,9 @@ def _completer(value: Value, shell: str) -> dict[str, Any]:
 def value_of(action: argparse.Action) -> Value:
     """Return the completion of a flag or positional word without choices, by its type and metavar."""
     if action.type in (common.node_id, common.node_ids):
-        return Value(NODE_IDS)
+        return NODE_IDS, ()
     if action.nargs == argparse.REMAINDER:
-        return Value(sources=(COMMAND,))
+        return (), (COMMAND,)
     words: list[str] = []
     sources: dict[str, None] = {}
     metavar = action.metavar if isinstance(action.metavar, str) else action.dest.upper()
@@ -149,4 +145,4 @@ def value_of(action: argparse.Action) -> Value:
             words += all_names()
         elif len(alternatives) > 1 and part != "NAME" and _WORD.fullmatch(part):
             words.append(part)
-    return Value(tuple(words), tuple(sources))
+    return tuple(words), tuple(sources)

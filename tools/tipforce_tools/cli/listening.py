@@ -21,14 +21,13 @@ if TYPE_CHECKING:
 
     from tipforce.host.frames.frame_block import CandumpBlock
     from tipforce.host.hand.bring_up import FingerReport
-    from tipforce.host.hand.hand import Hand
     from tipforce.host.live.receiver import ReceiverGroup, Selection
     from tipforce.host.live.targets import Target
     from tipforce.watching.feeds import FrameFeed, HandFeed
     from tipforce.watching.findings import Finding, Observed
     from tipforce.watching.watcher import Fallback
 
-
+_HINT_S = 0.5
 _sync_hz = common.number_within(0.0, 10_000.0, "is above 0 up to 10000 Hz", over=True)
 
 
@@ -41,9 +40,6 @@ def check_sync(sync_hz: float | None, source: object) -> None:
     """Raise InputError for --sync with a source that is no bus."""
     if sync_hz is not None and source is not None:
         raise InputError(f"--sync: {source} is no bus to listen to; leave the flag out")
-
-
-_HINT_S = 0.5
 
 
 class Hints:
@@ -103,12 +99,9 @@ class Hints:
 
 
 def _group(
-    buses: Sequence[dict[str, Any]],
-    selections: Sequence[Selection | None],
-    tick_s: float,
-    hints: Hints | None,
+    buses: Sequence[dict[str, Any]], selections: Sequence[Selection | None], tick_s: float, hints: Hints | None,
     sync_hz: float | None,
-) -> ReceiverGroup:
+) -> ReceiverGroup:  # fmt: skip
     """Listen to each bus for its selection; with ``sync_hz`` send SYNCs on each until the group is closed."""
     from tipforce.host.live.receive import open_receiver
     from tipforce.host.live.receiver import ReceiverGroup
@@ -127,10 +120,8 @@ def _group(
                     return block
 
     with ExitStack() as opened:
-        receivers = [
-            opened.enter_context(open_receiver(options, selection, tick_s=tick_s))
-            for options, selection in zip(buses, selections, strict=True)
-        ]
+        chosen = zip(buses, selections, strict=True)
+        receivers = [opened.enter_context(open_receiver(*each, tick_s=tick_s)) for each in chosen]
         if hints is not None:
             hints.watch(buses, opened)
         if sync_hz:
@@ -138,8 +129,7 @@ def _group(
             from tipforce.host.network.open_bus import open_bus
 
             for options in buses:
-                bus = opened.enter_context(open_bus(**options))
-                kernel_sync(bus, 1.0 / sync_hz, [b""])
+                kernel_sync(opened.enter_context(open_bus(**options)), 1.0 / sync_hz, [b""])
         at_end = opened.pop_all()
     group = ReceiverGroup if hints is None else HintingGroup
     return group(receivers, tick_s=tick_s, at_end=[at_end.close])
@@ -205,11 +195,14 @@ def note_missing(report: FingerReport) -> None:
         common.note(str(not_calibrated(report.plan.node_id)))
 
 
-def commissioned(hand: Hand, fallback: Fallback | None = None) -> HandFeed:
-    """Commission and start a hand: reports go to stderr and to the feed's events. Closes the hand if that fails."""
+def commissioned(args: Namespace, path: Path, fallback: Fallback | None = None) -> HandFeed:
+    """Commission and start the hand of a file: reports go to stderr and to the feed's events."""
+    from tipforce.host.hand.file import read_hand
+    from tipforce.host.hand.hand import Hand
     from tipforce.watching.feeds import HandFeed
     from tipforce.watching.watcher import hand_fingers
 
+    hand = Hand.from_file(path, **bus_flags.find_bus(args, read_hand(path).bus))
     try:
         feed = HandFeed(hand, ())
         for report in hand.bring_up():

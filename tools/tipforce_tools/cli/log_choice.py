@@ -1,4 +1,4 @@
-"""What the flags of ``log_flags`` choose: logs, times, signals, layouts, calibrations."""
+"""What the flags of ``common.add_choice_arguments`` choose: logs, times, signals, layouts, calibrations."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tipforce.host.decoding.log_part import Reading, When
 from tipforce.host.decoding.pdo_layout import Layouts, dcf_layout, node_layout, signals_named, with_layouts
 from tipforce.shipped_files import file_or_shipped
 from tipforce_tools.cli import bus_flags
-from tipforce_tools.cli.log_flags import eds_files
+from tipforce_tools.cli.common import eds_files
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration
@@ -29,17 +29,16 @@ _EPOCH_FROM_S = 100_000_000  # 1973: smaller numbers are seconds since the first
 
 
 def logs(words: Sequence[str]) -> list[str]:
-    """Return the logs that words and globs name, in this order; default stdin. Of a URL it is a local copy.
-
-    Raises InputError for a missing file.
-    """
+    """Return the logs that words and globs name, default stdin; of a URL a local copy. Raises InputError."""
     if not words and sys.stdin.isatty():
         raise InputError("no log: name one (`tipforce decode run.log`), or pipe candump text to stdin")
     found: list[str] = []
     for word in words or [STDIN]:
         matches = [word]
         if word != STDIN and not is_url(word) and not Path(word).exists():
-            matches = sorted(glob.glob(word, recursive=True), key=_natural) if glob.has_magic(word) else []
+            matches = glob.glob(word, recursive=True) if glob.has_magic(word) else []
+            # run-2.log before run-10.log
+            matches.sort(key=lambda name: [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", name)])
             if not matches:
                 raise InputError(f"{word}: no {'file matches' if glob.has_magic(word) else 'such file'}")
         found += matches
@@ -55,11 +54,6 @@ def narrowing_flags(args: Namespace) -> str:
     """Return the given flags that leave samples out, as written; empty for none."""
     given = (("--nodes", args.nodes), ("--bus", args.bus), ("--from", args.start), ("--to", args.end))
     return ", ".join(flag for flag, value in given if value is not None)
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Return a sort key that puts run-2.log before run-10.log."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def when(flag: str, text: str | None) -> When | None:

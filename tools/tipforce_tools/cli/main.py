@@ -56,14 +56,14 @@ _FIRMWARE = {
 # group -> name -> (place, or the actions with a place each: ``actions.Actions``; one line of help)
 GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
     "try": {
-        "demo": ("tipforce_tools.demo.command", "calibrate, load and compare simulated nodes; needs no hardware"),
+        "demo": ("tipforce_tools.demo", "calibrate, load and compare simulated nodes; needs no hardware"),
         "run": ("tipforce_tools.scene", "run a scene: nodes, loads, faults and a recording in TOML"),
         "vcan": ("tipforce_tools.vcan", "run a command where vcan interfaces exist"),
     },
     "bus": {
         "scan": ("tipforce_tools.network.nodes:scan", "list the nodes on the bus"),
         "read": ("tipforce_tools.network.nodes:read", "read the contact of fingers, with its uncertainty"),
-        "monitor": ("tipforce_tools.monitor.command", "show a live table of the nodes on a bus or in a log"),
+        "monitor": ("tipforce_tools.monitor", "show a live table of the nodes on a bus or in a log"),
         "sdo": ("tipforce_tools.network.sdo", "read or write one object of a node, or read all objects"),
         "nmt": ("tipforce_tools.network.nodes:nmt", "start, stop or reset nodes, and wait for their heartbeats"),
         "lss": ("tipforce_tools.network.nodes:lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
@@ -80,45 +80,33 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
         "node": ("tipforce_tools.node", "run one fingertip node on a CAN bus"),
     },
     "logs": {
-        "dump": ("tipforce_tools.dump.command", "print frames as candump does, with --decode their meaning"),
+        "dump": ("tipforce_tools.dump", "print frames as candump does, with --decode their meaning"),
         "log": ("tipforce_tools.log", "record frames to a file that canplayer and Wireshark read"),
         "replay": ("tipforce_tools.replay", "send the frames of a log with their recorded timing"),
         "decode": ("tipforce_tools.decode.command", "convert logs to contact: CSV, JSON lines, Parquet, MCAP"),
         "dataset": (_DATASET, "show, verify, compact and query a dataset of `tipforce decode`"),
-        "plot": ("tipforce_tools.plot.command", "plot the contact, gauges and faults of a log"),
+        "plot": ("tipforce_tools.plot", "plot the contact, gauges and faults of a log"),
     },
     "develop": {
         "simulate": ("tipforce_tools.simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
         "conformance": ("tipforce_tools.conformance", "test a CANopen device against the CiA standards, by clause"),
-        "export": ("tipforce_tools.export.command", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
+        "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
         "design": (_DESIGN, "recompute the paper's tables, sweep and optimise the structure"),
         "report": ("tipforce_tools.report", "measure error against run time, and check extreme cases"),
-        "doctor": ("tipforce_tools.doctor.command", "find what this machine and its bus lack"),
+        "doctor": ("tipforce_tools.doctor", "find what this machine and its bus lack"),
     },
 }
 COMMANDS = {name: entry for commands in GROUPS.values() for name, entry in commands.items()}
 
 EXIT_CODES: dict[type[TipforceError], int] = {
-    LogError: 1,
-    DuplicateNodeError: 1,
-    InputError: 2,
-    NoResponseError: 5,
-    EnvironmentLackError: 2,
-    SdoAbortError: 11,
-    RefusedError: 12,
-    WriteError: 1,
-}
+    LogError: 1, DuplicateNodeError: 1, InputError: 2, NoResponseError: 5, EnvironmentLackError: 2,
+    SdoAbortError: 11, RefusedError: 12, WriteError: 1,
+}  # fmt: skip
 PERMISSION, INTERRUPTED = 9, 130
 EXIT_TEXTS = {
-    0: "ok",
-    1: "a check or a write failed, or a log is damaged",
-    2: "usage",
-    5: "no response",
-    PERMISSION: "permission",
-    11: "SDO abort",
-    12: "the device refused",
-    INTERRUPTED: "interrupted",
-}
+    0: "ok", 1: "a check or a write failed, or a log is damaged", 2: "usage", 5: "no response",
+    PERMISSION: "permission", 11: "SDO abort", 12: "the device refused", INTERRUPTED: "interrupted",
+}  # fmt: skip
 
 TOP_FLAGS = ("--help", "--help-bus", "--completion", "--version")
 USAGE = """usage: tipforce COMMAND [options]
@@ -136,34 +124,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # Before pyarrow is: its own allocator returns memory between the parts of a log, and clears it again for the next.
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
-    _open_closed_streams()
-    with visible_streams():
-        return _run_line(words)
-
-
-def _run_line(words: list[str]) -> int:
-    try:
-        code = _answer(words)
-        sys.stdout.flush()
-        return code
-    except TipforceError as error:
-        return _failed(str(error), _exit_code(error))
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except BrokenPipeError:
-        # The reader (head, less) closed the pipe. Python would report it again when it flushes stdout at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except OSError as error:  # stdout on a full disk, a file that was removed
-        return _failed(str(error), PERMISSION if isinstance(error, PermissionError) else 1)
-
-
-def _open_closed_streams() -> None:
-    """Open the null device for each standard stream that is closed (`>&-`), so that no file gets its descriptor."""
+    # The null device for each standard stream that is closed (`>&-`), so that no file gets its descriptor.
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             number = os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY)
             setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
+    with visible_streams():
+        try:
+            code = _answer(words)
+            sys.stdout.flush()
+            return code
+        except TipforceError as error:
+            return _failed(str(error), _exit_code(error))
+        except KeyboardInterrupt:
+            return INTERRUPTED
+        except BrokenPipeError:
+            # The reader (head, less) closed the pipe. Python would report it again when it flushes stdout at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
+        except OSError as error:  # stdout on a full disk, a file that was removed
+            return _failed(str(error), PERMISSION if isinstance(error, PermissionError) else 1)
 
 
 def _answer(words: list[str]) -> int:
@@ -204,7 +184,8 @@ def _run(name: str, words: list[str]) -> int:
         near = difflib.get_close_matches(name, [*COMMANDS, *TOP_FLAGS], 3, cutoff=0.7)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
-    from tipforce_tools.cli.actions import check_files, parser_of, run_place
+    from tipforce_tools.cli import common
+    from tipforce_tools.cli.actions import check_files, functions, parser_of
 
     place, parser = COMMANDS[name][0], command_parser(name)
     if not isinstance(place, str):
@@ -214,7 +195,8 @@ def _run(name: str, words: list[str]) -> int:
     passes_on = any(action.nargs == "..." for action in parser._actions)  # argparse.REMAINDER
     args = parser.parse_args(words) if passes_on else parser.parse_intermixed_args(words)
     check_files(parser, args)
-    return run_place(place, args)
+    common.OUTPUT.set_up(args)
+    return functions(place)[1](args)
 
 
 def all_parsers() -> dict[str, tuple[str, CommandParser]]:

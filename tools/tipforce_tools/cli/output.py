@@ -8,12 +8,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, TextIO, cast
+from typing import Any, TextIO, cast
 
 from canopen_device.visible_text import visible_lines
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 
 class VisibleStream:
@@ -52,23 +49,3 @@ def terminal(stream: TextIO) -> TextIO:
     while isinstance(stream, VisibleStream):
         stream = stream.below
     return stream
-
-
-def rich_console(stream: TextIO, **options: Any) -> Console:
-    """Return a console of rich on the stream below: its colours pass, every text is escaped, and none is markup."""
-    from rich.console import Console, ConsoleOptions, RenderableType
-    from rich.segment import Segment
-    from rich.text import Text
-
-    class VisibleConsole(Console):
-        def on_broken_pipe(self) -> None:  # rich's own exits with code 1; `| head` is not a failure
-            raise BrokenPipeError
-
-        def render_str(self, text: str, **options: Any) -> Text:
-            return super().render_str(visible_lines(text), **options | {"markup": False, "emoji": False})
-
-        def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-            for segment in super().render(renderable, options):
-                yield segment if segment.control else Segment(visible_lines(segment.text), segment.style)
-
-    return VisibleConsole(file=terminal(stream), **options)

@@ -134,18 +134,14 @@ def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callab
             hand.stop()
 
 
-def simulated_source(case: str, seed: int) -> SimulatedSource:
-    """Return the gauges of a case, with the demo's noise and offsets."""
-    return SimulatedSource(strain_matrix(FABRICATED, case).tolist(), NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, seed)
-
-
 @contextlib.contextmanager
 def _nodes(seed: int) -> Iterator[Bus]:
     """Run nodes 1, 2, 3 with cases I, II, III in one thread on python-can's virtual bus, and yield a host on it."""
     devices: list[Device] = []
     channel = f"tipforce-demo-{id(devices)}"
     for k, case in enumerate(CASES):
-        store, source = MemoryStore(), simulated_source(case, seed + k)
+        rows, store = strain_matrix(FABRICATED, case).tolist(), MemoryStore()
+        source = SimulatedSource(rows, NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, seed + k)
         devices.append(fingertip_node(k + 1, source, serial=k + 1, save=store.save, load=store.load))
     with (
         can.Bus(interface="virtual", channel=channel) as node_bus,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import platform
 import shutil
 import socket
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -34,17 +33,10 @@ _UDP = "-i udp_multicast -c 239.74.163.2 is a bus of UDP datagrams"
 _IIO = Path("/sys/bus/iio/devices")
 BASE = ("canopen", "cantools", "msgspec", "numpy", "python-can", "rich")
 EXTRAS = {
-    "science": ("scipy",),
-    "plot": ("matplotlib",),
-    "fem": ("scikit-fem",),
-    "parquet": ("pyarrow",),
-    "zstd": ("zstandard",),
-    "mcap": ("mcap",),
-    "ros2": ("cyclonedds",),
-    "multicast": ("msgpack",),
-    "slcan": ("pyserial",),
-    "dask": ("distributed",),
-}
+    "science": "scipy", "plot": "matplotlib", "fem": "scikit-fem", "parquet": "pyarrow", "zstd": "zstandard",
+    "mcap": "mcap", "ros2": "cyclonedds", "multicast": "msgpack", "slcan": "pyserial", "dask": "distributed",
+}  # fmt: skip
+"""A package of each extra."""
 PEERS = ("candump", "canplayer", "tshark")
 
 
@@ -53,7 +45,13 @@ def kernel_checks() -> Iterator[Finding]:
     if not sys.platform.startswith("linux"):
         yield Finding("kernel", "note", f"{sys.platform}: no SocketCAN", "name your adapter's interface: -i")
         return
-    yield _can_raw()
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+        yield Finding("kernel", "ok", "CAN sockets work")
+    except PermissionError:
+        yield Finding("kernel", "fail", "CAN sockets are not permitted here", "a container needs the host's network")
+    except OSError as error:
+        yield Finding("kernel", "fail", f"no CAN sockets: {error.strerror}", _NO_CAN)
     known, details = interfaces(), links()
     if not known:
         step = "plug in the adapter, or add vcan0: sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 up"
@@ -77,21 +75,6 @@ def interface_check(link: Link) -> Finding:
     return Finding(topic, "ok", f"up, {kind}" + (f", sample point {link.sample_point}" if link.sample_point else ""))
 
 
-def _can_raw() -> Finding:
-    try:
-        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
-    except OSError as error:
-        if error.errno in (errno.EPERM, errno.EACCES):
-            return Finding(
-                "kernel", "fail", "CAN sockets are not permitted here", "a container needs the host's network"
-            )
-        return Finding("kernel", "fail", f"no CAN sockets: {error.strerror}", _NO_CAN)
-    return Finding("kernel", "ok", "CAN sockets work")
-
-
-# --- buses without hardware ---------------------------------------------------------------------------------------
-
-
 def trial() -> int:
     """Run `true` with the buses; return its exit code. Raises EnvironmentLackError."""
     from tipforce_tools.kernel.uml import run_with_vcan
@@ -99,8 +82,8 @@ def trial() -> int:
     return run_with_vcan(["true"], interfaces=INTERFACES, timeout_s=120.0)
 
 
-def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Finding]:
-    """Yield one check; ``try_it`` replaces the trial in tests. Never raises."""
+def vcan_checks() -> Iterator[Finding]:
+    """Yield one check. Never raises."""
     if sys.platform != "linux":
         yield Finding("vcan", "note", f"vcan exists on Linux only, and this is {sys.platform}", _UDP)
         return
@@ -108,7 +91,7 @@ def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Finding]:
 
     place = choose(INTERFACES)
     try:
-        code = (try_it or trial)()
+        code = trial()
     except TipforceError as error:
         yield Finding("vcan", "note", str(error).splitlines()[0], "`tipforce vcan -- true` shows the details")
         return
@@ -129,15 +112,11 @@ def multicast_checks() -> Iterator[Finding]:
         yield Finding("UDP bus", "note", str(error))
 
 
-# --- converters ---------------------------------------------------------------------------------------------------
-
-
 def iio_checks(root: Path = _IIO, device_files: Path = Path("/dev"), configfs: Path | None = None) -> Iterator[Finding]:
     """Yield a check per converter, or one if there is none. Checks neither raise nor change anything."""
     if sys.platform != "linux":
-        yield Finding(
-            "ADC", "note", f"Industrial I/O needs Linux; this is {sys.platform}", "--source sim or replay:FILE"
-        )
+        cause = f"Industrial I/O needs Linux; this is {sys.platform}"
+        yield Finding("ADC", "note", cause, "--source sim or replay:FILE")
         return
     from tipforce.sources import iio_sysfs
 
@@ -148,13 +127,9 @@ def iio_checks(root: Path = _IIO, device_files: Path = Path("/dev"), configfs: P
     with_voltage = [device for device in devices if _channels(device.path)]
     if not with_voltage:
         others = f"; found: {', '.join(map(str, devices))}" if devices else ""
-        step = "`echo NAME 0xADDRESS > /sys/bus/i2c/devices/i2c-N/new_device`"
-        yield Finding(
-            "ADC",
-            "note",
-            f"no converter{others}",
-            f"load its driver, and name the chip in the device tree or by {step}",
-        )
+        echo = "`echo NAME 0xADDRESS > /sys/bus/i2c/devices/i2c-N/new_device`"
+        step = f"load its driver, and name the chip in the device tree or by {echo}"
+        yield Finding("ADC", "note", f"no converter{others}", step)
         return
     for device in with_voltage:
         yield from _device_checks(device, device_files)
@@ -212,9 +187,6 @@ def _buffering(devices: list[Device], root: Path, configfs: Path | None) -> Find
     return Finding(topic, "note", "no trigger: converters are polled", step)
 
 
-# --- software -----------------------------------------------------------------------------------------------------
-
-
 def software_checks() -> Iterator[Finding]:
     """Yield checks of versions, extras and related tools."""
     base = ", ".join(f"{name} {_version(name)}" for name in BASE)
@@ -222,7 +194,7 @@ def software_checks() -> Iterator[Finding]:
     built = core is not None
     finding = "compiled" if built else "not compiled: logs are read more slowly"
     yield Finding("core", "ok" if built else "note", finding, "" if built else how_to_build())
-    missing = [extra for extra, names in EXTRAS.items() if any(_version(name) == "missing" for name in names)]
+    missing = [extra for extra, name in EXTRAS.items() if _version(name) == "missing"]
     yield _lacks("extras", "not installed", missing, f'pip install "tipforce[{",".join(missing)}]"', "all installed")
     absent = [name for name in PEERS if shutil.which(name) is None]
     yield _lacks("peers", "not found", absent, "sudo apt-get install can-utils tshark", ", ".join(PEERS))

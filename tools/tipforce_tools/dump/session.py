@@ -7,12 +7,12 @@ import math
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from select import select as readable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from canopen_device.core.codes import ERROR_FLAG, REMOTE_FLAG
 from tipforce.dictionary.signals import Signal, rpdo_messages, tpdo_messages
@@ -23,7 +23,6 @@ from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.pdo_layout import EdsFiles, Layouts
 from tipforce.host.decoding.sdo_conversation import eds_names, fingertip_names
 from tipforce.host.decoding.services import Service, Services
-from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.live.targets import STDIN, Target, select, split_targets
@@ -31,11 +30,6 @@ from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import Hints, check_sync, counted, open_targets
-from tipforce_tools.cli.log_flags import eds_files
-
-if TYPE_CHECKING:
-    from tipforce.host.live.receiver import ReceiverGroup
-
 
 _COUNTER = "counter"
 _UNITS = {"degree": "deg"}
@@ -50,9 +44,8 @@ def _decoder(gauges: int, eds: EdsFiles) -> Decoder:
         return Layouts(eds=eds).decoder()
     messages = (*tpdo_messages(gauges), *rpdo_messages())
     given = [message for message in messages if message.cob_id_base]
-    return Decoder.of_messages(
-        {(node_id, one.name): (one.cob_id_base + node_id, one) for node_id in range(1, 128) for one in given}
-    )
+    known = {(number, one.name): (one.cob_id_base + number, one) for number in range(1, 128) for one in given}
+    return Decoder.of_messages(known)
 
 
 class Session:
@@ -61,7 +54,7 @@ class Session:
     def __init__(self, args: Namespace, targets: tuple[Target, ...], *, live: bool) -> None:
         self._args = args
         self._live = live
-        eds = eds_files(args.eds or ())
+        eds = common.eds_files(args.eds or ())
         self.decoder = _decoder(args.gauges, eds) if args.decode or common.OUTPUT.verbose else None
         names = eds_names(eds, fingertip_names(args.gauges)) if eds else fingertip_names(args.gauges)
         self.services = Services(names) if args.decode else None
@@ -73,9 +66,8 @@ class Session:
         self._text: Callable[[CandumpBlock, Decoded, Iterable[Service]], str] = json_text
         if not common.OUTPUT.json:
             width = max((len(target.channel) for target in targets), default=0)
-            form = CandumpFormat(
-                args.timestamps, log=args.log, extra=args.extra, errors=args.errors, ascii=args.ascii, width=width
-            )
+            more = {"extra": args.extra, "errors": args.errors, "ascii": args.ascii}
+            form = CandumpFormat(args.timestamps, log=args.log, width=width, **more)
             self._text = partial(screen_text, form, not args.log)
 
     def show(self, block: CandumpBlock) -> bool:
@@ -95,8 +87,11 @@ class Session:
 
     def _print(self, block: CandumpBlock) -> None:
         decoded = self.decoder.decode(block.frames) if self.decoder is not None else {}
-        if common.OUTPUT.verbose:
-            self._count(block.frames, decoded)
+        if self._counted is not None:  # each frame by the modulus in force where it was received
+            parts = self._modulus.cuts(block.frames)
+            for part in self._modulus.parts(block.frames):
+                for samples in (self._counted.decode(part) if parts else decoded).values():
+                    self.tally.add_samples(samples, self._modulus.modulus)
         services: Iterable[Service] = ()
         if self.services is not None:
             services = self.services.describe(block.frames, block.interface)
@@ -109,20 +104,9 @@ class Session:
             sys.stdout.write(text)
             sys.stdout.flush()
 
-    def _count(self, frames: FrameArray, decoded: dict[Key, Samples]) -> None:
-        """Count the decoded frames, each by the modulus in force where it was received."""
-        assert self._counted is not None
-        parts = self._modulus.cuts(frames)
-        for part in self._modulus.parts(frames):
-            for samples in (self._counted.decode(part) if parts else decoded).values():
-                self.tally.add_samples(samples, self._modulus.modulus)
-
 
 def dump(args: Namespace) -> int:
-    """Print frames until the source ends, or -n or -T ends it; return 0, or 1 for a bad line with --strict.
-
-    Raises InputError for unusable targets, EnvironmentLackError if a bus cannot be opened or fails.
-    """
+    """Print frames until the source, -n or -T ends it; return 0, or 1 for a bad line with --strict."""
     if args.log and (args.errors or args.ascii) and not common.OUTPUT.json:
         raise InputError(f"-L and -{'e' if args.errors else 'a'}: the log format has no field for text; leave one out")
     source, targets = split_targets(args.targets)
@@ -131,11 +115,19 @@ def dump(args: Namespace) -> int:
     if source is not None:
         return _dump_text(args, source, targets, session)
     hints = Hints(common.note) if args.decode else None
+    timeout_s = None if args.timeout_ms is None else args.timeout_ms / 1000
     with open_targets(targets, args, hints=hints) as receiver:
         try:
-            for block in _live_blocks(receiver, args.timeout_ms, args.stay):
-                if not session.show(block):
-                    break
+            going_on = True
+            while going_on:
+                try:
+                    block = receiver.receive_block(timeout_s)
+                except InterfaceDownError as error:
+                    if not args.stay:
+                        raise
+                    common.note(f"tipforce dump: {error}")
+                    continue
+                going_on = session.show(block) if len(block) else timeout_s is None
         finally:
             _report(session, receiver.dropped, None)
     return 0
@@ -168,9 +160,8 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
             if not frames and (parser.bad or args.timeout_ms is None):
                 from tipforce.host.logs.empty import TEXT, no_frame
 
-                raise no_frame(
-                    str(source), next(iter(parser.bad_lines), None), (TEXT, "other formats: `tipforce decode`")
-                )
+                bad = next(iter(parser.bad_lines), None)
+                raise no_frame(str(source), bad, (TEXT, "other formats: `tipforce decode`"))
         except BadLineError as error:
             print(f"tipforce dump: {error}", file=sys.stderr)
             return 1
@@ -180,31 +171,13 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
     return 0
 
 
-def _live_blocks(receiver: ReceiverGroup, timeout_ms: int | None, stay: bool) -> Iterator[CandumpBlock]:
-    """Yield frames as they arrive, until none arrives for ``timeout_ms``. With ``stay`` an interface may go down."""
-    timeout_s = None if timeout_ms is None else timeout_ms / 1000
-    while True:
-        try:
-            block = receiver.receive_block(timeout_s)
-        except InterfaceDownError as error:
-            if not stay:
-                raise
-            common.note(f"tipforce dump: {error}")
-            continue
-        if len(block):
-            yield block
-        elif timeout_s is not None:
-            return
-
-
 def _report(session: Session, dropped: int, parser: CandumpParser | None) -> None:
     """Report on stderr the frames left out, and with -v the counts."""
     notes = []
     if parser is not None and parser.bad:
         reasons = ", ".join(f"{count} {reason}" for reason, count in parser.bad.items())
-        notes.append(
-            f"{counted(sum(parser.bad.values()), 'bad line')} left out ({reasons}), first {parser.bad_lines[0]}"
-        )
+        lines = counted(sum(parser.bad.values()), "bad line")
+        notes.append(f"{lines} left out ({reasons}), first {parser.bad_lines[0]}")
     if dropped:
         notes.append(f"{'candump' if parser is not None else 'the kernel'} had dropped {counted(dropped, 'frame')}")
     for (node_id, name), count in (session.decoder.malformed if session.decoder is not None else {}).items():
@@ -264,13 +237,9 @@ def json_text(block: CandumpBlock, decoded: Decoded, services: Iterable[Service]
         node_id = {"node": service.node_id} if service.node_id else {}
         records[service.row] |= {**node_id, "service": service.name, "text": service.text}
     for number, frame in enumerate(block.fd):
-        flags = {
-            "fd": True,
-            "bit_rate_switch": bool(frame.flags & BIT_RATE_SWITCH),
-            "error_state": bool(frame.flags & ERROR_STATE),
-        }
+        switch, state = bool(frame.flags & BIT_RATE_SWITCH), bool(frame.flags & ERROR_STATE)
         made = record(frame.t_ns, frame.interface, frame.can_id, frame.data)
-        records.insert(frame.row + number, made | flags)
+        records.insert(frame.row + number, made | {"fd": True, "bit_rate_switch": switch, "error_state": state})
     return "".join(json.dumps(one) + "\n" for one in records)
 
 
@@ -279,14 +248,13 @@ def _add_values(records: list[dict[str, Any]], samples: Samples) -> None:
     columns = {name: column.tolist() for name, column in samples.columns.items()}
     for position, row in enumerate(samples.row.tolist()):
         record = records[row]
-        record["node"] = samples.node_id
-        record["message"] = samples.message.name
-        values = {signal.name: columns[signal.name][position] for signal in numbers}
-        record["values"] = {
-            name: None if isinstance(value, float) and not math.isfinite(value) else value
-            for name, value in values.items()
+        values = ((signal.name, columns[signal.name][position]) for signal in numbers)
+        record |= {
+            "node": samples.node_id,
+            "message": samples.message.name,
+            "values": {n: None if isinstance(v, float) and not math.isfinite(v) else v for n, v in values},
+            "status": [signal.name for signal in flags if columns[signal.name][position]],
         }
-        record["status"] = [signal.name for signal in flags if columns[signal.name][position]]
         if _COUNTER in columns:
             record[_COUNTER] = columns[_COUNTER][position]
 

@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from tipforce.errors import EnvironmentLackError
@@ -23,8 +23,7 @@ PROCESS = "process"
 """The file in it with the number of a process on this kernel."""
 ELSEWHERE = (
     "`tipforce demo`, the library and the log tools work without vcan, and nodes and hosts on UDP: "
-    "-i udp_multicast -c 239.74.163.2; "
-    "vcan works on any machine whose kernel has it (`sudo modprobe vcan`)"
+    "-i udp_multicast -c 239.74.163.2; vcan works on any machine whose kernel has it (`sudo modprobe vcan`)"
 )
 
 NOT_FOUND = 127  # what a shell reports for a command that it cannot find
@@ -105,14 +104,6 @@ def short_temporary_folder() -> str:
     return folder if re.fullmatch(r"[\w./+-]{1,50}", folder, re.ASCII) else "/tmp"
 
 
-@contextlib.contextmanager
-def _announced(process: int) -> Iterator[None]:
-    """Let `tipforce vcan --attach` find the process until the end of the block."""
-    with tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as folder:
-        Path(folder, PROCESS).write_text(str(process))
-        yield
-
-
 def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
     """Run `command` on this kernel with this terminal and environment; return its exit code (128 + n for signal n).
 
@@ -127,7 +118,8 @@ def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
         print(f"tipforce vcan: {command[0]}: {error.strerror}", file=sys.stderr)
         return 127 if isinstance(error, FileNotFoundError) else 126
     try:
-        with _announced(process.pid):
+        with tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as folder:
+            Path(folder, PROCESS).write_text(str(process.pid))  # `tipforce vcan --attach` finds it there
             code = process.wait(timeout_s)
         return code if code >= 0 else 128 - code
     except subprocess.TimeoutExpired:
@@ -136,22 +128,12 @@ def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     finally:
-        _end(process, own_group)
-
-
-def _end(process: "subprocess.Popen[bytes]", own_group: bool) -> None:
-    """Send SIGTERM to the command, or to its process group if it has its own; SIGKILL after five seconds."""
-    if process.returncode is not None:
-        return
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        with contextlib.suppress(ProcessLookupError):
-            if own_group:
-                os.killpg(process.pid, number)
-            else:
-                process.send_signal(number)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(5.0)
-            return
+        for number in (signal.SIGTERM, signal.SIGKILL):  # the second after five seconds
+            if process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    (os.killpg if own_group else os.kill)(process.pid, number)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(5.0)
 
 
 def choose(interfaces: Sequence[str], place: str = "auto") -> str:

@@ -27,21 +27,11 @@ from canopen_device.visible_text import visible
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.cli.main import terminate_as_interrupt
 from tipforce_tools.kernel import host
-from tipforce_tools.kernel.host import (
-    ELSEWHERE,
-    INTERRUPTED,
-    PREFIX,
-    PROCESS,
-    SYSTEM_PATH,
-    find_program,
-    require_parts,
-    run_here,
-    short_temporary_folder,
-)
+from tipforce_tools.kernel.host import ELSEWHERE, PREFIX, find_program, require_parts, short_temporary_folder
 
 PIPE_CLOSED = 141  # 128 + SIGPIPE: the shell's exit code for a writer whose reader closed the pipe
 BOOT_LIMIT_S = 120.0
-HALT_LIMIT_S = 10.0
+HALT_LIMIT_S, _KILL_LIMIT_S = 10.0, 5.0
 _LOOK_S = 0.05
 _LINE_S = 10.0  # between two lines while it boots
 _MCONSOLE_MAGIC, _MCONSOLE_VERSION = 0xCAFEBABE, 2  # arch/um/drivers/mconsole.h
@@ -68,6 +58,12 @@ def write_list(path: Path, items: Sequence[str | bytes]) -> None:
     path.write_bytes(b"".join(item + b"\0" for item in encoded))
 
 
+def _write_lists(folder: Path, settings: Sequence[str], command: Sequence[str]) -> None:
+    environment = [name + b"=" + value for name, value in os.environb.items()]
+    for name, items in (("settings", settings), ("command", command), ("environment", environment)):
+        write_list(folder / name, items)
+
+
 def run_in_uml(
     command: Sequence[str], interfaces: Sequence[str], memory: str, timeout_s: float | None, writable: bool
 ) -> int:
@@ -83,10 +79,10 @@ def run_in_uml(
         folder = Path(name)
         _write_request(folder, command, interfaces, writable, terminal)
         try:
-            with _Machine(folder, memory, terminal) as machine:
+            with contextlib.closing(_Machine(folder, memory, terminal)) as machine:
                 return machine.follow(timeout_s)
         except KeyboardInterrupt:
-            return INTERRUPTED
+            return host.INTERRUPTED
         except BrokenPipeError:
             return PIPE_CLOSED
 
@@ -116,13 +112,9 @@ class _Machine:
             log: IO[bytes] = given.enter_context((folder / "log").open("wb"))
             self.process = subprocess.Popen(
                 ["bash", "-c", _WATCHED, "vcan", *kernel, *consoles],
-                stdin=alive,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                pass_fds=fds,
-                env={"PATH": SYSTEM_PATH, "TMPDIR": memory_folder(memory, folder), **preloading(folder)},
-                start_new_session=True,
-            )
+                stdin=alive, stdout=log, stderr=subprocess.STDOUT, pass_fds=fds, start_new_session=True,
+                env={"PATH": host.SYSTEM_PATH, "TMPDIR": memory_folder(memory, folder), **preloading(folder)},
+            )  # fmt: skip
 
     def _pipe_to(self, target: int) -> int:
         read_end, write_end = os.pipe()
@@ -130,15 +122,18 @@ class _Machine:
         self.selector.register(read_end, selectors.EVENT_READ, target)
         return write_end
 
-    def __enter__(self) -> "_Machine":
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """End what still runs."""
         # Helper processes of the kernel and the programs inside belong to the group that start_new_session created.
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
-        _wait_for_group(self.process.pid)
+        # kill is asynchronous, and zombies do not count
+        begin, stats = time.monotonic(), Path("/proc").glob
+        while time.monotonic() - begin < _KILL_LIMIT_S and any(
+            _group_of_live(path) == self.process.pid for path in stats("[0-9]*/stat")
+        ):
+            time.sleep(0.005)
         self.selector.close()
         for fd in (*self.reading, self.ours):
             os.close(fd)
@@ -197,15 +192,6 @@ class _Machine:
         return EnvironmentLackError("\n".join([f"{what}; its last messages were:", *(f"  {line}" for line in log)]))
 
 
-def _wait_for_group(group: int, limit_s: float = 5.0) -> None:
-    """Wait until no process of the killed group runs (kill is asynchronous; zombies do not count)."""
-    begin = time.monotonic()
-    while time.monotonic() - begin < limit_s and any(
-        _group_of_live(path) == group for path in Path("/proc").glob("[0-9]*/stat")
-    ):
-        time.sleep(0.005)
-
-
 def _group_of_live(stat: Path) -> int | None:
     try:
         # proc(5): after the name in brackets come state, parent, group
@@ -222,9 +208,7 @@ def _write_request(
     if writable:
         (folder / "writable").touch()
     settings = [os.getcwd(), access, "terminal" if terminal else "pipes", _terminal_size(), os.uname().nodename]
-    write_list(folder / "settings", [*settings, *interfaces])
-    write_list(folder / "command", command)
-    write_list(folder / "environment", [name + b"=" + value for name, value in os.environb.items()])
+    _write_lists(folder, [*settings, *interfaces], command)
     script = folder / "init.sh"
     script.write_bytes(files("tipforce_tools.kernel").joinpath("init.sh").read_bytes())
     script.chmod(0o700)
@@ -294,12 +278,8 @@ def build_whole_xstate(folder: Path) -> Path:
         raise EnvironmentLackError(f"{what}, and none is installed: {_INSTALL}")
     library = folder / "whole_xstate.so"
     with as_file(files("tipforce_tools.kernel").joinpath("whole_xstate.c")) as source:
-        built = subprocess.run(
-            [compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(source)],
-            capture_output=True,
-            check=False,
-            env={**os.environ, "LC_ALL": "C"},
-        )
+        words = [compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(source)]
+        built = subprocess.run(words, capture_output=True, check=False, env={**os.environ, "LC_ALL": "C"})
     if built.returncode:
         said = built.stderr.decode(errors="replace").strip().splitlines() or ["nothing"]
         raise EnvironmentLackError(f"{what}, and {compiler} failed ({said[0]}): {_INSTALL}")
@@ -307,10 +287,7 @@ def build_whole_xstate(folder: Path) -> Path:
 
 
 def preloading(folder: Path) -> dict[str, str]:
-    """Return the variable that preloads whole_xstate.c. Without a compiler: nothing, and a line on stderr.
-
-    Raises EnvironmentLackError if this processor needs the library.
-    """
+    """Return the variable that preloads whole_xstate.c; without a compiler nothing, or an error where it is needed."""
     try:
         return {"LD_PRELOAD": str(build_whole_xstate(folder))}
     except EnvironmentLackError as error:
@@ -321,15 +298,9 @@ def preloading(folder: Path) -> dict[str, str]:
 
 
 def run_with_vcan(
-    command: Sequence[str],
-    *,
-    interfaces: Sequence[str] = ("vcan0", "vcan1"),
-    memory: str = "2G",
-    timeout_s: float | None = None,
-    place: str = "auto",
-    writable: bool = False,
-    announced: bool = False,
-) -> int:
+    command: Sequence[str], *, interfaces: Sequence[str] = ("vcan0", "vcan1"), memory: str = "2G",
+    timeout_s: float | None = None, place: str = "auto", writable: bool = False, announced: bool = False,
+) -> int:  # fmt: skip
     """Run `command` where all `interfaces` are vcan buses and up; return the command's own exit code.
 
     Directory and environment are the caller's. Besides the command's own codes: 127 if it is not found, 126 if it
@@ -362,25 +333,25 @@ def run_with_vcan(
     return host.run_here(host.namespace_command(interfaces, command) if chosen == "namespace" else command, timeout_s)
 
 
-# --- a command beside that of a running `tipforce vcan`, on the same buses -----------------------------------------
+# A command beside that of a running `tipforce vcan`, on the same buses.
 # Each run has a folder: of this kernel it holds the number of the process, of User-mode Linux all that is exchanged.
 
 
 def run_attached(command: Sequence[str], shell: Callable[[], list[str]], timeout_s: float | None = None) -> int:
-    """Run ``command``, or ``shell()``, on the buses of the latest `tipforce vcan` of this user; return its exit code.
+    """Run ``command``, or ``shell()``, on the buses of the user's latest `tipforce vcan`; return its exit code.
 
     Raises EnvironmentLackError if none runs.
     """
     folders = sorted(Path(short_temporary_folder()).glob(f"{PREFIX}*"), key=lambda path: path.stat().st_mtime)
     for folder in reversed([folder for folder in folders if folder.stat().st_uid == os.geteuid()]):
-        of_namespace, of_machine = folder / PROCESS, folder / "machine" / "pid"
+        of_namespace, of_machine = folder / host.PROCESS, folder / "machine" / "pid"
         process = next((path.read_text().strip() for path in (of_namespace, of_machine) if path.exists()), "")
         if not process or not Path("/proc", process).exists():  # it was killed
             continue
         if of_namespace.exists():
             user = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
             enter = [find_program("nsenter") or "nsenter", "--target", process, *user, "--net", "--mount"]
-            return run_here([*enter, f"--wdns={os.getcwd()}", "--", *(command or shell())], timeout_s)
+            return host.run_here([*enter, f"--wdns={os.getcwd()}", "--", *(command or shell())], timeout_s)
         if (folder / "started").exists() and not (folder / "status").exists():
             return _in_machine(folder, command or shell(), timeout_s)
     raise EnvironmentLackError("--attach: no `tipforce vcan` of yours runs; start one in another terminal")
@@ -390,9 +361,7 @@ def _in_machine(folder: Path, command: Sequence[str], timeout_s: float | None) -
     """Leave the request in the folder, where the machine looks for it; copy the output until it has a status."""
     terminal = _on_terminal()
     place = Path(tempfile.mkdtemp(prefix="attach-", dir=folder))
-    write_list(place / "settings", [os.getcwd(), _terminal_size(), _console(folder) if terminal else ""])
-    write_list(place / "command", command)
-    write_list(place / "environment", [name + b"=" + value for name, value in os.environb.items()])
+    _write_lists(place, [os.getcwd(), _terminal_size(), _console(folder) if terminal else ""], command)
     end_s = time.monotonic() + (timeout_s or float("inf"))
     with (place / "stdout").open("w+b") as out, (place / "stderr").open("w+b") as err, _terminal_kept(terminal):
         (place / "ready").touch()

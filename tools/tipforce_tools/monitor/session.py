@@ -7,8 +7,9 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
@@ -20,7 +21,6 @@ from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, P
 from tipforce_tools.cli import common
 from tipforce_tools.cli.common import shown_id
 from tipforce_tools.cli.listening import Hints, StopSignals, check_sync, counted, open_targets
-from tipforce_tools.cli.log_flags import eds_files
 from tipforce_tools.cli.main import INTERRUPTED
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def monitor(args: Namespace) -> int:
     """Show the nodes until the source ends, a signal, or --once; return 0, or 130 after a signal."""
     log_name, targets = split_targets(args.targets)
     check_sync(args.sync, log_name)
-    watched = Monitor(args.gauges, args.nodes, eds_files(args.eds or ()))
+    watched = Monitor(args.gauges, args.nodes, common.eds_files(args.eds or ()))
     screen = sys.stdout.isatty() and not common.OUTPUT.json and args.once is None
     interval_s = args.interval or (_SCREEN_S if screen else _LINE_S)
     with ExitStack() as opened:
@@ -50,7 +50,12 @@ def monitor(args: Namespace) -> int:
         hints = Hints(lambda _text: None)
         source, log = _source(args, log_name, targets, interval_s, opened, hints)
         bitrate = getattr(args, "bitrate", BITRATE)
-        show = opened.enter_context(_screen(bitrate, interval_s, hints)) if screen else _lines(bitrate, hints)
+        show: Show = partial(_print, bitrate, hints)
+        if screen:
+            from rich.live import Live
+
+            live = opened.enter_context(Live(console=common.console(), auto_refresh=False, transient=False))
+            show = partial(_refresh, live, bitrate, interval_s, hints)
         each = show if screen or (common.OUTPUT.json and args.once is None) else None
         shown = run(watched, source, stop, interval_s, each, args.once or math.inf)
         if log is not None and source.ended:
@@ -67,13 +72,9 @@ def monitor(args: Namespace) -> int:
 
 
 def run(
-    watched: Monitor,
-    source: FrameSource,
-    stopped: Callable[[], bool],
-    interval_s: float,
-    show: Show | None,
+    watched: Monitor, source: FrameSource, stopped: Callable[[], bool], interval_s: float, show: Show | None,
     once_s: float = math.inf,
-) -> bool:
+) -> bool:  # fmt: skip
     """Update the monitor until the source ends, ``stopped`` is true, or --once is over; return whether it was shown.
 
     It is shown at each interval of the frames' clock, so that a log gives the same lines.
@@ -104,13 +105,9 @@ def run(
 
 
 def _source(
-    args: Namespace,
-    name: Path | str | None,
-    targets: tuple[Target, ...],
-    interval_s: float,
-    opened: ExitStack,
+    args: Namespace, name: Path | str | None, targets: Sequence[Target], interval_s: float, opened: ExitStack,
     hints: Hints,
-) -> tuple[FrameSource, LogReader | None]:
+) -> tuple[FrameSource, LogReader | None]:  # fmt: skip
     if name is None:
         if args.follow or args.speed != math.inf:
             raise InputError("--follow and --speed: need a log")
@@ -127,35 +124,21 @@ def _source(
     return LogSource(log, args.speed, step_ns), log
 
 
-def _lines(bitrate: int, hints: Hints) -> Show:
+def _print(bitrate: int, hints: Hints, watched: Monitor, now_ns: int | None) -> None:
     """Print the state: a JSON line, or the plain table."""
-
-    def show(watched: Monitor, now_ns: int | None) -> None:
-        buses = watched.views(now_ns)
-        if common.OUTPUT.json:
-            common.print_json(record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
-        else:
-            print("\n".join([*plain(buses, bitrate), *_missing(hints, buses)]))
-        sys.stdout.flush()
-
-    return show
+    buses = watched.views(now_ns)
+    if common.OUTPUT.json:
+        common.print_json(record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
+    else:
+        print("\n".join([*plain(buses, bitrate), *_missing(hints, buses)]))
+    sys.stdout.flush()
 
 
-@contextmanager
-def _screen(bitrate: int, interval_s: float, hints: Hints) -> Iterator[Show]:
+def _refresh(screen: Live, bitrate: int, interval_s: float, hints: Hints, watched: Monitor, now_ns: int | None) -> None:
     """Show the live table; the last one stays on the screen."""
-    from rich.live import Live
-
-    screen: Live
-    with Live(console=common.console(), auto_refresh=False, transient=False) as screen:
-
-        def show(watched: Monitor, now_ns: int | None) -> None:
-            foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; Ctrl-C ends"
-            buses = watched.views(now_ns)
-            picture = tables(buses, bitrate, _missing(hints, buses), foot, screen.console.width)
-            screen.update(picture, refresh=True)
-
-        yield show
+    foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; Ctrl-C ends"
+    buses = watched.views(now_ns)
+    screen.update(tables(buses, bitrate, _missing(hints, buses), foot, screen.console.width), refresh=True)
 
 
 _DIGITS = {"N": 3, "degree": 2}
@@ -243,10 +226,7 @@ def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
 
 
 def tables(buses: Sequence[BusView], bitrate: int, lines: Iterable[str], foot: str, width: int = WIDE) -> Group:
-    """Return the table for a terminal of ``width`` characters: a narrow one has no borders, no rate, and no periods.
-
-    ``lines`` and ``foot`` follow it.
-    """
+    """Return the table, ``lines`` and ``foot``; one narrower than WIDE has no borders, no rate, and no periods."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text

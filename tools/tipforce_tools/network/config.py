@@ -65,10 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _opened(args: argparse.Namespace) -> Iterator[tuple[SdoChannel, DeviceObjects, Configuration]]:
-    """Open the node of the action; yield its channel, its dictionary, and the content of the file.
-
-    Where the node does not respond, the error of a file that is none of a fingertip is raised.
-    """
+    """Open the node; yield its channel, its dictionary and the content of the file. Raises what a file lacks."""
     from tipforce.host.configuration.configuration_file import read_configuration
     from tipforce.host.configuration.device_objects import FingertipObjects
 
@@ -184,10 +181,15 @@ def _line(entry: Entry[Value], text: str) -> str:
 def _shown(entry: Entry[Value], value: Value) -> str:
     """Return a value as text; COB-IDs and mapped objects in hexadecimal with the meaning of their parts."""
     from canopen_device import types
+    from canopen_device.core import codes, communication
     from tipforce.dictionary.signals import is_mapping
 
-    if entry.stem.endswith("cob_id") and isinstance(value, int):
-        return _cob_id_text(entry.index, value)
+    if entry.stem.endswith("cob_id") and isinstance(value, int):  # CiA 301, 7.5.2: bits by name, and the identifier
+        meanings = {communication.COB_ID_SYNC: ("", "produced"), communication.COB_ID_TIME: ("consumed", "produced")}
+        high = meanings.get(entry.index, ("off", "no RTR"))
+        bits = (codes.COB_ID_INVALID, high[0]), (codes.NO_RTR, high[1]), (1 << 29, "29 bits")
+        names = [name for bit, name in bits if value & bit and name]
+        return f"0x{value:08X} ({', '.join([f'0x{value & codes.STANDARD_MASK:03X}', *names])})"
     if is_mapping(entry.index) and entry.sub and isinstance(value, int) and value:
         return f"0x{value:08X} (0x{value >> 16:04X}:{value >> 8 & 0xFF:02X}, {value & 0xFF} bits)"
     try:
@@ -196,21 +198,12 @@ def _shown(entry: Entry[Value], value: Value) -> str:
         return str(value)
 
 
-def _cob_id_text(index: int, value: int) -> str:
-    """Return a COB-ID parameter in hexadecimal: its bits by name, and the identifier (CiA 301, 7.5.2)."""
-    from canopen_device.core import codes, communication
-
-    high = {
-        communication.COB_ID_SYNC: ("", "produced"),
-        communication.COB_ID_TIME: ("consumed", "produced"),
-    }.get(index, ("off", "no RTR"))
-    bits = (codes.COB_ID_INVALID, high[0]), (codes.NO_RTR, high[1]), (1 << 29, "29 bits")
-    names = [name for bit, name in bits if value & bit and name]
-    return f"0x{value:08X} ({', '.join([f'0x{value & codes.STANDARD_MASK:03X}', *names])})"
-
-
 def _save(args: argparse.Namespace) -> int:
+    from canopen_device.eds import dcf
+    from tipforce.dictionary import eds as fingertip_eds
     from tipforce.host.configuration.configuration_file import changed_settings, settings_toml
+    from tipforce.host.configuration.device_objects import EdsObjects
+    from tipforce.host.network.finger import FingertipClient
     from tipforce.output_file import EDS, SETTINGS, check_output, write_file
 
     as_dcf = args.file.lower().endswith((".dcf", ".eds"))
@@ -222,24 +215,19 @@ def _save(args: argparse.Namespace) -> int:
         objects = _objects(sdo, args.gauges, args.eds)
         settings = _read(sdo, objects)
         chosen = settings if args.all else changed_settings(settings, objects)
-        text = _dcf(sdo, objects, args.gauges, chosen) if as_dcf else settings_toml(chosen, objects, args.node)
+        if not as_dcf:
+            text = settings_toml(chosen, objects, args.node)
+        elif isinstance(objects, EdsObjects):
+            text = dcf.dcf_text(objects.described, chosen)
+        else:
+            simulated = FingertipClient(sdo).identity().simulated
+            text = fingertip_eds.dcf_text(args.gauges, sdo.node_id, chosen, simulated)
     if args.file == "-":
         print(text, end="")
         return 0
     write_file(args.file, text, kind)
     common.note(f"{args.file}: {len(chosen)} of {len(settings)} settings of {common.shown_node(args.node)}")
     return 0
-
-
-def _dcf(sdo: SdoChannel, objects: DeviceObjects, gauges: int, chosen: dict[tuple[int, int], Value]) -> str:
-    from canopen_device.eds import dcf
-    from tipforce.dictionary import eds as fingertip_eds
-    from tipforce.host.configuration.device_objects import EdsObjects
-    from tipforce.host.network.finger import FingertipClient
-
-    if isinstance(objects, EdsObjects):
-        return dcf.dcf_text(objects.described, chosen)
-    return fingertip_eds.dcf_text(gauges, sdo.node_id, chosen, FingertipClient(sdo).identity().simulated)
 
 
 def _read(sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:

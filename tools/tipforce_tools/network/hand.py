@@ -17,9 +17,8 @@ if TYPE_CHECKING:
     from tipforce.host.hand.bring_up import FingerReport
     from tipforce.host.hand.events import Event
     from tipforce.host.hand.file import HandFile
-    from tipforce.host.hand.hand import Hand, Statistics
+    from tipforce.host.hand.hand import Hand
     from tipforce.host.hand.rows import HandRow
-    from tipforce.samples.record import Rows
 
 EXAMPLE = """
   [hand]
@@ -33,8 +32,8 @@ EXAMPLE = """
   serial = 1005              # 1018h:4: LSS assigns the node-id by it
   calibration = "thumb.toml" # from tipforce calibrate fit -o
 """
-
-
+QUIET_EVENTS = ("found", "configured", "calibrated", "verified", "started", "state")
+"""Shown on stderr with -v only."""
 ACTIONS = {
     "check": "read the file and those that it names, compute the bus load; compare serial numbers, if there is a bus",
     "up": "find the fingers, assign node-ids by LSS, configure, verify, calibrate, start; exit code 1 if one failed",
@@ -62,17 +61,20 @@ def run(args: argparse.Namespace) -> int:
 
     file = read_hand(args.file)
     if args.action == "check":
-        _print_fingers(file)
-    _note_load(file, bus_flags.bus_options(args).get("bitrate"), args.action == "check")
-    if args.action == "check":
-        return _compared_with_bus(args, file)
+        return _check(args, file)
+    _note_load(file, bus_flags.bus_options(args).get("bitrate"), budgeted=False)
     if file.hand.store:
         bus_flags.confirm(args, f"{args.file}: store = true replaces the stored parameters of the fingers")
     return _up(args, file)
 
 
-def _print_fingers(file: HandFile) -> None:
+def _check(args: argparse.Namespace, file: HandFile) -> int:
+    """Print the fingers; say on stderr where nodes of a bus, if there is one, differ; return 1 for swapped ones."""
     from tipforce.host.hand.bring_up import wanted_settings
+    from tipforce.host.network.bus import Bus
+    from tipforce.host.network.find import find_nodes
+    from tipforce.host.network.open_bus import open_bus
+    from tipforce.watching.findings import MISSING, Observed, findings
 
     for finger in file.finger:
         calibration = file.calibration(finger)
@@ -85,15 +87,7 @@ def _print_fingers(file: HandFile) -> None:
              "calibration": finger.calibration, "crc32": crc},
             f"{common.shown_id(finger.node_id):>11}  {finger.name:10} {serial:17} {settings} settings, {own}",
         )  # fmt: skip
-
-
-def _compared_with_bus(args: argparse.Namespace, file: HandFile) -> int:
-    """Say on stderr where the nodes of a bus, if there is one, differ from the file; return 1 for swapped fingers."""
-    from tipforce.host.network.bus import Bus
-    from tipforce.host.network.find import find_nodes
-    from tipforce.host.network.open_bus import open_bus
-    from tipforce.watching.findings import MISSING, Observed, findings
-
+    _note_load(file, bus_flags.bus_options(args).get("bitrate"), budgeted=True)
     try:
         options = bus_flags.find_bus(args, file.bus)
         with Bus(open_bus(**options)) as connection:
@@ -111,10 +105,7 @@ def _compared_with_bus(args: argparse.Namespace, file: HandFile) -> int:
 
 
 def _note_load(file: HandFile, bit_rate: int | None, budgeted: bool) -> None:
-    """Print the bus load; warn of one above 80 % of the bit rate with worst-case stuffing.
-
-    Of such a load, and where ``budgeted``, print also the load of each kind of frame, and what would fit.
-    """
+    """Print the bus load, of one above 80 % or where ``budgeted`` also that of each kind of frame, and what fits."""
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LIMIT, budget_lines, hand_budget, what_fits
 
     if not file.hand.sync_hz:
@@ -158,7 +149,7 @@ def _up(args: argparse.Namespace, file: HandFile) -> int:
             except KeyboardInterrupt:
                 pass
             finally:
-                _note_statistics(hand, hand.statistics())
+                _note_statistics(hand)
     return 1 if failed else 0
 
 
@@ -187,14 +178,7 @@ def _print_event(hand: Hand, event: Event, as_json: bool) -> None:
              "name": name, "text": event.text}
         )  # fmt: skip
         sys.stdout.flush()
-    elif common.OUTPUT.verbose or event.kind not in (
-        "found",
-        "configured",
-        "calibrated",
-        "verified",
-        "started",
-        "state",
-    ):
+    elif common.OUTPUT.verbose or event.kind not in QUIET_EVENTS:
         common.note(f"{label}: {event.kind.replace('_', ' ')}: {event.text}")
         sys.stderr.flush()
 
@@ -210,21 +194,16 @@ def _rows(hand: Hand, seconds: float | None) -> None:
     for rows in hand.blocks(seconds):
         if common.OUTPUT.json:
             for row, contacts in enumerate(rows_one_by_one(rows, made)):
-                common.print_json(_record(rows, row, contacts))
+                record: dict[str, object] = {"row": contacts.number, "t_s": contacts.t_s, "pairing": contacts.pairing}
+                for k, contact in enumerate(contacts.contacts):  # a missing finger has no columns
+                    columns = {} if rows.missing[row, k] else {n: c[row, k].item() for n, c in rows.columns.items()}
+                    record[str(contact.node_id)] = {"name": contact.name, **columns, "reason": contact.reason}
+                common.print_json(record)
         elif time.monotonic() - shown_s >= 1.0:
             shown_s = time.monotonic()
             print(_line(hand, rows_one_by_one(rows, made)[-1]), flush=True)
         if deadline_s is not None and time.monotonic() >= deadline_s:
             break
-
-
-def _record(rows: Rows, row: int, contacts: HandRow) -> dict[str, object]:
-    """Return a row: of each finger its name, its columns (none if it is missing), and why one is unknown."""
-    record: dict[str, object] = {"row": contacts.number, "t_s": contacts.t_s, "pairing": contacts.pairing}
-    for k, contact in enumerate(contacts.contacts):
-        columns = {} if rows.missing[row, k] else {name: column[row, k].item() for name, column in rows.columns.items()}
-        record[str(contact.node_id)] = {"name": contact.name, **columns, "reason": contact.reason}
-    return record
 
 
 def _line(hand: Hand, row: HandRow) -> str:
@@ -243,7 +222,8 @@ def _line(hand: Hand, row: HandRow) -> str:
     return " | ".join(parts)
 
 
-def _note_statistics(hand: Hand, statistics: Statistics) -> None:
+def _note_statistics(hand: Hand) -> None:
+    statistics = hand.statistics()
     tally, sync = statistics.tally, statistics.sync
     common.note(
         f"{tally.rows} rows; SYNC period {sync.mean_period_us:.1f} us, deviation p50 {sync.p50_us:g}, "

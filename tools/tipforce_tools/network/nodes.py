@@ -42,9 +42,8 @@ NO_UNCONFIGURED_NODE = (
 def add_scan_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce scan`."""
     parser.epilog = "Exit code 1 if two nodes use one node-id: both respond to each request."
-    parser.add_argument(
-        "--nodes", type=common.node_ids, default=list(range(1, 128)), metavar="IDS", help="1,2,5-9 (default: all)"
-    )
+    every = list(range(1, 128))
+    parser.add_argument("--nodes", type=common.node_ids, default=every, metavar="IDS", help="1,2,5-9 (default: all)")
     wait = common.number_within(0.0, threading.TIMEOUT_MAX, "is 0 s or more")
     common.add_numbers(parser, ("--wait", 1.2, "S", "wait for responses and heartbeats (default %(default)s s)", wait))
     bus_flags.add_sdo_arguments(parser)
@@ -175,10 +174,7 @@ def add_nmt_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_nmt(args: argparse.Namespace) -> int:
-    """Send the command; with --wait print the state of each node.
-
-    Raises NoResponseError for a node that does not report the state in time, after printing those that do.
-    """
+    """Send the command; with --wait print the states. Raises NoResponseError after printing those that are reached."""
     from tipforce.host.network.nmt import NotReachedError, command_and_wait
 
     if args.wait is not None and not args.ids:
@@ -257,9 +253,9 @@ def _assign_lss(master: LssMaster, node_ids: list[int], store: bool) -> None:
     """Give the node-ids to the nodes that fastscan finds, one after the other."""
     for number, node_id in enumerate(node_ids):
         address = master.fastscan()
+        if address is None and not number:
+            raise NoResponseError(NO_UNCONFIGURED_NODE)
         if address is None:
-            if not number:
-                raise NoResponseError(NO_UNCONFIGURED_NODE)
             left = ", ".join(map(str, node_ids[number:]))
             raise NoResponseError(f"{number} of {len(node_ids)} nodes were found and configured; not assigned: {left}")
         _configure_lss(master, address, node_id, store)

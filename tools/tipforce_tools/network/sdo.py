@@ -65,9 +65,6 @@ def run(args: argparse.Namespace) -> int:
     return _transfer(args, words, value_text)
 
 
-# --- the device, by its identity or an EDS: for `tipforce config`, too ------------------------------------------------
-
-
 @contextmanager
 def connection_or(args: argparse.Namespace, error: InputError | None) -> Iterator[Bus]:
     """Open the connection. Where that fails, raise ``error`` if there is one: it does not depend on the bus."""
@@ -82,10 +79,7 @@ def connection_or(args: argparse.Namespace, error: InputError | None) -> Iterato
 
 
 def gauges_read(sdo: SdoChannel, error: InputError | None = None) -> int:
-    """Return the gauges of a fingertip by its product code 1018h:2, 0 for another device.
-
-    Raises ``error``, or without one NoResponseError, if the node does not respond.
-    """
+    """Return the gauges by the product code 1018h:2, 0 for another device. Raises ``error`` or NoResponseError."""
     from tipforce.dictionary import objects as od
     from tipforce.dictionary.entries import gauges_of
 
@@ -128,9 +122,6 @@ def _stored(sdo: SdoChannel) -> Description | None:
         # The node does not choose files of this machine: its UploadFile is below no folder.
         return describe(file, Path(os.devnull, "1021h"), content, sdo.node_id)
     return None
-
-
-# --- one object -----------------------------------------------------------------------------------------------------
 
 
 def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None) -> int:
@@ -216,9 +207,6 @@ def _index_sub(words: list[str], example: str) -> tuple[int, int]:
         raise InputError(f"sdo: {words[0]!r} {words[1]!r} is not INDEX SUB; write {example} 0, or one NAME") from None
 
 
-# --- all objects ----------------------------------------------------------------------------------------------------
-
-
 def _dump(args: argparse.Namespace) -> int:
     """Print the objects of the node; return 0. An entry that it refuses to read shows the abort, not a value."""
     with bus_flags.open_connection(args) as connection:
@@ -276,15 +264,21 @@ def _readable(sdo: SdoChannel, gauges: int | None, eds: str | None) -> list[tupl
 
     A label is the name that `sdo read` takes, or a description of a sub-index 0 that holds a count.
     """
-    from tipforce.dictionary.entries import entries
+    from tipforce.dictionary.entries import Entry, entries
 
     below, described = 0x10000, None
     if gauges is None and not eds:
         gauges = gauges_read(sdo) or None
     if eds or gauges is None:
         described = description(eds, sdo)
-    if described is not None:
-        return _described_entries(described)
+    if described is not None:  # under the names of the EDS
+        known: list[tuple[Entry[Value], str]] = []
+        for each in described.entries():
+            parent = described.objects[each.index]
+            name = parent.name if set(parent.entries) == {0} else f"{parent.name}/{each.name}"
+            if each.access != "wo" and each.index != EDS:
+                known.append((Entry(each.index, each.sub, each.letter, name, each.access, each.unit), name))
+        return known
     if gauges is None:
         gauges, below = 3, _PROFILE_FREE
         common.note(
@@ -292,25 +286,10 @@ def _readable(sdo: SdoChannel, gauges: int | None, eds: str | None) -> list[tupl
             "(--gauges N: all objects of a fingertip)"
         )
     programs = False
-    if below > communication.PROGRAM_DATA:
-        with suppress(SdoAbortError):
-            sdo.upload(communication.PROGRAM_DATA, 0)
-            programs = True
+    with suppress(SdoAbortError):
+        programs = below > communication.PROGRAM_DATA and sdo.upload(communication.PROGRAM_DATA, 0) is not None
     return [
         (entry, entry.name if entry.stem else entry.title)
         for entry in entries(gauges, True, programs).values()
         if entry.access != "wo" and entry.index < below and entry.index != EDS
     ]
-
-
-def _described_entries(described: Description) -> list[tuple[Entry[Value], str]]:
-    """Return the readable entries of the EDS, under its names."""
-    from tipforce.dictionary.entries import Entry
-
-    entries: list[tuple[Entry[Value], str]] = []
-    for entry in described.entries():
-        parent = described.objects[entry.index]
-        name = parent.name if set(parent.entries) == {0} else f"{parent.name}/{entry.name}"
-        if entry.access != "wo" and entry.index != EDS:
-            entries.append((Entry(entry.index, entry.sub, entry.letter, name, entry.access, entry.unit), name))
-    return entries

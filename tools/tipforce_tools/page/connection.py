@@ -19,7 +19,6 @@ from tipforce_tools.page.messages import (
     MAX_BINS,
     MAX_EVENTS,
     Cursor,
-    Playhead,
     csv_chunks,
     drawing,
     envelope_message,
@@ -192,8 +191,8 @@ class Page:
     async def _serve(self, request: AnyRequest) -> None:
         if isinstance(request, Stream):
             start_ns = None if request.start is None else _ns(request.start)
-            playhead = Playhead(self._source.model, start_ns, request.speed)
-            cursor = Cursor(self._source.model, playhead, _ns(request.bin), request.after, request.what)
+            bin_ns, model = _ns(request.bin), self._source.model
+            cursor = Cursor(model, bin_ns, start_ns, request.speed, request.after, request.what)
             self._end_stream()
             self._streaming = asyncio.create_task(self._pictures(cursor, request.id))
             return

@@ -58,8 +58,11 @@ class Guard:
         foreign = origin is not None and origin.lower() != f"http://{host}"
         if foreign or headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
             return HTTPStatus.FORBIDDEN, "requests from other pages are refused"
-        if self.access_token and not self._has_access(headers, query_token):
-            return HTTPStatus.UNAUTHORIZED, "open the address with the token that the command printed"
+        if self.access_token:
+            cookies = dict(part.strip().partition("=")[::2] for part in headers.get("Cookie", "").split(";"))
+            given = (token.encode() for token in (query_token, cookies.get(COOKIE, "")))
+            if not any(hmac.compare_digest(token, self.access_token.encode()) for token in given):
+                return HTTPStatus.UNAUTHORIZED, "open the address with the token that the command printed"
         return None
 
     def read_only(self, headers: Mapping[str, str]) -> str:
@@ -67,12 +70,6 @@ class Guard:
         if not self.allow_writes:
             return "read-only: start it with --allow-writes"
         return "" if "Origin" in headers else "a page that writes needs an Origin"
-
-    def _has_access(self, headers: Mapping[str, str], query_token: str) -> bool:
-        if query_token and _same(query_token, self.access_token):
-            return True
-        cookies = dict(part.strip().partition("=")[::2] for part in headers.get("Cookie", "").split(";"))
-        return _same(cookies.get(COOKIE, ""), self.access_token)
 
 
 def is_loopback(host: str) -> bool:
@@ -106,7 +103,3 @@ def host_names(host: str) -> tuple[str, ...]:
             f"--host {host}: pass the address or host name that browsers will use, so that Host can be checked"
         )
     return tuple(dict.fromkeys((shown, *LOOPBACK_NAMES))) if is_loopback(host) else (shown,)
-
-
-def _same(given: str, wanted: str) -> bool:
-    return hmac.compare_digest(given.encode(), wanted.encode())

@@ -114,8 +114,8 @@ class History:
 
     def envelope(self, first_bin: int, last_bin: int, width_ns: int, what: Charted = "contact") -> Envelope:
         """Return bins first to last (inclusive) of ``width_ns``: they keep extremes and gaps at any width."""
-        low, high = np.searchsorted(self.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns))
-        rows = self.part(int(low), int(high))
+        first, last = np.searchsorted(self.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns))
+        rows = self.part(int(first), int(last))
         number = rows.t_ns // width_ns
         starts = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
         values = rows.gauges if what == "gauges" else forces(rows.contact) if what == "forces" else rows.contact
@@ -124,13 +124,9 @@ class History:
         if not len(starts):
             empty = values[:0]
             return Envelope(number, empty, empty, empty, np.zeros(unknown.shape, dtype=np.int64))
-        return Envelope(
-            number[starts],
-            np.fmin.reduceat(values, starts, axis=0),
-            np.fmax.reduceat(values, starts, axis=0),
-            np.fmax.reduceat(u, starts, axis=0),
-            np.add.reduceat(unknown.astype(np.int64), starts, axis=0),
-        )
+        low, high = (reduce.reduceat(values, starts, axis=0) for reduce in (np.fmin, np.fmax))
+        largest_u = np.fmax.reduceat(u, starts, axis=0)
+        return Envelope(number[starts], low, high, largest_u, np.add.reduceat(unknown.astype(np.int64), starts, axis=0))
 
     def largest(self) -> tuple[float, float]:
         """Return the largest P in newtons and the largest strain in microstrain, without sign; 0 if none is known.

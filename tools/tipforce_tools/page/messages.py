@@ -24,19 +24,27 @@ MAX_BINS = 1500
 MAX_EVENTS = 200
 SPEEDS = 0.05, 50.0
 _BIN_DIGITS = 4
+_ROWS = 200
+_PAUSE_S = 0.002
 
 
-class Playhead:
-    """The moment that a browser shows: the present, or one that advances from ``start_ns`` at ``speed``."""
+class Cursor:
+    """Position of one browser in the stream: the present, or a moment that advances from ``start_ns`` at ``speed``.
+
+    There is no queue: a late browser gets one message with all missed rows, as envelopes that keep the extremes; so at
+    most one message is in transit.
+    """
 
     def __init__(
-        self, model: Model, start_ns: int | None = None, speed: float = 1.0,
-        clock: Callable[[], float] = time.monotonic,
+        self, model: Model, bin_ns: int, start_ns: int | None = None, speed: float = 1.0, after_event: int = 0,
+        what: Charted = "contact", clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         if not SPEEDS[0] <= speed <= SPEEDS[1]:
             raise InputError(f"speed {speed:g}: allowed are {SPEEDS[0]:g} to {SPEEDS[1]:g}")
         self._model, self._start_ns, self._speed, self._clock = model, start_ns, speed, clock
         self._begun_s = clock()
+        self._bin_ns, self._what, self._event = bin_ns, what, after_event
+        self._bin = self.now_ns()[0] // bin_ns
 
     def now_ns(self) -> tuple[int, bool]:
         """Return (time, ended): it stops at the end of a log; at the end of a live recording it follows the present."""
@@ -50,24 +58,10 @@ class Playhead:
             return present, not self._model.live
         return moment, False
 
-
-class Cursor:
-    """Position of one browser in the stream. There is no queue: a late browser gets one message with all missed rows.
-
-    They are envelopes that keep the extremes, so at most one message is in transit.
-    """
-
-    def __init__(
-        self, model: Model, playhead: Playhead, bin_ns: int, after_event: int = 0, what: Charted = "contact"
-    ) -> None:
-        self._model, self._playhead, self._bin_ns, self._what = model, playhead, bin_ns, what
-        self._bin = playhead.now_ns()[0] // bin_ns
-        self._event = after_event
-
     def message(self) -> Picture:
         """Return the next message; the last one has ended."""
         model = self._model
-        now_ns, ended = self._playhead.now_ns()
+        now_ns, ended = self.now_ns()
         picture = model.picture(now_ns)
         last = now_ns // self._bin_ns
         first = max(self._bin, last - MAX_BINS + 1)
@@ -88,10 +82,6 @@ def envelope_message(envelope: Envelope) -> dict[str, Any]:
     unknown = envelope.unknown[..., np.newaxis].astype(np.float64)
     table = np.concatenate([*parts, unknown], axis=-1)
     return {"i": envelope.index.tolist(), "v": table.reshape(len(table), table.shape[1] * table.shape[2]).tolist()}
-
-
-_ROWS = 200
-_PAUSE_S = 0.002
 
 
 def csv_chunks(model: Model) -> Iterator[bytes]:

@@ -83,28 +83,18 @@ def finger_states(history: History, now_ns: int, fingers: int) -> list[FingerSta
     limit_ns = int(STALE_PERIODS * period) if period else int(STALE_S * 1e9)
     newest_ns = int(recent.t_ns[-1])
     stopped = now_ns - newest_ns > max(limit_ns, int(STREAM_STALE_S * 1e9))
-    rows = _newest(recent, newest_ns - limit_ns)
+    # The row to show of each finger: its last new and recent one, else any response, else -1. A SYNC without a new
+    # sample (status bit 3) is ignored while the previous sample is not stale.
+    young = (recent.t_ns >= newest_ns - limit_ns)[:, np.newaxis]
+    answered = (recent.status & reasons.NO_ANSWER == 0) & young
+    number = np.arange(len(recent))[:, np.newaxis]
+    fresh_row = np.where(answered & (recent.status & scalar.STALE == 0), number, -1).max(axis=0)
+    rows = np.where(fresh_row >= 0, fresh_row, np.where(answered, number, -1).max(axis=0))
     states = []
     for k, row in enumerate(rows.tolist()):
-        if row >= 0 and not stopped:
-            states.append(_state(recent, row, k, "live"))
-        else:
-            states.append(_old(history, last, k, now_ns))
+        shown = row >= 0 and not stopped
+        states.append(_state(recent, row, k, "live") if shown else _old(history, last, k, now_ns))
     return states
-
-
-def _newest(recent: Block, oldest_ns: int) -> npt.NDArray[np.intp]:
-    """Return (k,) the row to show of each finger: its last new and recent row, else any response, else -1.
-
-    A SYNC without a new sample (status bit 3) is ignored while the previous sample is not stale.
-    """
-    young = (recent.t_ns >= oldest_ns)[:, np.newaxis]
-    answered = (recent.status & reasons.NO_ANSWER == 0) & young
-    fresh = answered & (recent.status & scalar.STALE == 0)
-    number = np.arange(len(recent))[:, np.newaxis]
-    fresh_row, any_row = (np.where(mask, number, -1).max(axis=0) for mask in (fresh, answered))
-    rows: npt.NDArray[np.intp] = np.where(fresh_row >= 0, fresh_row, any_row)
-    return rows
 
 
 def _old(history: History, last: int, k: int, now_ns: int) -> FingerState:
@@ -237,10 +227,7 @@ class Model:
             return [e for e in self._events if e.number > after and (until_ns is None or e.t_ms <= until_ns / 1e6)]
 
     def now_ns(self) -> int:
-        """Return the present on the time scale of the rows: setting the clock does not make old rows look new.
-
-        For a log: its end.
-        """
+        """Return the present on the time scale of the rows, of a log its end: a set clock makes no row new."""
         with self._lock:
             if not len(self._history):
                 return time.time_ns()
@@ -263,21 +250,21 @@ class Model:
             recent = t_ns[max(0, last - _RATE_ROWS) : last]
             recent = recent[recent > moment - 1_000_000_000]
             rate_hz = (len(recent) - 1) / max((moment - int(recent[0])) * 1e-9, 1e-9) if len(recent) > 1 else 0.0
+
             states = finger_states(self._history, moment, len(self._fingers))
+            lines = None
+            if self.frames is not None:
+                frames, names = self.frames
+                last = int(np.searchsorted(frames["t_ns"], moment, side="right"))
+                # -tz counts from the first frame
+                shown = np.append(frames[:1], frames[max(0, last - SHOWN_FRAMES) : last])
+                block = CandumpBlock(shown, shown["channel"].astype(np.uint16), names, shown["flags"] & SENT != 0)
+                lines = CandumpFormat("z").lines(block)[1:]
             times_ms = moment / 1e6, start / 1e6, end / 1e6
             return Picture(
                 *times_ms, round(rate_hz, 2), period_ns(t_ns[:last]) / 1e6, self.generation, self.error, self.nmt,
-                self.counters, states, frames=self._frame_lines(moment),
+                self.counters, states, frames=lines,
             )  # fmt: skip
-
-    def _frame_lines(self, moment_ns: int) -> list[str] | None:
-        if self.frames is None:
-            return None
-        frames, names = self.frames
-        last = int(np.searchsorted(frames["t_ns"], moment_ns, side="right"))
-        shown = np.append(frames[:1], frames[max(0, last - SHOWN_FRAMES) : last])  # -tz counts from the first frame
-        block = CandumpBlock(shown, shown["channel"].astype(np.uint16), names, shown["flags"] & SENT != 0)
-        return CandumpFormat("z").lines(block)[1:]
 
     def envelope(self, first_bin: int, last_bin: int, width_ns: int, what: Charted = "contact") -> Envelope:
         """See History."""

@@ -13,6 +13,7 @@ import logging
 import socket
 import threading
 import time
+from functools import partial
 from http import HTTPStatus
 from importlib import resources
 from typing import Any
@@ -64,10 +65,9 @@ def static_files() -> dict[str, tuple[str, bytes]]:
 class Connection(ServerConnection):
     """A connection that ViewServer counts from its start, and that ends when it exceeds its budget of messages."""
 
-    view: ViewServer
-
-    def __init__(self, *parts: Any, **options: Any) -> None:
+    def __init__(self, view: ViewServer, *parts: Any, **options: Any) -> None:
         super().__init__(*parts, **options)
+        self.view = view
         self._left, self._counted_s = MESSAGES_AT_ONCE, time.monotonic()
         self._ending: asyncio.Task[None] | None = None
 
@@ -140,8 +140,6 @@ class ViewServer:
         self.loop.call_soon_threadsafe(self._ending.set)
         self._serving.join(2.0 * _CLOSE_S)
 
-    # --- connections ------------------------------------------------------------------------------------------
-
     def _run(self) -> None:
         self.loop.run_until_complete(self._serve())
         self.loop.run_until_complete(self.loop.shutdown_default_executor())
@@ -151,17 +149,14 @@ class ViewServer:
         async with contextlib.AsyncExitStack() as stack:
             for one in self._sockets:
                 server = serve(
-                    self._talk, sock=one, create_connection=self._connection,  # type: ignore[arg-type]
-                    process_request=self._respond, process_response=_secured, server_header=None, compression=None,
+                    self._talk, sock=one, create_connection=partial(Connection, self),  # type: ignore[arg-type]
+                    process_request=self._respond,
+                    process_response=lambda _connection, _request, response: response.headers.update(SECURITY_HEADERS),
+                    server_header=None, compression=None,
                     open_timeout=HANDSHAKE_S, close_timeout=_CLOSE_S, max_size=MAX_REQUEST,
                 )  # fmt: skip
                 await stack.enter_async_context(server)
             await self._ending.wait()
-
-    def _connection(self, *parts: Any, **options: Any) -> Connection:
-        connection = Connection(*parts, **options)
-        connection.view = self
-        return connection
 
     def count(self, connection: ServerConnection) -> None:
         """Accept a connection; the oldest that is not a page is dropped if there are too many."""
@@ -204,22 +199,16 @@ class ViewServer:
             return connection.respond(HTTPStatus.METHOD_NOT_ALLOWED, "allowed are GET and HEAD")
         if path == SOCKET_PATH:
             return None
-        if path == "/" and token:
-            return self._enter()
+        if path == "/" and token:  # it moves from the address to a cookie, so that the browser history does not show it
+            headers = Headers({"Location": "/", "Content-Length": "0", "Connection": "close"})
+            if self.guard.access_token:
+                headers["Set-Cookie"] = f"{COOKIE}={self.guard.access_token}; HttpOnly; SameSite=Strict; Path=/"
+            return Response(303, "See Other", headers)
         if path not in self.files:
             return connection.respond(HTTPStatus.NOT_FOUND, "no such file")
         kind, content = self.files[path]
         headers = Headers({"Content-Type": kind, "Content-Length": str(len(content)), "Connection": "close"})
         return Response(200, "OK", headers, content if request.method == "GET" else b"")
-
-    def _enter(self) -> Response:
-        """Move the token from the address to a cookie, so that the browser history does not show it."""
-        headers = Headers({"Location": "/", "Content-Length": "0", "Connection": "close"})
-        if self.guard.access_token:
-            headers["Set-Cookie"] = f"{COOKIE}={self.guard.access_token}; HttpOnly; SameSite=Strict; Path=/"
-        return Response(303, "See Other", headers)
-
-    # --- rows -------------------------------------------------------------------------------------------------
 
     def _pump(self) -> None:
         due_s = time.monotonic()
@@ -233,7 +222,3 @@ class ViewServer:
                 _LOG.exception("the page's source failed")
                 return
             self.loop.call_soon_threadsafe(self._pulse.beat)
-
-
-def _secured(_connection: ServerConnection, _request: Request, response: Response) -> None:
-    response.headers.update(SECURITY_HEADERS)

@@ -20,12 +20,9 @@ DEFAULT_PORT = 8404
 def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     """Add the flags of the page's server; return their group."""
     group = parser.add_argument_group("page")
-    group.add_argument(
-        "--port", type=int, default=DEFAULT_PORT, metavar="N", help="default %(default)s; 0: any free port"
-    )
-    group.add_argument(
-        "--host", default="", metavar="ADDRESS", help="address to serve on, default loopback; others need --token"
-    )
+    port, host = "default %(default)s; 0: any free port", "address to serve on, default loopback; others need --token"
+    group.add_argument("--port", type=int, default=DEFAULT_PORT, metavar="N", help=port)
+    group.add_argument("--host", default="", metavar="ADDRESS", help=host)
     group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
     group.add_argument("--open", action="store_true", help="open the page in the browser")
     return group
@@ -37,12 +34,8 @@ def page_guard(args: argparse.Namespace) -> Guard:
 
     if not 0 <= args.port <= 65535:
         raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
-    host = args.host or "127.0.0.1"
-    return Guard(
-        access_token=access_token(host, args.token),
-        hosts=host_names(host),
-        allow_writes=getattr(args, "allow_writes", False),
-    )
+    host, may_write = args.host or "127.0.0.1", getattr(args, "allow_writes", False)
+    return Guard(access_token=access_token(host, args.token), hosts=host_names(host), allow_writes=may_write)
 
 
 def serve(args: argparse.Namespace, source: Source, guard: Guard) -> int:
@@ -54,10 +47,7 @@ def serve(args: argparse.Namespace, source: Source, guard: Guard) -> int:
     terminate_as_interrupt()
     server.start()
     try:
-        if args.json:
-            common.print_json({"url": server.url})
-        else:
-            print(server.url)
+        common.print_record({"url": server.url}, server.url)
         sys.stdout.flush()
         access = "read and tare" if guard.allow_writes and not source.no_tare else "read-only"
         common.note(f"{source.title}: {access}; Ctrl-C ends it")

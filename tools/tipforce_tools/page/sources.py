@@ -33,8 +33,6 @@ LOG_BYTES = 8 * MAX_BYTES
 MAX_FRAMES = 1_000_000
 """A longer log is shown without the text of its frames."""
 _NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)
-
-
 _PYTHON = """\
 import tipforce
 
@@ -154,10 +152,7 @@ class LogSource(Source):
         self.model.counters = Counters(self._rows, *self._watcher.tally(), load=(low / bits, high / bits))
 
     def _discover(self, start_s: float, end_s: float | None) -> int:
-        """Find the fingers and the length of the log; return the most rows that the part to read can have.
-
-        They are its SYNCs, or the frames of the finger that sent most.
-        """
+        """Find the fingers and the length of the log; return the rows of the part at most: SYNCs, or a node's PDOs."""
         first, start, end, read = None, 0, np.iinfo(np.int64).max, 0
         count = np.zeros(STANDARD_MASK + 1, dtype=np.int64)
         with open_log(self._path) as log:

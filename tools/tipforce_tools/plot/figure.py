@@ -63,7 +63,10 @@ def import_matplotlib() -> Any:
 def draw(fingers: Fingers, plt: Any, size_inches: tuple[float, float] | None, *, status: bool) -> Figure:
     """Draw the figure of all fingers. ``size_inches`` None: by its content."""
     named = fingers.named()
-    panels = _panels([finger for _, finger in named])
+    # The panels with data of any finger, from the contact down.
+    order = ["P", "phi", "theta", "force", "gauges"]
+    panels = list(dict.fromkeys(panel_of(signal) for _, finger in named for signal in finger.traces))
+    panels.sort(key=lambda panel: order.index(panel) if panel in order else len(order))
     rows = [*panels, *([_STATUS] if status else [])]
     across = min(len(named), COLUMNS)
     down = math.ceil(len(named) / COLUMNS)
@@ -92,29 +95,13 @@ def draw(fingers: Fingers, plt: Any, size_inches: tuple[float, float] | None, *,
         else:
             for ax in grid[row][1:]:
                 ax.tick_params(labelleft=False)
-    figure.suptitle("\n".join(filter(None, (_title(fingers), frame.note))), fontsize=10)
+    title, start_ns = "", fingers.start_ns
+    if start_ns is not None:
+        start = datetime.fromtimestamp(start_ns // 10**9, UTC)
+        title = f"from {start:%Y-%m-%d %H:%M:%S}.{start_ns // 10**6 % 1000:03d} UTC"
+        title = title if start_ns >= _EPOCH_NS else f"from {start_ns * 1e-9:.9g} s of the log's clock"
+    figure.suptitle("\n".join(filter(None, (title, frame.note))), fontsize=10)
     return figure
-
-
-def _title(fingers: Fingers) -> str:
-    if fingers.start_ns is None:
-        return ""
-    if fingers.start_ns < _EPOCH_NS:
-        return f"from {fingers.start_ns * 1e-9:.9g} s of the log's clock"
-    start = datetime.fromtimestamp(fingers.start_ns // 10**9, UTC)
-    return f"from {start:%Y-%m-%d %H:%M:%S}.{fingers.start_ns // 10**6 % 1000:03d} UTC"
-
-
-def _panels(fingers: Sequence[Finger]) -> list[str]:
-    """Return the panels with data of any finger, from the contact down."""
-    panels: list[str] = []
-    for finger in fingers:
-        for signal in finger.traces:
-            panel = panel_of(signal)
-            if panel not in panels:
-                panels.append(panel)
-    order = ["P", "phi", "theta", "force", "gauges"]
-    return sorted(panels, key=lambda panel: order.index(panel) if panel in order else len(order))
 
 
 def panel_of(signal: str) -> str:
@@ -125,13 +112,14 @@ def panel_of(signal: str) -> str:
 
 
 def _frame(fingers: Sequence[Finger], recording: Fingers) -> _Frame:
-    lines: dict[str, list[Line]] = {}
+    ends: dict[str, list[float]] = {}  # of all lines of a panel of angles, with bands
     for finger in fingers:
         for signal, trace in finger.traces.items():
             line = trace.line()
             if line is not None and finger.units[signal] == "degree":
-                lines.setdefault(panel_of(signal), []).append(line)
-    circles = {panel for panel, of_panel in lines.items() if _span(of_panel) >= TURN}
+                low, high = np.fmin(line.low, line.band_low).min(), np.fmax(line.high, line.band_high).max()
+                ends.setdefault(panel_of(signal), []).extend((float(low), float(high)))
+    circles = {panel for panel, of_panel in ends.items() if max(of_panel) - min(of_panel) >= TURN}
     happened = {name for finger in fingers for flags in finger.flags.values() for name in flags.bars()}
     names = [name for name in _HATCHES if name in happened or name == "contact"] + sorted(happened - {*_HATCHES})
     bars = [(name, BY_NAME.get(name, name.replace("_", " ")), _HATCHES.get(name, "xx")) for name in names]
@@ -200,12 +188,6 @@ def _draw_line(ax: Axes, signal: str, line: Line, number: int, *, whole: bool, s
         ax.vlines(
             x[alone], y - (line.mean - line.low)[alone], y + (line.high - line.mean)[alone], color=ink, linewidth=0.8
         )
-
-
-def _span(lines: Sequence[Line]) -> float:
-    """Return the minimum and maximum of all lines, with bands."""
-    high = max(np.fmax(line.high, line.band_high).max() for line in lines)
-    return float(high - min(np.fmin(line.low, line.band_low).min() for line in lines))
 
 
 def _share_limits(axes: Sequence[Axes], panel: str, *, whole: bool) -> None:

@@ -132,22 +132,17 @@ class Flags:
         # A flag holds until the next sample, unless that is late.
         until = np.append(first[1:], last[-1])
         until = np.where(until - last > np.maximum(_PERIODS * usual_ns, self._bins.width_ns), last, until)
-        bars = {}
+        bars: dict[str, list[tuple[int, int]]] = {}
         for number, name in enumerate(self._names):
             is_set = (bins["set"] >> number & 1).astype(np.bool_)
-            if is_set.any():
-                bars[name] = _runs(is_set, first, until)
+            if not is_set.any():
+                continue
+            starts = np.flatnonzero(is_set & ~np.concatenate(([False], is_set[:-1] & (until[:-1] >= first[1:]))))
+            bars[name] = []
+            for start, end in zip(starts.tolist(), [*starts[1:].tolist(), len(is_set)], strict=True):
+                inside = np.flatnonzero(is_set[start:end])
+                bars[name].append((int(first[start]), int(until[start + inside[-1]])))
         return bars
-
-
-def _runs(is_set: BoolArray, first: Array, until: Array) -> list[tuple[int, int]]:
-    starts = np.flatnonzero(is_set & ~np.concatenate(([False], is_set[:-1] & (until[:-1] >= first[1:]))))
-    ends = np.append(starts[1:], len(is_set))
-    bars = []
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        inside = np.flatnonzero(is_set[start:end])
-        bars.append((int(first[start]), int(until[start + inside[-1]])))
-    return bars
 
 
 class Lost:
@@ -191,12 +186,8 @@ class Bins:
         self.start_ns = start_ns
         self.width_ns = _FIRST_WIDTH_NS
         last = np.iinfo(np.int64)
-        self._how: dict[str, tuple[np.ufunc, Any]] = {
-            **columns,
-            "count": (np.add, 0),
-            "first_ns": (np.minimum, last.max),
-            "last_ns": (np.maximum, last.min),
-        }
+        times = {"first_ns": (np.minimum, last.max), "last_ns": (np.maximum, last.min)}
+        self._how: dict[str, tuple[np.ufunc, Any]] = {**columns, "count": (np.add, 0), **times}
         self._columns = {name: np.full(BINS, empty) for name, (_, empty) in self._how.items()}
 
     def add(self, t_ns: IntArray, **columns: Array) -> None:
@@ -204,8 +195,11 @@ class Bins:
         if not len(t_ns):
             return
         place = np.maximum.accumulate(np.maximum(t_ns - self.start_ns, 0))
-        while place[-1] // self.width_ns >= BINS:
-            self._halve()
+        while place[-1] // self.width_ns >= BINS:  # every two bins become one
+            self.width_ns *= 2
+            for name, (how, empty) in self._how.items():
+                pairs = self._columns[name].reshape(-1, 2)
+                self._columns[name] = np.concatenate((how(pairs[:, 0], pairs[:, 1]), np.full(BINS // 2, empty)))
         number = place // self.width_ns
         edges = np.concatenate(([0], np.flatnonzero(number[1:] != number[:-1]) + 1))
         chosen = number[edges]
@@ -213,12 +207,6 @@ class Bins:
         for name, (how, _) in self._how.items():
             target = self._columns[name]
             target[chosen] = how(target[chosen], how.reduceat(given[name], edges))
-
-    def _halve(self) -> None:
-        self.width_ns *= 2
-        for name, (how, empty) in self._how.items():
-            pairs = self._columns[name].reshape(-1, 2)
-            self._columns[name] = np.concatenate((how(pairs[:, 0], pairs[:, 1]), np.full(BINS // 2, empty)))
 
     def filled(self) -> dict[str, Array]:
         """Return the columns of the non-empty bins."""
@@ -267,8 +255,12 @@ class Finger:
                     self.units[signal] = column.unit
                 u = self._uncertainty(table, columns, signal, rows, t_ns)
                 self.traces[signal].add(t_ns[there], values.astype(np.float64)[there], None if u is None else u[there])
-        if flags:
-            self._take_flags(t_ns, flags)
+        for group in ("status", "health"):  # at different times: status with each sample, faults with TPDO4
+            chosen = {name: both for name, both in flags.items() if (name in _STATUS) == (group == "status")}
+            if chosen:
+                kept = np.logical_or.reduce([there for _, there in chosen.values()])
+                collected = self.flags.setdefault(group, Flags(self._start_ns))
+                collected.add(t_ns[kept], {name: (is_set & there)[kept] for name, (is_set, there) in chosen.items()})
 
     def _there(self, table: Table, column: Column, rows: npt.NDArray[np.intp]) -> BoolArray:
         """Return a mask of the rows with the signal, known or not. A computed one needs its gauges."""
@@ -299,15 +291,6 @@ class Finger:
         if len(known):
             self._held[name] = int(t_ns[known[-1]]), float(own[known[-1]])
         return np.where(t_ns - times <= _HELD_NS, held, np.nan)
-
-    def _take_flags(self, t_ns: IntArray, flags: dict[str, tuple[BoolArray, BoolArray]]) -> None:
-        """Bin flags with different times separately: status with each sample, faults with TPDO4."""
-        for group in ("status", "health"):
-            chosen = {name: both for name, both in flags.items() if (name in _STATUS) == (group == "status")}
-            if chosen:
-                rows = np.logical_or.reduce([there for _, there in chosen.values()])
-                collected = self.flags.setdefault(group, Flags(self._start_ns))
-                collected.add(t_ns[rows], {name: (is_set & there)[rows] for name, (is_set, there) in chosen.items()})
 
 
 _STATUS = frozenset(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce.host.dataset.reader import tables_of_logs
@@ -20,11 +19,7 @@ from tipforce_tools.cli.listening import counted
 from tipforce_tools.plot import figure
 from tipforce_tools.plot.fingers import Fingers
 
-if TYPE_CHECKING:
-    from tipforce.host.decoding.contact_columns import ContactColumns
-
 MOST_FINGERS = 20
-DPI = 130
 STATUS, GAUGES = "status", "gauges"
 _DEFAULT = ("P", "phi", "theta", GAUGES, STATUS)
 
@@ -37,7 +32,12 @@ def plot(args: Namespace) -> int:
     names = log_choice.logs(args.logs)
     check_output(path, figure_kind(path, FIGURES), names)
     plt = figure.import_matplotlib()
-    layouts, contact, computed = _layouts(args)
+    layouts, calibrations = log_choice.calibrated(args, log_choice.layouts(args))
+    contact, computed = None, frozenset[str]()
+    if calibrations:  # the contact is estimated from gauges
+        from tipforce.host.decoding.contact_columns import COLUMNS, ContactColumns
+
+        contact, computed = ContactColumns(calibrations, None), frozenset(column.signal for column in COLUMNS)
     wanted = log_choice.names_of(args.signals) or _default(layouts)
     reading = log_choice.reading(args, names, layouts, None)
     recording = Recording(reading)
@@ -51,7 +51,7 @@ def plot(args: Namespace) -> int:
         raise InputError(f"{', '.join(names)}: no {', '.join(wanted)} in it, so there is nothing to draw")
     drawn = figure.draw(fingers, plt, args.size, status=STATUS in wanted)
     try:
-        save_figure(drawn, path, FIGURES, dpi=DPI)
+        save_figure(drawn, path, FIGURES, dpi=130)
     finally:
         plt.close(drawn)
     for log in notes:
@@ -62,16 +62,6 @@ def plot(args: Namespace) -> int:
     else:
         common.note(f"{path}: {counted(len(fingers.named()), 'node')}")
     return 0
-
-
-def _layouts(args: Namespace) -> tuple[Layouts, ContactColumns | None, frozenset[str]]:
-    """Return the layouts, and the estimator of the contact from gauges, with its signals."""
-    layouts, calibrations = log_choice.calibrated(args, log_choice.layouts(args))
-    if not calibrations:
-        return layouts, None, frozenset()
-    from tipforce.host.decoding.contact_columns import COLUMNS, ContactColumns
-
-    return layouts, ContactColumns(calibrations, None), frozenset(column.signal for column in COLUMNS)
 
 
 def _default(layouts: Layouts) -> Iterable[str]:
@@ -112,12 +102,10 @@ def _check(args: Namespace, fingers: Fingers, notes: Sequence[Notes]) -> None:
 def _record(fingers: Fingers, path: Path) -> dict[str, object]:
     nodes = [
         {
-            "node": name,
-            "signals": list(finger.traces),
-            "lost": finger.lost.total,
+            "node": name, "signals": list(finger.traces), "lost": finger.lost.total,
             "unknown": {signal: trace.unknown for signal, trace in finger.traces.items()},
             "flags": sorted(name for flags in finger.flags.values() for name in flags.bars()),
         }
         for name, finger in fingers.named()
-    ]
+    ]  # fmt: skip
     return {"output": str(path), "start_ns": fingers.start_ns, "nodes": nodes}
