@@ -204,7 +204,8 @@ for wait_ms, when, fate in ((10, "within", "taken"), (150, "after", "discarded")
     sync(f"window 7.5.2.7: a synchronous RPDO {when} the window of 1007h is {fate}",
         ((0x1007, 0), (0x1013, 0), (0x1400, 1), (0x1600, 0)),
         do.run(pdo.mapped_rpdo1, pdo.TIME_U32, transmission=1), do.put("I", 0x1007, 0, 80000), do.nmt(START),
-        pdo.set_time, do.send(0x080), do.sleep(wait_ms), pdo.sends_6, do.send(0x080), do.run(pdo.rpdo_was, fate, 0x60000000))
+        pdo.set_time, do.send(0x080), do.sleep(wait_ms), pdo.sends_6, do.send(0x080),
+        do.run(pdo.rpdo_was, fate, 0x60000000))
 
 
 TIME = ((0x1012, 0),)
