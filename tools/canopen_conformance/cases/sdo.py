@@ -55,11 +55,9 @@ def read_only(dut: Dut, index: int, sub: int) -> None:
     dut.aborted(index, sub, Abort.READ_ONLY)
 
 
-BOTH_WAYS = [("upload", "40"), ("download", "23")]
-for which, command in BOTH_WAYS:
+for which, command in (("upload", "40"), ("download", "23")):
     expedited(f"no_object 7.2.4.3.17: 06020000h: {which} of an object that is not there", (),
         do.request(f"{command} FF FF 00"), do.aborted(0xFFFF, 0, Abort.NO_OBJECT))
-for which, command in BOTH_WAYS:
     expedited(f"no_sub 7.2.4.3.17: 06090011h: {which} of a sub-index that is not there", (),
         do.request(f"{command} 18 10 77"), do.aborted(0x1018, 0x77, Abort.NO_SUB))
 expedited("variable_sub 7.4.3: a simple variable has sub-index 0 alone", (),
