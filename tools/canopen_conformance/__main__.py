@@ -32,12 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser, node_id: Callable[[str], int]
     parser.add_argument("--case", default="*", metavar="PATTERN", help="names or clauses: 'nmt.*', 'CiA 305*'")
     parser.add_argument("--persistent", action="store_true", help="include cases that store, or change the node-id")
     parser.add_argument(
-        "--tolerance",
-        type=int,
-        default=DEFAULT_TOLERANCE_MS,
-        metavar="MS",
+        "--tolerance", type=int, default=DEFAULT_TOLERANCE_MS, metavar="MS",
         help="of measured times (default %(default)s ms)",
-    )
+    )  # fmt: skip
 
 
 def _node_id(text: str) -> int:

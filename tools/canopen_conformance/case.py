@@ -118,7 +118,7 @@ class Service:
         def declare(function: Callable[..., object]) -> Callable[..., object]:
             name = f"{self.name}.{match[1] or function.__name__.removeprefix(f'{self.name}_')}"
             for row in each:
-                body = partial(_with_row, function, row)
+                body = partial(lambda row, dut: function(dut, *row), row)
                 at, title = (text.format(*row) if row else text for text in (clause, match[3]))
                 case = Case(name, at, title, body, tuple(needs), persistent, self._own, error_frames)
                 self._cases.setdefault(name, []).append(case)
@@ -127,10 +127,6 @@ class Service:
         if steps:
             declare(lambda dut: [step(dut) for step in steps])
         return declare
-
-
-def _with_row(function: Callable[..., object], row: tuple[Any, ...], dut: Dut) -> object:
-    return function(dut, *row)
 
 
 def all_cases(*packages: ModuleType) -> list[Case]:

@@ -108,9 +108,7 @@ def run_and_print(
 
 
 def lines(results: Iterable[Result]) -> Iterator[str]:
-    """Yield the report of results in the order of ``by_clause`` as they come: a heading per clause, a line per case,
-    the frames of each failed case.
-    """
+    """Yield the report of results as they come: a heading per clause, a line per case, the frames of a failed one."""
     clause = ""
     for result in results:
         if result.case.clause != clause:

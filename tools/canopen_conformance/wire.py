@@ -141,8 +141,10 @@ class Frames:
         """Check that no frame of these identifiers (default: the device's, except heartbeat) arrives or is pending."""
         self.sleep(ms)
         for frame in self._pending:
-            if frame.can_id in can_ids if can_ids else self._is_own(frame.can_id):
-                raise CheckError("silence", text(frame.can_id, frame.data))
+            can_id = frame.can_id
+            own = can_id & 0x7F == self.node_id and 0x80 <= can_id < 0x600 and can_id & 0x780 != 0x500
+            if can_id in can_ids if can_ids else own or can_id == 0x7E4:
+                raise CheckError("silence", text(can_id, frame.data))
 
     def sleep(self, ms: float) -> None:
         """Wait; received frames stay pending."""
@@ -161,9 +163,6 @@ class Frames:
         """Check that a measured time is the expected one, within the link's tolerance."""
         if abs(actual_us / 1000 - expected_ms) > self.link.tolerance_ms:
             raise CheckError(f"{what} {expected_ms:g} ms (+-{self.link.tolerance_ms} ms)", f"{actual_us / 1000:.1f} ms")
-
-    def _is_own(self, can_id: int) -> bool:
-        return can_id == 0x7E4 or (can_id & 0x7F == self.node_id and 0x80 <= can_id < 0x600 and can_id & 0x780 != 0x500)
 
     def _pump(self, limit_us: int) -> bool:
         frame = self.link.receive(limit_us)

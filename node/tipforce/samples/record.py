@@ -46,7 +46,7 @@ class Pdo:
         self.start = start
         """By name of a signal its first bit."""
         self.raw = {signal.name: _raw(signal) for signal in message.signals}
-        """The same: see ``_raw``."""
+        """The same: the place of a number, its mask, sign bit and unknown value, and what it is divided by."""
         self._layout = Layout(signal for signal in message.signals if signal.name != COUNTER)
         self.names = self._layout.names
 
@@ -56,7 +56,6 @@ class Pdo:
 
 
 def _raw(signal: Signal) -> tuple[int, int, int, int | None, int]:
-    """Return the place of a number, its mask, sign bit and unknown value, and what it is divided by."""
     mask = (1 << signal.bits) - 1
     return signal.start_bit, mask, signal.signed * (mask + 1 >> 1), signal.unknown, divisor_of(signal) or 1
 
@@ -262,7 +261,12 @@ class RowColumns(Mapping[str, Column]):
 
     def __getitem__(self, name: str) -> Column:
         if name not in self._made:
-            column: Column = self._signals(self._pdo_of[name])[name].reshape(len(self._raw), self._fingers)
+            number = self._pdo_of[name]
+            if number not in self._of_pdo:
+                part = slice(number * self._fingers, (number + 1) * self._fingers)
+                words = [word for _, _, of_row, _, _ in self._raw for word in of_row[part]]
+                self._of_pdo[number] = self._pdos[number].columns(words)
+            column: Column = self._of_pdo[number][name].reshape(len(self._raw), self._fingers)
             if self._missing is not None:
                 column = np.where(self._missing, np.nan if column.dtype.kind == "f" else False, column)
             self._made[name] = column
@@ -273,14 +277,6 @@ class RowColumns(Mapping[str, Column]):
 
     def __len__(self) -> int:
         return len(self._pdo_of)
-
-    def _signals(self, number: int) -> Any:
-        if number not in self._of_pdo:
-            part = slice(number * self._fingers, (number + 1) * self._fingers)
-            self._of_pdo[number] = self._pdos[number].columns(
-                [word for _, _, words, _, _ in self._raw for word in words[part]]
-            )
-        return self._of_pdo[number]
 
 
 def joined(rows: list[Rows]) -> Rows:

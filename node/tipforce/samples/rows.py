@@ -79,13 +79,9 @@ class _OpenRow:
     __slots__ = ("number", "opened_s", "reasons", "received", "stale", "states", "t_ns", "words")
 
     def __init__(self, t_ns: int, opened_s: float, number: int, received: bool, slots: int) -> None:
-        self.t_ns = t_ns
-        self.opened_s = opened_s
-        self.number = number
-        self.received = received
+        self.t_ns, self.opened_s, self.number, self.received = t_ns, opened_s, number, received
         self.stale = False  # an answer is
-        self.words = [0] * slots
-        self.states = [0] * slots
+        self.words, self.states = [0] * slots, [0] * slots
         self.reasons: Sequence[int] = ()  # by finger, when the row closes
 
 
@@ -381,7 +377,9 @@ class RowAssembler:
             return row + 1
         # A node sends its answers in order: if a later one is present, the missing one is lost, and the row does not
         # wait. Rows older than the window cannot receive an answer.
-        whole = self._whole()
+        fingers = len(self.node_ids)
+        awaited = (at for slot, at in enumerate(self._latest) if slot % fingers not in self._absent)
+        whole = min(awaited if self._absent else self._latest, default=last)
         sure = max(self._epoch - 1, last - self._numbers.window)
         undecided = {of for of, _ in self._held} if self._held else ()
         if not self._numbers.number:  # an answer after the next SYNC is not the one to this
@@ -394,12 +392,6 @@ class RowAssembler:
                 break
             row += 1
         return row
-
-    def _whole(self) -> int:
-        """Return the last row after which each awaited finger has answered, to it or to a later one."""
-        fingers = len(self.node_ids)
-        awaited = (at for slot, at in enumerate(self._latest) if slot % fingers not in self._absent)
-        return min(awaited if self._absent else self._latest, default=self._last)
 
     def _await(self) -> None:
         """Count the answers that the first open row waits for."""
@@ -441,7 +433,11 @@ class RowAssembler:
             if not row.number:
                 self._find_repeats(row, why)
             if any(why):
-                self._count(why)
+                self._unsettled = [reason != PRESENT for reason in why]
+                for k, reason in enumerate(why):
+                    self.tally.missing[k] += reason != PRESENT
+                    self.tally.mixed[k] += reason == MIXED
+                    self.tally.changed[k] += reason == CHANGED
             elif not row.number:
                 self._unsettled = [False] * fingers
         if row.stale:
@@ -475,10 +471,3 @@ class RowAssembler:
     def _counters(self, words: Sequence[int]) -> list[int]:
         shift = self._pdos[0].counter_shift
         return [word >> shift & 0xFF for word in words[: len(self.node_ids)]]
-
-    def _count(self, why: list[int]) -> None:
-        self._unsettled = [reason != PRESENT for reason in why]
-        for k, reason in enumerate(why):
-            self.tally.missing[k] += reason != PRESENT
-            self.tally.mixed[k] += reason == MIXED
-            self.tally.changed[k] += reason == CHANGED

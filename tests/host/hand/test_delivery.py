@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import pickle
 import threading
 
 import pytest
 
 from tipforce.host.hand import rows as module
 from tipforce.host.hand.events import Event
-from tipforce.host.hand.rows import Delivery
-from tipforce.samples.record import Rows
+from tipforce.host.hand.rows import Delivery, HandRow
+from tipforce.samples.reasons import NO_RESPONSE
+from tipforce.samples.record import Rows, missing_contact
 
 
 def block(first: int, count: int = 1) -> Rows:
@@ -119,3 +121,17 @@ def test_a_callback_that_raises_is_reported_once_and_the_others_are_called() -> 
     assert any("broken raised ValueError: row 0" in event.text for event in events)
     delivery.event(Event(0.0, 0, "bus_up", ""))
     assert [event.kind for event in delivery.take_events()] == ["bus_up"]
+
+
+def test_a_row_in_another_process_has_the_same_contacts() -> None:
+    contacts = [missing_contact(node_id, 5, NO_RESPONSE, name) for node_id, name in ((1, "thumb"), (2, "index"))]
+    row = pickle.loads(pickle.dumps(HandRow(7, 5e-9, contacts)))
+    assert (row.number, list(row), len(row), row["thumb"].node_id, row[2].name) == (
+        7,
+        ["thumb", "index"],
+        2,
+        1,
+        "index",
+    )
+    with pytest.raises(KeyError, match=r"'ring': the hand has thumb \(1\), index \(2\)"):
+        row["ring"]

@@ -55,6 +55,7 @@ def test_what_is_not_for_it() -> None:
     supervisor = Supervisor([5])
     frames = [(0x080, ""), (0x080, "01"), (0x707, "05"), (0x086, "30" * 8), (0x705, ""), (0x705, "0500"), (0x085, "30")]
     assert seen(supervisor, 0.0, *frames) == []
+    assert seen(supervisor, 0.0, (0x085, "30" * 7)) == []
     # A remote frame of guarding, and a 29-bit identifier that ends the same.
     assert seen(supervisor, 0.0, (0x40000705, ""), (0x80000705, "05")) == []
 

@@ -214,7 +214,10 @@ def test_python_can_behind_the_same_call() -> None:
         assert receiver.fileno() == -1
 
 
-def test_python_can_of_several_buses() -> None:
+def test_python_can_of_several_buses(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_timeout_s: float) -> object:
+        raise EnvironmentLackError("unplugged")
+
     names = ("receive2", "receive3")
     receivers = [open_receiver({"interface": "virtual", "channel": name}) for name in names]
     with (
@@ -232,7 +235,15 @@ def test_python_can_of_several_buses() -> None:
             for number, can_id in zip(block.interface.tolist(), block.frames["can_id"].tolist(), strict=True):
                 found[block.names[number]].append(can_id)
         assert found == {name: list(range(100)) for name in names}
-    assert not any("_receive" in one.name for one in threading.enumerate()), "the threads of the group have ended"
+        assert len(group.receive_block(0.01)) == len(group.receive_block(0)) == 0
+        with monkeypatch.context() as patch:
+            patch.setattr(receivers[0], "receive_block", fails)
+            other.send(can.Message(arbitration_id=7, is_extended_id=False))
+            assert group.receive(5.0)["can_id"].tolist() == [7]
+            with pytest.raises(EnvironmentLackError, match="unplugged"):
+                group.receive(5.0)
+        bus.send(can.Message(arbitration_id=8, is_extended_id=False))
+        assert group.receive(5.0)["can_id"].tolist() == [8]
 
 
 def test_own_frames_are_marked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,8 +46,7 @@ def test_the_highest_rate_is_where_the_limit_is(nodes: int, pdos: tuple[str, ...
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [(0, 1.0), (128, 1.0), (1, 0.0), (1, -1.0), (1, float("nan")), (1, 1.0, ("Torque",)), (1, 1.0, ())],
+    "arguments", [(0, 1.0), (128, 1.0), (1, 0.0), (1, -1.0), (1, float("nan")), (1, 1.0, ("Torque",)), (1, 1.0, ())]
 )
 def test_refused(arguments: tuple[int, float]) -> None:
     with pytest.raises(InputError):

@@ -39,9 +39,7 @@ def visible(dut: Dut, index: int) -> None:
 
 
 for index in NAMES:
-    identity(f"name 7.5.2.8: {index:04X}h is a text of visible characters", ((index, 0),),
-        do.run(visible, index))
-for index in NAMES:
+    identity(f"name 7.5.2.8: {index:04X}h is a text of visible characters", ((index, 0),), do.run(visible, index))
     identity(f"name_constant 7.5.2.8: {index:04X}h cannot be written", ((index, 0),),
         do.refuses_bytes(index, 0, b"abcd", Abort.READ_ONLY))
 

@@ -8,7 +8,7 @@ from itertools import product
 from canopen_conformance import steps as do
 from canopen_conformance.case import Service, check
 from canopen_conformance.cases import pdo
-from canopen_conformance.cases.pdo_parameters import BOTH, EITHER, NO_RTR, refused_cob_id
+from canopen_conformance.cases.pdo import BOTH, EITHER, NO_RTR, refused_cob_id
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, REMOTE_FLAG, START, Abort
 

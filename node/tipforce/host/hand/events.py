@@ -6,7 +6,7 @@ Frames and time in, events out; no clock and no bus inside.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -75,7 +75,12 @@ class Supervisor:
                 if node_id in self.states:
                     data = frame["data"][: frame["length"]].tobytes()
                     heartbeat = int(frame["can_id"]) & ~codes.NODE_ID_MASK == codes.HEARTBEAT_BASE
-                    events += self._heartbeat(node_id, data, now_s) if heartbeat else _emcy(node_id, data, now_s)
+                    if heartbeat and len(data) == 1:
+                        events += self._heartbeat(node_id, data[0] & codes.NODE_ID_MASK, now_s)
+                    elif not heartbeat and len(data) == 8 and node_id:  # 0x080 is the SYNC
+                        code, register = struct.unpack_from("<HB", data)
+                        kind: Kind = "emcy" if code else "emcy_reset"
+                        events.append(Event(now_s, node_id, kind, emcy_text(code, register), code))
         for node_id, heard_s in list(self._heard_s.items()):
             # A node that has just booted sends heartbeats at its default rate until it is configured and started.
             unset = self.states[node_id] != codes.OPERATIONAL
@@ -95,12 +100,8 @@ class Supervisor:
         self._heard_s.clear()
         self.states = dict.fromkeys(self.states, _UNKNOWN_STATE)
 
-    def _heartbeat(self, node_id: int, data: bytes, now_s: float) -> Iterable[Event]:
-        if len(data) != 1:
-            return
-        state, before = data[0] & codes.NODE_ID_MASK, self.states[node_id]
-        self._heard_s[node_id] = now_s
-        self.states[node_id] = state
+    def _heartbeat(self, node_id: int, state: int, now_s: float) -> Iterator[Event]:
+        before, self.states[node_id], self._heard_s[node_id] = self.states[node_id], state, now_s
         if state == codes.INITIALISING:
             yield Event(now_s, node_id, "boot_up", "booted", state)
         elif before == _UNKNOWN_STATE:
@@ -117,14 +118,6 @@ def waited_s(frames: FrameArray, now_ns: int) -> float:
     """
     late_s = (now_ns - int(frames["t_ns"][-1])) * 1e-9 if len(frames) else 0.0
     return late_s if 0.0 < late_s < MOST_WAITED_S else 0.0
-
-
-def _emcy(node_id: int, data: bytes, now_s: float) -> Iterable[Event]:
-    if node_id == 0 or len(data) != 8:  # 0x080 is the SYNC
-        return
-    code, register = struct.unpack_from("<HB", data)
-    kind: Kind = "emcy_reset" if code == 0 else "emcy"
-    yield Event(now_s, node_id, kind, emcy_text(code, register), code)
 
 
 WINDOW_S = 0.2

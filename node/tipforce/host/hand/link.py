@@ -59,12 +59,13 @@ class Link:
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
         """Send SYNCs with ``data`` in turn from now on, until the returned function is called."""
-        return ThreadSync(self._sync, period_s, data).stop
 
-    def _sync(self, data: bytes) -> None:
-        # First into the stream, then onto the bus: no answer can precede its SYNC.
-        self._frames.put((time.time_ns(), SYNC_COB_ID, data))
-        self.connection.send(SYNC_COB_ID, data)
+        def sync(number: bytes) -> None:
+            # First into the stream, then onto the bus: no answer can precede its SYNC.
+            self._frames.put((time.time_ns(), SYNC_COB_ID, number))
+            self.connection.send(SYNC_COB_ID, number)
+
+        return ThreadSync(sync, period_s, data).stop
 
     @property
     def dropped(self) -> int:

@@ -104,9 +104,8 @@ class Recovery:
             F1, F2, F3 = client.tare_state().force_newtons
             if before is not None:
                 present = self._read(node_id)
-                known = (
-                    present if only_tare(differences(before, present)) else before
-                )  # else another's is to be decided on
+                if only_tare(differences(before, present)):  # else another's is to be decided on
+                    known = present
         finally:
             if known is not None:
                 self._show(node_id, known)

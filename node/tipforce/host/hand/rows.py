@@ -44,16 +44,6 @@ class Collector(RowAssembler):
             self.trust.note(can_id, length, word, now_s)
 
 
-class _Given:
-    """The places of contacts that are given."""
-
-    __slots__ = ("places",)
-
-    def __init__(self, contacts: Sequence[Contact]) -> None:
-        self.places: dict[str | int, int] = {contact.name: place for place, contact in enumerate(contacts)}
-        self.places |= {contact.node_id: place for place, contact in enumerate(contacts)}
-
-
 class HandRow(Mapping[str, Contact]):
     """The contacts of all fingers at one SYNC: ``row["thumb"]``, or by node-id ``row[1]``.
 
@@ -72,7 +62,8 @@ class HandRow(Mapping[str, Contact]):
 
     def __init__(self, number: int, t_s: float, contacts: Sequence[Contact], pairing: str = "numbered") -> None:
         self.number, self.t_s, self.pairing = number, t_s, pairing
-        self._contacts, self._made = _Given(contacts), dict(enumerate(contacts))
+        self._contacts = RowContacts([c.node_id for c in contacts], [c.name for c in contacts])
+        self._made = dict(enumerate(contacts))
 
     def __getattr__(self, name: str) -> Any:
         """Make ``t_s`` and ``pairing`` of a row when they are first read."""

@@ -277,9 +277,8 @@ class Trust:
                 self._doubt(finger, (COUNTER,), now_s, DECIDE_S if restarts else VERIFY_S)
 
     def _lss(self, _finger: Finger, word: int, now_s: float) -> None:
-        if word & 0xFF in _LSS_CONFIGURES:  # of which node the frame does not say
-            for finger in self._fingers:
-                self._doubt(finger, (SERIAL, COUNTER), now_s)
+        for finger in self._fingers if word & 0xFF in _LSS_CONFIGURES else ():  # of which, the frame does not say
+            self._doubt(finger, (SERIAL, COUNTER), now_s)
 
     def _command(self, finger: Finger, word: int, now_s: float) -> None:
         if word:  # an RPDO; command 0 is none
@@ -384,19 +383,17 @@ class Trust:
             finger.pending |= finger.changed and not finger.unsure
 
     def _judge(self) -> None:
-        for finger in self._fingers:
-            self.shown[finger.column] = not (finger.hidden or finger.unsure or self._claimed(finger))
-
-    def _claimed(self, finger: Finger) -> bool:
-        """Return whether another finger may send what is taken for an answer of this one."""
-        return any(
-            value is None
-            or (not value & codes.COB_ID_INVALID and self._answers.get(value & codes.STANDARD_MASK) == finger.column)
-            for other in self._fingers
-            if other.claims and other is not finger
-            for values in other.claims.values()
-            for value in values
-        )
+        for finger in self._fingers:  # another one may send what is taken for an answer of this
+            self.shown[finger.column] = not (finger.hidden or finger.unsure) and not any(
+                value is None
+                or (
+                    not value & codes.COB_ID_INVALID and self._answers.get(value & codes.STANDARD_MASK) == finger.column
+                )
+                for other in self._fingers
+                if other.claims and other is not finger
+                for values in other.claims.values()
+                for value in values
+            )
 
 
 def _place(word: int) -> Place:

@@ -55,9 +55,6 @@ class PythonCanReceiver(Receiver):
             if not messages:  # otherwise the next call raises it
                 text = f"the bus failed: {error}; `ip -details link` shows its state"
                 raise EnvironmentLackError(text) from error
-        return self._block(messages)
-
-    def _block(self, messages: list[can.Message]) -> CandumpBlock:
         block = message_block(messages, self._names, self._channel)
         if self._selection.everything and not any(message.is_error_frame for message in messages):
             return block

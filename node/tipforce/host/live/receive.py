@@ -171,7 +171,11 @@ class SocketReceiver(Receiver):
                 self._poll.poll(timeout_ms)
                 count = self._batch.read()
         except OSError as error:
-            raise self._failed(error) from error
+            if error.errno == errno.ENETDOWN:
+                text = f"{self._channel}: interface down; `ip link set {self._channel} up` sets it up"
+                raise InterfaceDownError(text) from error
+            text = f"{self._channel}: {error.strerror}; `ip -details link` shows its state"
+            raise EnvironmentLackError(text) from error
         # A full batch means that more frames are waiting.
         self._next_s = time.monotonic() + self._tick_s if 0 < count < self._batch.capacity else 0.0
         return count
@@ -223,11 +227,6 @@ class SocketReceiver(Receiver):
             t_ns, sent = int(frames["t_ns"][row]), bool(frames["flags"][row] & SENT)
             fd.append(FdFrame(int(classic_before[row]), t_ns, can_id, flags, data, int(interface[row]), sent))
         return tuple(fd)
-
-    def _failed(self, error: OSError) -> EnvironmentLackError:
-        if error.errno == errno.ENETDOWN:
-            return InterfaceDownError(f"{self._channel}: interface down; `ip link set {self._channel} up` sets it up")
-        return EnvironmentLackError(f"{self._channel}: {error.strerror}; `ip -details link` shows its state")
 
 
 def _not_opened(channel: str, error: Exception) -> EnvironmentLackError:

@@ -5,11 +5,12 @@ SocketCAN's filters select frames: the kernel applies them, or numpy on other in
 
 from __future__ import annotations
 
-import queue
+import math
 import select
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -151,10 +152,6 @@ class Selection:
         return wanted
 
 
-_POLL_S = 0.1
-_WAITING_BLOCKS = 64  # of all receivers; further frames wait in the buses themselves
-
-
 class ReceiverGroup(Receiver):
     """Receive from all of ``receivers``, and take ownership of them. A context manager.
 
@@ -171,25 +168,12 @@ class ReceiverGroup(Receiver):
         self._closing = ExitStack()
         for close in (*(receiver.close for receiver in self._receivers), *at_end):
             self._closing.callback(close)
-        self._poll: select.poll | None = None
-        self._arrived: queue.Queue[CandumpBlock | Exception] = queue.Queue(_WAITING_BLOCKS)
-        self._failure: Exception | None = None
-        if len(self._receivers) > 1:
-            self._prepare()
-
-    def _prepare(self) -> None:
-        if all(receiver.fileno() >= 0 for receiver in self._receivers):
-            self._poll = select.poll()
+        self._failures: deque[EnvironmentLackError] = deque()  # for the next calls: no frame of another bus is lost
+        # Not every python-can bus has a file descriptor to wait for: then all are read, every tick.
+        self._poll = select.poll() if all(receiver.fileno() >= 0 for receiver in self._receivers) else None
+        if self._poll is not None:
             for receiver in self._receivers:
                 self._poll.register(receiver.fileno(), select.POLLIN)
-            return
-        # One thread per bus: not every python-can bus has a file descriptor to wait for.
-        stop = threading.Event()
-        for receiver in self._receivers:
-            thread = threading.Thread(target=_receive, args=(receiver, self._arrived, stop), daemon=True)
-            thread.start()
-            self._closing.callback(thread.join)
-        self._closing.callback(stop.set)  # called first
 
     @property
     def dropped(self) -> int:
@@ -208,45 +192,27 @@ class ReceiverGroup(Receiver):
         """See Receiver."""
         if len(self._receivers) == 1:
             return self._receivers[0].receive_block(timeout_s)
-        if self._failure is not None:
-            failure, self._failure = self._failure, None
-            raise failure
+        end_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
         blocks: list[CandumpBlock] = []
-        for item in self._poll_blocks(timeout_s) if self._poll is not None else self._queued_blocks(timeout_s):
-            if isinstance(item, CandumpBlock):
-                blocks.append(item)
-            elif blocks or self._failure is not None:
-                self._failure = item  # raised by the next call, so that frames of the other buses are not lost
-            else:
-                raise item
-        return merged(blocks, self._names)
-
-    def _poll_blocks(self, timeout_s: float | None) -> list[CandumpBlock | Exception]:
-        assert self._poll is not None
-        now = time.monotonic()
-        if self._next_s > now:
-            time.sleep(self._next_s - now if timeout_s is None else min(self._next_s - now, timeout_s))
-        ready = {fd for fd, _ in self._poll.poll(None if timeout_s is None else timeout_s * 1000)}
-        self._next_s = time.monotonic() + self._tick_s if ready else 0.0
-        items: list[CandumpBlock | Exception] = []
-        failures: list[CandumpBlock | Exception] = []
-        for receiver in self._receivers:
-            if receiver.fileno() in ready:
+        while not blocks and not self._failures:
+            # Other threads run during the wait, and the frames of all buses are read together.
+            time.sleep(max(min(self._next_s, end_s) - time.monotonic(), 0.0))
+            left_s = max(end_s - time.monotonic(), 0.0)
+            ready = self._receivers
+            if self._poll is not None:
+                file_descriptors = {fd for fd, _ in self._poll.poll(None if left_s == math.inf else left_s * 1000)}
+                ready = tuple(receiver for receiver in ready if receiver.fileno() in file_descriptors)
+            for receiver in ready:
                 try:
-                    items.append(receiver.receive_block(0))
+                    blocks += [block for block in (receiver.receive_block(0),) if len(block)]
                 except EnvironmentLackError as error:
-                    failures.append(error)
-        return items + failures
-
-    def _queued_blocks(self, timeout_s: float | None) -> list[CandumpBlock | Exception]:
-        items: list[CandumpBlock | Exception] = []
-        try:
-            items.append(self._arrived.get(timeout=timeout_s))
-            while isinstance(items[-1], CandumpBlock):
-                items.append(self._arrived.get_nowait())
-        except queue.Empty:
-            pass
-        return items
+                    self._failures.append(error)
+            self._next_s = time.monotonic() + (self._tick_s if self._poll is not None else max(self._tick_s, TICK_S))
+            if time.monotonic() >= end_s:
+                break
+        if self._failures and not blocks:
+            raise self._failures.popleft()
+        return merged(blocks, self._names)
 
 
 def merged(blocks: Sequence[CandumpBlock], names: dict[str, int]) -> CandumpBlock:
@@ -270,22 +236,3 @@ def merged(blocks: Sequence[CandumpBlock], names: dict[str, int]) -> CandumpBloc
     rows = np.searchsorted(frames["t_ns"], [frame.t_ns for frame in fd]).tolist()
     placed = tuple(frame._replace(row=row) for frame, row in zip(fd, rows, strict=True))
     return CandumpBlock(frames, interface, tuple(names), sent, fd=placed)
-
-
-def _receive(receiver: Receiver, arrived: queue.Queue[CandumpBlock | Exception], stop: threading.Event) -> None:
-    """Pass on the blocks of one receiver until the stop event; runs in its own thread."""
-    item: CandumpBlock | Exception
-    while not stop.is_set():
-        try:
-            item = receiver.receive_block(_POLL_S)
-        except EnvironmentLackError as error:
-            item = error
-        if isinstance(item, Exception) or len(item):
-            while not stop.is_set():
-                try:
-                    arrived.put(item, timeout=_POLL_S)
-                    break
-                except queue.Full:
-                    continue
-        if isinstance(item, Exception):
-            return

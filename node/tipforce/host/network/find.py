@@ -28,6 +28,11 @@ _DEVICE_TYPE = (0x00, 0x10, 0x00)  # 1000h:00 in bytes 1 to 3 of a request, and 
 _READ_DEVICE_TYPE = bytes((0x40, *_DEVICE_TYPE, 0, 0, 0, 0))
 _IN_A_ROW, _GAP_S = 8, 1e-3  # requests without a pause, so that short transmit queues do not overflow
 _STEP_S = 0.02  # between looks whether every node-id was heard
+_FAILED = {
+    SdoAbortError: "no identity object",
+    NoResponseError: "stopped responding",
+    InputError: "unknown object format",  # a device of another type whose objects have other lengths
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +43,9 @@ class FoundNode:
     state: str
     """NMT state from its heartbeat, or "no heartbeat"."""
     device: str
-    serial: int
-    calibration: str
-    eds: str
+    serial: int = 0
+    calibration: str = "unknown"
+    eds: str = "unknown"
     """"match", or the difference."""
     faults: str = ""
     """Its faults (2124h), in words."""
@@ -108,22 +113,16 @@ def _request_device_types(connection: Bus, node_ids: Collection[int]) -> None:
 def _describe(connection: Bus, node_id: int, state: int | None, answers: bool) -> FoundNode:
     state_name = "no heartbeat" if state is None else state_text(state)
     if not answers:
-        seen = connection.duplicates.found.get(node_id)
-        text = "" if seen is None else str(seen)
-        return FoundNode(node_id, state_name, "no SDO in this state", 0, "unknown", "unknown", duplicate=text)
+        seen = connection.duplicates.found.get(node_id, "")
+        return FoundNode(node_id, state_name, "no SDO in this state", duplicate=str(seen))
     try:
         node = _identified(FingertipClient(connection.sdo(node_id)), state_name)
         connection.sdo(node_id).check_duplicates(wait=True)
         return node
     except DuplicateNodeError as error:
-        return FoundNode(node_id, state_name, "two nodes", 0, "unknown", "unknown", duplicate=str(error))
-    except SdoAbortError:
-        device = "no identity object"
-    except NoResponseError:
-        device = "stopped responding"
-    except InputError:  # a device of another type whose objects have other lengths
-        device = "unknown object format"
-    return FoundNode(node_id, state_name, device, 0, "unknown", "unknown")
+        return FoundNode(node_id, state_name, "two nodes", duplicate=str(error))
+    except (SdoAbortError, NoResponseError, InputError) as error:
+        return FoundNode(node_id, state_name, next(text for kind, text in _FAILED.items() if isinstance(error, kind)))
 
 
 def _identified(client: FingertipClient, state_name: str) -> FoundNode:
