@@ -139,8 +139,8 @@ def compare(seed: int, faults: Faults, drift: str, loss: str = "huber") -> Compa
     true, named = set(np.flatnonzero(sim.true_outlier)), set(fit.outliers)
     matrices = fit.C, C_oracle, C_linear
     readings = V - fit.offset_strain, V - end, V
-    errors = [_rms(reading @ C.T - F) for C, reading in zip(matrices, readings, strict=True)]
-    errors += [_rms(clean @ C.T - F) for C in matrices]
+    pairs = [*zip(matrices, readings, strict=True), *((C, clean) for C in matrices)]
+    errors = [float(np.sqrt(np.mean(np.square(reading @ C.T - F).sum(axis=1)))) for C, reading in pairs]
     by_name = dict(zip(ERRORS, errors, strict=True))
     return Comparison(seed, case, by_name, len(true), len(true & named), len(named - true))
 
@@ -174,11 +174,6 @@ def _covered(condition: str, seed: int) -> tuple[FloatArray, FloatArray, bool]:
     falsely = bool(set(fit.outliers) - set(np.flatnonzero(sim.true_outlier)))
     held = (lower <= truth) & (truth <= upper)
     return held.ravel(), np.abs(error).ravel() <= fit.coverage_factor * spread.ravel(), falsely
-
-
-def _rms(error: FloatArray) -> float:
-    """Root mean square length of the force error, newtons."""
-    return float(np.sqrt(np.mean(np.square(error).sum(axis=1))))
 
 
 def comparison_rows(comparisons: list[Comparison]) -> list[list[str]]:

@@ -37,7 +37,8 @@ LOGS = {
 }
 FAST = ("floor", "parse", "memory")
 SLOW = ("LogReader", "cantools loop", "cantools decode")
-COMMANDS = {"tipforce decode to CSV": "csv", "tipforce decode to Parquet": "parquet", "tipforce decode --summary": None}
+COMMANDS = {"tipforce decode to CSV": "csv", "tipforce decode to Parquet": "parquet", "tipforce decode to MCAP": "mcap",
+            "tipforce decode --summary": None}  # fmt: skip
 AIMS = {"tipforce decode to CSV": 15, "tipforce decode to Parquet": 60, "tipforce decode --summary": 60}
 """Times cantools decode."""
 SAME_SUMS = {"floor", "memory", "asammdf"}
@@ -181,7 +182,9 @@ class Logs:
             words = ["--json", "--summary"] if COMMANDS[method] is None else ["-o", out]
             line = [*TIPFORCE, "decode", "-q", log, *words]
             result = dict(zip(("cpu_s", "wall_s"), command_s(line, stdout=subprocess.DEVNULL), strict=True))
-            out.unlink(missing_ok=True)
+            if out.exists():
+                result["bytes"] = out.stat().st_size / frames
+                out.unlink()
         else:
             result = self.in_process(method, log)
         return {**result, "us": 1e6 * result["cpu_s"] / frames, "wall_us": 1e6 * result.get("wall_s", 0.0) / frames}
@@ -270,13 +273,16 @@ def of_log(title: str, runs: Runs) -> str:
 def _aims(runs: Runs) -> list[str]:
     """Aims and measured figures."""
     ours = _median(runs, "memory")
-    goals = [("in memory, million frames/s a core", 5.0, 1 / ours)]
-    goals.append(("in memory, share of the floor", 0.5, _median(runs, "floor") / ours))
+    goals = [("in memory, million frames/s a core", 5.0, 1 / ours),
+             ("in memory, share of the floor", 0.5, _median(runs, "floor") / ours)]  # fmt: skip
     for name, aim in AIMS.items():
         if name in runs:
             times = _median(runs, "cantools decode") / _median(runs, name)
             goals.append((f"{name}, whole process, times cantools decode", aim, times))
-    return [f"- {what}: aim {aim:g}, measured {x:.2f}{'' if x >= aim else ' (missed)'}" for what, aim, x in goals]
+    sizes = [f"- {name}: {of[0]['bytes']:.0f} bytes a frame" for name, of in runs.items() if "bytes" in of[0]]
+    return sizes + [
+        f"- {what}: aim {aim:g}, measured {x:.2f}{'' if x >= aim else ' (missed)'}" for what, aim, x in goals
+    ]
 
 
 def main() -> int:
