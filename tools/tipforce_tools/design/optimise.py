@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output:
         check_output(args.output, LAYOUT)
     limits, loads = _limits_and_loads(args)
-    with common.progress("starts", steps(args.gauges, limits, args.starts)) as done:
+    with common.progress("starts", steps(args.gauges, args.starts)) as done:
         outcome = optimise(
             args.objective, args.gauges, limits, loads, args.noise, starts=args.starts, seed=args.seed, done=done
         )
