@@ -13,7 +13,7 @@ from typing import Any
 from tipforce.output_file import HTML, JSON_LINES, write_file
 from tipforce_lab.report import plots, text
 from tipforce_lab.report.run import Item, Report
-from tipforce_lab.report.study import Case, Grid, Study
+from tipforce_lab.report.study import Case, Study
 
 
 def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]], str]) -> list[Path]:
@@ -64,7 +64,10 @@ def html(report: Report) -> str:
     if report.studies:
         parts += ['<h2 id="studies">Error against run time</h2>', f'<p class="note">{_HOW_TO_READ}</p>']
         parts += [_study(study) for study in report.studies]
-    parts += [_grid(grid) for grid in report.grids]
+    for grid in report.grids:
+        items, table = _items(text.grid_items(grid)), _table("cases grid", text.grid_table(grid))
+        parts.append(f'<section id="{escape(grid.key)}"><h2>{escape(grid.title)}</h2><ul>{items}</ul>')
+        parts.append(f'<p class="note">{_GRID}</p>{table}</section>')
     if report.cases:
         parts += ['<h2 id="cases">Extreme cases</h2>', f'<p class="note">{_OUTCOMES}</p>', *_cases(report.cases)]
     if report.left_out:
@@ -128,15 +131,6 @@ def _study(study: Study) -> str:
             f"<ul>{items}</ul>" if items else "",
             f"<details><summary>All {points} points as a table</summary>{table}</details>",
             f'<p class="reference">Reference: {escape(text.shown_reference(study))}.</p></section>',
-        )
-    )
-
-
-def _grid(grid: Grid) -> str:
-    return "\n".join(
-        (
-            f'<section id="{escape(grid.key)}"><h2>{escape(grid.title)}</h2><ul>{_items(text.grid_items(grid))}</ul>',
-            f'<p class="note">{_GRID}</p>{_table("cases grid", text.grid_table(grid))}</section>',
         )
     )
 

@@ -62,21 +62,16 @@ def figure(study: Study) -> Figure:
     floor = _ZERO_BELOW * min((error for error in errors if error and math.isfinite(error)), default=1.0)
     lines = len(study.series) + 1  # and the band
     drawn = Figure(figsize=(_WIDTH_INCH, _AXES_INCH + _LEGEND_LINE_INCH * lines))
-    axes = drawn.subplots()
-    axes.set(xscale="log", yscale="log", xlabel=f"processor time, {study.work_unit}", ylabel=_folded(study.error_unit))
+    axes, unit = drawn.subplots(), study.error_unit
+    if len(unit) >= 46:  # longer than the axis: two lines
+        middle = min((match.start() for match in re.finditer(" ", unit)), key=lambda at: abs(at - len(unit) / 2))
+        unit = f"{unit[:middle]}\n{unit[middle + 1 :]}"
+    axes.set(xscale="log", yscale="log", xlabel=f"processor time, {study.work_unit}", ylabel=unit)
     for number in range(len(study.series)):
         _draw_series(axes, study, number, floor)
     _frame(axes, study, floor if 0.0 in errors else None)
     drawn.legend(loc="outside lower left", ncols=1, fontsize=9.5, handlelength=3.2, labelspacing=0.35)
     return drawn
-
-
-def _folded(text: str) -> str:
-    """Split a title longer than the axis into two lines."""
-    if len(text) < 46:
-        return text
-    middle = min((match.start() for match in re.finditer(" ", text)), key=lambda at: abs(at - len(text) / 2))
-    return f"{text[:middle]}\n{text[middle + 1 :]}"
 
 
 def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
