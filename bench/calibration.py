@@ -110,18 +110,12 @@ def oracle(sim: Simulated) -> FloatArray:
     limit = np.inf if sim.saturation_strain is None else sim.saturation_strain
     Sigma = (sim.faults.noise_strain / unit) ** 2 * np.eye(n)
     known = Problem(
-        V=(sim.strain - sim.true_offset_strain) / unit,
-        g=force_vector(*load),
-        D=direction_scatter(*load, 1.0, 1.0),
-        groove=grooves(sim.phi_rad, sim.theta_rad),
-        weight=np.ones(len(sim.strain)),
+        V=(sim.strain - sim.true_offset_strain) / unit, g=force_vector(*load), D=direction_scatter(*load, 1.0, 1.0),
+        groove=grooves(sim.phi_rad, sim.theta_rad), weight=np.ones(len(sim.strain)), Sigma=Sigma,
         observed=(np.abs(sim.strain) < limit) & ~sim.true_outlier[:, np.newaxis],
-        Sigma=Sigma,
-        prior_mean=np.zeros((n, 3)),
-        prior_information=np.zeros(n),
-        kinks=np.zeros(3, dtype=np.bool_),
+        prior_mean=np.zeros((n, 3)), prior_information=np.zeros(n), kinks=np.zeros(3, dtype=np.bool_),
         scatter=Scatter(sim.faults.groove_scatter_rad**2, sim.faults.hang_scatter_rad**2),
-    )
+    )  # fmt: skip
     A = solve(known, "none", 1.0).coefficients * unit
     return weighted_inverse(A, np.eye(n))
 

@@ -142,18 +142,13 @@ def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: lis
     columns = [error[np.isfinite(error[:, k]), k] for k in range(3)]
     P_newtons, *angles = contact.applied[-1].tolist()
     return FingerResult(
-        finger.node_id,
-        syncs,
-        len(contact.t_s),
-        _triple(np.isfinite(contact.estimated).sum(axis=0).tolist()),
+        finger.node_id, syncs, len(contact.t_s), _triple(np.isfinite(contact.estimated).sum(axis=0).tolist()),
         _triple([P_newtons, *(angles if P_newtons else (float("nan"),) * 2)]),
         _triple(contact.estimated[-1].tolist()),
         _triple([float(np.sqrt(np.mean(c * c))) if len(c) else float("nan") for c in columns]),
         _triple([float(np.max(np.abs(c))) if len(c) else float("nan") for c in columns]),
-        None if contact.slit_closed is None else int(contact.slit_closed.sum()),
-        _missing(contact, syncs),
-        counts,
-    )
+        None if contact.slit_closed is None else int(contact.slit_closed.sum()), _missing(contact, syncs), counts,
+    )  # fmt: skip
 
 
 def _missing(contact: Contact, syncs: int) -> dict[str, int]:

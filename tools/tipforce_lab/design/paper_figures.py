@@ -178,11 +178,8 @@ def figure_9_section(geometry: Geometry, noise_ue: float, repeats: int, seed: in
     if not 0.0 < noise_ue < 1e4 or not 1 <= repeats <= 100_000:
         raise InputError(f"--noise {noise_ue!r} --repeats {repeats!r}: allowed are above 0 to 1e4, and 1 to 100000")
     simulated = simulate_groove_errors(geometry, FIGURE_9_CASE, noise_ue * 1e-6, repeats=repeats, seed=seed)
-    figures = {
-        "u": simulated.standard_uncertainties,
-        "std": simulated.errors.std(axis=0),
-        "max": np.abs(simulated.errors).max(axis=0),
-    }
+    errors, u = simulated.errors, simulated.standard_uncertainties
+    figures = {"u": u, "std": errors.std(axis=0), "max": np.abs(errors).max(axis=0)}
     records = []
     for index, along_x in enumerate(simulated.grooves.along_x):
         record: Record = {"groove": "x" if along_x else "y"}

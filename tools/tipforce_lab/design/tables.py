@@ -148,14 +148,11 @@ def table_2(geometry: Geometry) -> list[Table2Row]:
     for point, thin, row in zip(POINTS, thin_limit_matrix(POINTS).tolist(), table_1(geometry), strict=True):
         sign = -unit if point in VERTICAL_POINTS else unit
         g1, g2, g3 = row.per_metre
-        rows.append(
-            Table2Row(
-                point,
-                maximum_over_contacts((thin[0] * THIN_UNIT, thin[1] * THIN_UNIT, thin[2] * THIN_UNIT)),
-                maximum_over_contacts((sign * g1, sign * g2, sign * g3)),
-                maximum_over_contacts(row.strain_per_newton).value,
-            )
-        )
+        rows.append(Table2Row(
+            point, maximum_over_contacts((thin[0] * THIN_UNIT, thin[1] * THIN_UNIT, thin[2] * THIN_UNIT)),
+            maximum_over_contacts((sign * g1, sign * g2, sign * g3)),
+            maximum_over_contacts(row.strain_per_newton).value,
+        ))  # fmt: skip
     return rows
 
 
@@ -163,11 +160,9 @@ def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
     """Return the theory of one layout. Raises InputError for an unusable layout or one of rank below 3."""
     matrix = strain_matrix(geometry, gauges)
     return Table3Row(
-        condition_number(thin_limit_matrix(gauges)),
-        condition_number(matrix),
-        row_equilibrated_condition_number(matrix),
-        noise_gain(calibration_matrix(geometry, gauges)),
-    )
+        condition_number(thin_limit_matrix(gauges)), condition_number(matrix),
+        row_equilibrated_condition_number(matrix), noise_gain(calibration_matrix(geometry, gauges)),
+    )  # fmt: skip
 
 
 def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, float]:
@@ -230,9 +225,7 @@ def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
 def ties(rows: list[Record], by: str, tolerance: float = 1e-6) -> list[list[Record]]:
     """Return the groups of rows whose figures agree within a relative tolerance, in order; infinite ones left out."""
     groups: list[list[Record]] = []
-    for row in rows:
-        if not np.isfinite(row[by]):
-            continue
+    for row in (row for row in rows if np.isfinite(row[by])):
         if groups and abs(row[by] - groups[-1][0][by]) <= tolerance * row[by]:
             groups[-1].append(row)
         else:

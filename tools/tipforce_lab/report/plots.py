@@ -39,14 +39,10 @@ _KEPT_STYLE = {"fill", "stroke"}
 
 
 _STYLE = {
-    "font.size": 10.0,
     **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK),
-    "grid.color": GRID,
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "savefig.transparent": True,
-    "savefig.dpi": 130,
-}
+    "font.size": 10.0, "grid.color": GRID, "grid.linewidth": 0.6, "legend.frameon": False,
+    "savefig.transparent": True, "savefig.dpi": 130,
+}  # fmt: skip
 
 
 def plotting() -> AbstractContextManager[None]:
