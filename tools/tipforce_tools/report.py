@@ -41,8 +41,7 @@ def run(args: argparse.Namespace) -> int:
     effort = Effort(args.quick) if args.seed is None else Effort(args.quick, args.seed)
     if args.output is not None:  # before minutes of work: matplotlib and the folder of the page
         from tipforce.output_file import make_folder
-        from tipforce_lab.report.page import write
-        from tipforce_lab.report.plots import plotting
+        from tipforce_lab.report.page import plotting, write
 
         with plotting():
             make_folder(args.output)
