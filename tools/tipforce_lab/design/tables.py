@@ -251,7 +251,7 @@ class CommonShifts(NamedTuple):
     """Largest difference from the wanted condition numbers."""
 
 
-def rounding_range(matrix: npt.ArrayLike, half_digit: float = HALF_DIGIT) -> RoundingRange:
+def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
     """Return the range of condition numbers over all matrices (3, 3) whose entries round to the given ones.
 
     All 512 corners of the box of entries. The condition number is smooth here and the box small (curvature adds
@@ -259,7 +259,7 @@ def rounding_range(matrix: npt.ArrayLike, half_digit: float = HALF_DIGIT) -> Rou
     """
     centre = np.asarray(matrix, dtype=np.float64)
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=centre.size))).reshape(-1, *centre.shape)
-    conditions = np.linalg.cond(centre + half_digit * signs)
+    conditions = np.linalg.cond(centre + HALF_DIGIT * signs)
     return RoundingRange(condition_number(centre), float(conditions.min()), float(conditions.max()))
 
 
@@ -278,14 +278,12 @@ def shared_gauge_disagreement() -> dict[str, float]:
     return result
 
 
-def nearest_common_shifts(
-    geometry: Geometry, conditions: dict[str, float], largest_shift_m: float = 6e-3, steps: int = 25
-) -> CommonShifts:
+def nearest_common_shifts(geometry: Geometry, conditions: dict[str, float], steps: int = 25) -> CommonShifts:
     """Return the shifts of K, S, L, R, U, one set for all three cases, that best fit the condition numbers.
 
-    Every combination of `steps` shifts from 0 to largest_shift_m; the largest miss counts.
+    Every combination of `steps` shifts from 0 to 6 mm; the largest miss counts.
     """
-    grid = np.linspace(0.0, largest_shift_m, steps)
+    grid = np.linspace(0.0, 6e-3, steps)
     points = ("K_H", "S_H", "L", "R", "U")
     rows = shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
     chosen, miss = nearest_common({point: rows[:, k] for k, point in enumerate(points)}, conditions)
