@@ -116,12 +116,12 @@ def random_frames(count: int, seed: int) -> FrameArray:
     return frames
 
 
-def different_values(count: int, seed: int = 20240917) -> tuple[int, int]:
+def different_values(count: int) -> tuple[int, int]:
     """(values compared with cantools, values that differ). Equal: after rounding to the signal's resolution."""
     database: Any = cantools.database.load_file(DBC)
     compared = different = 0
     for start in range(0, count, _CHUNK):
-        frames = random_frames(min(_CHUNK, count - start), seed + start)
+        frames = random_frames(min(_CHUNK, count - start), 20240917 + start)
         for (node_id, name), samples in Decoder().decode(frames).items():
             message = database.get_message_by_name(f"TIP{node_id:02d}_{name}")
             decoded = [message.decode(data.tobytes()) for data in frames["data"][samples.row]]
@@ -253,8 +253,8 @@ def _check_sums(results: dict[str, dict[str, float]]) -> None:
             raise SystemExit(f"{method}: {result}, {first[0]}: {first[1]}")
 
 
-def _median(runs: Runs, method: str, key: str = "us") -> float:
-    return statistics.median(result[key] for result in runs[method])
+def _median(runs: Runs, method: str) -> float:
+    return statistics.median(result["us"] for result in runs[method])
 
 
 def of_log(title: str, runs: Runs) -> str:

@@ -203,14 +203,14 @@ def running_rows(rows: int, receives: bool = True) -> int:
     return count
 
 
-def row_costs(rounds: int = 15) -> list[list[str]]:
+def row_costs() -> list[list[str]]:
     """Microseconds of processor time a row, and what each way costs of plain struct code's; taken in turns."""
     found = []
     for frames_a_call in (6, 1):
         frames = row_frames(1000)
         calls = [frame_array(frames[at : at + frames_a_call]) for at in range(0, len(frames), frames_a_call)]
         ways = {"plain struct": plain_rows, "tipforce": product_rows}
-        figures = in_turns({name: partial(cpu_us, partial(way, calls)) for name, way in ways.items()}, rounds)
+        figures = in_turns({name: partial(cpu_us, partial(way, calls)) for name, way in ways.items()}, 15)
         plain, ours = (median(us) for us in figures.values())
         found.append([str(frames_a_call), f"{plain:.2f}", f"{ours:.2f}", f"{ours / plain:.2f}"])
     return found

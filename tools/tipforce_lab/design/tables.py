@@ -222,11 +222,11 @@ def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
     return sorted(by_mirror.values(), key=lambda row: (round(row[by], 9), row["condition"]))
 
 
-def ties(rows: list[Record], by: str, tolerance: float = 1e-6) -> list[list[Record]]:
-    """Return the groups of rows whose figures agree within a relative tolerance, in order; infinite ones left out."""
+def ties(rows: list[Record], by: str) -> list[list[Record]]:
+    """Return the groups of rows whose figures agree to 1e-6, in order; infinite ones left out."""
     groups: list[list[Record]] = []
     for row in (row for row in rows if np.isfinite(row[by])):
-        if groups and abs(row[by] - groups[-1][0][by]) <= tolerance * row[by]:
+        if groups and abs(row[by] - groups[-1][0][by]) <= 1e-6 * row[by]:
             groups[-1].append(row)
         else:
             groups.append([row])
