@@ -110,18 +110,12 @@ def oracle(sim: Simulated) -> FloatArray:
     limit = np.inf if sim.saturation_strain is None else sim.saturation_strain
     Sigma = (sim.faults.noise_strain / unit) ** 2 * np.eye(n)
     known = Problem(
-        V=(sim.strain - sim.true_offset_strain) / unit,
-        g=force_vector(*load),
-        D=direction_scatter(*load, 1.0, 1.0),
-        groove=grooves(sim.phi_rad, sim.theta_rad),
-        weight=np.ones(len(sim.strain)),
+        V=(sim.strain - sim.true_offset_strain) / unit, g=force_vector(*load), D=direction_scatter(*load, 1.0, 1.0),
+        groove=grooves(sim.phi_rad, sim.theta_rad), weight=np.ones(len(sim.strain)), Sigma=Sigma,
         observed=(np.abs(sim.strain) < limit) & ~sim.true_outlier[:, np.newaxis],
-        Sigma=Sigma,
-        prior_mean=np.zeros((n, 3)),
-        prior_information=np.zeros(n),
-        kinks=np.zeros(3, dtype=np.bool_),
+        prior_mean=np.zeros((n, 3)), prior_information=np.zeros(n), kinks=np.zeros(3, dtype=np.bool_),
         scatter=Scatter(sim.faults.groove_scatter_rad**2, sim.faults.hang_scatter_rad**2),
-    )
+    )  # fmt: skip
     A = solve(known, "none", 1.0).coefficients * unit
     return weighted_inverse(A, np.eye(n))
 
@@ -139,8 +133,8 @@ def compare(seed: int, faults: Faults, drift: str, loss: str = "huber") -> Compa
     true, named = set(np.flatnonzero(sim.true_outlier)), set(fit.outliers)
     matrices = fit.C, C_oracle, C_linear
     readings = V - fit.offset_strain, V - end, V
-    errors = [_rms(reading @ C.T - F) for C, reading in zip(matrices, readings, strict=True)]
-    errors += [_rms(clean @ C.T - F) for C in matrices]
+    pairs = [*zip(matrices, readings, strict=True), *((C, clean) for C in matrices)]
+    errors = [float(np.sqrt(np.mean(np.square(reading @ C.T - F).sum(axis=1)))) for C, reading in pairs]
     by_name = dict(zip(ERRORS, errors, strict=True))
     return Comparison(seed, case, by_name, len(true), len(true & named), len(named - true))
 
@@ -174,11 +168,6 @@ def _covered(condition: str, seed: int) -> tuple[FloatArray, FloatArray, bool]:
     falsely = bool(set(fit.outliers) - set(np.flatnonzero(sim.true_outlier)))
     held = (lower <= truth) & (truth <= upper)
     return held.ravel(), np.abs(error).ravel() <= fit.coverage_factor * spread.ravel(), falsely
-
-
-def _rms(error: FloatArray) -> float:
-    """Root mean square length of the force error, newtons."""
-    return float(np.sqrt(np.mean(np.square(error).sum(axis=1))))
 
 
 def comparison_rows(comparisons: list[Comparison]) -> list[list[str]]:

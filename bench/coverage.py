@@ -6,13 +6,11 @@ python -m bench.coverage -o FILE.png           a plot, .png or .svg
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import sqrt
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from bench.measure import arguments, table
 
 from tipforce.arrays import FloatArray, IntArray
@@ -69,6 +67,11 @@ class Cell:
     bias_P: float
     """Mean error of P, in units of s^2 / 2P, s the uncertainty across the force; NaN where noise hides it."""
 
+    @property
+    def flags(self) -> str:
+        """Readings flagged by their own criterion / by the status / not covered yet not flagged."""
+        return f"{self.flagged_percent:.0f} / {self.status_percent:.1f} / {self.silent_percent:.1f}"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fits:
@@ -108,21 +111,11 @@ def fits(rng: np.random.Generator, loads: FloatArray, A: FloatArray, sigma: floa
     return Fits(C, B[..., 3], S, N, float(student.ppf(0.5 + NOMINAL / 2.0, freedom)))
 
 
-def angle_error(estimated_rad: FloatArray, true_rad: float) -> FloatArray:
-    """estimated - true in [-pi, pi)."""
-    return np.remainder(estimated_rad - true_rad + np.pi, 2.0 * np.pi) - np.pi
-
-
 def true_load(delta_deg: float, pull: bool) -> tuple[FloatArray, float, float]:
     """(F, phi, theta): a pull at THETA_DEG leaning delta towards the x-axis, or the push opposite to it."""
     theta = np.radians(THETA_DEG)
     phi = theta - np.radians(delta_deg) - (0.0 if pull else np.pi)
     return force_vector(P_NEWTONS, phi, theta), float(phi), float(theta)
-
-
-def percentage(truths: npt.NDArray[np.bool_]) -> float:
-    """How many are true."""
-    return 100.0 * float(np.mean(truths))
 
 
 def cell(
@@ -131,11 +124,8 @@ def cell(
     """Count one cell. F: (trials, 3) estimates; covariance: theirs; typical: (3, 3), for the true load."""
     true_F, phi, theta = true_load(names[3], pull)
     estimated, u = contacts(F, pull=pull), standard_uncertainties(F, covariance, pull=pull)
-    errors = (
-        estimated.P_newtons - P_NEWTONS,
-        angle_error(estimated.phi_rad, phi),
-        angle_error(estimated.theta_rad, theta),
-    )
+    off = estimated.phi_rad - phi, estimated.theta_rad - theta
+    errors = estimated.P_newtons - P_NEWTONS, *(np.remainder(turn + np.pi, 2.0 * np.pi) - np.pi for turn in off)
     inside = np.abs(np.stack(errors, axis=-1)) <= k * u
     flagged = ~first_order_holds(F, covariance)[:, 2]
     bits = status(estimated, u, miss_uncertainties(F, covariance), (0.0, 0.0, -180.0, 180.0))
@@ -143,11 +133,10 @@ def cell(
     silent = ~inside[:, 2] & ~flagged & ~flagged_by_status
     u_P, u_phi, _ = standard_uncertainties(true_F, typical, pull=pull)
     bias, error = 0.5 * P_NEWTONS * u_phi**2, u_P / sqrt(len(F))
-    holds = first_order_holds(true_F, typical)
+    counted = [100.0 * float(np.mean(rows)) for rows in (flagged, flagged_by_status, silent)]
     return Cell(
-        *names, tuple(map(percentage, inside.T)), tuple(map(bool, holds)),  # type: ignore[arg-type]
-        percentage(flagged), percentage(flagged_by_status), percentage(silent),
-        float(np.mean(errors[0]) / bias) if bias > 5.0 * error else float("nan"),
+        *names, tuple((100.0 * np.mean(inside, axis=0)).tolist()), tuple(first_order_holds(true_F, typical).tolist()),
+        counted[0], counted[1], counted[2], float(np.mean(errors[0]) / bias) if bias > 5.0 * error else float("nan"),
     )  # fmt: skip
 
 
@@ -266,33 +255,21 @@ def failures(cells: list[Cell], tolerance_percent: float = TOLERANCE_PERCENT) ->
     ]
 
 
-def shown(cells: list[Cell], quantity: int) -> str:
-    """The percentage furthest from nominal among the layouts; a star where first order does not hold in all."""
-    worst = max((c.percents[quantity] for c in cells), key=lambda percent: abs(percent - 100.0 * NOMINAL))
-    return f"{worst:.1f}" + ("" if all(c.holds[quantity] for c in cells) else "*")
+def covered(cells: list[Cell]) -> str:
+    """Of P / phi / theta the percentage furthest from nominal among the layouts; a star where first order fails."""
+    texts = []
+    for k in range(3):
+        worst = max((c.percents[k] for c in cells), key=lambda percent: abs(percent - 100.0 * NOMINAL))
+        texts.append(f"{worst:.1f}" + ("" if all(c.holds[k] for c in cells) else "*"))
+    return " / ".join(texts)
 
 
-def scenario_table(cells: list[Cell]) -> str:
-    """One scenario: a row per SNR, a column per delta, each "P / phi / theta"."""
-    rows = []
-    for snr in SNRS:
-        row = [str(snr)]
-        for delta_deg in DELTAS_DEG:
-            here = [c for c in cells if c.snr == snr and c.delta_deg == delta_deg]
-            row.append(" / ".join(shown(here, quantity) for quantity in range(3)))
-        rows.append(row)
-    return table(["SNR", *(f"delta {delta}" for delta in DELTAS_DEG)], rows)
-
-
-def flag_table(cells: list[Cell]) -> str:
-    """Isotropic noise: readings flagged by their own criterion, by the status, and not covered yet not flagged."""
-    rows = []
-    for snr in SNRS:
-        here = {c.delta_deg: c for c in cells if c.scenario == ISOTROPIC and c.snr == snr}
-        in_order = (here[delta] for delta in DELTAS_DEG)
-        figures = (f"{c.flagged_percent:.0f} / {c.status_percent:.1f} / {c.silent_percent:.1f}" for c in in_order)
-        rows.append([str(snr), *figures])
-    return table(["SNR", *(f"delta {delta}" for delta in DELTAS_DEG)], rows)
+def by_snr(cells: list[Cell], shown: Callable[[list[Cell]], str]) -> str:
+    """A row per SNR, a column per delta."""
+    return table(["SNR", *(f"delta {delta}" for delta in DELTAS_DEG)], [
+        [str(snr), *(shown([c for c in cells if (c.snr, c.delta_deg) == (snr, delta)]) for delta in DELTAS_DEG)]
+        for snr in SNRS
+    ])  # fmt: skip
 
 
 def bias_line(cells: list[Cell]) -> str:
@@ -306,13 +283,12 @@ def bias_line(cells: list[Cell]) -> str:
     )
 
 
-def one_table(rows: list[dict[str, float | str]]) -> str:
-    """Coverage with and without the 1 in G."""
-    header = ["grooves to", "reading", "P with 1", "P without", "theta with 1", "theta without", "ratio: mean", "max"]
-    keys = ("P_percent_with", "P_percent_without", "theta_percent_with", "theta_percent_without", "leverage_ratio",
-            "leverage_ratio_max")  # fmt: skip
-    return table(header, [[f"{row['grooves_to_deg']:.0f}", str(row["sense"]), *(f"{row[key]:.1f}" for key in keys)]
-                          for row in rows])  # fmt: skip
+_ONE = {
+    "grooves_to_deg": "grooves to", "sense": "reading", "P_percent_with": "P with 1", "P_percent_without": "P without",
+    "theta_percent_with": "theta with 1", "theta_percent_without": "theta without", "leverage_ratio": "ratio: mean",
+    "leverage_ratio_max": "max",
+}  # fmt: skip
+"""The columns of the table of the 1 in G."""
 
 
 def report(cells: list[Cell], one: list[dict[str, float | str]], trials: int) -> str:
@@ -321,11 +297,14 @@ def report(cells: list[Cell], one: list[dict[str, float | str]], trials: int) ->
     for scenario in dict.fromkeys(c.scenario for c in cells):
         here = [c for c in cells if c.scenario == scenario]
         of = "" if scenario == ISOTROPIC else f", the worst of cases {', '.join(dict.fromkeys(c.layout for c in here))}"
-        parts += [f"### {scenario[0].upper()}{scenario[1:]}{of}", scenario_table(here)]
+        parts += [f"### {scenario[0].upper()}{scenario[1:]}{of}", by_snr(here, covered)]
+    isotropic = [c for c in cells if c.scenario == ISOTROPIC]
+    ones = [[f"{r['grooves_to_deg']:.0f}", str(r["sense"]), *(f"{r[key]:.1f}" for key in [*_ONE][2:])] for r in one]
     silent = max(c.silent_percent for c in cells)
     parts += [
         "### Flags: readings' own criterion / status bit 4 or 5 / silent misses of theta, % (isotropic)",
-        flag_table(cells), bias_line(cells), "### The 1 in G: case I, SNR 100, delta 30", one_table(one),
+        by_snr(isotropic, lambda cells: cells[0].flags), bias_line(cells),
+        "### The 1 in G: case I, SNR 100, delta 30", table(list(_ONE.values()), ones),
         f"{len(cells)} cells of {trials} trials. Largest share of readings in any cell whose interval of theta misses "
         f"the truth without a flag: {silent:.1f} %.",
     ]  # fmt: skip
@@ -348,7 +327,12 @@ def plot(cells: list[Cell], path: str) -> None:
             ax.axhline(95, color="0.6", lw=0.8)
             for scenario in dict.fromkeys(c.scenario for c in cells):
                 here = [c for c in cells if c.scenario == scenario and c.snr == snr]
-                _plot_line(ax, here, row, scenario)
+                by_delta = [[c for c in here if c.delta_deg == delta] for delta in DELTAS_DEG]
+                y = [float(np.mean([c.percents[row] for c in group])) for group in by_delta]
+                (line,) = ax.plot(DELTAS_DEG, y, lw=0.9, label=scenario)
+                for delta, group, height in zip(DELTAS_DEG, by_delta, y, strict=True):
+                    face = line.get_color() if all(c.holds[row] for c in group) else "white"
+                    ax.plot(delta, height, "o", ms=4, color=line.get_color(), mfc=face)
             if row == 0:
                 ax.set_title(f"SNR {snr}")
             if column == 0:
@@ -358,15 +342,6 @@ def plot(cells: list[Cell], path: str) -> None:
     axes[0, -1].legend(fontsize=7, loc="lower left")
     figure.suptitle("Coverage of nominal 95 % intervals; hollow: flagged, first order does not hold")
     save_figure(figure, path, dpi=110)
-
-
-def _plot_line(ax: Any, cells: list[Cell], quantity: int, label: str) -> None:
-    by_delta = [[c for c in cells if c.delta_deg == delta] for delta in DELTAS_DEG]
-    y = [float(np.mean([c.percents[quantity] for c in group])) for group in by_delta]
-    (line,) = ax.plot(DELTAS_DEG, y, lw=0.9, label=label)
-    for delta, group, height in zip(DELTAS_DEG, by_delta, y, strict=True):
-        face = line.get_color() if all(c.holds[quantity] for c in group) else "white"
-        ax.plot(delta, height, "o", ms=4, color=line.get_color(), mfc=face)
 
 
 def main() -> None:

@@ -37,7 +37,8 @@ LOGS = {
 }
 FAST = ("floor", "parse", "memory")
 SLOW = ("LogReader", "cantools loop", "cantools decode")
-COMMANDS = {"tipforce decode to CSV": "csv", "tipforce decode to Parquet": "parquet", "tipforce decode --summary": None}
+COMMANDS = {"tipforce decode to CSV": "csv", "tipforce decode to Parquet": "parquet", "tipforce decode to MCAP": "mcap",
+            "tipforce decode --summary": None}  # fmt: skip
 AIMS = {"tipforce decode to CSV": 15, "tipforce decode to Parquet": 60, "tipforce decode --summary": 60}
 """Times cantools decode."""
 SAME_SUMS = {"floor", "memory", "asammdf"}
@@ -115,12 +116,12 @@ def random_frames(count: int, seed: int) -> FrameArray:
     return frames
 
 
-def different_values(count: int, seed: int = 20240917) -> tuple[int, int]:
+def different_values(count: int) -> tuple[int, int]:
     """(values compared with cantools, values that differ). Equal: after rounding to the signal's resolution."""
     database: Any = cantools.database.load_file(DBC)
     compared = different = 0
     for start in range(0, count, _CHUNK):
-        frames = random_frames(min(_CHUNK, count - start), seed + start)
+        frames = random_frames(min(_CHUNK, count - start), 20240917 + start)
         for (node_id, name), samples in Decoder().decode(frames).items():
             message = database.get_message_by_name(f"TIP{node_id:02d}_{name}")
             decoded = [message.decode(data.tobytes()) for data in frames["data"][samples.row]]
@@ -181,7 +182,9 @@ class Logs:
             words = ["--json", "--summary"] if COMMANDS[method] is None else ["-o", out]
             line = [*TIPFORCE, "decode", "-q", log, *words]
             result = dict(zip(("cpu_s", "wall_s"), command_s(line, stdout=subprocess.DEVNULL), strict=True))
-            out.unlink(missing_ok=True)
+            if out.exists():
+                result["bytes"] = out.stat().st_size / frames
+                out.unlink()
         else:
             result = self.in_process(method, log)
         return {**result, "us": 1e6 * result["cpu_s"] / frames, "wall_us": 1e6 * result.get("wall_s", 0.0) / frames}
@@ -250,8 +253,8 @@ def _check_sums(results: dict[str, dict[str, float]]) -> None:
             raise SystemExit(f"{method}: {result}, {first[0]}: {first[1]}")
 
 
-def _median(runs: Runs, method: str, key: str = "us") -> float:
-    return statistics.median(result[key] for result in runs[method])
+def _median(runs: Runs, method: str) -> float:
+    return statistics.median(result["us"] for result in runs[method])
 
 
 def of_log(title: str, runs: Runs) -> str:
@@ -270,13 +273,16 @@ def of_log(title: str, runs: Runs) -> str:
 def _aims(runs: Runs) -> list[str]:
     """Aims and measured figures."""
     ours = _median(runs, "memory")
-    goals = [("in memory, million frames/s a core", 5.0, 1 / ours)]
-    goals.append(("in memory, share of the floor", 0.5, _median(runs, "floor") / ours))
+    goals = [("in memory, million frames/s a core", 5.0, 1 / ours),
+             ("in memory, share of the floor", 0.5, _median(runs, "floor") / ours)]  # fmt: skip
     for name, aim in AIMS.items():
         if name in runs:
             times = _median(runs, "cantools decode") / _median(runs, name)
             goals.append((f"{name}, whole process, times cantools decode", aim, times))
-    return [f"- {what}: aim {aim:g}, measured {x:.2f}{'' if x >= aim else ' (missed)'}" for what, aim, x in goals]
+    sizes = [f"- {name}: {of[0]['bytes']:.0f} bytes a frame" for name, of in runs.items() if "bytes" in of[0]]
+    return sizes + [
+        f"- {what}: aim {aim:g}, measured {x:.2f}{'' if x >= aim else ' (missed)'}" for what, aim, x in goals
+    ]
 
 
 def main() -> int:

@@ -19,19 +19,17 @@ import select
 import socket
 import statistics
 import struct
-import tempfile
 import threading
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 from random import Random
 from typing import Any
 
 import canopen
 import numpy as np
-from bench.fuzz import STRAIN_PER_NEWTON, generated_eds
+from bench.fuzz import STRAIN_PER_NEWTON
 from bench.fuzz_frames import good_record
 from bench.loopback import connected_pair, python_can_bus
 from bench.measure import ROOT, Meter, arguments, cpu_us, in_turns, machine
@@ -39,8 +37,6 @@ from bench.measure import ROOT, Meter, arguments, cpu_us, in_turns, machine
 from canopen_device.can_frame import CAN_FRAME
 from canopen_device.core import storage
 from canopen_device.core.node import Device
-from canopen_device.eds.load import device_of
-from canopen_device.eds.reader import read_eds
 from canopen_device.running import loop, ports
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
@@ -50,8 +46,6 @@ from tipforce.sources.simulated import SimulatedSource
 
 EDS = (ROOT / "eds" / "tipforce-3.eds").read_bytes()
 REPEATS = 7
-SYNC_PERIOD_US = 2000
-TPDO1, TPDO2 = 1, 2
 SYNC = CAN_FRAME.pack(0x80, 0, b"")
 ROUNDS, WARM_UP, SYNCS = 5, 20, 1500  # of the latencies
 RAW_FRAME, RAW_PDO = struct.Struct("=IB3x8s"), struct.Struct("<hhhBB")
@@ -62,32 +56,26 @@ def _stored(record: bytes) -> dict[str, bytes]:
     return {"calibration": storage.with_crc(struct.pack("<fI", 1e4, 1) + record)}
 
 
-def calibrated_node(node_id: int, tpdos: tuple[int, ...] = (TPDO1, TPDO2), operational: bool = True) -> Device:
+def calibrated_node(node_id: int, operational: bool = True) -> Device:
     """A simulated fingertip with a calibration in force and a contact of 1 N, noise on its gauges."""
     source = SimulatedSource(STRAIN_PER_NEWTON, 0.2, seed=node_id)
     source.load = (1.0, 20.0, 10.0)
     device = fingertip_node(node_id, source, 3, node_id, load=_stored(good_record(Random(1))).get, eds=EDS)
     device.step(0)
-    for number in (TPDO1, TPDO2):
-        if number not in tpdos:
-            cob_id = device.od.integer(0x1800 + number - 1, 1) | 0x80000000
-            device.step(1, [(0x600 + node_id, struct.pack("<BHBI", 0x23, 0x1800 + number - 1, 1, cob_id))])
     if operational:
         device.step(2, [(0x000, b"\x01\x00")])
     device.requests.clear()
     return device
 
 
-def judged_node(n: int, judged: bool) -> Device:
-    """A node with ``n`` gauges whose calibration knows all of 2112h to 2116h, or nothing."""
+def judged_node(n: int) -> Device:
+    """A node with ``n`` gauges whose calibration knows all of 2112h to 2116h."""
     points = ("L", "R", "T", "U", "K_V", "S_V", "K_H", "S_H")[:n]
-    known: dict[str, Any] = {
-        "calibrated_force_newtons": 5.0, "overload_force_newtons": 19.0, "temperature_max_degC": 40.0,
-        "model_uncertainty": 0.002, "gain_temperature_per_K": 3e-4, "redundancy_limit": 27.6,
-    }  # fmt: skip
     calibration = Calibration(
-        calibration_matrix(FABRICATED, points), np.zeros(n), 4e-14 * np.eye(n), **(known if judged else {})
-    )
+        calibration_matrix(FABRICATED, points), np.zeros(n), 4e-14 * np.eye(n), calibrated_force_newtons=5.0,
+        overload_force_newtons=19.0, temperature_max_degC=40.0, model_uncertainty=0.002, gain_temperature_per_K=3e-4,
+        redundancy_limit=27.6,
+    )  # fmt: skip
     source = SimulatedSource(strain_matrix(FABRICATED, points).tolist(), 0.2, seed=n)
     source.load = (1.0, 100.0, 90.0)
     device = fingertip_node(5, source, n, 5, load=_stored(calibration.record()).get)
@@ -146,45 +134,16 @@ def _works() -> Iterator[tuple[str, str, Callable[[], int]]]:
     """(operation, aim, its work)."""
     for what, data in (
         ("SDO upload of 1017h, request and answer", struct.pack("<BHB4x", 0x40, 0x1017, 0)),
-        ("SDO download of 1020h:1", struct.pack("<BHBI", 0x23, 0x1020, 1, 7)),
         ("SDO upload of 7130h:7 (a live value)", struct.pack("<BHB4x", 0x40, 0x7130, 7)),
     ):
         yield what, "aim 20", steps([calibrated_node(5)], [(0x605, data)], 5000, 10)
     yield f"segmented upload of 1021h, {len(EDS)} bytes, in all", "", _upload_of_the_eds(False)
     yield "block upload of the same, in all", "", _upload_of_the_eds(True)
-    application: Any = calibrated_node(5).application
-    read, clock = application.source.read, times_us(SYNC_PERIOD_US)  # hardware's work elsewhere
-    what = "one reading of the simulated gauges (part of each SYNC)"
-    yield what, "", lambda: sum(read(next(clock)) is not None for _ in range(5000))
     sync = [(0x80, b"")]
-    for tpdos, what in (((TPDO1, TPDO2), "TPDO1+TPDO2"), ((TPDO2,), "TPDO2 alone")):
-        for nodes in (1, 5, 15):
-            devices = [calibrated_node(k + 1, tpdos) for k in range(nodes)]
-            yield f"SYNC, {nodes} nodes, {what}, per node", "aim 40", steps(devices, sync, 6000 // nodes, 2000)
-    yield "SYNC, 5 gauges, TPDO1+TPDO2, judged", "", steps([judged_node(5, True)], sync, 1000, 2000)
-    what = "the same, a calibration that knows nothing to judge by"
-    yield what, "", steps([judged_node(5, False)], sync, 1000, 2000)
-    yield from _file_works()
-
-
-def _file_works() -> Iterator[tuple[str, str, Callable[[], int]]]:
-    """The same of a device that is made from an EDS of 1000 objects."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "generated.eds"
-        path.write_text(generated_eds())
-        eds = read_eds(path, 5)
-    device = device_of(eds)
-    device.step(0)
-    device.step(2, [(0, b"\x01\0")])
-    yield f"EDS of {len(eds.objects)} objects: its device made", "", lambda: len([device_of(eds)])
-    for what, frame in (
-        ("SDO upload", (0x605, struct.pack("<BHB4x", 0x40, 0x1017, 0))),
-        ("SDO download", (0x605, struct.pack("<BHBH2x", 0x2B, 0x1017, 0, 0))), ("SYNC", (0x80, b"")),
-    ):  # fmt: skip
-        answers, _ = device.step(3, [frame])
-        if len(answers) != (2 if what == "SYNC" else 1):
-            raise AssertionError(f"{what}: {answers}")
-        yield f"EDS of {len(eds.objects)} objects: {what}", "", steps([device], [frame], 3000, 2000)
+    for nodes in (1, 5, 15):
+        devices = [calibrated_node(k + 1) for k in range(nodes)]
+        yield f"SYNC, {nodes} nodes, TPDO1+TPDO2, per node", "aim 40", steps(devices, sync, 6000 // nodes, 2000)
+    yield "SYNC, 5 gauges, TPDO1+TPDO2, judged", "", steps([judged_node(5)], sync, 1000, 2000)
 
 
 def memory_per_node() -> int:

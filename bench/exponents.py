@@ -94,15 +94,10 @@ def row(name: str, sizes: Sequence[int], work: Callable[[int], Callable[[], floa
 
 
 def main() -> None:
-    quick = arguments(__doc__, "--quick").parse_args().quick
+    quick, sizes = arguments(__doc__, "--quick").parse_args().quick, [10**5, 10**6, 10**7]
     with tempfile.TemporaryDirectory() as folder:
         rows = [
-            row(
-                "frames: `decode --summary`",
-                [10**5, 10**6, 10**7][: 2 if quick else 3],
-                partial(frames, Path(folder)),
-                3,
-            ),
+            row("frames: `decode --summary`", sizes[: 2 if quick else 3], partial(frames, Path(folder)), 3),
             row("nodes: 40 SYNCs", [1, 4, 16, 64, 127], nodes, 5),
             row("gauges: 2000 contacts", list(range(3, 9)), gauges, 5),
             row("fingers: 500 live rows", [1, 2, 5, 10, 15], fingers, 5),

@@ -79,9 +79,9 @@ def readings(rng: np.random.Generator, A: FloatArray, kind: str, size: float, ga
     return V
 
 
-def rates(positions: dict[str, GaugePosition], trials: int, seed: int = SEED) -> list[Rate]:
-    """All rates of a layout; the same seed gives the same numbers."""
-    rng = np.random.default_rng(seed)
+def rates(positions: dict[str, GaugePosition], trials: int) -> list[Rate]:
+    """All rates of a layout."""
+    rng = np.random.default_rng(SEED)
     A = position_matrix(FABRICATED, list(positions.values()))
     covariance = SIGMA**2 * np.eye(len(A))
     model = parity(weighted_inverse(A, covariance), covariance)
@@ -128,12 +128,12 @@ def false_alarms(trials: int, seed: int = SEED) -> dict[str, float]:
     return {name: 100.0 * count / (batch * batches) for name, count in alarms.items()}
 
 
-def weights(calibrations: int, seed: int = SEED) -> dict[str, tuple[float, float]]:
+def weights(calibrations: int) -> dict[str, tuple[float, float]]:
     """What it costs to weigh C by one covariance and store another: (false alarms %, RMS error of F without U, N).
 
     Five gauges of equal independent noise, whose covariance each calibration estimates from its residuals.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(SEED)
     A, batch = position_matrix(FABRICATED, list(FIVE.values())), 200
     names = ("variances, full covariance stored", "variances, variances stored", "full covariance, the same stored")
     results: dict[str, list[tuple[float, float]]] = {name: [] for name in names}

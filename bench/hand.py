@@ -70,13 +70,10 @@ class Outcome:
 
     fingers: int
     sync_hz: float
-    sync: str
     seconds: float
     statistics: Statistics
     incomplete: int
     """Rows with at least one finger missing."""
-    skipped: int
-    """SYNCs that their producer left out, because it ran late."""
     latency_us: tuple[float, float, float]
     """SYNC to row in the consumer's hands: p50, p99, largest."""
     host_cpu: float
@@ -86,9 +83,9 @@ class Outcome:
     """Other than those of a start."""
 
 
-def measure(fingers: int, sync_hz: float, seconds: float, sync: str = "process", realtime: bool = False) -> Outcome:
+def measure(fingers: int, sync_hz: float, seconds: float, realtime: bool = False) -> Outcome:
     """Bring up, run, count. Raises RuntimeError when a finger does not come up."""
-    link = LoopbackLink(fingers, sync, realtime)
+    link = LoopbackLink(fingers, realtime)
     plan, names = HandPlan(sync_hz=sync_hz), dict.fromkeys(range(1, fingers + 1), "")
     try:
         with tempfile.TemporaryDirectory() as folder, brought_up(Path(folder), names, plan, link=link) as hand:
@@ -108,12 +105,10 @@ def measure(fingers: int, sync_hz: float, seconds: float, sync: str = "process",
             statistics, events = hand.statistics(), tuple(str(event) for event in hand.events())
     finally:
         link.close()
-    producer = link.producer
-    assert producer is not None
     p50, p99, largest = np.percentile(np.concatenate(latency_ns), (50, 99, 100)) / 1e3
     return Outcome(
-        fingers, sync_hz, sync, elapsed_s, statistics, incomplete, producer.skipped, (p50, p99, largest),
-        cpu_share, link.fingers_cpu_s / elapsed_s, events,
+        fingers, sync_hz, elapsed_s, statistics, incomplete, (p50, p99, largest), cpu_share,
+        link.fingers_cpu_s / elapsed_s, events,
     )  # fmt: skip
 
 
@@ -208,14 +203,14 @@ def running_rows(rows: int, receives: bool = True) -> int:
     return count
 
 
-def row_costs(rounds: int = 15) -> list[list[str]]:
+def row_costs() -> list[list[str]]:
     """Microseconds of processor time a row, and what each way costs of plain struct code's; taken in turns."""
     found = []
     for frames_a_call in (6, 1):
         frames = row_frames(1000)
         calls = [frame_array(frames[at : at + frames_a_call]) for at in range(0, len(frames), frames_a_call)]
         ways = {"plain struct": plain_rows, "tipforce": product_rows}
-        figures = in_turns({name: partial(cpu_us, partial(way, calls)) for name, way in ways.items()}, rounds)
+        figures = in_turns({name: partial(cpu_us, partial(way, calls)) for name, way in ways.items()}, 15)
         plain, ours = (median(us) for us in figures.values())
         found.append([str(frames_a_call), f"{plain:.2f}", f"{ours:.2f}", f"{ours / plain:.2f}"])
     return found
@@ -247,24 +242,13 @@ def row(outcome: Outcome) -> list[str]:
     ]  # fmt: skip
 
 
-def jitter_row(outcome: Outcome) -> list[str]:
-    """A row of the table of SYNCs."""
-    sync = outcome.statistics.sync
-    return [
-        f"{outcome.fingers} at {outcome.sync_hz:g} Hz", outcome.sync, str(sync.periods), str(outcome.skipped),
-        f"{sync.mean_period_us:.2f}", f"{sync.p50_us:g}", f"{sync.p99_us:g}", f"{sync.largest_us:.0f}",
-    ]  # fmt: skip
-
-
 HEADER = ["hand", "seconds", "rows", "values", "delayed", "stale", "missing", "late", "mixed", "doubtful",
           "rows not whole", "dropped", "overrun", "latency p50", "p99", "largest", "CPU host",
           "CPU fingers"]  # fmt: skip
-JITTER_HEADER = ["hand", "sent by a", "periods", "skipped", "mean period", "p50", "p99", "largest"]
 
 
 def main() -> int:
     parser = arguments(__doc__, "--realtime")
-    parser.add_argument("--sync", choices=("process", "thread"), default="process", help="what sends the SYNC")
     parser.add_argument("--rows", action="store_true", help="only what a row costs")
     parser.add_argument("--step", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--step-sent", type=int, help=argparse.SUPPRESS)
@@ -281,12 +265,11 @@ def main() -> int:
         parser.error("--realtime: not permitted here; run it as root, or with `ulimit -r 10` allowed")
     on, outcomes = machine("python-can", "canopen"), []
     for fingers, sync_hz in CASES:
-        outcomes.append(measure(fingers, sync_hz, SECONDS, args.sync, args.realtime))
+        outcomes.append(measure(fingers, sync_hz, SECONDS, args.realtime))
         print(*outcomes[-1].events[:10], sep="\n", flush=True)
     options = " --realtime" if args.realtime else ""
     written = f"Written by `python -m bench.hand{options}` on: {on}."
-    tables = table(HEADER, map(row, outcomes)), table(JITTER_HEADER, map(jitter_row, outcomes))
-    write_page("hand-performance", "\n\n".join([written, *tables]) + "\n")
+    write_page("hand-performance", f"{written}\n\n{table(HEADER, map(row, outcomes))}\n")
     return 0 if not any(outcome.statistics.tally.mixed.any() for outcome in outcomes) else 1
 
 

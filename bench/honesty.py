@@ -250,7 +250,15 @@ def _judge(cell: Cell, calibration: Calibration, sensor: _Sensor, rng: np.random
     P, F = _touches(rng, ROWS, largest)
     warmer = WARM_K if cell.fault.startswith("warm") else 0.0
     gauge = int(rng.integers(calibration.gauges))
-    V = _broken(cell.fault, sensor.read(F, rng, warmer), gauge, rng)
+    V = sensor.read(F, rng, warmer)
+    if cell.fault == "drift":
+        V[:, gauge] += rng.choice([-1.0, 1.0]) * DRIFT_STRAIN * np.arange(len(V))
+    elif cell.fault == "stuck":
+        V[:, gauge] = V[0, gauge]
+    elif cell.fault in ("open", "rail"):
+        V[:, gauge] = CONVERTER_LIMIT * (1.0 if cell.fault == "open" else rng.choice([-1.0, 1.0]))
+    elif cell.fault == "gain":
+        V[:, gauge] *= 1.1
     V = np.clip(V, -CONVERTER_LIMIT, CONVERTER_LIMIT)
     shown = tipforce.estimate(calibration, V * 1e6, temperature_degC=20.0 + warmer)
     ok = says_ok(shown)
@@ -277,22 +285,6 @@ def _tell(cell: Cell, calibration: Calibration, gauge: int, F: FloatArray) -> No
     shown = np.sqrt(visible) * u / np.abs(along @ C[:, gauge])
     for size, name in ((5.0, "passes_5u"), (FACTOR_95, "passes_2u")):
         cell.counts[name] = sum(NormalDist().cdf(SPEAKS**0.5 - size * sigmas) for sigmas in shown.tolist())
-
-
-def _broken(fault: str, V: FloatArray, k: int, rng: np.random.Generator) -> FloatArray:
-    """The readings with gauge k at fault."""
-    broken = V.copy()
-    if fault == "drift":
-        broken[:, k] += rng.choice([-1.0, 1.0]) * DRIFT_STRAIN * np.arange(len(V))
-    elif fault == "stuck":
-        broken[:, k] = V[0, k]
-    elif fault == "open":
-        broken[:, k] = CONVERTER_LIMIT
-    elif fault == "rail":
-        broken[:, k] = rng.choice([-1.0, 1.0]) * CONVERTER_LIMIT
-    elif fault == "gain":
-        broken[:, k] = V[:, k] * 1.1
-    return broken
 
 
 _REQUEST = FitRequest(saturation=CONVERTER_LIMIT * 1e6, sense="push", date=datetime.date(2025, 12, 31))
@@ -343,17 +335,6 @@ def row_of(cell: Cell) -> list[str]:
     ]  # fmt: skip
 
 
-def faults(calibrations: int, jobs: int) -> list[Cell]:
-    """Every fault on one rig for 3 to 8 gauges."""
-    return [cell for n in range(3, 9) for cell in cells(n, Rig(), AFTER + IN_CALIBRATION, calibrations, jobs)]
-
-
-def grid(calibrations: int, jobs: int) -> list[Cell]:
-    """The grid of rigs, grooves off by 0.5 degree, for 3 and 5 gauges."""
-    rigs = [Rig(grooves, weights, repeats, GROOVE_ERROR_RAD) for grooves, weights, repeats in GRID]
-    return [cell for n in (3, 5) for rig in rigs for cell in cells(n, rig, ("clean",), calibrations, jobs)]
-
-
 def alarms(calibrations: int, jobs: int) -> list[list[str]]:
     """False alarms of good samples, a row for each number of gauges."""
     samples, rows = calibrations * ALARM_ROWS, []
@@ -381,16 +362,21 @@ def main() -> int:
     parser.add_argument("--calibrations", type=int, default=FULL, metavar="N")
     parser.add_argument("--part", choices=PARTS, help="one table only")
     args = parser.parse_args()
-    out = 0
+    out, jobs = 0, os.cpu_count() or 1
+    every = [(n, Rig(), AFTER + IN_CALIBRATION) for n in range(3, 9)]
+    rigs = [(n, Rig(*loads, GROOVE_ERROR_RAD), ("clean",)) for n in (3, 5) for loads in GRID]
     for part in (args.part,) if args.part else PARTS:
         calibrations = max(1, args.calibrations // 10) if part == "drift" else args.calibrations
         if part in ("faults", "grid"):
-            cells_of_part = (faults if part == "faults" else grid)(calibrations, os.cpu_count() or 1)
+            cases = every if part == "faults" else rigs
+            cells_of_part = [
+                cell for gauges, rig, faults in cases for cell in cells(gauges, rig, faults, calibrations, jobs)
+            ]
             rows = [row_of(cell) for cell in cells_of_part]
             for reason in sorted({reason for cell in cells_of_part for reason in cell.refused}):
                 print(f"refused: {reason}...")
         else:
-            rows = (alarms if part == "alarms" else drifts)(calibrations, os.cpu_count() or 1)
+            rows = (alarms if part == "alarms" else drifts)(calibrations, jobs)
         bad = sum(row[-1].startswith("out") for row in rows)
         print(table(HEADERS[part], rows))
         print(f"\n{calibrations} calibrations, seeds 0 to {calibrations - 1}: {bad} of {len(rows)} out of bounds\n")

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import socket
 import statistics
-import sys
 import tempfile
 import threading
 import time
@@ -163,25 +162,17 @@ def compute(stop: threading.Event) -> None:
             total += number * number
 
 
-def run_load(rate_hz: int, seconds: float, *, busy: bool = False, switch_s: float | None = None) -> Load:
-    """Receive and decode everything that a process sends at ``rate_hz`` for ``seconds``.
-
-    ``switch_s``: another switch interval than that of a receiver.
-    """
-    receiver_socket, decoder, before_s = bound_receiver(), Decoder(node_ids=range(1, 6)), sys.getswitchinterval()
+def run_load(rate_hz: int, seconds: float, *, busy: bool = False) -> Load:
+    """Receive and decode everything that a process sends at ``rate_hz`` for ``seconds``."""
+    receiver_socket, decoder = bound_receiver(), Decoder(node_ids=range(1, 6))
     with SocketReceiver(receiver_socket, "loopback") as receiver:
-        if switch_s is not None:
-            sys.setswitchinterval(switch_s)
 
         def take(timeout_s: float) -> tuple[Any, Any]:
             frames = receiver.receive(timeout_s)
             decoder.decode(frames)
             return running_numbers(frames), frames["t_ns"]
 
-        try:
-            return _run(take, receiver_socket, rate_hz, seconds, busy, lambda: receiver.dropped)
-        finally:
-            sys.setswitchinterval(before_s)
+        return _run(take, receiver_socket, rate_hz, seconds, busy, lambda: receiver.dropped)
 
 
 def run_struct(rate_hz: int, seconds: float, *, busy: bool = False) -> Load:
@@ -267,7 +258,6 @@ def main() -> None:
         for name, run in (
             ("alone", ours),
             ("one busy Python thread", partial(ours, busy=True)),
-            ("the same, switch interval 5 ms", partial(ours, busy=True, switch_s=0.005)),
             ("python-can with struct, alone", by_hand),
             ("python-can with struct, one busy Python thread", partial(by_hand, busy=True)),
         ):

@@ -197,13 +197,12 @@ def run_fingers(count: int, receiver: Address, services: Address, realtime: bool
 def run_sync(
     period_s: float, data: Sequence[bytes], receiver: Address, fingers: Address, realtime: bool, pipe: Pipe
 ) -> None:
-    """A process: the SYNC, until the pipe says stop; then how many were left out."""
+    """A process: the SYNC, until the pipe is closed."""
     _hurry(realtime)
     with udp_socket() as sender:
         producer = ThreadSync(partial(_send_sync, sender, (receiver, fingers)), period_s, data)
-        pipe.recv()
+        pipe.poll(None)
         producer.stop()
-        pipe.send(producer.skipped)
 
 
 def _send_sync(sender: socket.socket, addresses: tuple[Address, Address], number: bytes) -> None:
@@ -238,29 +237,11 @@ def _child(work: Callable[..., None], *args: Any) -> tuple[SpawnProcess, Pipe]:
     return process, ours
 
 
-class ChildSync:
-    """SYNCs from a process of their own."""
-
-    skipped = 0
-
-    def __init__(self, *args: Any) -> None:
-        self._process, self._pipe = _child(run_sync, *args)
-
-    def stop(self) -> None:
-        """See ThreadSync."""
-        if not self._pipe.closed:
-            self._pipe.send(None)
-            self.skipped = self._pipe.recv() if self._pipe.poll(10.0) else 0
-            self._pipe.close()
-            _end(self._process, 10.0)
-
-
 class LoopbackLink(Link):
-    """A link with ``count`` fingers at its other end; ``sync`` is "process" or "thread"."""
+    """A link with ``count`` fingers at its other end, and SYNCs from a process of their own."""
 
-    def __init__(self, count: int, sync: str = "process", realtime: bool = False) -> None:
-        self._sender, self._realtime = sync, realtime
-        self._sync_socket = udp_socket()
+    def __init__(self, count: int, realtime: bool = False) -> None:
+        self._realtime = realtime
         receiver, services = bound_receiver(), bound_receiver()
         self._receiver_address = receiver.getsockname()
         addresses = self._receiver_address, services.getsockname()
@@ -275,7 +256,6 @@ class LoopbackLink(Link):
         bus._periodic_tasks, bus._bcm_sockets = [], {}
         self.connection = Bus(bus)
         self.connection.buffer.limit = KEPT_FRAMES
-        self.producer: ThreadSync | ChildSync | None = None
         self.fingers_cpu_s = 0.0
 
     def receive(self, timeout_s: float) -> FrameArray:
@@ -283,11 +263,14 @@ class LoopbackLink(Link):
 
     def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
         addresses = self._receiver_address, self._fingers_address
-        if self._sender == "thread":
-            self.producer = ThreadSync(partial(_send_sync, self._sync_socket, addresses), period_s, data)
-        else:
-            self.producer = ChildSync(period_s, data, *addresses, self._realtime)
-        return self.producer.stop
+        process, pipe = _child(run_sync, period_s, data, *addresses, self._realtime)
+
+        def stop() -> None:
+            if not pipe.closed:
+                pipe.close()
+                _end(process, 10.0)
+
+        return stop
 
     @property
     def dropped(self) -> int:
@@ -299,4 +282,3 @@ class LoopbackLink(Link):
         _end(self._fingers, 0.0)
         self.connection.close()
         self._receiver.close()
-        self._sync_socket.close()

@@ -1,8 +1,8 @@
 """`tipforce ros2` at full rate: wrenches that rosless receives in another process, beside `decode` of the same frames.
 
     python -m bench.ros2                          five fingers at 500 Hz for 60 s
-    python -m bench.ros2 --picture docs/figures/ros2-received.svg
-                                                  draws what the reader receives of the shipped scene of a grasp
+    python -m bench.ros2 --figures docs/figures    draws what the reader receives of the shipped scene of a grasp, and
+                                                  a scene update of its MCAP file
 
 All runs in a network namespace with only a loopback interface. Fingers, SYNC, host (a Hand and the bridge of the
 command) and reader are processes of their own; loopback.py is the bus. A row waits 200 ms for a late finger, so that a
@@ -29,6 +29,7 @@ from bench.decode import write_log
 from bench.hand import CALIBRATION, brought_up
 from bench.loopback import LoopbackLink
 from bench.measure import Meter, arguments, new_svg_figure
+from mcap.reader import make_reader
 
 from canopen_device.core.codes import SYNC_COB_ID
 from tipforce.host.frames.frame_array import FrameArray
@@ -184,8 +185,9 @@ def compare(expected: dict[int, Rows], folder: Path) -> dict[str, Any]:
     return {"decoded": total, "received": arrived, "share": share, "extra": extra, "largest_difference": largest}
 
 
-def draw(output: Path) -> None:
-    """Publish the log of the scene `grasp` with `tipforce ros2`, and draw what the reader receives of it."""
+def draw(figures: Path) -> None:
+    """Publish the log of the scene `grasp` with `tipforce ros2`, and draw what the reader receives of it; and draw the
+    scene update with the largest force in its MCAP file, by the fields of foxglove.SceneUpdate alone."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         log = folder / "grasp.log"
@@ -195,6 +197,10 @@ def draw(output: Path) -> None:
         assert tipforce(["ros2", str(log), "--speed", "0.04", "-q"]) == 0
         reader.communicate(b"\n", timeout=60)
         read_rows = {n: np.load(folder / f"read{n}.npy") for n in range(1, FINGERS + 1)}
+        assert tipforce(["decode", "-q", str(log), "-o", str(log.with_suffix(".mcap"))]) == 0
+        with log.with_suffix(".mcap").open("rb") as stream:
+            messages = make_reader(stream).iter_messages(topics=["/tipforce/scene"])
+            scenes = [json.loads(message.data)["entities"] for _, _, message in messages]
     figure, axes = new_svg_figure(9, 3.2)
     for n, rows in read_rows.items():
         axes.plot((rows["t_ns"] % 10**11) / 1e9, np.hypot(rows["x"], rows["y"]), label=f"/tipforce/finger_{n}/wrench")
@@ -202,14 +208,40 @@ def draw(output: Path) -> None:
     axes.set_xlim(left=min(float(rows["t_ns"][0] % 10**11) / 1e9 for rows in read_rows.values()) - 0.1)
     axes.legend(frameon=False, fontsize=8)
     axes.spines[["top", "right"]].set_visible(False)
-    save_figure(figure, output)
+    save_figure(figure, figures / "ros2-received.svg")
+    scene = max(scenes, key=lambda entities: sum(a["shaft_length"] for entity in entities for a in entity["arrows"]))
+    figure, axes = new_svg_figure(9, 2.6)
+    for entity in scene:
+        for line in entity["lines"]:
+            at, points = line["pose"]["position"], line["points"]
+            axes.plot([at["x"] + p["x"] for p in points], [at["y"] + p["y"] for p in points], color=_rgb(line), lw=2)
+        for arrow in entity["arrows"]:
+            at, turn = arrow["pose"]["position"], arrow["pose"]["orientation"]
+            length = arrow["shaft_length"] + arrow["head_length"]
+            c, s = turn["w"] ** 2 - turn["z"] ** 2, 2.0 * turn["w"] * turn["z"]
+            axes.annotate(
+                "", (at["x"] + length * c, at["y"] + length * s), (at["x"], at["y"]),
+                arrowprops={"color": _rgb(arrow), "width": 1.5, "headwidth": 7, "headlength": 8},
+            )  # fmt: skip
+        for text in entity["texts"]:
+            at = text["pose"]["position"]
+            axes.text(at["x"], at["y"], text["text"], ha="center", va="top", fontsize=9, color=_rgb(text))
+    axes.set_aspect("equal")
+    axes.axis("off")
+    axes.margins(0.05, 0.25)
+    save_figure(figure, figures / "foxglove-scene.svg")
+
+
+def _rgb(thing: dict[str, Any]) -> tuple[float, float, float]:
+    color = thing["color"]
+    return color["r"], color["g"], color["b"]
 
 
 def main() -> int:
     parser = arguments(__doc__)
     parser.add_argument("--read", type=Path, metavar="FOLDER", help=argparse.SUPPRESS)
     parser.add_argument("--prefix", default="f", help=argparse.SUPPRESS)
-    parser.add_argument("--picture", type=Path, metavar="FILE.svg")
+    parser.add_argument("--figures", type=Path, metavar="DIR")
     args = parser.parse_args()
     if args.read:
         read(args.read, args.prefix)
@@ -218,8 +250,8 @@ def main() -> int:
         again = ["unshare", "-rn", "sh", "-c", _NAMESPACE, "sh", sys.executable, "-m", "bench.ros2"]
         done = subprocess.run([*again, *sys.argv[1:]], env={**os.environ, _INSIDE: "1"}, check=False)
         return done.returncode
-    if args.picture:
-        draw(args.picture)
+    if args.figures:
+        draw(args.figures)
         return 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

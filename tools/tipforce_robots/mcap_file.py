@@ -153,8 +153,10 @@ class McapWriter:
             for key, of in samples.items():
                 if place[key][number] >= 0:
                     self._newest[key] = of, int(place[key][number])
-            shown = {self._tips[key][0]: _shown(t_ns, *newest) for key, newest in self._newest.items()}
-            entities = [_entity(t_ns, number, name, *tip) for number, (name, tip) in enumerate(shown.items())]
+            entities = [
+                _entity(t_ns, number, self._tips[key][0], *_shown(t_ns, *newest))
+                for number, (key, newest) in enumerate(self._newest.items())
+            ]
             self._add(self._scene, t_ns, msgspec.json.encode({"entities": entities}))
             self._picture_ns = t_ns + _PICTURE_NS
         self._newest.update({key: (of, -1) for key, of in samples.items()})
@@ -215,7 +217,11 @@ _HERE = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 def _entity(t_ns: int, number: int, name: str, contact: tuple[float, float, float], status: int) -> dict[str, Any]:
     x_m = number * _SPACING_M
     time = cdr.stamp(t_ns)
-    known = all(map(math.isfinite, contact))
+    known, text = all(map(math.isfinite, contact)), f"{contact[0]:.2f} N"
+    if math.isnan(contact[0]):
+        text = reasons.why(status, force_known=False, angles_known=False)
+    elif not known:
+        text = f"{text}, {reasons.why_no_angle(status) or 'no angle'}"
     return {
         "timestamp": {"sec": time["sec"], "nsec": time["nanosec"]}, "frame_id": "tipforce", "id": name,
         "lifetime": {"sec": 0, "nsec": 0}, "frame_locked": False,
@@ -226,7 +232,7 @@ def _entity(t_ns: int, number: int, name: str, contact: tuple[float, float, floa
         "arrows": [_arrow(x_m, contact)] if known and contact[0] > 0.0 else [],
         "texts": [{
             "pose": _pose(x_m, -FABRICATED.d_m - 0.008), "billboard": True, "font_size": 0.005,
-            "scale_invariant": False, "color": _GREY, "text": f"{name}: {_said(contact, status)}",
+            "scale_invariant": False, "color": _GREY, "text": f"{name}: {text}",
         }],
     }  # fmt: skip
 
@@ -239,13 +245,6 @@ def _schema(example: Any) -> dict[str, Any]:
         return {"type": "array", "items": _schema(example[0])}
     names = {bool: "boolean", int: "integer", float: "number", str: "string"}
     return {"type": names[type(example)]}
-
-
-def _said(contact: tuple[float, float, float], status: int) -> str:
-    if math.isnan(contact[0]):
-        return reasons.why(status, force_known=False, angles_known=False)
-    text = f"{contact[0]:.2f} N"
-    return text if all(map(math.isfinite, contact)) else f"{text}, {reasons.why_no_angle(status) or 'no angle'}"
 
 
 def _arrow(x_m: float, contact: tuple[float, float, float]) -> dict[str, Any]:

@@ -5,12 +5,8 @@ from __future__ import annotations
 import argparse
 import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tipforce_tools.cli import common
-
-if TYPE_CHECKING:
-    from tipforce_lab.report.run import Run
 
 EPILOG = """\
 Error against run time compares methods for one task with a reference of stated error. A time is the median of several
@@ -35,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run and print; return 1 if a claim did not hold. Raises EnvironmentLackError for -o without matplotlib."""
+    from tipforce_lab.report import text
     from tipforce_lab.report.run import Run, selected
     from tipforce_lab.report.study import Effort
 
@@ -44,14 +41,24 @@ def run(args: argparse.Namespace) -> int:
     effort = Effort(args.quick) if args.seed is None else Effort(args.quick, args.seed)
     if args.output is not None:  # before minutes of work: matplotlib and the folder of the page
         from tipforce.output_file import make_folder
-        from tipforce_lab.report.page import write
-        from tipforce_lab.report.plots import plotting
+        from tipforce_lab.report.page import plotting, write
 
         with plotting():
             make_folder(args.output)
     date = args.date or datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
     job = Run(selected(args.only), effort, date)
-    _carry_out(job)
+    if common.OUTPUT.json:
+        common.print_json(text.head_record(job.report))
+    # The bar is drawn in a thread: two updates a second do not disturb the timings.
+    with common.progress("report", job.steps, refresh_hz=2.0) as advance:
+        for item in job.items(advance):
+            if common.OUTPUT.json:
+                common.print_json(text.record(item))
+    if common.OUTPUT.json:
+        common.print_json({"record": "verdict", **text.conclusions(job.report)})
+        common.note(text.summary(job.report))
+    else:
+        text.print_report(common.console(), job.report)
     if args.output is not None:
         page, *others = write(job.report, args.output, common.json_line)
         common.note(f"written: {page}, and {len(others)} more files")
@@ -70,20 +77,3 @@ def _print_list() -> None:
             common.print_json({"key": key, "kind": kind, "what": what})
         else:
             print(f"{key:36} {kind:8} {what}")
-
-
-def _carry_out(job: Run) -> None:
-    from tipforce_lab.report import text
-
-    if common.OUTPUT.json:
-        common.print_json(text.head_record(job.report))
-    # The bar is drawn in a thread: two updates a second do not disturb the timings.
-    with common.progress("report", job.steps, refresh_hz=2.0) as advance:
-        for item in job.items(advance):
-            if common.OUTPUT.json:
-                common.print_json(text.record(item))
-    if common.OUTPUT.json:
-        common.print_json({"record": "verdict", **text.conclusions(job.report)})
-        common.note(text.summary(job.report))
-    else:
-        text.print_report(common.console(), job.report)

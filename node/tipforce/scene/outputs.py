@@ -88,19 +88,12 @@ class Recording:
             raise
         finally:
             if self._log is not None:
-                self._close(self._log, complete)
-
-    def _close(self, log: NewFile, complete: bool) -> None:
-        """Give the complete file its name; remove an incomplete one."""
-        try:
-            self._file.close()
-        except OSError as error:
-            log.drop()
-            raise log.failed(error) from error
-        if complete:
-            log.keep()
-        else:
-            log.drop()
+                try:
+                    self._file.close()
+                except OSError as error:
+                    self._log.drop()
+                    raise self._log.failed(error) from error
+                self._log.keep() if complete else self._log.drop()
 
 
 def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> None:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from functools import partial
 from typing import Any
 
@@ -132,7 +132,9 @@ def run_on_bus(
     too. Frames of other nodes on that bus are recorded. SYNCs that are late because the machine is busy stay late: the
     times in the recording show it.
     """
-    options = _bus_options(scene.bus)
+    # Without a bus python-can's inside one process; a unique name keeps two runs in one process apart.
+    bus = scene.bus or schema.Bus(interface="virtual", channel=f"tipforce-run-{time.monotonic_ns()}")
+    options = {"interface": bus.interface, "channel": bus.channel, "bitrate": bus.bitrate}
     with ExitStack() as opened:
         host = opened.enter_context(open_bus(**options))
         port = _NodesPort(_port(options, opened))
@@ -141,7 +143,9 @@ def run_on_bus(
         opened.callback(master.record, recording)  # after the reception; also after an error or Ctrl-C
         notifier = can.Notifier(host, [heard], timeout=0.05)
         opened.callback(notifier.stop)
-        with _running(fingers, port):
+        for finger in fingers:
+            port.send(finger.boot(loop.now_us()))
+        with loop.running([finger.device for finger in fingers], port):
             master.epoch_ns, start_s = time.time_ns(), time.monotonic()
             recording.start_ns = master.epoch_ns
             clock_us = loop.now_us()
@@ -157,13 +161,6 @@ def run_on_bus(
     master.check()
 
 
-def _bus_options(bus: schema.Bus | None) -> dict[str, Any]:
-    if bus is None:
-        # python-can's bus inside one process; a unique name keeps two runs in one process apart.
-        return {"interface": "virtual", "channel": f"tipforce-run-{time.monotonic_ns()}"}
-    return {"interface": bus.interface, "channel": bus.channel, "bitrate": bus.bitrate}
-
-
 def _port(options: dict[str, Any], opened: ExitStack) -> loop.Port:
     """Return the nodes' own connection: the kernel's sockets for SocketCAN, python-can for every other interface."""
     if sys.platform == "linux" and options["interface"] == "socketcan" and options["channel"]:
@@ -176,29 +173,18 @@ def _port(options: dict[str, Any], opened: ExitStack) -> loop.Port:
     return PythonCanPort(opened.enter_context(open_bus(**options)))
 
 
-@contextmanager
-def _running(fingers: Sequence[Finger], port: loop.Port) -> Iterator[None]:
-    """Run the booted nodes in a separate thread."""
-    for finger in fingers:
-        port.send(finger.boot(loop.now_us()))
-    with loop.running([finger.device for finger in fingers], port):
-        yield
-
-
 def _acts(
     scene: schema.Scene, fingers: Sequence[Finger], duration_s: float, say: Callable[[int, bytes], None]
 ) -> list[tuple[int, Callable[[], None]]]:
     """Return (t_us, action) in order; a fault precedes the SYNC of the same time."""
-    acts: list[tuple[int, Callable[[], None]]] = []
-    for at_us, finger, fault, gauge, magnitude in fault_events(scene, fingers):
-        if at_us <= 1e6 * duration_s:
-            acts.append((at_us, partial(_inject, finger, fault, gauge, magnitude)))
+
+    def inject(finger: Finger, fault: int, gauge: int, magnitude: float) -> None:
+        finger.source.set_fault(fault, gauge, magnitude, loop.now_us())
+
+    events = [event for event in fault_events(scene, fingers) if event[0] <= 1e6 * duration_s]
+    acts = [(event[0], partial(inject, *event[1:])) for event in events]
     acts += [(t_us, partial(say, SYNC_COB_ID, b"")) for t_us in sync_times(scene, duration_s)]
     return sorted(acts, key=lambda act: act[0])
-
-
-def _inject(finger: Finger, fault: int, gauge: int, magnitude: float) -> None:
-    finger.source.set_fault(fault, gauge, magnitude, loop.now_us())
 
 
 def _wait_until(monotonic_s: float) -> None:

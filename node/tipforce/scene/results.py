@@ -19,7 +19,7 @@ from tipforce.scene.loads import UNLOADED, LoadHistory
 from tipforce.scene.registry import PDO_NAMES
 
 if TYPE_CHECKING:
-    from tipforce.host.decoding.decoder import Decoder, Samples
+    from tipforce.host.decoding.decoder import Samples
     from tipforce.host.frames.frame_array import FrameArray
 
 Emcy = Sequence[tuple[float, str]]  # (t_s, error code)
@@ -54,6 +54,13 @@ class Contact:
         error[self.applied[:, 0] == 0.0, 1:] = np.nan
         return error
 
+    def between(self, from_s: float, until_s: float) -> Contact:
+        """Return the samples of these times, both included."""
+        rows = (self.t_s >= from_s) & (self.t_s <= until_s)
+        flags = {name: column[rows] for name, column in self.flags.items()}
+        closed = None if self.slit_closed is None else self.slit_closed[rows]
+        return Contact(self.t_s[rows], self.estimated[rows], self.applied[rows], flags, closed)
+
 
 @dataclass(frozen=True, slots=True)
 class FingerResult:
@@ -80,25 +87,18 @@ class FingerResult:
     """Error codes as "5010", in the order of their first appearance."""
 
 
-def decoder_of(fingers: Sequence[Finger]) -> dict[int, Decoder]:
-    """Return the shared decoder for each number of gauges, with the mappings that are not the default ones."""
+def decode(fingers: Sequence[Finger], frames: FrameArray) -> dict[tuple[int, str], Samples]:
+    """Return the decoded values by (node-id, message name): a decoder for each number of gauges."""
     from tipforce.host.decoding.decoder import Decoder
 
-    decoders: dict[int, Decoder] = {}
+    messages: dict[tuple[int, str], Samples] = {}
     for gauges in sorted({finger.gauges for finger in fingers}):
         of_kind = [finger for finger in fingers if finger.gauges == gauges]
-        decoder = decoders[gauges] = Decoder(gauges, [finger.node_id for finger in of_kind])
+        decoder = Decoder(gauges, [finger.node_id for finger in of_kind])
         for finger in of_kind:
             for pdo in finger.pdos:
                 if pdo.remapped:
                     decoder.remap(finger.node_id, pdo.name, pdo.can_id, pdo.mapping)
-    return decoders
-
-
-def decode(fingers: Sequence[Finger], frames: FrameArray) -> dict[tuple[int, str], Samples]:
-    """Return the decoded values by (node-id, message name)."""
-    messages: dict[tuple[int, str], Samples] = {}
-    for decoder in decoder_of(fingers).values():
         messages |= decoder.decode(frames)
     return messages
 
@@ -142,18 +142,13 @@ def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: lis
     columns = [error[np.isfinite(error[:, k]), k] for k in range(3)]
     P_newtons, *angles = contact.applied[-1].tolist()
     return FingerResult(
-        finger.node_id,
-        syncs,
-        len(contact.t_s),
-        _triple(np.isfinite(contact.estimated).sum(axis=0).tolist()),
+        finger.node_id, syncs, len(contact.t_s), _triple(np.isfinite(contact.estimated).sum(axis=0).tolist()),
         _triple([P_newtons, *(angles if P_newtons else (float("nan"),) * 2)]),
         _triple(contact.estimated[-1].tolist()),
         _triple([float(np.sqrt(np.mean(c * c))) if len(c) else float("nan") for c in columns]),
         _triple([float(np.max(np.abs(c))) if len(c) else float("nan") for c in columns]),
-        None if contact.slit_closed is None else int(contact.slit_closed.sum()),
-        _missing(contact, syncs),
-        counts,
-    )
+        None if contact.slit_closed is None else int(contact.slit_closed.sum()), _missing(contact, syncs), counts,
+    )  # fmt: skip
 
 
 def _missing(contact: Contact, syncs: int) -> dict[str, int]:
@@ -223,18 +218,11 @@ def judge(
         for node_id in expect.nodes or scene.node_ids:
             total = sum(expect.from_s <= t <= until for t in syncs)
             contact = contacts.get(node_id)
-            inside = None if contact is None else _cut(contact, expect.from_s, until)
+            inside = None if contact is None else contact.between(expect.from_s, until)
             emcy = [code for t, code in emcys.get(node_id, ()) if expect.from_s <= t <= until]
             for name, measured, ok in _checks(expect, inside, total, emcy):
                 checks.append(Check(node_id, when + name, measured, ok if needs_s <= duration_s else None))
     return checks
-
-
-def _cut(contact: Contact, from_s: float, until_s: float) -> Contact:
-    rows = (contact.t_s >= from_s) & (contact.t_s <= until_s)
-    flags = {name: column[rows] for name, column in contact.flags.items()}
-    closed = None if contact.slit_closed is None else contact.slit_closed[rows]
-    return Contact(contact.t_s[rows], contact.estimated[rows], contact.applied[rows], flags, closed)
 
 
 def _checks(

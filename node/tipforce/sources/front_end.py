@@ -232,26 +232,21 @@ class FrontEnd:
             self.parts.append(bridge)
         if gain_drift_ppm is not None:
             self.parts.append(GainDrift(self._needed("gain_drift_ppm"), gain_drift_ppm))
-        self._add_noise(white_noise, one_over_f, seed)
+        if white_noise is None and one_over_f is None:
+            return
+        import random  # imported only if there is noise
+
+        chance = random.Random(seed)
+        if white_noise is not None:
+            self.parts.append(WhiteNoise(white_noise, chance))
+        if one_over_f is not None:
+            given = (one_over_f,) if isinstance(one_over_f, (int, float)) else one_over_f
+            self.parts.append(OneOverFNoise(given[0], chance, *given[1:]))
 
     def _needed(self, name: str) -> Temperature:
         if self.temperature is None:
             raise ValueError("%s: needs temperature" % name)
         return self.temperature
-
-    def _add_noise(
-        self, white: "float | None", one_over_f: "float | tuple[float, float, float] | None", seed: int
-    ) -> None:
-        if white is None and one_over_f is None:
-            return
-        import random  # imported only if there is noise
-
-        chance = random.Random(seed)
-        if white is not None:
-            self.parts.append(WhiteNoise(white, chance))
-        if one_over_f is not None:
-            given = (one_over_f,) if isinstance(one_over_f, (int, float)) else one_over_f
-            self.parts.append(OneOverFNoise(given[0], chance, *given[1:]))
 
     def counts(self, microstrains: "list[float]", now_us: int) -> "list[int]":
         """Return the counts of one conversion. Changes ``microstrains``, one per gauge."""

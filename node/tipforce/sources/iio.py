@@ -219,7 +219,13 @@ class RemoteDevice:
             raise FileNotFoundError(2, str(error)) from None
 
     def _connect(self) -> None:
-        context = _library().Context(self._uri)
+        try:
+            import iio
+        except (ImportError, OSError) as error:  # the binding raises OSError without the C library
+            raise EnvironmentLackError(
+                "iio:ip:...: needs pylibiio and libiio: `pip install 'tipforce[iio]'` and `apt-get install libiio0`"
+            ) from error
+        context = iio.Context(self._uri)
         context.set_timeout(TIMEOUT_MS)
         device = context.find_device(self._device)
         if device is None:
@@ -262,13 +268,3 @@ class RemoteDevice:
     def close(self) -> None:
         """Close the connection."""
         self._open, self._temperature = [], None
-
-
-def _library() -> Any:
-    try:
-        import iio
-    except (ImportError, OSError) as error:  # the binding raises OSError without the C library
-        raise EnvironmentLackError(
-            "iio:ip:...: needs pylibiio and libiio: `pip install 'tipforce[iio]'` and `apt-get install libiio0`"
-        ) from error
-    return iio

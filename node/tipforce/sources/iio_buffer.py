@@ -133,22 +133,18 @@ class BufferedDevice(PolledDevice):
         """
         if not self.path.is_dir():
             raise FileNotFoundError(2, "No such device")
-        self._fetch()
-        newest = None
-        while self._scans and (not self._monotonic or self._scans[0][0] <= now_us):
-            newest = self._scans.popleft()[1]
-        return newest
-
-    def _fetch(self) -> None:
-        """Read the kernel's data. An incomplete scan waits for the rest."""
         size = self._layout.size
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._fd, size * 64):
                 data = self._rest + data
                 whole = len(data) - len(data) % size
-                self._rest = data[whole:]
+                self._rest = data[whole:]  # an incomplete scan waits for the rest
                 for at in range(0, whole, size):
                     self._take(data[at : at + size])
+        newest = None
+        while self._scans and (not self._monotonic or self._scans[0][0] <= now_us):
+            newest = self._scans.popleft()[1]
+        return newest
 
     def _take(self, scan: bytes) -> None:
         stamp_us = 0

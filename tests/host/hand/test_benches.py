@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
-from bench.hand import HEADER, JITTER_HEADER, jitter_row, measure, row
+from bench.hand import HEADER, measure, row
 from bench.soak import Soak, stored_fingers
 
 
-@pytest.mark.parametrize("sync", ["process", "thread"])
-def test_rows_over_loopback_sockets(sync: str) -> None:
-    found = measure(3, 50.0, 1.5, sync)
+def test_rows_over_loopback_sockets() -> None:
+    found = measure(3, 50.0, 1.5)
     tally = found.statistics.tally
     assert tally.rows > 10
     assert tally.mixed.sum() == 0
@@ -19,7 +17,6 @@ def test_rows_over_loopback_sockets(sync: str) -> None:
     assert 0.0 < found.latency_us[0] <= found.latency_us[1] <= found.latency_us[2]
     assert found.fingers_cpu > 0.0
     assert len(row(found)) == len(HEADER)
-    assert len(jitter_row(found)) == len(JITTER_HEADER)
 
 
 def test_trouble_breaks_nothing() -> None:

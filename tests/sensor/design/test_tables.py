@@ -192,7 +192,7 @@ def test_refuses() -> None:
 
 
 @pytest.mark.parametrize("case", ["I", "II", "III"])
-@pytest.mark.parametrize("loads", [LOADS, LoadSet(1.0, 30.0, 100.0, 0.9), LoadSet(20.0, 0.0, 180.0, 0.0)])
+@pytest.mark.parametrize("loads", [LOADS, LoadSet(1.0), LoadSet(20.0)])
 def test_uncertainties_are_those_of_the_contact(case: str, loads: LoadSet) -> None:
     A = strain_matrix(FABRICATED, case)
     C = np.linalg.pinv(A)
@@ -233,14 +233,10 @@ def test_worst_stress_and_strain_over_all_angles() -> None:
     assert worst_stress(FABRICATED, 4.4) == pytest.approx(187.0e6, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [{"load_newtons": 0.0}, {"load_newtons": math.nan}, {"theta_min_deg": 10.0, "theta_max_deg": 0.0},
-     {"theta_max_deg": math.nan}, {"friction": -0.1}, {"friction": math.inf}],
-)  # fmt: skip
-def test_loads_that_are_wrong(change: dict[str, float]) -> None:
+@pytest.mark.parametrize("load_newtons", [0.0, math.nan])
+def test_loads_that_are_wrong(load_newtons: float) -> None:
     with pytest.raises(InputError, match="allowed is"):
-        LoadSet(**change)
+        LoadSet(load_newtons)
 
 
 def test_matrices_and_noise_that_are_wrong() -> None:

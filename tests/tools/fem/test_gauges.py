@@ -7,8 +7,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 import pytest
-from bench import fem_studies as studies
-from bench.fem import main
+from bench import fem as studies
 
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauges import GaugePosition
@@ -215,7 +214,7 @@ def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mon
     monkeypatch.setattr(studies, "GRADINGS", (GRADING,))
     monkeypatch.setattr(studies, "outline_variants", lambda _: {})
     monkeypatch.setattr(studies, "matches", lambda *_: [])
-    main(["--quick"])
+    studies.main(["--quick"])
     out = capsys.readouterr().out
     assert "case II: 2.80" in out
     assert "| opening | " in out

@@ -114,7 +114,7 @@ def test_a_wrong_row_without_a_reason_is_in_the_verdict() -> None:
     assert not report.sound()
     assert "in 1 at least one shows more, without a known reason in drift, <3>." in verdict(report)[0]
     assert report.grids[0].rows[0].held is False
-    assert '<td data-name="two" class="broken">80 % ok, 7 wrong</td>' in page._grid(report.grids[0])
+    assert '<td data-name="two" class="broken">80 % ok, 7 wrong</td>' in page.html(report)
 
 
 def test_tables_fold_unless_a_claim_does_not_hold(parsed: Elements, report: Report) -> None:

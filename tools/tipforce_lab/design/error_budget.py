@@ -192,7 +192,7 @@ def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dic
         left_out = dict.fromkeys(missing, "the positions of the gauges are unknown")
     else:
         if not sensor.calibrated:
-            slopes = _position_slopes(sensor.geometry, sensor.positions)
+            slopes = np.array([_slope(sensor.geometry, place) for place in sensor.positions])
             errors_by_cause["gauge position"] = causes.gauge_shift_m * (F @ slopes.T).T[:, :, np.newaxis] * per_gauge
         off_axis = _off_axis_strains(sensor.geometry, sensor.positions, loads.theta_rad, causes)
         errors_by_cause["off-axis load"] = np.concatenate(
@@ -242,15 +242,12 @@ def _along_y(loads: Loads) -> BoolArray:
     return along_y
 
 
-def _position_slopes(geometry: Geometry, positions: tuple[GaugePosition, ...]) -> FloatArray:
-    """Return strain per newton and metre of shift along the beam, (n, 3)."""
-    slopes = []
-    for place in positions:
-        length = geometry.a_m if place.beam == "H" else geometry.d_m
-        step = _SHIFT_STEP * length * (1.0 if place.position_m < 0.5 * length else -1.0)
-        moved = strain_row(geometry, place.beam, place.side, place.position_m + step, place.face)
-        slopes.append((moved - strain_row(geometry, *place)) / step)
-    return np.array(slopes)
+def _slope(geometry: Geometry, place: GaugePosition) -> FloatArray:
+    """Return strain per newton and metre of shift along the beam, (3,)."""
+    length = geometry.a_m if place.beam == "H" else geometry.d_m
+    step = _SHIFT_STEP * length * (1.0 if place.position_m < 0.5 * length else -1.0)
+    moved = place._replace(position_m=place.position_m + step)
+    return np.asarray((strain_row(geometry, *moved) - strain_row(geometry, *place)) / step)
 
 
 def _off_axis_strains(

@@ -22,6 +22,7 @@ from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame
 from tipforce.sensor.structure.strain import condition_number, noise_gain
 
 PAPER_LOAD_NEWTONS = 4.4
+_FRICTION = 0.5
 _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as many change u by less than 1e-3
 
 
@@ -29,32 +30,20 @@ _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as
 class LoadSet:
     """The loads over which uncertainties are averaged: contacts on the pad, pushes within the friction cone.
 
-    Uniform in theta over the pad and in the angle between push and inward normal. Raises InputError for a load,
-    pad or friction coefficient out of range.
+    Uniform in theta from 0 to 180 degrees, and in the angle between push and inward normal up to atan(_FRICTION).
+    Raises InputError for a load out of range.
     """
 
     load_newtons: float = PAPER_LOAD_NEWTONS
-    theta_min_deg: float = 0.0
-    theta_max_deg: float = 180.0
-    friction: float = 0.5
-    """Coefficient of friction: the push stays within atan(friction) of the normal."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.load_newtons < math.inf:
             raise InputError(f"load = {self.load_newtons!r} N: allowed is a positive finite number")
-        if not -360.0 <= self.theta_min_deg <= self.theta_max_deg <= 360.0:
-            raise InputError(
-                f"pad from {self.theta_min_deg!r} to {self.theta_max_deg!r} degrees: allowed is -360 to 360, rising"
-            )
-        if not 0.0 <= self.friction <= 10.0:
-            raise InputError(f"friction = {self.friction!r}: allowed is 0 to 10")
 
     def angles(self) -> tuple[FloatArray, FloatArray]:
         """Return (phi_rad, theta_rad), each (k,): the directions and contacts of the set."""
-        theta = math.radians(self.theta_min_deg) + math.radians(self.theta_max_deg - self.theta_min_deg) * (
-            (np.arange(_CONTACTS) + 0.5) / _CONTACTS
-        )
-        cone = math.atan(self.friction) * (2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS - 1.0)
+        theta = math.pi * ((np.arange(_CONTACTS) + 0.5) / _CONTACTS)
+        cone = math.atan(_FRICTION) * (2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS - 1.0)
         theta, cone = (grid.ravel() for grid in np.meshgrid(theta, cone))
         return theta + math.pi + cone, theta
 
@@ -177,13 +166,13 @@ def assess(
     )  # fmt: skip
 
 
-def glued(geometry: Geometry, gauges: Sequence[str], gauge_length_m: float, clearance_m: float) -> tuple[Gauge, ...]:
+def glued(geometry: Geometry, gauges: Sequence[str], gauge_length_m: float) -> tuple[Gauge, ...]:
     """Return gauges of that length as near to the points of Table 1 as the body allows.
 
     At the joint a gauge of the arms begins beside the vertical beam, h2 / 2 from the middle. Raises InputError for
     an unknown point.
     """
-    inset = 0.5 * gauge_length_m + clearance_m
+    inset = 0.5 * gauge_length_m
     positions: list[Gauge] = []
     for point in gauges:
         spot = nominal_position(geometry, point)

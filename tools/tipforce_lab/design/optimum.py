@@ -34,9 +34,9 @@ class Outcome(NamedTuple):
     """The design with the minimum condition number, and among such designs the minimum noise."""
 
 
-def steps(gauges: int, limits: Limits, starts: int) -> int:
+def steps(gauges: int, starts: int) -> int:
     """Return how often ``optimise`` calls ``done``."""
-    searches = len(configurations(gauges, limits.upper_face)) * max(starts, 0)
+    searches = len(configurations(gauges)) * max(starts, 0)
     return 2 * searches + (_FROM + 1) * len(TRADE_OFF_STEPS)
 
 
@@ -69,7 +69,7 @@ def optimise(
         front.append(condition_only)
     paper = [judge(case, FABRICATED, LAYOUTS[case]) for case in CASES]
     try:
-        real = glued(FABRICATED, LAYOUTS["I"], limits.gauge_length_m, limits.clearance_m)
+        real = glued(FABRICATED, LAYOUTS["I"], limits.gauge_length_m)
         paper.append(judge("I glued", FABRICATED, real))
     except InputError:  # gauges of this length do not fit on the paper's body
         pass

@@ -57,10 +57,8 @@ def lengths_of_condition(geometry: Geometry, gauges: Layout, condition: float) -
         near, far = 0.0, end
         for _ in range(60):
             middle = 0.5 * (near + far)
-            if condition_at_length(geometry, gauges, best * 10.0**middle) < condition:
-                near = middle
-            else:
-                far = middle
+            below = condition_at_length(geometry, gauges, best * 10.0**middle) < condition
+            near, far = (middle, far) if below else (near, middle)
         lengths.append(best * 10.0**near)
     return tuple(lengths)
 
@@ -143,30 +141,23 @@ def comparators_section(geometry: Geometry) -> Section:
     records: list[Record] = []
     for case in CASES:
         best = best_length(geometry, case)
-        records.append(
-            {
-                "sensor": f"case {case}", "axes": 3, "printed": None,
-                **{f"in {unit}": value for unit, value in condition_numbers_by_unit(geometry, case).items()},
-                "smallest": condition_at_length(geometry, case, best), "smallest_at_mm": best * MM,
-                "equal_at_mm": [
-                    [length * MM for length in lengths_of_condition(geometry, case, condition)]
-                    for _, _, condition in COMPARATORS
-                ],
-            }
-        )  # fmt: skip
+        equal = [lengths_of_condition(geometry, case, condition) for _, _, condition in COMPARATORS]
+        records.append({
+            "sensor": f"case {case}", "axes": 3, "printed": None,
+            **{f"in {unit}": value for unit, value in condition_numbers_by_unit(geometry, case).items()},
+            "smallest": condition_at_length(geometry, case, best), "smallest_at_mm": best * MM,
+            "equal_at_mm": [[length * MM for length in lengths] for lengths in equal],
+        })  # fmt: skip
     for reference, axes, condition in COMPARATORS:
         printed_in = {unit: list(condition_range(condition, length, geometry.r_m)) for unit, length in units.items()}
-        records.append(
-            {
-                "sensor": reference, "axes": axes, "printed": condition,
-                "at_M_r_if_printed_in": printed_in,
-                **{f"if in {unit}": values for unit, values in printed_in.items()},
-            }
-        )  # fmt: skip
-    return Section("comparators", _COMPARATORS_TITLE, _COMPARATORS_COLUMNS, records, _comparators_notes(geometry))
+        records.append({
+            "sensor": reference, "axes": axes, "printed": condition, "at_M_r_if_printed_in": printed_in,
+            **{f"if in {unit}": values for unit, values in printed_in.items()},
+        })  # fmt: skip
+    title = "Section 1. The comparators [5] and [11] beside Table 3, moments as M / r with r = 15 mm"
+    return Section("comparators", title, _COMPARATORS_COLUMNS, records, _comparators_notes(geometry))
 
 
-_COMPARATORS_TITLE = "Section 1. The comparators [5] and [11] beside Table 3, moments as M / r with r = 15 mm"
 _COMPARATORS_COLUMNS = {
     "sensor": "sensor", "axes": "axes", "printed": "paper", "in M/r": "in M/r", "in N mm": "in N mm",
     "in N m": "in N m", "smallest": "smallest", "smallest_at_mm": "at (mm)", "if in N mm": "M/r, if N mm printed",
@@ -200,11 +191,8 @@ _FIGURES_COLUMNS = {
 def materials_section(geometry: Geometry) -> Section:
     """Return the body of other materials: strain, noise, and the load that yields or closes the slit."""
     records: list[Record] = [
-        {
-            "material": material.name, "E_GPa": material.youngs_modulus_pascals / 1e9,
-            "yield_MPa": material.yield_pascals / 1e6,
-            **figures_of(geometry, material, "I"),
-        }
+        {"material": material.name, "E_GPa": material.youngs_modulus_pascals / 1e9,
+         "yield_MPa": material.yield_pascals / 1e6, **figures_of(geometry, material, "I")}
         for material in MATERIALS
     ]  # fmt: skip
     columns = {"material": "material", "E_GPa": "E (GPa)", "yield_MPa": "yield (MPa)", **_FIGURES_COLUMNS}

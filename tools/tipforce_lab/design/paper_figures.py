@@ -49,24 +49,19 @@ def most_influential(geometry: Geometry, gauges: Layout, shift_m: float) -> int:
 
 
 def shift_to_reach(
-    geometry: Geometry,
-    gauges: Layout,
-    condition: float,
-    moving: tuple[str, ...],
-    others_m: float = 0.0,
-    largest_shift_m: float = 5e-3,
+    geometry: Geometry, gauges: Layout, condition: float, moving: tuple[str, ...], others_m: float = 0.0
 ) -> float:
     """Return the smallest inward shift of the gauges at `moving` that gives the layout a condition number.
 
-    The other gauges stay others_m off their points. NaN if no shift up to largest_shift_m does. Raises
-    InputError for a point that is not in the layout.
+    The other gauges stay others_m off their points. NaN if no shift up to 5 mm does. Raises InputError for a point
+    that is not in the layout.
     """
     points = layout(gauges)
     for point in moving:
         if point not in points:
             raise InputError(f"gauge point {point!r} is not in the layout: allowed are {', '.join(points)}")
     moves = np.array([point in moving for point in points])
-    shifts = np.linspace(0.0, largest_shift_m, 501)
+    shifts = np.linspace(0.0, 5e-3, 501)
     for _ in range(4):
         rows = np.where(moves, shifts[:, np.newaxis], others_m)
         above = np.linalg.cond(shifted_matrix(geometry, points, rows)) > condition
@@ -89,13 +84,7 @@ class GrooveErrors:
 
 
 def simulate_groove_errors(
-    geometry: Geometry,
-    gauges: Layout,
-    noise_strain: float,
-    *,
-    repeats: int,
-    seed: int,
-    P_newtons: float = CALIBRATION_WEIGHT_NEWTONS,
+    geometry: Geometry, gauges: Layout, noise_strain: float, *, repeats: int, seed: int
 ) -> GrooveErrors:
     """Return the errors caused by equal, independent, normal gauge noise at the paper's grooves.
 
@@ -106,13 +95,9 @@ def simulate_groove_errors(
     A = strain_matrix(geometry, gauges)
     if A.shape[0] != 3:
         raise InputError(f"{A.shape[0]} gauges: allowed are layouts of 3 gauges, as in the paper")
-    if not (noise_strain > 0.0 and P_newtons > 0.0) or repeats < 1:
-        raise InputError(
-            f"noise_strain = {noise_strain!r}, P_newtons = {P_newtons!r}, repeats = {repeats!r}: "
-            "allowed are positive numbers"
-        )
-    rng = np.random.default_rng(seed)
-    grooves = paper_grooves()
+    if not noise_strain > 0.0 or repeats < 1:
+        raise InputError(f"noise_strain = {noise_strain!r}, repeats = {repeats!r}: allowed are positive numbers")
+    rng, P_newtons, grooves = np.random.default_rng(seed), CALIBRATION_WEIGHT_NEWTONS, paper_grooves()
     F = force_vector(P_newtons, grooves.phi_rad, grooves.theta_rad)
     low, high = np.radians(CALIBRATION_THETA_DEG)
     fitted = F[(grooves.theta_rad >= low) & (grooves.theta_rad <= high + 1e-9)]
@@ -178,11 +163,8 @@ def figure_9_section(geometry: Geometry, noise_ue: float, repeats: int, seed: in
     if not 0.0 < noise_ue < 1e4 or not 1 <= repeats <= 100_000:
         raise InputError(f"--noise {noise_ue!r} --repeats {repeats!r}: allowed are above 0 to 1e4, and 1 to 100000")
     simulated = simulate_groove_errors(geometry, FIGURE_9_CASE, noise_ue * 1e-6, repeats=repeats, seed=seed)
-    figures = {
-        "u": simulated.standard_uncertainties,
-        "std": simulated.errors.std(axis=0),
-        "max": np.abs(simulated.errors).max(axis=0),
-    }
+    errors, u = simulated.errors, simulated.standard_uncertainties
+    figures = {"u": u, "std": errors.std(axis=0), "max": np.abs(errors).max(axis=0)}
     records = []
     for index, along_x in enumerate(simulated.grooves.along_x):
         record: Record = {"groove": "x" if along_x else "y"}

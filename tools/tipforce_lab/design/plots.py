@@ -32,12 +32,8 @@ if TYPE_CHECKING:
 # Okabe and Ito's palette, for any colour vision. Line style or marker differ too, for black and white.
 BLUE, VERMILLION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#555555"
 STYLE = {
-    "font.size": 9.0,
-    "grid.color": "#dddddd",
-    "legend.edgecolor": "none",
-    "legend.framealpha": 1.0,
-    "savefig.dpi": 150,
-}
+    "font.size": 9.0, "grid.color": "#dddddd", "legend.edgecolor": "none", "legend.framealpha": 1.0, "savefig.dpi": 150,
+}  # fmt: skip
 STYLES: tuple[dict[str, Any], ...] = tuple(
     {"color": colour, "linestyle": line, "marker": marker}
     for colour, line, marker in ((BLUE, "-", "o"), (VERMILLION, "--", "s"), (GREEN, "-.", "^"), (GREY, ":", "D"))
@@ -93,11 +89,8 @@ def figure_9(noise_ue: float, repeats: int, seed: int) -> Figure:
     scale = (1.0, 180.0 / np.pi, 180.0 / np.pi)
     labels = ("error of P (N)", "error of phi (degrees)", "error of theta (degrees)")
     right, along_x = theta < 90.0, simulated.grooves.along_x
-    kinds = (
-        (along_x & right, "x-grooves", BLUE, "o"),
-        (along_x & ~right, "", BLUE, "o"),
-        (~along_x, "y-grooves", VERMILLION, "s"),
-    )
+    kinds = ((along_x & right, "x-grooves", BLUE, "o"), (along_x & ~right, "", BLUE, "o"),
+             (~along_x, "y-grooves", VERMILLION, "s"))  # fmt: skip
     for index, axes in enumerate(figure.subplots(1, 3)):
         for chosen, name, colour, marker in kinds:
             order = np.flatnonzero(chosen)
@@ -135,14 +128,9 @@ def condition_and_noise() -> Figure:
         (4, "L or R, with T or U and K_V or S_V", (12, -6), {}),
     ):
         axes.annotate(text, (noise[at], condition[at]), offset, textcoords="offset points", fontsize=8, **more)
-    axes.set(
-        xlabel="noise gain sqrt(trace(C C^T))  (N per microstrain)",
-        ylabel="condition number",
-        xticks=(0.015, 0.02, 0.03, 0.04),
-        xticklabels=("0.015", "0.02", "0.03", "0.04"),
-        yticks=(2.5, 3, 4, 6, 9),
-        yticklabels=("2.5", "3", "4", "6", "9"),
-    )
+    axes.set(xlabel="noise gain sqrt(trace(C C^T))  (N per microstrain)", ylabel="condition number")
+    for set_ticks, ticks in ((axes.set_xticks, (0.015, 0.02, 0.03, 0.04)), (axes.set_yticks, (2.5, 3, 4, 6, 9))):
+        set_ticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     axes.legend(loc="upper left")
     return figure

@@ -27,6 +27,7 @@ UNIT_M = 1e-3  # the search uses millimetres and microstrain
 _DIMENSIONS = 6  # a, d, r, h1, h2, width; then the positions of the gauges
 _SCALE = np.array([15.0, 15.0, 15.0, 0.4, 0.65, 10.0])
 _PLACE_SCALE = 15.0
+_MODULUS = FABRICATED.youngs_modulus_pascals * 1e-6  # N/mm^2
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,35 +42,23 @@ class Limits:
     envelope_y_m: float = FABRICATED.r_m + 0.5 * FABRICATED.h1_m + FABRICATED.d_m
     """From the fixture to the top of the tip: d + h1 / 2 + r."""
     width_m: float = FABRICATED.width_m
-    free_width: bool = False
-    """True: the width may also be smaller, down to a tenth."""
     radius_m: float | None = None
     """Of the tip, if given; None: free."""
     min_thickness_m: float = 0.2e-3
     """Of either beam. The paper names no limit; its thinner beam has 0.4 mm."""
     slenderness: float = 10.0
     """Least length over thickness of each beam (of an arm between joint and tip): the validity of beam theory."""
-    wall_m: float = 0.0
-    """Least r - a, the wall between the beam's ends and the tip's surface; the paper has a = r."""
     gauge_length_m: float = 1e-3
-    clearance_m: float = 0.0
-    """Between a gauge and a corner, a beam's end, or another gauge; the paper names none."""
     slit_m: float = PAPER_SLIT_M
     """The load must not close it."""
     load_newtons: float = PAPER_LOAD_NEWTONS
     max_stress_pascals: float | None = None
     """Anywhere on the beams at load_newtons, at the worst angle; None: that of the paper's body."""
-    youngs_modulus_pascals: float = FABRICATED.youngs_modulus_pascals
-    upper_face: bool = False
-    """True: gauges may also be inside the slit, on the upper face of the horizontal beam."""
 
     def __post_init__(self) -> None:
-        zero_allowed = {"wall_m", "clearance_m", "slenderness"}
         for field in fields(self):
             value = getattr(self, field.name)
-            if value is None or isinstance(value, bool):
-                continue
-            if not (0.0 < value < math.inf or (value == 0.0 and field.name in zero_allowed)):
+            if value is not None and not (0.0 < value < math.inf or (value == 0.0 and field.name == "slenderness")):
                 raise InputError(f"limit {field.name} = {value!r}: allowed is a positive finite number in SI units")
         if self.radius_m is not None and self.radius_m > 0.5 * self.envelope_x_m:
             raise InputError(f"limit radius_m = {self.radius_m!r}: allowed is half of envelope_x_m at most")
@@ -90,19 +79,22 @@ class Design(NamedTuple):
     objective: str
 
 
-def configurations(gauges: int, upper_face: bool = False) -> list[tuple[GaugePosition, ...]]:
+_SLOTS = (
+    GaugePosition("H", "left", 0.0), GaugePosition("H", "right", 0.0),
+    GaugePosition("V", "left", 0.0), GaugePosition("V", "right", 0.0),
+)  # fmt: skip
+"""The faces that have gauges: not the upper one of the horizontal beam, inside the slit."""
+
+
+def configurations(gauges: int) -> list[tuple[GaugePosition, ...]]:
     """Return the distributions of n gauges over the faces, at least one on each beam, mirror images once; all at 0.
 
     Raises InputError for fewer than 3 or more than 5 gauges.
     """
     if not 3 <= gauges <= 5:
         raise InputError(f"{gauges} gauges: allowed are 3 to 5")
-    faces: tuple[Literal["lower", "upper"], ...] = ("lower", "upper") if upper_face else ("lower",)
-    sides: tuple[Literal["left", "right"], ...] = ("left", "right")
-    slots = [GaugePosition("H", side, 0.0, face) for face in faces for side in sides]
-    slots += [GaugePosition("V", side, 0.0) for side in sides]
     sets_of_slots: dict[tuple[GaugePosition, ...], None] = {}
-    for chosen in itertools.combinations_with_replacement(slots, gauges):
+    for chosen in itertools.combinations_with_replacement(_SLOTS, gauges):
         twin = tuple(sorted(slot._replace(side="left" if slot.side == "right" else "right") for slot in chosen))
         if len({slot.beam for slot in chosen}) == 2 and twin not in sets_of_slots:
             sets_of_slots[tuple(sorted(chosen))] = None
@@ -116,17 +108,15 @@ class Problem:
         self.slots, self.limits = tuple(slots), limits
         self.horizontal = np.array([slot.beam == "H" for slot in slots])
         self.side = np.array([-1.0 if slot.side == "left" else 1.0 for slot in slots])
-        self.bend = np.array([-1.0 if slot.face == "upper" else 1.0 for slot in slots])
         self.scale = np.concatenate([_SCALE, np.full(len(slots), _PLACE_SCALE)])
         self._stress = limits.stress_pascals * 1e-6  # N/mm^2
-        self._modulus = limits.youngs_modulus_pascals * 1e-6
         self._gap_slopes, self._gap_least = self._gaps()
         reach, height = 0.5 * limits.envelope_x_m / UNIT_M, limits.envelope_y_m / UNIT_M
         thin, b, longest = limits.min_thickness_m / UNIT_M, limits.width_m / UNIT_M, max(reach, height)
         radius = (1e-3 * reach, reach) if limits.radius_m is None else (limits.radius_m / UNIT_M,) * 2
         dimensions = [
             (1e-3 * reach, reach), (1e-3 * height, height), radius,
-            (thin, max(thin, longest)), (thin, max(thin, longest)), (0.1 * b if limits.free_width else b, b),
+            (thin, max(thin, longest)), (thin, max(thin, longest)), (b, b),
         ]  # fmt: skip
         self.bounds = np.array(dimensions + [(0.0, longest)] * len(self.slots))
 
@@ -134,36 +124,35 @@ class Problem:
         """Strain matrices (m, n, 3) in microstrain per newton of points (m, 6 + n), lengths in millimetres."""
         a, _, r, h1, h2, b = (x[:, k : k + 1] for k in range(_DIMENSIONS))
         s = x[:, _DIMENSIONS:]
-        H, side, bend = self.horizontal, self.side, self.bend
+        H, side = self.horizontal, self.side
         per_h1, per_h2, place = 1.0 / h1**2, 1.0 / h2**2, s / a
         stress = np.empty((*s.shape, 3), dtype=x.dtype)
-        stress[..., 0] = np.where(H, bend * (1.5 * a * per_h1 * (1.0 - 2.0 * place)), 1.0 / h2)
-        stress[..., 1] = np.where(H, bend * side * (3.0 * r * per_h1 * (1.0 - 1.5 * place)), side * (6.0 * r * per_h2))
+        stress[..., 0] = np.where(H, 1.5 * a * per_h1 * (1.0 - 2.0 * place), 1.0 / h2)
+        stress[..., 1] = side * np.where(H, 3.0 * r * per_h1 * (1.0 - 1.5 * place), 6.0 * r * per_h2)
         stress[..., 2] = side * np.where(H, 0.5 / h1, -6.0 * (s + 0.5 * h1) * per_h2)
-        stress *= (1e6 / (b * self._modulus))[..., np.newaxis]
+        stress *= (1e6 / (b * _MODULUS))[..., np.newaxis]
         return stress
 
     def constraints(self, x: AnyArray) -> AnyArray:
         """Return the constraints, not negative, (m, k): stress, slit, envelope, wall, slenderness, gauge spacing."""
         limits = self.limits
         a, d, r, h1, h2, b = x[:, :_DIMENSIONS].T
-        load, wall = limits.load_newtons, limits.wall_m / UNIT_M
+        load = limits.load_newtons
         horizontal = np.sqrt((1.5 * a / h1**2) ** 2 + (0.5 / h1) ** 2) + 3.0 * r / h1**2
         vertical = np.sqrt((6.0 * (d + 0.5 * h1) / h2**2) ** 2 + 1.0 / h2**2) + 6.0 * r / h2**2
-        closure = slit_compliance(a, r, h1) * load / (b * self._modulus)
+        closure = slit_compliance(a, r, h1) * load / (b * _MODULUS)
         columns = [np.log(self._stress * b / (load * stress)) for stress in (horizontal, vertical)]
         columns.append(np.log(limits.slit_m / UNIT_M / closure))
-        columns.append((limits.envelope_y_m / UNIT_M - r - d - 0.5 * h1) / _PLACE_SCALE)
-        columns.append((r - a - wall) / _PLACE_SCALE)
-        columns.append((a - 0.5 * h2 - limits.slenderness * h1) / _PLACE_SCALE)
-        columns.append((d - limits.slenderness * h2) / _PLACE_SCALE)
+        rooms = (limits.envelope_y_m / UNIT_M - r - d - 0.5 * h1, r - a,
+                 a - 0.5 * h2 - limits.slenderness * h1, d - limits.slenderness * h2)  # fmt: skip
+        columns += [room / _PLACE_SCALE for room in rooms]
         gaps: AnyArray = (x @ self._gap_slopes - self._gap_least) / _PLACE_SCALE
         return np.concatenate((np.stack(columns, axis=-1), gaps), axis=-1)
 
     def design(self, x: FloatArray, objective: str) -> Design:
         """Return the point (6 + n,) as a design."""
         a, d, r, h1, h2, b = (float(value) for value in x[:_DIMENSIONS] * UNIT_M)
-        geometry = Geometry(a, d, r, h1, h2, b, self.limits.youngs_modulus_pascals)
+        geometry = Geometry(a, d, r, h1, h2, b, FABRICATED.youngs_modulus_pascals)
         places = zip(self.slots, x[_DIMENSIONS:], strict=True)
         gauges = (slot._replace(position_m=float(s) * UNIT_M) for slot, s in places)
         return Design(geometry, tuple(gauges), objective)
@@ -181,7 +170,7 @@ class Problem:
         r = rng.uniform(0.5, 1.0) * min(0.5 * limits.envelope_x_m / UNIT_M, 0.8 * height)
         if limits.radius_m is not None:
             r = limits.radius_m / UNIT_M
-        a = rng.uniform(0.4, 1.0) * (r - limits.wall_m / UNIT_M)
+        a = rng.uniform(0.4, 1.0) * r
         d = rng.uniform(0.5, 1.0) * (height - r)
         strength = self._stress * b / limits.load_newtons
         h1 = max(least, math.sqrt((1.5 * a + 3.0 * r) / strength)) * rng.uniform(1.0, 1.3)
@@ -196,7 +185,7 @@ class Problem:
 
     def _gaps(self) -> tuple[FloatArray, FloatArray]:
         """Return the spacing on each face, x @ slopes (6 + n, k) - least (k,): corner, gauges in order, corner."""
-        length, clearance = self.limits.gauge_length_m / UNIT_M, self.limits.clearance_m / UNIT_M
+        length = self.limits.gauge_length_m / UNIT_M
         unit = np.eye(_DIMENSIONS + len(self.slots))
         a, d, _, _, h2, _ = unit[:_DIMENSIONS]
         slopes, least = list[FloatArray](), list[float]()
@@ -205,7 +194,7 @@ class Problem:
             # The vertical beam covers h2 / 2 on either side of the middle, and above it there is no bending.
             inner, end = (0.5 * h2, a) if slot.beam == "H" else (0.0 * h2, d)
             slopes += [after - before for before, after in itertools.pairwise((inner, *places, end))]
-            least += [0.5 * length + clearance, *[length + clearance] * (len(places) - 1), 0.5 * length + clearance]
+            least += [0.5 * length, *[length] * (len(places) - 1), 0.5 * length]
         return np.stack(slopes, axis=-1), np.array(least)
 
 
@@ -334,7 +323,7 @@ def search(
         raise InputError(f"{starts} starts: allowed is 1 or more")
     goal = score(objective, loads)
     best: list[tuple[float, Design]] = []
-    for number, slots in enumerate(configurations(gauges, limits.upper_face)):
+    for number, slots in enumerate(configurations(gauges)):
         problem, rng = Problem(slots, limits), np.random.default_rng((seed, number))
         ends: list[tuple[float, FloatArray]] = []
         for _ in range(starts):

@@ -148,14 +148,11 @@ def table_2(geometry: Geometry) -> list[Table2Row]:
     for point, thin, row in zip(POINTS, thin_limit_matrix(POINTS).tolist(), table_1(geometry), strict=True):
         sign = -unit if point in VERTICAL_POINTS else unit
         g1, g2, g3 = row.per_metre
-        rows.append(
-            Table2Row(
-                point,
-                maximum_over_contacts((thin[0] * THIN_UNIT, thin[1] * THIN_UNIT, thin[2] * THIN_UNIT)),
-                maximum_over_contacts((sign * g1, sign * g2, sign * g3)),
-                maximum_over_contacts(row.strain_per_newton).value,
-            )
-        )
+        rows.append(Table2Row(
+            point, maximum_over_contacts((thin[0] * THIN_UNIT, thin[1] * THIN_UNIT, thin[2] * THIN_UNIT)),
+            maximum_over_contacts((sign * g1, sign * g2, sign * g3)),
+            maximum_over_contacts(row.strain_per_newton).value,
+        ))  # fmt: skip
     return rows
 
 
@@ -163,11 +160,9 @@ def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
     """Return the theory of one layout. Raises InputError for an unusable layout or one of rank below 3."""
     matrix = strain_matrix(geometry, gauges)
     return Table3Row(
-        condition_number(thin_limit_matrix(gauges)),
-        condition_number(matrix),
-        row_equilibrated_condition_number(matrix),
-        noise_gain(calibration_matrix(geometry, gauges)),
-    )
+        condition_number(thin_limit_matrix(gauges)), condition_number(matrix),
+        row_equilibrated_condition_number(matrix), noise_gain(calibration_matrix(geometry, gauges)),
+    )  # fmt: skip
 
 
 def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, float]:
@@ -227,13 +222,11 @@ def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
     return sorted(by_mirror.values(), key=lambda row: (round(row[by], 9), row["condition"]))
 
 
-def ties(rows: list[Record], by: str, tolerance: float = 1e-6) -> list[list[Record]]:
-    """Return the groups of rows whose figures agree within a relative tolerance, in order; infinite ones left out."""
+def ties(rows: list[Record], by: str) -> list[list[Record]]:
+    """Return the groups of rows whose figures agree to 1e-6, in order; infinite ones left out."""
     groups: list[list[Record]] = []
-    for row in rows:
-        if not np.isfinite(row[by]):
-            continue
-        if groups and abs(row[by] - groups[-1][0][by]) <= tolerance * row[by]:
+    for row in (row for row in rows if np.isfinite(row[by])):
+        if groups and abs(row[by] - groups[-1][0][by]) <= 1e-6 * row[by]:
             groups[-1].append(row)
         else:
             groups.append([row])
@@ -258,7 +251,7 @@ class CommonShifts(NamedTuple):
     """Largest difference from the wanted condition numbers."""
 
 
-def rounding_range(matrix: npt.ArrayLike, half_digit: float = HALF_DIGIT) -> RoundingRange:
+def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
     """Return the range of condition numbers over all matrices (3, 3) whose entries round to the given ones.
 
     All 512 corners of the box of entries. The condition number is smooth here and the box small (curvature adds
@@ -266,7 +259,7 @@ def rounding_range(matrix: npt.ArrayLike, half_digit: float = HALF_DIGIT) -> Rou
     """
     centre = np.asarray(matrix, dtype=np.float64)
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=centre.size))).reshape(-1, *centre.shape)
-    conditions = np.linalg.cond(centre + half_digit * signs)
+    conditions = np.linalg.cond(centre + HALF_DIGIT * signs)
     return RoundingRange(condition_number(centre), float(conditions.min()), float(conditions.max()))
 
 
@@ -285,14 +278,12 @@ def shared_gauge_disagreement() -> dict[str, float]:
     return result
 
 
-def nearest_common_shifts(
-    geometry: Geometry, conditions: dict[str, float], largest_shift_m: float = 6e-3, steps: int = 25
-) -> CommonShifts:
+def nearest_common_shifts(geometry: Geometry, conditions: dict[str, float], steps: int = 25) -> CommonShifts:
     """Return the shifts of K, S, L, R, U, one set for all three cases, that best fit the condition numbers.
 
-    Every combination of `steps` shifts from 0 to largest_shift_m; the largest miss counts.
+    Every combination of `steps` shifts from 0 to 6 mm; the largest miss counts.
     """
-    grid = np.linspace(0.0, largest_shift_m, steps)
+    grid = np.linspace(0.0, 6e-3, steps)
     points = ("K_H", "S_H", "L", "R", "U")
     rows = shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
     chosen, miss = nearest_common({point: rows[:, k] for k, point in enumerate(points)}, conditions)

@@ -30,7 +30,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import Modes, compliances
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.limits import PAPER_SLIT_M
-from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame, FrameModel
+from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame
 
 _RADIANS_PER_STEP = 0.35
 _MOST_STEPS = 2_000_000
@@ -278,28 +278,18 @@ class SlitStop(NamedTuple):
     """(k,): place along the arm, 0 at the joint."""
 
 
-def slit_stop(
-    geometry: Geometry,
-    modes: Modes,
-    gap_m: float = PAPER_SLIT_M,
-    stiffness: float = STOP_STIFFNESS,
-    model: FrameModel = EULER_BERNOULLI,
-) -> SlitStop:
-    """Return the stop for the modes of the same geometry and frame model.
-
-    Raises InputError for a gap or stiffness (N/m) that is not positive and finite.
-    """
-    for name, value in (("gap_m", gap_m), ("stop stiffness", stiffness)):
-        if not 0.0 < value < math.inf:
-            raise InputError(f"{name} = {value!r}: allowed is a positive finite number")
-    g, frame = geometry, Frame(geometry, model)
+def slit_stop(geometry: Geometry, modes: Modes, gap_m: float = PAPER_SLIT_M) -> SlitStop:
+    """Return the stop for the modes of the same geometry. Raises InputError for a gap that is not positive, finite."""
+    if not 0.0 < gap_m < math.inf:
+        raise InputError(f"gap_m = {gap_m!r}: allowed is a positive finite number")
+    g, frame = geometry, Frame(geometry, EULER_BERNOULLI)
     xi = contact_fractions(frame)
     s = frame.slit_closure(xi).reshape(-1, 3)
     bending = g.youngs_modulus_pascals * g.width_m * g.h1_m**3 / 12.0
     # Deflection at one place per unit force at another, of a beam with held ends: times E I / length^3.
     x, y = np.minimum.outer(xi, xi), np.maximum.outer(xi, xi)
     held = x**2 * (1.0 - y) ** 2 * (3.0 * y - x - 2.0 * x * y) / 6.0
-    own = np.kron(np.eye(2), held * g.a_m**3 / bending) + np.eye(2 * len(xi)) / stiffness
+    own = np.kron(np.eye(2), held * g.a_m**3 / bending) + np.eye(2 * len(xi)) / STOP_STIFFNESS
     places = np.tile(xi, 2)
     if len(modes.omega_rad_s) > 3:
         # The joint's motion is a state: a stop force acts on the tip's motion relative to it, nothing in between.

@@ -135,7 +135,14 @@ def timed_together(
     One call of each goes first, untimed, unless the works are ``warm``. A run repeats a call until it has taken
     ``at_least_s``.
     """
-    repeats = [_repeats(work, at_least_s, warm) for work in works]
+    repeats = []
+    for work in works:
+        if not warm:
+            work()
+        count = 1
+        while (elapsed_s := _elapsed(work, count)[0]) < at_least_s:
+            count = max(count * 2, int(count * at_least_s / max(elapsed_s, 1e-9)))
+        repeats.append(count)
     runs: list[list[tuple[float, float]]] = [[] for _ in works]
     for _ in range(effort.pick(3, 7)):
         for work, count, elapsed in zip(works, repeats, runs, strict=True):
@@ -151,15 +158,6 @@ def quartiles(seconds: Sequence[float], cpu_seconds: Sequence[float] | None = No
     """Return the timing of several runs, at least two, per unit of work."""
     first, middle, third = quantiles(seconds if cpu_seconds is None else cpu_seconds, n=4, method="inclusive")
     return Timing(median(seconds), first, third, len(seconds), None if cpu_seconds is None else middle)
-
-
-def _repeats(work: Callable[[], object], at_least_s: float, warm: bool) -> int:
-    if not warm:
-        work()
-    repeats = 1
-    while (elapsed_s := _elapsed(work, repeats)[0]) < at_least_s:
-        repeats = max(repeats * 2, int(repeats * at_least_s / max(elapsed_s, 1e-9)))
-    return repeats
 
 
 def _elapsed(work: Callable[[], object], repeats: int) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -169,11 +169,12 @@ def print_report(console: Console, report: Report) -> None:
         _print_table(console, advices)
     for study in report.studies:
         _print_table(console, study_table(study))
-        console.print(f"reference: {shown_reference(study)}")
-        _print_items(console, study_items(study))
+        for line in (f"reference: {shown_reference(study)}", *(f"- {item}" for item in study_items(study))):
+            console.print(line)
     for grid in report.grids:
         _print_table(console, grid_table(grid))
-        _print_items(console, grid_items(grid))
+        for item in grid_items(grid):
+            console.print(f"- {item}")
     if report.cases:
         title = "Extreme cases, as the tests of this version recorded them"
         _print_table(console, case_table(title, report.cases), show_lines=True)
@@ -196,11 +197,6 @@ def _print_table(console: Console, table: Table, **options: Any) -> None:
         printed.add_row(*(Text(cell.text, "bold red" if cell.kind == "broken" else "") for cell in cells))
     console.print()
     console.print(printed)
-
-
-def _print_items(console: Console, items: Iterable[str]) -> None:
-    for item in items:
-        console.print(f"- {item}")
 
 
 def study_table(study: Study) -> Table:
@@ -266,13 +262,7 @@ def grid_items(grid: Grid) -> list[str]:
 
 def head_record(report: Report) -> dict[str, Any]:
     """Return the first JSON line: date, effort and machine."""
-    return {
-        "record": "report",
-        "date": report.date,
-        "quick": report.effort.quick,
-        "seed": report.effort.seed,
-        "machine": report.machine,
-    }
+    return {"record": "report", "date": report.date, **asdict(report.effort), "machine": report.machine}
 
 
 def conclusions(report: Report) -> dict[str, Any]:

@@ -249,7 +249,11 @@ class Fingertips:
             source = SimulatedSource(
                 self._rows, self._noise_microstrain, seed=1000 * seed + node_id, forces=self._forces(k)
             )
-            self.devices.append(self._node(node_id, source))
+            store = MemoryStore()
+            store.groups[CALIBRATION] = self._stored
+            device = fingertip_node(node_id, source, len(self._rows), 1000 + node_id, store.save, store.load)
+            self.boot_frames += device.step(0)[0]
+            self.devices.append(device)
 
     def read(self, data: mujoco.MjData) -> dict[str, TwinSample]:
         """Take a sample of each finger, as at a SYNC; call it after ``mj_step``.
@@ -324,14 +328,6 @@ class Fingertips:
     def _forces(self, k: int) -> Callable[[int], Vector]:
         """The source's function: F1, F2, F3 of finger ``k`` in the present state, whenever its conversion began."""
         return lambda _now_us: (0.0, 0.0, 0.0) if self._data is None else self._present()[k].F_newtons
-
-    def _node(self, node_id: int, source: SimulatedSource) -> Device:
-        """Return a node that is powered on and has stored the calibration."""
-        store = MemoryStore()
-        store.groups[CALIBRATION] = self._stored
-        device = fingertip_node(node_id, source, len(self._rows), 1000 + node_id, store.save, store.load)
-        self.boot_frames += device.step(0)[0]
-        return device
 
 
 def _tips(model: mujoco.MjModel, sites: Mapping[str, str]) -> tuple[list[int], list[int]]:

@@ -220,7 +220,12 @@ class Bridge:
         """Publish the state of the hand, and begin the next period."""
         if self._due_ns:
             tips = [tip.status(self._feed.state(tip.node_id)) for tip in self.tips.values()]
-            self._send(now_ns, [self._bus(), *tips])
+            lost, self._overrun = self._feed.overrun - self._overrun, self._feed.overrun
+            level, message = (OK, "SYNC") if self._period_rows else (ERROR, "no SYNC, no rows")
+            if lost:
+                level, message = max(level, WARN), f"{message}; {lost} batches lost: this process is too slow"
+            bus = diagnostic(diagnostics_name(self._prefix, "bus"), "", level, message, {"rows": self._period_rows})
+            self._send(now_ns, [bus, *tips])
         self._due_ns = now_ns + PERIOD_NS
         self._period_rows = 0
 
@@ -241,14 +246,6 @@ class Bridge:
         except TipforceError as error:
             level, message = ERROR, f"not tared: {error}"
         return diagnostic(tip.name, tip.hardware_id, level, message, {"event": "tare"})
-
-    def _bus(self) -> dict[str, Any]:
-        lost, self._overrun = self._feed.overrun - self._overrun, self._feed.overrun
-        level, message = (OK, "SYNC") if self._period_rows else (ERROR, "no SYNC, no rows")
-        if lost:
-            level, message = max(level, WARN), f"{message}; {lost} batches lost: this process is too slow"
-        name = diagnostics_name(self._prefix, "bus")
-        return diagnostic(name, "", level, message, {"rows": self._period_rows})
 
     def _of_event(self, event: Event) -> dict[str, Any]:
         tip = self.tips.get(event.node_id)

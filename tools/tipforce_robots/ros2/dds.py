@@ -77,7 +77,9 @@ class RosPublisher:
     def __init__(self, participant: Any, topic: str, kind: str, profile: Profile) -> None:
         struct = idl_type(kind)
         self._writer: Any = DataWriter(participant, Topic(participant, f"rt{topic}", struct), quality(profile))
-        self._sample: Any = _serialised(struct)()
+        # The type with a ``message`` in place of its fields: bytes that are written as they are.
+        methods = {"__init__": lambda _self: None, "serialize": lambda self, **_options: self.message}
+        self._sample: Any = type(struct.__name__, (struct,), methods)()
 
     def publish(self, message: bytes, t_ns: int) -> None:
         """Write one message with its source time. Raises EnvironmentLackError if DDS fails."""
@@ -165,9 +167,3 @@ def idl_type(kind: str) -> type[IdlStruct]:
         annotations[field.name] = value
     annotations = annotations or {"structure_needs_at_least_one_member": types.uint8}
     return make_idl_struct(f"{name}_", f"{package}.msg.dds_.{name}_", annotations)
-
-
-def _serialised(struct: type[IdlStruct]) -> type[IdlStruct]:
-    """Return the type with a ``message`` in place of its fields: bytes that are written as they are."""
-    methods = {"__init__": lambda _self: None, "serialize": lambda self, **_options: self.message}
-    return type(struct.__name__, (struct,), methods)

@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if args.output:
         check_output(args.output, LAYOUT)
     limits, loads = _limits_and_loads(args)
-    with common.progress("starts", steps(args.gauges, limits, args.starts)) as done:
+    with common.progress("starts", steps(args.gauges, args.starts)) as done:
         outcome = optimise(
             args.objective, args.gauges, limits, loads, args.noise, starts=args.starts, seed=args.seed, done=done
         )
@@ -126,19 +126,15 @@ def _print_tables(entries: list[Assessment], noise_microstrain: float, load_newt
         lengths = (f"{1e3 * getattr(entry.geometry, f'{symbol}_m'):.3f}" for symbol in _LENGTHS)
         structures.append((entry.name, *lengths, ", ".join(gauge_name(gauge) for gauge in entry.gauges)))
         merit, joint = entry.theory, entry.frame_finite_joint
-        figures.append(
-            (
-                entry.name, *_figures(merit), f"{1e3 * merit.noise_gain_newtons:.2f}",
-                f"{merit.smallest_singular_value:.1f}", f"{merit.condition_number:.3f}",
-                f"{entry.worst_stress_pascals * 1e-6:.0f}", f"{entry.slit_load_newtons:.1f}",
-            )
-        )  # fmt: skip
-        frames.append(
-            (
-                entry.name, *_figures(entry.frame), f"{entry.frame.condition_number:.3f}",
-                f"{100 * entry.disagreement:.2f}", f"{joint.u_theta_deg:.4f}", f"{joint.condition_number:.3f}",
-            )
-        )  # fmt: skip
+        figures.append((
+            entry.name, *_figures(merit), f"{1e3 * merit.noise_gain_newtons:.2f}",
+            f"{merit.smallest_singular_value:.1f}", f"{merit.condition_number:.3f}",
+            f"{entry.worst_stress_pascals * 1e-6:.0f}", f"{entry.slit_load_newtons:.1f}",
+        ))  # fmt: skip
+        frames.append((
+            entry.name, *_figures(entry.frame), f"{entry.frame.condition_number:.3f}",
+            f"{100 * entry.disagreement:.2f}", f"{joint.u_theta_deg:.4f}", f"{joint.condition_number:.3f}",
+        ))  # fmt: skip
     doubts = [None if entry.agrees else "yellow" for entry in entries]
     common.print_rows(
         "Structures, mm; gauges: beam, side, middle of the gauge from the joint",
@@ -198,20 +194,14 @@ def _summary(args: argparse.Namespace, outcome: Outcome) -> dict[str, object]:
 
     best, first, least = outcome.best, outcome.paper[0], outcome.condition_only
     return {
-        "summary": True,
-        "objective": args.objective,
-        "best": best.name,
-        "condition_number": best.theory.condition_number,
-        "noise_microstrain": args.noise,
-        "load_newtons": args.load,
+        "summary": True, "objective": args.objective, "best": best.name,
+        "condition_number": best.theory.condition_number, "noise_microstrain": args.noise, "load_newtons": args.load,
         "u_theta_against_case_I": _ratio(best, first, "u_theta_deg"),
         "u_theta_against_case_I_glued": _ratio(best, outcome.paper[3], "u_theta_deg") if outcome.paper[3:] else None,
         "condition_only_u_theta_against_case_I": _ratio(least, first, "u_theta_deg"),
         "condition_only_noise_against_case_I": _ratio(least, first, "noise_gain_newtons"),
-        "agreement_limit": AGREEMENT,
-        "agrees": best.agrees,
-        "seed": args.seed,
-    }
+        "agreement_limit": AGREEMENT, "agrees": best.agrees, "seed": args.seed,
+    }  # fmt: skip
 
 
 def _ratio(entry: Assessment, reference: Assessment, figure: str) -> float:

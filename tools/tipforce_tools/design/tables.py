@@ -110,7 +110,8 @@ def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence
     """Return one record per value. Raises InputError for an unknown name or an impossible range."""
     import numpy as np
 
-    from tipforce_lab.design.tables import Section
+    from tipforce.sensor.structure.gauges import position_matrix, shifted
+    from tipforce_lab.design.tables import Section, figures, maximum_over_contacts
 
     names = [f"SG{index + 1}" for index in range(len(gauges))]
     if args.what in DIMENSIONS:
@@ -125,9 +126,15 @@ def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence
         raise InputError(
             f"--from {first:g} --to {last:g} --steps {args.steps}: allowed are a rising range and 2 to 100000 steps"
         )
-    body = _changed(args.what, names, geometry, gauges)
-    values = np.linspace(first, last, args.steps).tolist()
-    records = [{args.what + "_mm": value, **_figures(*body(value * 1e-3))} for value in values]
+    records: list[Record] = []
+    for value_mm in np.linspace(first, last, args.steps).tolist():
+        value_m, resized = value_mm * 1e-3, args.what in DIMENSIONS
+        body = replace(geometry, **{f"{args.what}_m": value_m}) if resized else geometry
+        moved_m = [value_m if not resized and args.what in ("all", name) else 0.0 for name in names]
+        matrix = position_matrix(body, [shifted(body, *of) for of in zip(gauges, moved_m, strict=True)])
+        largest = max(maximum_over_contacts((g1, g2, g3)).value for g1, g2, g3 in matrix.tolist())
+        own = {args.what + "_mm": value_mm, **figures(matrix), "largest_strain_ue_per_N": 1e6 * largest}
+        records.append(own)
     columns = {
         args.what + "_mm": f"{args.what} (mm)",
         "condition": "condition number",
@@ -136,34 +143,6 @@ def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence
         "largest_strain_ue_per_N": "largest strain (ue/N)",
     }
     return Section("sweep", f"Layout {args.layout}, nominal {args.what} = {nominal_mm:g} mm", columns, records, _NOTES)
-
-
-def _changed(
-    what: str, names: list[str], geometry: Geometry, gauges: Sequence[str | GaugePosition]
-) -> Callable[[float], tuple[Geometry, list[GaugePosition]]]:
-    """Return a function from the value in metres to the body and the positions of its gauges."""
-    from tipforce.sensor.structure.gauges import shifted
-
-    def resized(value_m: float) -> tuple[Geometry, list[GaugePosition]]:
-        body = replace(geometry, **{f"{what}_m": value_m})
-        return body, [shifted(body, gauge, 0.0) for gauge in gauges]
-
-    def moved(value_m: float) -> tuple[Geometry, list[GaugePosition]]:
-        return geometry, [
-            shifted(geometry, gauge, value_m if what in ("all", name) else 0.0)
-            for name, gauge in zip(names, gauges, strict=True)
-        ]
-
-    return resized if what in DIMENSIONS else moved
-
-
-def _figures(geometry: Geometry, places: list[GaugePosition]) -> Record:
-    from tipforce.sensor.structure.gauges import position_matrix
-    from tipforce_lab.design.tables import figures, maximum_over_contacts
-
-    matrix = position_matrix(geometry, places)
-    largest = max(maximum_over_contacts((g1, g2, g3)).value for g1, g2, g3 in matrix.tolist())
-    return {**figures(matrix), "largest_strain_ue_per_N": 1e6 * largest}
 
 
 def _print(section: Section) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tipforce.arrays import FloatArray, IntArray
+from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -208,22 +208,17 @@ def contacts(rng: np.random.Generator, k: int, sliding: bool = False, corners: b
     P = share * _FILLED * RANGE_MICROSTRAIN / np.abs(microstrain).max(axis=1)
     counts = np.rint(P[:, np.newaxis] * microstrain / LSB_MICROSTRAIN).astype(np.int64)
     if corners:
-        counts = np.concatenate((counts, _corners(C)))
+        # Every gauge at a limit of its range that a contact can cause: |F2| < P.
+        signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+        F = signs @ C.T
+        possible = np.abs(F[:, 1]) < 0.99 * np.hypot(F[:, 0], F[:, 2])
+        counts = np.concatenate((counts, signs[possible] * round(_FILLED * 2 ** (COUNT_BITS - 1))))
     exact = [_exact(C, row) for row in counts.tolist()]
     # The largest strain of a gauge per newton: that for F2 = P or F2 = -P at the best phi.
     at, sine = np.meshgrid(np.linspace(-np.pi, np.pi, 721), np.linspace(-1.0, 1.0, 3))
     largest = np.abs(np.stack((np.sin(at), sine, np.cos(at)), axis=-1) @ A.T).max()
     P_exact, theta_exact = map(list, zip(*exact, strict=True))
     return Contacts(C, counts, P_exact, theta_exact, float(RANGE_MICROSTRAIN * 1e-6 / largest))
-
-
-def _corners(C: FloatArray) -> IntArray:
-    """Return the counts (c, 3) with every gauge at a limit of its range that a contact can cause: |F2| < P."""
-    signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
-    F = signs @ C.T
-    possible = np.abs(F[:, 1]) < 0.99 * np.hypot(F[:, 0], F[:, 2])
-    corners: IntArray = signs[possible] * round(_FILLED * 2 ** (COUNT_BITS - 1))
-    return corners
 
 
 def _exact(C: FloatArray, counts: list[int]) -> tuple[Decimal, Decimal]:

@@ -43,12 +43,16 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
 def _study(effort: Effort, advance: Callable[[], None], share: float) -> Study:
     points: list[tuple[str, Point]] = []
     refused: dict[str, str] = {}
-    repeats = effort.pick(8, 100)
+    repeats, unseen = effort.pick(8, 100), unseen_forces(np.random.default_rng(4), UNSEEN)
     for loads in LOADS:
         rigs = [_rig(np.random.default_rng([effort.seed, 3, loads, seed]), loads, share) for seed in range(repeats)]
         for method, fit in _METHODS.items():
             try:
-                errors = [_error(fit(rig.readings), rig) for rig in rigs]
+                errors = []  # root mean square force error on unseen loads, newtons
+                for rig in rigs:
+                    C, offset = fit(rig.readings)
+                    off = (unseen @ rig.A.T + rig.offset_strain - offset) @ C.T - unseen
+                    errors.append(float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
             except InputError as error:
                 refused[f"{method}, {loads} loads"] = f"refused: {error}"
                 continue
@@ -115,14 +119,6 @@ def _full(readings: Readings) -> Fitted:
 
 
 _METHODS: dict[str, Callable[[Readings], Fitted]] = {LINEAR: _linear, AFFINE: _affine, FULL: _full}
-
-
-def _error(fitted: Fitted, rig: _Rig) -> float:
-    """Return the root mean square force error on unseen loads, newtons."""
-    C, offset = fitted
-    F = unseen_forces(np.random.default_rng(4), UNSEEN)
-    off = (F @ rig.A.T + rig.offset_strain - offset) @ C.T - F
-    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
 def _remarks(series: tuple[Series, ...]) -> list[str]:
