@@ -167,7 +167,9 @@ class Hand:
         """
         names = [finger.name for finger in self.file.finger]
         calibrations = [self.calibration(finger) for finger in self.file.finger]
-        return HandRows(self._delivery.rows(timeout_s), RowContacts(self.node_ids, names, calibrations))
+        return HandRows(
+            self._delivery.rows(timeout_s), RowContacts(self.node_ids, names, calibrations, self._collector.health)
+        )
 
     def calibration(self, finger: FingerPlan) -> Calibration | None:
         """Return the calibration for the uncertainties: the file's, else the node's own; None if it is unknown."""
