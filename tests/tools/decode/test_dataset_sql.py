@@ -124,6 +124,12 @@ def test_what_a_query_may_do(query: str, dataset: Path, capsys: pytest.CaptureFi
     assert main(["dataset", "sql", f"{dataset}/data", query]) == 0
 
 
+def test_no_column_is_lost_in_an_object(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["--unrestricted"]):
+        assert main(["dataset", "sql", f"{dataset}/data", "--json", *words, "select 1 as a, 2 as a"]) == 2
+        assert "2 columns are called a: rename one" in capsys.readouterr().err
+
+
 def test_rows_keep_their_order_and_are_printed_in_parts(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
     query = "select range as n from range(25000) order by n desc"
     assert main(["dataset", "sql", f"{dataset}/data", "--json", query]) == 0
