@@ -84,6 +84,15 @@ def test_what_only_the_calibration_tpdo4_and_emcy_tell_is_no_ok(
             assert any(row[5].status & status for row in itertools.islice(hand.rows(timeout_s=5.0), 200))
 
 
+def test_a_new_calibration_gives_the_uncertainties_at_once(bus: tipforce.SimulatedBus) -> None:
+    finger = bus.finger(5)
+    u_newtons, calibration = finger.read().u_P_newtons, finger.calibration()
+    assert calibration is not None
+    noisy = dataclasses.replace(calibration, covariance_strain2=1e4 * calibration.covariance_strain2)
+    finger.apply_calibration(noisy, store=False)
+    assert finger.read().u_P_newtons == pytest.approx(100.0 * u_newtons, rel=0.1)
+
+
 def test_samples_follow_the_load_and_end_with_an_error(bus: tipforce.SimulatedBus) -> None:
     stream = bus.finger(5).samples(timeout_s=2.0, rate_hz=200.0)
     assert all(contact.ok for contact in itertools.islice(stream, 10))

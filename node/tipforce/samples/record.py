@@ -307,7 +307,7 @@ class RowContacts:
         self, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = (),
         health: Health | None = None,
     ) -> None:  # fmt: skip
-        self._node_ids, self._calibrations = node_ids, calibrations or [None] * len(node_ids)
+        self._node_ids, self.calibrations = node_ids, list(calibrations) or [None] * len(node_ids)
         self._health = Health() if health is None else health
         self._names = [name or f"finger {node_id}" for name, node_id in zip(names, node_ids, strict=True)]
         self.places: dict[str | int, int] = {name: place for place, name in enumerate(self._names)}
@@ -326,14 +326,14 @@ class RowContacts:
             return []
         named = dict(zip(self._node_ids, self._names, strict=True))
         faults = np.stack([self._health.at(node_id, rows.sync_ns)[0] for node_id in named], axis=-1)
-        contacts = rows.samples(self._calibrations, faults=faults).contacts(named)
+        contacts = rows.samples(self.calibrations, faults=faults).contacts(named)
         return [dict(enumerate(islice(contacts, len(named)))) for _ in rows.raw]
 
     def _uncertainty(self, row: Row, place: int, quantity: int) -> float:
         """Return that of P, phi or theta; those of a row are computed together."""
         computed, u = self._computed
         if computed is not row:
-            u = Rows(0, [row], self._node_ids, self.pdos).samples(self._calibrations).uncertainties.tolist()
+            u = Rows(0, [row], self._node_ids, self.pdos).samples(self.calibrations).uncertainties.tolist()
             self._computed = row, u
         value: float = u[place][quantity]
         return value
@@ -356,7 +356,7 @@ class RowContacts:
 
         def status_word(row: Row, place: int) -> int:
             told = self._health.now(self._node_ids[place], row[0])[0] & reasons.JUDGED
-            in_range = range_bits(self._calibrations[place], np.array(P_newtons(row, place)))
+            in_range = range_bits(self.calibrations[place], np.array(P_newtons(row, place)))
             return row[2][status + place] >> shift & 0xFF | told | int(in_range)
 
         flag = table.STATUS_BITS[0][0]

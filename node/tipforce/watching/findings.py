@@ -174,8 +174,8 @@ def _of_the_nodes(seen: Observed, sync: str) -> Iterator[Finding]:
         said = code == SYNC_LENGTH or (code == COB_ID_COLLISION and node_id in seen.duplicates.found)
         if node_id not in seen.faults and not said:
             finding = f"{shown([node_id])}: EMCY {emcy_text(code, register)}"
-            topic = "nodes" if code == COB_ID_COLLISION else "faults"
-            yield Finding(topic, "note", finding, f"`tipforce sdo dump {node_id}`")
+            topic, step = "nodes" if code == COB_ID_COLLISION else "faults", f"`tipforce sdo dump {node_id}`"
+            yield Finding(topic, "note", finding, step)
 
 
 def not_calibrated(node_id: int) -> Finding:

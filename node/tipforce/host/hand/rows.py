@@ -50,8 +50,6 @@ class Collector(RowAssembler):
             self.health.emcy(node_id, t_ns, word.to_bytes(8, "little"))
         elif can_id - node_id == pdo.message.cob_id_base and length >= pdo.message.length_bytes:
             self.health.pdo(node_id, t_ns, word >> pdo.fault_shift & pdo.fault_mask)
-        elif can_id - node_id == codes.HEARTBEAT_BASE and length and not word & codes.NODE_ID_MASK:
-            self.health.boot(node_id, t_ns)
 
 
 class _Given:

@@ -7,7 +7,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -40,12 +40,12 @@ class ContactReader:
     """Subscribe to the PDOs of one finger and convert each new sample to a Contact.
 
     Its PDOs are read over SDO; ``passive``: they are the default ones of ``gauges`` gauges, and nothing is sent.
-    ``calibration`` is used for the uncertainties. Raises as SdoChannel does, and InputError for a finger whose PDOs
-    carry no contact, no force and not all gauges, each with status and counter.
+    ``calibrations``, by node-id, are used for the uncertainties. Raises as SdoChannel does, and InputError for a finger
+    whose PDOs carry no contact, no force and not all gauges, each with status and counter.
     """
 
     def __init__(
-        self, connection: Bus, node_id: int, calibration: Calibration | None, passive: bool, gauges: int
+        self, connection: Bus, node_id: int, calibrations: Mapping[int, Calibration | None], passive: bool, gauges: int
     ) -> None:
         self._passive, self._connection, self._node_id = passive, connection, node_id
         if passive:
@@ -60,7 +60,7 @@ class ContactReader:
             gauges = layout.gauges
         needed = _needed(node_id, gauges, pdos)
         layouts = {can_id: (node_id, message) for can_id, message in pdos.items()}
-        self._assembler = Assembler(layouts, needed, gauges, {node_id: calibration})
+        self._assembler = Assembler(layouts, needed, gauges, calibrations)
         self._arrived = threading.Condition()
         self._waiting: deque[RawFrame] = deque(maxlen=_MOST_WAITING)
         self._joined: deque[Contact] = deque()
