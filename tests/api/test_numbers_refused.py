@@ -78,6 +78,15 @@ def test_a_reading_that_no_gauge_can_have_makes_the_contact_unknown(reading: flo
     assert contacts.has(tipforce.Status.CONTACT).tolist() == [False, True]
 
 
+def test_an_uncertainty_that_is_too_large_is_no_warning() -> None:
+    """Readings in columns and, up to FEW, one by one."""
+    noisy = replace(CALIBRATION, covariance_strain2=1e4 * SQUARE)
+    readings = np.random.default_rng(2).normal(size=(60, 3)) * 1e-299
+    many, few = tipforce.estimate(noisy, readings), tipforce.estimate(noisy, readings[:5])
+    np.testing.assert_array_equal(many.status[:5], few.status)
+    assert not many.has(tipforce.Status.CONTACT).any()
+
+
 def test_what_is_not_known_is_nan() -> None:
     assert np.isnan(sensor.condition_number(NAN * SQUARE))
     assert np.isnan(sensor.standard_uncertainties([4.0, 1.0, 2.0], -SQUARE, pull=True)).all()

@@ -154,6 +154,7 @@ def link(**data: object) -> Link:
         (Observed(errors=7, frames=9), "7 error frames beside 9 frames", "dump -e can0,#FFFFFFFF"),
         (Observed(emergencies={7: (0x8240, 0x11)}), "node 7 (0x07): the SYNC does not fit 1019h", "sdo write 7 0x1019"),
         (Observed(emergencies={7: (0x8110, 0x11)}), "EMCY 0x8110 CAN overrun", "sdo dump 7"),
+        (Observed(emergencies={7: (0x8150, 0x11)}), "EMCY 0x8150 COB-ID collision", "sdo dump 7"),  # SDO shows one node
         (Observed(faults={5: "overload"}), "node 5 (0x05): overload", "sdo read 5 faults"),
         (Observed(states={1: 127, 2: 4, 3: 127, 9: 127}), "nodes 1-3,9: not started", "nmt start 1-3,9 --wait"),
     ],

@@ -145,6 +145,8 @@ def test_bad_rows_are_told_and_strict_refuses(data: Path, tmp_path: Path, printe
     path.unlink()
     assert "no file is written" in printed(1, ["calibrate", "fit", str(data), "-o", str(path), "--strict", *LIMIT]).err
     assert not path.exists()
+    data.write_text("\n".join((lines[0], lines[1], lines[9])))
+    assert "1 bad rows were not used, the first: line 3: SG1 is 'x" in printed(2, ["calibrate", "fit", str(data)]).err
     data.write_text(lines[0] + "\n" + lines[9])
     assert "no row can be used; the first: line 2: SG1 is 'x" in printed(2, ["calibrate", "fit", str(data)]).err
 

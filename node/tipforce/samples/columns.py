@@ -65,6 +65,13 @@ def status_of(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -
     return status
 
 
+def range_bits(calibration: Calibration | None, P_newtons: FloatArray) -> npt.NDArray[np.uint16]:
+    """UNRANGED or BEYOND_CALIBRATED of known forces (k,): no status byte has them, and TPDO4 is off by default."""
+    limit = np.inf if calibration is None else calibration.calibrated_force_newtons
+    beyond = np.where(limit < P_newtons, np.uint16(Status.BEYOND_CALIBRATED), np.uint16(0))
+    return beyond if limit else np.where(np.isnan(P_newtons), np.uint16(0), np.uint16(Status.UNRANGED))
+
+
 def contact_values(
     columns: Mapping[str, npt.NDArray[Any]],
     strain: FloatArray,

@@ -166,9 +166,11 @@ def _of_the_nodes(seen: Observed, sync: str) -> Iterator[Finding]:
     for node_id, words in sorted(seen.faults.items()):
         yield Finding("faults", "note", f"{shown([node_id])}: {words}", f"`tipforce sdo read {node_id} faults` (2124h)")
     for node_id, (code, register) in sorted(seen.emergencies.items()):
-        if node_id not in seen.faults and code not in (SYNC_LENGTH, COB_ID_COLLISION):
+        said = code == SYNC_LENGTH or (code == COB_ID_COLLISION and node_id in seen.duplicates.found)
+        if node_id not in seen.faults and not said:
             finding = f"{shown([node_id])}: EMCY {emcy_text(code, register)}"
-            yield Finding("faults", "note", finding, f"`tipforce sdo dump {node_id}`")
+            topic, step = "nodes" if code == COB_ID_COLLISION else "faults", f"`tipforce sdo dump {node_id}`"
+            yield Finding(topic, "note", finding, step)
 
 
 def not_calibrated(node_id: int) -> Finding:

@@ -160,13 +160,14 @@ def test_drift_and_floor() -> None:
 
 
 def test_a_node_that_goes_and_comes_back() -> None:
-    with connected(finger(), timeout_s=0.05, retries=0) as (connection, _):
+    with connected(finger()) as (connection, _):
         reader = GaugeReader(connection, 5, 3, period_s=0.001)
         assert reader.capture(5).count == 5
         connection.nmt("reset-node", 5)  # as if it had lost its power
         connection.wait_for({0x705})
         assert reader.capture(5).count == 5
         connection.nmt("stop", 5)
+        connection.sdo(5).timeout_s, connection.sdo(5).retries = 0.05, 0  # from here on nothing responds
         reader.start = lambda: None  # type: ignore[method-assign]  # else it would start the node again
         with pytest.raises(NoResponseError, match="node 5"):
             reader.capture(5)

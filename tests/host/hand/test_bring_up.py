@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -78,6 +79,14 @@ def test_five_unconfigured_nodes_are_up_within_three_seconds(tmp_path: Path) -> 
         reports, events = up(connection, hand)
         assert all(report.ok for report in reports)
         assert all("already active" in event.text for event in events if event.kind == "calibrated")
+
+
+def test_a_lost_response_to_lss_is_no_absent_node(tmp_path: Path) -> None:
+    with hand_of(node(255, 30, tmp_path)) as (connection, bus):
+        number = itertools.count()
+        bus.fault = lambda message: None if message.arbitration_id == 0x7E4 and not next(number) else message
+        reports, _ = up(connection, plan((8, 30), folder=tmp_path))
+        assert [str(report) for report in reports if not report.ok] == []
 
 
 def test_without_serials_ids_are_given_in_the_order_of_the_file(tmp_path: Path) -> None:

@@ -148,6 +148,22 @@ def test_the_hands_own_tare_is_no_foreign_change() -> None:
             hand.hand.tare("ring")
 
 
+def test_an_accepted_calibration_gives_the_uncertainties(tmp_path: Path) -> None:
+    """Not the one of the hand file, which the finger no longer has; also of rows that are open."""
+    with simulated_hand("accept", folder=tmp_path) as hand:
+        rows = hand.hand.rows(5.0)
+        hand.line.run(0.1)
+        u_newtons = next(rows)["finger 2"].u_P_newtons
+        replaced(hand.master)
+        told(hand, "accepted")
+        hand.line.run(0.3)
+        for later in (hand.hand.rows(5.0), rows):
+            hand.line.run(0.1)
+            number = hand.hand.statistics().tally.rows - 1
+            last = next(row for row in later if row.number == number)
+            assert last["finger 2"].u_P_newtons == pytest.approx(2.0 * u_newtons, rel=1e-3)
+
+
 def test_the_hands_own_tare_does_not_accept_a_foreign_change() -> None:
     with simulated_hand() as hand:
         offset(hand.master)

@@ -124,6 +124,20 @@ def test_what_a_query_may_do(query: str, dataset: Path, capsys: pytest.CaptureFi
     assert main(["dataset", "sql", f"{dataset}/data", query]) == 0
 
 
+def test_no_column_is_lost_in_an_object(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["--unrestricted"]):
+        assert main(["dataset", "sql", f"{dataset}/data", "--json", *words, "select 1 as a, 2 as a"]) == 2
+        assert "2 columns are called a: rename one" in capsys.readouterr().err
+
+
+def test_show_and_a_query_have_the_same_times(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """1700000000.002 as a double, in milliseconds, is below ...002."""
+    frames = [f"({1700000000.002 + 0.01 * k:.6f}) can0 285#F401E803008003{k:02X}" for k in range(3)]
+    assert decode(write_log(tmp_path / "run.log", frames), "-o", f"{tmp_path}/data/") == 0
+    assert main(["dataset", "show", f"{tmp_path}/data"]) == 0
+    assert "2023-11-14T22:13:20.002 to 2023-11-14T22:13:20.022" in capsys.readouterr().out
+
+
 def test_rows_keep_their_order_and_are_printed_in_parts(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
     query = "select range as n from range(25000) order by n desc"
     assert main(["dataset", "sql", f"{dataset}/data", "--json", query]) == 0

@@ -227,11 +227,16 @@ def test_a_log_is_replayed_to_its_end(browser: Browser, tmp_path: Path) -> None:
         expect(mode).to_contain_text("replay")  # it opens playing, as a whole
         expect(page.locator("#live")).to_be_hidden()
         expect(page.locator("#window")).to_have_value("0")
-        page.click("#play")
-        expect(mode).to_have_text("paused")
         page.focus("#scrub")
         page.keyboard.press("Home")
+        expect(mode).to_have_text("paused")
         expect(second).to_have_text("recorded")
+        page.select_option("#speed", "0.1")  # not at its end before the click that pauses it
+        page.click("#play")
+        expect(mode).to_contain_text("replay")
+        page.click("#play")
+        expect(mode).to_have_text("paused")
+        page.select_option("#speed", "1")
         page.click("#play")
         expect(mode).to_contain_text("replay")
         expect(second).to_contain_text("stale since")

@@ -76,12 +76,12 @@ def run_fit(args: argparse.Namespace) -> int:
     data = read_measurements(args.data, loads=True)
     if not len(data.line):
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
+    if data.bad:  # before the fit, which may find too few others
+        common.note(f"{args.data}: {len(data.bad)} bad rows were not used, the first: {data.bad[0]}")
     request = FitRequest(**requested(args))
     request.check_gauges(data.strain.shape[1], args.data)
     result = fitted(request, data, common.note)
     doubtful = publish(args.data, request, result)
-    if data.bad:
-        common.note(f"{args.data}: {len(data.bad)} bad rows were not used")
     if (data.bad or doubtful) and args.strict:
         common.note("--strict: no file is written")
         return 1

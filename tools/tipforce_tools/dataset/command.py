@@ -135,7 +135,7 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
         f"{found['bytes'] / _MB:.1f} MB, generation {manifest.generation}"
     )
     for node in found["nodes"]:
-        first, last = (_utc(int(node[name] * 1000)) for name in ("first_s", "last_s"))
+        first, last = (_utc(round(node[name] * 1000)) for name in ("first_s", "last_s"))
         yield (
             f"{node['hand']} node {shown_id(node['node'])}: {node['rows']} samples on "
             f"{counted(node['days'], 'day')}, {first} to {last}"

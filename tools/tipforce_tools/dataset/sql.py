@@ -136,6 +136,8 @@ def _print(connection: Any, text: str, args: argparse.Namespace) -> None:
         text = f"select {', '.join(columns)} from ({text}\n)"
     connection.execute(text)
     names = names or [column[0] for column in connection.description or ()]
+    if name := next((name for name in names if names.count(name) > 1), ""):  # an object has each name once
+        raise InputError(f"dataset sql: {names.count(name)} columns are called {name}: rename one ({name} AS x)")
     while rows := connection.fetchmany(_ROWS) if names else []:
         for row in rows:
             common.print_json(dict(zip(names, map(_plain, row), strict=True)))

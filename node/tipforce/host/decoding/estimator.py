@@ -212,6 +212,7 @@ class Estimator:
             before = Before(present, bool(status[rows][-1] & reasons.OVERLOAD))
         return contacts, status, before
 
+    @np.errstate(over="ignore")  # an uncertainty that no double has is infinite, as in pure Python
     def _block(self, given: Readings, before: Before) -> tuple[list[FloatArray], IntArray]:
         """([P, phi, theta, u_P, u_phi, u_theta], status) of some rows."""
         if self._limits:

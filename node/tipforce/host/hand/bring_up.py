@@ -165,7 +165,7 @@ def assign(
 
 
 def _assign_one(connection: Bus, master: LssMaster, plan: FingerPlan, store: bool) -> str:
-    address = select(master, plan)
+    address = select(master, plan) or select(master, plan)  # a response may be late, or lost: then it was silence
     if address is None:
         who = f"a node with serial {plan.serial}" if plan.serial else "a node without a node-id"
         raise NoResponseError(

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+import weakref
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -35,6 +36,7 @@ from tipforce.host.hand.rows import Collector, Delivery, HandRows, RowStream
 from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
+from tipforce.host.network.finger import FingertipClient
 from tipforce.samples.record import RowContacts, Rows
 from tipforce.samples.rows import Tally
 from tipforce.samples.sync_numbers import LARGEST
@@ -79,8 +81,10 @@ class Hand:
         self._load = LoadMeter(int(file.bus.get("bitrate", DEFAULT_BIT_RATE)))
         self._delivery = Delivery()
         self._recovery = Recovery(
-            file, lambda: self._link.connection, self._supervisor, self._collector, self._delivery.event
+            file, lambda: self._link.connection, self._supervisor, self._collector, self._recovered
         )
+        self._accepted: set[int] = set()  # fingers that may have another calibration than the file's
+        self._contacts: weakref.WeakSet[RowContacts] = weakref.WeakSet()
         self._queue = RecoveryQueue(self._recovery.recover)
         self._babbling = BabbleWatch(plan.sync_hz)
         self._probe_s = self._heard_s = 0.0  # of the next LSS search; all frames up to then were read
@@ -167,14 +171,16 @@ class Hand:
         """
         names = [finger.name for finger in self.file.finger]
         calibrations = [self.calibration(finger) for finger in self.file.finger]
-        return HandRows(self._delivery.rows(timeout_s), RowContacts(self.node_ids, names, calibrations))
+        contacts = RowContacts(self.node_ids, names, calibrations, self._collector.health)
+        self._contacts.add(contacts)
+        return HandRows(self._delivery.rows(timeout_s), contacts)
 
     def calibration(self, finger: FingerPlan) -> Calibration | None:
         """Return the calibration for the uncertainties: the file's, else the node's own; None if it is unknown."""
-        calibration = self.file.calibration(finger)
+        calibration = None if finger.node_id in self._accepted else self.file.calibration(finger)
         if calibration is None:
             with suppress(TipforceError):  # a finger that does not respond now
-                calibration = self._link.connection.finger(finger.node_id).calibration()
+                calibration = FingertipClient(self._link.connection.sdo(finger.node_id)).calibration()
         return calibration
 
     def blocks(self, timeout_s: float | None = None) -> RowStream:
@@ -253,6 +259,14 @@ class Hand:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _recovered(self, event: Event) -> None:
+        if event.kind == "accepted":  # before its values are shown
+            place = self.node_ids.index(event.node_id)
+            self._accepted.add(event.node_id)
+            for contacts in self._contacts:
+                contacts.calibrations[place] = self.calibration(self.file.finger[place])
+        self._delivery.event(event)
 
     def _each(self, act: Callable[[int], None]) -> None:
         """Do something with every finger that responds, in parallel; a failure is an event."""

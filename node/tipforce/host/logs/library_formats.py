@@ -107,6 +107,8 @@ class _BlfReader(can.BLFReader):
                 expansion.take(packed_bytes, len(content))
             self._check_objects(self._tail + content)
             yield from self._parse_container(content)
+            if len(data) < size - _OBJECT.size:
+                raise EOFError(f"an object of {size} bytes has {_OBJECT.size + len(data)}")
         self.stop()
 
     def _check_objects(self, data: bytes) -> None:

@@ -75,6 +75,7 @@ class FingertipClient:
     def __init__(self, sdo: SdoChannel) -> None:
         self.sdo = sdo
         self.node_id = sdo.node_id
+        self._calibrations: dict[int, Calibration | None] = {}  # of the samples that are joined from now on
 
     def identity(self) -> Identity:
         """Return the identity of the node."""
@@ -122,6 +123,7 @@ class FingertipClient:
         self._write_refusable(od.CALIBRATION_EXPECTED_CRC, crc)
         on_step(f"staged {len(record)} bytes, CRC-32 0x{crc:08X}")
         self._write_refusable(od.CALIBRATION_COMMIT, table.SIGNATURE_COMMIT)
+        self._calibrations[self.node_id] = Calibration.from_record(record)
         generation = self.sdo.read(od.CALIBRATION_GENERATION)
         on_step(f"committed, generation {generation}")
         if lines := self.verify_calibration(calibration):
@@ -244,9 +246,9 @@ class Finger(FingertipClient):
 
         with self._lock:
             if self._reader is None:
-                calibration = None if self.passive else self.calibration()
+                self._calibrations[self.node_id] = None if self.passive else self.calibration()
                 bus, gauges = self._connection, self.default_gauges
-                self._reader = ContactReader(bus, self.node_id, calibration, self.passive, gauges)
+                self._reader = ContactReader(bus, self.node_id, self._calibrations, self.passive, gauges)
             state, now_s = self._connection.heartbeats.state(self.node_id), time.monotonic()
             to_start = not self.passive and state not in (codes.OPERATIONAL, codes.STOPPED)
             if to_start and now_s - self._started_s > _START_AGAIN_S:

@@ -7,7 +7,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from tipforce.dictionary import objects
 from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import DuplicateNodeError, InputError, NoNewSampleError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding.health import ALL
 from tipforce.host.decoding.pdo_layout import layout_decoder, node_layout
 from tipforce.host.decoding.sample_rule import SAMPLES
 from tipforce.host.frames.frame_array import RawFrame, frame_array
@@ -39,12 +40,12 @@ class ContactReader:
     """Subscribe to the PDOs of one finger and convert each new sample to a Contact.
 
     Its PDOs are read over SDO; ``passive``: they are the default ones of ``gauges`` gauges, and nothing is sent.
-    ``calibration`` is used for the uncertainties. Raises as SdoChannel does, and InputError for a finger whose PDOs
-    carry no contact, no force and not all gauges, each with status and counter.
+    ``calibrations``, by node-id, are used for the uncertainties. Raises as SdoChannel does, and InputError for a finger
+    whose PDOs carry no contact, no force and not all gauges, each with status and counter.
     """
 
     def __init__(
-        self, connection: Bus, node_id: int, calibration: Calibration | None, passive: bool, gauges: int
+        self, connection: Bus, node_id: int, calibrations: Mapping[int, Calibration | None], passive: bool, gauges: int
     ) -> None:
         self._passive, self._connection, self._node_id = passive, connection, node_id
         if passive:
@@ -59,7 +60,7 @@ class ContactReader:
             gauges = layout.gauges
         needed = _needed(node_id, gauges, pdos)
         layouts = {can_id: (node_id, message) for can_id, message in pdos.items()}
-        self._assembler = Assembler(layouts, needed, gauges, {node_id: calibration})
+        self._assembler = Assembler(layouts, needed, gauges, calibrations)
         self._arrived = threading.Condition()
         self._waiting: deque[RawFrame] = deque(maxlen=_MOST_WAITING)
         self._joined: deque[Contact] = deque()
@@ -68,6 +69,9 @@ class ContactReader:
         self._since_s = time.monotonic()
         for can_id in (*self._assembler.pdos, *self._assembler.services):
             connection.network.subscribe(can_id, self._on_frame)
+        if not passive:
+            with suppress(SdoAbortError):  # what was told before
+                self._assembler.health.set(node_id, sdo.read(objects.FAULTS), ALL)
 
     def close(self) -> None:
         """Stop receiving."""
