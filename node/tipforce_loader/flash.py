@@ -18,10 +18,18 @@ if TYPE_CHECKING:
         def read(self, slot: int) -> bytes: ...  # the whole content; empty if there is none
         def write(self, slot: int, data: bytes) -> None: ...  # returns only when the content is in flash
 
+    class BlockDevice(Protocol):
+        """The used part of ``esp32.Partition`` or another block device of MicroPython: the simple interface."""
+
+        def readblocks(self, block: int, buffer: bytearray) -> None: ...
+        def writeblocks(self, block: int, buffer: bytearray) -> None: ...  # erases them first
+        def ioctl(self, operation: int, argument: int) -> "int | None": ...  # 4: number of blocks, 5: size, 3: sync
+
 
 _MAGIC = 0x31504954  # "TIP1"
 _HEAD = "<IIII"
 _HEAD_SIZE = 16
+_LARGEST = 1 << 20
 _NOTHING: "tuple[int, dict[str, bytes]]" = (0, {})
 
 
@@ -112,3 +120,37 @@ class FileSlots:
             file.write(data)
         if hasattr(os, "sync"):
             os.sync()
+
+
+class BlockSlots:
+    """Two halves of a block device without a file system, such as ``esp32.Partition.find(label="tip")[0]``.
+
+    Raises ValueError for a device with less than two blocks.
+    """
+
+    def __init__(self, device: "BlockDevice") -> None:
+        count, self._size = device.ioctl(4, 0) or 0, device.ioctl(5, 0) or 512
+        if count < 2:
+            raise ValueError("block device: %d blocks, 2 are needed" % count)
+        self._device, self._count = device, count // 2
+
+    def read(self, slot: int) -> bytes:
+        """Return whole blocks, as many as the header of the content requires."""
+        first = bytearray(self._size)
+        self._device.readblocks(slot * self._count, first)
+        magic, _sequence, length, _crc = struct.unpack(_HEAD, first[:_HEAD_SIZE])
+        blocks = (min(length, _LARGEST) + _HEAD_SIZE + self._size - 1) // self._size if magic == _MAGIC else 1
+        if blocks == 1 or blocks > self._count:
+            return bytes(first)
+        rest = bytearray(self._size * (blocks - 1))
+        self._device.readblocks(slot * self._count + 1, rest)
+        return bytes(first + rest)
+
+    def write(self, slot: int, data: bytes) -> None:
+        """Erase and write the blocks; OSError if the content does not fit."""
+        blocks = (len(data) + self._size - 1) // self._size
+        if blocks > self._count:
+            raise OSError(28)  # ENOSPC
+        buffer = bytearray(data + b"\xff" * (blocks * self._size - len(data)))
+        self._device.writeblocks(slot * self._count, buffer)
+        self._device.ioctl(3, 0)

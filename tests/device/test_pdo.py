@@ -22,7 +22,8 @@ def receiving(transmission: int = 255, mapping: list[int] | None = None) -> Conv
         for sub, word in enumerate(mapping, 1):
             assert talk.put("I", 0x1600, sub, word) == 0
         assert talk.put("B", 0x1600, 0, len(mapping)) == 0
-    assert talk.put("B", 0x1400, 2, transmission) == talk.put("I", 0x1400, 1, 0x205) == 0
+    assert talk.put("B", 0x1400, 2, transmission) == 0
+    assert talk.put("I", 0x1400, 1, 0x205) == 0
     talk.say("> 000#0105")
     return talk
 

@@ -44,7 +44,8 @@ def test_defaults_are_not_stored_so_that_cob_ids_follow_a_new_node_id() -> None:
     store = MemoryStore()
     talk = booted(store)
     # Written back as it is: still the default, which is 180h plus the node-id.
-    assert talk.put("I", 0x1801, 1, 0xC0000285) == talk.put("H", 0x6000, 0, 7) == talk.put("I", 0x1010, 1, SAVE) == 0
+    assert talk.put("I", 0x1801, 1, 0xC0000285) == talk.put("H", 0x6000, 0, 7) == 0
+    assert talk.put("I", 0x1010, 1, SAVE) == 0
     moved = booted(store, node_id=9)
     assert moved.get("I", 0x1801, 1) == 0xC0000289
     assert moved.get("H", 0x6000) == 7

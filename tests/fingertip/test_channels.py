@@ -67,7 +67,8 @@ def test_settings_are_the_same_after_a_restart() -> None:
     talk = finger(store=store)
     for sub in (1, 2, 3):
         assert talk.put("i", 0x9124, sub, 123456789 + sub) == 0
-    assert talk.put("f", 0x6123, 1, 1234.5) == talk.put("I", 0x6114, 1, 250) == talk.put("I", 0x1010, 3, SAVE) == 0
+    assert talk.put("f", 0x6123, 1, 1234.5) == talk.put("I", 0x6114, 1, 250) == 0
+    assert talk.put("I", 0x1010, 3, SAVE) == 0
     before = [talk.upload(index, sub) for index in (0x6123, 0x6124, 0x7124, 0x9124) for sub in (1, 2, 3)]
     again = finger(store=store, calibrated=False)
     assert [again.upload(index, sub) for index in (0x6123, 0x6124, 0x7124, 0x9124) for sub in (1, 2, 3)] == before

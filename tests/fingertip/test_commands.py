@@ -237,7 +237,8 @@ def test_order_of_refusals(talk: Finger) -> None:
 def test_lock_is_not_stored_and_outlasts_a_reset() -> None:
     store = MemoryStore()
     talk = finger(store=store)
-    assert talk.put("B", 0x2105, 2, 1) == talk.put("I", 0x1010, 1, SAVE) == 0
+    assert talk.put("B", 0x2105, 2, 1) == 0
+    assert talk.put("I", 0x1010, 1, SAVE) == 0
     talk.say("> 000#8105\n< 705#00")
     assert talk.get("B", 0x2105, 2) == 1  # until a power cycle
     assert finger(store=store, calibrated=False).get("B", 0x2105, 2) == 0

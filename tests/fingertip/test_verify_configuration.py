@@ -287,9 +287,11 @@ def test_the_counter_wraps_and_is_0_at_boot(talk: Finger) -> None:
 def test_a_store_of_version_1_is_refused() -> None:
     store = MemoryStore()
     talk = finger(store=store)
-    assert talk.put("I", 0x1803, 1, 0xC0000485) == talk.put("B", 0x1A03, 0, 0) == 0
+    assert talk.put("I", 0x1803, 1, 0xC0000485) == 0
+    assert talk.put("B", 0x1A03, 0, 0) == 0
     assert talk.put("I", 0x1A03, 4, 0x21210008) == 0  # what version 1 mapped there
-    assert talk.put("B", 0x1A03, 0, 5) == talk.put("I", 0x1010, 1, SAVE) == 0
+    assert talk.put("B", 0x1A03, 0, 5) == 0
+    assert talk.put("I", 0x1010, 1, SAVE) == 0
     blob = store.groups["calibration"][4:]
     assert len(blob) == 8 + 158
     store.groups["calibration"] = struct.pack("<I", binascii.crc32(blob[: 8 + 106])) + blob[: 8 + 106]

@@ -152,7 +152,8 @@ def test_an_unhealthy_program_runs_once(with_old: Flash) -> None:
     assert running(board) == version_of(NEW)
     assert int(board.device.od.get(0x1F57, 1)) & program.IN_PROGRESS
     # The slot of the old program is needed until the new one is confirmed.
-    assert board.download(OLD).abort_code == board.control(program.CLEAR) == codes.DEVICE_STATE
+    assert board.download(OLD).abort_code == codes.DEVICE_STATE
+    assert board.control(program.CLEAR) == codes.DEVICE_STATE
     board.power_on()
     assert running(board) == version_of(OLD)
     assert board.device.od.get(0x1F57, 1) == loader_image.UNHEALTHY << 16 | 63 << 1
@@ -184,7 +185,8 @@ def test_control() -> None:
     board.control(program.RESET)
     assert board.device.requests == [("restart", 0, program.RESTART_DELAY_MS)]
     board.device.step(board.now_us, [(0, b"\1\5")])
-    assert board.download(NEW).abort_code == board.control(program.STOP) == codes.DEVICE_STATE
+    assert board.download(NEW).abort_code == codes.DEVICE_STATE
+    assert board.control(program.STOP) == codes.DEVICE_STATE
 
 
 def test_the_signature_is_the_hmac_of_the_standard_library() -> None:

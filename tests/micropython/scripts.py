@@ -73,14 +73,16 @@ def calibration() -> list[Recording]:
     assert talk.put("f", 0x2101, 1, 0.0) == codes.DEVICE_STATE
     assert talk.put("I", 0x2105, 3, table.SIGNATURE_OPEN) == 0
     talk.get("f", 0x2102, 5)
-    assert talk.put("H", 0x1017, 0, 250) == talk.put("f", 0x6133, 7, 0.25) == 0
+    assert talk.put("H", 0x1017, 0, 250) == 0
+    assert talk.put("f", 0x6133, 7, 0.25) == 0
     assert talk.put("I", 0x1010, 1, codes.SIGNATURE_SAVE) == 0
     talk.send("000#8105")
     assert talk.upload(0x2140) == record
     second = Talk("calibration, power cycle", store=talk.recorded.stored())
     assert second.upload(0x2140) == record
     assert second.get("H", 0x1017) == 250
-    assert second.put("I", 0x1011, 2, codes.SIGNATURE_LOAD) == second.put("I", 0x1011, 4, codes.SIGNATURE_LOAD) == 0
+    assert second.put("I", 0x1011, 2, codes.SIGNATURE_LOAD) == 0
+    assert second.put("I", 0x1011, 4, codes.SIGNATURE_LOAD) == 0
     second.send("000#8105")
     assert second.get("I", 0x2103, 3) == 0
     damaged = {name: content[:-2] + "00" for name, content in talk.recorded.stored().items()}
@@ -118,7 +120,8 @@ def measurement() -> list[Recording]:
                 talk.upload(index, sub)
     talk.load(0.0, 0.0, 0.0)
     talk.sync(2)
-    assert talk.put("B", 0x1400, 2, 255) == talk.put("I", 0x1400, 1, 0x205) == 0
+    assert talk.put("B", 0x1400, 2, 255) == 0
+    assert talk.put("I", 0x1400, 1, 0x205) == 0
     for line in ("205#0100", "205#0200", "205#0300", "205#0400", "205#01", "205#0100"):
         talk.send(line)
         talk.sync(2)
@@ -127,7 +130,9 @@ def measurement() -> list[Recording]:
     talk.get("f", 0x2111, 1)
     talk.get("I", 0x2111, 4)
     for fault in (1, 2, 3, 4, 5, 0):
-        assert talk.put("f", 0x2200, 3, 20.0) == talk.put("B", 0x2200, 2, 2) == talk.put("H", 0x2200, 1, fault) == 0
+        assert talk.put("f", 0x2200, 3, 20.0) == 0
+        assert talk.put("B", 0x2200, 2, 2) == 0
+        assert talk.put("H", 0x2200, 1, fault) == 0
         talk.sync(40)
         talk.advance(150_000)
         talk.sync(2)
@@ -145,13 +150,16 @@ def pdos() -> list[Recording]:
     assert talk.put("I", 0x1A01, 1, 0x61300710) == codes.DEVICE_STATE
     talk.remap(1, 0x40000285, ((0x6130, 7, 32), (0x9130, 8, 32)))
     talk.remap(2, 0x40000385, ((0x7130, 4, 16), (0x2120, 0, 8), (0x2107, 3, 32)))
-    assert talk.put("I", 0x1801, 1, 0x400006FF) == talk.put("B", 0x1801, 2, 252) == codes.INVALID_VALUE
+    assert talk.put("I", 0x1801, 1, 0x400006FF) == codes.INVALID_VALUE
+    assert talk.put("B", 0x1801, 2, 252) == codes.INVALID_VALUE
     for transmission in (1, 3, 240, 0):
         assert talk.put("B", 0x1801, 2, transmission) == 0
         talk.load(0.1 * (1 + transmission), 12.5, -7.5)
         talk.sync(7)
     talk.remap(3, 0x40000485, ((0x7130, 7, 16), (0x7130, 8, 16)), transmission=254, inhibit=50, event_ms=20)
-    assert talk.put("f", 0x6133, 7, 0.05) == talk.put("f", 0x6135, 8, 20.0) == talk.put("f", 0x6136, 8, 2.0) == 0
+    assert talk.put("f", 0x6133, 7, 0.05) == 0
+    assert talk.put("f", 0x6135, 8, 20.0) == 0
+    assert talk.put("f", 0x6136, 8, 2.0) == 0
     for P, phi in ((0.2, 10.0), (0.22, 10.0), (0.3, 15.0), (0.3, 21.0), (0.3, 19.0), (0.3, 15.0), (0.0, 0.0)):
         talk.load(P, phi, 2.0)
         talk.advance(33_000)
@@ -186,7 +194,9 @@ def network() -> list[Recording]:
     assert talk.put("I", 0x1013, 0, 0xFFFFFF00) == 0
     talk.advance(1000)
     talk.get("I", 0x1013)
-    assert talk.put("H", 0x1017, 0, 0) == talk.put("H", 0x100C, 0, 50) == talk.put("B", 0x100D, 0, 3) == 0
+    assert talk.put("H", 0x1017, 0, 0) == 0
+    assert talk.put("H", 0x100C, 0, 50) == 0
+    assert talk.put("B", 0x100D, 0, 3) == 0
     talk.start()
     for _ in range(3):
         talk.step([(0x40000705, b"")])
@@ -271,8 +281,10 @@ def judged() -> list[Recording]:
         for sub, value in enumerate((2.0, 4.0, 10.0, 22.0, 0.001), 1):
             assert talk.put("f", 0x2112, sub, value) == 0
         for k in range(len(points)):
-            assert talk.put("f", 0x2113, 1 + k, 2.5e-3) == talk.put("f", 0x2114, 1 + k, 1e-6 * k) == 0
-        assert talk.put("f", 0x2115, 0, -3e-4) == talk.put("f", 0x2116, 0, 30.0) == 0
+            assert talk.put("f", 0x2113, 1 + k, 2.5e-3) == 0
+            assert talk.put("f", 0x2114, 1 + k, 1e-6 * k) == 0
+        assert talk.put("f", 0x2115, 0, -3e-4) == 0
+        assert talk.put("f", 0x2116, 0, 30.0) == 0
         talk.calibrate(points)
         talk.remap(3, 0x40000485, ((0x2124, 0, 16), (0x2123, 0, 16), (0x2126, 0, 8)), transmission=255)
         talk.start()
@@ -282,7 +294,8 @@ def judged() -> list[Recording]:
         for gauge in range(1, len(points) + 1):
             talk.get("H", 0x2124)
             assert talk.put("f", 0x2200, 3, 500.0) == 0  # microstrain/s
-            assert talk.put("B", 0x2200, 2, gauge) == talk.put("H", 0x2200, 1, 5) == 0
+            assert talk.put("B", 0x2200, 2, gauge) == 0
+            assert talk.put("H", 0x2200, 1, 5) == 0
             talk.sync(30, 2000)
             for sub in range(1, 4):
                 talk.get("f", 0x2107, sub)

@@ -108,7 +108,8 @@ def test_directory_that_vanishes(tmp_path: Path) -> None:
     directory.mkdir()
     talk = stored(directory / "node.json")
     shutil.rmtree(directory)
-    assert talk.put("I", 0x1010, 1, SAVE) == talk.put("I", 0x1011, 1, 0x64616F6C) == 0x06060000
+    assert talk.put("I", 0x1010, 1, SAVE) == 0x06060000
+    assert talk.put("I", 0x1011, 1, 0x64616F6C) == 0x06060000
     # The node itself goes on.
     assert talk.upload(0x2140) == record()
 
