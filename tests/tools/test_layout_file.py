@@ -11,7 +11,8 @@ import pytest
 
 from canopen_device.core.node import Device
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration, write_calibration
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce.sensor.structure.gauges import Gauge, GaugePosition, gauge_matrix
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
