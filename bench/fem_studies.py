@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from tipforce.arrays import FloatArray
-from tipforce.sensor.structure.gauges import GaugePosition
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
+from tipforce.sensor.structure.strain import GaugePosition
 from tipforce_lab.design.tables import nearest_common
 from tipforce_lab.fem.mesh import GRADING, STATED, Resolution
 from tipforce_lab.fem.plane_stress import (

@@ -14,8 +14,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.dynamics.first_order_hold import Hold, State, at_rest, energy, hold, node_coefficients, respond
 from tipforce.sensor.dynamics.model import Modes, half_cylinder, modes
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.limits import closing_load, slit_closure
-from tipforce.sensor.structure.plane_frame import Frame
+from tipforce.sensor.structure.plane_frame import Frame, closing_load, slit_closure
 from tipforce.sources.dynamic_load import DynamicLoad
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Striker, impact, overload

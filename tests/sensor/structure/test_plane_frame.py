@@ -10,10 +10,8 @@ import pytest
 from numpy.polynomial import Legendre, Polynomial
 
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauges import GaugePosition, gauge_matrix, nominal_position, strain_row
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
-from tipforce.sensor.structure.limits import slit_closure
 from tipforce.sensor.structure.off_axis import (
     PlacedGauge,
     apparent_force,
@@ -32,8 +30,16 @@ from tipforce.sensor.structure.plane_frame import (
     TIMOSHENKO,
     Frame,
     FrameModel,
+    slit_closure,
 )
-from tipforce.sensor.structure.strain import condition_number, strain_matrix
+from tipforce.sensor.structure.strain import (
+    GaugePosition,
+    condition_number,
+    gauge_matrix,
+    nominal_position,
+    strain_matrix,
+    strain_row,
+)
 
 FloatArray = npt.NDArray[np.float64]
 

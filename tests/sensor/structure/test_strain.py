@@ -9,21 +9,19 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.gauges import (
-    GaugePosition,
-    nominal_position,
-    position_matrix,
-    shifted,
-    shifted_matrix,
-    strain_row,
-)
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, layout, layout_code, mirror
 from tipforce.sensor.structure.strain import (
+    GaugePosition,
     calibration_matrix,
     condition_number,
+    nominal_position,
+    position_matrix,
     row_equilibrated_condition_number,
+    shifted,
+    shifted_matrix,
     strain_matrix,
+    strain_row,
     stress_coefficients,
     thin_limit_matrix,
 )

@@ -11,7 +11,7 @@ from bench import fem_studies as studies
 from bench.fem import main
 
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauges import GaugePosition
+from tipforce.sensor.structure.strain import GaugePosition
 from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution
 from tipforce_lab.fem.plane_stress import (
     Model,

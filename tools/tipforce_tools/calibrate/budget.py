@@ -119,8 +119,8 @@ def run(args: argparse.Namespace) -> int:
 def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor:
     import numpy as np
 
-    from tipforce.sensor.structure.gauges import gauge_matrix, place
     from tipforce.sensor.structure.layouts import CASE_OF_CODE
+    from tipforce.sensor.structure.strain import gauge_matrix, place
     from tipforce.sources.layout_file import read_layout
     from tipforce_lab.design.error_budget import Sensor
 

@@ -14,8 +14,8 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce.sensor.structure.gauges import GaugePosition
     from tipforce.sensor.structure.geometry import Geometry
+    from tipforce.sensor.structure.strain import GaugePosition
     from tipforce_lab.design.tables import Record, Section
 
 TABLES = ("1", "2", "3", "comparators", "fig6", "fig9", "off-axis", "materials", "scaling")
@@ -142,7 +142,7 @@ def _changed(
     what: str, names: list[str], geometry: Geometry, gauges: Sequence[str | GaugePosition]
 ) -> Callable[[float], tuple[Geometry, list[GaugePosition]]]:
     """Return a function from the value in metres to the body and the positions of its gauges."""
-    from tipforce.sensor.structure.gauges import shifted
+    from tipforce.sensor.structure.strain import shifted
 
     def resized(value_m: float) -> tuple[Geometry, list[GaugePosition]]:
         body = replace(geometry, **{f"{what}_m": value_m})
@@ -158,7 +158,7 @@ def _changed(
 
 
 def _figures(geometry: Geometry, places: list[GaugePosition]) -> Record:
-    from tipforce.sensor.structure.gauges import position_matrix
+    from tipforce.sensor.structure.strain import position_matrix
     from tipforce_lab.design.tables import figures, maximum_over_contacts
 
     matrix = position_matrix(geometry, places)

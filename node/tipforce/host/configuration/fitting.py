@@ -18,10 +18,9 @@ from tipforce.sensor.calibration.data import rails, require_degrees, require_ord
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, beam_prior, best_fit, fit_with_drift
 from tipforce.sensor.calibration.result import rounded, to_digits
 from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
-from tipforce.sensor.structure.gauges import Gauge, gauge_matrix
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import Gauge, gauge_matrix, strain_matrix
 from tipforce.sources.layout_file import read_layout
 
 ALLOWED_WITH_LAYOUT, ALLOWED_WITHOUT = 4.0, 30.0
