@@ -100,7 +100,7 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
     """Fit, leave out what is odd or clipped, and fit again until nothing changes."""
     scales = Scales.of(readings.strain, readings.P_newtons)
     limit = np.inf if model.saturation_strain is None else np.asarray(model.saturation_strain) / scales.strain
-    V = readings.strain / scales.strain
+    V, n = readings.strain / scales.strain, readings.strain.shape[1]
     saturated = np.abs(V) >= limit
     near, robust = np.zeros_like(saturated), model.loss != "none"
     outlier = _suspected(readings, model, scales, ~saturated)
@@ -111,8 +111,12 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
         keep = ~outlier if robust else np.ones_like(outlier)
         basis = _basis(readings, model, keep & counted.all(axis=1))
         problem = pick(_problem(readings, model, scales, basis, counted, gain_per_K), keep)
-        singular = _require_seen(problem, basis, scales)
-        solution = solve(problem, model.loss, corner(V.shape[1]), solution)
+        g, observed = problem.g[:, ~problem.kinks], problem.observed
+        if problem.prior_information.any():
+            g = np.concatenate((g, np.eye(3, g.shape[1])))
+            observed = np.concatenate((observed, np.ones((3, n), dtype=np.bool_)))
+        singular = regressors.require_seen(g, observed, (*regressors.FORCES, *basis.names), scales.newtons)
+        solution = solve(problem, model.loss, corner(n), solution)
         at_reference = regressors.at_reference(basis, solution.coefficients, solution.covariance)
         regressors.require_clear(*at_reference, (*regressors.FORCES, "offset"), scales.newtons)
         before, near_before = outlier, near
@@ -152,8 +156,7 @@ def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
         raise InputError(
             f"the readings have rank {rank}: allowed are readings of loads in three independent directions"
         )
-    matrix: FloatArray = np.asarray(C.T, dtype=np.float64)
-    return matrix
+    return np.asarray(C.T, dtype=np.float64)
 
 
 def _suspected(readings: Readings, model: Model, scales: Scales, observed: BoolArray) -> BoolArray:
@@ -209,15 +212,6 @@ def _problem(
         prior_information=information,
         kinks=np.concatenate((np.zeros(3, dtype=np.bool_), basis.kinks)),
     )
-
-
-def _require_seen(problem: Problem, basis: OffsetBasis, scales: Scales) -> FloatArray:
-    names = (*regressors.FORCES, *basis.names)
-    g, observed = problem.g[:, ~problem.kinks], problem.observed
-    if problem.prior_information.any():
-        g = np.concatenate((g, np.eye(3, g.shape[1])))
-        observed = np.concatenate((observed, np.ones((3, observed.shape[1]), dtype=np.bool_)))
-    return regressors.require_seen(g, observed, names, scales.newtons)
 
 
 SMALLEST_SPAN_K = 0.5

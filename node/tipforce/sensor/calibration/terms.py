@@ -78,9 +78,8 @@ def _square(strain: FloatArray, odd: bool) -> FloatArray:
 def _relative_error(term: Extra, C: FloatArray, odd: bool, P: float) -> float:
     """What the linear matrix makes of a sensor with the quadratic term: RMS of the force error over the force."""
     theta, delta = np.meshgrid(np.radians(np.arange(0.0, 181.0, 15.0)), np.radians(np.arange(-60.0, 61.0, 15.0)))
-    turn = np.array([0.0, np.pi])[:, np.newaxis]
-    phi = (theta + delta).ravel() + turn
-    F = force_vector(np.full(phi.size, P), phi.ravel(), np.tile(theta.ravel(), 2))
+    phi = (theta + delta).ravel() + np.array([[0.0], [np.pi]])
+    F = force_vector(P, phi.ravel(), np.tile(theta.ravel(), 2))
     s = F @ term.coefficients[:, :3].T
     off = (s + term.value * _square(s, odd)) @ C.T - F
     along = F[:, [0, 2]] / P
