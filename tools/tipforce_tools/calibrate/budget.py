@@ -12,7 +12,6 @@ from tipforce.sensor.contact.scalar import DEGREES
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce.arrays import FloatArray
     from tipforce.host.configuration.calibration import Calibration
     from tipforce_lab.design.error_budget import Budget, Causes, Sensor
 
@@ -111,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
         for record in records:
             common.print_json(record)
     else:
-        print(_text(records, len(loads.P_newtons) == 1))
+        _print_table(records, len(loads.P_newtons) == 1)
     _say_limits(error_budget, causes, args.uncalibrated)
     return 0
 
@@ -119,6 +118,7 @@ def run(args: argparse.Namespace) -> int:
 def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor:
     import numpy as np
 
+    from tipforce.sensor.contact.redundancy import structure_matrix
     from tipforce.sensor.structure.layouts import CASE_OF_CODE
     from tipforce.sensor.structure.strain import gauge_matrix, place
     from tipforce.sources.layout_file import read_layout
@@ -140,23 +140,11 @@ def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor
     if positions and len(positions) != calibration.gauges:
         raise InputError(f"--layout {name}: it has {len(positions)} gauges, the calibration {calibration.gauges}")
     pull = calibration.pull if args.sense is None else args.sense == "pull"
-    A = _structure(args.file, calibration)
-    return Sensor(calibration.C, A, calibration.covariance_strain2, pull, True, geometry, positions)
-
-
-def _structure(path: str, calibration: Calibration) -> FloatArray:
-    """Return A of a calibration. Raises InputError if the rank of C is not 3."""
-    import numpy as np
-
-    from tipforce.sensor.contact.redundancy import structure_matrix
-
-    covariance = calibration.covariance_strain2
-    if not covariance.any():
-        covariance = np.eye(calibration.gauges)  # noise not stated: equal for all gauges
     try:
-        return structure_matrix(calibration.C, covariance)
+        A = structure_matrix(calibration.C, calibration.covariance_strain2)
     except InputError as error:
-        raise InputError(f"calibration {path}: {error}") from None
+        raise InputError(f"calibration {args.file}: {error}") from None
+    return Sensor(calibration.C, A, calibration.covariance_strain2, pull, True, geometry, positions)
 
 
 def _records(error_budget: Budget) -> list[dict[str, object]]:
@@ -177,20 +165,18 @@ def _records(error_budget: Budget) -> list[dict[str, object]]:
     return records
 
 
-def _text(records: list[dict[str, object]], single: bool) -> str:
-    """Print the table."""
+def _print_table(records: list[dict[str, object]], single: bool) -> None:
     widest = max(len(str(record["cause"])) for record in records)
     most = "" if single else f"{'max':>9}"
     heads = (f"{f'u({name}) {unit}':>14}{most}{'share':>8}" for name, unit, _ in _QUANTITIES)
-    lines = [f"{'cause':<{widest}}" + "".join(heads)]
+    print(f"{'cause':<{widest}}" + "".join(heads))
     for record in records:
         line = f"{record['cause']:<{widest}}"
         for name, unit, _ in _QUANTITIES:
             key = f"u_{name}_{unit}"
             most = "" if single else f"{record[f'{key}_max']:>9.3g}"
             line += f"{record[key]:>14.4g}{most}{record[f'share_{name}_percent']:>7.1f}%"
-        lines.append(line)
-    return "\n".join(lines)
+        print(line)
 
 
 def _say_limits(error_budget: Budget, causes: Causes, uncalibrated: bool) -> None:
