@@ -17,9 +17,7 @@ from tipforce.sensor.calibration.regressors import tare_groups
 
 
 def estimates(
-    calibration: Calibration,
-    data: Measurements,
-    saturation_microstrain: float | None = None,
+    calibration: Calibration, data: Measurements, saturation_microstrain: float | None = None
 ) -> Iterator[tuple[int, list[float], str]]:
     """Yield (line, [P_N, phi_deg, theta_deg, u_P_N, u_phi_deg, u_theta_deg], status) of each good row, in order.
 

@@ -326,12 +326,7 @@ def _whitener(R: FloatArray, observed: BoolArray) -> FloatArray:
 
 
 def _judged(
-    residual: FloatArray,
-    observed: BoolArray,
-    R: FloatArray,
-    whitener: FloatArray,
-    inverse: FloatArray,
-    H: FloatArray,
+    residual: FloatArray, observed: BoolArray, R: FloatArray, whitener: FloatArray, inverse: FloatArray, H: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """Squared distances by the fit without the row, readings absorbed by the fit, degrees of freedom per gauge."""
     counts = observed.sum(axis=1)

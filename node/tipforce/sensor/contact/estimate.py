@@ -37,10 +37,7 @@ def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: np
 
 
 def force_from_strain(
-    C: npt.ArrayLike,
-    strain: npt.ArrayLike,
-    offset_strain: npt.ArrayLike = 0.0,
-    tare_newtons: npt.ArrayLike = 0.0,
+    C: npt.ArrayLike, strain: npt.ArrayLike, offset_strain: npt.ArrayLike = 0.0, tare_newtons: npt.ArrayLike = 0.0
 ) -> FloatArray:
     """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) with offset and tare.
 
