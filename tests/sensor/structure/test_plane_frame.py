@@ -55,12 +55,6 @@ def thin(h1_m: float) -> Geometry:
 
 
 @pytest.mark.parametrize("geometry", [FABRICATED, ODD])
-def test_the_matching_limit_is_table_1(geometry: Geometry) -> None:
-    found, table = Frame(geometry).strain_matrix(POINTS), strain_matrix(geometry, POINTS)
-    np.testing.assert_allclose(found, table, rtol=1e-10)
-
-
-@pytest.mark.parametrize("geometry", [FABRICATED, ODD])
 def test_anywhere_along_the_beams(geometry: Geometry) -> None:
     a, d = geometry.a_m, geometry.d_m
     places = [
@@ -187,8 +181,6 @@ def test_roots_that_are_wrong(rotation: float) -> None:
 
 
 def test_bodies_that_floating_point_cannot_hold() -> None:
-    with pytest.raises(InputError, match=r"a beam of length 0\.0 m: the body is too thick"):
-        Frame(thin(1e200))
     with pytest.raises(InputError, match="a finite joint must be narrower"):
         Frame(replace(FABRICATED, h2_m=0.04), FrameModel(finite_joint=True))
 

@@ -17,23 +17,18 @@ if TYPE_CHECKING:
 
 
 _FLAGS: tuple[tuple[str, str, str, str, float], ...] = (
-    ("--noise", "UE", "gauge noise, microstrain (default: the file's, or 1)",
-     "noise_strain", 1e-6),
+    ("--noise", "UE", "gauge noise, microstrain (default: the file's, or 1)", "noise_strain", 1e-6),
     ("--resolution", "UE", "one step of the converter, microstrain (default 0.1)", "resolution_strain", 1e-6),
     ("--gain", "%", "drift of each sensitivity, percent (default 0.1)", "gain", 1e-2),
     ("--offset", "UE", "drift of each gauge's zero, microstrain (default 1)", "offset_strain", 1e-6),
     ("--temperature", "K", "change since the last tare, kelvin (default 1)", "temperature_K", 1.0),
-    ("--hysteresis", "%", "percent of the largest strain (default 0.05)",
-     "hysteresis", 1e-2),
+    ("--hysteresis", "%", "percent of the largest strain (default 0.05)", "hysteresis", 1e-2),
     ("--creep", "%", "growth under a load, percent (default 0.05)", "creep", 1e-2),
-    ("--load-angle", "DEG", "scatter of calibration loads, degrees (default 0.5)",
-     "load_angle_rad", math.pi / 180.0),
-    ("--gravity", "DEG", "between x- and y-loads, degrees (default 0.5)",
-     "gravity_rad", math.pi / 180.0),
-    ("--gauge-shift", "MM", "along the beam, with --uncalibrated (default 0.2)",
-     "gauge_shift_m", 1e-3),
+    ("--load-angle", "DEG", "scatter of calibration loads, degrees (default 0.5)", "load_angle_rad", math.pi / 180.0),
+    ("--gravity", "DEG", "between x- and y-loads, degrees (default 0.5)", "gravity_rad", math.pi / 180.0),
+    ("--gauge-shift", "MM", "along the beam, with --uncalibrated (default 0.2)", "gauge_shift_m", 1e-3),
     ("--off-axis", "N", "along the width of the beams (default 0.5)", "off_axis_newtons", 1.0),
-)  # fmt: skip
+)
 """Flag, unit, help, field of ``error_budget.Causes`` and its size of one unit."""
 _MOST = 1e9
 """Limit of each cause in the unit of its flag, and of the load in newtons: its squares stay in range."""

@@ -229,7 +229,13 @@ def best_fit(
     """
     fits: dict[str, tuple[Fit, Model]] = {}
     refused: InputError | None = None
-    drifts = _drifts(readings, model) if drifts is None else drifts
+    if drifts is None:
+        drifts, t = ["none"], readings.t_s
+        if model.offset and t is not None:
+            if np.ptp(t) > 0.0:
+                drifts.append("linear")
+            if len(regressors.tare_groups(np.asarray(readings.P_newtons) == 0.0, np.ones(len(t), dtype=np.bool_))) > 2:
+                drifts.append("tare")
     T = readings.temperature_degC
     warms = model.offset and T is not None and np.isfinite(T).all() and np.ptp(T) >= SMALLEST_SPAN_K
     for drift in drifts:
@@ -249,13 +255,3 @@ def fit_with_drift(readings: Readings, model: Model) -> tuple[Fit, Model, dict[s
     """Return the same for the drift of the model alone; only the temperature coefficient is chosen."""
     fit, chosen, _ = best_fit(readings, model, [model.drift])
     return fit, chosen, {chosen.drift: fit.hold_out_score}
-
-
-def _drifts(readings: Readings, model: Model) -> list[str]:
-    if not model.offset or readings.t_s is None:
-        return ["none"]
-    drifts = ["none", "linear"] if np.ptp(readings.t_s) > 0.0 else ["none"]
-    usable = np.ones(len(readings.P_newtons), dtype=np.bool_)
-    if len(regressors.tare_groups(np.asarray(readings.P_newtons) == 0.0, usable)) > 2:
-        drifts.append("tare")
-    return drifts

@@ -174,8 +174,8 @@ def _places(readings: Readings) -> list[tuple[str, BoolArray]]:
         third = T.min() + np.ptp(T) / 3.0
         places += [("warm", np.asarray(third + np.ptp(T) / 3.0 < T)), ("cold", np.asarray(third > T))]
     groove = grooves(readings.phi_rad, readings.theta_rad)
-    for one in np.unique(groove[loaded]):
-        rows = loaded & (groove == one)
+    for number in np.unique(groove[loaded]):
+        rows = loaded & (groove == number)
         first = int(np.argmax(rows))
         phi, theta = np.degrees(readings.phi_rad[first]), np.degrees(readings.theta_rad[first])
         places.append((f"at phi {phi:g}, theta {theta:g} degrees", np.asarray(rows)))
