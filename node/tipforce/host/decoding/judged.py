@@ -280,8 +280,7 @@ class _Work(NamedTuple):
 def at_end(microstrain: FloatArray) -> IntArray:
     """Bits of the gauges that read an end of their converter: microstrain (k, n) as decoded."""
     with np.errstate(invalid="ignore"):
-        bits: IntArray = (np.abs(microstrain) >= _END_MICROSTRAIN) @ (1 << np.arange(microstrain.shape[1]))
-    return bits
+        return (np.abs(microstrain) >= _END_MICROSTRAIN) @ (1 << np.arange(microstrain.shape[1]))
 
 
 def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArray | None = None) -> IntArray | None:
@@ -328,21 +327,18 @@ def last_known(values: FloatArray, before: float = float("nan")) -> FloatArray:
     """Each value, or where it is NaN the last one that was not; ``before`` the first."""
     known = np.isfinite(values)
     last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
-    found: FloatArray = np.where(last >= 0, values[last], before)
-    return found
+    return np.where(last >= 0, values[last], before)
 
 
 def is_finite(F: list[FloatArray]) -> BoolArray:
     """Which forces are, (m,)."""
-    finite: BoolArray = np.isfinite(F[0]) & np.isfinite(F[1]) & np.isfinite(F[2])
-    return finite
+    return np.isfinite(F[0]) & np.isfinite(F[1]) & np.isfinite(F[2])
 
 
 def magnitude(F: list[FloatArray]) -> FloatArray:
     """P as contacts() gives it, without the angles: F1, F2, F3."""
     hypotenuse = np.sqrt(F[0] * F[0] + F[2] * F[2])
-    larger: FloatArray = np.maximum(hypotenuse, 0.5 * (hypotenuse + np.abs(F[1])))
-    return larger
+    return np.maximum(hypotenuse, 0.5 * (hypotenuse + np.abs(F[1])))
 
 
 def _part(column: Column, rows: npt.NDArray[Any]) -> Column:

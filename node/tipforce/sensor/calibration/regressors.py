@@ -59,8 +59,7 @@ def direction_scatter(
     zero, delta = np.zeros_like(P_newtons), phi_rad - theta_rad
     by_phi = np.stack((np.cos(phi_rad), np.cos(delta), -np.sin(phi_rad)), axis=-1) * phi_scatter_rad
     by_theta = np.stack((zero, -np.cos(delta), zero), axis=-1) * theta_scatter_rad
-    D: FloatArray = np.stack((by_phi, by_theta), axis=-1) * P_newtons[:, np.newaxis, np.newaxis]
-    return D
+    return np.stack((by_phi, by_theta), axis=-1) * P_newtons[:, np.newaxis, np.newaxis]
 
 
 def grooves(phi_rad: FloatArray, theta_rad: FloatArray) -> IntArray:

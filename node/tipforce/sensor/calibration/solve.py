@@ -378,8 +378,7 @@ class _Effect(NamedTuple):
 
     def conditional(self, whitened: FloatArray) -> FloatArray:
         """The expected z of each row's groove for whitened residuals (m, n, k): (m, 2, k)."""
-        expected: FloatArray = self.covariance[self.rows] @ self._sums(whitened)
-        return expected
+        return self.covariance[self.rows] @ self._sums(whitened)
 
     def _sums(self, whitened: FloatArray) -> FloatArray:
         sums = np.zeros((len(self.shrink), 2, whitened.shape[2]))

@@ -76,8 +76,7 @@ def strain_row(
         raise InputError(f"position_m = {position_m!r} on beam {beam}: allowed is 0 to {length!r} m from the joint")
     with np.errstate(over="ignore"):
         stress = np.stack(_stress(geometry, beam, side, s, face), axis=-1)
-        result: FloatArray = stress / geometry.width_m / geometry.youngs_modulus_pascals
-    return result
+        return stress / geometry.width_m / geometry.youngs_modulus_pascals
 
 
 def _stress(
