@@ -27,6 +27,7 @@ from tipforce.host.network.sdo import SdoChannel
 from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.result import matrix_to_digits, to_digits
 from tipforce.sensor.contact.redundancy import weighted_inverse
+from tipforce_tools.calibrate.fit import transfer
 from tipforce_tools.calibrate.fit_report import publish, write
 from tipforce_tools.cli import bus_flags, common
 
@@ -283,10 +284,7 @@ def finish(args: argparse.Namespace, request: FitRequest, session: Session, clie
         common.note(f"{name} is unchanged; the same command asks again")
     if answer != "applied":
         return answer
-    generation = client.apply_calibration(calibration, on_step=lambda step: common.note(f"{name}: {step}"))
-    crc32 = f"0x{calibration.crc32():08X}"
-    record = {"node": args.node, "generation": generation, "crc32": crc32}
-    common.print_record(record, f"applied and stored, generation {generation}, CRC-32 {crc32}")
+    transfer(client, args.node, calibration, True, "applied and stored")
     return answer
 
 
