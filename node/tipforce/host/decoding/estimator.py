@@ -366,10 +366,7 @@ def _first_order_holds(P: float, u_P: float, u_phi: float, u_sine: float, cosine
     return bias <= limit and bend <= limit and (not phi_known or u_P / P <= limit)
 
 
-@lru_cache(maxsize=32)
-def _prepared(calibration: Calibration) -> Estimator:
-    """Those of the last calibrations are kept: of a hand's fingers, row after row."""
-    return Estimator(calibration)
+_prepared = lru_cache(maxsize=32)(Estimator)  # of the last calibrations: those of a hand's fingers, row after row
 
 
 def estimate(

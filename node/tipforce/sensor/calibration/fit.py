@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,8 @@ from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration import regressors, terms
 from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
-from tipforce.sensor.calibration.outliers import corner, outlying, rejections, suspects
+from tipforce.sensor.calibration.distributions import f_quantile
+from tipforce.sensor.calibration.outliers import outlying, rejections, suspects
 from tipforce.sensor.calibration.regressors import OffsetBasis
 from tipforce.sensor.calibration.result import Fit, LoadResidual, covariance_of_estimate, kronecker
 from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
@@ -101,6 +103,7 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
     scales = Scales.of(readings.strain, readings.P_newtons)
     limit = np.inf if model.saturation_strain is None else np.asarray(model.saturation_strain) / scales.strain
     V, n = readings.strain / scales.strain, readings.strain.shape[1]
+    corner = sqrt(n * f_quantile(0.99, n, 1e6))  # where the robust loss bends: the 99 % point of good rows
     saturated = np.abs(V) >= limit
     near, robust = np.zeros_like(saturated), model.loss != "none"
     outlier = _suspected(readings, model, scales, ~saturated)
@@ -116,7 +119,7 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
             g = np.concatenate((g, np.eye(3, g.shape[1])))
             observed = np.concatenate((observed, np.ones((3, n), dtype=np.bool_)))
         singular = regressors.require_seen(g, observed, (*regressors.FORCES, *basis.names), scales.newtons)
-        solution = solve(problem, model.loss, corner(n), solution)
+        solution = solve(problem, model.loss, corner, solution)
         at_reference = regressors.at_reference(basis, solution.coefficients, solution.covariance)
         regressors.require_clear(*at_reference, (*regressors.FORCES, "offset"), scales.newtons)
         before, near_before = outlier, near

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import comb, sqrt
+from math import comb
 
 import numpy as np
 
@@ -99,11 +99,6 @@ def suspects(problem: Problem) -> BoolArray:
     distance = np.einsum("ik,ik->i", e, np.linalg.solve(R, e[..., np.newaxis])[..., 0])
     none[rows] = distance > squared_cuts(rows.size, n, np.full(rows.size, float(kept - p)))
     return none
-
-
-def corner(n: int) -> float:
-    """Return the distance where the robust loss bends: the 99 % point of good rows of n gauges."""
-    return sqrt(n * f_quantile(0.99, n, 1e6))
 
 
 def _least_trimmed(g: FloatArray, V: FloatArray, kept: int) -> FloatArray:
