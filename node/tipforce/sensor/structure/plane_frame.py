@@ -28,7 +28,7 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import POINTS
-from tipforce.sensor.structure.strain import Gauge, GaugePosition, place, stress_coefficients
+from tipforce.sensor.structure.strain import Gauge, place, stress_coefficients
 
 HALF_PLANE_ROTATION = 18.0 / math.pi
 """E b h^2 times the rotation of a root per moment, for a beam on an elastic half plane.
@@ -140,7 +140,11 @@ class Frame:
         for element in self._arms.values():
             x = element.start[0] + xi * element.length * element.axes[0, 0]
             tip = self._tip[1] + x * self._tip[2]
-            closures.append((_deflection(element, self._tip, xi) - tip) / scale)
+            # The upward deflection relative to the joint by Hermite's cubic, (m, 3) per newton: the small changes by
+            # shear and springs between the ends are neglected.
+            _, w, turn = element.motion @ self._tip
+            shape = w * xi**2 * (3.0 - 2.0 * xi) + turn * element.length * xi**2 * (xi - 1.0)
+            closures.append((shape * element.axes[0, 0] - tip) / scale)
         return np.stack(closures)
 
     def _row(self, gauge: Gauge, gauge_length_m: float) -> FloatArray:
@@ -157,7 +161,13 @@ class Frame:
             outward = 1.0 if spot.side == "left" else -1.0
         if gauge in POINTS:
             s = element.length if s > 0.5 * element.length else 0.0
-        ends = _span(spot, s, gauge_length_m, element.length)
+        half, slack = 0.5 * gauge_length_m, 1e-6 * element.length  # tolerance for an optimiser at a limit
+        if s - half < -slack or s + half > element.length + slack:
+            raise InputError(
+                f"gauge of length {gauge_length_m!r} m at {spot.position_m!r} m on the {spot.side} of beam {spot.beam}"
+                f": allowed is a gauge that lies between the beam's ends, {element.length!r} m apart"
+            )
+        ends = s - half, s + half  # as distances from A
         strain = np.mean([_surface_strain(element, motion, end, outward) for end in ends], axis=0)
         row: FloatArray = strain / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
         return row
@@ -223,28 +233,6 @@ def _surface_strain(element: _Element, motion: FloatArray, s: float, outward: fl
     bending = -(1.0 - fraction) * forces[2] + fraction * forces[5]
     strain: FloatArray = forces[3] / h - outward * 6.0 / h / h * bending
     return strain
-
-
-def _deflection(element: _Element, motion: FloatArray, xi: FloatArray) -> FloatArray:
-    """Return the upward deflection of an arm relative to the joint, (m, 3) per newton, by Hermite's cubic.
-
-    The end motion is the tip's: the small changes by shear and springs between the ends are neglected.
-    """
-    _, w, turn = element.motion @ motion
-    shape = w * xi**2 * (3.0 - 2.0 * xi) + turn * element.length * xi**2 * (xi - 1.0)
-    upward: FloatArray = shape * element.axes[0, 0]
-    return upward
-
-
-def _span(spot: GaugePosition, s: float, gauge_length_m: float, length: float) -> tuple[float, float]:
-    """Return both ends of a gauge, as distances from A."""
-    half, slack = 0.5 * gauge_length_m, 1e-6 * length  # tolerance for an optimiser at a limit
-    if s - half < -slack or s + half > length + slack:
-        raise InputError(
-            f"gauge of length {gauge_length_m!r} m at {spot.position_m!r} m on the {spot.side} of beam {spot.beam}: "
-            f"allowed is a gauge that lies between the beam's ends, {length!r} m apart"
-        )
-    return s - half, s + half
 
 
 # --- the loads that a body stands ---------------------------------------------------------------------------------
