@@ -33,7 +33,7 @@ from bench.measure import Meter, arguments, cpu_us, in_turns, machine, table, wr
 
 from canopen_device.can_frame import CAN_FRAME
 from canopen_device.core.codes import SYNC_COB_ID, TPDO_BASES
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.host.hand import hand as hand_module
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan

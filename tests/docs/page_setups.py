@@ -28,8 +28,7 @@ from canopen_device.running.store import FileStore
 from docs.runner import Terminal
 from sources.iio_tree import Tree
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
 from tipforce.sensor.calibration.fit import Readings
 from tipforce.sensor.calibration.simulation import simulate

@@ -16,7 +16,7 @@ import pytest
 
 from docs.page_setups import beam_record
 from docs.runner import Terminal
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 
 ROOT = Path(__file__).parents[2]
 _BLOCK = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

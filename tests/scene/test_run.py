@@ -10,8 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.scene.loads import load_of
 from tipforce.scene.reader import read_scene

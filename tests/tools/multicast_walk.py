@@ -16,7 +16,7 @@ import can
 from websockets.sync.client import connect
 
 from canopen_device.running.udp_multicast import DEFAULT_GROUP
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.scene import beam_calibration
 from tipforce_tools.cli.main import main
 

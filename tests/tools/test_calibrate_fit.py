@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import read_calibration, read_fit, write_calibration
+from tipforce.host.configuration.calibration import Calibration, read_calibration, read_fit, write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
 from tipforce.host.decoding import estimator
 from tipforce.sensor.calibration.fit import covariance_of_estimate

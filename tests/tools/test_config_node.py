@@ -12,7 +12,7 @@ from device.tiny import service_dictionary
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel, running
 from host.hand.test_hand import Fingers
 from tipforce.dictionary import objects as od
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.configuration.device_objects import FingertipObjects
 from tipforce.host.network.bus import Bus
 from tipforce_tools.cli.main import main

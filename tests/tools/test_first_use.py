@@ -13,8 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.scene import beam_calibration
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.estimate import force_vector

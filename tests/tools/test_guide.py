@@ -18,7 +18,7 @@ from canopen_device.running.store import FileStore
 from host.bus_with_nodes import apply_load, connected, fresh_sample, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import read_calibration, read_fit
+from tipforce.host.configuration.calibration import read_calibration, read_fit
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient

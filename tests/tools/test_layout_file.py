@@ -11,8 +11,7 @@ import pytest
 
 from canopen_device.core.node import Device
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS

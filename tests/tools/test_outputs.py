@@ -20,7 +20,7 @@ from eds.samples import INFO, MANDATORY, record, var
 from host.bus_with_nodes import connected, finger, new_channel
 from host.logs.test_pcap import block, socketcan
 from tipforce.errors import InputError, WriteError
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.configuration.measurements import write_measurements
 from tipforce.output_file import CALIBRATION, NewFile, new_file, write_file
 from tipforce.scene import beam_calibration

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.dataset.reader import tables_of_logs
 from tipforce_tools.cli.main import main
 from tipforce_tools.plot.figure import broken, wrapped

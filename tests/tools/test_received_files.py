@@ -17,7 +17,7 @@ from eds.samples import described, text, var
 from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import read_hand
 from tipforce.host.network.open_bus import open_bus
 from tipforce.scene import beam_calibration

@@ -15,7 +15,7 @@ from canopen_device.core.node import Device
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.errors import DuplicateNodeError
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.events import Supervisor
 from tipforce.host.hand.file import HandPlan

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from host.bus_with_nodes import connected, finger, new_channel
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.configuration.measurements import write_measurements
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate

@@ -10,8 +10,7 @@ import pytest
 
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.network.bus import Bus
 from tipforce_tools.demo.job import case_calibration
 from vcan.support import BUS, HEARTBEAT, NODE_ID, Command, Launch, RawBus, wait_until

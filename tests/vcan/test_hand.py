@@ -17,7 +17,7 @@ import pytest
 from websockets.sync.client import connect
 
 from tipforce.dictionary import objects as od
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
 from tipforce_tools.demo.job import bounds, case_calibration, coverage_factor

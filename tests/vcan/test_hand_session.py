@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.hand import Hand
 from tipforce.samples.record import Rows

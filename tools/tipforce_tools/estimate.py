@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write one row per input row; return 0, or 1 with --strict and bad rows."""
-    from tipforce.host.configuration.calibration_file import read_calibration
+    from tipforce.host.configuration.calibration import read_calibration
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.host.decoding.estimates import estimates
 

@@ -4,10 +4,10 @@ from canopen_device.lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from tipforce.host.configuration.calibration import read_fit as read_fit
+    from tipforce.host.configuration.calibration import write_calibration as write_calibration
     from tipforce.host.configuration.calibration_file import FitRecord as FitRecord
     from tipforce.host.configuration.calibration_file import fit_record as fit_record
-    from tipforce.host.configuration.calibration_file import read_fit as read_fit
-    from tipforce.host.configuration.calibration_file import write_calibration as write_calibration
     from tipforce.host.configuration.configuration_file import apply_configuration as apply_configuration
     from tipforce.host.configuration.configuration_file import apply_configuration_async as apply_configuration_async
     from tipforce.host.configuration.configuration_file import read_configuration as read_configuration

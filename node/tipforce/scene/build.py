@@ -111,7 +111,7 @@ def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path
     source = _source(scene, group, node_id, load, clock, chosen)
     calibration = None
     if "calibration file" in chosen:
-        from tipforce.host.configuration.calibration_file import read_calibration
+        from tipforce.host.configuration.calibration import read_calibration
 
         calibration = read_calibration(below(folder, group.calibration, "nodes.calibration"))
         if calibration.gauges != gauges:

@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 from host.bus_with_nodes import ROUNDING_STRAIN2, beam_calibration
 from tipforce.dictionary import table, table_objects
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import read_calibration, write_calibration
+from tipforce.host.configuration.calibration import Calibration, read_calibration, write_calibration
 from tipforce.host.configuration.measurements import MODES, BadRow, Measurements, read_measurements, write_measurements
 
 UNCHECKED = patch.object(Calibration, "check", lambda _self: None)

@@ -24,7 +24,7 @@ from canopen_device.core.node import Device
 from host.bus_with_nodes import beam_calibration
 from tipforce.dictionary.entries import Entry
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.host.hand import bring_up as bring_up_module

@@ -17,7 +17,7 @@ from canopen_device.running.store import FileStore
 from host.bus_with_nodes import FaultyBus, beam_calibration, connected, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, read_hand

@@ -18,7 +18,7 @@ from canopen_device.running.store import FileStore
 from host.bus_with_nodes import beam_calibration, new_channel
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand

@@ -17,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 import tipforce
 from host.bus_with_nodes import beam_calibration
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.logs.reader import open_log
 from tipforce.samples import reasons
 from tipforce.watching.watcher import Finger

@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
     calibration = None
     if args.file is not None:
         common.InputFile("calibration ").check(args.file)
-        from tipforce.host.configuration.calibration_file import read_calibration
+        from tipforce.host.configuration.calibration import read_calibration
 
         calibration = read_calibration(args.file)
     import numpy as np

@@ -135,7 +135,7 @@ def _add_transfer(parser: argparse.ArgumentParser) -> None:
 
 def run_apply(args: argparse.Namespace) -> int:
     """Apply: return 0. Raises RefusedError."""
-    from tipforce.host.configuration.calibration_file import read_calibration
+    from tipforce.host.configuration.calibration import read_calibration
     from tipforce.host.network.finger import FingertipClient
 
     calibration, name = read_calibration(args.file), common.shown_node(args.node)
@@ -156,7 +156,7 @@ def transfer(client: FingertipClient, node: int, calibration: Calibration, store
 
 def run_verify(args: argparse.Namespace) -> int:
     """Compare: return 0 if equal, 1 if different."""
-    from tipforce.host.configuration.calibration_file import read_calibration
+    from tipforce.host.configuration.calibration import read_calibration
     from tipforce.host.network.finger import FingertipClient
 
     calibration = read_calibration(args.file)

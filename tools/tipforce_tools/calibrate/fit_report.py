@@ -9,8 +9,8 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
-from tipforce.host.configuration.calibration import RECORD, Calibration, stated
-from tipforce.host.configuration.calibration_file import fit_record, write_calibration
+from tipforce.host.configuration.calibration import RECORD, Calibration, stated, write_calibration
+from tipforce.host.configuration.calibration_file import fit_record
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.sensor.calibration.fit import Fit
 from tipforce.sensor.calibration.outliers import rejections

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import binascii
-import math
 import struct
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,6 +20,7 @@ from tipforce.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tipforce.host.configuration.calibration_file import FitRecord
     from tipforce.sensor.calibration.result import Fit
 
 _LEAST_RANK = 1e-9  # smallest over largest singular value: below, rounding alone decides
@@ -180,8 +180,6 @@ class Calibration:
     @staticmethod
     def read(path: str | Path) -> Calibration:
         """A calibration file (TOML), with the uncertainty of its fit. Raises InputError naming what is allowed."""
-        from tipforce.host.configuration.calibration_file import read_calibration
-
         return read_calibration(path, with_fit=True)
 
     @classmethod
@@ -194,8 +192,6 @@ class Calibration:
 
     def write(self, path: str | Path) -> None:
         """Write a calibration file that reads back to the same record. Raises InputError."""
-        from tipforce.host.configuration.calibration_file import write_calibration
-
         fit: dict[str, object] | None = None
         if self.parameter_covariance is not None:
             side = 4 * self.gauges
@@ -222,26 +218,27 @@ class Calibration:
             raise InputError("calibration covariance: not positive semi-definite; no correlation may be over 1")
         if self.parameter_covariance is not None:
             _check_parameters(self.parameter_covariance)
-        if not 0.0 <= (drift := self.tare_drift_strain_per_s) < np.inf:
-            raise InputError(
-                f"calibration tare_drift: {1e6 * drift:g} microstrain/s, allowed is 0 (not stated) or above"
-            )
+        drift = self.tare_drift_strain_per_s
+        if not 0.0 <= drift < np.inf:
+            drift_text = f"{1e6 * drift:g} microstrain/s, allowed is 0 (not stated) or above"
+            raise InputError(f"calibration tare_drift: {drift_text}")
         self.record()  # each value fits its field
 
     def _check_numbers(self) -> None:
         """Finite, and of the sign and order that the node's commit wants."""
         names = {}
         for of in RECORD:
-            index, sub = stated(of).place
-            names[place := index << 8 | sub] = of.name
+            place = stated(of).place[0] << 8 | stated(of).place[1]
+            names[place] = of.name
             values = np.atleast_1d(getattr(self, of.name))
             if of.type != "int" and not np.isfinite(values).all():
                 raise InputError(f"calibration {_label(of)}: {values[~np.isfinite(values)][0]} is not finite")
             if place in table.NOT_NEGATIVE and (values < 0.0).any():
                 raise InputError(f"calibration {of.name}: {values.min():g}, allowed is 0 (not known) and above")
         for low, high in ((names[a], names[b]) for a, b in table.IN_ORDER):
-            if (least := getattr(self, low)) > (most := getattr(self, high)):
-                raise InputError(f"calibration {low}: {least:g} is above {high} {most:g}")
+            if getattr(self, low) > getattr(self, high):
+                text = f"{getattr(self, low):g} is above {high} {getattr(self, high):g}"
+                raise InputError(f"calibration {low}: {text}")
 
     @property
     def gauges(self) -> int:
@@ -280,17 +277,67 @@ class Calibration:
     def from_record(cls, record: bytes) -> Calibration:
         """The calibration in a record that a node gave. Raises InputError for a length that no n has."""
         for n in range(table.MIN_GAUGES, table.MAX_GAUGES + 1):
-            if struct.calcsize(packing(n)) == len(record):
-                numbers = iter(struct.unpack(packing(n), record))
+            packing = _packing(n)
+            size = struct.calcsize(packing)
+            if size == len(record):
+                numbers = iter(struct.unpack(packing, record))
                 return cls(**{of.name: _from_numbers(of, numbers, n) for of in RECORD})
-            if len(record) == struct.calcsize(packing(n, indices.CALIBRATION_VALIDITY)):
+            if len(record) == struct.calcsize(_packing(n, indices.CALIBRATION_VALIDITY)):
                 raise InputError(f"a calibration record of {len(record)} bytes is of version 1: allowed is version 2")
         raise InputError(f"a calibration record of {len(record)} bytes: with 3 gauges it has 158")
 
 
-FIELDS = fields(Calibration)
-RECORD = tuple(sorted((of for of in FIELDS if stated(of).place[0]), key=lambda of: stated(of).place))
+RECORD = tuple(sorted((of for of in fields(Calibration) if stated(of).place[0]), key=lambda of: stated(of).place))
 """The fields that a node holds, in the order of its record."""
+
+
+def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
+    """A calibration file. Raises InputError naming the place and what is allowed.
+
+    A ``crc32`` in the file must be that of the record: a number edited by hand is noticed. Take the line out to
+    accept the edit. ``with_fit``: with the ``parameter_covariance`` of its [fit] table, where it has one.
+    """
+    from tipforce.host.configuration.calibration_file import read_file
+
+    content = read_file(path, fields(Calibration))
+    try:
+        calibration = Calibration(**content.values)
+        record = calibration.record()
+        if content.is_version_1:
+            record = record[: struct.calcsize(_packing(calibration.gauges, indices.CALIBRATION_VALIDITY))]
+        content.check_crc32(binascii.crc32(record))
+        calibration.check()
+        fit = content.fit(calibration.gauges) if with_fit else None
+        if fit is not None:
+            calibration = replace(calibration, parameter_covariance=fit.parameter_covariance())
+            calibration.check()
+    except InputError as error:
+        raise InputError(f"calibration {path}: {str(error).removeprefix('calibration ')}") from None
+    return calibration
+
+
+def read_fit(path: str | Path) -> FitRecord | None:
+    """The [fit] table of a calibration file, None where it has none. Raises InputError for shapes that do not fit."""
+    from tipforce.host.configuration.calibration_file import read_file
+
+    content = read_file(path, fields(Calibration))
+    try:
+        return content.fit(len(content.values["offset_strain"]))
+    except InputError as error:
+        raise InputError(f"calibration {path}: {error}") from None
+
+
+def write_calibration(
+    path: str | Path, calibration: Calibration, fit: FitRecord | dict[str, object] | None = None
+) -> None:
+    """Write a calibration file that reads back to the same record.
+
+    Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
+    """
+    from tipforce.host.configuration.calibration_file import write_file
+
+    values = {of.name: getattr(calibration, of.name) for of in fields(calibration)}
+    write_file(path, fields(calibration), values, calibration.crc32(), fit)
 
 
 def difference(expected: bytes, held: bytes) -> list[str]:
@@ -300,7 +347,7 @@ def difference(expected: bytes, held: bytes) -> list[str]:
     if len(expected) != len(held):
         return [f"length: expected {len(expected)} bytes, the node has {len(held)}"]
     n = Calibration.from_record(expected).gauges
-    pairs = zip(table_objects.staged(n), *(struct.unpack(packing(n), data) for data in (expected, held)), strict=True)
+    pairs = zip(table_objects.staged(n), *(struct.unpack(_packing(n), data) for data in (expected, held)), strict=True)
     return [
         f"0x{index:04X}:{sub:02X}: expected {ours!r}, the node has {theirs!r}"
         for (index, sub, kind), ours, theirs in pairs
@@ -319,14 +366,16 @@ def _from_numbers(of: Field[Any], numbers: Iterator[int | float], n: int) -> Any
     shape = [n if side == "n" else int(side) for side in stated(of).shape]
     if not shape:
         return bool(next(numbers)) if of.type == "bool" else next(numbers)
-    if stated(of).shape != ("n", "n"):
-        return np.reshape(list(islice(numbers, math.prod(shape))), shape)
-    array, (rows, columns) = np.zeros(shape), np.triu_indices(n)
-    array[rows, columns] = array[columns, rows] = list(islice(numbers, len(rows)))
+    array = np.zeros(shape)
+    if stated(of).shape == ("n", "n"):
+        rows, columns = np.triu_indices(n)
+        array[rows, columns] = array[columns, rows] = list(islice(numbers, len(rows)))
+    else:
+        array[...] = np.reshape(list(islice(numbers, array.size)), shape)
     return array
 
 
-def packing(n: int, before: int = indices.SIMULATED_FAULT) -> str:
+def _packing(n: int, before: int = indices.SIMULATED_FAULT) -> str:
     """The form of a record; ``before`` 2112h: of version 1, which ends there."""
     return "<" + "".join(kind for index, _, kind in table_objects.staged(n) if index < before)
 

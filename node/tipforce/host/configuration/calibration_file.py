@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import binascii
 import datetime
-import struct
-from dataclasses import MISSING, Field, replace
-from functools import cache
+from dataclasses import MISSING, Field
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -18,11 +16,12 @@ from tipforce import output_file
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices, table
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import FIELDS, Calibration, packing
 from tipforce.sensor.structure.layouts import CASE_OF_CODE
 
 if TYPE_CHECKING:
     from tipforce.sensor.calibration.result import Fit
+
+    Fields = tuple[Field[Any], ...]
 
 _WORDS: dict[str, dict[str, int | bool]] = {
     "pull": {"push": False, "pull": True},
@@ -90,96 +89,85 @@ def fit_record(fit: Fit, **facts: object) -> FitRecord:
     return msgspec.convert({**values, **facts}, FitRecord)
 
 
-def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
-    """A calibration file. Raises InputError naming the place and what is allowed.
+class Content(NamedTuple):
+    """What a file has."""
 
-    A ``crc32`` in the file must be that of the record: a number edited by hand is noticed. Take the line out to
-    accept the edit. ``with_fit``: with the ``parameter_covariance`` of its [fit] table, where it has one.
-    """
-    content, values, fit_of = _read(path)
-    try:
-        calibration = Calibration(**values)
-        record, stated = calibration.record(), content.calibration.crc32
-        if max(of.metadata["row"].place for of in FIELDS if of.name in values)[0] < indices.CALIBRATION_VALIDITY:
-            record = record[: struct.calcsize(packing(calibration.gauges, indices.CALIBRATION_VALIDITY))]
-        crc = binascii.crc32(record)
-        if stated is not None and stated.lower() != f"0x{crc:08x}":
+    values: dict[str, Any]
+    """Fields of ``Calibration`` by name; what is absent is not among them."""
+    crc32: str | None
+    is_version_1: bool
+    fit_table: FitRecord | None
+
+    def check_crc32(self, crc: int) -> None:
+        """Raise InputError where the file states another CRC-32 of its numbers."""
+        if self.crc32 is not None and self.crc32.lower() != f"0x{crc:08x}":
             raise InputError(
-                f"crc32 is {stated}, but the numbers give 0x{crc:08X}; "
+                f"crc32 is {self.crc32}, but the numbers give 0x{crc:08X}; "
                 "the file was changed: restore it, or take out the crc32 line to accept the change"
             )
-        calibration.check()
-        fit = _checked_fit(fit_of, calibration.gauges) if with_fit else None
-        if fit is not None:
-            calibration = replace(calibration, parameter_covariance=fit.parameter_covariance())
-            calibration.check()
-    except InputError as error:
-        raise InputError(f"calibration {path}: {str(error).removeprefix('calibration ')}") from None
-    return calibration
+
+    def fit(self, n: int) -> FitRecord | None:
+        """The [fit] table of ``n`` gauges, None where there is none. Raises InputError for shapes that do not fit."""
+        record = self.fit_table
+        if record is None:
+            return None
+        shapes = {
+            "residual_covariance_microstrain2": ((n, n),),
+            "normal_matrix": ((4, 4), (3, 3)),
+            "parameter_covariance_microstrain2": ((4 * n, 4 * n),),
+        }
+        if record.parameter_covariance_microstrain2 is None and None in (
+            record.residual_covariance_microstrain2,
+            record.normal_matrix,
+        ):
+            raise InputError(
+                "fit: parameter_covariance_microstrain2 is missing, or in its place "
+                "residual_covariance_microstrain2 and normal_matrix"
+            )
+        for name, allowed in shapes.items():
+            rows = getattr(record, name)
+            matrix = None if rows is None else _matrix(name, rows)
+            if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
+                raise InputError(f"{name} must be {' or '.join(map(str, allowed))}, finite")
+        return record
 
 
-def read_fit(path: str | Path) -> FitRecord | None:
-    """The [fit] table of a calibration file, None where it has none. Raises InputError for shapes that do not fit."""
-    _, values, fit = _read(path)
-    try:
-        return _checked_fit(fit, len(values["offset_strain"]))
-    except InputError as error:
-        raise InputError(f"calibration {path}: {error}") from None
-
-
-def _read(path: str | Path) -> tuple[Any, dict[str, Any], FitRecord | None]:
-    """A file, the fields of ``Calibration`` that it has, and its [fit] table. Raises InputError naming the key."""
-    place = f"calibration {path}"
-    content: Any = convert(_file_type(), read_table(path, place), place, finite=False)
+def read_file(path: str | Path, fields: Fields) -> Content:
+    """What a file has of the fields. Raises InputError naming the key and what is allowed."""
+    place, rows = f"calibration {path}", _rows(fields)
+    content: Any = convert(_file_type(fields), read_table(path, place), place, finite=False)
     try:
         values = {
             of.name: _value(of, key, unit, cell)
-            for of, key, unit in _rows()
+            for of, key, unit in rows
             if (cell := getattr(content.calibration, key)) is not None
         }
     except InputError as error:
         raise InputError(f"{place}: {error}") from None
+    newest = max(of.metadata["row"].place[0] for of, _, _ in rows if of.name in values)
     fit = None if content.fit is None else convert(FitRecord, content.fit, f"{place}: fit", finite=False)
-    return content, values, fit
+    return Content(values, content.calibration.crc32, newest < indices.CALIBRATION_VALIDITY, fit)
 
 
-def _checked_fit(record: FitRecord | None, n: int) -> FitRecord | None:
-    """The [fit] table of ``n`` gauges. Raises InputError for shapes that do not fit."""
-    if record is None:
-        return None
-    S, N = record.residual_covariance_microstrain2, record.normal_matrix
-    if record.parameter_covariance_microstrain2 is None and (S is None or N is None):
-        raise InputError(
-            "fit: parameter_covariance_microstrain2 is missing, or in its place "
-            "residual_covariance_microstrain2 and normal_matrix"
-        )
-    for name, allowed in (
-        ("residual_covariance_microstrain2", ((n, n),)),
-        ("normal_matrix", ((4, 4), (3, 3))),
-        ("parameter_covariance_microstrain2", ((4 * n, 4 * n),)),
-    ):
-        rows = getattr(record, name)
-        matrix = None if rows is None else _matrix(name, rows)
-        if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
-            raise InputError(f"{name} must be {' or '.join(map(str, allowed))}, finite")
-    return record
-
-
-def write_calibration(
-    path: str | Path, calibration: Calibration, fit: FitRecord | dict[str, object] | None = None
+def write_file(
+    path: str | Path,
+    fields: Fields,
+    values: dict[str, Any],
+    crc32: int,
+    fit: FitRecord | dict[str, object] | None = None,
 ) -> None:
-    """Write a calibration file that reads back to the same record.
+    """Write a file with the values of the fields by name, the CRC-32 of its record, and a [fit] table.
 
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
     """
     try:
-        content = {key: _cell(of, unit, getattr(calibration, of.name)) for of, key, unit in _rows()}
+        content = {key: _cell(of, unit, values[of.name]) for of, key, unit in _rows(fields)}
     except InputError as error:
         raise InputError(f"calibration {path}: {error}") from None
     date = content.pop("date")
     if not content["tare_drift_microstrain_per_s"]:
         del content["tare_drift_microstrain_per_s"]
-    content["crc32"] = f"0x{calibration.crc32():08X}"
+    content["crc32"] = f"0x{crc32:08X}"
     document: dict[str, object] = {"calibration": content if date is None else {**content, "date": date}}
     if fit is not None:
         record = msgspec.to_builtins(fit)
@@ -187,8 +175,7 @@ def write_calibration(
     output_file.write_file(path, msgspec.toml.encode(document), output_file.CALIBRATION)
 
 
-@cache
-def _rows() -> list[tuple[Field[Any], str, float]]:
+def _rows(fields: Fields) -> list[tuple[Field[Any], str, float]]:
     """The fields of a file in its order (required ones, numbers, arrays, what no node holds), keys and units.
 
     Units are those of the names: a number in a file is the value times the unit.
@@ -198,18 +185,22 @@ def _rows() -> list[tuple[Field[Any], str, float]]:
         required = of.type == "bool" or of.default is of.default_factory is MISSING
         return 3 if not of.metadata["row"].place[0] else 0 if required else 1 + (of.type == "FloatArray")
 
-    rows = []
-    for of in sorted((of for of in FIELDS if of.type != "FloatArray | None"), key=rank):
-        unit = 1e12 if "_strain2" in of.name else 1e6 if "_strain" in of.name else 1.0
-        rows.append((of, of.metadata["row"].key or of.name.replace("_strain", "_microstrain"), unit))
-    return rows
+    listed = sorted((of for of in fields if of.type != "FloatArray | None"), key=rank)
+    return [
+        (
+            of,
+            of.metadata["row"].key or of.name.replace("_strain", "_microstrain"),
+            1e12 if "_strain2" in of.name else 1e6 if "_strain" in of.name else 1.0,
+        )
+        for of in listed
+    ]
 
 
-@cache
-def _file_type() -> type[msgspec.Struct]:
+@lru_cache(maxsize=1)
+def _file_type(fields: Fields) -> type[msgspec.Struct]:
     """The form of a file: the keys of its table [calibration] with their types, None where one may be absent."""
     keys: list[Any] = []
-    for of, key, _ in _rows():
+    for of, key, _ in _rows(fields):
         words, plain = of.name in _WORDS, int if of.type == "int" else float
         kind: Any = str if words else datetime.date if of.name == "date" else plain
         for _ in of.metadata["row"].shape:

@@ -34,7 +34,7 @@ from canopen_device.paths_below import below
 from canopen_device.toml_table import convert, read_table
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration import Calibration, read_calibration
 from tipforce.host.configuration.configuration_file import Configuration, read_configuration
 
 MAX_FINGERS = 32
@@ -114,8 +114,6 @@ class HandFile(_Content, frozen=True, forbid_unknown_fields=True, kw_only=True):
         """Read a finger's calibration file; None if it names none. Raises InputError."""
         if not finger.calibration:
             return None
-        from tipforce.host.configuration.calibration_file import read_calibration
-
         return read_calibration(below(self.folder, finger.calibration, f"[[finger]] {finger.label}: calibration"))
 
     def configuration(self, finger: FingerPlan) -> Configuration:
