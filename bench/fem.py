@@ -24,9 +24,9 @@ from scipy.optimize import brentq
 
 from tipforce.arrays import FloatArray
 from tipforce.output_file import save_figure
-from tipforce.sensor.structure.gauges import GaugePosition
 from tipforce.sensor.structure.layouts import CASES
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
+from tipforce.sensor.structure.strain import GaugePosition
 from tipforce_lab.design.tables import nearest_common
 from tipforce_lab.fem import plane_stress as fem
 from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution, Triangles, triangulate

@@ -63,7 +63,6 @@ def test_each_reading_is_a_new_sample(bus: tipforce.SimulatedBus) -> None:
 @pytest.mark.parametrize(
     ("changes", "status"),
     [
-        ({"calibrated_force_newtons": 0.0}, tipforce.Status.UNRANGED),
         ({"calibrated_force_newtons": 2.0}, tipforce.Status.BEYOND_CALIBRATED),
         ({"temperature_min_degC": 30.0, "temperature_max_degC": 40.0}, tipforce.Status.TEMPERATURE),
     ],

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tipforce.sensor.structure.gauges import gauge_matrix
-from tipforce.sensor.structure.limits import worst_stress
+from tipforce.sensor.structure.plane_frame import worst_stress
+from tipforce.sensor.structure.strain import gauge_matrix
 from tipforce.sources.layout_file import read_layout
 from tipforce_lab.design.merit import LoadSet, merit
 from tipforce_lab.design.other_bodies import condition_range

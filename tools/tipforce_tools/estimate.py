@@ -7,7 +7,7 @@ import csv
 import math
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from heapq import merge
 from operator import itemgetter
 from typing import TextIO
@@ -58,26 +58,18 @@ def run(args: argparse.Namespace) -> int:
     if calibration.tare_drift_strain_per_s and data.t_s is None:
         common.note(f"{args.gauges}: no t_s: the tare's age is unknown, and its drift not in the uncertainties")
     rows = estimates(calibration, data, args.saturation)
-    with _output(args) as stream:
-        bad = ((row.line, [math.nan] * 6, f"bad: {row.reason}") for row in data.bad)
+    bad = ((row.line, [math.nan] * 6, f"bad: {row.reason}") for row in data.bad)
+    with ExitStack() as stack:
+        stream: TextIO = sys.stdout
+        if args.output not in {None, "-"}:
+            kind = JSON_LINES if common.OUTPUT.json else CSV
+            partial = stack.enter_context(new_file(args.output, kind, (args.calibration, args.gauges)))
+            stream = stack.enter_context(partial.open("w", encoding="utf-8", newline="\n"))
         _write(stream, merge(rows, bad, key=itemgetter(0)), common.OUTPUT.json)
     if data.bad:
         shown = "; ".join(str(row) for row in data.bad[:3]) + ("; ..." if len(data.bad) > 3 else "")
         common.note(f"{args.gauges}: {len(data.bad)} of {len(data.bad) + len(data.line)} rows are bad: {shown}")
     return 1 if data.bad and args.strict else 0
-
-
-@contextmanager
-def _output(args: argparse.Namespace) -> Iterator[TextIO]:
-    if args.output in {None, "-"}:
-        yield sys.stdout
-        return
-    kind = JSON_LINES if common.OUTPUT.json else CSV
-    with (
-        new_file(args.output, kind, (args.calibration, args.gauges)) as partial,
-        partial.open("w", encoding="utf-8", newline="\n") as stream,
-    ):
-        yield stream
 
 
 def _write(stream: TextIO, rows: Iterator[tuple[int, list[float], str]], as_json: bool) -> None:

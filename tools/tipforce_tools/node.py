@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from canopen_device.running.store import FileStore
     from tipforce.fingertip.source import Source
-    from tipforce.sensor.structure.gauges import Gauge
     from tipforce.sensor.structure.geometry import Geometry
+    from tipforce.sensor.structure.strain import Gauge
 
 EPILOG = """\
 examples:
@@ -150,7 +150,7 @@ def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, .
 
 def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, ...]) -> Source:
     from tipforce.host.configuration.measurements import LARGEST_MICROSTRAIN, MOST_LOAD_NEWTONS
-    from tipforce.sensor.structure.gauges import gauge_matrix
+    from tipforce.sensor.structure.strain import gauge_matrix
     from tipforce.sources.front_end import FrontEnd
     from tipforce.sources.simulated import SimulatedSource
 

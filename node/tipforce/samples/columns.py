@@ -66,10 +66,9 @@ def status_of(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -
 
 
 def range_bits(calibration: Calibration | None, P_newtons: FloatArray) -> npt.NDArray[np.uint16]:
-    """UNRANGED or BEYOND_CALIBRATED of known forces (k,): no status byte has them, and TPDO4 is off by default."""
-    limit = np.inf if calibration is None else calibration.calibrated_force_newtons
-    beyond = np.where(limit < P_newtons, np.uint16(Status.BEYOND_CALIBRATED), np.uint16(0))
-    return beyond if limit else np.where(np.isnan(P_newtons), np.uint16(0), np.uint16(Status.UNRANGED))
+    """BEYOND_CALIBRATED of forces (k,): no status byte has it, and TPDO4 is off by default."""
+    limit = 0.0 if calibration is None else calibration.calibrated_force_newtons
+    return np.where(P_newtons > (limit or np.inf), np.uint16(Status.BEYOND_CALIBRATED), np.uint16(0))
 
 
 def contact_values(

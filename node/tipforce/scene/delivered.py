@@ -18,8 +18,8 @@ from tipforce.sources.simulated import SimulatedSource
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration
-    from tipforce.sensor.structure.gauges import Gauge
     from tipforce.sensor.structure.geometry import Geometry
+    from tipforce.sensor.structure.strain import Gauge
 
 CALIBRATION = "calibration"
 """The name of its group in a store."""
@@ -63,9 +63,8 @@ def structure_calibration(
     import numpy as np
 
     from tipforce.host.configuration.calibration import Calibration
-    from tipforce.sensor.structure.gauges import gauge_matrix, gauge_name
     from tipforce.sensor.structure.layouts import layout_code
-    from tipforce.sensor.structure.strain import pseudo_inverse
+    from tipforce.sensor.structure.strain import gauge_matrix, gauge_name, pseudo_inverse
 
     n, points = len(gauges), [gauge for gauge in gauges if isinstance(gauge, str)]
     return Calibration(

@@ -152,7 +152,7 @@ def _node_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterator
     filtered = next((group.filter for group in groups if group.filter), None)
     force, contact = (next((why for why in reasons if why), "") for reasons in zip(*map(computes, groups), strict=True))
     modules = ["tipforce.host.configuration.calibration"] if calibrated else []
-    modules += (*_STRUCTURE, "tipforce.sensor.structure.gauges") if "model" in calibrated else ()
+    modules += (*_STRUCTURE, "tipforce.sensor.structure.strain") if "model" in calibrated else ()
     why = f'nodes.calibration = "{calibrated[0]}"' if calibrated else ""
     named = "" if file is None else f'"{file}"'
     nobody = "" if calibrated else "no node is calibrated"
@@ -180,7 +180,7 @@ def _frame_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterato
     yield _part("bus", named, "no [bus]: simulated time, no bus at all", "tipforce.scene.realtime")
     yield _part("recording", "every frame, for the parts below", "", "tipforce.scene.outputs", "tipforce.scene.results")
     yield _part("decoder", sent, "no nodes.pdos", "tipforce.host.decoding.decoder")
-    yield _part("slit", slit, "no [slit]: not checked", "tipforce.sensor.structure.limits")
+    yield _part("slit", slit, "no [slit]: not checked", "tipforce.sensor.structure.plane_frame")
     yield _listed("expectations", "[[expect]]", scene.expect)
     yield _keyed("log", "outputs.log", out.log, *logs, without=": no file")
     yield _keyed("table", "outputs.table", out.table, without=": no file")

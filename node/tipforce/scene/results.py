@@ -179,7 +179,7 @@ def slit_closed(slit: schema.Slit, applied: FloatArray) -> BoolArray:
     applied: (k, 3), P newtons, phi and theta degrees.
     """
     from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce.sensor.structure.limits import closing_load
+    from tipforce.sensor.structure.plane_frame import closing_load
 
     directions, which = np.unique(applied[:, 1:], axis=0, return_inverse=True)
     limits = [

@@ -54,9 +54,9 @@ import msgspec
 from canopen_device.toml_table import convert, read_table
 from tipforce.errors import InputError
 from tipforce.output_file import LAYOUT, write_file
-from tipforce.sensor.structure.gauges import Gauge, GaugePosition, check_gauges
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, layout
+from tipforce.sensor.structure.strain import Gauge, GaugePosition, check_gauges
 
 if TYPE_CHECKING:
     from tipforce.dictionary.table import Converter

@@ -19,9 +19,9 @@ from tipforce.host.hand.events import Event, Supervisor
 from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.rows import Collector
 from tipforce.samples.columns import Block
-from tipforce.sensor.structure.gauges import Gauge
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASE_OF_CODE, LAYOUTS
+from tipforce.sensor.structure.strain import Gauge
 
 if TYPE_CHECKING:
     from tipforce.host.hand.hand import Hand

@@ -137,14 +137,6 @@ def test_a_short_file_by_hand(tmp_path: Path) -> None:
     assert read_text(tmp_path, GOOD).layout_code == table.CUSTOM_LAYOUT
 
 
-def test_fit_statistics_are_kept_out_of_the_record(tmp_path: Path) -> None:
-    path = tmp_path / "cal.toml"
-    write_calibration(path, beam_calibration(), fit={"condition_number": 4.2, "rows": 57})
-    assert "[fit]" in path.read_text()
-    assert "date = 2026-01-02\n" in path.read_text()  # a date of TOML
-    assert read_calibration(path).record() == beam_calibration().record()
-
-
 def test_a_number_edited_by_hand_is_noticed(tmp_path: Path) -> None:
     path = tmp_path / "cal.toml"
     write_calibration(path, beam_calibration())

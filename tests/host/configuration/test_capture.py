@@ -7,12 +7,11 @@ from host.bus_with_nodes import apply_load, connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry
 from tipforce.errors import InputError, NoResponseError
-from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
-from tipforce.sources.simulated import OPEN, SATURATED, SILENT, SimulatedSource
+from tipforce.sources.simulated import OPEN, SATURATED, SILENT
 
 LOAD = (4.4, 90.0, 45.0)
 EXPECTED = strain_matrix(FABRICATED, "I") @ force_vector(4.4, np.pi / 2, np.pi / 4) * 1e6
@@ -83,15 +82,6 @@ def test_a_node_that_a_killed_hand_left_numbered(by_pdo: bool) -> None:
         reader.stop()
         assert connection.finger(5).read().P_newtons != 0.0
         assert connection.sdo(5).read(od.STATUS) & 8 == 0
-
-
-def test_more_gauges_than_a_pdo_holds() -> None:
-    source = SimulatedSource(strain_matrix(FABRICATED, MORE).tolist())
-    with connected(fingertip_node(5, source, 5)) as (connection, _):
-        apply_load(connection, 5, *LOAD)
-        capture = GaugeReader(connection, 5, 5, period_s=0.001).capture(4)
-        np.testing.assert_allclose(capture.mean[:3], EXPECTED, atol=RESOLUTION_MICROSTRAIN)
-        assert capture.microstrain.shape == (4, 5)
 
 
 def test_another_identifier_and_another_order() -> None:
@@ -182,8 +172,3 @@ def test_pdos_alone_are_missing() -> None:
         assert capture.silent >= 5
         with pytest.raises(InputError, match="a capture of 1 samples: allowed are 2 or more"):
             reader.capture(1)
-
-
-def test_nobody_there() -> None:
-    with connected(timeout_s=0.05, retries=0) as (connection, _), pytest.raises(NoResponseError):
-        GaugeReader(connection, 5, 3)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from bench.calibration import CONDITIONS, SEEDS, compare, comparison_rows, coverage, coverage_rows, pooled
-from bench.measure import table
+from bench.calibration import CONDITIONS, SEEDS, compare, coverage, pooled
 
 from sensor.calibration.made import CLEAN, readings, simulated
 from tipforce.errors import InputError
@@ -254,25 +253,13 @@ def test_the_papers_fit() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "text"),
+    ("given", "text"),
     [
         ({"strain": np.zeros((5, 2))}, r"\(5, 2\)"),
         ({"P_newtons": np.zeros(77)}, "all 77 rows are unloaded"),
         ({"P_newtons": np.full(77, -1.0)}, r"P_newtons\[0\] = -1"),
         ({"phi_rad": np.zeros(3)}, r"phi_rad has the shape \(3,\)"),
-        ({"theta_rad": np.full(77, np.nan)}, r"theta_rad\[0\] = nan"),
-        ({"t_s": np.arange(77.0)[::-1]}, r"t_s\[1\] = 75 is before t_s\[0\] = 76"),
         ({"weight": np.zeros(77)}, r"weight\[0\] = 0"),
-    ],
-)
-def test_readings_that_cannot_be_used(changes: dict[str, FloatArray], text: str) -> None:
-    with pytest.raises(InputError, match=text):
-        fit_calibration(readings(simulated(16), **changes))
-
-
-@pytest.mark.parametrize(
-    ("model", "text"),
-    [
         (Model(drift="cubic"), "'cubic' is not known"),  # type: ignore[arg-type]
         (Model(loss="l2"), "'l2' is not known"),  # type: ignore[arg-type]
         (Model(offset=False, drift="tare"), "needs an offset"),
@@ -282,9 +269,10 @@ def test_readings_that_cannot_be_used(changes: dict[str, FloatArray], text: str)
         (Model(prior=beam_prior(FABRICATED, POINTS[:4])), r"shape \(4, 3\)"),
     ],
 )
-def test_models_that_cannot_be_used(model: Model, text: str) -> None:
+def test_readings_and_models_that_cannot_be_used(given: Model | dict[str, FloatArray], text: str) -> None:
+    changes, model = (given, None) if isinstance(given, dict) else ({}, given)
     with pytest.raises(InputError, match=text):
-        fit_calibration(readings(simulated(17)), model)
+        fit_calibration(readings(simulated(16), **changes), model)
 
 
 def test_all_values_are_rounded_to_the_place_of_the_largest() -> None:
@@ -333,13 +321,3 @@ def test_intervals_hold_what_they_promise(condition: str, simulations: int) -> N
     assert 90.0 < held.matrix < 99.0
     assert 90.0 < held.force < 99.0
     assert held.false_alarm < 8.0
-
-
-def test_the_command_prints_its_tables() -> None:
-    faults, drift = CONDITIONS["offset and noise"]
-    rows = comparison_rows([compare(0, faults, drift, "none")])
-    assert rows[0][:2] == ["0", "I"]
-    assert rows[-1][0] == "all"
-    text = table(["a"] * 5, coverage_rows([coverage("linear drift", 3)]))
-    assert text.splitlines()[2].startswith("| linear drift |")
-    assert len({len(line) for line in table(["seed"] * 9, rows, markdown=False).splitlines()}) == 1

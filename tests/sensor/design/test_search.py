@@ -10,10 +10,10 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.gauges import GaugePosition, gauge_matrix
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
-from tipforce.sensor.structure.limits import slit_closure, worst_stress
+from tipforce.sensor.structure.plane_frame import slit_closure, worst_stress
+from tipforce.sensor.structure.strain import GaugePosition, gauge_matrix
 from tipforce_lab.design.merit import AGREEMENT, FIGURES, Assessment, LoadSet, assess, glued, merit, pareto
 from tipforce_lab.design.search import (
     OBJECTIVES,

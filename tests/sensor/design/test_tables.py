@@ -10,14 +10,14 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import contacts, force_vector, standard_uncertainties
-from tipforce.sensor.structure.gauges import shifted_matrix
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, mirror
-from tipforce.sensor.structure.limits import worst_stress
+from tipforce.sensor.structure.plane_frame import worst_stress
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
 from tipforce.sensor.structure.strain import (
     condition_number,
     noise_gain,
+    shifted_matrix,
     strain_matrix,
     stress_coefficients,
     thin_limit_matrix,

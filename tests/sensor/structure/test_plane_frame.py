@@ -10,10 +10,8 @@ import pytest
 from numpy.polynomial import Legendre, Polynomial
 
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauges import GaugePosition, gauge_matrix, nominal_position, strain_row
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
-from tipforce.sensor.structure.limits import slit_closure
 from tipforce.sensor.structure.off_axis import (
     PlacedGauge,
     apparent_force,
@@ -32,8 +30,17 @@ from tipforce.sensor.structure.plane_frame import (
     TIMOSHENKO,
     Frame,
     FrameModel,
+    slit_closure,
 )
-from tipforce.sensor.structure.strain import condition_number, strain_matrix
+from tipforce.sensor.structure.strain import (
+    GaugePosition,
+    condition_number,
+    gauge_matrix,
+    nominal_position,
+    position_matrix,
+    strain_matrix,
+    strain_row,
+)
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -46,12 +53,6 @@ OFF_CENTRE = off_centre_wrenches(np.radians(np.arange(0.0, 360.0, 5.0)), 1e-3)
 
 def thin(h1_m: float) -> Geometry:
     return replace(FABRICATED, h1_m=h1_m, h2_m=THIN_BEAM_RATIO * h1_m)
-
-
-@pytest.mark.parametrize("geometry", [FABRICATED, ODD])
-def test_the_matching_limit_is_table_1(geometry: Geometry) -> None:
-    found, table = Frame(geometry).strain_matrix(POINTS), strain_matrix(geometry, POINTS)
-    np.testing.assert_allclose(found, table, rtol=1e-10)
 
 
 @pytest.mark.parametrize("geometry", [FABRICATED, ODD])
@@ -181,8 +182,6 @@ def test_roots_that_are_wrong(rotation: float) -> None:
 
 
 def test_bodies_that_floating_point_cannot_hold() -> None:
-    with pytest.raises(InputError, match=r"a beam of length 0\.0 m: the body is too thick"):
-        Frame(thin(1e200))
     with pytest.raises(InputError, match="a finite joint must be narrower"):
         Frame(replace(FABRICATED, h2_m=0.04), FrameModel(finite_joint=True))
 
@@ -206,20 +205,13 @@ def at(*points: str, z: float = 0.0, angle: float = 0.0, geometry: Geometry = FA
 
 @pytest.mark.parametrize("geometry", [FABRICATED, ODD])
 @pytest.mark.parametrize("warping_held", [False, True])
-def test_planar_part_is_table_1(geometry: Geometry, warping_held: bool) -> None:
-    found = wrench_strain_matrix(geometry, at(*POINTS, geometry=geometry), warping_held=warping_held)
-    expected = strain_matrix(geometry, POINTS)
-    np.testing.assert_allclose(planar_part(geometry, found), expected, atol=1e-13 * np.abs(expected).max())
-
-
-def test_planar_part_between_the_points() -> None:
-    places = [
-        GaugePosition("H", "right", 4e-3, "upper"),
-        GaugePosition("H", "left", 7e-3),
-        GaugePosition("V", "left", 5e-3),
-    ]
-    found = planar_part(ODD, wrench_strain_matrix(ODD, [PlacedGauge(place) for place in places]))
-    np.testing.assert_allclose(found, [strain_row(ODD, *place) for place in places], rtol=1e-9, atol=1e-14)
+def test_planar_part_is_table_1_made_continuous(geometry: Geometry, warping_held: bool) -> None:
+    between = [GaugePosition("H", "right", 4e-3, "upper"), GaugePosition("H", "left", 7e-3)]
+    placed = [PlacedGauge(place) for place in (*between, GaugePosition("V", "left", 5e-3))]
+    placed += at(*POINTS, geometry=geometry)
+    found = planar_part(geometry, wrench_strain_matrix(geometry, placed, warping_held=warping_held))
+    expected = position_matrix(geometry, [gauge.position for gauge in placed])
+    np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max())
 
 
 def test_centred_axial_gauges_see_nothing_out_of_the_plane() -> None:

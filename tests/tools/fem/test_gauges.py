@@ -10,7 +10,7 @@ import pytest
 from bench import fem as studies
 
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauges import GaugePosition
+from tipforce.sensor.structure.strain import GaugePosition
 from tipforce_lab.fem.mesh import GRADING, STATED, Outline, Resolution
 from tipforce_lab.fem.plane_stress import (
     Model,

@@ -17,10 +17,10 @@ from tipforce.errors import InputError
 from tipforce.output_file import save_figure
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import first_order_holds, force_vector, standard_uncertainties
-from tipforce.sensor.structure.gauges import GaugePosition, strain_row
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
+from tipforce.sensor.structure.strain import GaugePosition, strain_row
 from tipforce_lab import plotting as figures
 
 DEGREE = pi / 180.0

@@ -15,11 +15,9 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauges import Gauge, gauge_matrix, nominal_position
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.limits import slit_closure, worst_stress
-from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame
-from tipforce.sensor.structure.strain import condition_number, noise_gain
+from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame, slit_closure, worst_stress
+from tipforce.sensor.structure.strain import Gauge, condition_number, gauge_matrix, noise_gain, nominal_position
 
 PAPER_LOAD_NEWTONS = 4.4
 _FRICTION = 0.5

@@ -12,9 +12,9 @@ import numpy as np
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.statistics import FALSE_ALARM_RATE
 from tipforce.sensor.contact.redundancy import detectable_strain, parity, weighted_inverse
-from tipforce.sensor.structure.gauges import gauge_matrix, gauge_name
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS
+from tipforce.sensor.structure.strain import gauge_matrix, gauge_name
 from tipforce_lab.design.merit import FIGURES, Assessment, LoadSet, Merit, assess, glued, pareto
 from tipforce_lab.design.search import TRADE_OFF_STEPS, Limits, Objective, configurations, search, trade_off
 

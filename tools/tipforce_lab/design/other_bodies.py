@@ -14,12 +14,17 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.dynamics.model import half_cylinder, modes
-from tipforce.sensor.structure.gauges import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, Layout
-from tipforce.sensor.structure.limits import PAPER_SLIT_M, slit_closure, worst_stress
+from tipforce.sensor.structure.plane_frame import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
-from tipforce.sensor.structure.strain import calibration_matrix, condition_number, noise_gain, strain_matrix
+from tipforce.sensor.structure.strain import (
+    calibration_matrix,
+    condition_number,
+    noise_gain,
+    shifted_matrix,
+    strain_matrix,
+)
 from tipforce_lab.design.tables import (
     MICRO,
     MM,

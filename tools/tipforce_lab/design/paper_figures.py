@@ -15,12 +15,11 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.simulation import Grooves, paper_grooves
 from tipforce.sensor.contact.estimate import contacts, force_from_strain, force_vector, standard_uncertainties
-from tipforce.sensor.structure.gauges import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, Layout, layout
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
 from tipforce.sensor.structure.published import CALIBRATION_THETA_DEG, CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
-from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.strain import calibration_matrix, shifted_matrix, strain_matrix
 from tipforce_lab.design.tables import Record, Section
 
 

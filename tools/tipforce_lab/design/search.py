@@ -18,9 +18,9 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.gauges import GaugePosition
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.limits import PAPER_SLIT_M, AnyArray, slit_compliance, worst_stress
+from tipforce.sensor.structure.plane_frame import PAPER_SLIT_M, AnyArray, slit_compliance, worst_stress
+from tipforce.sensor.structure.strain import GaugePosition
 from tipforce_lab.design.merit import PAPER_LOAD_NEWTONS, LoadSet
 
 UNIT_M = 1e-3  # the search uses millimetres and microstrain

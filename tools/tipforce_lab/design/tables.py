@@ -18,7 +18,6 @@ import numpy.typing as npt
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import force_vector
-from tipforce.sensor.structure.gauges import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES
@@ -27,6 +26,7 @@ from tipforce.sensor.structure.strain import (
     condition_number,
     noise_gain,
     row_equilibrated_condition_number,
+    shifted_matrix,
     strain_matrix,
     stress_coefficients,
     thin_limit_matrix,

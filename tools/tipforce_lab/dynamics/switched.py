@@ -29,8 +29,7 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import Modes, compliances
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.limits import PAPER_SLIT_M
-from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame
+from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, PAPER_SLIT_M, Frame
 
 _RADIANS_PER_STEP = 0.35
 _MOST_STEPS = 2_000_000

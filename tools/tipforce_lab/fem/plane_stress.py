@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.structure.gauges import Gauge, GaugePosition, gauge_name, place
 from tipforce.sensor.structure.plane_frame import POISSON_RATIO
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
+from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_name, place
 from tipforce_lab.fem.mesh import STATED, Outline, Resolution, Triangles, triangulate
 
 Plane = Literal["stress", "strain"]

@@ -12,29 +12,23 @@ from tipforce.sensor.contact.scalar import DEGREES
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce.arrays import FloatArray
     from tipforce.host.configuration.calibration import Calibration
     from tipforce_lab.design.error_budget import Budget, Causes, Sensor
 
 
 _FLAGS: tuple[tuple[str, str, str, str, float], ...] = (
-    ("--noise", "UE", "gauge noise, microstrain (default: the file's, or 1)",
-     "noise_strain", 1e-6),
+    ("--noise", "UE", "gauge noise, microstrain (default: the file's, or 1)", "noise_strain", 1e-6),
     ("--resolution", "UE", "one step of the converter, microstrain (default 0.1)", "resolution_strain", 1e-6),
     ("--gain", "%", "drift of each sensitivity, percent (default 0.1)", "gain", 1e-2),
     ("--offset", "UE", "drift of each gauge's zero, microstrain (default 1)", "offset_strain", 1e-6),
     ("--temperature", "K", "change since the last tare, kelvin (default 1)", "temperature_K", 1.0),
-    ("--hysteresis", "%", "percent of the largest strain (default 0.05)",
-     "hysteresis", 1e-2),
+    ("--hysteresis", "%", "percent of the largest strain (default 0.05)", "hysteresis", 1e-2),
     ("--creep", "%", "growth under a load, percent (default 0.05)", "creep", 1e-2),
-    ("--load-angle", "DEG", "scatter of calibration loads, degrees (default 0.5)",
-     "load_angle_rad", math.pi / 180.0),
-    ("--gravity", "DEG", "between x- and y-loads, degrees (default 0.5)",
-     "gravity_rad", math.pi / 180.0),
-    ("--gauge-shift", "MM", "along the beam, with --uncalibrated (default 0.2)",
-     "gauge_shift_m", 1e-3),
+    ("--load-angle", "DEG", "scatter of calibration loads, degrees (default 0.5)", "load_angle_rad", math.pi / 180.0),
+    ("--gravity", "DEG", "between x- and y-loads, degrees (default 0.5)", "gravity_rad", math.pi / 180.0),
+    ("--gauge-shift", "MM", "along the beam, with --uncalibrated (default 0.2)", "gauge_shift_m", 1e-3),
     ("--off-axis", "N", "along the width of the beams (default 0.5)", "off_axis_newtons", 1.0),
-)  # fmt: skip
+)
 """Flag, unit, help, field of ``error_budget.Causes`` and its size of one unit."""
 _MOST = 1e9
 """Limit of each cause in the unit of its flag, and of the load in newtons: its squares stay in range."""
@@ -111,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
         for record in records:
             common.print_json(record)
     else:
-        print(_text(records, len(loads.P_newtons) == 1))
+        _print_table(records, len(loads.P_newtons) == 1)
     _say_limits(error_budget, causes, args.uncalibrated)
     return 0
 
@@ -119,8 +113,9 @@ def run(args: argparse.Namespace) -> int:
 def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor:
     import numpy as np
 
-    from tipforce.sensor.structure.gauges import gauge_matrix, place
+    from tipforce.sensor.contact.redundancy import structure_matrix
     from tipforce.sensor.structure.layouts import CASE_OF_CODE
+    from tipforce.sensor.structure.strain import gauge_matrix, place
     from tipforce.sources.layout_file import read_layout
     from tipforce_lab.design.error_budget import Sensor
 
@@ -140,23 +135,11 @@ def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor
     if positions and len(positions) != calibration.gauges:
         raise InputError(f"--layout {name}: it has {len(positions)} gauges, the calibration {calibration.gauges}")
     pull = calibration.pull if args.sense is None else args.sense == "pull"
-    A = _structure(args.file, calibration)
-    return Sensor(calibration.C, A, calibration.covariance_strain2, pull, True, geometry, positions)
-
-
-def _structure(path: str, calibration: Calibration) -> FloatArray:
-    """Return A of a calibration. Raises InputError if the rank of C is not 3."""
-    import numpy as np
-
-    from tipforce.sensor.contact.redundancy import structure_matrix
-
-    covariance = calibration.covariance_strain2
-    if not covariance.any():
-        covariance = np.eye(calibration.gauges)  # noise not stated: equal for all gauges
     try:
-        return structure_matrix(calibration.C, covariance)
+        A = structure_matrix(calibration.C, calibration.covariance_strain2)
     except InputError as error:
-        raise InputError(f"calibration {path}: {error}") from None
+        raise InputError(f"calibration {args.file}: {error}") from None
+    return Sensor(calibration.C, A, calibration.covariance_strain2, pull, True, geometry, positions)
 
 
 def _records(error_budget: Budget) -> list[dict[str, object]]:
@@ -177,20 +160,18 @@ def _records(error_budget: Budget) -> list[dict[str, object]]:
     return records
 
 
-def _text(records: list[dict[str, object]], single: bool) -> str:
-    """Print the table."""
+def _print_table(records: list[dict[str, object]], single: bool) -> None:
     widest = max(len(str(record["cause"])) for record in records)
     most = "" if single else f"{'max':>9}"
     heads = (f"{f'u({name}) {unit}':>14}{most}{'share':>8}" for name, unit, _ in _QUANTITIES)
-    lines = [f"{'cause':<{widest}}" + "".join(heads)]
+    print(f"{'cause':<{widest}}" + "".join(heads))
     for record in records:
         line = f"{record['cause']:<{widest}}"
         for name, unit, _ in _QUANTITIES:
             key = f"u_{name}_{unit}"
             most = "" if single else f"{record[f'{key}_max']:>9.3g}"
             line += f"{record[key]:>14.4g}{most}{record[f'share_{name}_percent']:>7.1f}%"
-        lines.append(line)
-    return "\n".join(lines)
+        print(line)
 
 
 def _say_limits(error_budget: Budget, causes: Causes, uncalibrated: bool) -> None:

@@ -5,10 +5,14 @@ from __future__ import annotations
 import argparse
 import datetime
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import bus_flags, common
+
+if TYPE_CHECKING:
+    from tipforce.host.configuration.calibration import Calibration
+    from tipforce.host.network.finger import FingertipClient
 
 
 def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
@@ -138,14 +142,16 @@ def run_apply(args: argparse.Namespace) -> int:
     if not args.no_store:
         bus_flags.confirm(args, f"{name}: this replaces its stored calibration")
     with bus_flags.open_connection(args) as connection:
-        client = FingertipClient(connection.sdo(args.node))
-        generation = client.apply_calibration(
-            calibration, not args.no_store, lambda step: common.note(f"{name}: {step}")
-        )
-    crc32 = f"0x{calibration.crc32():08X}"
-    record = {"node": args.node, "generation": generation, "crc32": crc32}
-    common.print_record(record, f"applied, generation {generation}, CRC-32 {crc32}")
+        transfer(FingertipClient(connection.sdo(args.node)), args.node, calibration, not args.no_store, "applied")
     return 0
+
+
+def transfer(client: FingertipClient, node: int, calibration: Calibration, store: bool, done: str) -> None:
+    """Apply a calibration with a note of each step, and print what the node then has. Raises RefusedError."""
+    name, crc32 = common.shown_node(node), f"0x{calibration.crc32():08X}"
+    generation = client.apply_calibration(calibration, store, lambda step: common.note(f"{name}: {step}"))
+    record = {"node": node, "generation": generation, "crc32": crc32}
+    common.print_record(record, f"{done}, generation {generation}, CRC-32 {crc32}")
 
 
 def run_verify(args: argparse.Namespace) -> int:

@@ -141,7 +141,7 @@ def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list
     return lines
 
 
-def print_text(path: str, result: Fitted, notes: list[str]) -> None:
+def _print_text(path: str, result: Fitted, notes: list[str]) -> None:
     """The account for people."""
     data, fit, model = result.data, result.fit, result.model
     unloaded = int(data.unloaded.sum())
@@ -157,12 +157,8 @@ def print_text(path: str, result: Fitted, notes: list[str]) -> None:
           f"{fit.row_equilibrated_condition_number:.4g})")  # fmt: skip
     _print_matrix(fit)
     _print_loads(fit)
-    for line in left_out(data, fit):
+    for line in (*left_out(data, fit), *(f"bad: {row}" for row in data.bad), *(f"note: {note}" for note in notes)):
         print(line)
-    for row in data.bad:
-        print(f"bad: {row}")
-    for note in notes:
-        print(f"note: {note}")
 
 
 def left_out(data: Measurements, fit: Fit) -> list[str]:
@@ -180,10 +176,10 @@ def left_out(data: Measurements, fit: Fit) -> list[str]:
     return lines
 
 
-def print_json(path: str, result: Fitted, notes: list[str], warnings: list[str]) -> None:
-    """Everything as one JSON line; NaN becomes null."""
+def _record(path: str, result: Fitted, notes: list[str], warnings: list[str]) -> dict[str, object]:
+    """Everything, for one JSON line."""
     data, fit, calibration = result.data, result.fit, result.calibration
-    record = {
+    return {
         **facts(path, result),
         "matrix_newtons_per_strain": fit.C.tolist(),
         "matrix_interval_95": fit.C_interval.tolist(),
@@ -221,17 +217,15 @@ def print_json(path: str, result: Fitted, notes: list[str], warnings: list[str])
         "warnings": warnings,
         "notes": notes,
     }
-    common.print_json(record)
 
 
 def _print_matrix(fit: Fit) -> None:
     n = fit.A.shape[0]
     print("\nC, newtons per unit strain, +- half the 95 % interval")
     print("    " + "".join(f"{f'SG{k + 1}':>30}" for k in range(n)))
-    for name, row, half in zip(("F1", "F2", "F3"), fit.C, fit.coverage_factor * fit.C_uncertainty, strict=True):
-        print(
-            f"{name}  " + "".join(f"{value:>18.10g} +- {spread:<8.2g}" for value, spread in zip(row, half, strict=True))
-        )
+    for name, row, halves in zip(("F1", "F2", "F3"), fit.C, fit.coverage_factor * fit.C_uncertainty, strict=True):
+        cells = (f"{value:>18.10g} +- {half:<8.2g}" for value, half in zip(row, halves, strict=True))
+        print(f"{name}  {''.join(cells)}")
     print("\ngauge   offset, microstrain   noise, microstrain")
     noise = np.sqrt(np.diag(fit.noise_covariance_strain2))
     offset_u = np.sqrt(fit.parameter_covariance[np.arange(n), 3, np.arange(n), 3]) * fit.coverage_factor
@@ -245,9 +239,8 @@ def _print_loads(fit: Fit) -> None:
     print("\nresiduals by load, root mean square (microstrain, then newtons)")
     print(f"     P_N     phi   theta  rows{gauges}{'F1':>9}{'F2':>9}{'F3':>9}  leverage")
     for load in fit.loads:
-        place = (
-            f"{math.degrees(load.phi_rad):8.1f}{math.degrees(load.theta_rad):8.1f}" if load.P_newtons else f"{'':16}"
-        )
+        angles = f"{math.degrees(load.phi_rad):8.1f}{math.degrees(load.theta_rad):8.1f}"
+        place = angles if load.P_newtons else f"{'':16}"
         strain = "".join(f"{value * UE:8.2f}" for value in load.rms_strain)
         force = "".join(f"{value:9.4f}" for value in load.rms_newtons)
         print(f"{load.P_newtons:8.3f}{place}{len(load.rows):6d}{strain}{force}{load.leverage:10.2f}")
@@ -259,9 +252,9 @@ def publish(path: str, request: FitRequest, result: Fitted, more_notes: tuple[st
     remarks = [*notes(result, request), *more_notes]
     doubts = warnings(result)
     if common.OUTPUT.json:
-        print_json(path, result, remarks, doubts)
+        common.print_json(_record(path, result, remarks, doubts))
     else:
-        print_text(path, result, remarks)
+        _print_text(path, result, remarks)
     for warning in doubts:
         common.note(f"{path}: {warning}")
     return bool(doubts)

@@ -61,7 +61,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Execute the plan; return 0 if it is done or the user quits, 1 if a capture of --auto was refused."""
-    steps = _plan(args)
+    if args.plan:
+        for flag in ("weights", "grooves"):
+            if getattr(args, flag) is not None:
+                raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
+        common.InputFile("plan ").check(args.plan)
+    from tipforce.host.configuration.guide import file_plan, groove_plan
+
+    steps = file_plan(args.plan) if args.plan else groove_plan(args.weights or DEFAULT_WEIGHTS, args.grooves or "paper")
     # What would otherwise fail after an hour of weights.
     if not MIN_SAMPLES <= args.samples <= MAX_SAMPLES:
         raise InputError(f"--samples {args.samples}: allowed is {MIN_SAMPLES} to {MAX_SAMPLES}")
@@ -139,16 +146,3 @@ def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipC
     degrees = "temperature unknown" if temperature is None else f"{temperature:.2f} degC"
     common.note(f"{name}: {what}; {held}; {degrees}; measures, no fault")
     return client, reader, identity
-
-
-def _plan(args: argparse.Namespace) -> tuple[Step, ...]:
-    if args.plan:
-        for flag in ("weights", "grooves"):
-            if getattr(args, flag) is not None:
-                raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
-        common.InputFile("plan ").check(args.plan)
-    from tipforce.host.configuration.guide import file_plan, groove_plan
-
-    if args.plan:
-        return file_plan(args.plan)
-    return groove_plan(args.weights or DEFAULT_WEIGHTS, args.grooves or "paper")

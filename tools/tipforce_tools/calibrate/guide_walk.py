@@ -27,6 +27,7 @@ from tipforce.host.network.sdo import SdoChannel
 from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.result import matrix_to_digits, to_digits
 from tipforce.sensor.contact.redundancy import weighted_inverse
+from tipforce_tools.calibrate.fit import transfer
 from tipforce_tools.calibrate.fit_report import publish, write
 from tipforce_tools.cli import bus_flags, common
 
@@ -116,11 +117,7 @@ class Walk:
     def __init__(
         self, args: argparse.Namespace, steps: Sequence[Step], session: Session, reader: GaugeReader, sdo: SdoChannel
     ) -> None:
-        self._args = args
-        self._steps = steps
-        self._session = session
-        self._reader = reader
-        self._sdo = sdo
+        self._args, self._steps, self._session, self._reader, self._sdo = args, steps, session, reader, sdo
         self._skipped: set[int] = set()
         missing = [step for step in steps if step.number not in session.done]
         self._todo = deque(missing)
@@ -163,11 +160,8 @@ class Walk:
 
     def say_where(self) -> None:
         """Print the state of the session and how to continue it."""
-        done, path = len(self._session.done), self._session.path
-        if not self._session.rows:
-            self._say("nothing was captured")
-        else:
-            self._say(f"{done} of {len(self._steps)} steps are in {path}; the same command continues there")
+        steps = f"{len(self._session.done)} of {len(self._steps)} steps are in {self._session.path}"
+        self._say(f"{steps}; the same command continues there" if self._session.rows else "nothing was captured")
 
     # --- one step -----------------------------------------------------------------------------------------------
 
@@ -193,50 +187,45 @@ class Walk:
         return False
 
     def _take(self, step: Step, capture: Capture) -> None:
-        remarks = self._remarks(step, capture)
+        remark = self._remark(step, capture)
         self._session.append(step, capture)
         self._todo.popleft()
         self._skipped.discard(step.number)
         if common.OUTPUT.json:
-            common.print_json(self._record(step, capture))
-        for k in range(len(capture.mean)):
-            common.note(
-                f"  SG{k + 1} {capture.mean[k]:+10.2f} microstrain, standard deviation {capture.std[k]:.2f}, "
-                f"drift {capture.drift[k]:+.2f}"
-            )
+            common.print_json({
+                "step": step.number if step.number != EXTRA else "extra",
+                "steps": len(self._steps),
+                "P_N": step.P_newtons,
+                "phi_deg": step.phi_deg,
+                "theta_deg": step.theta_deg,
+                "mode": step.mode,
+                "samples": capture.count,
+                "mean_microstrain": capture.mean.tolist(),
+                "std_microstrain": capture.std.tolist(),
+                "drift_microstrain": capture.drift.tolist(),
+                "temperature_degC": capture.temperature_degC,
+            })  # fmt: skip
+        for k, (mean, std, drift) in enumerate(zip(capture.mean, capture.std, capture.drift, strict=True)):
+            common.note(f"  SG{k + 1} {mean:+10.2f} microstrain, standard deviation {std:.2f}, drift {drift:+.2f}")
         common.note(f"  {capture.count} samples in {capture.duration_s:.2f} s: saved")
-        for remark in remarks:
+        if remark:
             self._say(f"  note: {remark} (r repeats it)")
 
-    def _remarks(self, step: Step, capture: Capture) -> list[str]:
-        """Return remarks on a weight that was probably not applied or not removed."""
+    def _remark(self, step: Step, capture: Capture) -> str:
+        """Return a remark on a weight that was probably not applied or not removed."""
         tares = [row.mean_microstrain for row in self._session.rows if row.unloaded]
         if not tares:
-            return []
+            return ""
         moved = float(np.abs(capture.mean - tares[-1]).max())
         if step.mode != "tare":
             u = float((capture.std / np.sqrt(capture.count)).max())
             unmoved = moved < max(_UNMOVED_MICROSTRAIN, 5.0 * u)
-            return ["same reading as the last unloaded one: is the weight applied?"] if unmoved else []
+            return "same reading as the last unloaded one: is the weight applied?" if unmoved else ""
         loaded = [np.abs(row.mean_microstrain - tares[-1]).max() for row in self._session.rows if not row.unloaded]
-        if loaded and moved > _MOVED_SHARE * max(loaded):
-            return [f"{moved:.1f} microstrain from the last unloaded reading: is a load still applied?"]
-        return []
-
-    def _record(self, step: Step, capture: Capture) -> dict[str, object]:
-        return {
-            "step": step.number if step.number != EXTRA else "extra",
-            "steps": len(self._steps),
-            "P_N": step.P_newtons,
-            "phi_deg": step.phi_deg,
-            "theta_deg": step.theta_deg,
-            "mode": step.mode,
-            "samples": capture.count,
-            "mean_microstrain": capture.mean.tolist(),
-            "std_microstrain": capture.std.tolist(),
-            "drift_microstrain": capture.drift.tolist(),
-            "temperature_degC": capture.temperature_degC,
-        }
+        still_loaded = bool(loaded) and moved > _MOVED_SHARE * max(loaded)
+        return (
+            f"{moved:.1f} microstrain from the last unloaded reading: is a load still applied?" if still_loaded else ""
+        )
 
     # --- output, progress bars, and loads of a simulated node ----------------------------------------------------
 
@@ -295,10 +284,7 @@ def finish(args: argparse.Namespace, request: FitRequest, session: Session, clie
         common.note(f"{name} is unchanged; the same command asks again")
     if answer != "applied":
         return answer
-    generation = client.apply_calibration(calibration, on_step=lambda step: common.note(f"{name}: {step}"))
-    crc32 = f"0x{calibration.crc32():08X}"
-    record = {"node": args.node, "generation": generation, "crc32": crc32}
-    common.print_record(record, f"applied and stored, generation {generation}, CRC-32 {crc32}")
+    transfer(client, args.node, calibration, True, "applied and stored")
     return answer
 
 

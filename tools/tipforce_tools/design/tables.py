@@ -14,8 +14,8 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce.sensor.structure.gauges import GaugePosition
     from tipforce.sensor.structure.geometry import Geometry
+    from tipforce.sensor.structure.strain import GaugePosition
     from tipforce_lab.design.tables import Record, Section
 
 TABLES = ("1", "2", "3", "comparators", "fig6", "fig9", "off-axis", "materials", "scaling")
@@ -110,7 +110,7 @@ def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence
     """Return one record per value. Raises InputError for an unknown name or an impossible range."""
     import numpy as np
 
-    from tipforce.sensor.structure.gauges import position_matrix, shifted
+    from tipforce.sensor.structure.strain import position_matrix, shifted
     from tipforce_lab.design.tables import Section, figures, maximum_over_contacts
 
     names = [f"SG{index + 1}" for index in range(len(gauges))]

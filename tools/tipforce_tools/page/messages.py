@@ -12,9 +12,9 @@ import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.samples.reasons import NO_ANSWER
-from tipforce.sensor.structure.gauges import Gauge, GaugePosition, gauge_name, place, strain_row
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
+from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_name, place, strain_row
 from tipforce.watching.watcher import Finger
 from tipforce_tools.page.history import Charted, Envelope
 from tipforce_tools.page.model import Model, Picture

@@ -233,16 +233,12 @@ def _cell(of: Field[Any], unit: float, value: Any) -> Any:
             raise InputError(f"layout code {value}, allowed: {', '.join(map(str, names))}")
         return names[value]
     if of.name == "date":
-        return _date(value) if value else None
+        try:
+            return datetime.date(value // 10000, value // 100 % 100, value % 100) if value else None
+        except ValueError:
+            raise InputError(f"date {value}, allowed is YYYYMMDD of a day that there was, or 0") from None
     number = value if unit == 1.0 else value * unit
     return number.tolist() if of.metadata["row"].shape else number
-
-
-def _date(number: int) -> datetime.date:
-    try:
-        return datetime.date(number // 10000, number // 100 % 100, number % 100)
-    except ValueError:
-        raise InputError(f"date {number}, allowed is YYYYMMDD of a day that there was, or 0") from None
 
 
 def _matrix(name: str, rows: object) -> FloatArray:

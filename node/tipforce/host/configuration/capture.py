@@ -96,9 +96,7 @@ class Capture:
     def drift(self) -> FloatArray:
         """(n,), microstrain: change of the line through the readings from the first to the last."""
         since = self.t_s - self.t_s.mean()
-        squares = float(since @ since)
-        if not squares:
-            return np.zeros(self.microstrain.shape[1])
+        squares = float(since @ since) or 1.0  # all at one time: no change
         return np.asarray(since @ self.microstrain / squares * self.duration_s, dtype=np.float64)
 
 

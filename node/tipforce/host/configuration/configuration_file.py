@@ -24,8 +24,6 @@ from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects, Place
 from tipforce.host.network.sdo import Blocking, SdoChannel, finished
 
-_TEXT = "s"  # VISIBLE_STRING
-
 
 def read_settings(
     sdo: SdoChannel, objects: DeviceObjects, advance: Callable[[], None] = lambda: None
@@ -39,7 +37,7 @@ def read_settings(
     for place, entry in objects.settings.items():
         try:
             content = sdo.upload(*place)
-            if entry.type != _TEXT or content.isascii():
+            if entry.type != "s" or content.isascii():
                 values[place] = entry.decode(content)
         except SdoAbortError as error:
             if isinstance(objects, FingertipObjects) and error.code != codes.NO_OBJECT:

@@ -86,20 +86,16 @@ class EdsObjects:
 
     def resolve(self, text: str) -> Entry[Value]:
         """As ``Description.find``; ``Name:3`` is sub-index 3 of the object ``Name``."""
+        from canopen_device.eds.description import folded
+
         try:
             return self._entry(self.described.find(text))
         except InputError:
-            match = _COUNTED.fullmatch(text.strip())
-            index = None if match is None else self._object(match[1])
-            if match is None or index is None:
+            name, sub = match.groups() if (match := _COUNTED.fullmatch(text.strip())) else ("", "0")
+            named = [index for index, each in self.described.objects.items() if folded(each.name) == folded(name)]
+            if match is None or len(named) != 1:
                 raise
-            return self._entry(self.described.find((index, int(match[2]))))
-
-    def _object(self, text: str) -> int | None:
-        from canopen_device.eds.description import folded
-
-        named = [index for index, each in self.described.objects.items() if folded(each.name) == folded(text)]
-        return named[0] if len(named) == 1 else None
+            return self._entry(self.described.find((named[0], int(sub))))
 
     def name(self, index: int, sub: int) -> str | None:
         """The ParameterName where it is unique, otherwise the number."""
@@ -119,9 +115,9 @@ class EdsObjects:
 
     @cached_property
     def _known(self) -> Mapping[str, list[eds.Entry]]:
-        from canopen_device.eds.description import names as by_name
+        from canopen_device.eds.description import names
 
-        return by_name(self.described)
+        return names(self.described)
 
     def check(self, entry: Entry[Value], value: Value) -> None:
         """LowLimit and HighLimit."""

@@ -14,14 +14,13 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import MODES, Measurements
-from tipforce.sensor.calibration.data import rails, require_degrees, require_order, require_size
+from tipforce.sensor.calibration.data import require_degrees, require_no_rail, require_order, require_size
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, beam_prior, best_fit, fit_with_drift
 from tipforce.sensor.calibration.result import rounded, to_digits
 from tipforce.sensor.calibration.statistics import overload_newtons, redundancy_limit
-from tipforce.sensor.structure.gauges import Gauge, gauge_matrix
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
-from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sensor.structure.strain import Gauge, gauge_matrix, strain_matrix
 from tipforce.sources.layout_file import read_layout
 
 ALLOWED_WITH_LAYOUT, ALLOWED_WITHOUT = 4.0, 30.0
@@ -104,8 +103,13 @@ def fitted(request: FitRequest, data: Measurements, note: Callable[[str], None] 
     Raises InputError for flags that are not allowed, for data that look like another unit or a converter's limit, and
     where the rows do not determine a calibration.
     """
-    readings = readings_of(data)
-    _check_readings(request, data, readings)
+    if data.P_newtons is None or data.phi_rad is None or data.theta_rad is None:
+        raise InputError("the data have no loads: the columns P_N, phi_deg, theta_deg are needed")
+    P = np.where(data.unloaded, 0.0, data.P_newtons)  # a tare row has no load whatever its angles say
+    readings = Readings(data.strain, P, data.phi_rad, data.theta_rad, data.t_s, data.weight, data.temperature_degC)
+    require_degrees(readings)
+    loads = np.stack((readings.P_newtons, readings.phi_rad, readings.theta_rad), axis=-1)
+    require_no_rail(readings.strain, loads, request.model.saturation_strain, data.line)
     fit, model, scores = (fit_with_drift if request.drift else best_fit)(readings, request.model)
     if request.theory is None:
         typical = np.sqrt(np.mean(np.square(strain_matrix(FABRICATED, "I"))))
@@ -117,34 +121,10 @@ def fitted(request: FitRequest, data: Measurements, note: Callable[[str], None] 
     return Fitted(data, readings, fit, model, scores, _calibration_of(request, data, fit, note))
 
 
-def readings_of(data: Measurements) -> Readings:
-    """The rows as the fit takes them; a tare row has no load whatever its angles say."""
-    if data.P_newtons is None or data.phi_rad is None or data.theta_rad is None:
-        raise InputError("the data have no loads: the columns P_N, phi_deg, theta_deg are needed")
-    P = np.where(data.unloaded, 0.0, data.P_newtons)
-    return Readings(data.strain, P, data.phi_rad, data.theta_rad, data.t_s, data.weight, data.temperature_degC)
-
-
 def limit_of(fit: Fit, Sigma: FloatArray, dof: float, largest_newtons: float) -> float:
     """The limit of the redundancy check for one reading with the covariance Sigma, known with ``dof``."""
     limit = redundancy_limit(fit.A, Sigma, fit.parameter_covariance, dof, largest_newtons)
     return float(to_digits(limit, 6))
-
-
-def _check_readings(request: FitRequest, data: Measurements, readings: Readings) -> None:
-    """Raise InputError for angles in radians, and for extremes that repeat, with the flag that settles it."""
-    model = request.model
-    require_degrees(readings)
-    if model.saturation_strain is not None and np.isinf(model.saturation_strain).all():
-        return
-    limit = np.full(readings.strain.shape[1], np.inf if request.saturation is None else request.saturation * 1e-6)
-    loads = np.stack((readings.P_newtons, readings.phi_rad, readings.theta_rad), axis=-1)
-    for rail in rails(readings.strain, loads, limit):
-        value = np.floor(abs(rail.strain) * 1e9) / 1e3  # below what the converter shows
-        raise InputError(
-            f"{rail.words(data.line)}: that is what a converter's limit looks like. If it is, give --saturation "
-            f"{value:.10g}; if the readings have no limit, --saturation none"
-        )
 
 
 def _calibration_of(request: FitRequest, data: Measurements, fit: Fit, note: Callable[[str], None]) -> Calibration:
@@ -191,10 +171,8 @@ def _validity_of(request: FitRequest, fit: Fit) -> dict[str, Any]:
 
 
 def _pulls(request: FitRequest, data: Measurements, note: Callable[[str], None]) -> bool:
-    if request.sense:
-        return str(request.sense) == "pull"
-    if data.mode is None:
-        return True
+    if request.sense or data.mode is None:
+        return request.sense in ("pull", None)
     pushes, pulls = (bool((data.mode == MODES.index(name)).any()) for name in ("push", "pull"))
     if pushes and pulls:
         note("the data have pushes and pulls: the file says push; --sense pull for the other")

@@ -72,7 +72,8 @@ class Step:
         return f"{self.P_newtons:g} N at phi {self.phi_deg:g}, theta {self.theta_deg:g} degrees, {self.mode}"
 
 
-EXTRA_TARE = Step(EXTRA, 0.0, 0.0, 0.0, "tare", "remove every load (after a pause the offsets may have drifted)")
+TARE = Step(EXTRA, 0.0, 0.0, 0.0, "tare", "remove every load")
+EXTRA_TARE = replace(TARE, instruction="remove every load (after a pause the offsets may have drifted)")
 
 
 class _FileStep(msgspec.Struct, forbid_unknown_fields=True):
@@ -95,8 +96,14 @@ def groove_plan(weights: str, grooves: str) -> tuple[Step, ...]:
     Raises InputError for a weight or groove that is not allowed, and for loads that do not determine the matrix.
     """
     places = _grooves(grooves)
+    try:
+        newtons = [float(word) for word in weights.split(",")]
+    except ValueError:
+        newtons = []
+    if not newtons or not all(0.0 < P < math.inf for P in newtons):
+        raise InputError(f"--weights {weights!r}: allowed are newtons above 0 separated by commas: 4.4,2.2")
     loads = []
-    for P in _weights(weights):
+    for P in newtons:
         hang = f"hang {P:g} N ({P / GRAVITY * 1000:.4g} g) in the"
         for along, phi, theta in places:
             text = f"{hang} {along}-groove at theta = {theta:g} degrees (phi = {phi:g})"
@@ -110,43 +117,29 @@ def file_plan(path: str | Path) -> tuple[Step, ...]:
     if content.tare_every < 1:
         raise InputError(f"plan {path}: tare_every = {content.tare_every}: allowed is 1 or more")
     try:
-        steps = [_step(k + 1, found) for k, found in enumerate(content.step)]
+        steps = [_step(k + 1, step) for k, step in enumerate(content.step)]
         own_tares = any(step.mode == "tare" for step in steps)
         return _numbered(steps if own_tares else _with_tares(steps, content.tare_every))
     except InputError as error:
         raise InputError(f"plan {path}: {error}") from None
 
 
-def _step(number: int, found: _FileStep) -> Step:
-    if found.mode == "tare":
-        if found.P_N or found.phi_deg or found.theta_deg:
+def _step(number: int, step: _FileStep) -> Step:
+    P, phi, theta = step.P_N, step.phi_deg, step.theta_deg
+    if step.mode == "tare":
+        if P or phi or theta:
             raise InputError(f"step {number} is a tare, an unloaded reading: remove P_N, phi_deg and theta_deg")
-        return Step(0, 0.0, 0.0, 0.0, "tare", found.instruction or _UNLOAD)
-    if not 0.0 < found.P_N < math.inf:
-        raise InputError(f"step {number}: P_N = {found.P_N:g}: allowed is above 0 (an unloaded reading: mode = tare)")
-    for name, angle in (("phi_deg", found.phi_deg), ("theta_deg", found.theta_deg)):
-        if angle is None or not abs(angle) <= LARGEST_ANGLE_DEG:
-            raise InputError(
-                f"step {number}: {name} = {angle}: allowed is -{LARGEST_ANGLE_DEG:g} to {LARGEST_ANGLE_DEG:g}"
-            )
-    assert found.phi_deg is not None
-    assert found.theta_deg is not None
-    phi, theta = found.phi_deg, found.theta_deg
-    text = found.instruction or f"{found.mode} with {found.P_N:g} N at theta = {theta:g} degrees (phi = {phi:g})"
-    return Step(0, found.P_N, phi, theta, found.mode, text)
-
-
-_UNLOAD = "remove every load"
-
-
-def _weights(text: str) -> list[float]:
-    try:
-        found = [float(word) for word in text.split(",")]
-    except ValueError:
-        found = []
-    if not found or not all(0.0 < P < math.inf for P in found):
-        raise InputError(f"--weights {text!r}: allowed are newtons above 0 separated by commas: 4.4,2.2")
-    return found
+        return replace(TARE, instruction=step.instruction or TARE.instruction)
+    if not 0.0 < P < math.inf:
+        raise InputError(f"step {number}: P_N = {P:g}: allowed is above 0 (an unloaded reading: mode = tare)")
+    most = LARGEST_ANGLE_DEG
+    for name, angle in (("phi_deg", phi), ("theta_deg", theta)):
+        if angle is None or not abs(angle) <= most:
+            raise InputError(f"step {number}: {name} = {angle}: allowed is -{most:g} to {most:g}")
+    assert phi is not None
+    assert theta is not None
+    text = step.instruction or f"{step.mode} with {P:g} N at theta = {theta:g} degrees (phi = {phi:g})"
+    return Step(0, P, phi, theta, step.mode, text)
 
 
 def _grooves(text: str) -> list[tuple[str, float, float]]:
@@ -166,12 +159,9 @@ def _grooves(text: str) -> list[tuple[str, float, float]]:
 
 
 def _with_tares(loads: Sequence[Step], every: int) -> list[Step]:
-    tare = Step(0, 0.0, 0.0, 0.0, "tare", _UNLOAD)
-    steps = [tare]
-    for k, load in enumerate(loads):
-        steps.append(load)
-        if (k + 1) % every == 0 or k + 1 == len(loads):
-            steps.append(tare)
+    steps = [TARE]
+    for k in range(0, len(loads), every):
+        steps += [*loads[k : k + every], TARE]
     return steps
 
 
@@ -235,8 +225,7 @@ class Session:
         """Write the row of a step to disk. Raises InputError or WriteError if that fails."""
         now = datetime.datetime.now(datetime.UTC)
         t_s = 0.0
-        if self.rows:
-            # Rows stay in time order even if the clock is set.
+        if self.rows:  # they stay in time order even if the clock is set
             first = self.rows[0]
             t_s = max(self.rows[-1].t_s, first.t_s + (now - first.taken).total_seconds())
         self._save((self._content or self._header()) + self._line(step, capture, t_s, now).encode())
@@ -322,14 +311,7 @@ class Session:
             lines = content.decode("utf-8-sig").splitlines(keepends=True)
         except UnicodeDecodeError:
             raise InputError(f"session {self.path}: not UTF-8, not a session file") from None
-        self._check_header(next(csv.reader(lines[:1])))
-        bad = read_measurements(self.path, loads=True).bad if len(lines) > 1 else ()
-        faults = [row for row in bad if row.line <= len(lines)]  # without the truncated line
-        if faults:
-            raise InputError(f"session {self.path}: {faults[0]}; correct that line, or remove it to repeat the step")
-        self.rows = [self._row(number, line) for number, line in enumerate(lines[1:], 2)]
-
-    def _check_header(self, names: list[str]) -> None:
+        names = next(csv.reader(lines[:1]))
         gauges = sum(name.startswith("SG") for name in names)
         self._columns = self._columns_of("temperature_degC" in names)
         if {"step", "serial", "taken", "SG1"} <= set(names) and gauges != self._n:
@@ -338,6 +320,11 @@ class Session:
             missing = [name for name in self._columns if name not in names]
             what = f"the column {missing[0]} is missing" if missing else "the columns are not those of a session"
             raise InputError(f"session {self.path}: not a session file ({what}); choose another --session")
+        bad = read_measurements(self.path, loads=True).bad if len(lines) > 1 else ()
+        faults = [row for row in bad if row.line <= len(lines)]  # without the truncated line
+        if faults:
+            raise InputError(f"session {self.path}: {faults[0]}; correct that line, or remove it to repeat the step")
+        self.rows = [self._row(number, line) for number, line in enumerate(lines[1:], 2)]
 
     def _row(self, number: int, text: str) -> Row:
         place = f"session {self.path}: line {number}"
@@ -356,26 +343,18 @@ class Session:
             raise InputError(f"{place}: not a line of a session; correct it, or remove it to repeat the step")
         if serial != self._serial:
             raise InputError(f"{place}: of the node with serial {serial}, this one has serial {self._serial}")
-        self._check_step(place, Step(step, P, phi, theta, cells["mode"], ""))
+        taken_step, planned = Step(step, P, phi, theta, cells["mode"], ""), self._steps.get(step)
+        if step == EXTRA and taken_step.mode != "tare":
+            raise InputError(f"{place}: an extra step is {taken_step}, allowed is unloaded")
+        if step != EXTRA and (planned is None or taken_step.load != planned.load):
+            wrong = f"step {step} is {taken_step}, in this plan it is {planned}"
+            if planned is None:
+                wrong = f"step {step} ({taken_step}), this plan has {len(self._steps)} steps"
+            raise InputError(f"{place}: {wrong}: another plan; pass the plan of this session, or another --session")
         covariance = np.zeros((self._n, self._n))
         for (j, k), value in zip(_upper(self._n), upper, strict=True):
             covariance[j, k] = covariance[k, j] = value
         return Row(step, float(cells["t_s"]), taken, mean, covariance, samples, cells["mode"] == "tare")
-
-    def _check_step(self, place: str, step: Step) -> None:
-        """Check a row against its step in the plan."""
-        planned = self._steps.get(step.number)
-        if step.number == EXTRA:
-            if step.mode != "tare":
-                raise InputError(f"{place}: an extra step is {step}, allowed is unloaded")
-            return
-        if planned is None:
-            wrong = f"step {step.number} ({step}), this plan has {len(self._steps)} steps"
-        elif step.load != planned.load:
-            wrong = f"step {step.number} is {step}, in this plan it is {planned}"
-        else:
-            return
-        raise InputError(f"{place}: {wrong}: another plan; pass the plan of this session, or another --session")
 
 
 def _upper(n: int) -> list[tuple[int, int]]:

@@ -39,7 +39,6 @@ _LIMITS = {
 
 
 LOAD_COLUMNS = ("P_N", "phi_deg", "theta_deg")
-OPTIONAL_COLUMNS = ("t_s", "temperature_degC", "weight")
 
 
 class BadRow(NamedTuple):
@@ -237,9 +236,8 @@ def _lines(path: str | Path) -> list[str]:
             f"{path}: line {line}: byte 0x{content[error.start]:02X} is not UTF-8; save the file as UTF-8"
         ) from None
     if "\0" in text:
-        raise InputError(
-            f"{path}: line {text.count(chr(10), 0, text.index(chr(0))) + 1}: a NUL byte; the file is not a text file"
-        )
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise InputError(f"{path}: line {line}: a NUL byte; the file is not a text file")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     while lines and not lines[-1].strip():
         lines.pop()
@@ -252,8 +250,7 @@ def _require_one_node(path: str | Path, lines: list[str]) -> None:
     """Raise InputError if the columns of a decoded log name more than one node (or node and channel)."""
     rows = csv.reader(lines)
     header = [name.strip() for name in next(rows)]
-    places = [header.index(name) for name in ("channel", "node") if name in header]
-    if not places:
+    if not (places := [header.index(name) for name in ("channel", "node") if name in header]):
         return
     senders = {" ".join(row[k].strip() for k in places) for row in rows if len(row) == len(header)}
     nodes = sorted(senders, key=lambda text: (len(text), text))
@@ -293,7 +290,7 @@ def _header(path: str | Path, text: str, loads: bool) -> tuple[dict[str, int], i
     missing = [name for name in LOAD_COLUMNS if name not in plain]
     if missing and (loads or (has_load and has_load != ["P_N"])):
         raise InputError(f"{path}: line 1: the column {', '.join(missing)} is missing; present: {', '.join(names)}")
-    known = [*expected, *has_load, *(name for name in OPTIONAL_COLUMNS if name in plain)]
+    known = [*expected, *has_load, *(name for name in ("t_s", "temperature_degC", "weight") if name in plain)]
     mode = plain.index("mode") if "mode" in plain else None
     ignored = tuple(name for name, key in zip(names, plain, strict=True) if key not in known and key != "mode")
     return {name: plain.index(name) for name in known}, mode, len(names), ignored

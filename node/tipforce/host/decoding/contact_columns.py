@@ -63,24 +63,20 @@ class ContactColumns:
     def tables(self, tables: Iterable[Table]) -> Iterator[Table]:
         """Each table with its contact columns."""
         for table in tables:
-            yield self._with_contact(table)
-
-    def _with_contact(self, table: Table) -> Table:
-        columns = {column.name: column for column in table.columns}
-        values = dict(table.values)
-        for column in COLUMNS:
-            before = values.get(column.name)
-            values[column.name] = missing_of(column, len(table)) if before is None else before.copy()
-            columns[column.name] = column
-        absent = {name: rows for name, rows in table.absent.items() if name not in {c.name for c in COLUMNS}}
-        for key in np.unique(table.key).tolist():
-            node = key & ((1 << NODE_BITS) - 1)
-            estimator = self._estimators.get(node, self._estimators.get(None))
-            if estimator is not None:
-                self._fill(estimator, key, np.flatnonzero(table.key == key), table, values)
-        shown = [c for c in columns.values() if self._asked is None or c.signal in self._asked]
-        ordered = in_order(shown, self._asked)
-        return replace(table, columns=ordered, values={c.name: values[c.name] for c in ordered}, absent=absent)
+            columns = {column.name: column for column in (*table.columns, *COLUMNS)}
+            values = dict(table.values)
+            for column in COLUMNS:
+                before = values.get(column.name)
+                values[column.name] = missing_of(column, len(table)) if before is None else before.copy()
+            absent = {name: rows for name, rows in table.absent.items() if name not in {c.name for c in COLUMNS}}
+            for key in np.unique(table.key).tolist():
+                node = key & ((1 << NODE_BITS) - 1)
+                estimator = self._estimators.get(node, self._estimators.get(None))
+                if estimator is not None:
+                    self._fill(estimator, key, np.flatnonzero(table.key == key), table, values)
+            shown = [c for c in columns.values() if self._asked is None or c.signal in self._asked]
+            ordered = in_order(shown, self._asked)
+            yield replace(table, columns=ordered, values={c.name: values[c.name] for c in ordered}, absent=absent)
 
     def _fill(
         self, estimator: Estimator, key: int, rows: npt.NDArray[np.intp], table: Table, values: dict[str, Values]
@@ -100,7 +96,9 @@ class ContactColumns:
         if "saturated" in table.values:
             # A gauge that the node left out and whose reading does not show why: which one, TPDO4 or EMCY told, or
             # nothing did.
-            good &= (table.values["saturated"][rows] != 1) | (lost != 0) | _shown(estimator, strain)
+            by_end = Readings(strain, lost=judged.at_end(1e6 * strain))
+            shown = estimator.judge.judge(by_end, False).faults & judged.GAUGES
+            good &= (table.values["saturated"][rows] != 1) | (lost != 0) | (shown != 0)
         rows, strain, temperature, lost = rows[good], strain[good], temperature[good], lost[good]
         if not len(rows):
             return
@@ -121,13 +119,6 @@ class ContactColumns:
         if len(found):
             self._temperature_degC[key] = float(found[-1])
         return found
-
-
-def _shown(estimator: Estimator, strain: FloatArray) -> BoolArray:
-    """Samples whose readings show by themselves which gauge is left out."""
-    verdict = estimator.judge.judge(Readings(strain, lost=judged.at_end(1e6 * strain)), False)
-    seen: BoolArray = (verdict.faults & judged.GAUGES) != 0
-    return seen
 
 
 def of_samples(
@@ -160,8 +151,7 @@ def signals_needed(
     """
     if asked is None:
         return None
-    computed_here = {column.signal for column in COLUMNS}
-    kept = [name for name in asked if name not in computed_here]
+    kept = [name for name in asked if name not in {column.signal for column in COLUMNS}]
     temperature = any(
         tip.offset_temperature_strain_per_K.any()
         or tip.gain_temperature_per_K != 0.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,28 +16,16 @@ from tipforce.samples import reasons
 from tipforce.sensor.calibration.regressors import tare_groups
 
 
-class Tares(NamedTuple):
-    """Unloaded readings, those that follow each other averaged."""
-
-    at: FloatArray
-    """(k,): mean time, or mean row where there are no times."""
-    offset_strain: FloatArray
-    """(k, n)."""
-    readings: FloatArray
-    """(k,): how many (weighted) readings each is the mean of."""
-
-
 def estimates(
-    calibration: Calibration,
-    data: Measurements,
-    saturation_microstrain: float | None = None,
+    calibration: Calibration, data: Measurements, saturation_microstrain: float | None = None
 ) -> Iterator[tuple[int, list[float], str]]:
     """Yield (line, [P_N, phi_deg, theta_deg, u_P_N, u_phi_deg, u_theta_deg], status) of each good row, in order.
 
     The uncertainty has the calibration's part where ``calibration.parameter_covariance`` is there.
     NaN is unknown; phi and theta are unknown where the status byte of a node would make them so.
     """
-    tares, weight = tares_of(data, calibration), _weight(data)
+    weight = np.ones(len(data.line)) if data.weight is None else data.weight
+    tares = _tares(data, weight, calibration)
     if saturation_microstrain is not None:
         own = calibration.converter_limit_strain
         limit = np.minimum(np.where(own > 0.0, own, np.inf), 1e-6 * saturation_microstrain)
@@ -54,11 +41,13 @@ def estimates(
         frozen=frozen_gauges(calibration, data.strain, weight),
         unloaded=data.unloaded,
         variance_factor=1.0 / weight,
-        age_s=None if data.t_s is None else ages_s(data.t_s, None if tares is None else tares.at),
     )
+    if data.t_s is not None:  # without tares the age counts from the first row, the first that is known
+        given = given._replace(age_s=data.t_s - data.t_s[:1])
     if tares is not None:
-        offset, noise = _offsets(data, tares)
+        offset, noise, age_s = tares
         given = given._replace(offset_strain=offset, variance_factor=1.0 / weight + noise)
+        given = given._replace(age_s=None if data.t_s is None else age_s)
     if data.mode is not None:
         given = given._replace(pull=np.where(data.mode < 0, calibration.pull, data.mode == MODES.index("pull")))
     contacts, status, _ = estimator.rows(given, Before())
@@ -67,43 +56,25 @@ def estimates(
         yield line, values, words[value]
 
 
-def tares_of(data: Measurements, calibration: Calibration) -> Tares | None:
-    """The tares of the data, their temperature compensated where it is known; None without unloaded readings."""
+def _tares(
+    data: Measurements, weight: FloatArray, calibration: Calibration
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """From the unloaded readings, those that follow each other averaged: the offset of each row, (m, n), interpolated,
+    its noise in units of one reading's variance, (m,), and the time to the nearest tare, (m,), in rows where there are
+    no times. Temperature is compensated where it is known. None without unloaded readings.
+    """
     groups = tare_groups(data.unloaded, np.ones(len(data.line), dtype=np.bool_))
     if not groups:
         return None
-    clock, weight = _clock(data), _weight(data)
+    clock = data.t_s if data.t_s is not None else np.arange(len(data.line), dtype=np.float64)
     at = np.array([np.average(clock[group], weights=weight[group]) for group in groups])
     strain = Judge(calibration).compensated(data.strain, data.temperature_degC)
-    offset = np.array([np.average(strain[group], axis=0, weights=weight[group]) for group in groups])
-    return Tares(at, offset, np.array([weight[group].sum() for group in groups]))
-
-
-def _offsets(data: Measurements, tares: Tares) -> tuple[FloatArray, FloatArray]:
-    """The offset of each row, (m, n), and its noise in units of one reading's variance, (m,)."""
-    clock = _clock(data)
-    after = np.clip(np.searchsorted(tares.at, clock), 1, max(len(tares.at) - 1, 1)) if len(tares.at) > 1 else 0
-    before = np.maximum(np.asarray(after) - 1, 0)
-    span = tares.at[after] - tares.at[before]
-    share = np.clip((clock - tares.at[before]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)
-    offset = tares.offset_strain[before] * (1.0 - share)[:, np.newaxis]
-    offset = offset + tares.offset_strain[after] * share[:, np.newaxis]
-    return offset, (1.0 - share) ** 2 / tares.readings[before] + share**2 / tares.readings[after]
-
-
-def _clock(data: Measurements) -> FloatArray:
-    return data.t_s if data.t_s is not None else np.arange(len(data.line), dtype=np.float64)
-
-
-def _weight(data: Measurements) -> FloatArray:
-    return np.ones(len(data.line)) if data.weight is None else data.weight
-
-
-def ages_s(t_s: FloatArray, tared_at_s: FloatArray | None) -> FloatArray:
-    """Seconds of each row, (m,), to the nearest tare (k,); None: since the first row, the first that is known."""
-    if tared_at_s is None:
-        return t_s - t_s[:1]
-    after = np.clip(np.searchsorted(tared_at_s, t_s), 0, len(tared_at_s) - 1)
+    tare = np.array([np.average(strain[group], axis=0, weights=weight[group]) for group in groups])
+    readings = np.array([weight[group].sum() for group in groups])
+    after = np.clip(np.searchsorted(at, clock), min(1, len(at) - 1), len(at) - 1)
     before = np.maximum(after - 1, 0)
-    nearest: FloatArray = np.minimum(np.abs(t_s - tared_at_s[before]), np.abs(t_s - tared_at_s[after]))
-    return nearest
+    span = at[after] - at[before]
+    share = np.clip((clock - at[before]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)
+    offset = tare[before] * (1.0 - share)[:, np.newaxis] + tare[after] * share[:, np.newaxis]
+    noise = (1.0 - share) ** 2 / readings[before] + share**2 / readings[after]
+    return offset, noise, np.minimum(np.abs(clock - at[before]), np.abs(clock - at[after]))

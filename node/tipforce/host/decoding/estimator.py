@@ -181,8 +181,16 @@ class Estimator:
         shape = (len(readings),)
         if len(readings) <= FEW:
             degC = _numbers("temperature_degC", scalar.NAN if temperature_degC is None else temperature_degC, shape)
-            before = Before(was_present, was_overloaded)
-            return self._few(readings, degC, _numbers("lost", lost, shape), before, _room(out, shape))
+            lost, contacts = _numbers("lost", lost, shape), _room(out, shape)
+            columns = [getattr(contacts, name) for name in Contacts.__slots__]
+            for k, one in enumerate(zip(readings.tolist(), degC.tolist(), lost.tolist(), strict=True)):
+                faults, values = self._one(*one, was_present, was_overloaded)
+                for column, value in zip(columns, (*values, _shown_one(faults)), strict=True):
+                    column[k] = value
+                if not faults & reasons.NO_ESTIMATE:
+                    was_present = bool(faults & scalar.CONTACT_PRESENT)
+                was_overloaded = bool(faults & reasons.OVERLOAD)
+            return contacts
         strain = np.where(np.abs(readings) <= LARGEST_MICROSTRAIN, readings, np.nan) * 1e-6
         given = Readings(
             strain,
@@ -264,20 +272,6 @@ class Estimator:
             of_rows = model.deviation_columns(F.take(rows), K.take(rows), sense[rows] if sense.ndim else sense)
             resolved[rows] = model.is_resolved(of_rows.P, of_rows.theta)
         return resolved
-
-    def _few(
-        self, readings: FloatArray, degC: FloatArray, lost: IntArray, before: Before, contacts: Contacts
-    ) -> Contacts:
-        """Readings (k, n), one by one."""
-        (was_present, was_overloaded), columns = before, [getattr(contacts, name) for name in Contacts.__slots__]
-        for k, row in enumerate(zip(readings.tolist(), degC.tolist(), lost.tolist(), strict=True)):
-            status, values = self._one(*row, was_present, was_overloaded)
-            for column, value in zip(columns, (*values, _shown_one(status)), strict=True):
-                column[k] = value
-            if not status & reasons.NO_ESTIMATE:
-                was_present = bool(status & scalar.CONTACT_PRESENT)
-            was_overloaded = bool(status & reasons.OVERLOAD)
-        return contacts
 
     def _one(
         self, microstrain: Sequence[float], degC: float, lost: int, was_present: bool, was_overloaded: bool
@@ -373,10 +367,7 @@ def _first_order_holds(P: float, u_P: float, u_phi: float, u_sine: float, cosine
     return bias <= limit and bend <= limit and (not phi_known or u_P / P <= limit)
 
 
-@lru_cache(maxsize=32)
-def _prepared(calibration: Calibration) -> Estimator:
-    """Those of the last calibrations are kept: of a hand's fingers, row after row."""
-    return Estimator(calibration)
+_prepared = lru_cache(maxsize=32)(Estimator)  # of the last calibrations: those of a hand's fingers, row after row
 
 
 def estimate(

@@ -167,10 +167,9 @@ class Judge:
         self, mask: int, explains: list[BoolArray | bool], rows: Rows, contradict: BoolArray, work: _Work
     ) -> None:
         """Judge those rows again that one gauge alone explains, without it."""
-        alone = contradict & (sum(np.asarray(one, dtype=np.int64) for one in explains) == 1)
+        alone = contradict & (sum(np.asarray(of_fault, dtype=np.int64) for of_fault in explains) == 1)
         for gauge, of_fault in enumerate(explains):
-            of_gauge = rows[alone & of_fault]
-            if len(of_gauge):
+            if len(of_gauge := rows[alone & of_fault]):
                 self._judge_gauges(mask | 1 << gauge, of_gauge, work, alone=True)
 
     def _covariance(
@@ -232,22 +231,18 @@ class Judge:
 
     def of_parameters(self, mask: int, F1: Column, F2: Column, F3: Column) -> list[Column]:
         """The calibration's own part of the covariance of F, six elements, N^2: covariance_of_estimate()."""
-        if mask not in self._parameters:
-            self._parameters[mask] = self._of_products(mask)
+        if mask not in self._parameters:  # what each product of two of (F1, F2, F3, 1) adds to the six elements
+            solver, blocks = self.active.solver(mask), self.calibration.parameter_covariance
+            assert solver is not None
+            assert blocks is not None
+            kernel = np.einsum("ak,kilj,bl->abij", solver[0], blocks, solver[0])
+            kernel = kernel + np.swapaxes(kernel, 2, 3)
+            kernel = 0.5 * (kernel + np.swapaxes(kernel, 0, 1))
+            kernel[:, :, range(4), range(4)] *= 0.5
+            order = (*_PAIRS, (0, 3), (1, 3), (2, 3), (3, 3))
+            self._parameters[mask] = [[float(kernel[a, b, i, j]) for i, j in order] for a, b in _PAIRS]
         products = (F1 * F1, F1 * F2, F1 * F3, F2 * F2, F2 * F3, F3 * F3, F1, F2, F3, 1.0)
         return [_dot(row, products) for row in self._parameters[mask]]
-
-    def _of_products(self, mask: int) -> list[list[float]]:
-        """What each product of two of (F1, F2, F3, 1) adds to the six elements."""
-        solver, blocks = self.active.solver(mask), self.calibration.parameter_covariance
-        assert solver is not None
-        assert blocks is not None
-        kernel = np.einsum("ak,kilj,bl->abij", solver[0], blocks, solver[0])
-        kernel = kernel + np.swapaxes(kernel, 2, 3)
-        kernel = 0.5 * (kernel + np.swapaxes(kernel, 0, 1))
-        kernel[:, :, range(4), range(4)] *= 0.5
-        order = (*_PAIRS, (0, 3), (1, 3), (2, 3), (3, 3))
-        return [[float(kernel[a, b, i, j]) for i, j in order] for a, b in _PAIRS]
 
     def _differences(self, temperature_degC: FloatArray | None) -> tuple[Column, Column, Column]:
         """judgement.difference() of each sample."""
@@ -285,8 +280,7 @@ class _Work(NamedTuple):
 def at_end(microstrain: FloatArray) -> IntArray:
     """Bits of the gauges that read an end of their converter: microstrain (k, n) as decoded."""
     with np.errstate(invalid="ignore"):
-        bits: IntArray = (np.abs(microstrain) >= _END_MICROSTRAIN) @ (1 << np.arange(microstrain.shape[1]))
-    return bits
+        return (np.abs(microstrain) >= _END_MICROSTRAIN) @ (1 << np.arange(microstrain.shape[1]))
 
 
 def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArray | None = None) -> IntArray | None:
@@ -333,21 +327,18 @@ def last_known(values: FloatArray, before: float = float("nan")) -> FloatArray:
     """Each value, or where it is NaN the last one that was not; ``before`` the first."""
     known = np.isfinite(values)
     last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
-    found: FloatArray = np.where(last >= 0, values[last], before)
-    return found
+    return np.where(last >= 0, values[last], before)
 
 
 def is_finite(F: list[FloatArray]) -> BoolArray:
     """Which forces are, (m,)."""
-    finite: BoolArray = np.isfinite(F[0]) & np.isfinite(F[1]) & np.isfinite(F[2])
-    return finite
+    return np.isfinite(F[0]) & np.isfinite(F[1]) & np.isfinite(F[2])
 
 
 def magnitude(F: list[FloatArray]) -> FloatArray:
     """P as contacts() gives it, without the angles: F1, F2, F3."""
     hypotenuse = np.sqrt(F[0] * F[0] + F[2] * F[2])
-    larger: FloatArray = np.maximum(hypotenuse, 0.5 * (hypotenuse + np.abs(F[1])))
-    return larger
+    return np.maximum(hypotenuse, 0.5 * (hypotenuse + np.abs(F[1])))
 
 
 def _part(column: Column, rows: npt.NDArray[Any]) -> Column:

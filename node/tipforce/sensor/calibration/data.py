@@ -1,14 +1,14 @@
 """What goes into a calibration fit: readings under known loads, how they came about, and the checks of both.
 
-The checks name shapes and values, limits of a converter that nobody stated, angles in radians,
-other units, swapped gauges.
+The checks name shapes and values, limits of a converter that nobody stated, angles in radians, other units,
+swapped gauges.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,66 +16,58 @@ import numpy.typing as npt
 from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.regressors import DRIFTS
-from tipforce.sensor.structure.gauges import Gauge, gauge_matrix
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES
+from tipforce.sensor.structure.strain import Gauge, gauge_matrix
 
 
-class Rail(NamedTuple):
-    """An extreme that repeats."""
+def require_no_rail(
+    strain: FloatArray, loads: FloatArray, saturation_strain: npt.ArrayLike | None, lines: IntArray | None = None
+) -> None:
+    """Raise InputError for an extreme that looks like a converter's limit below the stated one.
 
-    whose: str
-    """SG2 reads, or gauges read."""
-    strain: float
-    rows: tuple[int, ...]
-
-    def words(self, lines: IntArray | None = None) -> str:
-        """As a sentence; ``lines``: of the file, (m,), else rows from 0."""
-        places = [int(row) if lines is None else int(lines[row]) for row in self.rows]
-        what = "rows" if lines is None else "lines"
-        return (
-            f"{self.whose} exactly {self.strain * 1e6:g} microstrain, the extreme, in {len(places)} rows "
-            f"({what} {', '.join(map(str, places[:5]))}{', ...' if len(places) > 5 else ''})"
-        )
-
-
-def rails(strain: FloatArray, loads: FloatArray, limit: FloatArray) -> list[Rail]:
-    """Return the extremes that look like a limit below the stated one.
-
-    strain: (m, n); loads: (m, 3), P, phi, theta; limit: (n,), inf where none is stated. An extreme is a rail where
-    it comes in rows of different loads, or in three rows, and more often than any other reading: readings that are
-    rounded, or free of noise, repeat everywhere. Looked at are both extremes of each gauge, and the largest reading
-    of either sign of all together, for the gauges of one converter have one limit.
+    strain: (m, n); loads: (m, 3), P, phi, theta; saturation_strain: as of Model. lines: of a file, (m,): the text then
+    names lines and flags. An extreme is a rail where it comes in rows of different loads, or in three rows, and more
+    often than any other reading: readings that are rounded, or free of noise, repeat everywhere. Looked at are both
+    extremes of each gauge, and the largest reading of either sign of all together, for the gauges of one converter have
+    one limit.
     """
+    limit = np.broadcast_to(floats("rail", np.inf if saturation_strain is None else saturation_strain), strain.shape[1])
+    if saturation_strain is not None and np.isinf(limit).all():
+        return
     inside, loaded = np.abs(strain) < limit, loads[:, 0] > 0.0
-    extremes = []
+    candidates = []
     for k, readings in enumerate(strain.T):
         some = readings[inside[:, k]]
         for extreme in {float(some.max(initial=0.0)), float(some.min(initial=0.0))} - {0.0}:
             same = readings == extreme
-            if _repeats(np.flatnonzero(same), readings[~same & inside[:, k] & loaded], loads):
-                extremes.append(Rail(f"SG{k + 1} reads", extreme, tuple(np.flatnonzero(same).tolist())))
-    if extremes or not inside.any():
-        return extremes
+            candidates.append((f"SG{k + 1} reads", extreme, same, readings[~same & inside[:, k] & loaded]))
     size = np.abs(strain)
-    largest = float(size[inside].max())
-    same = size == largest
-    if largest and _repeats(np.flatnonzero(same.any(axis=1)), size[inside & ~same & loaded[:, np.newaxis]], loads):
-        rows = np.flatnonzero(same.any(axis=1))
-        extremes.append(Rail("several gauges read", largest, tuple(rows.tolist())))
-    return extremes
-
-
-def _repeats(rows: IntArray, others: FloatArray, loads: FloatArray) -> bool:
-    usual = int(np.unique(others, return_counts=True)[1].max(initial=1))
-    different = len(np.unique(loads[rows], axis=0)) > 1
-    return bool((loads[rows, 0] > 0.0).all() and len(rows) > usual and (different or len(rows) > 2))
+    if largest := float(size[inside].max(initial=0.0)):
+        same = size == largest
+        others = size[inside & ~same & loaded[:, np.newaxis]]
+        candidates.append(("several gauges read", largest, same.any(axis=1), others))
+    for whose, extreme, same, others in candidates:
+        usual = int(np.unique(others, return_counts=True)[1].max(initial=1))
+        rows = np.flatnonzero(same)
+        different = len(np.unique(loads[rows], axis=0)) > 1
+        if loaded[rows].all() and len(rows) > usual and (different or len(rows) > 2):
+            places, what = (rows, "rows") if lines is None else (lines[rows], "lines")
+            shown = f"{', '.join(map(str, places[:5]))}{', ...' if len(places) > 5 else ''}"
+            value = np.floor(abs(extreme) * 1e9) / 1e3  # below what the converter shows
+            advice = (
+                ": state it (saturation_strain), or inf if the readings have none" if lines is None else
+                f". If it is, give --saturation {value:.10g}; if the readings have no limit, --saturation none"
+            )  # fmt: skip
+            raise InputError(
+                f"{whose} exactly {extreme * 1e6:g} microstrain, the extreme, in {len(rows)} rows ({what} {shown}): "
+                f"that is what a converter's limit looks like{advice}"
+            )
 
 
 LOSSES = ("huber", "soft_l1", "none")
 LEAST, MOST = 1e-50, 1e50
 """Of loads, strains and noise in any unit: squares of their quotients stay in range."""
-LARGEST_ANGLE_RAD = 4.0 * np.pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,52 +138,37 @@ def checked(readings: Readings, model: Model) -> Readings:
         raise InputError(
             f"strain has the shape {strain.shape}: allowed is (m, n), n = {MIN_GAUGES} to {MAX_GAUGES} gauges"
         )
-    _check_finite("strain", strain)
-    _check_size("strain", strain, np.abs(strain) <= MOST, f"{-MOST:g} to {MOST:g}")
+    _check("strain", strain, np.isfinite(strain), "are finite numbers")
+    _check("strain", strain, np.abs(strain) <= MOST, f"is {-MOST:g} to {MOST:g}")
     if not np.abs(strain).max() >= LEAST:
         raise InputError(f"strain: no reading reaches {LEAST:g}: the gauges are dead or disconnected")
     m, n = strain.shape
     P, phi, theta = (_column(name, getattr(readings, name), m) for name in ("P_newtons", "phi_rad", "theta_rad"))
-    if (P < 0.0).any():
-        row = int(np.argmax(P < 0.0))
-        raise InputError(f"P_newtons[{row}] = {P[row]:g}: allowed is 0 or more (turn phi by 180 degrees)")
-    _check_size("P_newtons", P, (P == 0.0) | ((P >= LEAST) & (P <= MOST)),
-                f"0 (unloaded), or {LEAST:g} to {MOST:g} N")  # fmt: skip
+    _check("P_newtons", P, P >= 0.0, "is 0 or more (turn phi by 180 degrees)")
+    in_range = (P == 0.0) | ((P >= LEAST) & (P <= MOST))
+    _check("P_newtons", P, in_range, f"is 0 (unloaded), or {LEAST:g} to {MOST:g} N")
     for name, angle in (("phi_rad", phi), ("theta_rad", theta)):
-        _check_size(name, angle, np.abs(angle) <= LARGEST_ANGLE_RAD, "-4 pi to 4 pi; from degrees: np.radians()")
+        _check(name, angle, np.abs(angle) <= 4.0 * np.pi, "is -4 pi to 4 pi; from degrees: np.radians()")
     if not (P > 0.0).any():
         raise InputError(f"all {m} rows are unloaded: add loads")
-    t = None if readings.t_s is None else _column("t_s", readings.t_s, m)
+    t, weight, T = (
+        None if (given := getattr(readings, name)) is None else _column(name, given, m)
+        for name in ("t_s", "weight", "temperature_degC")
+    )
     if t is not None and (np.diff(t) < 0.0).any():
         row = int(np.argmax(np.diff(t) < 0.0)) + 1
         raise InputError(
             f"t_s[{row}] = {t[row]:g} is before t_s[{row - 1}] = {t[row - 1]:g}: rows must be in time order"
         )
-    weight = None if readings.weight is None else _column("weight", readings.weight, m)
     if weight is not None:
-        _check_size("weight", weight, (weight >= 1e-9) & (weight <= 1e9), "1e-09 to 1e+09")
-    temperature = readings.temperature_degC
-    T = None if temperature is None else _column("temperature_degC", temperature, m)
+        _check("weight", weight, (weight >= 1e-9) & (weight <= 1e9), "is 1e-09 to 1e+09")
     if T is not None:
-        _check_size("temperature_degC", T, (T >= -273.15) & (T <= 1000.0), "-273.15 to 1000")
+        _check("temperature_degC", T, (T >= -273.15) & (T <= 1000.0), "is -273.15 to 1000")
     if model.temperature and T is None:
         raise InputError("a temperature coefficient needs the temperature of every row (column temperature_degC)")
     _check_model(model, n)
-    _check_rails(strain, np.stack((P, phi, theta), axis=-1), model)
+    require_no_rail(strain, np.stack((P, phi, theta), axis=-1), model.saturation_strain)
     return Readings(strain, P, phi, theta, t, weight, T)
-
-
-def _check_rails(strain: FloatArray, loads: FloatArray, model: Model) -> None:
-    limit = np.inf if model.saturation_strain is None else model.saturation_strain
-    limits = np.broadcast_to(floats("rail", limit), strain.shape[1])
-    if model.saturation_strain is not None and np.isinf(limits).all():
-        return
-    repeated = rails(strain, loads, limits)
-    if repeated:
-        raise InputError(
-            f"{repeated[0].words()}: that is what a converter's limit looks like: state it (saturation_strain), or inf "
-            "if the readings have none"
-        )
 
 
 def _check_model(model: Model, n: int) -> None:
@@ -215,32 +192,25 @@ def _check_model(model: Model, n: int) -> None:
 
 
 def _check_prior(prior: Prior, n: int) -> None:
-    A = floats("prior", prior.A)
+    A, share = floats("prior", prior.A), prior.relative_scatter
     if A.shape != (n, 3) or not (np.abs(A) <= MOST).all() or not A.any(axis=1).all():
         raise InputError(f"the prior has the shape {A.shape}: allowed is ({n}, 3), finite, no row of zeros")
-    if not 1e-9 <= prior.relative_scatter <= 1e9:
-        raise InputError(f"prior relative_scatter = {prior.relative_scatter!r}: allowed is 1e-9 to 1e9, as 0.1")
+    if not 1e-9 <= share <= 1e9:
+        raise InputError(f"prior relative_scatter = {share!r}: allowed is 1e-9 to 1e9, as 0.1")
 
 
 def _column(name: str, values: npt.ArrayLike, m: int) -> FloatArray:
     column = floats(name, values)
     if column.shape != (m,):
         raise InputError(f"{name} has the shape {column.shape}: allowed is ({m},), one for each row of strain")
-    _check_finite(name, column)
+    _check(name, column, np.isfinite(column), "are finite numbers")
     return column
 
 
-def _check_size(name: str, values: FloatArray, allowed: BoolArray, words: str) -> None:
+def _check(name: str, values: FloatArray, allowed: BoolArray, words: str) -> None:
     if not allowed.all():
         place = np.argwhere(~allowed)[0].tolist()
-        raise InputError(f"{name}{place} = {values[tuple(place)]:g}: allowed is {words}")
-
-
-def _check_finite(name: str, values: FloatArray) -> None:
-    wrong = ~np.isfinite(values)
-    if wrong.any():
-        place = ", ".join(str(int(i)) for i in np.argwhere(wrong)[0])
-        raise InputError(f"{name}[{place}] = {values[wrong][0]}: allowed are finite numbers")
+        raise InputError(f"{name}{place} = {values[tuple(place)]:g}: allowed {words}")
 
 
 STANDARD_GRAVITY = 9.80665

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,8 @@ from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration import regressors, terms
 from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
-from tipforce.sensor.calibration.outliers import corner, outlying, rejections, suspects
+from tipforce.sensor.calibration.distributions import f_quantile
+from tipforce.sensor.calibration.outliers import outlying, rejections, suspects
 from tipforce.sensor.calibration.regressors import OffsetBasis
 from tipforce.sensor.calibration.result import Fit, LoadResidual, covariance_of_estimate, kronecker
 from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
@@ -100,7 +102,8 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
     """Fit, leave out what is odd or clipped, and fit again until nothing changes."""
     scales = Scales.of(readings.strain, readings.P_newtons)
     limit = np.inf if model.saturation_strain is None else np.asarray(model.saturation_strain) / scales.strain
-    V = readings.strain / scales.strain
+    V, n = readings.strain / scales.strain, readings.strain.shape[1]
+    corner = sqrt(n * f_quantile(0.99, n, 1e6))  # where the robust loss bends: the 99 % point of good rows
     saturated = np.abs(V) >= limit
     near, robust = np.zeros_like(saturated), model.loss != "none"
     outlier = _suspected(readings, model, scales, ~saturated)
@@ -111,8 +114,12 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
         keep = ~outlier if robust else np.ones_like(outlier)
         basis = _basis(readings, model, keep & counted.all(axis=1))
         problem = pick(_problem(readings, model, scales, basis, counted, gain_per_K), keep)
-        singular = _require_seen(problem, basis, scales)
-        solution = solve(problem, model.loss, corner(V.shape[1]), solution)
+        g, observed = problem.g[:, ~problem.kinks], problem.observed
+        if problem.prior_information.any():
+            g = np.concatenate((g, np.eye(3, g.shape[1])))
+            observed = np.concatenate((observed, np.ones((3, n), dtype=np.bool_)))
+        singular = regressors.require_seen(g, observed, (*regressors.FORCES, *basis.names), scales.newtons)
+        solution = solve(problem, model.loss, corner, solution)
         at_reference = regressors.at_reference(basis, solution.coefficients, solution.covariance)
         regressors.require_clear(*at_reference, (*regressors.FORCES, "offset"), scales.newtons)
         before, near_before = outlier, near
@@ -152,8 +159,7 @@ def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
         raise InputError(
             f"the readings have rank {rank}: allowed are readings of loads in three independent directions"
         )
-    matrix: FloatArray = np.asarray(C.T, dtype=np.float64)
-    return matrix
+    return np.asarray(C.T, dtype=np.float64)
 
 
 def _suspected(readings: Readings, model: Model, scales: Scales, observed: BoolArray) -> BoolArray:
@@ -211,15 +217,6 @@ def _problem(
     )
 
 
-def _require_seen(problem: Problem, basis: OffsetBasis, scales: Scales) -> FloatArray:
-    names = (*regressors.FORCES, *basis.names)
-    g, observed = problem.g[:, ~problem.kinks], problem.observed
-    if problem.prior_information.any():
-        g = np.concatenate((g, np.eye(3, g.shape[1])))
-        observed = np.concatenate((observed, np.ones((3, observed.shape[1]), dtype=np.bool_)))
-    return regressors.require_seen(g, observed, names, scales.newtons)
-
-
 SMALLEST_SPAN_K = 0.5
 """Change of temperature below which its effect on the offsets is not asked for."""
 
@@ -235,7 +232,13 @@ def best_fit(
     """
     fits: dict[str, tuple[Fit, Model]] = {}
     refused: InputError | None = None
-    drifts = _drifts(readings, model) if drifts is None else drifts
+    if drifts is None:
+        drifts, t = ["none"], readings.t_s
+        if model.offset and t is not None:
+            if np.ptp(t) > 0.0:
+                drifts.append("linear")
+            if len(regressors.tare_groups(np.asarray(readings.P_newtons) == 0.0, np.ones(len(t), dtype=np.bool_))) > 2:
+                drifts.append("tare")
     T = readings.temperature_degC
     warms = model.offset and T is not None and np.isfinite(T).all() and np.ptp(T) >= SMALLEST_SPAN_K
     for drift in drifts:
@@ -255,13 +258,3 @@ def fit_with_drift(readings: Readings, model: Model) -> tuple[Fit, Model, dict[s
     """Return the same for the drift of the model alone; only the temperature coefficient is chosen."""
     fit, chosen, _ = best_fit(readings, model, [model.drift])
     return fit, chosen, {chosen.drift: fit.hold_out_score}
-
-
-def _drifts(readings: Readings, model: Model) -> list[str]:
-    if not model.offset or readings.t_s is None:
-        return ["none"]
-    drifts = ["none", "linear"] if np.ptp(readings.t_s) > 0.0 else ["none"]
-    usable = np.ones(len(readings.P_newtons), dtype=np.bool_)
-    if len(regressors.tare_groups(np.asarray(readings.P_newtons) == 0.0, usable)) > 2:
-        drifts.append("tare")
-    return drifts

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import comb, sqrt
+from math import comb
 
 import numpy as np
 
@@ -101,11 +101,6 @@ def suspects(problem: Problem) -> BoolArray:
     return none
 
 
-def corner(n: int) -> float:
-    """Return the distance where the robust loss bends: the 99 % point of good rows of n gauges."""
-    return sqrt(n * f_quantile(0.99, n, 1e6))
-
-
 def _least_trimmed(g: FloatArray, V: FloatArray, kept: int) -> FloatArray:
     """Coefficients (p, n) of the ``kept`` rows that agree best: many small random subsets, then concentration."""
     rng = np.random.default_rng(0)
@@ -174,8 +169,8 @@ def _places(readings: Readings) -> list[tuple[str, BoolArray]]:
         third = T.min() + np.ptp(T) / 3.0
         places += [("warm", np.asarray(third + np.ptp(T) / 3.0 < T)), ("cold", np.asarray(third > T))]
     groove = grooves(readings.phi_rad, readings.theta_rad)
-    for one in np.unique(groove[loaded]):
-        rows = loaded & (groove == one)
+    for number in np.unique(groove[loaded]):
+        rows = loaded & (groove == number)
         first = int(np.argmax(rows))
         phi, theta = np.degrees(readings.phi_rad[first]), np.degrees(readings.theta_rad[first])
         places.append((f"at phi {phi:g}, theta {theta:g} degrees", np.asarray(rows)))

@@ -29,6 +29,12 @@ class OffsetBasis(NamedTuple):
     temperature_span_K: float = 0.0
     """Kelvins per unit of the last column, which then is the temperature; 0: there is none."""
 
+    @classmethod
+    def of(cls, columns: FloatArray, kinks: int = 0) -> OffsetBasis:
+        """The last ``kinks`` columns are those."""
+        q = columns.shape[1]
+        return cls(columns, columns[-1], np.arange(q) >= q - kinks)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Of the columns that are no kinks."""
@@ -53,8 +59,7 @@ def direction_scatter(
     zero, delta = np.zeros_like(P_newtons), phi_rad - theta_rad
     by_phi = np.stack((np.cos(phi_rad), np.cos(delta), -np.sin(phi_rad)), axis=-1) * phi_scatter_rad
     by_theta = np.stack((zero, -np.cos(delta), zero), axis=-1) * theta_scatter_rad
-    D: FloatArray = np.stack((by_phi, by_theta), axis=-1) * P_newtons[:, np.newaxis, np.newaxis]
-    return D
+    return np.stack((by_phi, by_theta), axis=-1) * P_newtons[:, np.newaxis, np.newaxis]
 
 
 def grooves(phi_rad: FloatArray, theta_rad: FloatArray) -> IntArray:
@@ -88,41 +93,28 @@ def offset_basis(
     """
     m = unloaded.size
     if not offset:
-        return _basis(np.zeros((m, 0)))
+        return OffsetBasis.of(np.zeros((m, 0)))
     if drift == "none":
-        return _basis(np.ones((m, 1)))
+        return OffsetBasis.of(np.ones((m, 1)))
     if t_s is None:
         raise InputError(f"drift {drift!r} needs the time of every row (column t_s); without times drift is 'none'")
     if drift == "linear":
         span = t_s[-1] - t_s[0]
         if span <= 0.0:
             raise InputError(f"drift 'linear' needs rows at different times; every row has t_s = {t_s[0]:g}")
-        return _basis(np.stack((np.ones(m), (t_s - t_s[-1]) / span), axis=-1))
+        return OffsetBasis.of(np.stack((np.ones(m), (t_s - t_s[-1]) / span), axis=-1))
     knots = np.unique([np.mean(t_s[group]) for group in tare_groups(unloaded, usable)])
     if knots.size < 2:
         raise InputError(
             f"drift 'tare' needs unloaded readings at two times at least, before and after loads; there are "
             f"{knots.size}"
         )
-    return _basis(_kinked(t_s, knots), kinks=knots.size - 2)
-
-
-def _kinked(t_s: FloatArray, knots: FloatArray) -> FloatArray:
-    """A constant, a line from the first knot to the last, and a kink at each knot between; constant outside.
-
-    The kinks are scaled so that equal coefficients mean an equally restless drift, however the knots are spaced.
-    """
+    # A constant, a line from the first knot to the last, and a kink at each knot between; constant outside. The kinks
+    # are scaled so that equal coefficients mean an equally restless drift, however the knots are spaced.
     span = knots[-1] - knots[0]
     x, at = (np.clip(t_s, knots[0], knots[-1]) - knots[-1]) / span, (knots - knots[-1]) / span
-    gaps = np.sqrt(0.5 * (at[2:] - at[:-2]))
-    kinks = np.maximum(x[:, np.newaxis] - at[1:-1], 0.0) * gaps
-    columns: FloatArray = np.concatenate((np.ones((x.size, 1)), x[:, np.newaxis], kinks), axis=1)
-    return columns
-
-
-def _basis(columns: FloatArray, kinks: int = 0) -> OffsetBasis:
-    q = columns.shape[1]
-    return OffsetBasis(columns, columns[-1], np.arange(q) >= q - kinks)
+    kinks = np.maximum(x[:, np.newaxis] - at[1:-1], 0.0) * np.sqrt(0.5 * (at[2:] - at[:-2]))
+    return OffsetBasis.of(np.concatenate((np.ones((m, 1)), x[:, np.newaxis], kinks), axis=1), knots.size - 2)
 
 
 def bad_tares(strain: FloatArray, t_s: FloatArray, unloaded: BoolArray, usable: BoolArray) -> BoolArray:
@@ -244,7 +236,15 @@ def require_clear(coefficients: FloatArray, covariance: FloatArray, names: Seque
 
 def _directions(vectors: FloatArray, names: Sequence[str], unit_newtons: float, snap: float = 1e-5) -> list[str]:
     """Each null direction as a sentence: what all rows have in common, what hides in it, what to add."""
-    rows = _reduced(vectors, snap)
+    # Row echelon form of the null space: the same directions, each with as few entries as can be.
+    rows = np.array(vectors, dtype=np.float64)
+    for lead in range(len(rows)):
+        column = int(np.argmax(np.abs(rows[lead])))
+        rows[lead] /= rows[lead, column]
+        for other in range(len(rows)):
+            if other != lead:
+                rows[other] -= rows[other, column] * rows[lead]
+    rows[np.abs(rows) < snap * np.abs(rows).max(axis=1, keepdims=True)] = 0.0
     return [_sentence(dict(zip(names, row, strict=True)), unit_newtons, snap) for row in rows]
 
 
@@ -264,35 +264,17 @@ def _sentence(entries: dict[str, float], unit_newtons: float, snap: float) -> st
     lead = force[np.flatnonzero(force)[0]]
     along = _sum(force / lead, FORCES)
     value = -constant / lead
+    example = (
+        "a pull at phi = 90 degrees",
+        "a pull off the centre line (phi not theta)",
+        "a pull at phi = 180 degrees, in an x-groove beyond theta = 90 degrees",
+    )[int(np.argmax(np.abs(force) * [1.0, 1.01, 1.02]))]
     if value == 0.0:
-        return f"{along} is {about}0 N in every row: add a load with another {along}, such as {_example(force)}"
+        return f"{along} is {about}0 N in every row: add a load with another {along}, such as {example}"
     return (
         f"{along} is {about}{value:.4g} N in every row, so that an offset cannot be told from a sensitivity along "
-        f"{along}: add tare rows (unloaded readings), or loads with another {along} (another weight, or "
-        f"{_example(force)})"
+        f"{along}: add tare rows (unloaded readings), or loads with another {along} (another weight, or {example})"
     )
-
-
-def _example(force: FloatArray) -> str:
-    """A groove that loads a direction."""
-    return {
-        0: "a pull at phi = 90 degrees",
-        1: "a pull off the centre line (phi not theta)",
-        2: "a pull at phi = 180 degrees, in an x-groove beyond theta = 90 degrees",
-    }[int(np.argmax(np.abs(force) * [1.0, 1.01, 1.02]))]
-
-
-def _reduced(vectors: FloatArray, snap: float) -> FloatArray:
-    """Row echelon form of a null space: the same directions, each with as few entries as can be."""
-    rows = np.array(vectors, dtype=np.float64)
-    for lead in range(len(rows)):
-        column = int(np.argmax(np.abs(rows[lead])))
-        rows[lead] /= rows[lead, column]
-        for other in range(len(rows)):
-            if other != lead:
-                rows[other] -= rows[other, column] * rows[lead]
-    rows[np.abs(rows) < snap * np.abs(rows).max(axis=1, keepdims=True)] = 0.0
-    return rows
 
 
 def _sum(coefficients: FloatArray, names: Sequence[str]) -> str:

@@ -127,10 +127,8 @@ class Fit:
 
     def covariance_F(self, F_newtons: npt.ArrayLike, *, offset_known: bool = False, noise: bool = True) -> FloatArray:
         """Return the covariance of an estimate at F (..., 3): (..., 3, 3), N^2. See covariance_of_estimate()."""
-        gauge_noise = self.noise_covariance_strain2 if noise else np.zeros_like(self.noise_covariance_strain2)
-        return covariance_of_estimate(
-            self.C, gauge_noise, self.parameter_covariance, F_newtons, offset_known=offset_known
-        )
+        Sigma = noise * self.noise_covariance_strain2
+        return covariance_of_estimate(self.C, Sigma, self.parameter_covariance, F_newtons, offset_known=offset_known)
 
 
 def covariance_of_estimate(
@@ -157,8 +155,7 @@ def covariance_of_estimate(
             f"C {matrix.shape}, noise {Sigma.shape}, parameters {blocks.shape}, F {F.shape}: allowed are (3, n), "
             "(n, n), (n, 4, n, 4), (..., 3)"
         )
-    one = np.zeros((*F.shape[:-1], 1)) if offset_known else np.ones((*F.shape[:-1], 1))
-    G = np.concatenate((F, one), axis=-1)
+    G = np.concatenate((F, np.full((*F.shape[:-1], 1), 0.0 if offset_known else 1.0)), axis=-1)
     # The sum over gauges does not depend on F: 4 x 4 products of G then serve any number of samples.
     kernel = np.einsum("ak,kilj,bl->ijab", matrix, blocks, matrix).reshape(16, 9)
     products = (G[..., :, np.newaxis] * G[..., np.newaxis, :]).reshape(*F.shape[:-1], 16)
@@ -187,8 +184,6 @@ def kronecker(residual_covariance: npt.ArrayLike, N: npt.ArrayLike) -> FloatArra
 
 
 DIGITS = 9
-# The parameter covariance is computed from the inverse of N, which enlarges what rounding takes away.
-NORMAL_DIGITS = 12
 
 
 def to_digits(values: npt.ArrayLike, digits: int = DIGITS, scale: float = 0.0) -> FloatArray:
@@ -198,10 +193,7 @@ def to_digits(values: npt.ArrayLike, digits: int = DIGITS, scale: float = 0.0) -
     """
     array = np.asarray(values, dtype=np.float64)
     largest = max(float(np.max(np.abs(array), initial=0.0)), scale)
-    if not 0.0 < largest < np.inf:
-        return array
-    rounded: FloatArray = np.round(array, digits - 1 - int(np.floor(np.log10(largest))))
-    return rounded
+    return np.round(array, digits - 1 - int(np.floor(np.log10(largest)))) if 0.0 < largest < np.inf else array
 
 
 def matrix_to_digits(C: npt.ArrayLike) -> FloatArray:
@@ -212,19 +204,18 @@ def matrix_to_digits(C: npt.ArrayLike) -> FloatArray:
 def rounded(fit: Fit) -> Fit:
     """Return the fit with all that goes into a calibration file rounded; residuals and diagnoses as they are."""
     per_newton = float(np.max(np.abs(fit.A), initial=0.0))
-    others: dict[str, Any] = {name: to_digits(getattr(fit, name)) for name in _ROUNDED_MATRICES}
-    others |= {name: float(to_digits(getattr(fit, name))) for name in _ROUNDED_NUMBERS}
+    matrices = ("noise_covariance_strain2", "residual_covariance_strain2", "parameter_covariance")
+    numbers = (
+        "coverage_factor", "sigma0", "dof", "noise_dof", "condition_number", "row_equilibrated_condition_number",
+    )  # fmt: skip
+    others: dict[str, Any] = {name: to_digits(getattr(fit, name)) for name in matrices}
+    others |= {name: float(to_digits(getattr(fit, name))) for name in numbers}
     return replace(
         fit,
         C=matrix_to_digits(fit.C),
         offset_strain=to_digits(fit.offset_strain, scale=per_newton),  # an offset near 0 is as uncertain as others
         C_uncertainty=matrix_to_digits(fit.C_uncertainty),
-        N=to_digits(fit.N, NORMAL_DIGITS),
+        # The parameter covariance is computed from the inverse of N, which enlarges what rounding takes away.
+        N=to_digits(fit.N, 12),
         **others,
     )
-
-
-_ROUNDED_MATRICES = ("noise_covariance_strain2", "residual_covariance_strain2", "parameter_covariance")
-_ROUNDED_NUMBERS = (
-    "coverage_factor", "sigma0", "dof", "noise_dof", "condition_number", "row_equilibrated_condition_number",
-)  # fmt: skip

@@ -248,9 +248,8 @@ def _start(problem: Problem) -> tuple[FloatArray, FloatArray]:
         rows = problem.observed[:, k]
         g, V = problem.g[rows] * root[rows, np.newaxis], problem.V[rows, k] * root[rows]
         pull = np.sqrt(problem.prior_information[k]) * np.eye(3, g.shape[1])
-        beta = np.linalg.lstsq(
-            np.vstack((g, pull)), np.concatenate((V, pull[:, :3] @ problem.prior_mean[k])), rcond=None
-        )[0]
+        wanted = np.concatenate((V, pull[:, :3] @ problem.prior_mean[k]))
+        beta = np.linalg.lstsq(np.vstack((g, pull)), wanted, rcond=None)[0]
         A[k], variance[k] = beta[:3], np.mean((V - g @ beta) ** 2) if rows.any() else 0.0
     if problem.Sigma is not None:
         return A, problem.Sigma
@@ -295,15 +294,12 @@ def _step(
 
 def _prior_rows(problem: Problem, restless: FloatArray) -> FloatArray:
     """Return the prior of the coefficients as whitened rows, (n p, n p + 1)."""
-    n, p = problem.V.shape[1], problem.g.shape[1]
-    information, mean = np.zeros((n, p)), np.zeros((n, p))
+    information, mean = np.zeros((2, problem.V.shape[1], problem.g.shape[1]))
     information[:, :3] = problem.prior_information[:, np.newaxis]
     information[:, problem.kinks] = 1.0 / restless[:, np.newaxis]
     mean[:, :3] = problem.prior_mean
     root = np.sqrt(information.ravel())
-    some = root > 0.0
-    rows: FloatArray = np.concatenate((np.diag(root), (root * mean.ravel())[:, np.newaxis]), axis=1)[some]
-    return rows
+    return np.concatenate((np.diag(root), (root * mean.ravel())[:, np.newaxis]), axis=1)[root > 0.0]
 
 
 def _solved(rows: FloatArray, prior: FloatArray, unknowns: int) -> tuple[FloatArray, FloatArray]:
@@ -326,12 +322,7 @@ def _whitener(R: FloatArray, observed: BoolArray) -> FloatArray:
 
 
 def _judged(
-    residual: FloatArray,
-    observed: BoolArray,
-    R: FloatArray,
-    whitener: FloatArray,
-    inverse: FloatArray,
-    H: FloatArray,
+    residual: FloatArray, observed: BoolArray, R: FloatArray, whitener: FloatArray, inverse: FloatArray, H: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
     """Squared distances by the fit without the row, readings absorbed by the fit, degrees of freedom per gauge."""
     counts = observed.sum(axis=1)
@@ -343,9 +334,8 @@ def _judged(
     taken = whitener @ H @ whitener.transpose(0, 2, 1)
     left = (1.0 + 1e-9) * np.eye(R.shape[1]) - taken
     whitened = (whitener @ e[..., np.newaxis])[..., 0]
-    distance = np.maximum(
-        np.einsum("ik,ik->i", whitened, np.linalg.solve(left, whitened[..., np.newaxis])[..., 0]), 0.0
-    )
+    of_left = np.linalg.solve(left, whitened[..., np.newaxis])[..., 0]
+    distance = np.maximum(np.einsum("ik,ik->i", whitened, of_left), 0.0)
     out = residual[~used]
     distance[~used] = np.einsum("ik,ik->i", out, np.linalg.solve((R + H)[~used], out[..., np.newaxis])[..., 0])
     dof = float((counts.sum() - share.sum()) / residual.shape[1])
@@ -388,8 +378,7 @@ class _Effect(NamedTuple):
 
     def conditional(self, whitened: FloatArray) -> FloatArray:
         """The expected z of each row's groove for whitened residuals (m, n, k): (m, 2, k)."""
-        expected: FloatArray = self.covariance[self.rows] @ self._sums(whitened)
-        return expected
+        return self.covariance[self.rows] @ self._sums(whitened)
 
     def _sums(self, whitened: FloatArray) -> FloatArray:
         sums = np.zeros((len(self.shrink), 2, whitened.shape[2]))

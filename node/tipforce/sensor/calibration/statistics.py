@@ -16,7 +16,7 @@ from tipforce.sensor.calibration.solve import Problem, Solution
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.limits import PAPER_SLIT_M, slit_closure, worst_stress
+from tipforce.sensor.structure.plane_frame import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.strain import condition_number, row_equilibrated_condition_number
 
 HOLD_OUT_CAP = 8.0
@@ -101,9 +101,9 @@ def result(
         distance=np.sqrt(np.maximum(solution.distance, 0.0)),
         leverage=solution.leverage,
         used=problem.observed,
-        outliers=tuple(int(row) for row in np.flatnonzero(outlier)),
-        saturated=_places(saturated),
-        near_limit=_places(near_limit),
+        outliers=tuple(np.flatnonzero(outlier).tolist()),
+        saturated=tuple((row, gauge) for row, gauge in np.argwhere(saturated).tolist()),
+        near_limit=tuple((row, gauge) for row, gauge in np.argwhere(near_limit).tolist()),
         loads=_by_load(readings, problem.observed, residual, C, solution.leverage),
         drift=model.drift,
         loss=model.loss,
@@ -121,10 +121,6 @@ def _hold_out_score(problem: Problem, solution: Solution) -> float:
     inside = 2.0 * np.linalg.slogdet(solution.R)[1] - np.linalg.slogdet(left)[1]
     size = np.where(used, inside, np.linalg.slogdet(solution.R + solution.H)[1])
     return float(-0.5 * np.sum(size + np.minimum(solution.distance, HOLD_OUT_CAP * n)))
-
-
-def _places(mask: BoolArray) -> tuple[tuple[int, int], ...]:
-    return tuple((int(row), int(gauge)) for row, gauge in np.argwhere(mask))
 
 
 def _sizes(problem: Problem, solution: Solution, loaded: BoolArray) -> tuple[float, float, float]:
@@ -184,17 +180,14 @@ def _by_load(
         some = np.maximum(counts, 1)
         mean = np.where(counts > 0, e.sum(axis=0) / some, np.nan)
         rms = np.where(counts > 0, np.sqrt(np.square(e).sum(axis=0) / some), np.nan)
-        complete = counted.all(axis=1)
-        force = residual[rows][complete] @ C.T
-        newtons = np.sqrt(np.square(force).mean(axis=0)) if complete.any() else np.full(3, np.nan)
+        force = residual[rows][counted.all(axis=1)] @ C.T
+        newtons = np.sqrt(np.square(force).mean(axis=0)) if len(force) else np.full(3, np.nan)
         by_load.append(LoadResidual(*load, tuple(rows), mean, rms, newtons, float(leverage[rows].max())))
     return tuple(by_load)
 
 
 FALSE_ALARM_RATE = 1e-6
 """Of the redundancy check, per sample."""
-_THETA_DEG = np.arange(0.0, 181.0, 15.0)
-_DELTA_DEG = np.arange(-75.0, 76.0, 15.0)
 
 
 def redundancy_limit(
@@ -220,8 +213,8 @@ def redundancy_limit(
         raise InputError("the gauges' noise covariance is not positive definite") from None
     outside = np.linalg.qr(np.linalg.solve(lower, A), mode="complete")[0][:, 3:]
     parity = np.linalg.solve(lower.T, outside)  # (n, spare): readings to independent contradictions of variance 1
-    theta, delta = (grid.ravel() for grid in np.meshgrid(np.radians(_THETA_DEG), np.radians(_DELTA_DEG)))
-    F = force_vector(largest_newtons, theta + delta, theta)
+    theta, delta = np.meshgrid(np.radians(np.arange(0.0, 181.0, 15.0)), np.radians(np.arange(-75.0, 76.0, 15.0)))
+    F = force_vector(largest_newtons, theta + delta, theta).reshape(-1, 3)
     G = np.concatenate((np.concatenate((F, -F)), np.ones((2 * len(F), 1))), axis=1)
     kernel = np.einsum("ka,kilj,lb->abij", parity, parameter_covariance, parity)
     added = np.einsum("gi,abij,gj->gab", G, kernel, G)

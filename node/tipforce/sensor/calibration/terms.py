@@ -78,9 +78,8 @@ def _square(strain: FloatArray, odd: bool) -> FloatArray:
 def _relative_error(term: Extra, C: FloatArray, odd: bool, P: float) -> float:
     """What the linear matrix makes of a sensor with the quadratic term: RMS of the force error over the force."""
     theta, delta = np.meshgrid(np.radians(np.arange(0.0, 181.0, 15.0)), np.radians(np.arange(-60.0, 61.0, 15.0)))
-    turn = np.array([0.0, np.pi])[:, np.newaxis]
-    phi = (theta + delta).ravel() + turn
-    F = force_vector(np.full(phi.size, P), phi.ravel(), np.tile(theta.ravel(), 2))
+    phi = (theta + delta).ravel() + np.array([[0.0], [np.pi]])
+    F = force_vector(P, phi.ravel(), np.tile(theta.ravel(), 2))
     s = F @ term.coefficients[:, :3].T
     off = (s + term.value * _square(s, odd)) @ C.T - F
     along = F[:, [0, 2]] / P
@@ -115,15 +114,26 @@ def reference_temperature_degC(temperature_degC: FloatArray) -> float:
     return round(float(np.mean(temperature_degC)), 2)
 
 
+def per_kelvin(
+    problem: Problem, solution: Solution, change_K: FloatArray, columns: FloatArray, unit: float = 1.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return (coefficients per kelvin beyond the fit's of ``columns``, (m or 1, n, k), times ``unit``; their standard
+    uncertainties), (k,) each; zeros and NaN where no row shows them.
+    """
+    span = float(np.abs(change_K).max())
+    try:
+        term = extra(problem, solution, columns * (change_K / max(span, 1e-300))[:, np.newaxis, np.newaxis])
+    except np.linalg.LinAlgError:
+        k = columns.shape[2]
+        return np.zeros(k), np.full(k, np.nan)
+    return term.value * unit / span, np.sqrt(np.diagonal(term.covariance)) * unit / span
+
+
 def gain_of(problem: Problem, solution: Solution, change_K: FloatArray) -> tuple[float, float]:
     """Return (gain per kelvin beyond that of the problem, its standard uncertainty); NaN where no row shows it."""
-    span = float(np.abs(change_K).max())
     strain = problem.g[:, :3] @ solution.coefficients[:, :3].T
-    try:
-        term = extra(problem, solution, (strain * (change_K / max(span, 1e-300))[:, np.newaxis])[:, :, np.newaxis])
-    except np.linalg.LinAlgError:
-        return 0.0, float("nan")
-    return float(term.value[0]) / span, float(np.sqrt(term.covariance[0, 0])) / span
+    gain, u = per_kelvin(problem, solution, change_K, strain[:, :, np.newaxis])
+    return float(gain[0]), float(u[0])
 
 
 def offsets_of(
@@ -133,17 +143,10 @@ def offsets_of(
 
     fitted_span_K: kelvins per unit of the fit's last column; 0 where it has no column of temperature.
     """
-    n, p = problem.V.shape[1], problem.g.shape[1]
-    if fitted_span_K:
-        last = np.arange(n) * p + p - 1
-        variance = np.diagonal(solution.covariance.reshape(n * p, n * p))[last]
-        return solution.coefficients[:, -1] * strain / fitted_span_K, np.sqrt(variance) * strain / fitted_span_K
-    span = float(np.abs(change_K).max())
-    try:
-        term = extra(problem, solution, (change_K / max(span, 1e-300))[:, np.newaxis, np.newaxis] * np.eye(n))
-    except np.linalg.LinAlgError:
-        return np.zeros(n), np.full(n, np.nan)
-    return term.value * strain / span, np.sqrt(np.diagonal(term.covariance)) * strain / span
+    if not fitted_span_K:
+        return per_kelvin(problem, solution, change_K, np.eye(problem.V.shape[1])[np.newaxis], strain)
+    variance = np.einsum("kpkp->kp", solution.covariance)[:, -1]
+    return solution.coefficients[:, -1] * strain / fitted_span_K, np.sqrt(variance) * strain / fitted_span_K
 
 
 def factor(dof: float, chance: float = 0.05) -> float:

@@ -32,15 +32,11 @@ def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: np
         raise InputError(
             f"P {P.shape}, phi {phi.shape}, theta {theta.shape}: allowed are shapes that broadcast together"
         ) from None
-    F: FloatArray = np.stack((P * np.sin(phi), P * np.sin(phi - theta), P * np.cos(phi)), axis=-1)
-    return F
+    return np.stack((P * np.sin(phi), P * np.sin(phi - theta), P * np.cos(phi)), axis=-1)
 
 
 def force_from_strain(
-    C: npt.ArrayLike,
-    strain: npt.ArrayLike,
-    offset_strain: npt.ArrayLike = 0.0,
-    tare_newtons: npt.ArrayLike = 0.0,
+    C: npt.ArrayLike, strain: npt.ArrayLike, offset_strain: npt.ArrayLike = 0.0, tare_newtons: npt.ArrayLike = 0.0
 ) -> FloatArray:
     """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) with offset and tare.
 
@@ -60,8 +56,7 @@ def force_from_strain(
     if tare.shape not in {(), (3,)}:
         raise InputError(f"tare_newtons has the shape {tare.shape}: allowed is (3,) or a scalar")
     with np.errstate(invalid="ignore", over="ignore"):
-        F: FloatArray = (V - offset) @ matrix.T - tare
-    return F
+        return (V - offset) @ matrix.T - tare
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,8 +200,7 @@ def miss_deviation(F: Forces, K: Covariance) -> FloatArray:
         sign = np.where(F.f2 < 0.0, -1.0, 1.0)
         u = _deviation(K, -F.f1 / F.hypotenuse, sign, -F.f3 / F.hypotenuse)
         bound = _worst_deviation(K) + np.sqrt(np.maximum(K.k22, 0.0))
-        result: FloatArray = np.where(F.hypotenuse == 0.0, bound, u) * K.root
-        return result
+        return np.where(F.hypotenuse == 0.0, bound, u) * K.root
 
 
 def curvature_columns(F: Forces, P_newtons: FloatArray, u: Deviations) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -415,5 +409,4 @@ def first_order_holds(
     if not limit > 0.0:
         raise InputError(f"limit = {limit!r}: allowed is a positive number")
     with np.errstate(invalid="ignore"):
-        holds: BoolArray = np.asarray(curvature(F_newtons, covariance_F) <= limit)
-    return holds
+        return np.asarray(curvature(F_newtons, covariance_F) <= limit)

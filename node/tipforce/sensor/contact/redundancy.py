@@ -113,8 +113,7 @@ def detectable_strain(
     """
     threshold = scalar_redundancy.chi_square_threshold(false_alarm_rate, model.degrees) if limit is None else limit
     with np.errstate(divide="ignore"):
-        found: FloatArray = np.sqrt((threshold - model.degrees) / model.visible)
-    return found
+        return np.sqrt((threshold - model.degrees) / model.visible)
 
 
 def detect(

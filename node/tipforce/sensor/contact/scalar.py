@@ -273,14 +273,7 @@ def scaled_covariance(cov: tuple[float, float, float, float, float, float]) -> "
     half = (frexp(max(cov[0], cov[3], cov[5], 0.0))[1] + 1) // 2
     k11, k12, k13, k22, k23, k33 = cov
     down = -2 * half
-    K = (
-        ldexp(k11, down),
-        ldexp(k12, down),
-        ldexp(k13, down),
-        ldexp(k22, down),
-        ldexp(k23, down),
-        ldexp(k33, down),
-    )
+    K = (ldexp(k11, down), ldexp(k12, down), ldexp(k13, down), ldexp(k22, down), ldexp(k23, down), ldexp(k33, down))
     return K, half
 
 

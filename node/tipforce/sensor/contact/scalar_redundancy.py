@@ -254,9 +254,7 @@ def explained(
 
 
 def doubt(
-    C: "list[list[float]]",
-    noise: "list[float]",
-    faults: "list[tuple[float, float]]",
+    C: "list[list[float]]", noise: "list[float]", faults: "list[tuple[float, float]]"
 ) -> "tuple[float, float, float, float, float, float]":
     """Return what a fault below the limit adds to the covariance of F: upper triangle, N^2.
 

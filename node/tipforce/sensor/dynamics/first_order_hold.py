@@ -170,12 +170,8 @@ def node_coefficients(modes: Modes, step_s: float) -> Coefficients:
 
     Raises InputError for a step out of range.
     """
-    return tuple(
-        ((row[0], row[1], row[2]), held, (column[0], column[1], column[2]))
-        for row, held, column in zip(
-            modes.load_shape.tolist(), holds(modes, step_s), modes.force_shape.T.tolist(), strict=True
-        )
-    )
+    shapes = zip(modes.load_shape.tolist(), holds(modes, step_s), modes.force_shape.T.tolist(), strict=True)
+    return tuple(((a, b, c), held, (d, e, f)) for (a, b, c), held, (d, e, f) in shapes)
 
 
 def respond(modes: Modes, loads_newtons: npt.ArrayLike, step_s: float, start: State | None = None) -> Response:

@@ -19,10 +19,10 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauges import GaugePosition, nominal_position
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import Layout, layout
 from tipforce.sensor.structure.plane_frame import POISSON_RATIO
+from tipforce.sensor.structure.strain import GaugePosition, nominal_position
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +71,6 @@ class _Section:
         near, far = exp(-s / self.decay_m), exp((s - self.length_m) / self.decay_m)
         both = 1.0 + exp(-self.length_m / self.decay_m)
         return 1.0 - (near + far) / both, (near - far) / both / self.decay_m
-
-    def torsion_length(self) -> float:
-        """Return the length that twists freely: restrained warping stiffens the ends."""
-        if self.decay_m == 0.0:
-            return self.length_m
-        return self.length_m - 2.0 * self.decay_m * tanh(0.5 * self.length_m / self.decay_m)
 
 
 def torsion_constants(width_m: float, thickness_m: float) -> tuple[float, float]:
@@ -161,10 +155,8 @@ def apparent_force(
         raise InputError(f"wrenches have the shape {wrenches.shape}: allowed is (m, 6)")
     worst = np.zeros(3)
     for signs in itertools.product((-1.0, 1.0), repeat=len(places)):
-        placed = [
-            PlacedGauge(place, sign * lateral_offset_m, sign * misalignment_rad)
-            for place, sign in zip(places, signs, strict=True)
-        ]
+        errors = ((sign * lateral_offset_m, sign * misalignment_rad) for sign in signs)
+        placed = [PlacedGauge(place, *error) for place, error in zip(places, errors, strict=True)]
         matrix = wrench_strain_matrix(geometry, placed, warping_held=warping_held)
         F = wrenches @ matrix.T @ np.linalg.pinv(planar_part(geometry, matrix)).T
         found = (np.hypot(F[:, 0], F[:, 2]).max(), np.abs(F[:, 1]).max(), np.linalg.norm(F, axis=1).max())
@@ -196,7 +188,9 @@ def _arm_loads(beam: _Section) -> dict[str, FloatArray]:
     The arms share the wrench as two springs in parallel between rigid bodies do.
     """
     L, in_plane, out = beam.length_m, beam.bend_in_plane, beam.bend_out_of_plane
-    twist = beam.torsion_length() / beam.twist
+    # Restrained warping stiffens the ends: what is left twists freely.
+    held = 2.0 * beam.decay_m * tanh(0.5 * L / beam.decay_m) if beam.decay_m else 0.0
+    twist = (L - held) / beam.twist
     diagonal = [L / beam.axial, L**3 / 3 / in_plane, L**3 / 3 / out, twist, L / out, L / in_plane]
     stiffness, transform = {}, {}
     for side, sign in (("left", -1.0), ("right", 1.0)):

@@ -1,4 +1,4 @@
-"""A plane frame by the direct stiffness method: an independent model of the body, to verify beam theory.
+"""A plane frame by the direct stiffness method, an independent model of the body, and the loads that a body stands.
 
 Three bodies, each rigid: the fixture, the joint, the tip. Three elastic beams, each one two-node element with a 6 x 6
 stiffness matrix: the vertical beam (fixture to joint) and the two arms of the horizontal beam (joint to tip). A beam
@@ -19,16 +19,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.structure.gauges import Gauge, GaugePosition, place
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import POINTS
+from tipforce.sensor.structure.strain import Gauge, place, stress_coefficients
 
 HALF_PLANE_ROTATION = 18.0 / math.pi
 """E b h^2 times the rotation of a root per moment, for a beam on an elastic half plane.
@@ -140,7 +140,11 @@ class Frame:
         for element in self._arms.values():
             x = element.start[0] + xi * element.length * element.axes[0, 0]
             tip = self._tip[1] + x * self._tip[2]
-            closures.append((_deflection(element, self._tip, xi) - tip) / scale)
+            # The upward deflection relative to the joint by Hermite's cubic, (m, 3) per newton: the small changes by
+            # shear and springs between the ends are neglected.
+            _, w, turn = element.motion @ self._tip
+            shape = w * xi**2 * (3.0 - 2.0 * xi) + turn * element.length * xi**2 * (xi - 1.0)
+            closures.append((shape * element.axes[0, 0] - tip) / scale)
         return np.stack(closures)
 
     def _row(self, gauge: Gauge, gauge_length_m: float) -> FloatArray:
@@ -157,7 +161,13 @@ class Frame:
             outward = 1.0 if spot.side == "left" else -1.0
         if gauge in POINTS:
             s = element.length if s > 0.5 * element.length else 0.0
-        ends = _span(spot, s, gauge_length_m, element.length)
+        half, slack = 0.5 * gauge_length_m, 1e-6 * element.length  # tolerance for an optimiser at a limit
+        if s - half < -slack or s + half > element.length + slack:
+            raise InputError(
+                f"gauge of length {gauge_length_m!r} m at {spot.position_m!r} m on the {spot.side} of beam {spot.beam}"
+                f": allowed is a gauge that lies between the beam's ends, {element.length!r} m apart"
+            )
+        ends = s - half, s + half  # as distances from A
         strain = np.mean([_surface_strain(element, motion, end, outward) for end in ends], axis=0)
         row: FloatArray = strain / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
         return row
@@ -225,23 +235,68 @@ def _surface_strain(element: _Element, motion: FloatArray, s: float, outward: fl
     return strain
 
 
-def _deflection(element: _Element, motion: FloatArray, xi: FloatArray) -> FloatArray:
-    """Return the upward deflection of an arm relative to the joint, (m, 3) per newton, by Hermite's cubic.
+# --- the loads that a body stands ---------------------------------------------------------------------------------
+# The figure of the cross-section is not in the paper's text. Assumed: the slit, 0.25 mm wide as the cut, runs along the
+# upper face of the horizontal beam, between the joint and the tip's ends.
 
-    The end motion is the tip's: the small changes by shear and springs between the ends are neglected.
+AnyArray = npt.NDArray[Any]
+"""Real, or complex for a complex step."""
+PAPER_SLIT_M = 0.25e-3
+_ROUNDING = 1e-12
+
+
+def worst_stress(geometry: Geometry, load_newtons: float) -> float:
+    """Return the largest stress anywhere on the beams in Pa, over all directions phi and contacts 0 to 180 degrees.
+
+    For any phi the contacts reach F2 = +-P, and phi + pi turns every sign: the maximum of |g . F| is
+    P (hypot(g1, g3) + |g2|), on either face.
     """
-    _, w, turn = element.motion @ motion
-    shape = w * xi**2 * (3.0 - 2.0 * xi) + turn * element.length * xi**2 * (xi - 1.0)
-    upward: FloatArray = shape * element.axes[0, 0]
-    return upward
+    largest = max(math.hypot(g1, g3) + abs(g2) for g1, g2, g3 in stress_coefficients(geometry).values())
+    return largest * load_newtons / geometry.width_m
 
 
-def _span(spot: GaugePosition, s: float, gauge_length_m: float, length: float) -> tuple[float, float]:
-    """Return both ends of a gauge, as distances from A."""
-    half, slack = 0.5 * gauge_length_m, 1e-6 * length  # tolerance for an optimiser at a limit
-    if s - half < -slack or s + half > length + slack:
+def slit_closure(geometry: Geometry, load_newtons: float) -> float:
+    """Return the most by which a load narrows the slit above the horizontal beam in metres, over the same loads.
+
+    Rigid tip and joint, Euler-Bernoulli.
+    """
+    closure = float(slit_compliance(np.asarray(geometry.a_m), np.asarray(geometry.r_m), np.asarray(geometry.h1_m)))
+    return closure * load_newtons / (geometry.width_m * geometry.youngs_modulus_pascals)
+
+
+def slit_compliance(a: AnyArray, r: AnyArray, h1: AnyArray) -> AnyArray:
+    """Return E b times that closure per newton, at the place along an arm where it is largest; same shapes."""
+    # F1 lifts the tip by a^3 / 24 EI against the joint, F2 rotates it by r a / 8 EI; I = h1^3 / 12. Their effects on
+    # the slit at the fraction x of an arm have the largest sum at x = r / (2 a + 3 r).
+    x = r / (2.0 * a + 3.0 * r)
+    lift = 0.5 * a * (1.0 - x * x * (3.0 - 2.0 * x))
+    turn = 1.5 * r * x * (1.0 - x) ** 2
+    result: AnyArray = (lift + turn) * a * a / (h1 * h1 * h1)
+    return result
+
+
+def closing_load(geometry: Geometry, theta_rad: float, phi_rad: float, gap_m: float = PAPER_SLIT_M) -> float:
+    """Return the static load P in newtons that closes the slit somewhere; inf where the load opens it everywhere.
+
+    Raises InputError for angles that are not finite, or a gap that is not above 0.
+    """
+    if not (math.isfinite(theta_rad) and math.isfinite(phi_rad) and 0.0 < gap_m < math.inf):
         raise InputError(
-            f"gauge of length {gauge_length_m!r} m at {spot.position_m!r} m on the {spot.side} of beam {spot.beam}: "
-            f"allowed is a gauge that lies between the beam's ends, {length!r} m apart"
+            f"theta_rad = {theta_rad!r}, phi_rad = {phi_rad!r}, gap_m = {gap_m!r}: allowed are finite angles "
+            "and a gap above 0"
         )
-    return s - half, s + half
+    F = np.array([math.sin(phi_rad), math.sin(phi_rad - theta_rad), math.cos(phi_rad)])
+    most = float(_largest(Frame(geometry), F).max())
+    return gap_m / most if most > _ROUNDING * _largest(Frame(geometry), np.array([-1.0, 0.0, 0.0])).max() else math.inf
+
+
+def _largest(frame: Frame, F: FloatArray) -> FloatArray:
+    """The largest closure of each arm under F (3,), (2,), metres: of a cubic, at an end or where its slope is zero."""
+    at = np.array([0.0, 1.0, 2.0, 3.0]) / 3.0
+    found = np.zeros(2)
+    for arm, values in enumerate(frame.slit_closure(at) @ F):
+        cubic = np.linalg.solve(np.vander(at), values)
+        turns = [float(root.real) for root in np.roots(np.polyder(cubic)) if abs(root.imag) < 1e-9]
+        places = [0.0, 1.0, *(turn for turn in turns if 0.0 < turn < 1.0)]
+        found[arm] = (frame.slit_closure(places)[arm] @ F).max()
+    return found

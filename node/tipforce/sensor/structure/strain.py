@@ -1,11 +1,14 @@
-"""Force to strain: Table 1 of the paper for all eight gauge points, its matrices and their quality.
+"""Force to strain: gauges at points of Table 1 or anywhere along the beams, their matrices and the quality of these.
 
-Every matrix multiplies F = (F1, F2, F3) = P (sin(phi), sin(phi - theta), cos(phi)), equation (16).
+Every matrix multiplies F = (F1, F2, F3) = P (sin(phi), sin(phi - theta), cos(phi)), equation (16). Between its ends a
+beam carries no load, so the strain on its surface varies linearly along it. A gauge of finite length therefore reads
+the strain at its middle, exactly; one of 1 mm that begins at a corner reads 0.5 mm from it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +16,199 @@ import numpy.typing as npt
 from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.layouts import VERTICAL_POINTS, Layout, layout
+from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES, POINTS, Layout, layout
+
+Beam = Literal["H", "V"]
+Side = Literal["left", "right"]
+Face = Literal["lower", "upper"]
+
+_SLACK = 1e-9  # relative: a position of 15 mm in other units is still the end of a beam of 15 mm
+
+
+class GaugePosition(NamedTuple):
+    """Position of the middle of one gauge."""
+
+    beam: Beam
+    """H: the horizontal beam, which carries the tip. V: the vertical beam, which is fixed to the fixture."""
+    side: Side
+    """H: the arm at negative x (left) or positive x (right). V: the face at negative or positive x."""
+    position_m: float
+    """Distance from the joint along the beam: 0 to a on H (L and R are at a), 0 to d on V (T and U are at d)."""
+    face: Face = "lower"
+    """H only: the face towards the fixture (lower, position of the paper's gauges) or towards the tip (upper)."""
+
+
+def nominal_position(geometry: Geometry, point: str) -> GaugePosition:
+    """Return the position of a point of Table 1. Raises InputError for an unknown point."""
+    places: dict[str, GaugePosition] = {
+        "L": GaugePosition("H", "left", geometry.a_m),
+        "R": GaugePosition("H", "right", geometry.a_m),
+        "T": GaugePosition("V", "left", geometry.d_m),
+        "U": GaugePosition("V", "right", geometry.d_m),
+        "K_H": GaugePosition("H", "left", 0.0),
+        "S_H": GaugePosition("H", "right", 0.0),
+        "K_V": GaugePosition("V", "left", 0.0),
+        "S_V": GaugePosition("V", "right", 0.0),
+    }
+    if point not in places:
+        raise InputError(f"gauge point {point!r} is not known: allowed are {', '.join(POINTS)}")
+    return places[point]
+
+
+def strain_row(
+    geometry: Geometry, beam: Beam, side: Side, position_m: npt.ArrayLike, face: Face = "lower"
+) -> FloatArray:
+    """Return the strain per newton of F = (F1, F2, F3), shape (..., 3), tension positive, at positions (...).
+
+    The arguments are the fields of GaugePosition. Equals Table 1 (as strain_matrix() returns it) at the eight
+    points; between them it is linear: equations (5) and (6) with the lever arm in place of d, and for the
+    horizontal beam the straight line from equation (4) to (3) and from (11) to (10). Raises InputError for an
+    unknown beam, side or face, or a position off the beam.
+    """
+    if beam not in ("H", "V") or side not in ("left", "right") or face not in ("lower", "upper"):
+        raise InputError(
+            f"gauge place beam {beam!r}, side {side!r}, face {face!r}: allowed are H or V, left or right, "
+            "lower or upper"
+        )
+    length = geometry.a_m if beam == "H" else geometry.d_m
+    s = floats("position_m", position_m)
+    if not bool(np.all((s >= -_SLACK * length) & (s <= (1.0 + _SLACK) * length))):
+        raise InputError(f"position_m = {position_m!r} on beam {beam}: allowed is 0 to {length!r} m from the joint")
+    with np.errstate(over="ignore"):
+        stress = np.stack(_stress(geometry, beam, side, s, face), axis=-1)
+        return stress / geometry.width_m / geometry.youngs_modulus_pascals
+
+
+def _stress(
+    geometry: Geometry, beam: Beam, side: Side, s: FloatArray, face: Face
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the stress per newton of F1, F2, F3 for unit width, tension positive, at distances s from the joint."""
+    a, r, h1, h2 = geometry.a_m, geometry.r_m, geometry.h1_m, geometry.h2_m
+    sign = -1.0 if side == "left" else 1.0
+    if beam == "V":  # a cantilever that carries the whole load at its top
+        moment = np.full_like(s, sign * 6.0 * r / h2 / h2)
+        return np.full_like(s, 1.0 / h2), moment, -sign * 6.0 * (s + 0.5 * h1) / h2 / h2
+    # Each arm is clamped to the joint at s = 0 and to the rigid tip at s = a.
+    bend = 1.0 if face == "lower" else -1.0
+    shear = bend * (1.5 * a / h1 / h1) * (1.0 - 2.0 * s / a)
+    moment = bend * sign * (3.0 * r / h1 / h1) * (1.0 - 1.5 * s / a)
+    # Half of the force along x reaches the joint through either arm: one in tension, one in compression.
+    return shear, moment, np.full_like(s, sign * 0.5 / h1)
+
+
+def position_matrix(geometry: Geometry, positions: Sequence[GaugePosition]) -> FloatArray:
+    """Return the strain matrix (n, 3) of gauges at these positions, tension positive. Raises as strain_row() does."""
+    return np.array([strain_row(geometry, *position) for position in positions], dtype=np.float64).reshape(-1, 3)
+
+
+def shifted(geometry: Geometry, gauge: str | GaugePosition, shift_m: float) -> GaugePosition:
+    """Return the position shift_m from a point of Table 1, or another position, along its beam.
+
+    Positive is inward: away from the nearer end of the beam. Raises InputError for an unknown point; a shift
+    beyond the beam is rejected by strain_row().
+    """
+    spot = place(geometry, gauge)
+    return spot._replace(position_m=spot.position_m + _inward(geometry, spot) * shift_m)
+
+
+def shifted_matrix(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) -> FloatArray:
+    """Return the strain matrices (..., n, 3) of a layout with gauges shifts_m (..., n) inward of their points.
+
+    shifts_m: sign as in shifted(), one number per gauge in the last axis, or a scalar for all. Raises
+    InputError for an unusable layout, a last axis that is not n, or a gauge shifted off its beam.
+    """
+    points = layout(gauges)
+    shifts = floats("shifts_m", shifts_m)
+    if shifts.ndim == 0:
+        shifts = np.full(len(points), float(shifts))
+    if shifts.shape[-1] != len(points):
+        raise InputError(f"shifts_m has the shape {shifts.shape}: allowed is (..., {len(points)}) or a scalar")
+    rows = []
+    for index, point in enumerate(points):
+        spot = nominal_position(geometry, point)
+        position_m = spot.position_m + _inward(geometry, spot) * shifts[..., index]
+        rows.append(strain_row(geometry, spot.beam, spot.side, position_m, spot.face))
+    return np.stack(rows, axis=-2)
+
+
+def _inward(geometry: Geometry, spot: GaugePosition) -> float:
+    return 1.0 if spot.position_m < 0.5 * (geometry.a_m if spot.beam == "H" else geometry.d_m) else -1.0
+
+
+Gauge = str | GaugePosition
+"""A point of Table 1 by its name, or a place along a beam."""
+
+
+def place(geometry: Geometry, gauge: Gauge) -> GaugePosition:
+    """Return the position of a gauge. Raises InputError for an unknown point."""
+    return nominal_position(geometry, gauge) if isinstance(gauge, str) else gauge
+
+
+def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ...]:
+    """Return the gauges, SG1 first, if they are valid.
+
+    Raises InputError for fewer than 3 or more than 8, an unknown point, beam, side or face, a position off its
+    beam, or two gauges at one place.
+    """
+    if not MIN_GAUGES <= len(gauges) <= MAX_GAUGES:
+        raise InputError(f"a layout of {len(gauges)} gauge points: allowed are {MIN_GAUGES} to {MAX_GAUGES}")
+    seen: dict[GaugePosition, Gauge] = {}
+    for gauge in gauges:
+        spot = place(geometry, gauge)
+        strain_row(geometry, *spot)
+        if spot.beam == "V":
+            spot = spot._replace(face="lower")  # the face has no effect there
+        if spot in seen:
+            raise InputError(f"gauge point {gauge_name(gauge)} is given more than once: each place is allowed once")
+        seen[spot] = gauge
+    return tuple(gauges)
+
+
+def gauge_matrix(geometry: Geometry, gauges: Sequence[Gauge]) -> FloatArray:
+    """Return the strain per newton of F, shape (n, 3), tension positive: Table 1, made continuous.
+
+    Raises InputError as check_gauges() does, and for a beam too thin for floating point.
+    """
+    A = position_matrix(geometry, [place(geometry, gauge) for gauge in check_gauges(geometry, gauges)])
+    if not np.isfinite(A).all():
+        raise InputError(f"h1_m = {geometry.h1_m!r}, h2_m = {geometry.h2_m!r}: too thin, the strain is not finite")
+    return A
+
+
+def gauge_name(gauge: Gauge) -> str:
+    """Return the gauge for display: `K_H`, or `H right 1.33` (beam, side, millimetres from the joint)."""
+    if isinstance(gauge, str):
+        return gauge
+    upper = " upper" if gauge.beam == "H" and gauge.face == "upper" else ""
+    return f"{gauge.beam} {gauge.side}{upper} {1e3 * gauge.position_m:.2f}"
+
+
+def stress_coefficients(geometry: Geometry) -> dict[str, tuple[float, float, float]]:
+    """Return Table 1: per gauge point (g1, g2, g3) in Pa per newton for a beam of unit width (1 m), unit 1/m.
+
+    Signs are the paper's: the horizontal beam counts tension positive, the vertical beam compression.
+    strain_matrix() counts tension positive everywhere. A beam too thin for floating point gives infinite
+    coefficients.
+    """
+    table = {}
+    for point in POINTS:
+        beam, side, position_m, face = nominal_position(geometry, point)
+        with np.errstate(over="ignore"):
+            tension = _stress(geometry, beam, side, np.asarray(position_m), face)
+        g1, g2, g3 = (float(-g if beam == "V" else g) for g in tension)
+        table[point] = g1, g2, g3
+    return table
+
+
+def strain_matrix(geometry: Geometry, gauges: Layout) -> FloatArray:
+    """Return the strain per newton of F, shape (n, 3), tension positive for every gauge.
+
+    Table 1 divided by width and Young's modulus, its vertical-beam rows with the opposite sign: a gauge reads
+    tension as positive wherever it is glued. Raises InputError for an unusable layout, or a beam too thin for
+    floating point.
+    """
+    return gauge_matrix(geometry, layout(gauges))
+
 
 _THIN_LIMIT = {
     "L": (-1.0, 1.0, 0.0),
@@ -25,49 +220,6 @@ _THIN_LIMIT = {
     "K_V": (0.0, -1.5, 0.0),
     "S_V": (0.0, 1.5, 0.0),
 }
-
-
-def stress_coefficients(geometry: Geometry) -> dict[str, tuple[float, float, float]]:
-    """Return Table 1: per gauge point (g1, g2, g3) in Pa per newton for a beam of unit width (1 m), unit 1/m.
-
-    Signs are the paper's: the horizontal beam counts tension positive, the vertical beam compression.
-    strain_matrix() counts tension positive everywhere. A beam too thin for floating point gives infinite
-    coefficients.
-    """
-    a, d, r, h1, h2 = geometry.a_m, geometry.d_m, geometry.r_m, geometry.h1_m, geometry.h2_m
-    force_bend = 1.5 * a / h1 / h1
-    end_bend = 1.5 * r / h1 / h1
-    joint_bend = 3.0 * r / h1 / h1
-    pull_1, pull_2 = 0.5 / h1, 1.0 / h2
-    tip_bend = 6.0 * r / h2 / h2
-    fixture_bend = 6.0 * (d + 0.5 * h1) / h2 / h2
-    offset_bend = 3.0 * h1 / h2 / h2
-    return {
-        "L": (-force_bend, end_bend, -pull_1),
-        "R": (-force_bend, -end_bend, pull_1),
-        "T": (-pull_2, tip_bend, -fixture_bend),
-        "U": (-pull_2, -tip_bend, fixture_bend),
-        "K_H": (force_bend, -joint_bend, -pull_1),
-        "S_H": (force_bend, joint_bend, pull_1),
-        "K_V": (-pull_2, tip_bend, -offset_bend),
-        "S_V": (-pull_2, -tip_bend, offset_bend),
-    }
-
-
-def strain_matrix(geometry: Geometry, gauges: Layout) -> FloatArray:
-    """Return the strain per newton of F, shape (n, 3), tension positive for every gauge.
-
-    Table 1 divided by width and Young's modulus, its vertical-beam rows with the opposite sign: a gauge reads
-    tension as positive wherever it is glued. Raises InputError for an unusable layout, or a beam too thin for
-    floating point.
-    """
-    coefficients = stress_coefficients(geometry)
-    points = layout(gauges)
-    signs = np.array([-1.0 if point in VERTICAL_POINTS else 1.0 for point in points])
-    stress = np.array([coefficients[point] for point in points], dtype=np.float64)
-    if not np.isfinite(stress).all():
-        raise InputError(f"h1_m = {geometry.h1_m!r}, h2_m = {geometry.h2_m!r}: too thin, the stress is not finite")
-    return signs[:, np.newaxis] * stress / geometry.width_m / geometry.youngs_modulus_pascals
 
 
 def thin_limit_matrix(gauges: Layout) -> FloatArray:

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tipforce.arrays import FloatArray
-from tipforce.sensor.structure.gauges import position_matrix
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame, FrameModel
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
-from tipforce.sensor.structure.strain import condition_number, strain_matrix
+from tipforce.sensor.structure.strain import condition_number, position_matrix, strain_matrix
 from tipforce_lab.fem import plane_stress as fem
 from tipforce_lab.fem.mesh import GRADING, STATED, Resolution
 from tipforce_lab.fem.plane_stress import Model, solve
