@@ -7,7 +7,6 @@ import math
 import threading
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import can
 import canopen
@@ -16,7 +15,6 @@ import pytest
 
 import tipforce
 from tipforce.dictionary import objects as od
-from tipforce.host import HandPlan
 
 LOAD = (4.4, 90.0, 45.0)
 
@@ -58,29 +56,6 @@ def test_each_reading_is_a_new_sample(bus: tipforce.SimulatedBus) -> None:
         list(itertools.islice(finger.samples(timeout_s=0.3), 1000))
     with pytest.raises(tipforce.NoNewSampleError, match=r"^finger 5: no new sample"):
         finger.read(timeout_s=0)
-
-
-@pytest.mark.parametrize(
-    ("changes", "status"),
-    [
-        ({"calibrated_force_newtons": 2.0}, tipforce.Status.BEYOND_CALIBRATED),
-        ({"temperature_min_degC": 30.0, "temperature_max_degC": 40.0}, tipforce.Status.TEMPERATURE),
-    ],
-)
-def test_what_only_the_calibration_tpdo4_and_emcy_tell_is_no_ok(
-    bus: tipforce.SimulatedBus, changes: dict[str, Any], status: tipforce.Status
-) -> None:
-    """No status byte has it: a finger's reading and a hand's rows say it as a log does."""
-    finger = bus.finger(5)
-    calibration = finger.calibration()
-    assert calibration is not None
-    finger.apply_calibration(dataclasses.replace(calibration, **changes), store=False)
-    assert finger.read(timeout_s=5.0).status & status
-    bus.finger(5).close()
-    assert finger.read(timeout_s=5.0).status & status  # told before the first sample
-    for plan in (HandPlan(), HandPlan(pdos=("gauges",))):
-        with tipforce.Hand.open([5], bus=bus, plan=plan) as hand:
-            assert any(row[5].status & status for row in itertools.islice(hand.rows(timeout_s=5.0), 200))
 
 
 def test_a_new_calibration_gives_the_uncertainties_at_once(bus: tipforce.SimulatedBus) -> None:

@@ -108,7 +108,6 @@ def beam_calibration(case: str = "I", /, **changes: Any) -> Calibration:
         "date": 20260102,
         "layout_code": {"I": 1, "II": 2, "III": 3}[case],
         "pull": True,
-        "calibrated_force_newtons": 20.0,
     }
     return Calibration(**(fields | changes))
 

@@ -47,7 +47,7 @@ class Assembler:
         self._latest: dict[int, _Sample] = {}  # by node-id, of PDOs that follow SYNC
         self._complete: list[_Sample] = []
         self._rule, self._frames = SampleRule(), 0
-        self.health = Health()
+        self._health = Health()
         self.services = {
             base + node_id: (node_id, base)
             for base in (codes.EMCY_BASE, codes.HEARTBEAT_BASE)
@@ -85,7 +85,7 @@ class Assembler:
     def _pdo(self, node_id: int, pdo: Pdo, t_ns: int, word: int) -> None:
         self._frames += 1
         if pdo.fault_mask:
-            self.health.pdo(node_id, t_ns, word >> pdo.fault_shift & pdo.fault_mask)
+            self._health.pdo(node_id, t_ns, word >> pdo.fault_shift & pdo.fault_mask)
         counter = word >> pdo.counter_shift & 0xFF if pdo.counter_shift >= 0 else -1
         cyclic = counter >= 0 and follows_sync(pdo.message)
         number, last = pdo.message.number, self._latest.get(node_id)
@@ -96,7 +96,7 @@ class Assembler:
                 self._end(last)
             self._latest[node_id] = sample
         if not sample.ended:
-            sample.words[pdo], sample.faults = word, self.health.now(node_id)[0]
+            sample.words[pdo], sample.faults = word, self._health.now(node_id)[0]
         if self._needed and not sample.ended and self._has_needed(sample):
             sample.time_ns = t_ns
             self._end(sample)
@@ -115,9 +115,9 @@ class Assembler:
         """Process an EMCY or a heartbeat, whose identifier is one of ``services``."""
         node_id, base = self.services[can_id]
         if base == codes.EMCY_BASE:
-            self.health.emcy(node_id, t_ns, data)
+            self._health.emcy(node_id, t_ns, data)
         elif data and data[0] & codes.NODE_ID_MASK == codes.INITIALISING:
-            self.health.boot(node_id, t_ns)
+            self._health.boot(node_id, t_ns)
 
     def _take(self) -> Samples:
         """Return the complete samples."""

@@ -65,12 +65,6 @@ def status_of(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -
     return status
 
 
-def range_bits(calibration: Calibration | None, P_newtons: FloatArray) -> npt.NDArray[np.uint16]:
-    """BEYOND_CALIBRATED of forces (k,): no status byte has it, and TPDO4 is off by default."""
-    limit = 0.0 if calibration is None else calibration.calibrated_force_newtons
-    return np.where(P_newtons > (limit or np.inf), np.uint16(Status.BEYOND_CALIBRATED), np.uint16(0))
-
-
 def contact_values(
     columns: Mapping[str, npt.NDArray[Any]],
     strain: FloatArray,

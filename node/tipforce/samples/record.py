@@ -18,9 +18,9 @@ from tipforce.dictionary import table
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.columns import Layout, divisor_of
-from tipforce.host.decoding.health import NAMES, Health
+from tipforce.host.decoding.health import NAMES
 from tipforce.samples import reasons
-from tipforce.samples.columns import Block, contact_values, range_bits, status_of, uncertainties
+from tipforce.samples.columns import Block, contact_values, status_of, uncertainties
 from tipforce.samples.contact import Contact, Fields
 from tipforce.samples.reasons import PRESENT, Status
 
@@ -67,9 +67,9 @@ class Samples:
         self, t_ns: npt.NDArray[np.int64], node: npt.NDArray[np.uint8], counter: npt.NDArray[np.int64],
         columns: Mapping[str, Column], reason: npt.NDArray[np.uint8] | None = None, gauges: int = 0,
         calibrations: Mapping[int, Calibration | None] | None = None,
-        fingers: Sequence[int] = (), calibrated: bool = False, faults: npt.NDArray[np.int64] | None = None,
+        fingers: Sequence[int] = (), calibrated: bool = False,
     ) -> None:  # fmt: skip
-        """``gauges``: of each node; 0: as many as the PDOs carry. ``faults`` (n,): 2124h, where no column has it.
+        """``gauges``: of each node; 0: as many as the PDOs carry.
 
         ``calibrations``: by node-id, for the uncertainties, and for contacts that no PDO carries; ``calibrated``: of
         nodes that have none, too. ``fingers``: the node-ids, where the samples are rows of these.
@@ -86,7 +86,6 @@ class Samples:
         """(n,) why there is no sample, as an index of ``reasons.OF_ROW``; PRESENT where there is one."""
         self._gauges, self._calibrations = gauges, calibrations or {}
         self._fingers, self._calibrated = fingers, np.uint16(Status.CALIBRATED if calibrated else 0)
-        self._judged = np.uint16(0) if faults is None else (faults & reasons.JUDGED).astype(np.uint16)
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -94,13 +93,6 @@ class Samples:
     @cached_property
     def status(self) -> npt.NDArray[np.uint16]:
         """(n,) bits of ``Status``."""
-        status = self._sent_status | self._judged
-        for node_id, rows in self._by_node.items():
-            status[rows] |= range_bits(self._calibrations.get(node_id), self.contact[rows, 0])
-        return status
-
-    @cached_property
-    def _sent_status(self) -> npt.NDArray[np.uint16]:
         missing = self.reason != PRESENT
         return status_of(self.columns, (len(self),)) | np.where(missing, np.uint16(Status.NO_ANSWER), np.uint16(0))
 
@@ -117,8 +109,8 @@ class Samples:
     def contact(self) -> FloatArray:
         """(n, 3) P in newtons, phi and theta in degrees; NaN where unknown."""
         if self.columns.keys() >= {"P", "phi", "theta"}:
-            return contact_values(self.columns, self.gauges, self._sent_status, None)
-        status = self._sent_status | self._calibrated
+            return contact_values(self.columns, self.gauges, self.status, None)
+        status = self.status | self._calibrated
         values = np.full((len(self), 3), np.nan)
         for node_id, rows in self._by_node.items():
             columns = {name: column[rows] for name, column in self.columns.items()}
@@ -227,16 +219,14 @@ class Rows:
         return np.array(values, dtype=kind).reshape(len(values), len(self._node_ids))
 
     def samples(
-        self, calibrations: Sequence[Calibration | None], gauges: int = 0, calibrated: bool = False,
-        faults: npt.NDArray[np.int64] | None = None,
+        self, calibrations: Sequence[Calibration | None], gauges: int = 0, calibrated: bool = False
     ) -> Samples:  # fmt: skip
-        """Return the m x k samples, row by row; ``calibrations`` (k,), ``faults`` (m, k); see ``Samples``."""
+        """Return the m x k samples, row by row; ``calibrations`` (k,); see ``Samples``."""
         node_ids = self._node_ids
         return Samples(
             np.repeat(self.sync_ns, len(node_ids)), np.tile(np.array(node_ids, dtype=np.uint8), len(self)),
             self.counter.ravel(), {name: column.ravel() for name, column in self.columns.items()},
             self.reason.ravel(), gauges, dict(zip(node_ids, calibrations, strict=True)), node_ids, calibrated,
-            None if faults is None else faults.ravel(),
         )  # fmt: skip
 
     def block(
@@ -247,10 +237,12 @@ class Rows:
 
         ``health_u_P`` (m, k) is used as u(P) if no calibration is known; ``faults`` (m, k) is 2124h.
         """
-        samples, shape = self.samples(calibrations, gauges, True, faults), self.counter.shape
+        samples, shape = self.samples(calibrations, gauges, calibrated=True), self.counter.shape
         contact, u = samples.contact.reshape(*shape, 3), samples.uncertainties.reshape(*shape, 3)
         carried, status = samples.gauges.shape[-1], samples.status.reshape(shape)
         strains = samples.gauges.reshape(*shape, gauges) if carried else np.full((*shape, gauges), np.nan)
+        if faults is not None:
+            status = status | (faults & reasons.JUDGED).astype(np.uint16)
         if health_u_P is not None:
             u[..., 0] = np.where(np.isnan(u[..., 0]) & ~np.isnan(contact[..., 0]), health_u_P, u[..., 0])
         return Block(self.sync_ns, contact, u, strains, status)
@@ -296,15 +288,13 @@ def joined(rows: list[Rows]) -> Rows:
 class RowContacts:
     """Makes the contacts of rows, each field when it is read; ``names`` and ``calibrations``: of ``node_ids``.
 
-    Contacts that no PDO carries are computed, all at once. ``health``: what TPDO4 and EMCY tell of the fingers.
+    Contacts that no PDO carries are computed, all at once.
     """
 
     def __init__(
-        self, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = (),
-        health: Health | None = None,
-    ) -> None:  # fmt: skip
+        self, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = ()
+    ) -> None:
         self._node_ids, self.calibrations = node_ids, list(calibrations) or [None] * len(node_ids)
-        self._health = Health() if health is None else health
         self._names = [name or f"finger {node_id}" for name, node_id in zip(names, node_ids, strict=True)]
         self.places: dict[str | int, int] = {name: place for place, name in enumerate(self._names)}
         self.places |= {node_id: place for place, node_id in enumerate(node_ids)}
@@ -321,8 +311,7 @@ class RowContacts:
         if self.make is not None:
             return []
         named = dict(zip(self._node_ids, self._names, strict=True))
-        faults = np.stack([self._health.at(node_id, rows.sync_ns)[0] for node_id in named], axis=-1)
-        contacts = rows.samples(self.calibrations, faults=faults).contacts(named)
+        contacts = rows.samples(self.calibrations).contacts(named)
         return [dict(enumerate(islice(contacts, len(named)))) for _ in rows.raw]
 
     def _uncertainty(self, row: Row, place: int, quantity: int) -> float:
@@ -350,11 +339,6 @@ class RowContacts:
 
             return made
 
-        def status_word(row: Row, place: int) -> int:
-            told = self._health.now(self._node_ids[place], row[0])[0] & reasons.JUDGED
-            in_range = range_bits(self.calibrations[place], np.array(P_newtons(row, place)))
-            return row[2][status + place] >> shift & 0xFF | told | int(in_range)
-
         flag = table.STATUS_BITS[0][0]
         status, shift, counter = number_of[flag] * k, pdos[number_of[flag]].start[flag], pdos[0].counter_shift
         gauges, P_newtons = [value(name) for name in sorted(number_of) if name[:2] == "SG"], value("P")
@@ -367,7 +351,7 @@ class RowContacts:
             "u_P_newtons": lambda row, place: self._uncertainty(row, place, 0),
             "u_phi_deg": lambda row, place: self._uncertainty(row, place, 1),
             "u_theta_deg": lambda row, place: self._uncertainty(row, place, 2),
-            "status": lambda row, place: Status(status_word(row, place)),
+            "status": lambda row, place: Status(row[2][status + place] >> shift & 0xFF),
             "microstrain": lambda row, place: tuple(gauge(row, place) for gauge in gauges),
             "name": lambda _row, place: self._names[place],
             "missing": lambda _row, _place: "",

@@ -236,14 +236,13 @@ def test_the_fields_of_version_2_survive_record_and_file(tmp_path: Path) -> None
 
 
 def test_a_file_of_version_1_is_read_by_its_own_crc(tmp_path: Path) -> None:
-    calibration = beam_calibration(calibrated_force_newtons=0.0)
-    crc = binascii.crc32(calibration.record()[:106])
-    write_calibration(tmp_path / "cal.toml", calibration)
+    crc = binascii.crc32(beam_calibration().record()[:106])
+    write_calibration(tmp_path / "cal.toml", beam_calibration())
     new = {*VERSION_2, "converter_limit_microstrain", "offset_temperature_microstrain_per_K"}
     content = tomllib.loads((tmp_path / "cal.toml").read_text())["calibration"]
     old = {name: value for name, value in content.items() if name not in new} | {"crc32": f"0x{crc:08X}"}
     found = read_text(tmp_path, msgspec.toml.encode({"calibration": old}).decode())
-    assert found.record() == calibration.record()
+    assert found.record() == beam_calibration().record()
 
 
 @pytest.mark.parametrize(

@@ -86,11 +86,9 @@ class Health:
         """The nodes of which something is known."""
         return list(self._told)
 
-    def now(self, node: int, time: int | None = None) -> tuple[int, int]:
-        """(faults, seen) at present, or at a time that is seldom long ago."""
+    def now(self, node: int) -> tuple[int, int]:
+        """(faults, seen) at present."""
         told = self._told.get(node)
-        if told is not None and time is not None:
-            return next(((faults, seen) for since, faults, seen in reversed(told) if since <= time), (0, 0))
         return self._unknown if told is None else told[-1][1:]
 
     def at(self, node: int, times: npt.NDArray[np.int64]) -> tuple[IntArray, IntArray]:

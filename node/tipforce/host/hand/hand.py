@@ -171,7 +171,7 @@ class Hand:
         """
         names = [finger.name for finger in self.file.finger]
         calibrations = [self.calibration(finger) for finger in self.file.finger]
-        contacts = RowContacts(self.node_ids, names, calibrations, self._collector.health)
+        contacts = RowContacts(self.node_ids, names, calibrations)
         self._contacts.add(contacts)
         return HandRows(self._delivery.rows(timeout_s), contacts)
 

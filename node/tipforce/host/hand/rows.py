@@ -10,14 +10,12 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
-from canopen_device.core import codes
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.host.decoding.health import EMCY_LENGTH, Health
 from tipforce.host.frames.frame_array import RawFrame
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.trust import Trust
 from tipforce.samples.contact import Contact
-from tipforce.samples.record import Pdo, Row, RowContacts, Rows
+from tipforce.samples.record import Row, RowContacts, Rows
 from tipforce.samples.rows import RowAssembler
 
 _MOST_OTHERS = 10_000
@@ -38,18 +36,12 @@ class Collector(RowAssembler):
         health = next(message for message in tpdo_messages(gauges) if message.name == "Health")
         self.trust = Trust(self.node_ids, {can_id: k for can_id, (_, k, *_) in self._answers.items()}, health, gauges)
         self.lock, self.shown = self.trust.lock, self.trust.shown
-        self.health, self._faults = Health(), Pdo(health)
         self.others: deque[RawFrame] = deque(maxlen=_MOST_OTHERS)
 
     def _other(self, t_ns: int, can_id: int, length: int, word: int, now_s: float) -> None:
         self.others.append((t_ns, can_id, word.to_bytes(8, "little")[: min(length, 8)]))
         if can_id in self.trust.ids:
             self.trust.note(can_id, length, word, now_s)
-        node_id, pdo = can_id & codes.NODE_ID_MASK, self._faults
-        if can_id - node_id == codes.EMCY_BASE and length == EMCY_LENGTH:
-            self.health.emcy(node_id, t_ns, word.to_bytes(8, "little"))
-        elif can_id - node_id == pdo.message.cob_id_base and length >= pdo.message.length_bytes:
-            self.health.pdo(node_id, t_ns, word >> pdo.fault_shift & pdo.fault_mask)
 
 
 class HandRow(Mapping[str, Contact]):

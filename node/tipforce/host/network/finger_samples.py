@@ -17,7 +17,6 @@ from tipforce.dictionary import objects
 from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import DuplicateNodeError, InputError, NoNewSampleError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.health import ALL
 from tipforce.host.decoding.pdo_layout import layout_decoder, node_layout
 from tipforce.host.decoding.sample_rule import SAMPLES
 from tipforce.host.frames.frame_array import RawFrame, frame_array
@@ -69,9 +68,6 @@ class ContactReader:
         self._since_s = time.monotonic()
         for can_id in (*self._assembler.pdos, *self._assembler.services):
             connection.network.subscribe(can_id, self._on_frame)
-        if not passive:
-            with suppress(SdoAbortError):  # what was told before
-                self._assembler.health.set(node_id, sdo.read(objects.FAULTS), ALL)
 
     def close(self) -> None:
         """Stop receiving."""
