@@ -56,5 +56,5 @@ def test_a_lost_answer_is_missing_and_the_finger_comes_back(hand: tuple[PolledHa
 def test_every_loss_is_seen(hand: tuple[PolledHand, FaultyBus]) -> None:
     fingers, bus = hand
     bus.faults = Faults(drop=0.2, only=frozenset(CONTACT.values()))
-    missing = sum(int(fingers.sample(timeout_s=0.1).missing.sum()) for _ in range(12))
-    assert missing >= bus.counts["drop"] > 0  # on a busy machine a sample may also be late
+    missing = sum(int(fingers.sample(timeout_s=1.0).missing.sum()) for _ in range(4))
+    assert missing == bus.counts["drop"] > 0

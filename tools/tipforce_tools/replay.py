@@ -54,8 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=common.InputFile(), metavar="LOG", help=what)
     parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times recorded speed (inf: no waiting)")
-    loop = lambda text: None if text in {"inf", "i"} else common.count(text)  # noqa: E731
-    parser.add_argument("--loop", type=loop, default=1, metavar="N", help="number of passes, or inf (default: 1)")
+    parser.add_argument("--loop", type=_loop, default=1, metavar="N", help="number of passes, or inf (default: 1)")
     parser.add_argument("--max-gap", type=_gap, metavar="S", help="shorten gaps of the log that are longer than S")
     parser.add_argument("--strict", action="store_true", help="end at the first bad line of candump text")
     common.add_confirm_argument(parser)
@@ -67,6 +66,10 @@ def _assignment(text: str) -> str:
     if not (write and equals and log):
         raise argparse.ArgumentTypeError(f"{text!r}: expected WRITE=LOG, for instance vcan1=vcan0")
     return text
+
+
+def _loop(text: str) -> int | None:
+    return None if text in {"inf", "i"} else common.count(text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -294,7 +294,7 @@ class RowContacts:
     def __init__(
         self, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = ()
     ) -> None:
-        self._node_ids, self.calibrations = node_ids, list(calibrations) or [None] * len(node_ids)
+        self._node_ids, self._calibrations = node_ids, calibrations or [None] * len(node_ids)
         self._names = [name or f"finger {node_id}" for name, node_id in zip(names, node_ids, strict=True)]
         self.places: dict[str | int, int] = {name: place for place, name in enumerate(self._names)}
         self.places |= {node_id: place for place, node_id in enumerate(node_ids)}
@@ -311,14 +311,14 @@ class RowContacts:
         if self.make is not None:
             return []
         named = dict(zip(self._node_ids, self._names, strict=True))
-        contacts = rows.samples(self.calibrations).contacts(named)
+        contacts = rows.samples(self._calibrations).contacts(named)
         return [dict(enumerate(islice(contacts, len(named)))) for _ in rows.raw]
 
     def _uncertainty(self, row: Row, place: int, quantity: int) -> float:
         """Return that of P, phi or theta; those of a row are computed together."""
         computed, u = self._computed
         if computed is not row:
-            u = Rows(0, [row], self._node_ids, self.pdos).samples(self.calibrations).uncertainties.tolist()
+            u = Rows(0, [row], self._node_ids, self.pdos).samples(self._calibrations).uncertainties.tolist()
             self._computed = row, u
         value: float = u[place][quantity]
         return value

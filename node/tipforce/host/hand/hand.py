@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-import weakref
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -84,7 +83,7 @@ class Hand:
             file, lambda: self._link.connection, self._supervisor, self._collector, self._recovered
         )
         self._accepted: set[int] = set()  # fingers that may have another calibration than the file's
-        self._contacts: weakref.WeakSet[RowContacts] = weakref.WeakSet()
+        self._calibrations: list[Calibration | None] = [None] * len(self.node_ids)  # for the uncertainties of rows()
         self._queue = RecoveryQueue(self._recovery.recover)
         self._babbling = BabbleWatch(plan.sync_hz)
         self._probe_s = self._heard_s = 0.0  # of the next LSS search; all frames up to then were read
@@ -169,11 +168,10 @@ class Hand:
 
         They end when the hand stops, or after ``timeout_s`` without a row (None: never; not with ``async for``).
         """
+        for place, finger in enumerate(self.file.finger):
+            self._calibrations[place] = self.calibration(finger)
         names = [finger.name for finger in self.file.finger]
-        calibrations = [self.calibration(finger) for finger in self.file.finger]
-        contacts = RowContacts(self.node_ids, names, calibrations)
-        self._contacts.add(contacts)
-        return HandRows(self._delivery.rows(timeout_s), contacts)
+        return HandRows(self._delivery.rows(timeout_s), RowContacts(self.node_ids, names, self._calibrations))
 
     def calibration(self, finger: FingerPlan) -> Calibration | None:
         """Return the calibration for the uncertainties: the file's, else the node's own; None if it is unknown."""
@@ -264,8 +262,7 @@ class Hand:
         if event.kind == "accepted":  # before its values are shown
             place = self.node_ids.index(event.node_id)
             self._accepted.add(event.node_id)
-            for contacts in self._contacts:
-                contacts.calibrations[place] = self.calibration(self.file.finger[place])
+            self._calibrations[place] = self.calibration(self.file.finger[place])
         self._delivery.event(event)
 
     def _each(self, act: Callable[[int], None]) -> None:

@@ -277,8 +277,9 @@ class Trust:
                 self._doubt(finger, (COUNTER,), now_s, DECIDE_S if restarts else VERIFY_S)
 
     def _lss(self, _finger: Finger, word: int, now_s: float) -> None:
-        for finger in self._fingers if word & 0xFF in _LSS_CONFIGURES else ():  # of which, the frame does not say
-            self._doubt(finger, (SERIAL, COUNTER), now_s)
+        if word & 0xFF in _LSS_CONFIGURES:  # of which node the frame does not say
+            for finger in self._fingers:
+                self._doubt(finger, (SERIAL, COUNTER), now_s)
 
     def _command(self, finger: Finger, word: int, now_s: float) -> None:
         if word:  # an RPDO; command 0 is none
