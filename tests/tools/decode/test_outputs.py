@@ -5,9 +5,12 @@ from __future__ import annotations
 import gzip
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
+from subprocess import PIPE
 
 import pyarrow.parquet as pq
 import pytest
@@ -106,6 +109,30 @@ def test_a_growing_log_is_followed(tmp_path: Path) -> None:
         process.terminate()
         assert process.wait(30) == 130
     assert [record["counter"] for record in first + more] == list(range(5, 44))
+
+
+@pytest.mark.parametrize("follow", [True, False], ids=["a growing file", "stdin"])
+def test_ctrl_c_completes_the_output_of_what_has_no_end(follow: bool, tmp_path: Path) -> None:
+    """As `tipforce log`: what was read is in the file, and the report says it; the second Ctrl-C would interrupt."""
+    lines = log_lines(40, (5,), loss=0.0)
+    log, output = write_log(tmp_path / "run.log", lines[:60] if follow else lines), tmp_path / "run.csv"
+    words = [*DECODE, "--follow", str(log)] if follow else [*DECODE, "-"]
+    with subprocess.Popen([*words, "-o", str(output)], stdin=PIPE, stderr=PIPE) as process:
+        assert process.stdin is not None
+        assert process.stderr is not None
+        process.stdin.write(b"" if follow else log.read_bytes())
+        process.stdin.flush()
+        while not any(tmp_path.glob(".run.csv.*")):  # until it runs
+            time.sleep(0.01)
+        if follow:
+            with log.open("a") as stream:
+                stream.write("".join(line + "\n" for line in lines[60:]))
+        process.send_signal(signal.SIGINT)
+        assert b"run.csv: 40 samples of 1 node" in process.stderr.read()
+        assert process.wait(30) == 130
+    rows = output.read_text()
+    assert decode(write_log(tmp_path / "all.log", lines), "-q", "-o", output) == 0
+    assert rows == output.read_text()
 
 
 def test_text_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ EPILOG = """\
 LOG: candump's text (-L, -l, or the screen's with -t; .gz and .zst too), .asc .blf .csv .db .mf4 .trc, pcap, pcapng.
 Columns: t_s (receive time, seconds of the epoch), channel (of several), node, counter (unwrapped), P_N, phi_deg,
 theta_deg, F1_N.., SG1_ue.., status flags; those in the log. Lost samples and bad lines are reported on stderr.
+Ctrl-C completes the output of stdin and of --follow.
 exit codes: 1 a bad line with --strict, a damaged log or one of other devices, frames of more than 256 interfaces
 
   tipforce decode run.log.gz --signals P,theta --nodes 1,2,5-9 --from 10 --to 12.5 -o part.csv
@@ -31,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--format", choices=("text", "csv", "jsonl", "parquet", "mcap"), help="default: by the suffix")
     parser.add_argument("--summary", action="store_true", help="print the contents per node; no rows without -o")
     parser.add_argument("--strict", action="store_true", help="exit with 1 at the first bad line")
-    parser.add_argument("--follow", action="store_true", help="wait for more lines at the end of the log")
+    parser.add_argument("--follow", action="store_true", help="wait for more lines at the end of the log, until Ctrl-C")
     parser.add_argument("--deltas", action="store_true", help="timestamps are differences (candump -td)")
     parser.add_argument("--hand", metavar="NAME", help="partition of DIR/ (default: the interface)")
     parser.add_argument("--resample", type=float, metavar="HZ", help="means on a uniform grid, of angles by direction")

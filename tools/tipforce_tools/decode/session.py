@@ -11,7 +11,7 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -30,7 +30,8 @@ from tipforce.host.logs.lines import is_plain, line_borders
 from tipforce.host.logs.reader import log_kind
 from tipforce.samples import reasons
 from tipforce_tools.cli import common, log_choice
-from tipforce_tools.cli.listening import counted
+from tipforce_tools.cli.listening import StopSignals, counted
+from tipforce_tools.cli.main import INTERRUPTED
 from tipforce_tools.decode import summary as summaries
 from tipforce_tools.decode.resample import Steps
 from tipforce_tools.writing.text_rows import COUNTER, NODE, TIME
@@ -69,7 +70,7 @@ def decode(args: Namespace) -> int:
     run = _Run(args)
     code, complete = 0, False
     try:
-        with _progress(args, run.names) as advance:
+        with run.stop or nullcontext(), _progress(args, run.names) as advance:
             run.write(advance)
         complete = True
     except StrictError as error:
@@ -89,7 +90,7 @@ def decode(args: Namespace) -> int:
             "the others apart, as with `grep ' can300 ' run.log | tipforce decode -`",
             file=sys.stderr,
         )
-    return 1 if dropped else code
+    return 1 if dropped else INTERRUPTED if run.stop is not None and run.stop() else code
 
 
 def _to_file(args: Namespace) -> bool:
@@ -114,6 +115,10 @@ class _Run:
             log_choice.reading(args, self.names, self._steps.layouts, self._steps.signals),
             reasons=bool(args.summary or args.verbose or args.json),
         )
+        # Ctrl-C ends the input of what has no end of its own, and its output is complete; a dataset is, every 2 s.
+        self.stop = StopSignals() if ("-" in self.names or args.follow) and not _to_dataset(args) else None
+        if self.stop is not None:
+            self._reading = replace(self._reading, stop=self.stop)
         self._recording = Recording(self._reading)
         self.told = self._recording.told
         self.summary = summaries.Summary(self._reading.reasons)

@@ -15,6 +15,7 @@ from tipforce.host.decoding.health_rows import joins, with_services
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import BadLine
+from tipforce.host.logs.lines import never
 from tipforce.host.logs.reader import LogReader, open_log
 
 
@@ -55,6 +56,8 @@ class Reading:
     origin_ns: int | None = None
     strict: bool = False
     follow: bool = False
+    stop: Callable[[], bool] = never
+    """Ends a log that grows, and stdin, by returning True; a reading with another than ``never`` stays here."""
     deltas: bool = False
     reasons: bool = True
     """Count the missing values by their reasons."""
@@ -130,7 +133,7 @@ class Source:
         self._progress = progress
         self.log: LogReader = open_log(
             name, strict=reading.strict, follow=reading.follow and name != "-", deltas=reading.deltas,
-            part=(piece.start, piece.end),
+            part=(piece.start, piece.end), stop=reading.stop,
         )  # fmt: skip
         self.notes = Notes(name, goes_on=piece.start > 0)
 

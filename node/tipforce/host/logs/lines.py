@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
+import select
 import sys
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import FileIO
@@ -84,6 +85,7 @@ BLOCK_BYTES = 1 << 19
 
 TOO_LONG = "not a candump line"
 _POLL_S = 0.05
+_LAST_S = 0.5
 _BOM = b"\xef\xbb\xbf"
 _KEPT_BYTES = 1 << 24
 
@@ -117,20 +119,27 @@ def open_file(path: Path) -> FileIO:
         raise InputError(f"{path}: {error.strerror}{hint}") from error
 
 
+def never() -> bool:
+    """Return False."""
+    return False
+
+
 class LineBlocks:
     """Yield blocks of whole lines as (text, begin, end): the lines are ``text[begin:end]``.
 
     The memory is reused for the next block. The last line may lack its line end. A line of more than BLOCK_BYTES, and
     truncated packed data, are noted as bad.
     ``source`` None is stdin: it returns available data at once. ``follow`` waits for more at the end of a
-    file, and restarts a file that has become shorter. ``live``: a consumer waits for each block. ``part`` of a
+    file, and restarts a file that has become shorter. ``stop`` ends both where it returns True: a file at its end,
+    stdin after 0.5 s, in which what wrote to it can end too. ``live``: a consumer waits for each block. ``part`` of a
     plain file: from its first byte to after its last (None: the end), both at line starts, as ``line_borders``
     returns them. ``left_out``: number of lines that were too long, up to the last block.
     """
 
     def __init__(
-        self, source: Path | None, notes: LogNotes, follow: bool = False, part: tuple[int, int | None] = (0, None)
-    ) -> None:
+        self, source: Path | None, notes: LogNotes, follow: bool = False, part: tuple[int, int | None] = (0, None),
+        stop: Callable[[], bool] = never,
+    ) -> None:  # fmt: skip
         """Open the source. Raises InputError if that fails, EnvironmentLackError if zstd is not installed."""
         self._place = "stdin" if source is None else str(source)
         self._file = FileIO(sys.stdin.fileno(), closefd=False) if source is None else open_file(source)
@@ -147,6 +156,9 @@ class LineBlocks:
         self._notes = notes
         self._follow = follow and self._readable is self._file
         self.live = source is None or self._follow
+        self._stop = stop
+        self._end_s = 0.0
+        self._waits = source is None and self._readable is self._file and stop is not never
         self._broken = False
         self._start, self._end = part
         if self._start:
@@ -201,7 +213,7 @@ class LineBlocks:
     def _read(self, filled: int) -> int:
         """Append to the first ``filled`` bytes; 0 at the end."""
         with memoryview(self._storage) as view:
-            while True:
+            while not self._waits or self._wait():
                 limit = BLOCK_BYTES
                 if self._end is not None:
                     limit = min(limit, filled + self._end - self._file.tell())
@@ -215,8 +227,21 @@ class LineBlocks:
                     return count
                 if os.fstat(self._file.fileno()).st_size < self._file.tell():
                     self._file.seek(0)
+                elif self._stop():
+                    break
                 else:
                     time.sleep(_POLL_S)
+            return 0
+
+    def _wait(self) -> bool:
+        """Wait until stdin can be read, and return True; False where ``stop`` ends it."""
+        while True:
+            if not self._stop():
+                self._end_s = time.monotonic() + _LAST_S
+            elif time.monotonic() > self._end_s:
+                return False
+            if select.select([self._file], [], [], _POLL_S)[0]:
+                return True
 
     def _too_long(self) -> None:
         text = f"{self._place}: a line of more than {BLOCK_BYTES} bytes is not a line of a log"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import BadLine, BadLineError, CandumpParser, CandumpText
-from tipforce.host.logs.lines import DROPPED, FD, LineBlocks, LogNotes, open_file
+from tipforce.host.logs.lines import DROPPED, FD, LineBlocks, LogNotes, never, open_file
 from tipforce.host.logs.unpacking import first_bytes
 
 STDIN = "-"
@@ -38,13 +38,15 @@ class LogReader(LogNotes):
         start_ns: int | None = None,
         end_ns: int | None = None,
         part: tuple[int, int | None] = (0, None),
+        stop: Callable[[], bool] = never,
     ) -> None:
         """Open a log by its name and its first bytes; "-" is candump text on stdin.
 
         ``strict`` raises at the first bad line, after the frames before it. ``follow`` waits at the end of a text for
-        more. ``deltas``: the timestamps are those of candump -td. ``start_ns`` excludes earlier frames, ``end_ns``
-        frames at that time or later. ``part``: the bytes of a plain text to read, split by ``line_borders``; its
-        lines are numbered from 1. ``first_bad_line`` and the number of ``lines`` apply to text logs.
+        more; ``stop`` ends that, and stdin, by returning True. ``deltas``: the timestamps are those of candump -td.
+        ``start_ns`` excludes earlier frames, ``end_ns`` frames at that time or later. ``part``: the bytes of a plain
+        text to read, split by ``line_borders``; its lines are numbered from 1. ``first_bad_line`` and the number of
+        ``lines`` apply to text logs.
 
         Raises InputError for a file that can't be opened or read, EnvironmentLackError for one that needs a library
         that is not installed; while iterating, InputError for a bad line (strict), and for a time selection without
@@ -58,7 +60,7 @@ class LogReader(LogNotes):
         self._lines: LineBlocks | None = None
         kind = "text" if path is None else log_kind(path)
         if path is None or kind == "text":
-            self._lines = LineBlocks(path, self, follow, part)
+            self._lines = LineBlocks(path, self, follow, part, stop)
             self._blocks = self._text_blocks(self._lines, deltas)
         elif kind == "mcap":
             from tipforce.host.logs.mcap_frames import mcap_blocks
