@@ -123,6 +123,7 @@ def test_ctrl_c_completes_the_output_of_what_has_no_end(follow: bool, tmp_path: 
         process.stdin.write(b"" if follow else log.read_bytes())
         process.stdin.flush()
         while not any(tmp_path.glob(".run.csv.*")):  # until it runs
+            assert process.poll() is None
             time.sleep(0.01)
         if follow:
             with log.open("a") as stream:
