@@ -157,7 +157,7 @@ class LineBlocks:
         self._follow = follow and self._readable is self._file
         self.live = source is None or self._follow
         self._stop = stop
-        self._end_s = 0.0
+        self._end_s: float | None = None
         self._waits = source is None and self._readable is self._file and stop is not never
         self._broken = False
         self._start, self._end = part
@@ -236,7 +236,7 @@ class LineBlocks:
     def _wait(self) -> bool:
         """Wait until stdin can be read, and return True; False where ``stop`` ends it."""
         while True:
-            if not self._stop():
+            if self._end_s is None or not self._stop():
                 self._end_s = time.monotonic() + _LAST_S
             elif time.monotonic() > self._end_s:
                 return False
