@@ -143,7 +143,7 @@ def test_two_writers(tmp_path: Path, lines: list[str], monkeypatch: pytest.Monke
 
 def test_a_log_is_followed(tmp_path: Path, lines: list[str]) -> None:
     log, data = write_log(tmp_path / "run.log", lines[:2000]), tmp_path / "data"
-    words = ["decode", "-q", "--follow", str(log), "-o", f"{data}/"]
+    words = ["decode", "-q", "--follow", str(tmp_path / "run*.log"), "-o", f"{data}/"]
     with subprocess.Popen([*COMMAND, *words]) as process, contextlib.ExitStack() as at_end:
         at_end.callback(process.kill)
         _until(lambda: is_dataset(data))
@@ -151,6 +151,10 @@ def test_a_log_is_followed(tmp_path: Path, lines: list[str]) -> None:
             stream.write("".join(line + "\n" for line in lines[2000:]))
         _until(lambda: opened(str(data))[1].sources[0].size == log.stat().st_size)
         assert rows_of_dataset(data) == rows_of_logs(log)
+        more = write_log(tmp_path / "run-2.log", [line.replace("(170000", "(170001") for line in lines])
+        _until(lambda: len(opened(str(data))[1].sources) == 2)  # the file that a rotation begins
+        assert decode(tmp_path / "run*.log", "--follow", "-o", tmp_path / "run.csv") == 2
+        assert rows_of_dataset(data) == sorted(rows_of_logs(log) + rows_of_logs(more))
         process.terminate()
         assert process.wait(30) == 130
     assert sorted(name for name in os.listdir(data / FOLDER) if "manifest" not in name) == []

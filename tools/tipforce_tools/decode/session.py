@@ -108,6 +108,8 @@ class _Run:
         """Raises InputError."""
         self._args = args
         self.names = log_choice.logs(args.logs)
+        if args.follow and len(self.names) > 1 and not _to_dataset(args):
+            raise InputError(f"--follow: allowed is one log; {len(self.names)} logs grow in a dataset, -o DIR/")
         json_on_stdout = args.json and not _to_file(args) and args.format is None
         self._kind = "jsonl" if json_on_stdout else format_of(args.output, args.format)
         self._steps = Steps(args)
@@ -224,6 +226,7 @@ class _Run:
                 if not args.follow:
                     break
                 time.sleep(_FOLLOW_S)
+                names = log_choice.logs(args.logs)  # `tipforce log --rotate-size` has begun another file
         except OSError as error:
             raise WriteError(f"{args.output}: {error.strerror or error}; what was committed before stays") from error
         if not run.added:
@@ -396,7 +399,7 @@ def _check(args: Namespace) -> None:
             kind == "mcap" and given,
             f"{given}: MCAP has whole contacts and all frames; for {given} write .csv or .parquet",
         ),
-        (args.follow and len(args.logs) > 1, "--follow: allowed is one log"),
+        (args.follow and len(args.logs) > 1, "--follow: allowed is one log, or one pattern and -o DIR/"),
         (args.follow and args.scheduler, "--follow: a growing log is decoded locally; leave out --scheduler"),
         (
             (args.follow or args.scheduler) and any(map(is_url, args.logs)),
