@@ -78,7 +78,7 @@ class McapWriter:
                 layout = cdr.Layout(FRAME, {"header.frame_id": name})
                 self._frames[name] = self.channel(f"/{name}/frames", FRAME), layout
             places[chosen], layout = self._frames[name]
-            rows, some = layout.rows(len(chosen)), frames[chosen]
+            rows, some = layout.rows(len(chosen)), frames.take(chosen)
             cdr.set_stamps(rows, some["t_ns"])
             rows["id"], rows["dlc"], rows["data"] = some["can_id"] & _ID_MASK, some["length"], some["data"]
             for flag_name, flag in (("is_rtr", REMOTE_FLAG), ("is_extended", EXTENDED_FLAG), ("is_error", ERROR_FLAG)):

@@ -181,7 +181,7 @@ class BusMonitor:
                 self._nodes.setdefault(duplicate.node_id, _Node())
         data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
         self._sync.add(frames["t_ns"][data & (can_id == SYNC_COB_ID)])
-        self._take_services(frames[data & ((can_id & NODE_ID_MASK) != 0)])
+        self._take_services(frames.compress(data & ((can_id & NODE_ID_MASK) != 0)))
         for part in self._modulus.parts(frames):
             decoded = self._decoder.decode(part)
             for (node_id, name), samples in decoded.items():
@@ -320,7 +320,7 @@ class Monitor:
             name = known[number] if number < len(known) else ""
             if name not in self._buses:
                 self._buses[name] = BusMonitor(name, *self._options)
-            self._buses[name].feed(frames[channel == number])
+            self._buses[name].feed(frames.compress(channel == number))
 
     def views(self, now_ns: int | None = None) -> tuple[BusView, ...]:
         """Return all buses at a time (None: that of the newest frame)."""

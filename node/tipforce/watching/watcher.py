@@ -116,7 +116,7 @@ class Watcher:
             return [], events
         rows = self._collector.add(self._paced(frames), now_s)
         service = frames["can_id"] & _SERVICE
-        chosen = frames[(service == TPDO_BASES[3]) | (service == HEARTBEAT_BASE) | (service == EMCY_BASE)]
+        chosen = frames.compress((service == TPDO_BASES[3]) | (service == HEARTBEAT_BASE) | (service == EMCY_BASE))
         if len(chosen):
             decoded = self._health.decode(chosen)
             self._faults.take(chosen, decoded.values())

@@ -231,9 +231,9 @@ class SyncModulus:
 
     def look(self, frames: FrameArray) -> None:
         """Take the numbers of SYNCs without a cut among them; they are numbered if the last one is."""
-        syncs = frames[frames["can_id"] == SYNC_COB_ID]
+        syncs = frames.compress(frames["can_id"] == SYNC_COB_ID)
         for channel in occurring(syncs["channel"]):
-            mine = syncs[syncs["channel"] == channel]
+            mine = syncs.compress(syncs["channel"] == channel)
             if mine["length"][-1] != 1:
                 self.of[channel] = SAMPLES
                 self._numbers.pop(channel, None)

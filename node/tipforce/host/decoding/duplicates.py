@@ -191,7 +191,7 @@ _MAY_BE[[*range(1, codes.NODE_ID_MASK + 1), codes.EMCY_BASE]] = False
 
 def services(frames: FrameArray) -> FrameArray:
     """Return those of FRAME (n,) that ``DuplicateNodes.frame`` looks at."""
-    frames = frames[_MAY_BE.take(frames["can_id"] & np.uint32(codes.STANDARD_MASK))]
+    frames = frames.compress(_MAY_BE.take(frames["can_id"] & np.uint32(codes.STANDARD_MASK)))
     can_id = frames["can_id"]
     function = can_id & ~np.uint32(codes.NODE_ID_MASK)
     chosen = (can_id == codes.NMT_COB_ID) | (function == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG)
@@ -202,8 +202,7 @@ def services(frames: FrameArray) -> FrameArray:
         ((function == codes.SDO_REQUEST_BASE) | (function == codes.SDO_RESPONSE_BASE)) & whole & (can_id != function)
     )
     chosen[rows] = _BEGINS[(function[rows] == codes.SDO_RESPONSE_BASE).astype(np.intp), frames["data"][rows, 0]]
-    looked_at: FrameArray = frames[chosen]
-    return looked_at
+    return frames.compress(chosen)
 
 
 class DuplicateNodes:

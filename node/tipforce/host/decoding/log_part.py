@@ -179,7 +179,7 @@ class Source:
             block = self._in_time(block, reading.start, reading.end)
         if reading.buses is not None:
             wanted = np.array([name in reading.buses for name in self.log.channels] or [False])
-            block = block[wanted[block["channel"]]]
+            block = block.compress(wanted[block["channel"]])
         return block
 
     def _in_time(self, block: FrameArray, start: When | None, end: When | None) -> FrameArray:
@@ -192,4 +192,4 @@ class Source:
             keep &= block["t_ns"] >= start.ns + (self._origin if start.relative else 0)
         if end is not None:
             keep &= block["t_ns"] < end.ns + (self._origin if end.relative else 0)
-        return block[keep]
+        return block.compress(keep)

@@ -125,7 +125,7 @@ class SampleMerger:
         for number in occurring(frames["channel"]) if self._follows else ():
             rows = np.flatnonzero(frames["channel"] == number)
             decoder = self._decoder(number)
-            found += [(int(rows[one.row - 1]) + 1, decoder, one) for one in decoder.changes(frames[rows])]
+            found += [(int(rows[one.row - 1]) + 1, decoder, one) for one in decoder.changes(frames.take(rows))]
         return found
 
     def add(self, frames: FrameArray, *, last: bool = False) -> Table | None:

@@ -68,7 +68,7 @@ class Services:
             | ((can_id >= codes.SDO_RESPONSE_BASE) & (can_id <= codes.STANDARD_MASK))
             | (can_id & ~np.uint32(codes.NODE_ID_MASK) == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG)
         )
-        chosen = frames[rows]
+        chosen = frames.take(rows)
         data, length = chosen["data"].tobytes(), chosen["length"].tolist()
         buses = (frames["channel"] if channel is None else channel)[rows].tolist()
         for k, (row, identifier) in enumerate(zip(rows.tolist(), chosen["can_id"].tolist(), strict=True)):

@@ -71,9 +71,10 @@ class LogNotes:
 
     def count_special(self, frames: FrameArray) -> None:
         """Count the error and remote frames of a block, and those with 29-bit identifiers."""
-        self.extended += int(np.count_nonzero(frames["can_id"] & np.uint32(EXTENDED_FLAG)))
-        special = frames["can_id"] & np.uint32(ERROR_FLAG | REMOTE_FLAG)
+        special = frames["can_id"] & np.uint32(EXTENDED_FLAG | ERROR_FLAG | REMOTE_FLAG)
         if special.any():
+            self.extended += int(np.count_nonzero(special & np.uint32(EXTENDED_FLAG)))
+            special &= np.uint32(ERROR_FLAG | REMOTE_FLAG)
             error: npt.NDArray[np.bool_] = special & np.uint32(ERROR_FLAG) != 0
             self.skip(ERROR, int(error.sum()))
             self.skip(REMOTE, int((special[~error] != 0).sum()))

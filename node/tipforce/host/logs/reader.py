@@ -94,7 +94,7 @@ class LogReader(LogNotes):
             raise InputError("the log has no timestamps, so frames cannot be selected by time")
         t_ns = frames["t_ns"]
         wanted = np.ones(len(t_ns), dtype=np.bool_) if start is None else t_ns >= start
-        return frames[wanted if end is None else wanted & (t_ns < end)]
+        return frames.compress(wanted if end is None else wanted & (t_ns < end))
 
     def _text_blocks(self, lines: LineBlocks, deltas: bool) -> Iterator[FrameArray]:
         parser = CandumpParser(strict=self.strict, deltas=deltas)
