@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
 import json
 import os
 import random
@@ -153,7 +154,9 @@ def test_a_log_is_followed(tmp_path: Path, lines: list[str]) -> None:
         assert rows_of_dataset(data) == rows_of_logs(log)
         more = write_log(tmp_path / "run-2.log", [line.replace("(170000", "(170001") for line in lines])
         _until(lambda: len(opened(str(data))[1].sources) == 2)  # the file that a rotation begins
-        assert decode(tmp_path / "run*.log", "--follow", "-o", tmp_path / "run.csv") == 2
+        (tmp_path / "packed.log.gz").write_bytes(gzip.compress(log.read_bytes()))
+        for name in ("run*.log", "packed.log.gz"):
+            assert decode(tmp_path / name, "--follow", "-o", tmp_path / "run.csv") == 2
         assert rows_of_dataset(data) == sorted(rows_of_logs(log) + rows_of_logs(more))
         process.terminate()
         assert process.wait(30) == 130

@@ -108,8 +108,12 @@ class _Run:
         """Raises InputError."""
         self._args = args
         self.names = log_choice.logs(args.logs)
-        if args.follow and len(self.names) > 1 and not _to_dataset(args):
-            raise InputError(f"--follow: allowed is one log; {len(self.names)} logs grow in a dataset, -o DIR/")
+        if args.follow and not _to_dataset(args):
+            if len(self.names) > 1:
+                raise InputError(f"--follow: allowed is one log; {len(self.names)} logs grow in a dataset, -o DIR/")
+            path = Path(self.names[0])
+            if path.is_file() and not (log_kind(path) == "text" and is_plain(path)):
+                raise InputError(f"--follow: {path}: allowed is candump text that is not packed")
         json_on_stdout = args.json and not _to_file(args) and args.format is None
         self._kind = "jsonl" if json_on_stdout else format_of(args.output, args.format)
         self._steps = Steps(args)
