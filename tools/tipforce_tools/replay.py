@@ -202,7 +202,7 @@ def _message_blocks(path: Path) -> Iterator[CandumpBlock]:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except Exception as error:  # python-can's readers raise any exception on a damaged file
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{path}: damaged, or no {path.suffix} log of python-can: {error}") from error
 
 
 _SLICE_S = 0.2  # maximum delay of a signal
