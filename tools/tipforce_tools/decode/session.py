@@ -258,7 +258,8 @@ class _Run:
             common.note(line)
         if complete and _to_file(args) and not args.json and (told.notes or not _to_dataset(args)):
             lost = sum(told.tally.lost().values())
-            common.note(f"{args.output}: {summary.samples} samples of {len(summary.nodes())} nodes, {lost} lost")
+            samples, nodes = counted(summary.samples, "sample"), counted(len(summary.nodes()), "node")
+            common.note(f"{args.output}: {samples} of {nodes}, {lost} lost")
             if (events := told.events()) and not _to_dataset(args):
                 common.note(f"{summaries.events_path(args.output)}: {counted(len(events), 'event')}")
 
