@@ -165,9 +165,10 @@ def _log_beyond() -> Observed:
     parser = CandumpParser()
     lines = [f"({stamp}) can0 185#01" for stamp in ["1.000000", *bad, "2.000000"]]
     block = parser.parse(lines)
-    numbers = [line.number for line in parser.bad_lines]
-    held = block.frames["t_ns"].tolist() == [10**9, 2 * 10**9] and parser.bad == {"timestamp": len(bad)}
-    return Observed(held and numbers == list(range(2, 2 + len(bad))), f"bad lines {numbers}: {parser.bad}")
+    numbers = [number for number, line in enumerate(lines, 1) if CandumpParser().frame(line) is None]
+    counts = parser.notes.bad
+    held = block.frames["t_ns"].tolist() == [10**9, 2 * 10**9] and counts == {"timestamp": len(bad)}
+    return Observed(held and numbers == list(range(2, 2 + len(bad))), f"bad lines {numbers}: {counts}")
 
 
 def _log_backwards() -> Observed:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
     from tipforce.host.live.send import Sender
     from tipforce.host.logs.candump import CandumpParser
+    from tipforce.host.logs.notes import LogNotes
 
     Frame: TypeAlias = FdFrame | tuple[int, int, int, bytes, int, bool]
     """As CandumpBlock.in_order has them: t_ns, identifier, length, data, number of the interface, sent."""
@@ -78,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     Raises InputError, also for the answer "no", and EnvironmentLackError for a bus that fails.
     """
     from tipforce.host.logs.candump import BadLineError, CandumpParser
-    from tipforce.host.logs.empty import MESSAGES, PACKED, TEXT, no_frame
+    from tipforce.host.logs.notes import MESSAGES, PACKED, TEXT, no_frame
 
     if args.log == STDIN and args.loop != 1:
         raise InputError("--loop: stdin can be read only once; pass a file")
@@ -98,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
                 late_s = max(late_s, -rest_s)
                 buses.send(name, frame)
             if not (stop.stopped or buses.sent or buses.left_out):
-                raise no_frame(args.log, next(iter(parser.bad_lines), None), (TEXT, PACKED, MESSAGES))
+                raise no_frame(args.log, parser.notes.first_bad, (TEXT, PACKED, MESSAGES))
         except BadLineError as error:
             print(f"tipforce replay: {error}", file=sys.stderr)
             return 1
@@ -107,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
             raise
         finally:
             if started:
-                _report(buses, parser, time.monotonic() - start_s, late_s)
+                _report(buses, parser.notes, time.monotonic() - start_s, late_s)
     return INTERRUPTED if stop.stopped else 0
 
 
@@ -130,18 +131,18 @@ def _frames(args: argparse.Namespace, parser: CandumpParser) -> Iterator[tuple[f
             return
 
 
-def _report(buses: Buses, parser: CandumpParser, seconds: float, late_s: float) -> None:
+def _report(buses: Buses, notes: LogNotes, seconds: float, late_s: float) -> None:
     late = f", at most {late_s * 1000:.1f} ms late" if common.OUTPUT.verbose else ""
     common.note(f"tipforce replay: {counted(buses.sent, 'frame')} sent in {seconds:.1f} s{late}")
     for reason, number in buses.left_out.items():
         common.note(f"tipforce replay: {counted(number, 'frame')} left out: {reason}")
-    if parser.bad:
-        reasons = ", ".join(f"{number} {reason}" for reason, number in parser.bad.items())
-        common.note(f"tipforce replay: bad lines left out ({reasons}), first {parser.bad_lines[0]}")
+    if notes.bad:
+        reasons = ", ".join(f"{number} {reason}" for reason, number in notes.bad.items())
+        common.note(f"tipforce replay: bad lines left out ({reasons}), first {notes.first_bad}")
     if common.OUTPUT.json:
         common.print_json(
             {"sent": buses.sent, "seconds": round(seconds, 3), "latest_s": round(late_s, 6),
-             "left_out": dict(buses.left_out), "bad_lines": parser.bad}
+             "left_out": dict(buses.left_out), "bad_lines": notes.bad}
         )  # fmt: skip
 
 

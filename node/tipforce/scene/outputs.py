@@ -63,7 +63,7 @@ class Recording:
         self._rows.clear()
         self._blocks.append(frames)
         if self._log is not None:
-            from tipforce.host.logs.candump import CandumpBlock
+            from tipforce.host.frames.frame_block import CandumpBlock
 
             interface, sent = np.zeros(len(frames), np.uint16), np.zeros(len(frames), np.bool_)
             dated = frames.copy()

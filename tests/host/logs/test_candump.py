@@ -1,6 +1,7 @@
 """candump's text read and written: round trips, every kind of bad line, blocks."""
 
-from itertools import islice
+import io
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from hypothesis import strategies as st
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import RawFrame, frame_array
-from tipforce.host.logs.candump import EXPECTED, BadLineError, CandumpBlock, CandumpParser, read_candump
+from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, error_text, identifier_text
+from tipforce.host.logs.notes import EXPECTED, BadLine
 
 STANDARD = st.integers(0, 0x7FF)
 EXTENDED = st.integers(0, 0x1FFFFFFF).map(lambda number: number | EXTENDED_FLAG)
@@ -75,31 +78,23 @@ BAD = [
 
 
 @pytest.mark.parametrize(("line", "reason"), BAD)
-def test_a_bad_line_is_counted_by_reason_and_number(line: str, reason: str) -> None:
-    good = "(1700000000.123456) vcan0 181#0102"
-    parser = CandumpParser()
-    assert len(parser.parse([good, "", line, good]).frames) == 2
-    assert parser.bad == {reason: 1}
-    assert [(bad.number, bad.text) for bad in parser.bad_lines] == [(3, line)]
-
-
-@pytest.mark.parametrize(("line", "reason"), BAD)
-def test_strict_says_where_what_and_what_was_expected(line: str, reason: str) -> None:
+def test_a_bad_line_is_counted_and_strict_says_where_what_and_what_was_expected(line: str, reason: str) -> None:
     good = "(1700000000.123456) vcan0 181#0102\n"
-    with pytest.raises(BadLineError) as caught:
+    parser = CandumpParser()
+    assert len(parser.parse([good, line + "\n", good]).frames) == 2
+    assert (parser.notes.bad, parser.notes.first_bad_line) == ({reason: 1}, BadLine(2, line, reason))
+    with pytest.raises(InputError) as caught:
         CandumpParser(strict=True).parse([good, line + "\n", good])
-    assert isinstance(caught.value, InputError)
-    assert str(caught.value).startswith(f"line 2: {line!r}: {reason}: expected ")
-    assert EXPECTED[reason] in str(caught.value)
+    assert str(caught.value) == parser.notes.first_bad == f"line 2: {line!r}: {reason}: {EXPECTED[reason]}"
+    assert isinstance(caught.value, BadLineError)
     assert len(caught.value.block.frames) == 1
 
 
-def test_many_bad_lines_are_counted_and_few_kept() -> None:
+def test_many_bad_lines_are_counted_and_the_first_is_shortened() -> None:
     parser = CandumpParser()
     parser.parse(f"bad {k}" * 200 for k in range(1000))
-    assert parser.bad == {"not a candump line": 1000}
-    assert len(parser.bad_lines) == 100
-    assert len(str(parser.bad_lines[0])) < 300
+    assert parser.notes.bad == {"not a candump line": 1000}
+    assert len(parser.notes.first_bad or "") < 300
 
 
 def test_what_is_no_classic_frame_is_counted() -> None:
@@ -114,7 +109,7 @@ def test_what_is_no_classic_frame_is_counted() -> None:
         "",
     ]
     assert len(parser.parse(lines).frames) == 0
-    assert (parser.fd_frames, parser.dropped, parser.bad) == (3, 8, {})
+    assert (parser.notes.skipped, parser.notes.bad) == ({"CAN FD frame": 3, "frame dropped by candump": 8}, {})
 
 
 def test_other_writers_of_the_log_format() -> None:
@@ -134,26 +129,22 @@ def test_other_writers_of_the_log_format() -> None:
 def test_too_many_interfaces_are_refused() -> None:
     parser = CandumpParser()
     block = parser.parse(f"(1700000000.123456) name{k} 123#" for k in range(5000))
-    assert (len(block.names), parser.bad) == (256, {"interface": 4744})
+    assert (len(block.names), parser.notes.bad) == (256, {"interface": 4744})
 
 
-def test_blocks_bound_the_memory_and_line_numbers_go_on() -> None:
-    def lines() -> "list[str]":
-        return [f"(1700000000.{k:06d}) vcan0 181#{k % 256:02X}" if k != 777 else "x" for k in range(1000)]
-
-    parser = CandumpParser()
-    blocks = list(read_candump(lines(), parser, block_lines=300))
-    assert [len(block.frames) for block in blocks] == [300, 300, 299, 100]
-    assert parser.bad_lines[0].number == 778
-    endless = read_candump((line for line in iter(lambda: "  vcan0  181   [1]  00", "")), block_lines=10)
-    assert [len(block.frames) for block in islice(endless, 3)] == [10, 10, 10]
+def _at_most(stream: io.BytesIO, size: int, _count: int) -> bytes:
+    return stream.read(size)
 
 
-def test_frames_of_a_block_can_be_changed_and_taken() -> None:
-    block = CandumpParser().parse(["  vcan0  181   [1]  07", "  can1  182   [0] "])
-    block.frames["t_ns"] = 5
-    second = block.take(slice(1, None))
-    assert (second.frames["can_id"][0], second.names[second.interface[0]]) == (0x182, "can1")
+def test_text_in_pieces_of_any_size_and_lines_without_an_end() -> None:
+    text = "".join(f"(1700000000.{k:06d}) vcan0 181#{k % 256:02X}\n" if k != 777 else "x\n" for k in range(1000))
+    for size in (1, 47, 10_000):
+        parser, stream = CandumpParser(), io.BytesIO(text.encode()[:-1])
+        assert sum(map(len, text_blocks(partial(_at_most, stream, size), parser))) == 999
+        assert parser.notes.first_bad_line == BadLine(778, "x", "not a candump line")
+    endless = text_blocks(lambda count: b"x" * count, parser := CandumpParser())
+    assert [len(next(endless)) for _ in range(4)] == [0] * 4
+    assert parser.notes.bad == {"not a candump line": 2}
 
 
 def test_time_that_goes_back_shows_as_zero_not_as_garbage() -> None:

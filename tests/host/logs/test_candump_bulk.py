@@ -1,6 +1,6 @@
 """The reader of candump's text, with the compiled core, against the line parser alone: good and broken lines."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -8,11 +8,59 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canopen_device.core.codes import EXTENDED_FLAG
-from host.logs.bulk_support import in_bulk, line_by_line
 from tipforce.core import core
 from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
-from tipforce.host.logs.candump import CandumpBlock, CandumpParser
+from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce.host.logs.candump_format import TIMESTAMPS, CandumpFormat
+from tipforce.host.logs.notes import LogNotes
+
+
+class Answer(NamedTuple):
+    """All that a reader says of a text, in a form that compares: the rows of the frames, the notes, the error."""
+
+    frames: list[tuple[Any, ...]]
+    notes: LogNotes
+    error: str
+
+
+def _answer(frames: FrameArray, timed: bool, parser: CandumpParser, error: str) -> Answer:
+    notes = parser.notes
+    notes.timed = timed
+    rows = [(*row.tolist()[:3], row["data"].tobytes(), notes.channels[row["channel"]], row["flags"]) for row in frames]
+    assert not frames["spare"].any()
+    if error:  # what a reader knows of the lines behind the bad one does not matter
+        notes = LogNotes(first_bad_line=notes.first_bad_line)
+    return Answer(rows, notes, error)
+
+
+def line_by_line(text: bytes, *, strict: bool = False, deltas: bool = False) -> Answer:
+    """What the line parser says."""
+    lines, error = text.split(b"\n"), ""
+    if not lines[-1]:
+        lines.pop()
+    parser = CandumpParser(strict=strict, deltas=deltas)
+    try:
+        block = parser.parse([line.decode("utf-8", "replace") for line in lines])
+    except BadLineError as caught:
+        block, error = caught.block, str(caught)
+    return _answer(block.frames, block.timed, parser, error)
+
+
+def in_bulk(blocks: list[bytes], *, strict: bool = False, deltas: bool = False) -> Answer:
+    """What the bulk reader says of a text in blocks of whole lines."""
+    parser, frames, error = CandumpParser(strict=strict, deltas=deltas), list[FrameArray](), ""
+    for block in blocks:
+        # What stands around a block must not matter: here it looks like more of the same.
+        around = b"9999999#" * 32
+        text = bytearray(around + block + around)
+        try:
+            frames += parser.gather(text, len(around), len(around) + len(block))
+        except BadLineError as caught:
+            error = str(caught)
+            break
+    return _answer(np.concatenate([*frames, parser.take()]), parser.notes.timed, parser, error)
+
 
 needs_core = pytest.mark.skipif(core is None, reason="needs the compiled core")
 HEX = "0123456789ABCDEF"
@@ -138,9 +186,9 @@ def lines_seen(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     seen: list[int] = []
     frame = CandumpParser.frame
 
-    def noted(parser: CandumpParser, number: int, line: str) -> Any:
-        seen.append(number)
-        return frame(parser, number, line)
+    def noted(parser: CandumpParser, line: str) -> Any:
+        seen.append(parser.notes.lines + 1)
+        return frame(parser, line)
 
     monkeypatch.setattr(CandumpParser, "frame", noted)
     return seen
@@ -181,7 +229,7 @@ def test_a_fraction_has_digits_only(character: str) -> None:
         fraction = "123456"[:place] + character + "123456"[place + 1 :]
         text = f"(1700000000.000001) can0 181#\n(1700000000.{fraction}) can0 181#07\n".encode()
         assert in_bulk([text]) == line_by_line(text)
-        assert sum(in_bulk([text]).bad.values()) == 1
+        assert sum(in_bulk([text]).notes.bad.values()) == 1
 
 
 def test_deltas_add_up_across_blocks() -> None:
@@ -199,7 +247,7 @@ def test_many_shapes_of_lines() -> None:
 def test_more_interfaces_than_channels() -> None:
     text = "".join(f"(1700000000.000000) can{k} 123#\n" for k in range(300)).encode()
     found = in_bulk([text])
-    assert (len(found.frames), found.bad) == (256, {"interface": 44})
+    assert (len(found.frames), found.notes.bad) == (256, {"interface": 44})
 
 
 def test_lines_that_only_look_as_long_as_the_first() -> None:

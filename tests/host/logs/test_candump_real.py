@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tipforce.host.logs.candump import CandumpBlock, CandumpParser
+from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
 
 LOG = """\
@@ -58,77 +59,24 @@ TWO_INTERFACES = """\
   vcan_long_name1       183   [5]  68 65 6C 6C 6F
 """
 
-FROM_ZERO = """\
- (000.000000)  vcan0  285   [8]  2E 11 29 23 9A 11 03 03
- (001.100461)  vcan0  181   [2]  01 02
- (001.120876)  vcan0  080   [0]\x20
- (002.221374)  vcan0  181   [8]  remote request
- (002.241868)  vcan0  182   [0]  remote request
- (003.342362)  vcan0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME
- (004.442825)  vcan0  200001FF   [8]  05 3F FF 19 34 00 60 80   ERRORFRAME
- (005.543313)  vcan0  20000040   [0]                            ERRORFRAME
- (006.643801)  vcan0  20000200   [8]  00 00 00 00 00 00 07 08   ERRORFRAME
- (006.665381)  vcan0  2000000C   [4]  00 40 00 00               ERRORFRAME
- (006.666628)  vcan0  12345678   [8]  00 01 02 03 04 05 06 07
- (007.767029)  vcan0  00000123   [1]  FF
- (007.768393)  vcan0  00000123   [3]  remote request
- (007.769559)  vcan0       7FF   [7]  41 41 41 41 41 41 41
- (007.770718)  vcan0       123   [0]\x20
+STAMPS = """\
+000.000000 000.000000 36.104918
+001.100461 001.100461 37.205379
+001.120876 000.020415 37.225794
+002.221374 001.100498 38.326292
+002.241868 000.020494 38.346786
+003.342362 001.100494 39.447280
+004.442825 001.100463 40.547743
+005.543313 001.100488 41.648231
+006.643801 001.100488 42.748719
+006.665381 000.021580 42.770299
+006.666628 000.001247 42.771546
+007.767029 001.100401 43.871947
+007.768393 000.001364 43.873311
+007.769559 000.001166 43.874477
+007.770718 000.001159 43.875636
 """
-
-DELTAS = """\
- (000.000000)  vcan0  285   [8]  2E 11 29 23 9A 11 03 03
- (001.100461)  vcan0  181   [2]  01 02
- (000.020415)  vcan0  080   [0]\x20
- (001.100498)  vcan0  181   [8]  remote request
- (000.020494)  vcan0  182   [0]  remote request
- (001.100494)  vcan0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME
- (001.100463)  vcan0  200001FF   [8]  05 3F FF 19 34 00 60 80   ERRORFRAME
- (001.100488)  vcan0  20000040   [0]                            ERRORFRAME
- (001.100488)  vcan0  20000200   [8]  00 00 00 00 00 00 07 08   ERRORFRAME
- (000.021580)  vcan0  2000000C   [4]  00 40 00 00               ERRORFRAME
- (000.001247)  vcan0  12345678   [8]  00 01 02 03 04 05 06 07
- (001.100401)  vcan0  00000123   [1]  FF
- (000.001364)  vcan0  00000123   [3]  remote request
- (000.001166)  vcan0       7FF   [7]  41 41 41 41 41 41 41
- (000.001159)  vcan0       123   [0]\x20
-"""
-
-DATES = """\
- (2026-11-21 09:56:36.104918)  vcan0  285   [8]  2E 11 29 23 9A 11 03 03
- (2026-11-21 09:56:37.205379)  vcan0  181   [2]  01 02
- (2026-11-21 09:56:37.225794)  vcan0  080   [0]\x20
- (2026-11-21 09:56:38.326292)  vcan0  181   [8]  remote request
- (2026-11-21 09:56:38.346786)  vcan0  182   [0]  remote request
- (2026-11-21 09:56:39.447280)  vcan0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME
- (2026-11-21 09:56:40.547743)  vcan0  200001FF   [8]  05 3F FF 19 34 00 60 80   ERRORFRAME
- (2026-11-21 09:56:41.648231)  vcan0  20000040   [0]                            ERRORFRAME
- (2026-11-21 09:56:42.748719)  vcan0  20000200   [8]  00 00 00 00 00 00 07 08   ERRORFRAME
- (2026-11-21 09:56:42.770299)  vcan0  2000000C   [4]  00 40 00 00               ERRORFRAME
- (2026-11-21 09:56:42.771546)  vcan0  12345678   [8]  00 01 02 03 04 05 06 07
- (2026-11-21 09:56:43.871947)  vcan0  00000123   [1]  FF
- (2026-11-21 09:56:43.873311)  vcan0  00000123   [3]  remote request
- (2026-11-21 09:56:43.874477)  vcan0       7FF   [7]  41 41 41 41 41 41 41
- (2026-11-21 09:56:43.875636)  vcan0       123   [0]\x20
-"""
-
-EXTRA = """\
-  vcan0  TX - -  285   [8]  2E 11 29 23 9A 11 03 03
-  vcan0  TX - -  181   [2]  01 02
-  vcan0  TX - -  080   [0]\x20
-  vcan0  TX - -  181   [8]  remote request
-  vcan0  TX - -  182   [0]  remote request
-  vcan0  TX - -  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME
-  vcan0  TX - -  200001FF   [8]  05 3F FF 19 34 00 60 80   ERRORFRAME
-  vcan0  TX - -  20000040   [0]                            ERRORFRAME
-  vcan0  TX - -  20000200   [8]  00 00 00 00 00 00 07 08   ERRORFRAME
-  vcan0  TX - -  2000000C   [4]  00 40 00 00               ERRORFRAME
-  vcan0  TX - -  12345678   [8]  00 01 02 03 04 05 06 07
-  vcan0  TX - -  00000123   [1]  FF
-  vcan0  TX - -  00000123   [3]  remote request
-  vcan0  TX - -       7FF   [7]  41 41 41 41 41 41 41
-  vcan0  TX - -       123   [0]\x20
-"""
+"""In front of each line, with -tz, -td, and -tA from the seconds on."""
 
 ERRORS = """\
   vcan0  285   [8]  2E 11 29 23 9A 11 03 03
@@ -163,6 +111,15 @@ ERRORS = """\
   vcan0       7FF   [7]  41 41 41 41 41 41 41
   vcan0       123   [0]\x20
 """
+
+SCREEN = [line for line in ERRORS.splitlines() if not line.startswith("\t")]
+EXTRA = "".join(line.replace("vcan0", "vcan0  TX - -", 1) + "\n" for line in SCREEN)
+FROM_ZERO, DELTAS, DATES = (
+    "".join(f" ({minute}{stamp}){line}\n" for stamp, line in zip(stamps, SCREEN, strict=True))
+    for minute, stamps in zip(
+        ("", "", "2026-11-21 09:56:"), zip(*map(str.split, STAMPS.splitlines()), strict=True), strict=True
+    )
+)
 
 ASCII = """\
   vcan0  285   [8]  2E 11 29 23 9A 11 03 03   '..)#....'

@@ -380,7 +380,7 @@ def _check_readable(args: Namespace, told: Told) -> None:
 
     A log that is followed may have them later.
     """
-    from tipforce.host.logs.empty import no_frame, no_sample
+    from tipforce.host.logs.notes import no_frame, no_sample
 
     names = ", ".join(notes.source for notes in told.notes)
     frames = sum(notes.frames for notes in told.notes)

@@ -28,6 +28,7 @@ from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.live.targets import STDIN, Target, select, split_targets
 from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
+from tipforce.host.logs.notes import DROPPED, TEXT, LogNotes, no_frame
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import Hints, check_sync, counted, open_targets
 
@@ -135,6 +136,7 @@ def dump(args: Namespace) -> int:
 
 def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...], session: Session) -> int:
     parser = CandumpParser(strict=args.strict)
+    notes = parser.notes
     with ExitStack() as opened:
         if source == STDIN:
             descriptor = sys.stdin.fileno()
@@ -157,29 +159,25 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
                 frames += len(block)
                 if not session.show(select(block, targets)):
                     break
-            if not frames and (parser.bad or args.timeout_ms is None):
-                from tipforce.host.logs.empty import TEXT, no_frame
-
-                bad = next(iter(parser.bad_lines), None)
-                raise no_frame(str(source), bad, (TEXT, "other formats: `tipforce decode`"))
+            if not frames and (notes.bad or args.timeout_ms is None):
+                raise no_frame(str(source), notes.first_bad, (TEXT, "other formats: `tipforce decode`"))
         except BadLineError as error:
             print(f"tipforce dump: {error}", file=sys.stderr)
             return 1
         finally:
             if frames:  # otherwise the error is the whole report
-                _report(session, parser.dropped, parser)
+                _report(session, notes.skipped.get(DROPPED, 0), notes)
     return 0
 
 
-def _report(session: Session, dropped: int, parser: CandumpParser | None) -> None:
+def _report(session: Session, dropped: int, log: LogNotes | None) -> None:
     """Report on stderr the frames left out, and with -v the counts."""
     notes = []
-    if parser is not None and parser.bad:
-        reasons = ", ".join(f"{count} {reason}" for reason, count in parser.bad.items())
-        lines = counted(sum(parser.bad.values()), "bad line")
-        notes.append(f"{lines} left out ({reasons}), first {parser.bad_lines[0]}")
+    if log is not None and log.bad:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in log.bad.items())
+        notes.append(f"{counted(sum(log.bad.values()), 'bad line')} left out ({reasons}), first {log.first_bad}")
     if dropped:
-        notes.append(f"{'candump' if parser is not None else 'the kernel'} had dropped {counted(dropped, 'frame')}")
+        notes.append(f"{'candump' if log is not None else 'the kernel'} had dropped {counted(dropped, 'frame')}")
     for (node_id, name), count in (session.decoder.malformed if session.decoder is not None else {}).items():
         short = counted(count, "frame")
         notes.append(f"node {common.shown_id(node_id)} {name}: {short} shorter than the mapping, not decoded")

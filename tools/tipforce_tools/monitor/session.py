@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from tipforce.errors import InputError
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.live.targets import STDIN, Target, split_targets
-from tipforce.host.logs.empty import no_frame, no_sample
+from tipforce.host.logs.notes import no_frame, no_sample
 from tipforce.watching.bus_monitor import QUANTITIES, BusView, Monitor, NodeView, Reading
 from tipforce.watching.frame_sources import BusSource, FrameSource, LogSource, PipeSource
 from tipforce_tools.cli import common

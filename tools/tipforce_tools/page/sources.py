@@ -17,7 +17,7 @@ from canopen_device.core.codes import RPDO_BASES, STANDARD_MASK, SYNC_COB_ID, TP
 from tipforce.errors import InputError, RefusedError, TipforceError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event
-from tipforce.host.logs.empty import no_sample
+from tipforce.host.logs.notes import no_sample
 from tipforce.host.logs.reader import open_log
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
 from tipforce.samples import reasons

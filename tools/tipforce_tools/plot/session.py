@@ -12,7 +12,7 @@ from tipforce.host.decoding.log_part import Notes
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Table
-from tipforce.host.logs.empty import no_sample
+from tipforce.host.logs.notes import no_sample
 from tipforce.output_file import FIGURES, check_output, figure_kind, save_figure
 from tipforce_tools.cli import common, log_choice
 from tipforce_tools.cli.listening import counted

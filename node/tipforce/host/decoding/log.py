@@ -23,7 +23,7 @@ from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import NO_FLAG, NO_INTEGER, NODE_BITS, Column, Table, missing_of
-from tipforce.host.logs.empty import no_frame
+from tipforce.host.logs.notes import no_frame
 from tipforce.samples import reasons
 from tipforce.samples.reasons import Status
 from tipforce.samples.record import Samples

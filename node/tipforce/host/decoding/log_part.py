@@ -14,8 +14,8 @@ from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health_rows import joins, with_services
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.logs.candump import BadLine
 from tipforce.host.logs.lines import never
+from tipforce.host.logs.notes import BadLine
 from tipforce.host.logs.reader import LogReader, open_log
 
 

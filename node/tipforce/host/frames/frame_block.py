@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -30,35 +29,6 @@ class FdFrame(NamedTuple):
     data: bytes  # 0 to 64 bytes
     interface: int  # index into the block's names
     sent: bool
-
-
-_LOG = r"#([0-9A-Fa-f])((?:[0-9A-Fa-f]{2}\.?)*)"
-_SCREEN = r"\s*((?:[0-9A-Fa-f]{2}(?:\s|$))*)\s*(ERRORFRAME|'.*')?\s*"
-
-
-def log_payload(text: str) -> tuple[int, bytes]:
-    """Return (flags, data) after the first # of a line in candump's log format. ValueError: the reason."""
-    match = re.fullmatch(_LOG, text)
-    if match is None:
-        raise ValueError("data")
-    return int(match[1], 16), _checked(bytes.fromhex(match[2].replace(".", "")))
-
-
-def screen_payload(length: int, text: str) -> bytes:
-    """Return the data from the text after the [length] in candump's screen format. ValueError: the reason."""
-    match = re.fullmatch(_SCREEN, text)
-    if match is None:
-        raise ValueError("data")
-    data = _checked(bytes.fromhex(match[1]))
-    if len(data) != length:
-        raise ValueError("length")
-    return data
-
-
-def _checked(data: bytes) -> bytes:
-    if len(data) not in LENGTHS:
-        raise ValueError("length")
-    return data
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from tipforce.errors import InputError
 from tipforce.fingertip.source import convert
 from tipforce.host.configuration.measurements import read_measurements
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.logs.candump import read_candump
+from tipforce.host.logs.candump import CandumpParser, text_blocks
 from tipforce.sources.replay import ReplaySource
 
 _ENDS_16, _ENDS_24 = (-0x8000, 0x7FFF), (-0x800000, 0x7FFFFF)
@@ -76,8 +76,8 @@ def _from_log(path: str, node_id: int | None) -> tuple[FloatArray, FloatArray, N
     decoder = Decoder()
     readings: dict[int, list[tuple[FloatArray, FloatArray]]] = {}
     names = ("SG1", "SG2", "SG3", "stale", "fault")
-    with open(path, encoding="utf-8", errors="replace") as file:
-        for block in read_candump(file):
+    with open(path, "rb") as file:
+        for block in text_blocks(file.read, CandumpParser()):
             for (sender, _message), samples in decoder.decode(block.frames, names).items():
                 columns = samples.columns
                 if all(name in columns for name in names):

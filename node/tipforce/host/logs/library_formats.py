@@ -17,7 +17,8 @@ import can
 from canopen_device.can_frame import raw_can_id
 from tipforce.errors import EnvironmentLackError, LogError, TipforceError
 from tipforce.host.frames.frame_array import PACK_FRAME, SENT, FrameArray
-from tipforce.host.logs.lines import FD, UNREADABLE, LogNotes, open_file, row_blocks
+from tipforce.host.logs.lines import open_file, row_blocks
+from tipforce.host.logs.notes import FD, UNREADABLE, LogNotes
 from tipforce.host.logs.unpacking import BoundedLines, Expansion, decompressed, unpacked_chunk
 
 _OBJECT = struct.Struct("<4sHHII")  # of BLF: signature, length of the header, version, length, type
@@ -125,9 +126,8 @@ def _row(path: Path, notes: LogNotes, message: can.Message) -> bytes:
         notes.skip(FD)
         return b""
     name = "can" if message.channel is None else str(message.channel)
-    channel = notes.channel(f"can{name}" if name.isdecimal() else name)
+    channel = notes.channel(f"can{name}" if name.isdecimal() else name, path)
     if channel is None:
-        notes.note_bad("interface", f"{path}: more than {len(notes.channels)} different channels")
         return b""
     # A float has no nanosecond resolution for present times: digits below a microsecond are noise.
     t_ns = round(message.timestamp * 1e6) * 1000

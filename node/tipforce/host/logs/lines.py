@@ -9,82 +9,21 @@ import time
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field
 from io import FileIO
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from canopen_device.visible_text import visible
 from tipforce.errors import InputError, TipforceError
-from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.logs.notes import NO_LINE, UNREADABLE, LogNotes
 from tipforce.host.logs.unpacking import PACKED, decompressed, first_bytes
-
-FD, ERROR, REMOTE, DROPPED = "CAN FD frame", "error frame", "remote frame", "frame dropped by candump"
-UNREADABLE = "unreadable"
-
-
-@dataclass(slots=True)
-class LogNotes:
-    """Notes on a log: its ``channels`` by number, and counts of everything that is not a data frame.
-
-    ``bad`` counts unusable lines or records by reason, ``first_bad`` gives the first one and the expected
-    text. ``skipped`` counts frames without data for a decoder: CAN FD frames (left out), error and remote frames
-    (delivered, with their flags), frames that candump itself dropped. ``timed`` is False after a frame without
-    timestamp; its ``t_ns`` is 0.
-    """
-
-    strict: bool = False
-    channels: list[str] = field(default_factory=list)
-    bad: dict[str, int] = field(default_factory=dict)
-    first_bad: str | None = None
-    skipped: dict[str, int] = field(default_factory=dict)
-    timed: bool = True
-    extended: int = 0
-    """Frames with a 29-bit identifier, which CANopen does not use."""
-
-    def skip(self, what: str, count: int = 1) -> None:
-        """Count a frame without data for a decoder."""
-        if count:
-            self.skipped[what] = self.skipped.get(what, 0) + count
-
-    def note_bad(self, reason: str, text: str) -> None:
-        """Count an unusable line. Raises InputError with ``text`` if the log is read strictly."""
-        if self.strict:
-            raise InputError(text)
-        self.bad[reason] = self.bad.get(reason, 0) + 1
-        if self.first_bad is None:
-            self.first_bad = text
-
-    def channel(self, name: str) -> int | None:
-        """Return the number of an interface; None if there are already too many."""
-        name = visible(name)
-        if name in self.channels:
-            return self.channels.index(name)
-        if len(self.channels) >= MAX_CHANNELS:
-            return None
-        self.channels.append(name)
-        return len(self.channels) - 1
-
-    def count_special(self, frames: FrameArray) -> None:
-        """Count the error and remote frames of a block, and those with 29-bit identifiers."""
-        special = frames["can_id"] & np.uint32(EXTENDED_FLAG | ERROR_FLAG | REMOTE_FLAG)
-        if special.any():
-            self.extended += int(np.count_nonzero(special & np.uint32(EXTENDED_FLAG)))
-            special &= np.uint32(ERROR_FLAG | REMOTE_FLAG)
-            error: npt.NDArray[np.bool_] = special & np.uint32(ERROR_FLAG) != 0
-            self.skip(ERROR, int(error.sum()))
-            self.skip(REMOTE, int((special[~error] != 0).sum()))
-
 
 BLOCK_ROWS = 8192
 BLOCK_BYTES = 1 << 19
 """Small enough that a block and its results stay in the processor's cache; also the longest line."""
 
-TOO_LONG = "not a candump line"
 _POLL_S = 0.05
 _LAST_S = 0.5
 _BOM = b"\xef\xbb\xbf"
@@ -134,7 +73,7 @@ class LineBlocks:
     file, and restarts a file that has become shorter. ``stop`` ends both where it returns True: a file at its end,
     stdin after 0.5 s, in which what wrote to it can end too. ``live``: a consumer waits for each block. ``part`` of a
     plain file: from its first byte to after its last (None: the end), both at line starts, as ``line_borders``
-    returns them. ``left_out``: number of lines that were too long, up to the last block.
+    returns them.
     """
 
     def __init__(
@@ -164,7 +103,6 @@ class LineBlocks:
         self._start, self._end = part
         if self._start:
             self._file.seek(self._start)
-        self.left_out = 0
         # Allocated and freed once, so that the C library keeps memory freed later, up to twice as much. Otherwise each
         # block's arrays are returned to the system and mapped again, which doubles the time. It is never written.
         np.empty(_KEPT_BYTES, dtype=np.uint8)
@@ -246,8 +184,8 @@ class LineBlocks:
 
     def _too_long(self) -> None:
         text = f"{self._place}: a line of more than {BLOCK_BYTES} bytes is not a line of a log"
-        self.left_out += 1
-        self._notes.note_bad(TOO_LONG, text)
+        self._notes.lines += 1
+        self._notes.note_bad(NO_LINE, text)
 
 
 def line_borders(path: Path, count: int, start: int = 0) -> list[int]:

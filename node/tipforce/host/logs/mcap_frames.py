@@ -11,7 +11,8 @@ from typing import Any
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.errors import EnvironmentLackError, LogError
 from tipforce.host.frames.frame_array import PACK_FRAME, FrameArray
-from tipforce.host.logs.lines import LogNotes, row_blocks
+from tipforce.host.logs.lines import row_blocks
+from tipforce.host.logs.notes import LogNotes
 from tipforce.host.logs.unpacking import MOST_CHUNK_BYTES, Expansion, unpacked_chunk
 
 SCHEMA = "can_msgs/msg/Frame"
@@ -82,9 +83,8 @@ def _row(path: Path, notes: LogNotes, topic: str, log_time_ns: int, data: bytes)
     name = data[start : start + size - 1].decode() or topic
     end = start + size
     can_id, remote, extended, error, length, payload = _REST[order].unpack_from(data, end + -end % 4)
-    channel = notes.channel(name)
+    channel = notes.channel(name, path)
     if channel is None:
-        notes.note_bad("interface", f"{path}: more than {len(notes.channels)} different channels")
         return b""
     can_id |= (EXTENDED_FLAG if extended else 0) | (REMOTE_FLAG if remote else 0) | (ERROR_FLAG if error else 0)
     t_ns = sec * 1_000_000_000 + nanosec

@@ -17,7 +17,8 @@ from typing import TypeAlias
 from canopen_device.core.codes import REMOTE_FLAG
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import PACK_FRAME, FrameArray
-from tipforce.host.logs.lines import FD, LogNotes, open_file, row_blocks
+from tipforce.host.logs.lines import open_file, row_blocks
+from tipforce.host.logs.notes import FD, LogNotes
 
 SOCKETCAN, COOKED, COOKED_2 = 227, 113, 276
 _CAN, _CAN_FD = 0x000C, 0x000D
@@ -145,7 +146,7 @@ def _interface(body: bytes, order: str, path: Path, notes: LogNotes) -> _Interfa
 
 
 def _channel(name: str, path: Path, notes: LogNotes) -> int:
-    channel = notes.channel(name)
+    channel = notes.channel(name, path)
     if channel is None:
         raise InputError(f"{path}: more than {len(notes.channels)} different interfaces")
     return channel

@@ -9,14 +9,12 @@ import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.logs.candump import BadLine, BadLineError, CandumpParser, CandumpText
-from tipforce.host.logs.lines import DROPPED, FD, LineBlocks, LogNotes, never, open_file
+from tipforce.host.logs.candump import CandumpParser
+from tipforce.host.logs.lines import LineBlocks, never, open_file
+from tipforce.host.logs.notes import MESSAGE_SUFFIXES, LogNotes
 from tipforce.host.logs.unpacking import first_bytes
 
 STDIN = "-"
-MESSAGE_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")
-"""Formats that python-can reads; each may be followed by .gz."""
-
 _BLOCK_FRAMES = 40_000  # decoding a block costs about as much per node as a thousand frames
 MCAP_MAGIC = b"\x89MCAP"
 _PCAP_STARTS = (b"\xa1\xb2\xc3\xd4", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\x4d\x3c\xb2\xa1", b"\x0a\x0d\x0d\x0a")
@@ -54,8 +52,6 @@ class LogReader(LogNotes):
         """
         super().__init__(strict)
         path = None if str(source) == STDIN else Path(source)
-        self.first_bad_line: BadLine | None = None
-        self.lines = 0
         self._limits = start_ns, end_ns
         self._lines: LineBlocks | None = None
         kind = "text" if path is None else log_kind(path)
@@ -97,43 +93,18 @@ class LogReader(LogNotes):
         return frames.compress(wanted if end is None else wanted & (t_ns < end))
 
     def _text_blocks(self, lines: LineBlocks, deltas: bool) -> Iterator[FrameArray]:
-        parser = CandumpParser(strict=self.strict, deltas=deltas)
-        gathered = CandumpText(parser)
+        parser = CandumpParser(self, deltas=deltas)
         error: InputError | None = None
         try:
             for text, begin, end in lines:
-                parser.line_number += lines.left_out
-                lines.left_out = 0
-                for block in gathered.parse(text, begin, end):
-                    self._take_notes(gathered)
-                    yield block
-                self._take_notes(gathered)
-                if lines.live or gathered.count >= _BLOCK_FRAMES:
-                    yield gathered.take()
+                yield from parser.gather(text, begin, end)
+                if lines.live or parser.count >= _BLOCK_FRAMES:
+                    yield parser.take()
         except InputError as bad:  # strict: return the frames before it first
             error = bad
-            if isinstance(bad, BadLineError):
-                self.first_bad_line = bad.bad
-        self._take_notes(gathered)
-        self.lines = parser.line_number + lines.left_out
-        yield gathered.take()
+        yield parser.take()
         if error is not None:
             raise error
-
-    def _take_notes(self, gathered: CandumpText) -> None:
-        """Move the parser's counts to the notes, and copy what else it says."""
-        parser = gathered.parser
-        self.channels[:] = parser.names
-        self.timed = gathered.timed
-        self.skip(FD, parser.fd_frames)
-        self.skip(DROPPED, parser.dropped)
-        parser.fd_frames = parser.dropped = 0
-        for reason, count in parser.bad.items():
-            self.bad[reason] = self.bad.get(reason, 0) + count
-        parser.bad.clear()
-        if self.first_bad is None and parser.bad_lines:
-            self.first_bad_line = parser.bad_lines[0]
-            self.first_bad = str(self.first_bad_line)
 
     @property
     def position(self) -> int:
