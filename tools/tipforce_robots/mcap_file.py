@@ -7,10 +7,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, BinaryIO
 
 import mcap.writer
 import msgspec
@@ -22,7 +20,6 @@ from tipforce.arrays import occurring
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, Values
 from tipforce.host.decoding.services import BusEvent
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.output_file import MCAP, NewFile
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block
 from tipforce.samples.reasons import Status
@@ -43,14 +40,8 @@ _ID_MASK = np.uint32(~(ERROR_FLAG | EXTENDED_FLAG | REMOTE_FLAG) & 0xFFFFFFFF)
 class McapWriter:
     """Topics as of `tipforce ros2`; stamps and log times are those of the samples' first frames, as in other files."""
 
-    left_out = frozenset[str]()
-    """Columns that are not in the file, as of ``StreamWriter``."""
-
-    def __init__(self, path: Path, inputs: Iterable[str] = ()) -> None:
-        """Raises InputError."""
-        self._file = NewFile(path, MCAP, inputs)
-        self._stream = self._file.partial.open("wb")
-        self._writer = mcap.writer.Writer(self._stream)
+    def __init__(self, stream: BinaryIO) -> None:
+        self._writer = mcap.writer.Writer(stream)
         self._writer.start(profile="ros2", library="tipforce")
         self._tips: dict[int, tuple[str, Tip, dict[str, int]]] = {}  # by key: name, messages, channel of each kind
         self._frames: dict[str, tuple[int, cdr.Layout]] = {}
@@ -115,14 +106,6 @@ class McapWriter:
             self._add(self._diagnostics, event.t_ns, bridge.array(event.t_ns, [status]))
         self._report()
         self._writer.finish()  # type: ignore[no-untyped-call]
-        self._stream.close()
-        self._file.keep()
-
-    def abort(self) -> None:
-        """Remove the file."""
-        with suppress(OSError):  # a full disk
-            self._stream.close()
-        self._file.drop()
 
     def _add(self, channel: int, t_ns: int, message: bytes) -> None:
         number = self._sequence[channel] = self._sequence.get(channel, -1) + 1

@@ -7,7 +7,7 @@ import os
 import time
 import uuid
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,26 +21,25 @@ from tipforce.host.dataset.manifest import (
     EVENTS,
     ROWS,
     Change,
-    DataFile,
     Manifest,
     Part,
-    RunLock,
     Source,
     commit,
     files_of,
     read_manifest,
     remove_replaced,
+    run_lock,
 )
 from tipforce.host.dataset.reader import need_pyarrow
 from tipforce.host.dataset.store import FOLDER, Store, url_of
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, State, Told
-from tipforce.host.decoding.services import BusEvent
+from tipforce.host.decoding.sample_table import Column
 from tipforce.host.logs.lines import open_file
 from tipforce.host.logs.reader import log_kind
 from tipforce.host.logs.unpacking import decompressed
 from tipforce_tools.decode.workers import InOrder, Sink, Workers, Written
-from tipforce_tools.writing.dataset_files import BASE, DatasetSink, joined_parts, put_file
+from tipforce_tools.writing.dataset_files import BASE, DatasetSink, events_file, joined_parts
 from tipforce_tools.writing.writers import Shape
 
 HASHED_BYTES = 1 << 16
@@ -125,12 +124,10 @@ class DatasetRun:
 
     def __init__(
         self, directory: str, reading: Reading, told: Told, hand: str | None, cut: Cut,
-        workers: Callable[[Sink, int], Workers], each: Callable[[Written], None], check: Callable[[Told], None],
+        workers: Callable[[Sink, int], Workers],
     ) -> None:  # fmt: skip
-        """``told`` gets what the logs tell besides rows, ``each`` every part; ``check`` raises for logs that must not
-        be added. Raises InputError for a directory of other files.
-        """
-        self._cut, self._workers, self._each, self._check = cut, workers, each, check
+        """``told`` gets what the logs tell besides rows. Raises InputError for a directory of other files."""
+        self._cut, self._workers = cut, workers
         need_pyarrow(directory)
         self._reading = reading
         self.store = Store(directory)
@@ -147,18 +144,18 @@ class DatasetRun:
         """Parts of this run."""
         self.told = told
 
-    def add(self, names: Sequence[str]) -> None:
-        """Add what the dataset does not have, and what was removed from it.
+    def add(self, names: Sequence[str]) -> Generator[Written]:
+        """Add what the dataset does not have, and what was removed from it; yield each part before it is committed.
 
-        Raises InputError, WriteError, OSError; what was committed stays.
+        Raises InputError, WriteError, OSError; what was committed stays. What ends the iteration ends the run.
         """
-        with RunLock(self.store, self._token):
+        with run_lock(self.store, self._token):
             self.manifest = read_manifest(self.store) or _new(self.store)
             remove_replaced(self.store, self.manifest)
             names = [name for name in names if os.path.getsize(name)] or names[:1]  # empty logs do not differ
             for chains in (self._repairs, self._chains):
                 for chain in list(chains(names)):
-                    self._add_chain(chain)
+                    yield from self._add_chain(chain)
 
     # --- what is to be done -----------------------------------------------------------------------------------
 
@@ -259,7 +256,7 @@ class DatasetRun:
 
     # --- the work ---------------------------------------------------------------------------------------------
 
-    def _add_chain(self, chain: _Chain) -> None:
+    def _add_chain(self, chain: _Chain) -> Iterator[Written]:
         sink = DatasetSink(self.store.name, self._token, self._hand)
         pieces: list[Piece] = []
         logs: list[_Log] = []
@@ -283,10 +280,9 @@ class DatasetRun:
             last = written.number == len(pieces) - 1
             self._take(written, logs[written.number], sink.names[written.number], state, last and chain.ends)
             state = written.state
-            self._each(written)
             if last:
                 self._tell(recording.told)
-                self._check(self.told)
+            yield written
             due = time.monotonic() - self._committed > max(_COMMIT_S, _COMMIT_SHARE * self._cost_s)
             if last or (due and recording.told.tally.messages):  # what is not a log of fingertips is not committed
                 self._commit()
@@ -302,17 +298,19 @@ class DatasetRun:
             version=tipforce.__version__,
         )  # fmt: skip
         self._change.sources[log.source.id] = log.source
-        events = self._events(name, written.events)
+        events = events_file(self.store, self._token, name, written.events)
         calibrations = [
             (event.channel, event.node_id, event.code, event.t_ns)
             for event in written.events
             if event.kind == "calibration"
         ]
-        files, columns = written.record
         self._change.parts.append(
-            Part(name, log.source.id, piece.start, end, written.frames, written.bad, files, events, calibrations)
+            Part(
+                name, log.source.id, piece.start, end, written.frames, written.bad, written.record, events, calibrations
+            )
         )
-        known = {one.name for one in self._change.columns}
+        known = {column.name for column in self._change.columns}
+        columns = (column for column in written.shape.columns if isinstance(column, Column))
         self._change.columns += [column for column in columns if column.name not in known]
         self.added += 1
 
@@ -321,19 +319,6 @@ class DatasetRun:
         self.told.tally.append(told.tally)
         self.told.unseen = sorted({*self.told.unseen, *told.unseen})
         self.told.bus.found += told.bus.found
-
-    def _events(self, name: str, events: Sequence[BusEvent]) -> DataFile | None:
-        if not events:
-            return None
-        import pyarrow.parquet
-
-        from tipforce_tools.writing.parquet import events_table
-
-        with self.store.scratch(f"{FOLDER}/{self._token}") as folder:
-            pyarrow.parquet.write_table(events_table(events), folder / "events")
-            size, digest = put_file(self.store, folder / "events", path := f"{EVENTS}/{name}.parquet")
-        times = [event.t_ns // 1000 * 1000 for event in events]
-        return DataFile(path, 0, len(events), size, digest, min(times), max(times))
 
     def _commit(self) -> None:
         """Commit what is noted."""

@@ -6,13 +6,14 @@ A grid has the mean of each interval, per node; angles by the mean of their dire
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
+from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
     NODE_BITS,
@@ -198,34 +199,30 @@ def _mean(column: Column, sums: FloatArray) -> Values:
     return np.asarray(mean)
 
 
-class Steps:
-    """The steps on tables between the logs and the output, with the ``layouts`` and ``signals`` to read for them."""
+Step = Callable[[Iterable[Table]], Iterable[Table]]
 
-    def __init__(self, args: Namespace) -> None:
-        """Raises InputError."""
-        names = log_choice.names_of(args.signals)
-        self.layouts, calibrations = log_choice.calibrated(args, log_choice.layouts(args))
-        self._contact = self._resampler = None
-        if calibrations:
-            from tipforce.host.decoding import contact_columns
 
-            computed = {name: contact_columns.is_computed(name) for name in names or ()}
-            rest = log_choice.checked_signals(
-                self.layouts, tuple(name for name, signal in computed.items() if not signal)
-            )
-            left = iter(rest or ())
-            asked = None if names is None else tuple(computed[name] or next(left, "") for name in names)
-            self._contact = contact_columns.ContactColumns(calibrations, asked)
-            self.signals = contact_columns.signals_needed(asked, calibrations)
-        else:
-            asked = self.signals = log_choice.checked_signals(self.layouts, names)
-        if args.resample is not None:
-            self._resampler = Resampler(args.resample, asked)
+def _same(tables: Iterable[Table]) -> Iterable[Table]:
+    return tables
 
-    def contact(self, tables: Iterable[Table]) -> Iterable[Table]:
-        """Add the contact columns if a calibration is given."""
-        return tables if self._contact is None else self._contact.tables(tables)
 
-    def resampled(self, tables: Iterable[Table]) -> Iterable[Table]:
-        """Resample to a uniform grid if a rate is given."""
-        return tables if self._resampler is None else self._resampler.tables(tables)
+def steps_of(args: Namespace) -> tuple[Layouts, tuple[str, ...] | None, Step, Step]:
+    """Return the layouts and signals to read, and two steps: contact by a calibration, and a grid. Raises InputError.
+
+    A step that is not asked for returns the tables as they are.
+    """
+    names = log_choice.names_of(args.signals)
+    layouts, calibrations = log_choice.calibrated(args, log_choice.layouts(args))
+    contact: Step = _same
+    if calibrations:
+        from tipforce.host.decoding import contact_columns
+
+        computed = {name: contact_columns.is_computed(name) for name in names or ()}
+        rest = log_choice.checked_signals(layouts, tuple(name for name, signal in computed.items() if not signal))
+        left = iter(rest or ())
+        asked = None if names is None else tuple(computed[name] or next(left, "") for name in names)
+        contact = contact_columns.ContactColumns(calibrations, asked).tables
+        signals = contact_columns.signals_needed(asked, calibrations)
+    else:
+        asked = signals = log_choice.checked_signals(layouts, names)
+    return layouts, signals, contact, _same if args.resample is None else Resampler(args.resample, asked).tables

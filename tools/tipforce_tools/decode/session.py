@@ -11,7 +11,7 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -28,16 +28,17 @@ from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.frames.frame_array import MAX_CHANNELS
 from tipforce.host.logs.lines import is_plain, line_borders
 from tipforce.host.logs.reader import log_kind
+from tipforce.output_file import NewFile
 from tipforce.samples import reasons
 from tipforce_tools.cli import common, log_choice
 from tipforce_tools.cli.listening import StopSignals, counted
 from tipforce_tools.cli.main import INTERRUPTED
 from tipforce_tools.decode import summary as summaries
-from tipforce_tools.decode.resample import Steps
+from tipforce_tools.decode.resample import steps_of
 from tipforce_tools.writing.text_rows import COUNTER, NODE, TIME
 from tipforce_tools.writing.writers import (
+    KINDS,
     JoinedFile,
-    Output,
     Shape,
     StreamWriter,
     check_format,
@@ -46,8 +47,7 @@ from tipforce_tools.writing.writers import (
 )
 
 if TYPE_CHECKING:
-    from tipforce_robots.mcap_file import McapWriter
-    from tipforce_tools.decode.workers import Sink, Workers, Written
+    from tipforce_tools.decode.workers import Sink, Workers
 
 _FIRST_ROWS = 100_000  # inspected before the first is written, so that rare columns are known
 _SMALL_BYTES = 1_000_000_000  # of all logs: to it one process needs less processor time and memory, and seconds
@@ -116,9 +116,9 @@ class _Run:
                 raise InputError(f"--follow: {path}: allowed is candump text that is not packed")
         json_on_stdout = args.json and not _to_file(args) and args.format is None
         self._kind = "jsonl" if json_on_stdout else format_of(args.output, args.format)
-        self._steps = Steps(args)
+        layouts, signals, self._contact, self._resampled = steps_of(args)
         self._reading = replace(
-            log_choice.reading(args, self.names, self._steps.layouts, self._steps.signals),
+            log_choice.reading(args, self.names, layouts, signals),
             reasons=bool(args.summary or args.verbose or args.json),
         )
         # Ctrl-C ends the input of what has no end of its own, and its output is complete; a dataset is, every 2 s.
@@ -148,25 +148,31 @@ class _Run:
 
     def _tables(self, advance: Callable[[float], None], tap: Tap | None = None) -> Iterable[Table]:
         found = tables_of_logs(self._recording, self.names, _positions(advance), tap)
-        return self._steps.resampled(self.summary.passing(self._steps.contact(found)))
+        return self._resampled(self.summary.passing(self._contact(found)))
 
     def _write_all(self, advance: Callable[[float], None]) -> None:
         """Write the rows, which pass through this process."""
         args, kind = self._args, self._kind
         check_format(args.output, kind)
         base = (TIME, NODE, *(() if args.resample is not None else (COUNTER,)))
-        inputs = [name for name in self.names if name != "-"]
         looked_ahead = _looked_ahead if _to_file(args) and not args.follow else iter
-        if _to_file(args) and kind in {"parquet", "csv"}:
-            shape = Shape(base)
-            joined = JoinedFile(Path(args.output), kind, shape, inputs)
-            with self._completed(joined):
-                joined.add(0, joined.sink.write(0, looked_ahead(self._tables(advance)), shape), shape)
-            return
-        writer = _mcap(args.output, inputs) if kind == "mcap" else StreamWriter(args.output, kind, base, inputs)
-        with self._completed(writer):
-            for table in looked_ahead(self._tables(advance, writer.frames)):
-                writer.write(table)
+        with self._output([name for name in self.names if name != "-"]) as file:
+            if file is not None and kind in {"parquet", "csv"}:
+                with JoinedFile(file, kind, shape := Shape(base)) as joined:
+                    joined.add(0, joined.sink.write(0, looked_ahead(self._tables(advance)), shape), shape)
+                return
+            with nullcontext(sys.stdout.buffer) if file is None else file.partial.open("wb") as stream:
+                if kind == "mcap":
+                    from tipforce_robots.mcap_file import McapWriter
+
+                    mcap = McapWriter(stream)
+                    for table in looked_ahead(self._tables(advance, mcap.frames)):
+                        mcap.write(table)
+                    mcap.close(self.told.events())
+                    return
+                writer = StreamWriter(stream, kind, base)
+                for table in looked_ahead(self._tables(advance)):
+                    writer.write(table)
         if writer.left_out:
             left_out = ", ".join(sorted(writer.left_out))
             common.note(f"not in the CSV, because they appeared after its header: {left_out}")
@@ -176,31 +182,37 @@ class _Run:
         from tipforce_tools.decode.workers import InOrder
 
         shape = Shape((TIME, NODE, COUNTER))
-        output = JoinedFile(Path(self._args.output), self._kind, shape, [piece.name for piece in pieces])
-        with self._completed(output):
-            workers = _workers(self._args, self._reading, output.sink, len(pieces))
-            for written in InOrder(pieces, self._recording, shape, workers):
-                self.summary.append(written.summary)
-                output.add(written.number, written.record, written.shape)
-                advance(_size(written.piece))
+        with self._output([piece.name for piece in pieces]) as file:
+            assert file is not None
+            with JoinedFile(file, self._kind, shape) as output:
+                workers = _workers(self._args, self._reading, output.sink, len(pieces))
+                for written in InOrder(pieces, self._recording, shape, workers):
+                    self.summary.append(written.summary)
+                    output.add(written.number, written.record, written.shape)
+                    advance(_size(written.piece))
 
     @contextmanager
-    def _completed(self, output: Output) -> Iterator[None]:
-        """Complete the output after the block, with the events beside it; abort it where something fails."""
-        args = self._args
+    def _output(self, inputs: Sequence[str]) -> Iterator[NewFile | None]:
+        """Give the file to write, None for stdout; after the block it is complete, with the events beside it.
+
+        Where something fails, it is gone. Raises InputError; ``inputs`` are refused.
+        """
+        output = self._args.output
+        file = NewFile(output, KINDS[self._kind], inputs) if _to_file(self._args) else None
         try:
-            yield
-            _check_readable(args, self.told)
-            output.close(self.told.events())
-            if _to_file(args):
-                summaries.write_events(args.output, self.told.events())
+            yield file
+            _check_readable(self._args, self.told)
+            if file is not None:
+                file.keep()
+                summaries.write_events(output, self.told.events())
         except OSError as error:
-            output.abort()
-            if not _to_file(args):
+            if file is None:
                 raise
-            raise WriteError(f"{args.output}: {error.strerror or error}; an old file is unchanged") from error
+            file.drop()
+            raise WriteError(f"{output}: {error.strerror or error}; an old file is unchanged") from error
         except BaseException:
-            output.abort()
+            if file is not None:
+                file.drop()
             raise
 
     def _write_dataset(self, advance: Callable[[float], None]) -> None:
@@ -216,17 +228,14 @@ class _Run:
             here = args.scheduler is None and (min(_jobs(args), parts) < 2 or args.follow or args.eds)
             return Here(reading, sink) if here else _workers(args, reading, sink, parts)
 
-        def each(written: Written) -> None:
-            self.summary.append(written.summary)
-            advance(_size(written.piece))
-
-        run = DatasetRun(
-            args.output, reading, self.told, args.hand, partial(_pieces_from, args), workers, each,
-            partial(_check_readable, args),
-        )  # fmt: skip
+        run = DatasetRun(args.output, reading, self.told, args.hand, partial(_pieces_from, args), workers)
         try:
             while True:
-                run.add(names)
+                with closing(run.add(names)) as parts:
+                    for written in parts:
+                        self.summary.append(written.summary)
+                        advance(_size(written.piece))
+                        _check_readable(args, self.told)
                 if not args.follow:
                     break
                 time.sleep(_FOLLOW_S)
@@ -258,7 +267,7 @@ class _Run:
             common.note(line)
         if complete and _to_file(args) and not args.json and (told.notes or not _to_dataset(args)):
             lost = sum(told.tally.lost().values())
-            samples, nodes = counted(summary.samples, "sample"), counted(len(summary.nodes()), "node")
+            samples, nodes = counted(summary.samples.total(), "sample"), counted(len(summary.samples), "node")
             common.note(f"{args.output}: {samples} of {nodes}, {lost} lost")
             if (events := told.events()) and not _to_dataset(args):
                 common.note(f"{summaries.events_path(args.output)}: {counted(len(events), 'event')}")
@@ -286,12 +295,6 @@ def _positions(advance: Callable[[float], None]) -> Callable[[int], None]:
         before = position
 
     return move
-
-
-def _mcap(output: str, inputs: Sequence[str]) -> McapWriter:
-    from tipforce_robots.mcap_file import McapWriter
-
-    return McapWriter(Path(output), inputs)
 
 
 def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:

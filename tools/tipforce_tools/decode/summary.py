@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,96 +27,53 @@ _EVENTS = {"emcy_reset": "EMCY no error", "boot_up": "boot-up", "state": "NMT st
 _ORDER = (*CAUSES, UNKNOWN)
 
 
-@dataclass(slots=True)
-class NodeSummary:
-    """One node. Times in nanoseconds, None for a log without.
-
-    ``told``: by column and reason, samples whose frame says that there is no value; ``present``: by column, samples
-    with a frame that carries it.
-    """
-
-    channel: str
-    node: int
-    samples: int = 0
-    first_ns: int | None = None
-    last_ns: int | None = None
-    told: defaultdict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
-    present: Counter[str] = field(default_factory=Counter)
-
-    @property
-    def missing(self) -> dict[str, dict[str, int]]:
-        """Return by column and reason the number of samples without a value; columns never sent are left out."""
-        found = {}
-        for name, present in self.present.items():
-            told = self.told.get(name, Counter())
-            reasons = {reason: told[reason] for reason in _ORDER if reason in told}
-            if present < self.samples:
-                reasons[NO_FRAME] = self.samples - present
-            if reasons and present:
-                found[name] = reasons
-        return found
-
-    def append(self, other: NodeSummary) -> None:
-        """Add the statistics of other samples."""
-        self.samples += other.samples
-        self.first_ns = min((t for t in (self.first_ns, other.first_ns) if t is not None), default=None)
-        self.last_ns = max((t for t in (self.last_ns, other.last_ns) if t is not None), default=None)
-        self.present.update(other.present)
-        for column, reasons in other.told.items():
-            self.told[column].update(reasons)
-
-    def record(self, told: Told) -> dict[str, Any]:
-        """Return the JSON record."""
-        place = self.channel, self.node
-        messages = {
-            name: {"frames": count.frames, **({} if count.lost is None else {"lost": count.lost})}
-            for (channel, node, name), count in told.tally.messages.items()
-            if (channel, node) == place
-        }
-        return {
-            "channel": self.channel,
-            "node": self.node,
-            "samples": self.samples,
-            "lost": told.tally.lost().get(place),
-            "first_s": None if self.first_ns is None else self.first_ns / 1_000_000_000,
-            "last_s": None if self.last_ns is None else self.last_ns / 1_000_000_000,
-            "missing": self.missing,
-            "messages": messages,
-            "short": {
-                name: short for (channel, node, name), short in told.tally.short.items() if (channel, node) == place
-            },
-        }
+Place = tuple[str, int]
+"""Channel and node-id."""
 
 
 class Summary:
-    """Collect statistics of tables that pass through."""
+    """Statistics of tables that pass through."""
 
     def __init__(self, reasons: bool = True) -> None:
         """``reasons``: count the missing values by their reasons."""
-        self._nodes: dict[tuple[str, int], NodeSummary] = {}
         self._reasons = reasons
-        self.samples = 0
+        self.samples = Counter[Place]()
+        self._spans: dict[Place, tuple[int, int]] = {}  # first and last time in nanoseconds, of a log with times
+        self._present = Counter[tuple[Place, str]]()  # by column: samples with a frame that carries it
+        self._told = Counter[tuple[Place, str, str]]()  # by column and reason: samples whose frame has no value
 
     def passing(self, tables: Iterable[Table]) -> Iterator[Table]:
-        """Return the same tables."""
+        """Count the tables, and return the same ones."""
         for table in tables:
-            self.add(table)
+            self._add(table)
             yield table
 
-    def add(self, table: Table) -> None:
-        """Count a table."""
-        self.samples += len(table)
-        nodes = {}
+    def append(self, other: Summary) -> None:
+        """Add the statistics of other tables."""
+        self.samples.update(other.samples)
+        self._present.update(other._present)
+        self._told.update(other._told)
+        for place, span in other._spans.items():
+            self._widen(place, *span)
+
+    def _widen(self, place: Place, first_ns: int, last_ns: int) -> None:
+        before = self._spans.get(place, (first_ns, last_ns))
+        self._spans[place] = min(before[0], first_ns), max(before[1], last_ns)
+
+    def _add(self, table: Table) -> None:
         order = np.argsort(table.key, kind="stable")
         sorted_key, t_ns = table.key[order], table.t_ns[order]
         starts = np.flatnonzero(np.append(True, sorted_key[1:] != sorted_key[:-1]))
         counts = np.diff(np.append(starts, len(table)))
+        keys = sorted_key[starts].tolist()
+        places = {key: (table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)) for key in keys}
         lows, highs = np.minimum.reduceat(t_ns, starts), np.maximum.reduceat(t_ns, starts)
-        for number, key in enumerate(sorted_key[starts].tolist()):
-            place = table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
-            node = nodes[key] = self._nodes.setdefault(place, NodeSummary(*place))
-            span = (int(lows[number]), int(highs[number])) if table.timed else (None, None)
-            node.append(NodeSummary(*place, int(counts[number]), *span))
+        for place, count, low, high in zip(
+            places.values(), counts.tolist(), lows.tolist(), highs.tolist(), strict=True
+        ):
+            self.samples[place] += count
+            if table.timed:
+                self._widen(place, low, high)
         if not self._reasons:
             return
         causes = [
@@ -129,21 +85,15 @@ class Summary:
             if column.kind == "real":
                 absent = table.absent.get(column.name)
                 there = counts if absent is None else np.add.reduceat(~absent[order], starts, dtype=np.int64)
-                for number, key in enumerate(nodes):
-                    nodes[key].present[column.name] += int(there[number])
-                self._add_missing(column, table, nodes, causes)
-
-    def append(self, other: Summary) -> None:
-        """Add the statistics of other tables."""
-        self.samples += other.samples
-        for place, node in other._nodes.items():
-            self._nodes.setdefault(place, NodeSummary(*place)).append(node)
+                for place, present in zip(places.values(), there.tolist(), strict=True):
+                    self._present[place, column.name] += present
+                self._add_missing(column, table, places, causes)
 
     def _add_missing(
         self,
         column: Column,
         table: Table,
-        nodes: dict[int, NodeSummary],
+        places: dict[int, Place],
         causes: list[tuple[int, BoolArray, set[str] | None]],
     ) -> None:
         """Count the missing values of a column, each by the first reason that its row tells."""
@@ -156,14 +106,24 @@ class Summary:
             if signals is None or column.signal in signals:
                 reason[is_set[rows]] = number
         counts = np.bincount(table.key[rows].astype(np.intp) * len(_ORDER) + reason)
-        places = np.flatnonzero(counts)
-        for place, count in zip(places.tolist(), counts[places].tolist(), strict=True):
-            key, number = divmod(place, len(_ORDER))
-            nodes[key].told[column.name][_ORDER[number]] += count
+        cells = np.flatnonzero(counts)
+        for cell, count in zip(cells.tolist(), counts[cells].tolist(), strict=True):
+            key, number = divmod(cell, len(_ORDER))
+            self._told[places[key], column.name, _ORDER[number]] += count
 
-    def nodes(self) -> list[NodeSummary]:
-        """Return the nodes by channel and node-id."""
-        return [self._nodes[place] for place in sorted(self._nodes)]
+    def span_ns(self, place: Place) -> tuple[int, int] | None:
+        """Return the first and the last time of a node; None for a log without times."""
+        return self._spans.get(place)
+
+    def missing(self, place: Place) -> dict[str, dict[str, int]]:
+        """Return by column and reason the number of samples without a value; columns never sent are left out."""
+        found = {}
+        for name in (name for (of, name), present in self._present.items() if of == place and present):
+            told = {reason: self._told[place, name, reason] for reason in _ORDER}
+            told[NO_FRAME] = self.samples[place] - self._present[place, name]
+            if any(told.values()):
+                found[name] = {reason: count for reason, count in told.items() if count}
+        return found
 
 
 def bad_lines(told: Told) -> dict[str, int]:
@@ -177,37 +137,52 @@ def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
         "output": output,
         "logs": [notes.source for notes in told.notes],
         "frames": sum(notes.frames for notes in told.notes),
-        "samples": summary.samples,
+        "samples": summary.samples.total(),
         "lost": sum(told.tally.lost().values()),
         "bad": bad_lines(told),
         "skipped": sum((Counter(notes.skipped) for notes in told.notes), Counter()),
         "events": [
             dict(zip(EVENT_COLUMNS, (event.t_ns / 1_000_000_000, *event[1:]), strict=True)) for event in told.events()
         ],
-        "nodes": [node.record(told) for node in summary.nodes()],
+        "nodes": [_node_record(summary, told, place) for place in sorted(summary.samples)],
+    }
+
+
+def _node_record(summary: Summary, told: Told, place: Place) -> dict[str, Any]:
+    first_s, last_s = (t_ns / 1_000_000_000 for t_ns in span) if (span := summary.span_ns(place)) else (None, None)
+    messages = {name: count for (*of, name), count in told.tally.messages.items() if tuple(of) == place}
+    return {
+        "channel": place[0],
+        "node": place[1],
+        "samples": summary.samples[place],
+        "lost": told.tally.lost().get(place),
+        "first_s": first_s,
+        "last_s": last_s,
+        "missing": summary.missing(place),
+        "messages": {
+            name: {"frames": count.frames, **({} if count.lost is None else {"lost": count.lost})}
+            for name, count in messages.items()
+        },
+        "short": {name: short for (*of, name), short in told.tally.short.items() if tuple(of) == place},
     }
 
 
 def lines(summary: Summary, told: Told) -> Iterator[str]:
     """Yield the summary as text, a line per node."""
-    several = len({node.channel for node in summary.nodes()}) > 1
+    several = len({channel for channel, _ in summary.samples}) > 1
     lost = told.tally.lost()
-    for node in summary.nodes():
-        place = f"{node.channel} " if several else ""
-        span = ""
-        if node.first_ns is not None and node.last_ns is not None:
-            span = f" in {(node.last_ns - node.first_ns) / 1e9:.3f} s"
-        line = f"{place}node {shown_id(node.node)}: {node.samples} samples{span}"
-        if (node.channel, node.node) in lost:
-            line += f", {lost[node.channel, node.node]} lost"
-        yield line
-        for name, reasons in node.missing.items():
+    for place, samples in sorted(summary.samples.items()):
+        span = summary.span_ns(place)
+        duration = "" if span is None else f" in {(span[1] - span[0]) / 1e9:.3f} s"
+        losses = f", {lost[place]} lost" if place in lost else ""
+        yield f"{f'{place[0]} ' * several}node {shown_id(place[1])}: {samples} samples{duration}{losses}"
+        for name, reasons in summary.missing(place).items():
             yield f"  {name} missing: " + ", ".join(f"{count} {reason}" for reason, count in reasons.items())
 
 
 def event_lines(told: Told) -> Iterator[str]:
     """Yield the events per node: EMCYs by their text, boot-ups and other changes of the NMT state."""
-    counts: dict[tuple[str, int], Counter[str]] = {}
+    counts: dict[Place, Counter[str]] = {}
     for event in told.events():
         what = f"EMCY {event.text}" if event.kind == "emcy" else _EVENTS.get(event.kind, event.text)
         counts.setdefault((event.channel, event.node_id), Counter())[what] += 1

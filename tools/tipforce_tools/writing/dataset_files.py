@@ -6,11 +6,12 @@ import hashlib
 import os
 import uuid
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import groupby, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -24,30 +25,23 @@ from tipforce.host.dataset.manifest import (
     DataFile,
     Manifest,
     Part,
-    RunLock,
     commit,
     files_of,
-    joined,
     read_manifest,
+    run_lock,
 )
 from tipforce.host.dataset.reader import damage_named
 from tipforce.host.dataset.store import FOLDER, Store
-from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
+from tipforce.host.decoding.sample_table import NODE_BITS, Table
 from tipforce_tools.writing.text_rows import CHANNEL, COUNTER, NODE, TIME
 from tipforce_tools.writing.writers import Shape
 
 if TYPE_CHECKING:
+    from tipforce.host.decoding.services import BusEvent
     from tipforce_tools.writing.parquet import Parts
 
 BASE = (TIME, CHANNEL, NODE, COUNTER)
 _DAY_NS = 86_400 * 10**9
-
-
-class FilesOfPart(NamedTuple):
-    """The files of one part, and the columns that these have."""
-
-    files: list[DataFile]
-    columns: tuple[Column, ...]
 
 
 class DatasetSink:
@@ -59,15 +53,15 @@ class DatasetSink:
         self.names: list[str] = []
         """Of the parts by number."""
 
-    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> FilesOfPart:
-        """Write the rows of a part; each file appears when it is complete."""
+    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> list[DataFile]:
+        """Write the rows of a part, ``shape`` grows by their columns; each file appears when it is complete."""
         store = Store(self._directory)
         with store.scratch(f"{FOLDER}/{self._token}") as scratch:
-            files = self._files(store, scratch, self.names[number], tables, shape)
-        return FilesOfPart(files, tuple(column for column in shape.columns if isinstance(column, Column)))
+            return self._files(store, scratch, self.names[number], tables, shape)
 
     def _files(self, store: Store, scratch: Path, name: str, tables: Iterable[Table], shape: Shape) -> list[DataFile]:
-        writing: dict[str, _Open] = {}
+        parts: dict[str, Parts] = {}  # by path in the dataset, as the files
+        files: dict[str, DataFile] = {}
         schema: Any = None
         try:
             for table in tables:
@@ -80,15 +74,22 @@ class DatasetSink:
                 ordered = replace(table, t_ns=table.t_ns // 1000 * 1000).take(order)  # as the file has it
                 rows = arrow_table(ordered, schema)
                 for start, end in pairwise(cuts):
-                    place = _place(ordered, start, self._hand)
-                    if place not in writing:
-                        file = scratch / f"{name}-{len(writing)}"
-                        writing[place] = _Open(file, Parts(file), int(ordered.node[start]))
-                    writing[place].add(rows.slice(start, end - start), ordered.t_ns[start:end])
-            return [one.kept(store, place, name, shape) for place, one in writing.items()]
+                    path = f"{_place(ordered, start, self._hand)}/{name}.parquet"
+                    if path not in parts:
+                        parts[path] = Parts(scratch / f"{name}-{len(parts)}")
+                    parts[path].add(rows.slice(start, end - start))
+                    times = ordered.t_ns[start:end]
+                    file = DataFile(
+                        path, int(ordered.node[start]), end - start, 0, "", int(times.min()), int(times.max())
+                    )
+                    files[path] = file.joined(files.get(path))
+            for path, part in parts.items():
+                part.finish(rows_schema(shape), shape.channel)
+                files[path] = put_file(store, part.path, files[path])
+            return list(files.values())
         except BaseException:
-            for one in writing.values():
-                one.parts.abort()
+            for part in parts.values():
+                part.abort()
             raise
 
 
@@ -100,34 +101,28 @@ def rows_schema(shape: Shape) -> Any:
     return schema.remove(schema.get_field_index(NODE))
 
 
-def put_file(store: Store, file: Path, path: str) -> tuple[int, str]:
-    """Move a complete file into a dataset; return its size in bytes and its SHA-256. Raises OSError."""
-    with file.open("rb") as stream:
+def put_file(store: Store, place: Path, file: DataFile) -> DataFile:
+    """Move a complete local file into a dataset; return it with its size and its hash. Raises OSError."""
+    with place.open("rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    size = os.path.getsize(file)
-    store.put(file, path)
-    return size, digest
+    size = os.path.getsize(place)
+    store.put(place, file.path)
+    return msgspec.structs.replace(file, bytes=size, sha256=digest)
 
 
-class _Open:
-    """One file being written."""
+def events_file(store: Store, token: str, name: str, events: Sequence[BusEvent]) -> DataFile | None:
+    """Write the events of a part; return their file, None for none. Raises OSError."""
+    if not events:
+        return None
+    import pyarrow.parquet
 
-    def __init__(self, file: Path, parts: Parts, node: int) -> None:
-        self.file, self.parts, self.node = file, parts, node
-        self.rows = 0
-        self.first_ns, self.last_ns = np.iinfo(np.int64).max, np.iinfo(np.int64).min
+    from tipforce_tools.writing.parquet import events_table
 
-    def add(self, rows: Any, t_ns: npt.NDArray[np.int64]) -> None:
-        """Append rows with these times."""
-        self.rows += len(rows)
-        self.first_ns, self.last_ns = min(self.first_ns, int(t_ns.min())), max(self.last_ns, int(t_ns.max()))
-        self.parts.add(rows)
-
-    def kept(self, store: Store, place: str, name: str, shape: Shape) -> DataFile:
-        """Complete the file and give it its name."""
-        self.parts.finish(rows_schema(shape), shape.channel)
-        size, digest = put_file(store, self.file, path := f"{place}/{name}.parquet")
-        return DataFile(path, self.node, self.rows, size, digest, self.first_ns, self.last_ns)
+    times = [event.t_ns // 1000 * 1000 for event in events]
+    file = DataFile(f"{EVENTS}/{name}.parquet", 0, len(events), 0, "", min(times), max(times))
+    with store.scratch(f"{FOLDER}/{token}") as folder:
+        pyarrow.parquet.write_table(events_table(events), folder / "events")
+        return put_file(store, folder / "events", file)
 
 
 def _partitions(table: Table) -> tuple[npt.NDArray[np.intp], list[int]]:
@@ -218,7 +213,7 @@ def _joined_files(
 
     from tipforce_tools.writing import parquet
 
-    shape = Shape(BASE)
+    shape, first_row = Shape(BASE), 0
     shape.take(manifest.columns, ())
     schema = parquet.EVENTS if _of_events(path) else rows_schema(shape)
     with store.scratch(f"{FOLDER}/{path.rpartition('-')[2].removesuffix('.parquet')}") as folder:
@@ -234,12 +229,14 @@ def _joined_files(
         except BaseException:
             parts.abort()
             raise
-        size, digest = put_file(store, scratch, path)
-    first_row = 0
-    for number, same in groupby(files, key=lambda one: one[0]):
-        file = joined([file for _, file in same])
-        yield number, msgspec.structs.replace(file, path=path, bytes=size, sha256=digest, first_row=first_row)
-        first_row += file.rows
+        written = put_file(store, scratch, msgspec.structs.replace(files[0][1], path=path, first_row=0))
+    for number, same in groupby(files, key=lambda numbered: numbered[0]):
+        whole = reduce(lambda before, file: file.joined(before), [file for _, file in same])
+        yield (
+            number,
+            msgspec.structs.replace(whole, path=path, bytes=written.bytes, sha256=written.sha256, first_row=first_row),
+        )
+        first_row += whole.rows
 
 
 SHARED_BYTES = 256_000_000
@@ -253,7 +250,7 @@ def compact(store: Store) -> Manifest:
     """
     token = uuid.uuid4().hex[:12]
     manifest = read_manifest(store) or Manifest()
-    with RunLock(store, token):
+    with run_lock(store, token):
         for number, parts in enumerate(_groups(store, manifest)):
             name = f"{parts[0].source}-{parts[0].start:014d}-{number}-{token}"
             change = Change(parts=joined_parts(store, manifest, parts, name))

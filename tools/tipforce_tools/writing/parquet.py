@@ -126,7 +126,7 @@ class Parts:
     """One file being written. New columns begin a new part; at the end the parts are merged."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
         self._paths: list[Path] = []
         self._writer: Any = None
         self._waiting: list[Any] = []
@@ -152,7 +152,7 @@ class Parts:
         group = group.slice(0, count).combine_chunks()
         if self._writer is None or group.schema != self._writer.schema:
             self._end_part()
-            place = self._path if not self._paths else self._path.with_name(f"{self._path.name}.{len(self._paths)}")
+            place = self.path if not self._paths else self.path.with_name(f"{self.path.name}.{len(self._paths)}")
             self._paths.append(place)
             self._writer = _open(place, group.schema)
         self._writer.write_table(group, row_group_size=ROW_GROUP_ROWS)
@@ -169,15 +169,15 @@ class Parts:
             self._end_part()
             return
         self._end_part()
-        whole = self._path.with_name(f"{self._path.name}.whole")
+        whole = self.path.with_name(f"{self.path.name}.whole")
         join_widened(self._paths, whole, schema, channel)
-        whole.replace(self._path)
+        whole.replace(self.path)
 
     def abort(self) -> None:
         """Close and remove the parts."""
         with suppress(OSError, pa.ArrowException):
             self._end_part()
-        for path in [*self._paths, self._path.with_name(f"{self._path.name}.whole")]:
+        for path in [*self._paths, self.path.with_name(f"{self.path.name}.whole")]:
             path.unlink(missing_ok=True)
 
 

@@ -1,21 +1,17 @@
-"""Formats of outputs, the columns of an output, and the writer of text on stdout or in a file."""
+"""Formats of outputs, the columns of an output, and the writers of rows in one stream, and in a file of parts."""
 
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO, Self
 
 from canopen_device.visible_text import visible_lines
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.host.decoding.recording import Tap
 from tipforce.host.decoding.sample_table import Column, Table
-from tipforce.host.decoding.services import BusEvent
-from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, PARQUET, NewFile
+from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, MCAP, PARQUET, NewFile
 from tipforce_tools.writing import parquet_join, text_rows
 from tipforce_tools.writing.text_rows import CHANNEL
 
@@ -24,7 +20,7 @@ _SUFFIXES = {
     ".mcap": "mcap", ".txt": "text",
 }  # fmt: skip
 _EXTRAS = {"parquet": ("pyarrow", "parquet"), "mcap": ("mcap", "mcap")}
-KINDS = {"csv": CSV, "jsonl": JSON_LINES, "text": CONTACT_TEXT, "parquet": PARQUET}
+KINDS = {"csv": CSV, "jsonl": JSON_LINES, "text": CONTACT_TEXT, "parquet": PARQUET, "mcap": MCAP}
 _COPY_BYTES = 1 << 20
 
 
@@ -77,11 +73,11 @@ class Shape:
         return found
 
     def fits(self, table: Table) -> bool:
-        """Add the columns of a table; return False if there are new ones after the first table."""
+        """Add the columns of a table as ``take`` does."""
         return self.take(table.columns, table.channels)
 
     def take(self, columns: Iterable[Column], channels: Sequence[str]) -> bool:
-        """Add columns of a table with these channels; return as ``fits`` does."""
+        """Add columns of a table with these channels; return False if there are new ones after the first table."""
         known = set(map(text_rows.name_of, self.columns))
         new = tuple(column for column in columns if column.name not in known)
         several = len(channels) > 1 and CHANNEL not in self.base and CHANNEL not in known
@@ -104,27 +100,12 @@ def lines_of(table: Table, kind: str, base: tuple[str, ...]) -> bytes:
     return visible_lines(text_rows.people_rows(table, base).decode()).encode()
 
 
-class Output(Protocol):
-    """An output that is complete after ``close`` and gone after ``abort``."""
-
-    def close(self, events: Sequence[BusEvent]) -> None:
-        """Complete it; a format that has events gets them. Raises OSError."""
-
-    def abort(self) -> None:
-        """Remove it."""
-
-
 class StreamWriter:
-    """Text, CSV or JSON lines on stdout or in a file, each table at once; complete after ``close``."""
+    """Text, CSV or JSON lines in a stream, each table at once."""
 
-    def __init__(self, output: str | None, kind: str, base: tuple[str, ...], inputs: Iterable[str] = ()) -> None:
-        """Raises InputError for a path that cannot be written; ``inputs`` are refused as output."""
-        self._file = None if output in {None, "-"} else NewFile(str(output), KINDS[kind], inputs)
-        self._stream: BinaryIO = sys.stdout.buffer if self._file is None else self._file.partial.open("wb")
-        self._kind = kind
-        self._shape = Shape(base)
+    def __init__(self, stream: BinaryIO, kind: str, base: tuple[str, ...]) -> None:
+        self._stream, self._kind, self._shape = stream, kind, Shape(base)
         self._shown: tuple[Column | str, ...] = ()
-        self.frames: Tap | None = None
         self.left_out: set[str] = set()
 
     def write(self, table: Table) -> None:
@@ -140,20 +121,6 @@ class StreamWriter:
             start = text_rows.csv_header(self._shown)
         self.left_out |= {text_rows.name_of(column) for column in self._shape.columns if column not in self._shown}
         return start + text_rows.csv_rows(table, self._shown)
-
-    def close(self, events: Sequence[BusEvent]) -> None:
-        """Complete a file; text has no events. Raises OSError."""
-        del events
-        if self._file is not None:
-            self._stream.close()
-            self._file.keep()
-
-    def abort(self) -> None:
-        """Remove a file; what stdout has got stays."""
-        if self._file is not None:
-            with suppress(OSError):
-                self._stream.close()
-            self._file.drop()
 
 
 Pieces = list[tuple[int, int]]
@@ -192,18 +159,16 @@ class PartFile:
 
 
 class JoinedFile:
-    """One output from the files of its parts, which come in order."""
+    """One output from the files of its parts, which come in order: joined at the end of a ``with`` block."""
 
-    def __init__(self, path: Path, kind: str, shape: Shape, inputs: Iterable[str] = ()) -> None:
-        """Raises InputError."""
-        self._file = NewFile(path, KINDS[kind], inputs)
-        self._kind, self._shape = kind, shape
-        self._beside = self._file.partial.absolute()
-        self._renamed = self._file.partial != path
+    def __init__(self, file: NewFile, kind: str, shape: Shape) -> None:
+        self._partial, self._kind, self._shape = file.partial, kind, shape
+        self._beside = file.partial.absolute()
+        self._renamed = file.partial != file.path
         if not self._renamed:  # a device or a pipe
             import tempfile
 
-            self._beside = Path(tempfile.gettempdir(), f".{path.name}.{os.getpid()}.part")
+            self._beside = Path(tempfile.gettempdir(), f".{file.path.name}.{os.getpid()}.part")
         self.sink = PartFile(self._beside, kind)
         self._parts: list[tuple[Path, Pieces]] = []
 
@@ -212,31 +177,40 @@ class JoinedFile:
         self._shape = shape
         self._parts.append((self.sink.path(number), pieces))
 
-    def close(self, events: Sequence[BusEvent]) -> None:
-        """Complete the output; it has no events. Raises OSError."""
-        del events
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Join the parts, unless an error occurred, and remove them. Raises OSError."""
+        try:
+            if kind is None:
+                self._join()
+        finally:
+            for path in self._beside.parent.glob(f"{self._beside.name}.*"):
+                path.unlink()
+
+    def _join(self) -> None:
         (path, pieces), *others = self._parts
         if not others and [count for _, count in pieces] == [len(self._shape.columns)] and self._renamed:
-            path.replace(self._file.partial)
+            path.replace(self._partial)
         elif self._kind == "parquet":
             self._join_parquet()
         else:
-            with self._file.partial.open("wb") as out:
+            with self._partial.open("wb") as out:
                 if self._kind == "csv":
                     out.write(text_rows.csv_header((*self._shape.base, *self._shape.columns)))
                 for path, pieces in self._parts:
                     self._append(path, pieces, out)
                     path.unlink()
-        self._file.keep()
 
     def _join_parquet(self) -> None:
         paths = [path for path, _ in self._parts]
         if any(count < len(self._shape.columns) for _, pieces in self._parts for _, count in pieces):
             from tipforce_tools.writing import parquet  # its import costs time
 
-            parquet.join_widened(paths, self._file.partial, parquet.schema_of(self._shape), self._shape.channel)
+            parquet.join_widened(paths, self._partial, parquet.schema_of(self._shape), self._shape.channel)
             return
-        with self._file.partial.open("wb") as out:
+        with self._partial.open("wb") as out:
             parquet_join.join(paths, out)
         for path in paths:
             path.unlink()
@@ -255,9 +229,3 @@ class JoinedFile:
                 rows.seek(start)
                 for at in range(start, end, _COPY_BYTES):
                     out.write(rows.read(min(_COPY_BYTES, end - at)).replace(b"\n", fill + b"\n"))
-
-    def abort(self) -> None:
-        """Remove the output and the files of its parts."""
-        self._file.drop()
-        for path in self._beside.parent.glob(f"{self._beside.name}.*"):
-            path.unlink()

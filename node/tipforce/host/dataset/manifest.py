@@ -11,8 +11,8 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -51,6 +51,13 @@ class DataFile(msgspec.Struct, frozen=True, array_like=True):
     first_ns: int
     last_ns: int
     first_row: int = 0
+
+    def joined(self, before: DataFile | None) -> DataFile:
+        """Return the file with the rows of the node ``before`` these in it, which may be none."""
+        if before is None:
+            return self
+        first_ns, last_ns = min(before.first_ns, self.first_ns), max(before.last_ns, self.last_ns)
+        return msgspec.structs.replace(before, rows=before.rows + self.rows, first_ns=first_ns, last_ns=last_ns)
 
 
 class Part(msgspec.Struct, frozen=True):
@@ -125,22 +132,12 @@ class Manifest(msgspec.Struct):
         """Return each Parquet file of rows once, with all its rows."""
         by_path: dict[str, DataFile] = {}
         for file in (file for part in self.parts for file in part.files):
-            by_path[file.path] = joined([by_path[file.path], file]) if file.path in by_path else file
+            by_path[file.path] = file.joined(by_path.get(file.path))
         return list(by_path.values())
 
     def paths(self) -> set[str]:
         """Return the paths of all files, those of the events too."""
         return {file.path for file in files_of(self.parts)}
-
-
-def joined(files: Sequence[DataFile]) -> DataFile:
-    """Return the rows of a node that follow each other in a file as one."""
-    return msgspec.structs.replace(
-        files[0],
-        rows=sum(file.rows for file in files),
-        first_ns=min(file.first_ns for file in files),
-        last_ns=max(file.last_ns for file in files),
-    )
 
 
 @dataclass(slots=True)
@@ -238,57 +235,54 @@ def remove_replaced(store: Store, manifest: Manifest) -> None:
         store.remove(path)
 
 
-class RunLock:
+@contextmanager
+def run_lock(store: Store, token: str) -> Iterator[None]:
     """Held while a run writes to a dataset in a directory of this machine. The system releases it with the process."""
-
-    def __init__(self, store: Store, token: str) -> None:
-        self._store, self._token = store, token
-        self._file: int | None = None
-
-    def __enter__(self) -> RunLock:
-        if self._store.local is not None:
-            folder = Path(self._store.path(FOLDER))
-            folder.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(self._store.path(f"{FOLDER}/{self._token}.run"), os.O_CREAT | os.O_RDWR)
-            lock(self._file)
-            for mark in folder.glob("*.run"):
-                if mark.stem != self._token and re.fullmatch(r"[0-9a-f]{12}\.run", mark.name) and not mark.is_symlink():
-                    with suppress(OSError):
-                        self._clean(mark)
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._file is not None and self._store.local is not None:
-            folder = self._store.local / FOLDER
-            if kind is not None:
-                self._remove_unlisted(self._token)
-            shutil.rmtree(folder / self._token, ignore_errors=True)
-            (folder / f"{self._token}.run").unlink(missing_ok=True)
-            os.close(self._file)
-
-    def _clean(self, mark: Path) -> None:
-        """Remove what a run that was killed has left; one that still runs holds its lock. Raises OSError."""
-        file = os.open(mark, os.O_RDWR)
-        try:
-            if lock(file):
-                self._remove_unlisted(mark.stem)
-                shutil.rmtree(mark.with_suffix(""), ignore_errors=True)
-                mark.unlink(missing_ok=True)
-        finally:
-            os.close(file)
-
-    def _remove_unlisted(self, token: str) -> None:
-        """Remove the files of a run that no manifest lists."""
-        store, listed = self._store, (read_manifest(self._store) or Manifest()).paths()
-        assert store.local is not None
-        for pattern in (f"{ROWS}/hand=*/date=*/node=*/*-{token}.parquet", f"{EVENTS}/*-{token}.parquet"):
-            for path in store.local.glob(pattern):
-                relative = path.relative_to(store.local).as_posix()
-                if relative not in listed:
-                    store.remove(relative)
+    if store.local is None:
+        yield
+        return
+    folder = store.local / FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    file = os.open(store.path(f"{FOLDER}/{token}.run"), os.O_CREAT | os.O_RDWR)
+    _lock(file)
+    try:
+        for mark in folder.glob("*.run"):
+            if mark.stem != token and re.fullmatch(r"[0-9a-f]{12}\.run", mark.name) and not mark.is_symlink():
+                with suppress(OSError):
+                    _clean(store, mark)
+        yield
+    except BaseException:
+        _remove_unlisted(store, store.local, token)
+        raise
+    finally:
+        shutil.rmtree(folder / token, ignore_errors=True)
+        (folder / f"{token}.run").unlink(missing_ok=True)
+        os.close(file)
 
 
-def lock(file: int) -> bool:
+def _clean(store: Store, mark: Path) -> None:
+    """Remove what a run that was killed has left; one that still runs holds its lock. Raises OSError."""
+    file = os.open(mark, os.O_RDWR)
+    try:
+        if _lock(file):
+            _remove_unlisted(store, mark.parent.parent, mark.stem)
+            shutil.rmtree(mark.with_suffix(""), ignore_errors=True)
+            mark.unlink(missing_ok=True)
+    finally:
+        os.close(file)
+
+
+def _remove_unlisted(store: Store, root: Path, token: str) -> None:
+    """Remove the files of a run that no manifest lists."""
+    listed = (read_manifest(store) or Manifest()).paths()
+    for pattern in (f"{ROWS}/hand=*/date=*/node=*/*-{token}.parquet", f"{EVENTS}/*-{token}.parquet"):
+        for path in root.glob(pattern):
+            relative = path.relative_to(root).as_posix()
+            if relative not in listed:
+                store.remove(relative)
+
+
+def _lock(file: int) -> bool:
     """Lock an open file for this process and those that it starts; False if another one has it."""
     try:
         import fcntl
