@@ -79,9 +79,9 @@ def test_bins_keep_extremes_sums_and_ends(count: int, longest_ns: int, parts: in
 @pytest.mark.parametrize("parts", [1, 2, 3, 7])
 def test_the_unknown_is_a_gap(parts: int) -> None:
     line = traced([1, 2, NAN, 3, 4, NAN, NAN, 5], parts=parts)
-    assert line.mean.tolist() == [1, 2, 3, 4, 5]
+    assert line.y[0].tolist() == [1, 2, 3, 4, 5]
     assert line.starts.tolist() == [True, False, True, False, True]
-    t, y = broken(line.starts, line.t_ns.astype(np.float64), line.mean)
+    t, (y, *_) = broken(line.starts, line.t_ns.astype(np.float64), line.y)
     assert np.isnan(y).tolist() == [False, False, True, False, False, True, False]
     assert np.isnan(t).tolist() == np.isnan(y).tolist()
 
@@ -93,9 +93,9 @@ def test_a_single_peak_of_a_million_samples_is_kept() -> None:
     for rows in np.array_split(np.arange(len(x)), 25):
         trace.add(times(len(x))[rows], x[rows])
     line = line_of(trace)
-    assert len(line.mean) <= BINS
-    assert line.high.max() == 7.0
-    where = line.t_ns[line.high.argmax()]
+    assert len(line.y[0]) <= BINS
+    assert line.y[2].max() == 7.0
+    where = line.t_ns[line.y[2].argmax()]
     assert abs(where - (T0 + 654_321 * MS)) < 1e12 / BINS * 2
 
 
@@ -135,10 +135,10 @@ def test_an_angle_never_jumps(seed: int, step_deg: float, parts: int) -> None:
     true = np.cumsum(rng.uniform(-step_deg, step_deg, 150)) + rng.uniform(-180, 180)
     sent = (true + 180.0) % 360.0 - 180.0
     line = traced(sent.tolist(), angle=True, parts=parts)
-    off = (line.mean - true) / 360.0
+    off = (line.y[0] - true) / 360.0
     assert off == pytest.approx(np.round(off), abs=1e-9)
-    assert np.abs(np.diff(line.mean)).max() <= step_deg + 1e-9
-    x, y = wrapped(line.starts, (line.t_ns - T0).astype(np.float64), line.mean)
+    assert np.abs(np.diff(line.y[0])).max() <= step_deg + 1e-9
+    x, (y, *_) = wrapped(line.starts, (line.t_ns - T0).astype(np.float64), line.y)
     steps = np.abs(np.diff(y))
     assert steps[np.isfinite(steps)].max() <= step_deg + 1e-9
     # Each sample is drawn where it belongs, within the axis.
@@ -151,15 +151,15 @@ def test_an_angle_never_jumps(seed: int, step_deg: float, parts: int) -> None:
 
 def test_an_angle_that_crosses_180_leaves_and_comes_back() -> None:
     line = traced([170.0, 178.0, -174.0, -166.0], angle=True)
-    assert line.mean.tolist() == [170.0, 178.0, 186.0, 194.0]
-    x, y = wrapped(line.starts, np.arange(4.0), line.mean)
+    assert line.y[0].tolist() == [170.0, 178.0, 186.0, 194.0]
+    x, (y, *_) = wrapped(line.starts, np.arange(4.0), line.y)
     assert np.nan_to_num(y, nan=999).tolist() == [170.0, 178.0, 186.0, 999, -182.0, -174.0, -166.0]
     assert np.nan_to_num(x, nan=999).tolist() == [0.0, 1.0, 2.0, 999, 1.0, 2.0, 3.0]
 
 
 def test_behind_a_gap_an_angle_starts_within_the_circle() -> None:
     line = traced([170.0, -170.0, NAN, -170.0, -160.0], angle=True)
-    assert line.mean.tolist() == [170.0, 190.0, -170.0, -160.0]
+    assert line.y[0].tolist() == [170.0, 190.0, -170.0, -160.0]
 
 
 # --- bands, flags, losses ---------------------------------------------------------------------------------------------
@@ -168,8 +168,8 @@ def test_behind_a_gap_an_angle_starts_within_the_circle() -> None:
 def test_a_band_is_two_standard_uncertainties() -> None:
     line = traced([1.0, 2.0, 3.0], u=[0.1, NAN, 0.2])
     assert COVERAGE == 2.0
-    assert np.nan_to_num(line.band_low, nan=-1).tolist() == [0.8, -1, 2.6]
-    assert np.nan_to_num(line.band_high, nan=-1).tolist() == [1.2, -1, 3.4]
+    assert np.nan_to_num(line.y[3], nan=-1).tolist() == [0.8, -1, 2.6]
+    assert np.nan_to_num(line.y[4], nan=-1).tolist() == [1.2, -1, 3.4]
 
 
 def test_flags_become_bars() -> None:
@@ -366,9 +366,9 @@ def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
         finger.add(table, np.arange(len(table)))
     assert finger is not None
     line = line_of(finger.traces["P"])
-    known = np.isfinite(line.band_low)
+    known = np.isfinite(line.y[3])
     assert known.mean() > 0.8
-    width = (line.band_high - line.band_low)[known] / (2 * COVERAGE)
+    width = (line.y[4] - line.y[3])[known] / (2 * COVERAGE)
     assert 0.001 <= width.min() <= width.max() <= 0.1
 
 

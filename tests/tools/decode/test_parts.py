@@ -121,14 +121,14 @@ class Shuffled:
         """As Workers."""
         self._pieces[number] = piece
         self._works[number] = Work(number, piece, READING)
-        self._events.append(Event(number, self._works[number].decode()))
+        self._events.append((number, self._works[number].decode()))
 
     def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
         """As Workers."""
         if self._order.random() < 0.3:  # the worker dies
             self._works[number] = Work(number, self._pieces[number], READING)
             self._works[number].decode()
-        self._events.append(Event(number, self._works.pop(number).write(self._sink, before, apart, shape, last)))
+        self._events.append((number, self._works.pop(number).write(self._sink, before, apart, shape, last)))
 
     def next(self) -> Event:
         """As Workers."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 from multiprocessing import connection
 from operator import itemgetter
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -58,11 +58,8 @@ class Written:
     events: list[BusEvent] = field(default_factory=list)
 
 
-class Event(NamedTuple):
-    """What a worker says of part ``number``: its Ends, what was Written, or an error."""
-
-    number: int
-    told: Ends | Written | Exception
+Event = tuple[int, Ends | Written | Exception]
+"""What a worker says of a part by its number: its Ends, what was written, or an error."""
 
 
 class Workers(Protocol):
@@ -102,23 +99,23 @@ class Work:
 
     def write(self, sink: Sink, before: State, apart: bool, shape: Shape, last: bool) -> Written | Exception:
         """Complete and write the rows, see ``Workers``."""
+        summary, recording, few = Summary(self._reading.reasons), None, list[FrameArray]()
         try:
+            tables: Iterable[Table]
             if apart:
                 assert self._part is not None
-                return self._written(self._part.rows(before, last=last), shape, sink)
-            recording = Recording(self._reading, before)
-            few: list[FrameArray] = []
-            tables = recording.tables_of_piece(self._piece, tap=lambda block, _: few.append(services(block)))
-            written = self._written(chain(tables, recording.finish() if last else ()), shape, sink)
+                tables = self._part.rows(before, last=last)
+            else:
+                recording = Recording(self._reading, before)
+                tables = recording.tables_of_piece(self._piece, tap=lambda block, _: few.append(services(block)))
+                tables = chain(tables, recording.finish() if last else ())
+            record = sink.write(self._number, summary.passing(tables), shape)
         except (TipforceError, OSError) as error:
             return error
-        written.state, written.notes, written.services = recording.state(), recording.told.notes[0], few
+        written = Written(self._number, self._piece, record, shape, summary, services=few)
+        if recording is not None:
+            written.state, written.notes = recording.state(), recording.told.notes[0]
         return written
-
-    def _written(self, tables: Iterable[Table], shape: Shape, sink: Sink) -> Written:
-        summary = Summary(self._reading.reasons)
-        record = sink.write(self._number, summary.passing(tables), shape)
-        return Written(self._number, self._piece, record, shape, summary)
 
 
 class Here(Workers):
@@ -135,11 +132,11 @@ class Here(Workers):
 
     def decode(self, number: int, piece: Piece) -> None:
         self._pieces[number] = piece
-        self._events.append(Event(number, Ends((), Notes(piece.name))))
+        self._events.append((number, Ends((), Notes(piece.name))))
 
     def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
         work = Work(number, self._pieces.pop(number), self._reading)
-        self._events.append(Event(number, work.write(self._sink, before, apart, shape, last)))
+        self._events.append((number, work.write(self._sink, before, apart, shape, last)))
 
     def next(self) -> Event:
         return self._events.pop(0)
@@ -170,23 +167,20 @@ class InOrder:
                 while self._begun < len(self._pieces) and self._workers.free:
                     self._workers.decode(self._begun, self._pieces[self._begun])
                     self._begun += 1
-                self._take(self._workers.next())
+                self._take(*self._workers.next())
                 self._follow()
                 while self._given in self._written:
-                    found = self._written.pop(self._given)
-                    found.state, found.frames, found.bad, found.events = self._told.pop(found.number)
+                    written = self._written.pop(self._given)
+                    written.state, written.frames, written.bad, written.events = self._told.pop(written.number)
                     self._given += 1
-                    yield found
+                    yield written
         finally:
             self._workers.close()
 
-    def _take(self, event: Event) -> None:
-        number, told = event
+    def _take(self, number: int, told: Ends | Written | Exception) -> None:
         if not isinstance(told, Written):
-            if isinstance(told, Exception) and self._alone and number == self._followed:
-                raise self._numbered(told)
-            if isinstance(told, Exception) and number < self._followed:
-                raise told
+            if isinstance(told, Exception) and number < self._followed + self._alone:
+                raise self._numbered(told) if number == self._followed else told
             self._known[number] = told
             return
         self._written[number] = told
@@ -195,7 +189,6 @@ class InOrder:
             self._recording.resume(told.state, told.notes, told.services)
             self._shape = told.shape.copy()
             self._passed(number, told.notes, events)
-            self._known.pop(number, None)
             self._alone = False
 
     def _follow(self) -> None:
@@ -216,8 +209,8 @@ class InOrder:
 
     def _passed(self, number: int, notes: Notes, events: int) -> None:
         """Note what the recording knows after a part, which had so many ``events`` before it."""
-        found = self._recording.told.bus.found[events:]
-        self._told[number] = self._recording.state(), notes.frames, notes.bad, found
+        bus = self._recording.told.bus.found[events:]
+        self._told[number] = self._recording.state(), notes.frames, notes.bad, bus
         self._followed = number + 1
 
     def _numbered(self, error: Exception) -> Exception:
@@ -286,7 +279,7 @@ class Processes(Workers):
             elif number in self._known:
                 continue  # repeated: its ends are the same
             self._known.add(number)
-            return Event(number, told)
+            return number, told
 
     def _repeat(self, number: int) -> None:
         process, pipe = self._busy.pop(number)
@@ -381,7 +374,7 @@ class Cluster(Workers):
         future.release()
         if not isinstance(told, Ends):
             self._works.pop(number).release()
-        return Event(number, told)
+        return number, told
 
     def close(self) -> None:
         self._works.clear()

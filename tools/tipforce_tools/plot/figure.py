@@ -117,8 +117,7 @@ def _frame(fingers: Sequence[Finger], recording: Fingers) -> _Frame:
         for signal, trace in finger.traces.items():
             line = trace.line()
             if line is not None and finger.units[signal] == "degree":
-                low, high = np.fmin(line.low, line.band_low).min(), np.fmax(line.high, line.band_high).max()
-                ends.setdefault(panel_of(signal), []).extend((float(low), float(high)))
+                ends.setdefault(panel_of(signal), []).extend((float(np.nanmin(line.y)), float(np.nanmax(line.y))))
     circles = {panel for panel, of_panel in ends.items() if max(of_panel) - min(of_panel) >= TURN}
     happened = {name for finger in fingers for flags in finger.flags.values() for name in flags.bars()}
     names = [name for name in _HATCHES if name in happened or name == "contact"] + sorted(happened - {*_HATCHES})
@@ -165,29 +164,25 @@ def _draw_finger(axes: Sequence[Axes], rows: Sequence[str], name: str, finger: F
 
 def _draw_line(ax: Axes, signal: str, line: Line, number: int, *, whole: bool, start_ns: int) -> None:
     x = np.asarray((line.t_ns - start_ns) * 1e-9, dtype=np.float64)
-    columns = (line.mean, line.low, line.high, line.band_low, line.band_high)
     ink, style = _INK[number % len(_INK)], _STYLES[number % len(_STYLES)]
     turns: tuple[float, ...] = (0.0,)
     if whole:
-        t, mean, low, high, band_low, band_high = wrapped(line.starts, x, *columns)
         turns = (0.0, -TURN, TURN)  # the parts of bands beyond 180 continue at -180
-    else:
-        t, mean, low, high, band_low, band_high = broken(line.starts, x, *columns)
+    t, (mean, low, high, band_low, band_high) = (wrapped if whole else broken)(line.starts, x, line.y)
     has_band = bool(np.isfinite(band_low).any())
     for turn in turns:
         if has_band:
             ax.fill_between(t, band_low + turn, band_high + turn, color="0.78", linewidth=0)
-        if bool((line.high > line.low).any()):
+        if bool((line.y[2] > line.y[1]).any()):
             ax.fill_between(t, low + turn, high + turn, color=ink, alpha=0.5, linewidth=0.5)
     ax.plot(t, mean, color=ink, linestyle=style, linewidth=0.9, label=signal if panel_of(signal) != signal else "")
     # A line of one point is invisible.
     alone = line.starts & np.append(line.starts[1:], True)
     if alone.any():
-        y = line.mean[alone] - (TURN * np.ceil((line.mean[alone] - TURN / 2) / TURN) if whole else 0.0)
-        ax.plot(x[alone], y, ".", color=ink, markersize=3)
-        ax.vlines(
-            x[alone], y - (line.mean - line.low)[alone], y + (line.high - line.mean)[alone], color=ink, linewidth=0.8
-        )
+        points = line.y[:3, alone]
+        points = points - (TURN * np.ceil((points[0] - TURN / 2) / TURN) if whole else 0.0)
+        ax.plot(x[alone], points[0], ".", color=ink, markersize=3)
+        ax.vlines(x[alone], points[1], points[2], color=ink, linewidth=0.8)
 
 
 def _share_limits(axes: Sequence[Axes], panel: str, *, whole: bool) -> None:
@@ -236,29 +231,22 @@ def _draw_status(ax: Axes, finger: Finger, frame: _Frame) -> None:
     ax.set_axisbelow(True)
 
 
-def broken(starts: BoolArray, *columns: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the columns (k,) with a NaN before each point that starts a line."""
+def broken(starts: BoolArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return x (k,) and y (m, k) with a NaN before each point that starts a line."""
     at = np.flatnonzero(starts[1:]) + 1
-    return tuple(np.insert(column.astype(np.float64), at, np.nan) for column in columns)
+    return np.insert(x, at, np.nan), np.insert(y, at, np.nan, axis=1)
 
 
-def wrapped(starts: BoolArray, x: FloatArray, mean: FloatArray, *others: FloatArray) -> tuple[FloatArray, ...]:
-    """Wrap unwrapped angles (k,) in degrees: return (x, mean, others...) with ``mean`` within -180..180.
+def wrapped(starts: BoolArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Wrap unwrapped angles in degrees: return x (k,) and y (m, k) with the mean, y[0], within -180..180.
 
     A line that crosses 180 continues beyond it, and starts again one turn lower from below -180: with the axis clipped
-    at both limits, it leaves on one side and enters on the other. ``others`` are shifted with ``mean``.
+    at both limits, it leaves on one side and enters on the other. The other rows of y are shifted with the mean.
     """
-    turn = np.ceil((mean - TURN / 2) / TURN)
-    crossing = np.flatnonzero((np.diff(turn) != 0) & ~starts[1:]) + 1  # the point after each
-    shift = TURN * turn
-
-    def inserted(column: FloatArray, shifts: FloatArray | None) -> FloatArray:
-        base = column if shifts is None else column - shifts
-        beyond = column[crossing] if shifts is None else column[crossing] - shifts[crossing - 1]
-        before = column[crossing - 1] if shifts is None else column[crossing - 1] - shifts[crossing]
-        three = np.stack((beyond, np.full(len(crossing), np.nan), before), axis=-1).ravel()
-        return np.insert(base, np.repeat(crossing, 3), three)
-
-    begins = np.insert(starts, np.repeat(crossing, 3), False)
-    columns = [inserted(x, None), *(inserted(column, shift) for column in (mean, *others))]
-    return broken(begins, *columns)
+    shift = TURN * np.ceil((y[0] - TURN / 2) / TURN)
+    crossing = np.flatnonzero((np.diff(shift) != 0) & ~starts[1:]) + 1  # the point after each
+    at, before = np.repeat(crossing, 3), crossing - 1
+    beyond, back = y[:, crossing] - shift[before], y[:, before] - shift[crossing]
+    three = np.stack((beyond, np.full_like(beyond, np.nan), back), axis=-1).reshape(len(y), -1)
+    times = np.stack((x[crossing], np.full(len(crossing), np.nan), x[before]), axis=-1).ravel()
+    return broken(np.insert(starts, at, False), np.insert(x, at, times), np.insert(y - shift, at, three, axis=1))

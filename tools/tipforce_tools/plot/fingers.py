@@ -6,8 +6,7 @@ Samples are reduced by bins that keep the extremes.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,19 +21,14 @@ _TURN = 360.0
 _PERIODS = 5.0  # a pause of this many periods is a gap
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Line:
-    """A quantity, (k,) each: ``mean`` with ``low`` and ``high``; the band (NaN where its uncertainty is unknown).
+class Line(NamedTuple):
+    """A quantity at k times. ``y`` (5, k): mean, low, high, and the band, NaN where its uncertainty is unknown.
 
-    ``starts``: preceded by a gap or an unknown value. Angles are unwrapped.
+    ``starts`` (k,): preceded by a gap or an unknown value. Angles are unwrapped.
     """
 
     t_ns: IntArray
-    mean: FloatArray
-    low: FloatArray
-    high: FloatArray
-    band_low: FloatArray
-    band_high: FloatArray
+    y: FloatArray
     starts: BoolArray
 
 
@@ -71,15 +65,15 @@ class Trace:
         gap[0] |= self._broken
         self._broken = bool(known[-1] < len(values) - 1)
         t, x = t_ns[known], values[known]
-        before_ns = self._last[0] if self._last is not None else int(t[0])
         if self._period_ns > 0:
-            gap |= np.diff(t, prepend=before_ns) > _PERIODS * self._period_ns
+            gap |= np.diff(t, prepend=self._last[0] if self._last else t[0]) > _PERIODS * self._period_ns
         if self._angle:
             x = self._unwrapped(x, gap)
         self._last = int(t[-1]), float(x[-1])
         u = np.full(len(x), np.nan) if uncertainty is None else COVERAGE * uncertainty[known]
-        self.banded = self.banded or bool(np.isfinite(u).any())
-        low, high = np.where(np.isfinite(u), x - u, np.inf), np.where(np.isfinite(u), x + u, -np.inf)
+        finite = np.isfinite(u)
+        self.banded = self.banded or bool(finite.any())
+        low, high = np.where(finite, x - u, np.inf), np.where(finite, x + u, -np.inf)
         key = 2 * np.maximum(t - self._start_ns, 0) + ~gap  # the first of a bin, and whether a gap precedes it
         self._bins.add(t, low=x, high=x, total=x, band_low=low, band_high=high, key=key)
 
@@ -97,13 +91,11 @@ class Trace:
         bins = self._bins.filled()
         if not len(bins["count"]):
             return None
-        has_band = np.isfinite(bins["band_low"])
-        return Line(
-            (bins["first_ns"] // 2 + bins["last_ns"] // 2), bins["total"] / bins["count"],
-            bins["low"], bins["high"],
-            np.where(has_band, bins["band_low"], np.nan), np.where(has_band, bins["band_high"], np.nan),
-            bins["key"] % 2 == 0,
-        )  # fmt: skip
+        band = np.stack((bins["band_low"], bins["band_high"]))
+        y = np.stack(
+            (bins["total"] / bins["count"], bins["low"], bins["high"], *np.where(np.isfinite(band), band, np.nan))
+        )
+        return Line(bins["first_ns"] // 2 + bins["last_ns"] // 2, y, bins["key"] % 2 == 0)
 
 
 class Flags:
