@@ -275,14 +275,14 @@ def test_a_log_whose_clock_is_no_date(
 @pytest.mark.parametrize("signals", ["P,gauges,status", "gauges"])
 def test_a_legend_lies_on_no_trace_and_no_title(signals: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A gauge at its limit runs along the edge of the panel: the names are outside, and the title above them."""
-    from tipforce_tools.plot import session
+    from tipforce_tools.plot import figure as figures
 
     log = tmp_path / "run.log"
     pdos = {0x185: "FF7F0180000007", 0x285: "E8032823941107"}
     lines = [f"({t:017.6f}) can0 {cob_id:03X}#{data}{t:02X}\n" for t in range(1, 9) for cob_id, data in pdos.items()]
     log.write_text("".join(lines))
     drawn: list[Any] = []
-    monkeypatch.setattr(session, "save_figure", lambda figure, *_, **__: drawn.append(figure))
+    monkeypatch.setattr(figures, "save_figure", lambda figure, *_, **__: drawn.append(figure))
     assert main(["plot", str(log), "--signals", signals, "-o", str(tmp_path / "run.png")]) == 0
     (figure,) = drawn
     figure.canvas.draw()
@@ -362,7 +362,7 @@ def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
 
     finger: Finger | None = None
     for table in tables_of_logs(Recording(Reading(Layouts())), [str(one)]):
-        finger = finger or Finger("5", int(table.t_ns[0]), ("P",), ())
+        finger = finger or Finger(int(table.t_ns[0]), ("P",), ())
         finger.add(table, np.arange(len(table)))
     assert finger is not None
     line = line_of(finger.traces["P"])

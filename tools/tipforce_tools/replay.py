@@ -173,14 +173,8 @@ def _text_blocks(path: Path, parser: CandumpParser) -> Iterator[CandumpBlock]:
     from tipforce.host.logs.unpacking import decompressed
 
     with open_file(path) as file:
-        text = decompressed(file, str(path))
-
-        def read(count: int) -> bytes:
-            buffer = bytearray(count)
-            return bytes(buffer[: text.readinto(buffer) or 0])
-
         try:
-            yield from text_blocks(read, parser)
+            yield from text_blocks(decompressed(file, str(path)).read, parser)
         except (OSError, EOFError) as error:
             raise InputError(f"{path}: {error}") from error
 

@@ -153,11 +153,6 @@ def test_time_that_goes_back_shows_as_zero_not_as_garbage() -> None:
         assert CandumpFormat(kind).lines(block)[1].startswith(" (000.000000)  c")
 
 
-def test_format_refuses_an_unknown_timestamp() -> None:
-    with pytest.raises(InputError, match="allowed are a, z, d, A"):
-        CandumpFormat("b")
-
-
 def test_identifier_text() -> None:
     assert identifier_text(0x81) == "081"
     assert identifier_text(0x81 | EXTENDED_FLAG | REMOTE_FLAG) == "00000081"

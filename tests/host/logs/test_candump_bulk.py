@@ -12,7 +12,7 @@ from tipforce.core import core
 from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import BadLineError, CandumpParser
-from tipforce.host.logs.candump_format import TIMESTAMPS, CandumpFormat
+from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce.host.logs.notes import LogNotes
 
 
@@ -175,7 +175,7 @@ def block_of_traffic(count: int = 500) -> CandumpBlock:
 
 
 FORMATS = [
-    *({"timestamps": kind, "extra": extra} for kind in TIMESTAMPS for extra in (False, True)),
+    *({"timestamps": kind, "extra": extra} for kind in ("", *"azdA") for extra in (False, True)),
     {"log": True},
     {"log": True, "extra": True},
 ]

@@ -32,9 +32,9 @@ _CALIBRATE = {
     "budget": ("tipforce_tools.calibrate.budget", "compute the error budget of P, phi and theta by cause"),
 }
 _DATASET = {
-    "show": ("tipforce_tools.dataset.command:show", "print what a dataset holds"),
-    "verify": ("tipforce_tools.dataset.command:verify", "compare the SHA-256 of each file"),
-    "compact": ("tipforce_tools.dataset.command:compact", "join the files of a day; all get the same columns"),
+    "show": ("tipforce_tools.dataset:show", "print what a dataset holds"),
+    "verify": ("tipforce_tools.dataset:verify", "compare the SHA-256 of each file"),
+    "compact": ("tipforce_tools.dataset:compact", "join the files of a day; all get the same columns"),
     "sql": ("tipforce_tools.dataset.sql", "query a dataset with DuckDB"),
 }
 _DESIGN = {
@@ -83,7 +83,7 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
         "dump": ("tipforce_tools.dump", "print frames as candump does, with --decode their meaning"),
         "log": ("tipforce_tools.log", "record frames to a file that canplayer and Wireshark read"),
         "replay": ("tipforce_tools.replay", "send the frames of a log with their recorded timing"),
-        "decode": ("tipforce_tools.decode.command", "convert logs to contact: CSV, JSON lines, Parquet, MCAP"),
+        "decode": ("tipforce_tools.decode", "convert logs to contact: CSV, JSON lines, Parquet, MCAP"),
         "dataset": (_DATASET, "show, verify, compact and query a dataset of `tipforce decode`"),
         "plot": ("tipforce_tools.plot", "plot the contact, gauges and faults of a log"),
     },

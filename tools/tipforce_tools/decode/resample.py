@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -37,22 +37,16 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Groups:
-    """g intervals of nodes, by node and time: ``sums`` by column (g, 3): count, sum or sine, cosine."""
+class _Groups(NamedTuple):
+    """g intervals of nodes, by node and time. ``sums`` (g, c, 3) of c columns: count, sum or sine, cosine."""
 
     key: npt.NDArray[np.uint16]
     interval: IntArray
-    count: IntArray
-    sums: dict[str, FloatArray]
-
-    def of(self, name: str) -> FloatArray:
-        """Return the sums of a column, zeros if no interval has it."""
-        return self.sums.get(name, np.zeros((len(self.key), 3)))
+    samples: IntArray
+    sums: FloatArray
 
     def take(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> _Groups:
-        sums = {name: values[rows] for name, values in self.sums.items()}
-        return _Groups(self.key[rows], self.interval[rows], self.count[rows], sums)
+        return _Groups._make(column[rows] for column in self)
 
 
 class Resampler:
@@ -71,7 +65,7 @@ class Resampler:
         self._asked = asked
         self._columns: dict[str, Column] = {}
         self._channels: tuple[str, ...] = ()
-        self._open = _Groups(np.zeros(0, np.uint16), np.zeros(0, np.int64), np.zeros(0, np.int64), {})
+        self._open = _Groups(np.zeros(0, np.uint16), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 0, 3)))
 
     def tables(self, tables: Iterable[Table]) -> Iterator[Table]:
         """Yield the intervals complete after each table. Raises InputError for a log without times."""
@@ -93,7 +87,10 @@ class Resampler:
             place = np.minimum(np.searchsorted(self._open.key, table.key), len(self._open.key) - 1)
             known = self._open.key[place] == table.key
             interval = np.where(known, np.maximum(interval, self._open.interval[place]), interval)
-        sums = {c.name: _contributions(c, table.values[c.name]) for c in table.columns}
+        sums = np.zeros((len(table), len(self._columns), 3))
+        for number, column in enumerate(self._columns.values()):
+            if column.name in table.values:
+                sums[:, number] = _contributions(column, table.values[column.name])
         return _Groups(table.key, interval, np.ones(len(table), dtype=np.int64), sums)
 
     def _intervals(self, t_ns: IntArray) -> IntArray:
@@ -106,12 +103,10 @@ class Resampler:
         return np.asarray(whole + np.floor(within + 1e-9)).astype(np.int64)
 
     def _joined(self, new: _Groups) -> _Groups:
-        old = self._open
-        sums = {name: np.concatenate((old.of(name), new.of(name))) for name in {**old.sums, **new.sums}}
-        return _Groups(
-            np.concatenate((old.key, new.key)), np.concatenate((old.interval, new.interval)),
-            np.concatenate((old.count, new.count)), sums,
-        )  # fmt: skip
+        more = new.sums.shape[1] - self._open.sums.shape[1]
+        old = self._open._replace(sums=np.pad(self._open.sums, ((0, 0), (0, more), (0, 0))))
+        pairs: Iterator[tuple[Any, Any]] = zip(old, new, strict=True)
+        return _Groups._make(map(np.concatenate, pairs))
 
     def _rows(self, groups: _Groups, done: npt.NDArray[np.bool_]) -> Iterator[Table]:
         """Return rows of the complete intervals, and of empty ones between them."""
@@ -127,10 +122,10 @@ class Resampler:
         order = np.lexsort((groups.key[source], groups.interval[source] + step))
         for first in range(0, len(order), _ROWS):
             rows = order[first : first + _ROWS]
-            found, steps = groups.take(source[rows]), step[rows]
-            is_full = steps == 0
-            sums = {name: np.where(is_full[:, np.newaxis], values, 0.0) for name, values in found.sums.items()}
-            yield self._table(_Groups(found.key, found.interval + steps, np.where(is_full, found.count, 0), sums))
+            key, interval, count, sums = groups.take(source[rows])
+            is_full = step[rows] == 0
+            sums[~is_full] = 0.0
+            yield self._table(_Groups(key, interval + step[rows], np.where(is_full, count, 0), sums))
 
     def _check_empty(self, groups: _Groups, empty: IntArray) -> None:
         if empty.sum() > MOST_EMPTY:
@@ -141,16 +136,15 @@ class Resampler:
             )
 
     def _table(self, groups: _Groups) -> Table:
-        values: dict[str, Values] = {COUNT: groups.count}
-        columns = [counted(COUNT)]
+        values: dict[str, Values] = {COUNT: groups.samples}
+        columns, sums = [counted(COUNT)], dict(zip(self._columns, np.moveaxis(groups.sums, 1, 0), strict=True))
         for column in in_order(self._columns.values(), self._asked):
             digits = None if column.digits is None else column.digits + _MORE_DIGITS
             columns.append(Column(column.name, column.signal, "real", digits, column.unit, column.rank))
-            of_column = groups.of(column.name)
-            values[column.name] = _mean(column, of_column)
+            values[column.name] = _mean(column, sums[column.name])
             if column.kind != "flag":
                 columns.append(counted(f"n_{column.name}"))
-                values[columns[-1].name] = of_column[:, 0].astype(np.int64)
+                values[columns[-1].name] = sums[column.name][:, 0].astype(np.int64)
         period = 1e9 / self._rate_hz
         interval, whole = groups.interval, period == round(period)
         t_ns = interval * round(period) if whole else np.rint(interval * period).astype(np.int64)
@@ -164,8 +158,8 @@ def _summed(groups: _Groups) -> _Groups:
     order = np.lexsort((groups.interval, groups.key))
     key, interval = groups.key[order], groups.interval[order]
     starts = np.flatnonzero(np.append(True, (key[1:] != key[:-1]) | (interval[1:] != interval[:-1])))
-    sums = {name: np.add.reduceat(values[order], starts, axis=0) for name, values in groups.sums.items()}
-    return _Groups(key[starts], interval[starts], np.add.reduceat(groups.count[order], starts), sums)
+    count, sums = (np.add.reduceat(values[order], starts, axis=0) for values in (groups.samples, groups.sums))
+    return _Groups(key[starts], interval[starts], count, sums)
 
 
 def _contributions(column: Column, values: Values) -> FloatArray:

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Draw the plot. Raises InputError for unusable input and EnvironmentLackError without matplotlib."""
-    from tipforce_tools.plot.session import plot
+    from tipforce_tools.plot.figure import plot
 
     return plot(args)
 

@@ -1,27 +1,39 @@
-"""The figure: a column of panels per finger, readable without colour."""
+"""One run of `tipforce plot`, from logs to the figure: a column of panels per finger, readable without colour."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from argparse import Namespace
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray
-from tipforce.errors import EnvironmentLackError
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host.dataset.reader import tables_of_logs
+from tipforce.host.decoding.log_part import Notes
+from tipforce.host.decoding.pdo_layout import Layouts
+from tipforce.host.decoding.recording import Recording
+from tipforce.host.decoding.sample_table import Table
+from tipforce.host.logs.notes import no_sample
+from tipforce.output_file import FIGURES, check_output, figure_kind, save_figure
 from tipforce.samples.reasons import BY_NAME
+from tipforce_tools.cli import common, log_choice
+from tipforce_tools.cli.listening import counted
 from tipforce_tools.plot.fingers import Finger, Fingers, Line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+MOST_FINGERS = 20
+STATUS, GAUGES = "status", "gauges"
+_DEFAULT = ("P", "phi", "theta", GAUGES, STATUS)
 TURN = 360.0
 COLUMNS = 5  # fingers side by side; more are placed below
-_STATUS = "status"
 _TITLES = {"P": "P", "phi": "phi", "theta": "theta", "force": "force", "gauges": "strain", "temperature": "temperature"}
 _UNITS = {"degree": "deg", "microstrain": "microstrain", "degC": "deg C"}
 _STYLES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (3, 3)), (0, (1, 3)), (0, (8, 2)))
@@ -37,8 +49,7 @@ LOST = "lost samples"
 _BEYOND = 7.0  # degrees beyond 180 on a full-circle axis, which shows a line at 180 on both sides
 
 
-@dataclass(frozen=True, slots=True)
-class _Frame:
+class _Frame(NamedTuple):
     """Settings shared by all fingers: the time, angles on a full-circle axis, the rows of the strip."""
 
     start_ns: int
@@ -48,8 +59,94 @@ class _Frame:
     note: str
 
 
-def import_matplotlib() -> Any:
-    """Return pyplot, for files only. Raises EnvironmentLackError if it is not installed."""
+def plot(args: Namespace) -> int:
+    """Draw; return 0. Raises InputError for unusable input, EnvironmentLackError without matplotlib."""
+    if args.output is None:
+        raise InputError("no output: add -o FILE.png, .svg or .pdf")
+    path = Path(args.output)
+    names = log_choice.logs(args.logs)
+    check_output(path, figure_kind(path, FIGURES), names)
+    plt = _import_matplotlib()
+    layouts, calibrations = log_choice.calibrated(args, log_choice.layouts(args))
+    contact, computed = None, frozenset[str]()
+    if calibrations:  # the contact is estimated from gauges
+        from tipforce.host.decoding.contact_columns import COLUMNS, ContactColumns
+
+        contact, computed = ContactColumns(calibrations, None), frozenset(column.signal for column in COLUMNS)
+    wanted = log_choice.names_of(args.signals) or _default(layouts)
+    reading = log_choice.reading(args, names, layouts, None)
+    recording = Recording(reading)
+    fingers = Fingers(_signals(wanted, layouts, computed), computed)
+    tables: Iterable[Table] = tables_of_logs(recording, names)
+    for table in tables if contact is None else contact.tables(tables):
+        fingers.add(table)
+    notes = recording.told.notes
+    _check(args, fingers, notes)
+    if STATUS not in wanted and not any(finger.traces for _, finger in fingers.named()):
+        raise InputError(f"{', '.join(names)}: no {', '.join(wanted)} in it, so there is nothing to draw")
+    drawn = draw(fingers, plt, args.size, status=STATUS in wanted)
+    try:
+        save_figure(drawn, path, FIGURES, dpi=130)
+    finally:
+        plt.close(drawn)
+    for log in notes:
+        if log.bad:
+            common.note(f"tipforce plot: {log.source}: {counted(sum(log.bad.values()), 'bad line')} left out")
+    if args.json:
+        common.print_json(_record(fingers, path))
+    else:
+        common.note(f"{path}: {counted(len(fingers.named()), 'node')}")
+    return 0
+
+
+def _default(layouts: Layouts) -> Iterable[str]:
+    """Return the contact, gauges and status of fingertips, or every signal of devices of another kind."""
+    messages = layouts.decoder().messages().values()
+    signals = {signal.name: None for _, message in messages for signal in message.signals}
+    return _DEFAULT if "P" in signals else signals
+
+
+def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) -> frozenset[str]:
+    """Return the signals of the requested panels. Raises InputError for an unknown name."""
+    signals: set[str] = set()
+    for name in wanted:
+        if name == GAUGES:
+            signals |= {f"SG{k + 1}" for k in range(layouts.gauges)}
+        elif name != STATUS:
+            known = name.rpartition("_")[0] if name in {"P_N", "phi_deg", "theta_deg"} else name
+            signals.add(known if known in computed else (log_choice.checked_signals(layouts, (known,)) or (known,))[0])
+    return frozenset(signals)
+
+
+def _check(args: Namespace, fingers: Fingers, notes: Sequence[Notes]) -> None:
+    names = ", ".join(log.source for log in notes)
+    count = len(fingers.named())
+    if not count:
+        frames = sum(log.frames for log in notes)
+        flags = log_choice.narrowing_flags(args)
+        if not flags:
+            raise no_sample(names, frames, sum(log.extended for log in notes))
+        why = f" (of {counted(frames, 'frame')}, with {flags})"
+        raise InputError(f"{names}: no PDO of a fingertip{why}, so there is nothing to draw")
+    if not fingers.timed:
+        raise InputError(f"{names}: no timestamps, which a plot needs; candump -L writes them")
+    if count > MOST_FINGERS:
+        raise InputError(f"{count} nodes: allowed are at most {MOST_FINGERS} in a plot; choose with --nodes")
+
+
+def _record(fingers: Fingers, path: Path) -> dict[str, object]:
+    nodes = [
+        {
+            "node": name, "signals": list(finger.traces), "lost": finger.lost.total,
+            "unknown": {signal: trace.unknown for signal, trace in finger.traces.items()},
+            "flags": sorted(name for flags in finger.flags.values() for name in flags.bars()),
+        }
+        for name, finger in fingers.named()
+    ]  # fmt: skip
+    return {"output": str(path), "start_ns": fingers.start_ns, "nodes": nodes}
+
+
+def _import_matplotlib() -> Any:
     try:
         import matplotlib as mpl
     except ImportError:
@@ -67,7 +164,7 @@ def draw(fingers: Fingers, plt: Any, size_inches: tuple[float, float] | None, *,
     order = ["P", "phi", "theta", "force", "gauges"]
     panels = list(dict.fromkeys(panel_of(signal) for _, finger in named for signal in finger.traces))
     panels.sort(key=lambda panel: order.index(panel) if panel in order else len(order))
-    rows = [*panels, *([_STATUS] if status else [])]
+    rows = [*panels, *([STATUS] if status else [])]
     across = min(len(named), COLUMNS)
     down = math.ceil(len(named) / COLUMNS)
     frame = _frame([finger for _, finger in named], fingers)
@@ -90,7 +187,7 @@ def draw(fingers: Fingers, plt: Any, size_inches: tuple[float, float] | None, *,
             for ax in axes:
                 ax.set_visible(False)
     for row, panel in enumerate(rows * down):
-        if panel != _STATUS:
+        if panel != STATUS:
             _share_limits(list(grid[row]), panel, whole=panel in frame.circles)
         else:
             for ax in grid[row][1:]:
@@ -134,7 +231,7 @@ def _draw_finger(axes: Sequence[Axes], rows: Sequence[str], name: str, finger: F
     start_ns = frame.start_ns
     for ax, panel in zip(axes, rows, strict=True):
         ax.tick_params(labelsize=8)
-        if panel == _STATUS:
+        if panel == STATUS:
             _draw_status(ax, finger, frame)
             continue
         ax.grid(True, color="0.9", linewidth=0.6)

@@ -215,8 +215,7 @@ INVERTED = {"calibrated": "not calibrated"}
 class Finger:
     """One node of one bus. ``traces`` and ``units`` by signal; ``computed`` ones are computed from its gauges."""
 
-    def __init__(self, name: str, start_ns: int, wanted: Collection[str], computed: Collection[str]) -> None:
-        self.name = name
+    def __init__(self, start_ns: int, wanted: Collection[str], computed: Collection[str]) -> None:
         self.traces: dict[str, Trace] = {}
         self.units: dict[str, str] = {}
         self.flags: dict[str, Flags] = {}
@@ -268,10 +267,10 @@ class Finger:
         self, table: Table, columns: dict[str, Column], signal: str, rows: npt.NDArray[np.intp], t_ns: IntArray
     ) -> FloatArray | None:
         """Return the standard uncertainty at each row: its own, or the last one sent while it is valid."""
-        column = columns.get(_UNCERTAINTY_OF.get(signal, ""))
-        if column is None and _UNCERTAINTY_OF.get(signal, "") not in self._held:
+        name = _UNCERTAINTY_OF.get(signal, "")
+        column = columns.get(name)
+        if column is None and name not in self._held:
             return None
-        name = _UNCERTAINTY_OF[signal]
         own = np.full(len(rows), np.nan) if column is None else table.values[column.name][rows]
         if name in self._computed:
             return own
@@ -315,15 +314,13 @@ class Fingers:
         self._channels = table.channels
         for key in np.unique(table.key).tolist():
             if key not in self._by_key:
-                name = shown_id(key & ((1 << NODE_BITS) - 1))
-                self._by_key[key] = Finger(name, self.start_ns, self._wanted, self._computed)
+                self._by_key[key] = Finger(self.start_ns, self._wanted, self._computed)
             self._by_key[key].add(table, np.flatnonzero(table.key == key))
 
     def named(self) -> list[tuple[str, Finger]]:
         """Return the fingers with titles, in the order of channels and node-ids."""
         several = len({key >> NODE_BITS for key in self._by_key}) > 1
-        titled = []
-        for key, finger in sorted(self._by_key.items()):
-            channel = f"{self._channels[key >> NODE_BITS]} " if several else ""
-            titled.append((f"{channel}node {finger.name}", finger))
-        return titled
+        return [
+            (f"{f'{self._channels[key >> NODE_BITS]} ' * several}node {shown_id(key & ((1 << NODE_BITS) - 1))}", finger)
+            for key, finger in sorted(self._by_key.items())
+        ]

@@ -216,14 +216,14 @@ class CandumpParser:
         return frames
 
 
-def text_blocks(read: Callable[[int], bytes], parser: CandumpParser) -> Iterator[CandumpBlock]:
+def text_blocks(read: Callable[[int], bytes | None], parser: CandumpParser) -> Iterator[CandumpBlock]:
     """Yield blocks of frames from what ``read(bytes)`` returns, until that is nothing, in bounded memory.
 
     Raises BadLineError at a bad line if ``parser`` is strict, after the frames before it.
     """
     rest, ended = b"", False
     while not ended:
-        chunk = read(_CHUNK_BYTES)
+        chunk = read(_CHUNK_BYTES) or b""
         ended = not chunk
         *lines, rest = (rest + chunk).split(b"\n")
         if rest and (ended or len(rest) > _CHUNK_BYTES):  # the last line, or no text

@@ -6,11 +6,7 @@ import time
 from collections.abc import Iterable, Sequence
 
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
-from tipforce.errors import InputError
 from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
-
-TIMESTAMPS = ("", "a", "z", "d", "A")
-"""None, absolute, from zero, since the previous frame, absolute with the local date."""
 
 _EXTRA = ("- -", "B -", "- E", "B E")  # bit rate switch and error state, by the flags of a CAN FD frame
 _ERROR_MASK = ERROR_FLAG | EXTENDED_MASK
@@ -19,9 +15,10 @@ _ERROR_MASK = ERROR_FLAG | EXTENDED_MASK
 class CandumpFormat:
     """Format frames as candump does, one string per frame without line end.
 
-    ``timestamps`` is one of TIMESTAMPS; ``log`` is -L, ``extra`` -x, ``errors`` -e, ``ascii`` -a; ``width`` is the
-    length of the longest interface name on the command line. Like candump, it keeps state: interface names align with
-    the longest so far (not with ``align`` False), and 11-bit identifiers are indented after the first 29-bit one.
+    ``timestamps``: "" none, "a" absolute, "z" from zero, "d" since the previous frame, "A" with the local date; ``log``
+    is -L, ``extra`` -x, ``errors`` -e, ``ascii`` -a; ``width`` is the length of the longest interface name on the
+    command line. Like candump, it keeps state: interface names align with the longest so far (not with ``align``
+    False), and 11-bit identifiers are indented after the first 29-bit one.
     """
 
     def __init__(
@@ -35,9 +32,6 @@ class CandumpFormat:
         width: int = 0,
         align: bool = True,
     ) -> None:
-        """Create a formatter. Raises InputError for an unknown kind of timestamp."""
-        if timestamps not in TIMESTAMPS:
-            raise InputError(f"timestamps {timestamps!r}: allowed are {', '.join(TIMESTAMPS[1:])}")
         self._kind = timestamps
         self._log = log
         self._extra = extra
@@ -51,43 +45,28 @@ class CandumpFormat:
 
     def lines(self, block: CandumpBlock) -> list[str]:
         """Return the text of each frame of a block, CAN FD included, in order (error frames with -e: several lines)."""
-        line = self._log_line if self._log else self._screen_line
-        names, found = block.names, []
-        for frame in block.in_order():
-            if isinstance(frame, FdFrame):
-                found.append(self._fd_line(frame, names))
-            else:
-                t_ns, can_id, length, data, interface, sent = frame
-                found.append(line(t_ns // 1000, can_id, length, data, self._name(names[interface]), sent))
-        return found
+        names = block.names
+        return [self._line(frame, names) for frame in block.in_order()]
 
-    def _name(self, name: str) -> str:
-        if not self._align:
-            return name
-        self._width = max(self._width, len(name))
-        return name.rjust(self._width)
-
-    def _fd_line(self, frame: FdFrame, names: Sequence[str]) -> str:
-        t_us, can_id, data = frame.t_ns // 1000, frame.can_id, frame.data
-        name = self._name(names[frame.interface])
+    def _line(self, frame: FdFrame | tuple[int, int, int, bytes, int, bool], names: Sequence[str]) -> str:
+        is_fd, flags = isinstance(frame, FdFrame), 0
+        if isinstance(frame, FdFrame):
+            _, t_ns, can_id, flags, data, interface, sent = frame
+            length = len(data)
+        else:
+            t_ns, can_id, length, data, interface, sent = frame
+        name, remote = names[interface], can_id & REMOTE_FLAG
+        if self._align:
+            self._width = max(self._width, len(name))
+            name = name.rjust(self._width)
         if self._log:
-            payload = f"#{frame.flags & 0xF:X}{data.hex().upper()}"
-            return f"({_seconds(t_us, 10)}) {name} {identifier_text(can_id)}#{payload}{self._way(frame.sent)}"
-        start = self._start(t_us, can_id, name, frame.sent, frame.flags)
-        return self._data(f"{start}  [{len(data):02d}] ", can_id, data)
-
-    def _log_line(self, t_us: int, can_id: int, length: int, data: bytes, name: str, sent: bool) -> str:
-        payload = (f"R{length}" if length else "R") if can_id & REMOTE_FLAG else data.hex().upper()
-        return f"({_seconds(t_us, 10)}) {name} {identifier_text(can_id)}#{payload}{self._way(sent)}"
-
-    def _way(self, sent: bool) -> str:
-        return "" if not self._extra else " T" if sent else " R"
-
-    def _screen_line(self, t_us: int, can_id: int, length: int, data: bytes, name: str, sent: bool) -> str:
-        start = f"{self._start(t_us, can_id, name, sent, 0)}   [{length}] "
-        if can_id & REMOTE_FLAG:
-            return self._with_errors(start + " remote request", can_id, data)
-        return self._data(start, can_id, data)
+            payload = (f"R{length}" if length else "R") if remote else data.hex().upper()
+            payload = f"#{flags & 0xF:X}{payload}" if is_fd else payload
+            way = "" if not self._extra else " T" if sent else " R"
+            return f"({_seconds(t_ns // 1000, 10)}) {name} {identifier_text(can_id)}#{payload}{way}"
+        start = self._start(t_ns // 1000, can_id, name, sent, flags)
+        start += f"  [{length:02d}] " if is_fd else f"   [{length}] "
+        return self._with_errors(f"{start} remote request", can_id, data) if remote else self._data(start, can_id, data)
 
     def _start(self, t_us: int, can_id: int, name: str, sent: bool, flags: int) -> str:
         """Return the part before the length."""

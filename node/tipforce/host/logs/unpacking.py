@@ -10,7 +10,7 @@ import os
 import zlib
 from contextlib import suppress
 from io import FileIO, RawIOBase
-from typing import Any, Protocol
+from typing import Any
 
 from tipforce.errors import EnvironmentLackError, LogError
 
@@ -23,13 +23,6 @@ MOST_CHUNK_BYTES = 256 << 20
 LONGEST_LINE = 1 << 19
 PACKED = _GZIP, _ZSTD = b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
 _STEP_BYTES = 1024  # bounds the output of one step
-
-
-class Readable(Protocol):
-    """Source of bytes."""
-
-    def readinto(self, buffer: Any, /) -> int | None:
-        """Fill the start of ``buffer``; return the number of bytes, 0 at the end."""
 
 
 class Expansion:
@@ -49,7 +42,7 @@ class Expansion:
             )
 
 
-def decompressed(file: FileIO, place: str) -> Readable:
+def decompressed(file: FileIO, place: str) -> RawIOBase:
     """Return ``file`` itself, or its content if it is gzip or zstd (by its first bytes, not by its name).
 
     Reading raises LogError where it unpacks to more than ``Expansion`` allows.
@@ -118,7 +111,7 @@ class _Source(RawIOBase):
 class BoundedLines(_Source):
     """A text whose lines are no longer than LONGEST_LINE: a reader of lines keeps a whole one in memory."""
 
-    def __init__(self, source: Readable, file: FileIO, place: str) -> None:
+    def __init__(self, source: RawIOBase, file: FileIO, place: str) -> None:
         super().__init__(file)
         self._source, self._place = source, place
         self._line_bytes = 0
