@@ -74,7 +74,7 @@ def test_a_day_is_added_and_counters_go_on(tmp_path: Path, lines: list[str]) -> 
 
 
 def test_readers(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    log, data = write_log(tmp_path / "run.log", lines), tmp_path / "data"
+    log, data = write_log(tmp_path / "run.log", [*lines, "bad"]), tmp_path / "data"
     assert decode(log, "-o", f"{data}/") == 0
     one, other = tipforce.read_log(log), tipforce.read_log(data)
     assert other.lost == one.lost
@@ -90,6 +90,8 @@ def test_readers(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture
     assert [{**row, "counter": ""} for row in found] == [{**row, "counter": ""} for row in expected]
     assert main(["plot", str(data), "-o", str(tmp_path / "a.svg"), "-q"]) == 0
     capsys.readouterr()
+    assert main(["decode", str(data), "--summary"]) == 0
+    assert f"{data}: bad lines: 1 not a candump line\n" in capsys.readouterr().err
 
 
 def test_what_it_holds(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -202,7 +202,8 @@ def notes_lines(told: Told) -> Iterator[str]:
     for notes in told.notes:
         if notes.bad:
             counts = ", ".join(f"{count} {reason}" for reason, count in sorted(notes.bad.items()))
-            yield f"{notes.source}: bad lines: {counts}; the first: {notes.first_bad}"
+            first = "" if notes.first_bad is None else f"; the first: {notes.first_bad}"  # a dataset has counts alone
+            yield f"{notes.source}: bad lines: {counts}{first}"
         if notes.skipped:
             counts = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in notes.skipped.items())
             yield f"{notes.source}: without samples: {counts}"
