@@ -157,15 +157,18 @@ def test_a_real_log_is_read_however_it_is_packed(tmp_path: Path) -> None:
             unpacking.unpacked_chunk("x", kind, pack(bytes(CHUNK + 1)))
 
 
-def test_a_large_blf_is_read(tmp_path: Path) -> None:
-    with can.BLFWriter(tmp_path / "x.blf") as writer:
+def test_a_large_blf_is_read_and_of_a_cut_one_what_it_has(tmp_path: Path) -> None:
+    path = tmp_path / "x.blf"
+    with can.BLFWriter(path) as writer:
         for k in range(8_000):
-            message = can.Message(1.7e9 + k * 1e-3, 0x181, is_extended_id=False, data=k.to_bytes(8))
-            writer(message)
-    with open_log(tmp_path / "x.blf", strict=True) as log:
-        blocks = list(log)
-    numbers = np.concatenate([block["data"][:, 7] for block in blocks])
-    assert numbers.tolist() == [k & 0xFF for k in range(8_000)]
+            writer(can.Message(1.7e9 + k * 1e-3, 0x181, is_extended_id=False, data=k.to_bytes(8)))
+    for content, whole in ((path.read_bytes(), True), (path.read_bytes()[:-9000], False)):
+        path.write_bytes(content)
+        with open_log(path) as log:
+            numbers = np.concatenate([block["data"] for block in log]).view(">u8")[:, 0]
+        assert numbers.tolist() == list(range(len(numbers)))
+        assert 1000 < len(numbers) <= 8_000
+        assert (len(numbers) == 8_000, log.bad) == (whole, {} if whole else {"unreadable": 1})
 
 
 @pytest.mark.parametrize("interfaces", [MAX_CHANNELS, MAX_CHANNELS + 3])
