@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,4 @@ def number(text: str) -> float | None:
 
 def records_of(text: str) -> list[dict[str, Any]]:
     """JSON lines."""
-    import json
-
     return [json.loads(line) for line in text.splitlines()]

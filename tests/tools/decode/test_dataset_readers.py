@@ -32,18 +32,18 @@ Sums = list[tuple[int, int, float]]
 """Of each node the number of rows, and the sum of P."""
 
 
+def of_frame(rows: Any) -> Sums:
+    sums = rows.groupby("node", observed=True)["P_N"].agg(["size", "sum"])
+    sums = sums.compute(scheduler="synchronous") if hasattr(sums, "compute") else sums
+    return sorted((int(node), int(size), float(total)) for node, size, total in sums.itertuples())
+
+
 def of_pandas(folder: Path) -> Sums:
-    rows = pd.read_parquet(folder)
-    return _of_frame(rows.groupby("node", observed=True)["P_N"].agg(["size", "sum"]))
+    return of_frame(pd.read_parquet(folder))
 
 
 def of_dask(folder: Path) -> Sums:
-    rows = dask.dataframe.read_parquet(folder, columns=["P_N", "node"])
-    return _of_frame(rows.groupby("node", observed=True)["P_N"].agg(["size", "sum"]).compute(scheduler="synchronous"))
-
-
-def _of_frame(frame: Any) -> Sums:
-    return sorted((int(node), int(size), float(total)) for node, size, total in frame.itertuples())
+    return of_frame(dask.dataframe.read_parquet(folder, columns=["P_N", "node"]))
 
 
 def of_pyarrow(folder: Path) -> Sums:
@@ -128,7 +128,7 @@ def test_the_folders_of_readers_hold_parquet_files_and_nothing_else(two_logs: Pa
     assert str(events["t_s"].dtype) == "datetime64[us, UTC]"
 
 
-def test_compaction_gives_all_files_the_same_columns(two_logs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_compaction_gives_all_files_the_same_columns(two_logs: Path) -> None:
     data, logs = two_logs / "data", [two_logs / "1.log", two_logs / "2.log"]
     assert rows_of_dataset(data) == sorted(row for log in logs for row in rows_of_logs(log))
     other = [line.replace("(170000", "(170020") for line in log_lines(100, (1, 5))]
@@ -142,4 +142,3 @@ def test_compaction_gives_all_files_the_same_columns(two_logs: Path, capsys: pyt
     for read in READERS:
         assert [(str(node), count) for node, count, _ in read(data / "rows")] == sorted(sizes.items()), read
     assert main(["dataset", "verify", str(data)]) == 0
-    capsys.readouterr()

@@ -125,16 +125,12 @@ def test_the_drawing_shows_the_force_or_why_there_is_none(found: Found) -> None:
             name = entity["id"]
             contacts = found[f"/tipforce/{name}/contact"]
             at = bisect.bisect_right(contacts, t_ns, key=itemgetter(0))
-            expected = [
-                _drawn(contact) for _, contact in contacts[max(0, at - 2) : at]
-            ]  # the last can come in the next block
-            arrows = [
-                (
-                    arrow["shaft_length"] + arrow["head_length"],
-                    math.cos(2.0 * math.atan2(arrow["pose"]["orientation"]["z"], arrow["pose"]["orientation"]["w"])),
-                )
-                for arrow in entity["arrows"]
-            ]
+            # The last can come in the next block.
+            expected = [_drawn(contact) for _, contact in contacts[max(0, at - 2) : at]]
+            turns = [arrow["pose"]["orientation"] for arrow in entity["arrows"]]
+            cosines = [math.cos(2.0 * math.atan2(turn["z"], turn["w"])) for turn in turns]
+            lengths = [arrow["shaft_length"] + arrow["head_length"] for arrow in entity["arrows"]]
+            arrows = list(zip(lengths, cosines, strict=True))
             assert any(arrows == one for one in expected)
             drawn += len(arrows)
             assert entity["texts"][0]["text"].startswith(f"{name}: ")

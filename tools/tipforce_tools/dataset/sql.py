@@ -140,11 +140,8 @@ def _print(connection: Any, text: str, args: argparse.Namespace) -> None:
         raise InputError(f"dataset sql: {names.count(name)} columns are called {name}: rename one ({name} AS x)")
     while rows := connection.fetchmany(_ROWS) if names else []:
         for row in rows:
-            common.print_json(dict(zip(names, map(_plain, row), strict=True)))
-
-
-def _plain(value: Any) -> Any:
-    return value if isinstance(value, str | int | float | bool | None) else str(value)
+            values = (value if isinstance(value, str | int | float | bool | None) else str(value) for value in row)
+            common.print_json(dict(zip(names, values, strict=True)))
 
 
 def views(connection: Any, store: Store, manifest: Manifest) -> Any:

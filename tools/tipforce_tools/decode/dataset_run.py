@@ -281,7 +281,11 @@ class DatasetRun:
             self._take(written, logs[written.number], sink.names[written.number], state, last and chain.ends)
             state = written.state
             if last:
-                self._tell(recording.told)
+                told, here = recording.told, self.told
+                here.notes += told.notes
+                here.tally.append(told.tally)
+                here.unseen = sorted({*here.unseen, *told.unseen})
+                here.bus.found += told.bus.found
             yield written
             due = time.monotonic() - self._committed > max(_COMMIT_S, _COMMIT_SHARE * self._cost_s)
             if last or (due and recording.told.tally.messages):  # what is not a log of fingertips is not committed
@@ -313,12 +317,6 @@ class DatasetRun:
         columns = (column for column in written.shape.columns if isinstance(column, Column))
         self._change.columns += [column for column in columns if column.name not in known]
         self.added += 1
-
-    def _tell(self, told: Told) -> None:
-        self.told.notes += told.notes
-        self.told.tally.append(told.tally)
-        self.told.unseen = sorted({*self.told.unseen, *told.unseen})
-        self.told.bus.found += told.bus.found
 
     def _commit(self) -> None:
         """Commit what is noted."""

@@ -137,13 +137,11 @@ def _partitions(table: Table) -> tuple[npt.NDArray[np.intp], list[int]]:
 def _place(table: Table, row: int, hand: str | None) -> str:
     key = int(table.key[row])
     date = str(np.datetime64(int(table.t_ns[row]), "ns"))[:10] if table.timed else NO_DATE
-    hand = _folder(hand or table.channels[key >> NODE_BITS])
-    return f"{ROWS}/hand={hand}/date={date}/node={key & (1 << NODE_BITS) - 1}"
-
-
-def _folder(name: str) -> str:
-    """Return a name without characters that a path or a partition cannot have."""
-    return "".join(mark if mark.isalnum() or mark in "-_." else "_" for mark in name) or "_"
+    # Without characters that a path or a partition cannot have.
+    name = "".join(
+        mark if mark.isalnum() or mark in "-_." else "_" for mark in hand or table.channels[key >> NODE_BITS]
+    )
+    return f"{ROWS}/hand={name or '_'}/date={date}/node={key & (1 << NODE_BITS) - 1}"
 
 
 def first_ns(parts: Iterable[Part]) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
@@ -57,14 +59,11 @@ def whole_cells(number: npt.NDArray[np.int64], digits: int = 0) -> Cells:
         out[size < 10 ** (width - 1 - place), 1 + place] = 0
     negative = number < 0
     if negative.any():
-        first = 1 + whole - np.maximum(_length(size, width) - digits, 1)
+        limits = np.array([10**place for place in range(1, width)], dtype=np.int64)
+        length = np.searchsorted(limits, size, side="right") + 1
+        first = 1 + whole - np.maximum(length - digits, 1)
         out[negative, first[negative] - 1] = _MINUS
     return out
-
-
-def _length(size: npt.NDArray[np.int64], width: int) -> npt.NDArray[np.intp]:
-    limits = np.array([10**place for place in range(1, width)], dtype=np.int64)
-    return np.searchsorted(limits, size, side="right") + 1
 
 
 def real_cells(values: Values, digits: int | None) -> Cells:
@@ -196,11 +195,9 @@ def name_of(column: Column | str) -> str:
 
 def csv_header(columns: Sequence[Column | str]) -> bytes:
     """Return the header line."""
-    return ",".join(_csv_name(name_of(column)) for column in columns).encode() + b"\n"
-
-
-def _csv_name(name: str) -> str:
-    return f'"{name.replace(chr(34), chr(34) * 2)}"' if any(mark in name for mark in ',"\n') else name
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerow(map(name_of, columns))
+    return text.getvalue().encode()
 
 
 def csv_rows(table: Table, columns: Sequence[Column | str]) -> bytes:

@@ -97,16 +97,14 @@ class CandumpFormat:
         if self._kind == "a":
             return f"({_seconds(t_us, 10)}) "
         if self._kind == "A":
-            return f"({self._date(t_us // 1_000_000)}.{t_us % 1_000_000:06d}) "
+            second = t_us // 1_000_000
+            if self._second[0] != second:
+                self._second = second, time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(second))
+            return f"({self._second[1]}.{t_us % 1_000_000:06d}) "
         since = t_us if self._reference_us is None else self._reference_us
         if self._reference_us is None or self._kind == "d":
             self._reference_us = t_us
         return f"({_seconds(max(t_us - since, 0), 3)}) "
-
-    def _date(self, second: int) -> str:
-        if self._second[0] != second:
-            self._second = second, time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(second))
-        return self._second[1]
 
 
 def identifier_text(can_id: int) -> str:
@@ -192,22 +190,19 @@ def error_text(can_id: int, data: bytes) -> str:
     error_class = can_id & EXTENDED_MASK
     if error_class > 1 << len(ERROR_CLASSES):
         return f"error class 0x{error_class:X} is unknown"
-    parts = [name + _details(name, data) for name in _set(error_class, ERROR_CLASSES)]
-    text = "\n".join(parts)
+    details = {
+        "lost-arbitration": f"{{at bit {data[0]}}}",
+        "controller-problem": f"{{{','.join(_set(data[1], CONTROLLER))}}}",
+        "protocol-violation": f"{{{{{','.join(_set(data[2], PROTOCOL))}}}{{{_location(data[3])}}}}}",
+    }
+    text = "\n".join(name + details.get(name, "") for name in _set(error_class, ERROR_CLASSES))
     if data[6] or data[7]:
         text += f"\nerror-counter-tx-rx{{{{{data[6]}}}{{{data[7]}}}}}"
     return text
 
 
-def _details(name: str, data: bytes) -> str:
-    if name == "lost-arbitration":
-        return f"{{at bit {data[0]}}}"
-    if name == "controller-problem":
-        return f"{{{','.join(_set(data[1], CONTROLLER))}}}"
-    if name == "protocol-violation":
-        place = LOCATIONS.get(data[3], "unspecified") if 0 < data[3] <= _LAST_LOCATION else ""
-        return f"{{{{{','.join(_set(data[2], PROTOCOL))}}}{{{place}}}}}"
-    return ""
+def _location(number: int) -> str:
+    return LOCATIONS.get(number, "unspecified") if 0 < number <= _LAST_LOCATION else ""
 
 
 def _set(bits: int, names: Iterable[str]) -> list[str]:

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from io import BufferedReader, FileIO
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from canopen_device.core.codes import REMOTE_FLAG
 from tipforce.errors import InputError
@@ -32,8 +31,7 @@ _HEAD = struct.Struct(">IBB")
 _UNIT_OF_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}  # ns per unit of the fraction
 
 
-@dataclass(frozen=True, slots=True)
-class _Interface:
+class _Interface(NamedTuple):
     """Source of packets: link type, channel number, ticks of the clock per second."""
 
     link: int
@@ -54,40 +52,27 @@ def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
         magic = int.from_bytes(file.peek(4)[:4], "little")
         order = "<" if magic in _UNIT_OF_MAGIC else ">"
         packets = _pcapng(file, path, notes) if magic == _SECTION else _pcap(file, order, path, notes)
-        yield from row_blocks(path, _rows(packets, path, notes), notes)
+        yield from row_blocks(path, (_row(packet, path, notes) for packet in packets), notes)
 
 
-def _rows(packets: Iterator[_Packet], path: Path, notes: LogNotes) -> Iterator[bytes]:
-    for packet in packets:
-        row = _row(packet, notes)
-        if row is None:
-            notes.note_bad("not CAN", f"{path}: a packet that is not a CAN frame (link type {packet[1].link})")
-        else:
-            yield row
-
-
-def _row(packet: _Packet, notes: LogNotes) -> bytes | None:
-    """Return a packet as the bytes of a FRAME; empty for CAN FD; None if it is not a CAN frame."""
+def _row(packet: _Packet, path: Path, notes: LogNotes) -> bytes:
+    """Return a packet as the bytes of a FRAME; empty for CAN FD, and for what is not a CAN frame, which is noted."""
     t_ns, interface, data = packet
-    is_fd = False
+    is_fd, is_can = False, interface.link == SOCKETCAN
     if interface.link in {COOKED, COOKED_2}:
         start, size = (14, 16) if interface.link == COOKED else (0, 20)
         protocol = int.from_bytes(data[start : start + 2], "big")
-        if protocol not in {_CAN, _CAN_FD}:
-            return None
-        data, is_fd = data[size:], protocol == _CAN_FD
-    elif interface.link != SOCKETCAN:
-        return None
-    if len(data) < 8:
-        return None
-    can_id, length, flags = _HEAD.unpack_from(data)
-    if is_fd or flags & _FD_FLAG or len(data) == _FD_BYTES:
-        notes.skip(FD)
-        return b""
-    if length > 8 or not 0 <= t_ns < 1 << 63:
-        return None
-    payload = b"" if can_id & REMOTE_FLAG else data[8 : 8 + length]
-    return PACK_FRAME(t_ns, can_id, length, interface.channel, 0, payload)
+        data, is_fd, is_can = data[size:], protocol == _CAN_FD, protocol in {_CAN, _CAN_FD}
+    if is_can and len(data) >= 8:
+        can_id, length, flags = _HEAD.unpack_from(data)
+        if is_fd or flags & _FD_FLAG or len(data) == _FD_BYTES:
+            notes.skip(FD)
+            return b""
+        if length <= 8 and 0 <= t_ns < 1 << 63:
+            payload = b"" if can_id & REMOTE_FLAG else data[8 : 8 + length]
+            return PACK_FRAME(t_ns, can_id, length, interface.channel, 0, payload)
+    notes.note_bad("not CAN", f"{path}: a packet that is not a CAN frame (link type {interface.link})")
+    return b""
 
 
 def _pcap(file: _File, order: str, path: Path, notes: LogNotes) -> Iterator[_Packet]:

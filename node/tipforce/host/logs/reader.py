@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import numpy as np
-
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import CandumpParser
@@ -75,7 +73,7 @@ class LogReader(LogNotes):
         """Yield blocks of frames with start_ns <= t_ns < end_ns, none empty. Raises InputError as ``__init__`` says."""
         try:
             for block in self._blocks:
-                frames = self._within_limits(block)
+                frames = block if self._limits == (None, None) else self._within_limits(block)
                 if len(frames):
                     self.count_special(frames)
                     yield frames
@@ -83,14 +81,10 @@ class LogReader(LogNotes):
             self.close()
 
     def _within_limits(self, frames: FrameArray) -> FrameArray:
-        start, end = self._limits
-        if start is None and end is None:
-            return frames
         if not self.timed:
             raise InputError("the log has no timestamps, so frames cannot be selected by time")
-        t_ns = frames["t_ns"]
-        wanted = np.ones(len(t_ns), dtype=np.bool_) if start is None else t_ns >= start
-        return frames.compress(wanted if end is None else wanted & (t_ns < end))
+        (start, end), t_ns = self._limits, frames["t_ns"]
+        return frames.compress((start is None or t_ns >= start) & (end is None or t_ns < end))
 
     def _text_blocks(self, lines: LineBlocks, deltas: bool) -> Iterator[FrameArray]:
         parser = CandumpParser(self, deltas=deltas)

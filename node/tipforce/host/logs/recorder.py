@@ -30,9 +30,7 @@ class Recorder:
         self._overwrite = overwrite
         self.paths: list[Path] = []
         self.frames = 0
-        self._begun_s = 0.0
         self._failed = False
-        self._place = path
         self._writer = self._open()
 
     def __enter__(self) -> Self:
@@ -45,7 +43,8 @@ class Recorder:
         """Append a block, to the next file if this one is full or old enough. Raises WriteError if the disk is full."""
         if not len(block):
             return
-        if self._is_over():
+        late = self._limit_s is not None and time.monotonic() - self._begun_s >= self._limit_s
+        if late or (self._limit_bytes is not None and self._place.stat().st_size >= self._limit_bytes):
             self._close()
             self._writer = self._open()
         try:
@@ -54,11 +53,6 @@ class Recorder:
             self._failed = True
             raise self._failure(error) from error
         self.frames += len(block)
-
-    def _is_over(self) -> bool:
-        if self._limit_s is not None and time.monotonic() - self._begun_s >= self._limit_s:
-            return True
-        return self._limit_bytes is not None and self._place.stat().st_size >= self._limit_bytes
 
     def _open(self) -> LogWriter:
         path = self._path
