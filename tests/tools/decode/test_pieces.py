@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +18,7 @@ from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import line_borders
 from tipforce_tools.cli.main import main
-from tipforce_tools.decode import session
+from tipforce_tools.decode import add_arguments, session
 from tools.decode.logs import decode, log_lines, records_of, rows_of, write_log
 
 PIECE_BYTES = 20_000
@@ -86,15 +87,17 @@ def table_rows(path: Path) -> list[dict[str, object]]:
 
 
 def test_the_log_is_really_cut(log: Path) -> None:
-    from argparse import Namespace
+    def cut(*words: str) -> list[Piece]:
+        """The pieces that are decoded apart."""
+        parser = argparse.ArgumentParser()
+        add_arguments(parser)
+        return session.pieces_of(parser.parse_args([str(log), "-j", "3", *words]), "csv", [str(log)])
 
-    args = Namespace(jobs=2, output="a.csv", summary=False, json=False, deltas=False, eds=None, strict=True)
-    pieces = session.pieces_of(args, [str(log)], 3)
+    pieces = cut("-o", "a.csv", "--strict")
     assert len(pieces) > 3
     assert [piece.start for piece in pieces[1:]] == [piece.end for piece in pieces[:-1]]
-    for other in ({"deltas": True}, {"output": None}):
-        assert session.pieces_of(Namespace(**{**vars(args), **other}), [str(log)], 3) == [Piece(str(log))]
-    assert session.pieces_of(args, ["-"], 3) == [Piece("-")]
+    for words in (["-o", "a.csv", "--deltas"], ["-o", "a.csv", "--strict", "--json"], ["--strict"], ["-j", "1"]):
+        assert cut(*words) == []
 
 
 def test_the_same_summary_and_notes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -137,7 +137,7 @@ class _Run:
         args = self._args
         if _to_dataset(args):
             self._write_dataset(advance)
-        elif pieces := _in_parts(args, self._kind, self.names):
+        elif pieces := pieces_of(args, self._kind, self.names):
             self._write_parts(pieces, advance)
         elif args.summary and args.output is None:
             for _ in self._tables(advance):
@@ -218,17 +218,13 @@ class _Run:
     def _write_dataset(self, advance: Callable[[float], None]) -> None:
         """Add the logs to a dataset."""
         from tipforce_tools.decode.dataset_run import DatasetRun
-        from tipforce_tools.decode.workers import Here
 
         args = self._args
         reading = replace(self._reading, follow=False)  # a growing log is read again and again
         names = self.names if args.scheduler is None else [os.path.abspath(name) for name in self.names]
 
-        def workers(sink: Sink, parts: int) -> Workers:
-            here = args.scheduler is None and (min(_jobs(args), parts) < 2 or args.follow or args.eds)
-            return Here(reading, sink) if here else _workers(args, reading, sink, parts)
-
-        run = DatasetRun(args.output, reading, self.told, args.hand, partial(_pieces_from, args), workers)
+        cut, workers = partial(_pieces_from, args), partial(_workers, args, reading)
+        run = DatasetRun(args.output, reading, self.told, args.hand, cut, workers)
         try:
             while True:
                 with closing(run.add(names)) as parts:
@@ -316,28 +312,36 @@ def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
     yield from iterator
 
 
-def _in_parts(args: Namespace, kind: str, names: Sequence[str]) -> list[Piece]:
-    """Return the parts that workers decode and write themselves; none for rows that pass through this process."""
-    live = args.output in {None, "-"} or args.follow or "-" in names
+def pieces_of(args: Namespace, kind: str, names: Sequence[str]) -> list[Piece]:
+    """Return the logs in pieces that workers decode and write; none for rows that pass through this process.
+
+    Large logs are cut: equally many pieces per job, of bounded size.
+    """
+    live = not _to_file(args) or args.follow or "-" in names
     if live or kind not in _JOINED or args.resample is not None or args.calibration:
         return []
     if args.eds or any(map(is_dataset, names)):  # SDO traffic is followed in sequence; a dataset's rows are only read
         return []
-    jobs = _jobs(args)
-    if args.scheduler is None and (jobs < 2 or (args.jobs is None and sum(map(os.path.getsize, names)) < _SMALL_BYTES)):
-        return []
+    jobs, sizes = _jobs(args), list(map(os.path.getsize, names))
     if args.scheduler is not None:
         names = [os.path.abspath(name) for name in names]
-    pieces = pieces_of(args, names, jobs)
+    elif jobs < 2 or (args.jobs is None and sum(sizes) < _SMALL_BYTES):
+        return []
+    pieces: list[Piece] = []
+    for name, size in zip(names, sizes, strict=True):
+        count = min(size // _LEAST_PIECE_BYTES, jobs * -(-size // (jobs * _PIECE_BYTES)))
+        whole = count < 2 or jobs < 2 or (args.strict and (args.summary or args.json))  # the bad line ends what is told
+        pieces += [Piece(name)] if whole else _cut(args, name, 0, count)
     return pieces if len(pieces) > 1 or args.scheduler is not None else []
 
 
 def _workers(args: Namespace, reading: Reading, sink: Sink, parts: int) -> Workers:
-    from tipforce_tools.decode.workers import Cluster, Processes
+    from tipforce_tools.decode.workers import Cluster, Here, Processes
 
     if args.scheduler is not None:
         return Cluster(args.scheduler, reading, sink)
-    return Processes(min(_jobs(args), parts), reading, sink)
+    jobs = min(_jobs(args), parts)
+    return Here(reading, sink) if jobs < 2 or args.follow or args.eds else Processes(jobs, reading, sink)
 
 
 def _pieces_from(args: Namespace, name: str, start: int) -> list[Piece]:
@@ -345,20 +349,6 @@ def _pieces_from(args: Namespace, name: str, start: int) -> list[Piece]:
     size = os.path.getsize(name) - start
     count = -(-size // (_FOLLOWED_BYTES if args.follow else _DATASET_PIECE_BYTES))
     return _cut(args, name, start, max(count, min(_jobs(args), size // _LEAST_PIECE_BYTES), 1))
-
-
-def pieces_of(args: Namespace, names: Sequence[str], jobs: int) -> list[Piece]:
-    """Return the logs, large ones in pieces: equally many per job, of bounded size.
-
-    With --strict, output to stdout ends at the bad line: one piece.
-    """
-    whole = jobs < 2 or (args.strict and (not _to_file(args) or args.summary or args.json))
-    found: list[Piece] = []
-    for name in names:
-        size = 0 if whole or name == "-" else os.path.getsize(name)
-        count = min(size // _LEAST_PIECE_BYTES, jobs * -(-size // (jobs * _PIECE_BYTES)))
-        found += _cut(args, name, 0, count) if count > 1 else [Piece(name)]
-    return found
 
 
 def _cut(args: Namespace, name: str, start: int, count: int) -> list[Piece]:
