@@ -234,3 +234,17 @@ def test_kinds(tmp_path: Path) -> None:
     path.write_bytes(b"")
     assert log_kind(path) == "messages"
     assert log_kind(LOGS / "crlf.log") == "text"
+
+
+def test_what_is_read_ahead_is_not_told_ahead(tmp_path: Path) -> None:
+    """Interfaces and missing times are known with the block in which they occur; a reader that is left ends."""
+    later = "".join(line.replace("can0", "can9") for line in LINES[:10])
+    (tmp_path / "a.log").write_bytes(TEXT * 9 + later.encode() + b"  can0  181   [1]  01\n")
+    threads = threading.active_count()
+    with open_log(tmp_path / "a.log") as log:
+        told = [(list(log.channels), log.timed) for _ in log]
+    assert told[0] == (["can0", "can1"], True)
+    assert told[-1] == (["can0", "can1", "can9"], False)
+    with open_log(tmp_path / "a.log") as log:
+        next(iter(log))
+    assert threading.active_count() == threads

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -123,7 +124,10 @@ def join_widened(paths: Sequence[Path], output: Path, schema: Any, channel: str)
 
 
 class Parts:
-    """One file being written. New columns begin a new part; at the end the parts are merged."""
+    """One file being written. New columns begin a new part; at the end the parts are merged.
+
+    A thread encodes a row group while the next one is gathered: pyarrow does it without the interpreter's lock.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -131,6 +135,8 @@ class Parts:
         self._writer: Any = None
         self._waiting: list[Any] = []
         self._rows = 0
+        self._thread = ThreadPoolExecutor(1)
+        self._encoded: Future[None] | None = None
 
     def add(self, rows: Any) -> None:
         """Append rows; they are written in large row groups."""
@@ -155,9 +161,17 @@ class Parts:
             place = self.path if not self._paths else self.path.with_name(f"{self.path.name}.{len(self._paths)}")
             self._paths.append(place)
             self._writer = _open(place, group.schema)
-        self._writer.write_table(group, row_group_size=ROW_GROUP_ROWS)
+        self._wait()
+        self._encoded = self._thread.submit(self._writer.write_table, group, row_group_size=ROW_GROUP_ROWS)
+
+    def _wait(self) -> None:
+        """Wait for the row group that is being encoded. Raises its error."""
+        if self._encoded is not None:
+            encoded, self._encoded = self._encoded, None
+            encoded.result()
 
     def _end_part(self) -> None:
+        self._wait()
         if self._writer is not None:
             self._writer.close()
             self._writer = None

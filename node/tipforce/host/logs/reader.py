@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from tipforce.core import core
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import CandumpParser
@@ -14,6 +17,7 @@ from tipforce.host.logs.unpacking import first_bytes
 
 STDIN = "-"
 _BLOCK_FRAMES = 40_000  # decoding a block costs about as much per node as a thousand frames
+_BLOCKS_AHEAD = 2
 MCAP_MAGIC = b"\x89MCAP"
 _PCAP_STARTS = (b"\xa1\xb2\xc3\xd4", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\x4d\x3c\xb2\xa1", b"\x0a\x0d\x0d\x0a")
 
@@ -52,10 +56,15 @@ class LogReader(LogNotes):
         path = None if str(source) == STDIN else Path(source)
         self._limits = start_ns, end_ns
         self._lines: LineBlocks | None = None
+        self._thread: ThreadPoolExecutor | None = None
         kind = "text" if path is None else log_kind(path)
         if path is None or kind == "text":
-            self._lines = LineBlocks(path, self, follow, part, stop)
-            self._blocks = self._text_blocks(self._lines, deltas)
+            # Parts are read side by side; and a thread that waits for a pipe could not be ended.
+            ahead = core is not None and path is not None and path.is_file() and not follow and part == (0, None)
+            notes = LogNotes(strict, bad=self.bad, skipped=self.skipped) if ahead else self
+            self._lines = LineBlocks(path, notes, follow, part, stop)
+            blocks = _text_blocks(self._lines, notes, deltas)
+            self._blocks = self._read_ahead(blocks, notes) if ahead else blocks
         elif kind == "mcap":
             from tipforce.host.logs.mcap_frames import mcap_blocks
 
@@ -86,19 +95,24 @@ class LogReader(LogNotes):
         (start, end), t_ns = self._limits, frames["t_ns"]
         return frames.compress((start is None or t_ns >= start) & (end is None or t_ns < end))
 
-    def _text_blocks(self, lines: LineBlocks, deltas: bool) -> Iterator[FrameArray]:
-        parser = CandumpParser(self, deltas=deltas)
-        error: InputError | None = None
+    def _read_ahead(self, blocks: Iterator[FrameArray], notes: LogNotes) -> Iterator[FrameArray]:
+        """Yield the blocks, which a thread reads ahead: the core parses without the interpreter's lock."""
+
+        def following() -> tuple[FrameArray | None, int, bool]:
+            return next(blocks, None), len(notes.channels), notes.timed
+
+        self._thread = thread = ThreadPoolExecutor(1)
+        ready = deque(thread.submit(following) for _ in range(_BLOCKS_AHEAD))
         try:
-            for text, begin, end in lines:
-                yield from parser.gather(text, begin, end)
-                if lines.live or parser.count >= _BLOCK_FRAMES:
-                    yield parser.take()
-        except InputError as bad:  # strict: return the frames before it first
-            error = bad
-        yield parser.take()
-        if error is not None:
-            raise error
+            while True:
+                block, channels, self.timed = ready.popleft().result()
+                self.channels += notes.channels[len(self.channels) : channels]
+                if block is None:
+                    return
+                ready.append(thread.submit(following))
+                yield block
+        finally:
+            self.lines, self.first_bad, self.first_bad_line = notes.lines, notes.first_bad, notes.first_bad_line
 
     @property
     def position(self) -> int:
@@ -107,6 +121,8 @@ class LogReader(LogNotes):
 
     def close(self) -> None:
         """Close the file; the end of the iteration also closes it."""
+        if self._thread is not None:
+            self._thread.shutdown(cancel_futures=True)
         if self._lines is not None:
             self._lines.close()
 
@@ -118,6 +134,21 @@ class LogReader(LogNotes):
 
 
 open_log = LogReader
+
+
+def _text_blocks(lines: LineBlocks, notes: LogNotes, deltas: bool) -> Iterator[FrameArray]:
+    parser = CandumpParser(notes, deltas=deltas)
+    error: InputError | None = None
+    try:
+        for text, begin, end in lines:
+            yield from parser.gather(text, begin, end)
+            if lines.live or parser.count >= _BLOCK_FRAMES:
+                yield parser.take()
+    except InputError as bad:  # strict: return the frames before it first
+        error = bad
+    yield parser.take()
+    if error is not None:
+        raise error
 
 
 def log_kind(path: Path) -> str:
