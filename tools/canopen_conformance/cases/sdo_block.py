@@ -9,7 +9,7 @@ from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.cases.sdo import BEAT, NAMES, not_written
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import STOP, Abort
+from canopen_conformance.wire import SDO, STOP, Abort
 
 # fmt: off
 # A table: a case is its header, and below it its steps.
@@ -66,7 +66,7 @@ def end_block_upload(dut: Dut, data: bytes, crc: bool = True) -> None:
     if answer[0] >> 2 & 7 != unused or struct.unpack("<H", answer[1:3])[0] != wanted:
         raise CheckError(f"{unused} bytes unused, CRC {wanted:04X}h", answer.hex(" "))
     dut.request("A1")
-    dut.no_sdo()
+    dut.silence(SDO)
 
 
 def segments(data: bytes) -> int:
@@ -164,9 +164,9 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
 
 for started, when in ((False, "before the start"), (True, "after a block")):
     upload(f"aborted 7.2.4.3.17: the client aborts {when}: no answer, the transfer is over", (),
-        do.run(begun_upload, started), do.abort_upload(), do.no_sdo(), do.ask("40 00 10 00", "43 00 10 00 *"))
+        do.run(begun_upload, started), do.abort_upload(), do.silence(SDO), do.ask("40 00 10 00", "43 00 10 00 *"))
 upload("stopped 7.3.2.3: stop ends a block upload without a word", (),
-    do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.no_sdo())
+    do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.silence(SDO))
 for command in ("A1", "A2", "A3", "C1"):
     upload("no_transfer 7.2.4.3.17: a block command without a transfer: 05040001h", (),
         do.run(initiate, 0x1000, 127), do.request("80 00 10 00 00 00 00 08"),
@@ -237,7 +237,7 @@ for begun, when in (
     (do.run(begin_block_download, 0x1017, 2), "before the first segment"), (one_segment, "before the end"),
 ):
     download(f"aborted 7.2.4.3.17: the client aborts {when}: no answer, nothing is written", BEAT,
-        not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.no_sdo()))
+        not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.silence(SDO)))
 download("refused_value 7.2.4.3.11: a refused value is refused at the end", ((0x1019, 0),),
     do.run(begin_block_download, 0x1019, 1), do.run(segment, 1, b"\xf1", True), do.answer("A2 01 .."),
     do.run(end_block_download, b"\xf1"), do.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE),

@@ -15,7 +15,7 @@ from canopen_conformance.cases.nmt import CONSUMER, GUARDING, PRODUCER
 from canopen_conformance.cases.pdo import INVALID
 from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload, not_written, over
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import Abort
+from canopen_conformance.wire import EMCY, HEARTBEAT, SDO, Abort
 
 # fmt: off
 # A table: a case is its header, and below it its steps.
@@ -37,7 +37,7 @@ for value in (1, 5, 0x10):
     nmt(f"startup_refused CiA 302-2 1F80h: {value:08X}h asks for what a slave is not: refused", ((0x1F80, 0),),
         do.refuses("I", 0x1F80, 0, value, Abort.INVALID_VALUE), do.holds("I", 0x1F80, 0, 4))
 node_guarding("heartbeat_excludes 7.2.8.2.2: with a heartbeat there is no node guarding", GUARDING,
-    do.put("H", 0x1017, 0, 5000), lambda dut: dut.send(0x700 + dut.node_id | wire.REMOTE_FLAG), do.no_heartbeat())
+    do.put("H", 0x1017, 0, 5000), do.send(HEARTBEAT | wire.REMOTE_FLAG), do.silence(HEARTBEAT))
 
 
 @error_control("7.2.8.3.2.2: the boot-up message starts the first period of the default 1017h", PRODUCER)
@@ -46,7 +46,7 @@ def first_period(dut: Dut) -> None:
     dut.forget()
     dut.nmt(wire.RESET_COMMUNICATION)
     boot = dut.boot_up()
-    beat = dut.heartbeat("7F", 2 * ms)
+    beat = dut.expect(HEARTBEAT, "7F", 2 * ms)
     dut.check_ms("boot-up to heartbeat", beat.at_us - boot.at_us, ms)
 
 
@@ -62,9 +62,9 @@ for command, name in wire.RESETS[::-1]:
         clear, make_error, do.reset(command), do.holds("B", 0x1003, 0, 1))
 emcy("queue 7.5.2.18: many messages wait, in their order", INHIBIT,
     do.put("H", 0x1015, 0, 20), do.repeat(12, break_sync, do.send(0x080)),
-    do.repeat(12, do.emcy("40 82 *"), do.emcy("00 00 *")))
+    do.repeat(12, do.expect(EMCY, "40 82 *"), do.expect(EMCY, "00 00 *")))
 emcy("collision 7.2.7.1: another node sends this node's heartbeat: EMCY 8150h, once", NEEDS,
-    do.repeat(3, lambda dut: dut.send(0x700 + dut.node_id, "05")), do.emcy("50 81 11 *"), do.no_emcy())
+    do.repeat(3, do.send(HEARTBEAT, "05")), do.expect(EMCY, "50 81 11 *"), do.silence(EMCY))
 
 
 @emcy("7.2.7.1: an identifier that a TPDO has left may be another node's", (*NEEDS, (0x1800, 1)))
@@ -73,10 +73,10 @@ def no_collision(dut: Dut) -> None:
     dut.nmt(wire.START)
     dut.put("I", 0x1800, 1, cob_id | INVALID)
     dut.send(cob_id & 0x7FF, bytes(8))
-    dut.no_emcy()
+    dut.silence(EMCY)
     dut.put("I", 0x1800, 1, cob_id)
     dut.send(cob_id & 0x7FF, bytes(8))
-    dut.emcy("50 81 *")
+    dut.expect(EMCY, "50 81 *")
 
 
 identity("profile CiA 404 1000h: device profile 404, an analogue input block", (),
@@ -148,9 +148,9 @@ for value, why in (
     sync(f"refused 7.5.2.5: 1005h = {value:08X}h is refused: {why}", ((0x1005, 0),),
         do.refuses("I", 0x1005, 0, value, Abort.INVALID_VALUE))
 sync("length_cured 7.2.7.1: a SYNC of the right length cures 8240h", special.LENGTH,
-    do.repeat(2, do.send(0x080, "01"), do.emcy("40 82 *"), do.send(0x080), do.emcy("00 00 00 *")))
+    do.repeat(2, do.send(0x080, "01"), do.expect(EMCY, "40 82 *"), do.send(0x080), do.expect(EMCY, "00 00 00 *")))
 sync("length_once 7.2.7.1: many SYNCs of wrong length are one error", special.LENGTH,
-    do.repeat(5, do.send(0x080, "01")), do.emcy("40 82 *"), do.no_emcy())
+    do.repeat(5, do.send(0x080, "01")), do.expect(EMCY, "40 82 *"), do.silence(EMCY))
 for value, why in (
     (0xC0000100, "this device produces no TIME"), (0xA0000100, "no 29-bit identifier"),
     (0x80000900, "no 29-bit identifier"),
@@ -170,19 +170,19 @@ def report(dut: Dut, error_class: int, data: str = NONE) -> None:
 
 
 bus_faults("passive 7.2.7.1: error passive: EMCY 8120h once; active again: the cure", (),
-    do.run(report, CONTROLLER, PASSIVE), do.run(report, CONTROLLER, PASSIVE), do.emcy("20 81 11 *"), do.no_emcy(),
-    do.run(report, CONTROLLER, ACTIVE), do.emcy("00 00 00 *"), error_frames=True)
+    do.repeat(2, do.run(report, CONTROLLER, PASSIVE)), do.expect(EMCY, "20 81 11 *"), do.silence(EMCY),
+    do.run(report, CONTROLLER, ACTIVE), do.expect(EMCY, "00 00 00 *"), error_frames=True)
 bus_faults("overrun 7.2.7.1: overrun: EMCY 8110h once, cured when none came for a second", (),
-    do.repeat(3, do.run(report, CONTROLLER, OVERFLOW)), do.emcy("10 81 11 *"), do.no_emcy(ms=900),
-    do.emcy("00 00 00 *"), error_frames=True)
+    do.repeat(3, do.run(report, CONTROLLER, OVERFLOW)), do.expect(EMCY, "10 81 11 *"), do.silence(EMCY, ms=900),
+    do.expect(EMCY, "00 00 00 *"), error_frames=True)
 bus_faults("bus_off 7.2.7.1: bus-off: silent, and EMCY 8140h when it is over", (),
-    do.beat(), do.run(report, BUS_OFF), do.forget(), do.no_heartbeat(ms=50), do.run(report, RESTARTED),
-    do.emcy("40 81 *"), do.ask("40 00 10 00", "43 00 10 00 *"), error_frames=True)
+    do.beat(), do.run(report, BUS_OFF), do.forget(), do.silence(HEARTBEAT, ms=50), do.run(report, RESTARTED),
+    do.expect(EMCY, "40 81 *"), do.ask("40 00 10 00", "43 00 10 00 *"), error_frames=True)
 bus_faults("bus_off_behaviour 7.5.2.32: bus-off in OPERATIONAL: PRE-OPERATIONAL by 1029h", (),
     do.beat(), do.nmt(wire.START), do.state(wire.OPERATIONAL), do.run(report, BUS_OFF), do.run(report, RESTARTED),
     do.state(wire.PRE_OPERATIONAL), error_frames=True)
 bus_faults("bus_off_again 7.2.7.1: bus-off twice in a row: both are reported", (),
-    do.repeat(2, do.run(report, BUS_OFF), do.sleep(10), do.run(report, RESTARTED), do.emcy("40 81 *")),
+    do.repeat(2, do.run(report, BUS_OFF), do.sleep(10), do.run(report, RESTARTED), do.expect(EMCY, "40 81 *")),
     error_frames=True)
 
 
@@ -217,7 +217,7 @@ def upload_restart(dut: Dut) -> None:
 segmented("upload_timeout 7.2.4.3.17: a silent client: 05040000h, and the transfer is over", (),
     begin_upload, do.upload_aborted(Abort.TIMED_OUT, within_ms=1200), over)
 segmented("upload_patience 7.2.4.3.17: each request gives the client its time anew", (),
-    begin_upload, do.no_sdo(ms=700), do.ask("60", "0. *"), do.no_sdo(ms=700),
+    begin_upload, do.silence(SDO, ms=700), do.ask("60", "0. *"), do.silence(SDO, ms=700),
     do.ask("70", lambda data: data[0] & 0xF0 == 0x10))
 for index, size, code in (
     (0x1017, 1, Abort.TOO_SHORT), (0x1017, 3, Abort.TOO_LONG), (0x2141, 5, Abort.TOO_SHORT),
