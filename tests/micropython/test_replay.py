@@ -14,7 +14,7 @@ from micropython.recording import RecordedDevice, Recording, random_recording
 from micropython.single_precision import compare
 from tipforce.dictionary import table_objects
 
-RANDOM_SEEDS, RANDOM_STEPS = range(4), 2500
+RANDOM_SEEDS, RANDOM_STEPS = range(4), 3000
 # A node is a server; and what devices from an EDS need, a fingertip does without.
 OTHER_DEVICES = {f"canopen_device/core/{name}.py" for name in ("__init__", "sdo_client", "sync_producer", "wide_types")}
 HEAP_BYTES = 180_000  # MicroPython leaves about 200 000 of an ESP32's memory
