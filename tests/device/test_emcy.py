@@ -31,10 +31,6 @@ def test_an_error_is_said_once_and_cured_once() -> None:
     assert talk.get("B", 0x1001) == 0
 
 
-def test_a_sync_of_wrong_length_is_said_once_and_ends_with_a_right_one() -> None:
-    serving().say("> 080#01\n< 085#4082110000000000\n> 080#01\n+ 1\n> 080#\n< 085#0000004082000000\n> 080#\n+ 1")
-
-
 def test_what_waits_is_bounded() -> None:
     talk = serving()
     talk.say("> 000#0205")

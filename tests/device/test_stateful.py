@@ -4,7 +4,7 @@ import struct
 
 import pytest
 from bench import fuzz
-from bench.fuzz_frames import Frame, Step
+from bench.fuzz_frames import Frame
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -275,14 +275,6 @@ def test_random_frames_break_no_invariant() -> None:
     assert thrown >= 30_000
     # The memory of a node stays bounded.
     assert fuzz.rounds(2, range(1), frames=1500)[2] == ""
-
-
-def test_a_round_is_repeated_by_its_seed() -> None:
-    first: list[Step] = []
-    second: list[Step] = []
-    fuzz.play(3, 1, 500, first)
-    fuzz.play(3, 1, 500, second)
-    assert first == second
 
 
 def test_a_late_due_time_is_noticed_and_reduced_to_one_step(monkeypatch: pytest.MonkeyPatch) -> None:
