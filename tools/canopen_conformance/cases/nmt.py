@@ -52,18 +52,9 @@ nmt("node_id_with_high_bit 7.2.8.3.1: node-id + 128 in the command is not this n
 for command in (wire.RESET_NODE, 130):
     nmt("boot_up_once 7.2.8.3.3: the boot-up message is one byte 00, and one message alone", (),
         do.reset(command), do.silence(), do.silence(HEARTBEAT, ms=10))
-
-
-@nmt("7.2.8.3.3: nothing is sent before the boot-up message", PRODUCER)
-def boot_up_first(dut: Dut) -> None:
-    dut.enter(wire.OPERATIONAL)
-    dut.forget()
-    dut.nmt(wire.RESET_NODE)
-    for can_id in (0x80, 0x180, 0x280, 0x380, 0x480, 0x580):
-        dut.silence(can_id + dut.node_id, ms=0)
-    dut.boot_up()
-
-
+nmt("boot_up_first 7.2.8.3.3: nothing is sent before the boot-up message", PRODUCER,
+    do.enter(wire.OPERATIONAL), do.forget(), do.nmt(wire.RESET_NODE),
+    do.silence(*(wire.OF_DEVICE | base for base in (0x80, 0x180, 0x280, 0x380, 0x480, 0x580)), ms=0), do.boot_up())
 for before, state in wire.STATES[:2]:
     nmt(f"sdo_served 7.3.2.3: SDO is served in {state}", (),
         do.enter(before), do.ask("40 00 10 00", "43 00 10 00 *"))
@@ -177,19 +168,9 @@ for flag, data, why in (
 ):
     heartbeat(f"no_heartbeat 7.2.8.3.2.2: no heartbeat: {why}", CONSUMER,
         do.put("I", 0x1016, 1, WATCHED << 16 | 20), do.send(flag + 0x700 + WATCHED, data), do.silence(EMCY, ms=80))
-
-
-@heartbeat("7.5.2.19: four nodes are watched, each for itself", (*CONSUMER, (0x1016, 4)))
-def four(dut: Dut) -> None:
-    for sub in (1, 2, 3, 4):
-        watch(dut, 200 if sub == 3 else 40, WATCHED + sub, sub)
-    for _ in range(3):
-        lost(dut)
-    dut.send(0x700 + WATCHED + 3, "05")
-    dut.silence(EMCY, ms=50)
-    lost(dut, 250)
-
-
+heartbeat("four 7.5.2.19: four nodes are watched, each for itself", (*CONSUMER, (0x1016, 4)),
+    *(do.run(watch, 200 if sub == 3 else 40, WATCHED + sub, sub) for sub in (1, 2, 3, 4)), do.repeat(3, lost),
+    do.send(0x700 + WATCHED + 3, "05"), do.silence(EMCY, ms=50), do.run(lost, 250))
 heartbeat("watch_off 7.5.2.19: an entry set to 0 is watched no more", CONSUMER,
     do.run(watch, 60), do.put("I", 0x1016, 1, 0), do.silence(EMCY, ms=120))
 heartbeat("lost_then_off 7.5.2.19: a lost node whose entry is set to 0 is an error no more", CONSUMER,

@@ -77,27 +77,17 @@ def segment_without_transfer(dut: Dut, command: str, _what: str) -> None:
     check(data[0] == 0x80 and data[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND), "abort 05040001h", data.hex(" "))
 
 
-def send_request(dut: Dut, data: bytes | str) -> None:
-    """Send to the identifier of requests, without padding."""
-    dut.send(REQUEST, data)
-
-
+READ = bytes.fromhex("4000100000000000")  # 1000h
 for length in (0, 1, 4, 7):
     expedited(f"request_length 7.2.4.3: a request of {length} bytes is no SDO", (),
-        do.run(send_request, bytes.fromhex("4000100000000000")[:length]), do.silence(SDO))
-
-
-@expedited("7.2.4.3: not a request: {1}", each=[
-    (EXTENDED_FLAG | 0x600, "a 29-bit frame"), (REMOTE_FLAG | 0x600, "a remote frame"),
-    (0x580, "the answer's identifier"),
-])
-def no_request(dut: Dut, can_id: int, _what: str) -> None:
-    dut.send(can_id + dut.node_id, "" if can_id & REMOTE_FLAG else "40 00 10 00 00 00 00 00")
-    dut.silence(SDO)
-
-
+        do.send(REQUEST, READ[:length]), do.silence(SDO))
+for can_id, data, what in (
+    (EXTENDED_FLAG | REQUEST, READ, "a 29-bit frame"), (REMOTE_FLAG | REQUEST, b"", "a remote frame"),
+    (SDO, READ, "the answer's identifier"),
+):
+    expedited(f"no_request 7.2.4.3: not a request: {what}", (), do.send(can_id, data), do.silence(SDO))
 expedited("other_node 7.2.4.3: a request to another node is not answered", (),
-    lambda dut: dut.send(0x600 + (dut.node_id ^ 0x40), "40 00 10 00 00 00 00 00"), do.silence(SDO))
+    lambda dut: dut.send(0x600 + (dut.node_id ^ 0x40), READ), do.silence(SDO))
 expedited("client_abort_idle 7.2.4.3.17: an abort of the client is not answered, and ends nothing when nothing goes on",
     (),
     do.request("80 00 10 00 00 00 00 08"), do.silence(SDO), do.ask("40 00 10 00", "43 00 10 00 *"))
