@@ -285,14 +285,10 @@ for sub, name, kind in ((3, "inhibit time", "H"), (6, "SYNC start value", "B")):
         do.run(enable_tpdo1, 255), do.refuses(kind, 0x1800, sub, 5, *WHILE_VALID), do.holds(kind, 0x1800, sub, 0))
 parameters("start_value 7.5.2.37: SYNC start value 241 is refused", ((0x1800, 6),),
     do.run(disable_pdo, 0x1800), do.refuses("B", 0x1800, 6, 241, Abort.TOO_HIGH, Abort.INVALID_VALUE))
-
-
-@parameters("7.5.2.36: {2}: {4} is not written while the PDO is valid", EITHER, each=[
-    (*pdo, sub, name) for pdo in BOTH for sub, name in ((0, "the number of entries"), (1, "an entry"))
-])
-def mapping_while_valid(dut: Dut, communication: int, mapping: int, _name: str, sub: int, _what: str) -> None:
-    dut.put("I", communication, 1, disable_pdo(dut, communication))
-    dut.refuses("I" if sub else "B", mapping, sub, 0, *WHILE_VALID)
+for (communication, mapping, name), (sub, what) in product(BOTH, ((0, "the number of entries"), (1, "an entry"))):
+    parameters(f"mapping_while_valid 7.5.2.36: {name}: {what} is not written while the PDO is valid", EITHER,
+        do.run(lambda dut, index: dut.put("I", index, 1, disable_pdo(dut, index)), communication),
+        do.refuses("I" if sub else "B", mapping, sub, 0, *WHILE_VALID))
 
 
 @parameters("7.5.2.36: {2}: an entry is not written while sub-index 0 is not 0", EITHER, each=BOTH)

@@ -213,13 +213,9 @@ def stale(dut: Dut) -> None:
 for value, code in ((4, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)):
     interrupts_404(f"command_refused tipforce 2130h: command {value}: {code:08X}h", (),
         do.refuses("H", 0x2130, 0, value, code))
-
-
-@interrupts_404("tipforce 2120h: a {0}-byte object is read as its type says", each=[
-    (1, 0x2120), (1, 0x2121), (2, 0x2122), (2, 0x2123), (2, 0x2124),
-])
-def live_sizes(dut: Dut, size: int, index: int) -> None:
-    check(len(dut.read(index)) == size, f"{size} bytes", "another size")
+for size, index in ((1, 0x2120), (1, 0x2121), (2, 0x2122), (2, 0x2123), (2, 0x2124)):
+    interrupts_404(f"live_sizes tipforce 2120h: a {size}-byte object is read as its type says", (),
+        do.run(lambda dut, i, size: check(len(dut.read(i)) == size, f"{size} bytes", "another size"), index, size))
 
 
 @interrupts_404("tipforce 2120h: status bit 1 follows the calibration")

@@ -191,15 +191,10 @@ def sample_period(dut: Dut) -> None:
 for value, code in ((0, Abort.TOO_LOW), (99, Abort.TOO_LOW), (1000001, Abort.TOO_HIGH)):
     settings_404(f"sample_period_range 6114h: a sample period of {value} microseconds is refused", (),
         do.refuses("I", 0x6114, 1, value, code))
-
-
-@settings_404("6120h: two scaling points at one field value: 06090030h, the first stays", each=[
-    (0x6120, 0x6122), (0x6122, 0x6120),
-])
-def scaling_points(dut: Dut, index: int, other: int) -> None:
-    before = dut.number("f", index, 1)
-    dut.refuses("f", index, 1, dut.number("f", other, 1), Abort.INVALID_VALUE)
-    dut.holds("f", index, 1, before)
+for index, other in ((0x6120, 0x6122), (0x6122, 0x6120)):
+    settings_404("scaling_points 6120h: two scaling points at one field value: 06090030h, the first stays", (),
+        do.unchanged("f", index, 1, do.run(
+            lambda dut, at, of: dut.refuses("f", at, 1, dut.number("f", of, 1), Abort.INVALID_VALUE), index, other)))
 
 
 @settings_404("6130h: process value = scaled field value + offset")
