@@ -83,11 +83,14 @@ def last_block(dut: Dut, data: bytes, begin: int = 0, crc: bool = True) -> None:
     end_block_upload(dut, data, crc)
 
 
-@upload("7.2.4.3.13: one block: size, segments, end with CRC")
-def sdo_block_upload(dut: Dut) -> None:
-    data = begin_block_upload(dut, 127)
+def one_block(dut: Dut, crc: bool = True) -> None:
+    """A whole upload in one block."""
+    data = begin_block_upload(dut, 127, crc)
     dut.request("A3")
-    last_block(dut, data)
+    last_block(dut, data, crc=crc)
+
+
+upload("upload 7.2.4.3.13: one block: size, segments, end with CRC", (), one_block)
 
 
 @upload("7.2.4.3.14: blocks of one segment")
@@ -143,12 +146,7 @@ for size in (0, 128, 255):
 for size in (0, 128):
     upload(f"block_size_refused_later 7.2.4.3.14: block size {size} in an answer: 05040002h", (),
         begun_upload, do.request(f"A2 01 {size:02X}"), do.upload_aborted(Abort.BLOCK_SIZE))
-
-@upload("7.2.4.3.16: a client without CRC finds 0 in its place")
-def without_crc(dut: Dut) -> None:
-    data = begin_block_upload(dut, 127, crc=False)
-    dut.request("A3")
-    last_block(dut, data, crc=False)
+upload("without_crc 7.2.4.3.16: a client without CRC finds 0 in its place", (), do.run(one_block, False))
 
 
 @upload("7.2.4.3.13: refused at the initiate: {2}", each=[

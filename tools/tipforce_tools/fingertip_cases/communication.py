@@ -249,20 +249,19 @@ LONG = ((0x1021, 0),)
 block_upload("acknowledged_too_much 7.2.4.3.14: ackseq beyond what was sent: 05040003h", (),
     sdo_block.begun_upload, do.request("A2 02 7F"), do.upload_aborted(Abort.SEQUENCE_NUMBER))
 
-@block_upload("7.2.4.3.13: protocol switch: {0} bytes and pst {1} give a {2} upload", ((0x1000, 0),), each=[
-    (4, 4, "expedited"), (4, 255, "expedited"), (4, 3, "block"), (4, 0, "block"),
-])
-def protocol_switch(dut: Dut, _size: int, switch: int, how: str) -> None:
-    answer = sdo_block.initiate(dut, 0x1000, 127, switch)
-    wanted = 0x43 if how == "expedited" else 0xC6
-    check(answer[0] == wanted, f"{wanted:02X}h", f"{answer[0]:02X}h")
+
+def switched(dut: Dut, index: int, switch: int, command: int) -> None:
+    """The answer to the initiate of a block upload is this command."""
+    answer = sdo_block.initiate(dut, index, 127, switch)
+    check(answer[0] == command, f"{command:02X}h", f"{answer[0]:02X}h")
 
 
-@block_upload("7.2.4.3.13: protocol switch to a segmented upload")
-def protocol_switch_segmented(dut: Dut) -> None:
-    answer = sdo_block.initiate(dut, 0x1008, 127, 100)
-    check(answer[0] == 0x41, "41h", f"{answer[0]:02X}h")
-    dut.read_segments()
+for switch, how, command in ((4, "expedited", 0x43), (255, "expedited", 0x43), (3, "block", 0xC6), (0, "block", 0xC6)):
+    block_upload(f"protocol_switch 7.2.4.3.13: protocol switch: 4 bytes and pst {switch} give a {how} upload",
+        ((0x1000, 0),),
+        do.run(switched, 0x1000, switch, command))
+block_upload("protocol_switch_segmented 7.2.4.3.13: protocol switch to a segmented upload", (),
+    do.run(switched, 0x1008, 100, 0x41), do.read_segments())
 
 
 @block_upload("7.2.4.3.14: full blocks of 127 segments", LONG)
