@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import struct
+from functools import partial
 from itertools import product
 
 from canopen_conformance import steps as do
 from canopen_conformance import wire
 from canopen_conformance.case import NotApplicableError, Service
 from canopen_conformance.cases.emcy import break_sync
+from canopen_conformance.cases.identity import SAVE, restored
 from canopen_conformance.cases.pdo import TIME_U32, TPDO1, enable_tpdo1, mapped_rpdo1, rpdo_was, set_time
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import EMCY, HEARTBEAT, PDO, SDO, Abort
@@ -92,20 +94,11 @@ nmt("emcy_waits 7.3.2.3: an EMCY waits while STOPPED and comes after it", ((0x10
     do.nmt(wire.ENTER_PRE_OPERATIONAL), do.expect(EMCY, "30 81 *"))
 nmt("sync_stopped 7.3.2.3: SYNC is not looked at in STOPPED", ((0x1005, 0), (0x1014, 0)),
     do.nmt(wire.STOP), break_sync, do.nmt(wire.ENTER_PRE_OPERATIONAL), do.silence(EMCY))
-
-
-@nmt("CiA 302-2 1F80h: bit 2 clear and stored: OPERATIONAL by itself after boot-up",
-    ((0x1F80, 0), (0x1010, 2), (0x1011, 2), (0x1017, 0)), persistent=True)
-def self_start(dut: Dut) -> None:
-    dut.waits_for_start()
-    try:
-        dut.put("I", 0x1F80, 0, 0)
-        dut.put("H", 0x1017, 0, 20)
-        dut.put("I", 0x1010, 2, 0x65766173)
-        dut.reset(wire.RESET_COMMUNICATION)
-        dut.state(wire.OPERATIONAL)
-    finally:
-        dut.put("I", 0x1011, 2, 0x64616F6C)
+nmt("self_start CiA 302-2 1F80h: bit 2 clear and stored: OPERATIONAL by itself after boot-up",
+    ((0x1F80, 0), (0x1010, 2), (0x1011, 2), (0x1017, 0)),
+    do.waits_for_start(), do.within(partial(restored, sub=2),
+        do.put("I", 0x1F80, 0, 0), do.put("H", 0x1017, 0, 20), do.put("I", 0x1010, 2, SAVE),
+        do.reset(wire.RESET_COMMUNICATION), do.state(wire.OPERATIONAL)), persistent=True)
 
 
 def watch(dut: Dut, ms: int, node_id: int = WATCHED, sub: int = 1) -> None:

@@ -127,18 +127,12 @@ for sub, communication, application in ((2, 0, 777), (3, VALUE, 500)):
         do.within(restored, do.put("I", 0x1016, 1, VALUE), do.put("I", 0x6114, 1, 777), do.run(store, 1),
             do.put("I", 0x1011, sub, LOAD), do.reset(wire.RESET_NODE), do.holds("I", 0x1016, 1, communication),
             do.holds("I", 0x6114, 1, application)), persistent=True)
-
-
-@storage("7.5.2.13: a state is not stored: {2}", ALL, persistent=True, each=[
-    (0x2130, "H", "the command 2130h", 2, 0), (0x2103, "I", "the expected CRC 2103h:1", 0x12345678, 0),
-])
-def state(dut: Dut, index: int, kind: str, _name: str, value: int, after: int) -> None:
-    sub = 1 if index == 0x2103 else 0
-    with restored(dut):
-        dut.put(kind, index, sub, value)
-        store(dut, 1)
-        dut.reset(wire.RESET_NODE)
-        dut.holds(kind, index, sub, after)
+for index, sub, kind, name, value in (
+    (0x2130, 0, "H", "the command 2130h", 2), (0x2103, 1, "I", "the expected CRC 2103h:1", 0x12345678),
+):
+    storage(f"state 7.5.2.13: a state is not stored: {name}", ALL,
+        do.within(restored, do.put(kind, index, sub, value), do.run(store, 1), do.reset(wire.RESET_NODE),
+            do.holds(kind, index, sub, 0)), persistent=True)
 
 
 for value, why in (
@@ -352,19 +346,10 @@ download("too_much 7.2.4.3.10: more data than stated: 06070012h, before the end"
 for size, code in ((1, Abort.TOO_SHORT), (3, Abort.TOO_LONG), (0xFFFFFFFF, Abort.TOO_LONG)):
     download("refused_size 7.2.4.3.9: a size that the object cannot have is refused at the initiate", BEAT,
         do.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size)), do.aborted(0x1017, 0, code))
-
-
-@download("7.2.4.3.17: a client that is silent {1}: 05040000h", BEAT, each=[
-    (False, "during a block"), (True, "before the end"),
-])
-def sdo_block_download_silent_client(dut: Dut, sent: bool, _when: str) -> None:
-    if sent:
-        sdo_block.one_segment(dut)
-    else:
-        sdo_block.begin_block_download(dut, 0x1017, 2)
-        dut.answer("A2 00 .. 00 00 00 00 00", within_ms=900)
-    dut.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)
-
-
+download("silent_client 7.2.4.3.17: a client that is silent during a block: 05040000h", BEAT,
+    do.run(sdo_block.begin_block_download, 0x1017, 2), do.answer("A2 00 .. 00 00 00 00 00", within_ms=900),
+    do.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200))
+download("silent_client 7.2.4.3.17: a client that is silent before the end: 05040000h", BEAT,
+    sdo_block.one_segment, do.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200))
 download("wrong_end 7.2.4.3.11: no end but another command: 05040001h", BEAT,
     sdo_block.one_segment, do.request("C2"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND))

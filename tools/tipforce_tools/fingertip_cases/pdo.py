@@ -171,15 +171,10 @@ def counter(dut: Dut) -> None:
         last = value
 
 
-@interrupts_404("tipforce 2121h: with 1019h = 240 the counter is the number of the SYNC, 1 to 240", NUMBERED)
-def numbered(dut: Dut) -> None:
-    pdo.enable_tpdo1(dut, 1, COUNTER)
-    dut.put("B", 0x1019, 0, 240)
-    dut.nmt(START)
-    for number in (1, 2, 7, 8, 239, 240, 1, 120):  # also where numbers were left out
-        dut.send(0x080, bytes((number,)))
-        value = dut.expect(PDO).data[0]
-        check(value == number, str(number), str(value))
+interrupts_404("numbered tipforce 2121h: with 1019h = 240 the counter is the number of the SYNC, 1 to 240", NUMBERED,
+    do.run(pdo.enable_tpdo1, 1, COUNTER), do.put("B", 0x1019, 0, 240), do.nmt(START),
+    *(step for number in (1, 2, 7, 8, 239, 240, 1, 120)  # also where numbers were left out
+      for step in (do.send(0x080, bytes((number,))), do.expect(PDO, f"{number:02X} *"))))
 
 
 @interrupts_404("tipforce 2121h: all TPDOs of one SYNC carry the same counter", (*pdo.TPDO1, (0x1801, 1)))
