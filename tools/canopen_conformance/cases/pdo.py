@@ -29,6 +29,14 @@ def disable_pdo(dut: Dut, communication: int) -> int:
     return cob_id
 
 
+def move_pdo(dut: Dut, communication: int) -> int:
+    """Disable a PDO, give it the CAN-ID 390h, enable it; return the new COB-ID."""
+    cob_id = disable_pdo(dut, communication) & ~0x7FF | 0x390
+    dut.put("I", communication, 1, cob_id | INVALID)
+    dut.put("I", communication, 1, cob_id)
+    return cob_id
+
+
 def remap(dut: Dut, mapping: int, *words: int) -> None:
     """Map ``words`` by the procedure of 7.5.2.36; the PDO is disabled."""
     dut.put("B", mapping, 0, 0)
@@ -151,18 +159,8 @@ def inhibit(dut: Dut) -> None:
 
 tpdo("invalid 7.5.2.37: a TPDO with bit 31 set is not sent", TPDO1,
     do.run(enable_tpdo1, 1), do.run(disable_pdo, 0x1800), do.nmt(START), do.send(0x080), do.silence(PDO))
-
-
-@tpdo("7.5.2.37: a TPDO that was moved is sent with its new CAN-ID alone", TPDO1)
-def moved(dut: Dut) -> None:
-    enable_tpdo1(dut, 1)
-    cob_id = disable_pdo(dut, 0x1800) & ~0x7FF | 0x390
-    dut.put("I", 0x1800, 1, cob_id | INVALID)
-    dut.put("I", 0x1800, 1, cob_id)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.expect(0x390)
-    dut.silence(PDO)
+tpdo("moved 7.5.2.37: a TPDO that was moved is sent with its new CAN-ID alone", TPDO1,
+    do.run(enable_tpdo1, 1), do.run(move_pdo, 0x1800), do.nmt(START), do.send(0x080), do.expect(0x390), do.silence(PDO))
 
 
 @tpdo("7.2.2.5.1: a TPDO is as long as its mapping says", TPDO1)
@@ -257,11 +255,7 @@ def moved_while_valid(dut: Dut, communication: int, _mapping: int, _name: str) -
 
 @parameters("7.5.2.35: {2}: disabled, moved, enabled", EITHER, each=BOTH)
 def pdo_parameters_moved(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
-    cob_id = disable_pdo(dut, communication)
-    new = cob_id & ~0x7FF | 0x390
-    dut.put("I", communication, 1, new | INVALID)
-    dut.put("I", communication, 1, new)
-    dut.holds("I", communication, 1, new)
+    dut.holds("I", communication, 1, move_pdo(dut, communication))
 
 
 def refused_cob_id(dut: Dut, communication: int, mask: int, bits: int = 0) -> None:

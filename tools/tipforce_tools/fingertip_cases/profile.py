@@ -224,20 +224,11 @@ for value, code in ((3, Abort.INVALID_VALUE), (99, Abort.INVALID_VALUE), (101, A
 settings_404("filter_of_contact 61A0h: a contact channel has no filter: 06090011h", (),
     lambda dut: dut.refuses("B", 0x61A0, gauges(dut) + 1, 1, Abort.NO_SUB),
     lambda dut: dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, Abort.NO_SUB))
-
-
-@settings_404("61A1h: a moving average takes {0} values: {1}", each=[
-    (256, "taken", 0), (257, "06090031h", Abort.TOO_HIGH), (65535, "06090031h", Abort.TOO_HIGH),
-])
-def filter_window(dut: Dut, value: int, _shown: str, code: int) -> None:
-    dut.put("B", 0x61A0, 1, 1)
-    if code:
-        dut.refuses("H", 0x61A1, 1, value, code)
-    else:
-        dut.put("H", 0x61A1, 1, value)
-    dut.holds("H", 0x61A1, 1, 1 if code else value)
-
-
+settings_404("filter_window 61A1h: a moving average takes 256 values: taken", (),
+    do.put("B", 0x61A0, 1, 1), do.put("H", 0x61A1, 1, 256), do.holds("H", 0x61A1, 1, 256))
+for value in (257, 65535):
+    settings_404(f"filter_window 61A1h: a moving average takes {value} values: 06090031h", (),
+        do.put("B", 0x61A0, 1, 1), do.refuses("H", 0x61A1, 1, value, Abort.TOO_HIGH), do.holds("H", 0x61A1, 1, 1))
 for longest in (2, 100):
     settings_404(f"filter_longest 61A1h: filter type {longest} takes the constant 65535", (),
         do.put("H", 0x61A1, 1, 65535), do.put("B", 0x61A0, 1, longest),
