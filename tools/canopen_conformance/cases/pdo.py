@@ -253,9 +253,9 @@ def moved_while_valid(dut: Dut, communication: int, _mapping: int, _name: str) -
     dut.holds("I", communication, 1, cob_id)
 
 
-@parameters("7.5.2.35: {2}: disabled, moved, enabled", EITHER, each=BOTH)
-def pdo_parameters_moved(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
-    dut.holds("I", communication, 1, move_pdo(dut, communication))
+for communication, _, name in BOTH:
+    parameters(f"moved 7.5.2.35: {name}: disabled, moved, enabled", EITHER,
+        do.run(lambda dut, index: dut.holds("I", index, 1, move_pdo(dut, index)), communication))
 
 
 def refused_cob_id(dut: Dut, communication: int, mask: int, bits: int = 0) -> None:

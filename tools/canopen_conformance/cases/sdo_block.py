@@ -26,8 +26,8 @@ def initiate(dut: Dut, index: int, block_size: int, switch: int = 0, crc: bool =
     return answer
 
 
-def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> bytes:
-    """Initiate the block upload of a string of several segments; return what a segmented upload gives."""
+def begin_block_upload(dut: Dut, block_size: int, crc: bool = True, start: bool = True) -> bytes:
+    """Initiate the block upload of a string of several segments, and start it; return what a segmented upload gives."""
     for index in NAMES:
         data = dut.try_read(index)
         if isinstance(data, bytes) and len(data) > 7:
@@ -37,15 +37,16 @@ def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> bytes:
             if answer[0] & 2 and answer[4:] != struct.pack("<I", len(data)):
                 raise CheckError(f"size {len(data)}", answer[4:].hex(" "))
             dut.upload_index = index
+            if start:
+                dut.request("A3")
             return data
     raise NotApplicableError("no string of several segments")
 
 
 def begun_upload(dut: Dut, started: bool = True) -> None:
     """Initiate a block upload of one segment a block, and (``started``) receive the first."""
-    begin_block_upload(dut, 1)
+    begin_block_upload(dut, 1, start=started)
     if started:
-        dut.request("A3")
         block(dut, 1, False)
 
 
@@ -86,7 +87,6 @@ def last_block(dut: Dut, data: bytes, begin: int = 0, crc: bool = True) -> None:
 def one_block(dut: Dut, crc: bool = True) -> None:
     """A whole upload in one block."""
     data = begin_block_upload(dut, 127, crc)
-    dut.request("A3")
     last_block(dut, data, crc=crc)
 
 
@@ -96,7 +96,6 @@ upload("upload 7.2.4.3.13: one block: size, segments, end with CRC", (), one_blo
 @upload("7.2.4.3.14: blocks of one segment")
 def blocks_of_one(dut: Dut) -> None:
     data = begin_block_upload(dut, 1)
-    dut.request("A3")
     count = segments(data)
     for number in range(1, count + 1):
         part = block(dut, 1, number == count)
@@ -109,7 +108,6 @@ def blocks_of_one(dut: Dut) -> None:
 @upload("7.2.4.3.14: the client changes the block size from block to block")
 def changed_block_size(dut: Dut) -> None:
     data = begin_block_upload(dut, 1)
-    dut.request("A3")
     check(block(dut, 1, False) == data[:7], data[:7].hex(" "), "another segment")
     dut.request("A2 01 7F")
     last_block(dut, data, 7)
@@ -118,7 +116,6 @@ def changed_block_size(dut: Dut) -> None:
 @upload("7.2.4.3.14: ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
 def resend(dut: Dut, received: int) -> None:
     data = begin_block_upload(dut, 2)
-    dut.request("A3")
     block(dut, 2, segments(data) == 2)
     dut.request(f"A2 {received:02X} 7F")
     last_block(dut, data, 7 * received)
@@ -127,7 +124,6 @@ def resend(dut: Dut, received: int) -> None:
 @upload("7.2.4.3.14: the last block is lost: ackseq 0, and it comes again")
 def resend_last(dut: Dut) -> None:
     data = begin_block_upload(dut, 127)
-    dut.request("A3")
     for _ in range(2):
         block(dut, segments(data), True)
         dut.request("A2 00 7F")
