@@ -153,31 +153,25 @@ for value, why in (
         do.refuses("I", 0x1012, 0, value, Abort.INVALID_VALUE))
 
 
-CONTROLLER, BUS_OFF, RESTARTED = 0x004, 0x040, 0x100
-PASSIVE, OVERFLOW, ACTIVE = "00 30 00 00 00 00 00 00", "00 01 00 00 00 00 00 00", "00 40 00 00 00 00 00 00"
-NONE = "00 00 00 00 00 00 00 00"
-
-
-def report(dut: Dut, error_class: int, data: str = NONE) -> None:
-    """An error frame of the controller."""
-    dut.send(wire.ERROR_FLAG | error_class, data)
-
-
+# Error frames of the controller.
+CONTROLLER = wire.ERROR_FLAG | 0x004
+passive, active = do.send(CONTROLLER, "00 30 00 00 00 00 00 00"), do.send(CONTROLLER, "00 40 00 00 00 00 00 00")
+overflow = do.send(CONTROLLER, "00 01 00 00 00 00 00 00")
+bus_off, restarted = do.send(wire.ERROR_FLAG | 0x040, bytes(8)), do.send(wire.ERROR_FLAG | 0x100, bytes(8))
 bus_faults("passive 7.2.7.1: error passive: EMCY 8120h once; active again: the cure", (),
-    do.repeat(2, do.run(report, CONTROLLER, PASSIVE)), do.expect(EMCY, "20 81 11 *"), do.silence(EMCY),
-    do.run(report, CONTROLLER, ACTIVE), do.expect(EMCY, "00 00 00 *"), error_frames=True)
+    do.repeat(2, passive), do.expect(EMCY, "20 81 11 *"), do.silence(EMCY), active, do.expect(EMCY, "00 00 00 *"),
+    error_frames=True)
 bus_faults("overrun 7.2.7.1: overrun: EMCY 8110h once, cured when none came for a second", (),
-    do.repeat(3, do.run(report, CONTROLLER, OVERFLOW)), do.expect(EMCY, "10 81 11 *"), do.silence(EMCY, ms=900),
+    do.repeat(3, overflow), do.expect(EMCY, "10 81 11 *"), do.silence(EMCY, ms=900),
     do.expect(EMCY, "00 00 00 *"), error_frames=True)
 bus_faults("bus_off 7.2.7.1: bus-off: silent, and EMCY 8140h when it is over", (),
-    do.beat(), do.run(report, BUS_OFF), do.forget(), do.silence(HEARTBEAT, ms=50), do.run(report, RESTARTED),
+    do.beat(), bus_off, do.forget(), do.silence(HEARTBEAT, ms=50), restarted,
     do.expect(EMCY, "40 81 *"), do.ask("40 00 10 00", "43 00 10 00 *"), error_frames=True)
 bus_faults("bus_off_behaviour 7.5.2.32: bus-off in OPERATIONAL: PRE-OPERATIONAL by 1029h", (),
-    do.beat(), do.nmt(wire.START), do.state(wire.OPERATIONAL), do.run(report, BUS_OFF), do.run(report, RESTARTED),
-    do.state(wire.PRE_OPERATIONAL), error_frames=True)
-bus_faults("bus_off_again 7.2.7.1: bus-off twice in a row: both are reported", (),
-    do.repeat(2, do.run(report, BUS_OFF), do.sleep(10), do.run(report, RESTARTED), do.expect(EMCY, "40 81 *")),
+    do.beat(), do.nmt(wire.START), do.state(wire.OPERATIONAL), bus_off, restarted, do.state(wire.PRE_OPERATIONAL),
     error_frames=True)
+bus_faults("bus_off_again 7.2.7.1: bus-off twice in a row: both are reported", (),
+    do.repeat(2, bus_off, do.sleep(10), restarted, do.expect(EMCY, "40 81 *")), error_frames=True)
 
 
 # --- SDO: expedited, in segments, by blocks
