@@ -7,7 +7,7 @@ import pytest
 from canopen_device.core import storage
 from canopen_device.core.codes import NEVER_US
 from canopen_device.testing import Conversation, MemoryStore
-from device.tiny import Recorder, booted, operational, serving
+from device.tiny import Recorder, booted, serving
 
 CONFIGURE = "> 7E5#0401000000000000\n"
 DAY_MS = 86_400_000
@@ -31,7 +31,8 @@ def test_reset_communication_returns_only_the_communication_area() -> None:
 
 
 def test_frames_after_a_reset_in_one_step_meet_the_new_state() -> None:
-    talk = operational()
+    talk = booted()
+    talk.say("> 000#0105")
     assert talk.put("I", 0x1800, 1, 0x40000185) == 0
     talk.step([(0, b"\x82\x05"), (0x80, b""), (0, b"\x01\x05"), (0x80, b"")])
     # The reset made TPDO1 invalid again, so the boot-up message is all there is.

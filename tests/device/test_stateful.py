@@ -13,7 +13,7 @@ from canopen_device.core import codes, storage
 from canopen_device.core.node import Device
 from canopen_device.core.sdo_block import crc16
 from canopen_device.testing import Conversation
-from device.tiny import booted, tiny
+from device.tiny import booted
 from tipforce.fingertip.calibration import Calibration
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
@@ -327,7 +327,7 @@ def record(index: int, sub: int, data: bytes) -> bytes:
 
 
 def test_a_stored_string_that_is_no_text_is_passed_over() -> None:
-    device = tiny().device
+    device = booted().device
     device.od.add(0x6010, 0, ("s", "rw", 0, "name", None, None))
     storage.unpack_settings(device.od, 0x6000, 0x9FFF, record(0x6010, 0, b"\xff\xfe") + record(0x6000, 0, b"\7\0"))
     assert (device.od.get(0x6010), device.od.get(0x6000)) == ("name", 7)
