@@ -323,15 +323,11 @@ class Dut:
         """Upload an integer."""
         return int(self.number(kind, index, sub))
 
-    def put(self, kind: str, index: int, sub: int, value: float) -> None:
-        """Download a number that the case needs as its precondition: not applicable if the device may refuse it."""
-        self._put(kind, index, sub, value, (Abort.READ_ONLY, *_MAY_REFUSE))
+    def put(self, kind: str, index: int, sub: int, value: float, required: bool = False) -> None:
+        """Download a number that the case needs as its precondition: not applicable if the device may refuse it.
 
-    def accepts(self, kind: str, index: int, sub: int, value: float) -> None:
-        """Check that the device accepts a number; not applicable if the object is read-only."""
-        self._put(kind, index, sub, value, (Abort.READ_ONLY,))
-
-    def _put(self, kind: str, index: int, sub: int, value: float, allowed: tuple[int, ...]) -> None:
+        ``required``: a device whose object can be written must take it.
+        """
         code = self.try_write(index, sub, struct.pack("<" + kind, value))
         shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
         if code == Abort.READ_ONLY:
@@ -340,7 +336,7 @@ class Dut:
             raise NotApplicableError(f"no data type {int(value) >> 16:04X}h as a dummy entry (CiA 301, 7.4.7.1)")
         if code == Abort.NO_SUB and (index in _RPDO_MAPPINGS or index in _TPDO_MAPPINGS):
             raise NotApplicableError(f"{index:04X}h has no sub-index {sub}")
-        if code in allowed:
+        if code in _MAY_REFUSE and not required:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} does not take {shown} (abort {code:08X}h)")
         check(not code, f"{index:04X}h:{sub:02X} to accept {shown}", f"abort {code:08X}h")
 

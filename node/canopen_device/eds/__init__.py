@@ -6,6 +6,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from canopen_device.eds.description import Description as Description
     from canopen_device.eds.description import Entry as Entry
+    from canopen_device.eds.load import EdsWarning as EdsWarning
     from canopen_device.eds.load import device_from_eds as device_from_eds
     from canopen_device.eds.reader import read_eds as read_eds
 else:

@@ -158,7 +158,7 @@ for value in (1, 241, 255):
         do.refuses("B", 0x1019, 0, value, Abort.INVALID_VALUE, Abort.TOO_HIGH), do.holds("B", 0x1019, 0, 0))
 for value in (0, 2, 240):
     sync(f"overflow_taken 7.5.2.22: 1019h = {value} is taken", ((0x1019, 0),),
-        do.accepts("B", 0x1019, 0, value), do.holds("B", 0x1019, 0, value))
+        do.put("B", 0x1019, 0, value, required=True), do.holds("B", 0x1019, 0, value))
 sync("counted 7.2.5.3.1: with 1019h a SYNC with its counter acts", COUNTER,
     do.run(pdo.enable_tpdo1, 1), do.put("B", 0x1019, 0, 10), do.nmt(START),
     *(step for counter in (1, 2, 10, 1) for step in (do.send(0x080, bytes((counter,))), do.expect(PDO))))
@@ -208,7 +208,7 @@ time("default 7.3.3: the default CAN-ID of TIME is 100h", TIME,
     do.matches("I", 0x1012, 0, 0x7FF, 0x100, "CAN-ID 100h"))
 for value in (0x100, 0x80000390, 0x80000100):
     time(f"taken 7.5.2.15: 1012h = {value:08X}h is taken", TIME,
-        do.accepts("I", 0x1012, 0, value), do.holds("I", 0x1012, 0, value))
+        do.put("I", 0x1012, 0, value, required=True), do.holds("I", 0x1012, 0, value))
 for can_id in (0x001, 0x07F, 0x101, 0x581, 0x601, 0x6E0, 0x701):
     time(f"restricted 7.3.5: 1012h with the restricted CAN-ID {can_id:03X}h: 06090030h", TIME,
         do.refuses("I", 0x1012, 0, CONSUME | can_id, Abort.INVALID_VALUE))

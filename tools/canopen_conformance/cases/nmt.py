@@ -114,7 +114,8 @@ def lost(dut: Dut, within_ms: int = 100) -> None:
 
 for ms in (20, 50, 110):
     heartbeat(f"period 7.2.8.3.2.2: a heartbeat each {ms} ms", PRODUCER,
-        do.accepts("H", 0x1017, 0, ms), do.each_ms(ms, 3, "three periods of", do.expect(HEARTBEAT, "7F", 2 * ms)))
+        do.put("H", 0x1017, 0, ms, required=True),
+        do.each_ms(ms, 3, "three periods of", do.expect(HEARTBEAT, "7F", 2 * ms)))
 for after, state in wire.STATES:
     heartbeat(f"heartbeat_state 7.2.8.3.2.2: the heartbeat in {state} carries {after:02X}h", PRODUCER,
         do.beat(), do.enter(after), do.state(after))
