@@ -14,12 +14,11 @@ from canopen_device.core.emcy import Emcy
 from canopen_device.core.error_control import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
 from canopen_device.core.lss import LssSlave
 from canopen_device.core.node import Device, Nmt
-from canopen_device.core.pdo import Pdo, ReceivePdos
+from canopen_device.core.pdo import Pdo, ReceivePdos, TransmitPdo
 from canopen_device.core.sdo_block import BlockDownload, BlockUpload
 from canopen_device.core.sdo_server import SdoServer
 from canopen_device.core.storage import Storage
 from canopen_device.core.sync import SyncConsumer
-from canopen_device.core.tpdo import TransmitPdo
 from canopen_device.testing import MemoryStore
 from conformance.fingertip import all_cases, matching, run_in_process
 from conformance.minimal import MinimalDevice

@@ -9,7 +9,6 @@ import can
 import canopen
 import pytest
 from bench.fuzz import STRAIN_PER_NEWTON
-from canopen.sdo.exceptions import SdoAbortedError
 
 from canopen_device.core.node import Device
 from canopen_device.testing import MemoryStore
@@ -86,16 +85,6 @@ def client() -> Iterator[Client]:
     client.network.disconnect()
 
 
-def test_expedited_and_segmented(client: Client) -> None:
-    client.node.sdo[0x1017].raw = 250
-    assert client.node.sdo[0x1017].raw == 250
-    assert client.node.sdo[0x1008].raw == "tipforce fingertip"
-    with pytest.raises(SdoAbortedError, match="read only"):
-        client.node.sdo[0x1018][1].raw = 1
-    client.node.sdo.download(0x2141, 0, RECORD)
-    assert client.node.sdo.upload(0x2141, 0) == RECORD
-
-
 def test_a_calibration_is_written_by_block_transfer_committed_and_read_back(client: Client) -> None:
     with client.node.sdo[0x2141].open("wb", size=len(RECORD), block_transfer=True) as file:
         file.write(RECORD)
@@ -139,15 +128,6 @@ def test_block_download_with_a_lost_segment() -> None:
     assert client.node.sdo.upload(0x2005, 0) == content
 
 
-def test_nmt(client: Client) -> None:
-    for state in ("OPERATIONAL", "STOPPED", "PRE-OPERATIONAL"):
-        client.node.nmt.state = state
-        client.bus.pass_time(1_000_000)
-        assert client.node.nmt.state == state
-    client.node.nmt.state = "RESET"
-    assert client.node.nmt.state == "PRE-OPERATIONAL"
-
-
 def test_pdo_read_remap_save(client: Client) -> None:
     client.node.tpdo.read()
     first = client.node.tpdo[1]
@@ -189,27 +169,3 @@ def test_lss_fast_scan_gives_a_node_id() -> None:
     assert client.device.node_id == 5
     assert client.node.sdo[0x1018][4].raw == 0x1234
     assert lss.fast_scan() == (False, None)
-
-
-def test_lss_selective_inquire_configure() -> None:
-    lss = (client := Client()).network.lss
-    assert lss.send_switch_state_selective(0, 0x54500103, 0x00020000, 0x1234)
-    assert lss.inquire_node_id() == 5
-    assert lss.inquire_lss_address(0x5D) == 0x1234
-    lss.configure_node_id(9)
-    lss.configure_bit_timing(2)
-    lss.activate_bit_timing(10)
-    assert client.device.requests[-1] == ("bit-rate", 500_000, 10)
-    lss.send_switch_state_global(lss.WAITING_STATE)
-    assert client.device.node_id == 5  # until the next reset
-    client.node.nmt.state = "RESET COMMUNICATION"
-    assert client.device.node_id == 9
-
-
-def test_emcy_is_heard(client: Client) -> None:
-    client.node.sdo.download(0x2200, 1, b"\2\0")  # a gauge is open
-    client.node.nmt.state = "OPERATIONAL"
-    client.network.sync.transmit()
-    client.bus.pass_time(1000)
-    client.bus.pass_time(1000)
-    assert {error.code for error in client.node.emcy.active} >= {0x5030}

@@ -3,7 +3,7 @@
 import pytest
 
 from canopen_device.core import emcy
-from canopen_device.core.codes import ERROR_FLAG, OPERATIONAL, PRE_OPERATIONAL
+from canopen_device.core.codes import ERROR_FLAG
 from canopen_device.core.emcy import FIRST_RESTART_US, LAST_RESTART_US, MAX_WAITING, OVERRUN_QUIET_US, TRANSMIT_OVERFLOW
 from canopen_device.testing import Conversation
 from device.tiny import serving
@@ -29,10 +29,6 @@ def test_an_error_is_said_once_and_cured_once() -> None:
     talk.step()
     talk.say("< 085#0000003050090000\n+ 1000")
     assert talk.get("B", 0x1001) == 0
-
-
-def test_a_sync_of_wrong_length_is_said_once_and_ends_with_a_right_one() -> None:
-    serving().say("> 080#01\n< 085#4082110000000000\n> 080#01\n+ 1\n> 080#\n< 085#0000004082000000\n> 080#\n+ 1")
 
 
 def test_what_waits_is_bounded() -> None:
@@ -165,15 +161,6 @@ def test_the_back_off_ends_when_the_bus_was_well_for_long(quiet_us: int, wait_us
     assert talk.device.requests == []
     talk.advance(1)
     assert talk.device.requests == [("bus-restart", 0, 0)]
-
-
-@pytest.mark.parametrize(("behaviour", "state"), [(0, PRE_OPERATIONAL), (1, OPERATIONAL)])
-def test_bus_off_has_the_error_behaviour_of_1029h(behaviour: int, state: int) -> None:
-    talk = serving()
-    assert talk.put("B", 0x1029, 1, behaviour) == 0
-    talk.say("> 000#0105")
-    talk.step([BUS_OFF])
-    assert talk.device.nmt.state == state
 
 
 @pytest.mark.parametrize("can_id", [0x585, 0x705])

@@ -5,9 +5,9 @@ import struct
 import pytest
 
 from canopen_device.core import storage
-from canopen_device.core.codes import NEVER_US, REMOTE_FLAG
+from canopen_device.core.codes import NEVER_US
 from canopen_device.testing import Conversation, MemoryStore
-from device.tiny import Recorder, booted, operational, serving
+from device.tiny import Recorder, booted, serving
 
 CONFIGURE = "> 7E5#0401000000000000\n"
 DAY_MS = 86_400_000
@@ -31,7 +31,8 @@ def test_reset_communication_returns_only_the_communication_area() -> None:
 
 
 def test_frames_after_a_reset_in_one_step_meet_the_new_state() -> None:
-    talk = operational()
+    talk = booted()
+    talk.say("> 000#0105")
     assert talk.put("I", 0x1800, 1, 0x40000185) == 0
     talk.step([(0, b"\x82\x05"), (0x80, b""), (0, b"\x01\x05"), (0x80, b"")])
     # The reset made TPDO1 invalid again, so the boot-up message is all there is.
@@ -63,14 +64,6 @@ def test_a_stored_node_id_that_cannot_be_is_passed_over(content: bytes) -> None:
     store = MemoryStore()
     store.groups["lss"] = storage.with_crc(content)
     assert serving(store=store).device.node_id == 5
-
-
-def test_a_node_that_is_given_255_falls_silent_after_the_reset() -> None:
-    talk = serving()
-    talk.say(
-        CONFIGURE + "> 7E5#11FF000000000000\n< 7E4#1100000000000000\n> 000#8205\n+ 10000000\n> 605#4000100000000000"
-    )
-    assert talk.device.node_id == 255
 
 
 def test_network_time_is_known_after_a_time_message_and_runs_on() -> None:
@@ -112,15 +105,6 @@ def test_a_new_time_starts_the_watch_anew() -> None:
     talk.say("> 707#05\n+ 50000")
     assert talk.put("I", 0x1016, 1, 7 << 16 | 200) == 0
     talk.say("+ 10000000\n> 707#05\n+ 199999\n+ 1\n< 085#3081110700000000")
-
-
-def test_life_guarding_that_was_switched_off_misses_nobody() -> None:
-    talk = serving()
-    assert talk.put("H", 0x100C, 0, 100) == talk.put("B", 0x100D, 0, 3) == 0
-    talk.step([(0x705 | REMOTE_FLAG, b"")])
-    talk.say("< 705#7F")
-    assert talk.put("B", 0x100D, 0, 0) == 0
-    talk.say("+ 10000000")
 
 
 def beating_for_a_second() -> Conversation:

@@ -124,10 +124,6 @@ def test_event_timer_written_while_operational_acts() -> None:
     talk.say("+ 1000000")
 
 
-def test_a_process_that_slept_sends_one_and_no_burst() -> None:
-    event_driven(20).say(f"> 000#0105\n{TPDO2}\n~ 1000000\n{TPDO2}\n+ 19999\n+ 1\n{TPDO2}")
-
-
 def test_event_timer_lets_the_application_refresh_first() -> None:
     talk = event_driven(20)
     recorder = Recorder()

@@ -87,25 +87,13 @@ def _pdo(
         od.add(index + 0x200, sub, ("I", "rw", 0, words[sub - 1] if sub <= len(words) else 0, None, None))
 
 
-def tiny(store: MemoryStore | None = None, node_id: int = 5, application: Application | None = None) -> Conversation:
-    """A conversation with a device that has just booted; its boot-up message is still to be named."""
+def booted(store: MemoryStore | None = None, node_id: int = 5, application: Application | None = None) -> Conversation:
+    """A conversation with a device that has just booted, boot-up heard: PRE-OPERATIONAL."""
     store_hooks = (store.save, store.load) if store is not None else (None, None)
     device = Device(dictionary(node_id), *store_hooks)
     device.application = application
-    return Conversation(device)
-
-
-def booted(store: MemoryStore | None = None, node_id: int = 5, application: Application | None = None) -> Conversation:
-    """The same, boot-up heard: PRE-OPERATIONAL."""
-    talk = tiny(store, node_id, application)
+    talk = Conversation(device)
     talk.say(f"< 70{node_id:X}#00")
-    return talk
-
-
-def operational(store: MemoryStore | None = None, application: Application | None = None) -> Conversation:
-    """The same, started by the NMT master."""
-    talk = booted(store, application=application)
-    talk.say("> 000#0105")
     return talk
 
 

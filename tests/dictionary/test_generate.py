@@ -125,7 +125,7 @@ def test_device_information(tmp_path: Path) -> None:
 
 
 def test_commands_are_not_downloaded_what_is_write_only_not_scanned_and_real32_has_limits() -> None:
-    eds = parse(eds_text(3, True))
+    eds = parse(eds_text(3, True).encode())
     for index, sub, key, value in (
         (0x2104, 0, "ObjFlags", "0x3"), (0x1010, 1, "ObjFlags", "0x1"), (0x2100, 1, "ObjFlags", None),
         (0x2105, 1, "LowLimit", "1.0"), (0x2105, 1, "HighLimit", "1e+30"),

@@ -155,7 +155,7 @@ def firmware_talk(adc: str, can: str) -> type[Talk]:
             fault, gauge = self._fault[0], int(self._fault[1]) - 1
             if fault in (2, 3):
                 counts[gauge] = 0x7FFFFF
-            pending = self.recorded.pending  # type: ignore[attr-defined]
+            pending = self.recorded.pending
             pending += ["@" + ",".join(map(str, counts)), "!silent" if fault == 4 else "!speaking"]
 
         def sync(self, count: int = 1, period_us: int = 1000) -> list[Frame]:

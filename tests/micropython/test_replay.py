@@ -1,8 +1,7 @@
-"""Conversations of CPython held again on MicroPython, which judges alike; its memory, its loop, single precision."""
+"""Conversations of CPython held again on MicroPython, which judges alike; its memory, its loop."""
 
 import json
 import os
-import random
 from pathlib import Path
 
 import pytest
@@ -11,10 +10,9 @@ from conformance.fingertip import NODE_ID, SERIAL, all_cases, core_eds, run_in_p
 from host.decoding.test_judged import recorded
 from micropython import engine, footprint, recording, scripts
 from micropython.recording import RecordedDevice, Recording, random_recording
-from micropython.single_precision import compare
 from tipforce.dictionary import table_objects
 
-RANDOM_SEEDS, RANDOM_STEPS = range(4), 2500
+RANDOM_SEEDS, RANDOM_STEPS = range(4), 3000
 # A node is a server; and what devices from an EDS need, a fingertip does without.
 OTHER_DEVICES = {f"canopen_device/core/{name}.py" for name in ("__init__", "sdo_client", "sync_producer", "wide_types")}
 HEAP_BYTES = 180_000  # MicroPython leaves about 200 000 of an ESP32's memory
@@ -197,15 +195,3 @@ def test_the_documented_firmware() -> None:
         "705#00",
         "[('reset-communication', 0, 0)] ['application', 'calibration', 'communication']",
     ]
-
-
-def test_the_contact_pdo_differs_by_one_unit_at_most() -> None:
-    chance = random.Random(20250131)
-    loads = [
-        (10.0 ** chance.uniform(-1.5, 1.4), chance.uniform(-60.0, 60.0), chance.uniform(-60.0, 60.0))
-        for _ in range(1000)
-    ]
-    found = compare(loads)
-    assert max(found.P, found.phi, found.theta) <= 1
-    assert found.status == 0
-    assert found.changed <= 20, found

@@ -32,6 +32,12 @@ class Axis(Conversation):
             self.store(0x6040, word)
         return self.state
 
+    def enable(self, mode: int, *stores: tuple[int, int]) -> None:
+        """Enable the drive in a mode of operation, after these writes."""
+        for key, value in ((0x6060, mode), *stores):
+            self.store(key, value)
+        self.control(SHUTDOWN, ENABLE)
+
     @property
     def state(self) -> int:
         word = int(self.simulated[0x6041])
@@ -60,8 +66,7 @@ def test_transitions(words: tuple[int, ...], state: int) -> None:
 @pytest.mark.parametrize("step_us", [2000, 7000, 45_000, 130_000])  # a busy machine is late
 def test_a_profile_move_is_a_trapezoid_that_ends_on_its_target(step_us: int) -> None:
     axis = Axis()
-    axis.store(0x6060, 1)
-    axis.control(SHUTDOWN, ENABLE)
+    axis.enable(1)
     axis.store(0x607A, 5000)
     axis.control(0x1F)
     assert (axis.bit(10), axis.bit(12)) == (0, 1)
@@ -86,8 +91,7 @@ def test_a_profile_move_is_a_trapezoid_that_ends_on_its_target(step_us: int) -> 
 def test_a_second_set_point_waits_or_takes_over() -> None:
     for word, first_end in ((0x1F, 1000), (0x3F, -1000)):
         axis = Axis()
-        axis.store(0x6060, 1)
-        axis.control(SHUTDOWN, ENABLE)
+        axis.enable(1)
         axis.store(0x607A, 1000)
         axis.control(0x1F, ENABLE)
         axis.advance(20_000)
@@ -103,8 +107,7 @@ def test_a_second_set_point_waits_or_takes_over() -> None:
 
 def test_velocity_cyclic_modes_and_limits() -> None:
     axis = Axis()
-    axis.store(0x6060, 3)
-    axis.control(SHUTDOWN, ENABLE)
+    axis.enable(3)
     axis.store(0x60FF, -2000)
     axis.advance(10_000)
     assert -2000 < int(axis.simulated[0x606C]) < 0
@@ -131,9 +134,7 @@ def test_velocity_cyclic_modes_and_limits() -> None:
 
 def test_homing_by_a_move_ends_at_zero_with_the_offset() -> None:
     axis = Axis()
-    for key, value in ((0x6060, 8), (0x607A, 500), (0x607C, 25), (0x6098, 17)):
-        axis.store(key, value)
-    axis.control(SHUTDOWN, ENABLE)
+    axis.enable(8, (0x607A, 500), (0x607C, 25), (0x6098, 17))
     axis.advance(6000)
     axis.store(0x6060, 6)
     axis.control(0x1F)
@@ -146,8 +147,7 @@ def test_homing_by_a_move_ends_at_zero_with_the_offset() -> None:
 
 def test_a_fault_stops_the_drive_and_is_reset_by_a_rising_edge() -> None:
     axis = Axis()
-    axis.store(0x6060, 3)
-    axis.control(SHUTDOWN, ENABLE)
+    axis.enable(3)
     axis.store(0x60FF, 8000)
     axis.advance(200_000)
     axis.sent.clear()
@@ -169,9 +169,7 @@ def test_a_fault_stops_the_drive_and_is_reset_by_a_rising_edge() -> None:
 def test_quick_stop_ends_disabled_or_stays() -> None:
     for option, end in ((2, DISABLED), (6, QUICK)):
         axis = Axis()
-        axis.store(0x605A, option)
-        axis.store(0x6060, 3)
-        axis.control(SHUTDOWN, ENABLE)
+        axis.enable(3, (0x605A, option))
         axis.store(0x60FF, 8000)
         axis.advance(200_000)
         axis.control(QUICK_STOP)

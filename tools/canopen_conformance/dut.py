@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import struct
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import TypeAlias
 
 from canopen_conformance import wire
 from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product, check
-from canopen_conformance.wire import Abort, Frame, Frames, Link, Wanted
+from canopen_conformance.wire import Abort, Frame, Link
 
 LAST_DATA_TYPE = 0x1B
 _RPDO_MAPPINGS, _TPDO_MAPPINGS = range(0x1600, 0x1800), range(0x1A00, 0x1C00)
@@ -20,18 +23,33 @@ _MAY_REFUSE = (
 BOOT_MS = 5000  # real devices may take long
 _BEAT_MS = 20
 _SLOW_RESET_MS = 250
+_KEPT = 5000  # bounds the memory on a bus with traffic of other nodes
+
+Wanted: TypeAlias = str | Callable[[bytes], bool] | None
 
 
-class Dut(Frames):
+def _fits(data: bytes, wanted: Wanted) -> bool:
+    if isinstance(wanted, str):
+        # "4F 01 10 00 .. 00 00 00": two dots match any byte, and "*" at the end any rest.
+        pattern = wanted.replace(" ", "").lower().replace("*", ".*")
+        return re.fullmatch(pattern, data.hex()) is not None
+    return wanted is None or wanted(data)
+
+
+class Dut:
     """One device on a link, with its present node-id. ``product``: of the caller's own cases, if it has any.
 
     ``pdo_id``: CAN-ID of the PDO that a case has set up. ``upload_index``: object of the upload that it has begun.
+    Received frames that no check has consumed stay pending. An identifier may be one of ``wire.EMCY`` to ``wire.PDO``.
     """
 
     def __init__(self, link: Link, node_id: int, product: Product | None = None) -> None:
-        super().__init__(link, node_id)
+        self.link = link
+        self.node_id = node_id
         self.product = product
+        self.log: list[str] = []
         self.pdo_id = self.upload_index = 0
+        self._pending: deque[Frame] = deque(maxlen=_KEPT)
         self._survey: dict[tuple[int, int], bool] = {}
         self._of_product: bool | None = None
         self._starts_by_itself: bool | None = None
@@ -39,14 +57,86 @@ class Dut(Frames):
         self._fresh = False  # as after a reset: since then only objects were read
         self._reset_command = wire.RESET_NODE
 
+    @property
+    def now_us(self) -> int:
+        """The link's clock."""
+        return self.link.now_us()
+
+    def send(self, can_id: int, data: bytes | str = b"") -> None:
+        """Send a frame; ``data`` may be hex text."""
+        self._fresh = False
+        can_id, content = self._can_id(can_id), wire.as_bytes(data)
+        self._note(">", can_id, content, self.now_us)
+        self.link.send(can_id, content)
+
+    def expect(self, can_id: int, wanted: Wanted = None, within_ms: float = wire.ANSWER_MS) -> Frame:
+        """Return the next frame with ``can_id``, which must arrive in time and match. Other frames stay pending."""
+        frame = self.heard(can_id, within_ms)
+        can_id, what = self._can_id(can_id), wanted if isinstance(wanted, str) else "with other content"
+        if frame is None:
+            raise CheckError(f"a frame {can_id:03X}h {what if wanted else ''} within {within_ms:g} ms", "none")
+        check(_fits(frame.data, wanted), f"{can_id:03X}#{what}", wire.text(can_id, frame.data))
+        return frame
+
+    def heard(self, can_id: int, within_ms: float = wire.ANSWER_MS) -> Frame | None:
+        """Return the next frame with ``can_id``, None if none arrives in time."""
+        can_id, limit_us = self._can_id(can_id), self.now_us + round(1000 * (within_ms + self.link.tolerance_ms))
+        while True:
+            for frame in self._pending:
+                if frame.can_id == can_id:
+                    self._pending.remove(frame)
+                    return frame
+            if not self._pump(limit_us):
+                return None
+
+    def silence(self, *can_ids: int, ms: float = wire.QUIET_MS) -> None:
+        """Check that no frame of these identifiers (default: the device's, except heartbeat) arrives or is pending."""
+        self.sleep(ms)
+        forbidden = [self._can_id(can_id) for can_id in can_ids]
+        for frame in self._pending:
+            can_id = frame.can_id
+            own = can_id & 0x7F == self.node_id and 0x80 <= can_id < 0x600 and can_id & 0x780 != 0x500
+            if can_id in forbidden if can_ids else own or can_id == 0x7E4:
+                raise CheckError("silence", wire.text(can_id, frame.data))
+
+    def sleep(self, ms: float) -> None:
+        """Wait; received frames stay pending."""
+        limit_us = self.now_us + round(1000 * ms)
+        while self._pump(limit_us):
+            pass
+
+    def forget(self, *can_ids: int) -> None:
+        """Discard pending frames (default: of any identifier)."""
+        self.sleep(0)
+        kept = [f for f in self._pending if can_ids and f.can_id not in [self._can_id(can_id) for can_id in can_ids]]
+        self._pending.clear()
+        self._pending.extend(kept)
+
+    def check_ms(self, what: str, actual_us: float, expected_ms: float) -> None:
+        """Check that a measured time is the expected one, within the link's tolerance."""
+        tolerance_ms, actual_ms = self.link.tolerance_ms, actual_us / 1000
+        right = abs(actual_ms - expected_ms) <= tolerance_ms
+        check(right, f"{what} {expected_ms:g} ms (+-{tolerance_ms} ms)", f"{actual_ms:.1f} ms")
+
+    def _can_id(self, can_id: int) -> int:
+        if can_id & wire.PDO:
+            return self.pdo_id | can_id & ~wire.PDO
+        return (can_id & ~wire.OF_DEVICE) + self.node_id if can_id & wire.OF_DEVICE else can_id
+
+    def _pump(self, limit_us: int) -> bool:
+        frame = self.link.receive(limit_us)
+        if frame is None:
+            return False
+        self._note("<", *frame)
+        self._pending.append(frame)
+        return True
+
+    def _note(self, direction: str, can_id: int, data: bytes, at_us: int) -> None:
+        self.log.append(f"{at_us / 1000:10.1f} ms  {direction} {wire.text(can_id, data)}")
+
     def nmt(self, command: int, node_id: int | None = None) -> None:
         """Send an NMT command to this device, or to ``node_id`` (0: all)."""
         self.send(0x000, bytes((command, self.node_id if node_id is None else node_id)))
-
-    def send(self, can_id: int, data: bytes | str = b"") -> None:
-        """Send a frame."""
-        self._fresh = False
-        super().send(can_id, data)
 
     def reset(self, command: int = wire.RESET_NODE) -> None:
         """Reset the device and wait for its boot-up, then PRE-OPERATIONAL; earlier frames are discarded."""
@@ -111,9 +201,9 @@ class Dut(Frames):
         period = self.try_read(0x1017)
         if not isinstance(period, bytes) or self.try_write(0x1017, 0, struct.pack("<H", _BEAT_MS)):
             return False
-        beat = self.heard(0x700 + self.node_id, 3 * _BEAT_MS)
+        beat = self.heard(wire.HEARTBEAT, 3 * _BEAT_MS)
         self.try_write(0x1017, 0, period)
-        self.forget(0x700 + self.node_id)
+        self.forget(wire.HEARTBEAT)
         return beat is not None and beat.data == bytes((wire.OPERATIONAL,))
 
     def waits_for_start(self) -> None:
@@ -125,7 +215,7 @@ class Dut(Frames):
         """Wait for the boot-up message; a heartbeat sent during the reset may precede it."""
         limit_us = self.now_us + 1000 * BOOT_MS
         while True:
-            frame = self.expect(0x700 + self.node_id, within_ms=max(0, limit_us - self.now_us) / 1000)
+            frame = self.expect(wire.HEARTBEAT, within_ms=max(0, limit_us - self.now_us) / 1000)
             if frame.data == b"\0":
                 return frame
 
@@ -135,42 +225,9 @@ class Dut(Frames):
 
     def state(self, expected: int) -> None:
         """Check that the heartbeats carry ``expected``; the first may have been sent before."""
-        can_id = 0x700 + self.node_id
-        self.forget(can_id)
-        self.expect(can_id, within_ms=2 * _BEAT_MS)
-        self.expect(can_id, f"{expected:02X}", 2 * _BEAT_MS)
-
-    def heartbeat(self, wanted: Wanted = None, within_ms: float = wire.ANSWER_MS) -> Frame:
-        """Return the next heartbeat, or answer to node guarding, which must match."""
-        return self.expect(0x700 + self.node_id, wanted, within_ms)
-
-    def no_heartbeat(self, ms: float = wire.QUIET_MS) -> None:
-        """Check that there is no heartbeat."""
-        self.silence(0x700 + self.node_id, ms=ms)
-
-    def emcy(self, wanted: Wanted = None, within_ms: float = wire.ANSWER_MS) -> Frame:
-        """Return the next EMCY, which must match."""
-        return self.expect(0x80 + self.node_id, wanted, within_ms)
-
-    def no_emcy(self, ms: float = wire.QUIET_MS) -> None:
-        """Check that there is no EMCY."""
-        self.silence(0x80 + self.node_id, ms=ms)
-
-    def pdo(self, wanted: Wanted = None, within_ms: float = wire.ANSWER_MS) -> Frame:
-        """Return the next frame of the PDO, which must match."""
-        return self.expect(self.pdo_id, wanted, within_ms)
-
-    def no_pdo(self, ms: float = wire.QUIET_MS) -> None:
-        """Check that the PDO is not sent."""
-        self.silence(self.pdo_id, ms=ms)
-
-    def forget_pdo(self) -> None:
-        """Discard pending frames of the PDO."""
-        self.forget(self.pdo_id)
-
-    def send_pdo(self, data: bytes | str = b"") -> None:
-        """Send the PDO."""
-        self.send(self.pdo_id, data)
+        self.forget(wire.HEARTBEAT)
+        self.expect(wire.HEARTBEAT, within_ms=2 * _BEAT_MS)
+        self.expect(wire.HEARTBEAT, f"{expected:02X}", 2 * _BEAT_MS)
 
     def enter(self, state: int) -> None:
         """Change from PRE-OPERATIONAL, the state after a reset, to ``state``."""
@@ -180,13 +237,13 @@ class Dut(Frames):
     def request(self, data: bytes | str) -> None:
         """Send an SDO frame, padded to 8 bytes."""
         content = wire.as_bytes(data)
-        self.send(0x600 + self.node_id, content + bytes(8 - len(content)))
+        self.send(wire.REQUEST, content + bytes(8 - len(content)))
 
     def answer(self, wanted: Wanted = None, within_ms: float = 1000) -> bytes:
         """Return the next SDO frame of the device; hex text is padded to 8 bytes with 00."""
         if isinstance(wanted, str) and not wanted.endswith("*"):
             wanted += " 00" * (8 - len(wanted.replace(" ", "")) // 2)
-        data = self.expect(0x580 + self.node_id, wanted, within_ms).data
+        data = self.expect(wire.SDO, wanted, within_ms).data
         check(len(data) == 8, "an SDO response of 8 bytes", f"{len(data)} bytes")
         return data
 
@@ -209,10 +266,6 @@ class Dut(Frames):
     def abort_upload(self) -> None:
         """Abort the upload that the case has begun."""
         self.request(struct.pack("<BHBI", 0x80, self.upload_index, 0, Abort.GENERAL_ERROR))
-
-    def no_sdo(self, ms: float = 30) -> None:
-        """Check that the device sends no SDO frame."""
-        self.silence(0x580 + self.node_id, ms=ms)
 
     def try_read(self, index: int, sub: int = 0) -> bytes | int:
         """Upload, expedited or segmented: return the data, or the abort code."""
@@ -270,15 +323,11 @@ class Dut(Frames):
         """Upload an integer."""
         return int(self.number(kind, index, sub))
 
-    def put(self, kind: str, index: int, sub: int, value: float) -> None:
-        """Download a number that the case needs as its precondition: not applicable if the device may refuse it."""
-        self._put(kind, index, sub, value, (Abort.READ_ONLY, *_MAY_REFUSE))
+    def put(self, kind: str, index: int, sub: int, value: float, required: bool = False) -> None:
+        """Download a number that the case needs as its precondition: not applicable if the device may refuse it.
 
-    def accepts(self, kind: str, index: int, sub: int, value: float) -> None:
-        """Check that the device accepts a number; not applicable if the object is read-only."""
-        self._put(kind, index, sub, value, (Abort.READ_ONLY,))
-
-    def _put(self, kind: str, index: int, sub: int, value: float, allowed: tuple[int, ...]) -> None:
+        ``required``: a device whose object can be written must take it.
+        """
         code = self.try_write(index, sub, struct.pack("<" + kind, value))
         shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
         if code == Abort.READ_ONLY:
@@ -287,7 +336,7 @@ class Dut(Frames):
             raise NotApplicableError(f"no data type {int(value) >> 16:04X}h as a dummy entry (CiA 301, 7.4.7.1)")
         if code == Abort.NO_SUB and (index in _RPDO_MAPPINGS or index in _TPDO_MAPPINGS):
             raise NotApplicableError(f"{index:04X}h has no sub-index {sub}")
-        if code in allowed:
+        if code in _MAY_REFUSE and not required:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} does not take {shown} (abort {code:08X}h)")
         check(not code, f"{index:04X}h:{sub:02X} to accept {shown}", f"abort {code:08X}h")
 

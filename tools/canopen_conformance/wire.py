@@ -5,13 +5,11 @@ Independent of any device on purpose: a wrong number of a device must not pass i
 
 from __future__ import annotations
 
-import re
 import time
 from collections import deque
-from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
-from canopen_conformance.case import CheckError, LostDeviceError
+from canopen_conformance.case import LostDeviceError
 
 if TYPE_CHECKING:
     import can
@@ -22,6 +20,9 @@ if TYPE_CHECKING:
 # Flags and masks of a CAN identifier (linux/can.h).
 EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG = 0x80000000, 0x40000000, 0x20000000
 STANDARD_MASK, EXTENDED_MASK = 0x7FF, 0x1FFFFFFF
+# Identifiers of the device under test: ``Dut`` adds its node-id; PDO is the one that a case has set up.
+OF_DEVICE, PDO = 0x10000, 0x20000
+EMCY, SDO, REQUEST, HEARTBEAT = OF_DEVICE | 0x080, OF_DEVICE | 0x580, OF_DEVICE | 0x600, OF_DEVICE | 0x700
 
 # NMT commands and states (CiA 301, 7.2.8.3).
 START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
@@ -32,7 +33,6 @@ RESETS = [(RESET_NODE, "reset node"), (RESET_COMMUNICATION, "reset communication
 ANSWER_MS = 200  # timeout of a response
 QUIET_MS = 30  # waiting time for a forbidden frame
 DEFAULT_TOLERANCE_MS = 20  # of measured times on a bus
-_KEPT = 5000  # bounds the memory on a bus with traffic of other nodes
 _MOST_STEPS_AT_ONCE = 1000
 
 
@@ -74,9 +74,6 @@ class Frame(NamedTuple):
     at_us: int
 
 
-Wanted: TypeAlias = "str | Callable[[bytes], bool] | None"
-
-
 def text(can_id: int, data: bytes) -> str:
     """Format a frame as candump does; R marks a remote frame, eight digits an extended one."""
     shown = f"{can_id & EXTENDED_MASK:08X}" if can_id & EXTENDED_FLAG else f"{can_id & STANDARD_MASK:03X}"
@@ -86,94 +83,6 @@ def text(can_id: int, data: bytes) -> str:
 def as_bytes(data: bytes | str) -> bytes:
     """Bytes, or hex text with spaces."""
     return bytes.fromhex(data) if isinstance(data, str) else data
-
-
-def _fits(data: bytes, wanted: Wanted) -> bool:
-    if isinstance(wanted, str):
-        # "4F 01 10 00 .. 00 00 00": two dots match any byte, and "*" at the end any rest.
-        pattern = wanted.replace(" ", "").lower().replace("*", ".*")
-        return re.fullmatch(pattern, data.hex()) is not None
-    return wanted is None or wanted(data)
-
-
-class Frames:
-    """A link, and the frames received that no check has consumed."""
-
-    def __init__(self, link: Link, node_id: int) -> None:
-        self.link = link
-        self.node_id = node_id
-        self.log: list[str] = []
-        self._pending: deque[Frame] = deque(maxlen=_KEPT)
-
-    @property
-    def now_us(self) -> int:
-        """The link's clock."""
-        return self.link.now_us()
-
-    def send(self, can_id: int, data: bytes | str = b"") -> None:
-        """Send a frame."""
-        content = as_bytes(data)
-        self._note(">", can_id, content, self.now_us)
-        self.link.send(can_id, content)
-
-    def expect(self, can_id: int, wanted: Wanted = None, within_ms: float = ANSWER_MS) -> Frame:
-        """Return the next frame with ``can_id``, which must arrive in time and match. Other frames stay pending."""
-        frame = self.heard(can_id, within_ms)
-        what = wanted if isinstance(wanted, str) else "with other content"
-        if frame is None:
-            raise CheckError(f"a frame {can_id:03X}h {what if wanted else ''} within {within_ms:g} ms", "none")
-        if not _fits(frame.data, wanted):
-            raise CheckError(f"{can_id:03X}#{what}", text(frame.can_id, frame.data))
-        return frame
-
-    def heard(self, can_id: int, within_ms: float = ANSWER_MS) -> Frame | None:
-        """Return the next frame with ``can_id``, None if none arrives in time."""
-        limit_us = self.now_us + round(1000 * (within_ms + self.link.tolerance_ms))
-        while True:
-            for frame in self._pending:
-                if frame.can_id == can_id:
-                    self._pending.remove(frame)
-                    return frame
-            if not self._pump(limit_us):
-                return None
-
-    def silence(self, *can_ids: int, ms: float = QUIET_MS) -> None:
-        """Check that no frame of these identifiers (default: the device's, except heartbeat) arrives or is pending."""
-        self.sleep(ms)
-        for frame in self._pending:
-            can_id = frame.can_id
-            own = can_id & 0x7F == self.node_id and 0x80 <= can_id < 0x600 and can_id & 0x780 != 0x500
-            if can_id in can_ids if can_ids else own or can_id == 0x7E4:
-                raise CheckError("silence", text(can_id, frame.data))
-
-    def sleep(self, ms: float) -> None:
-        """Wait; received frames stay pending."""
-        limit_us = self.now_us + round(1000 * ms)
-        while self._pump(limit_us):
-            pass
-
-    def forget(self, *can_ids: int) -> None:
-        """Discard pending frames (default: of any identifier)."""
-        self.sleep(0)
-        kept = [frame for frame in self._pending if can_ids and frame.can_id not in can_ids]
-        self._pending.clear()
-        self._pending.extend(kept)
-
-    def check_ms(self, what: str, actual_us: float, expected_ms: float) -> None:
-        """Check that a measured time is the expected one, within the link's tolerance."""
-        if abs(actual_us / 1000 - expected_ms) > self.link.tolerance_ms:
-            raise CheckError(f"{what} {expected_ms:g} ms (+-{self.link.tolerance_ms} ms)", f"{actual_us / 1000:.1f} ms")
-
-    def _pump(self, limit_us: int) -> bool:
-        frame = self.link.receive(limit_us)
-        if frame is None:
-            return False
-        self._note("<", *frame)
-        self._pending.append(frame)
-        return True
-
-    def _note(self, direction: str, can_id: int, data: bytes, at_us: int) -> None:
-        self.log.append(f"{at_us / 1000:10.1f} ms  {direction} {text(can_id, data)}")
 
 
 class Core(Protocol):

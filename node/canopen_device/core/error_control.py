@@ -85,10 +85,7 @@ class HeartbeatConsumer(Timed):
 
     def reset(self) -> None:
         """Apply the present value of 1016h; monitoring of a node starts with its first heartbeat."""
-        self._periods = {}
-        for _sub, node_id, period_ms in self._entries():
-            if node_id and period_ms:
-                self._periods[node_id] = 1000 * period_ms
+        self._periods = {n: 1000 * period_ms for _sub, n, period_ms in self._entries() if n and period_ms}
         self._deadlines = {n: due for n, due in self._deadlines.items() if n in self._periods}
         self._lost = [n for n in self._lost if n in self._periods]
         self._device.emcy.cure_all_but(HEARTBEAT_LOST, [MASTER] + self._lost)

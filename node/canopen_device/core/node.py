@@ -3,11 +3,10 @@
 from . import codes, communication, lss
 from .emcy import BusFaults, Emcy
 from .error_control import HeartbeatConsumer, HeartbeatProducer, NodeGuarding
-from .pdo import ReceivePdos
+from .pdo import ReceivePdos, TransmitPdos
 from .sdo_server import SdoServer
 from .storage import COMMUNICATION, Storage, WearBudget
 from .sync import SyncConsumer, TimeConsumer
-from .tpdo import TransmitPdos
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -18,12 +18,7 @@ _UPLOAD_SEGMENT, _DOWNLOAD_SEGMENT, _UPLOAD, _DOWNLOAD = 0, 1, 2, 3  # server co
 
 
 class TransferError(Exception):
-    """The server violated the protocol, or was silent: ``code`` is the abort code that the client sends."""
-
-    def __init__(self, code: int, text: str = "") -> None:
-        super().__init__(text)
-        self.code = code
-        self.text = text
+    """The server violated the protocol, or was silent: the abort code that the client sends, and a text."""
 
 
 class Transfer:
@@ -42,7 +37,7 @@ class Transfer:
         self._due_us = -1  # not started
         self._patient = False
         self._requests: "list[bytes]" = []
-        self._conversation: "Conversation | None" = self._converse()
+        self._conversation = self._converse()
         self.ended = False
         self.data = b""
         self.abort_code: "int | None" = None
@@ -58,7 +53,7 @@ class Transfer:
             except StopIteration:
                 self._end()
             except TransferError as error:
-                self._give_up(error.code, error.text)
+                self._give_up(*error.args)
         return self._requests, self._due_us
 
     def cancel(self) -> "list[bytes]":
@@ -69,11 +64,9 @@ class Transfer:
         return self._requests
 
     def _advance(self, now_us: int, response: "bytes | None") -> None:
-        conversation = self._conversation
-        assert conversation is not None
         accepted = False
         if self._due_us < 0:
-            accepted = next(conversation)
+            accepted = next(self._conversation)
         elif response is not None and now_us < self._deadline_us:
             accepted = self._receive(response)
         if self.ended:
@@ -82,9 +75,9 @@ class Transfer:
             if now_us >= self._deadline_us:
                 raise TransferError(codes.TIMEOUT, "the transfer exceeded its deadline")
             if not self._patient:
-                raise TransferError(codes.TIMEOUT)
+                raise TransferError(codes.TIMEOUT, "")
             self._patient = False
-            accepted = conversation.send(None)
+            accepted = self._conversation.send(None)
         if accepted:
             self._due_us = min(now_us + self._timeout_us, self._deadline_us)
 
@@ -99,7 +92,6 @@ class Transfer:
             self.abort_code = int.from_bytes(response[4:], "little")
             self._end()
             return True
-        assert self._conversation is not None
         return self._conversation.send(response)
 
     def _converse(self) -> "Conversation":
@@ -109,7 +101,7 @@ class Transfer:
     def _end(self) -> None:
         self.ended = True
         self._due_us = codes.NEVER_US
-        self._conversation = None  # releases its buffers
+        self._conversation.close()  # releases its buffers
 
     def _give_up(self, code: int, text: str) -> None:
         self._send(bytes((_ABORT,)) + self.place + struct.pack("<I", code))

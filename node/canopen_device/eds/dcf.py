@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from canopen_device.eds.description import Description
-from canopen_device.eds.sections import EdsFile, decoded, parse
+from canopen_device.eds.sections import EdsFile, parse
 from canopen_device.types import Value, format_value
 
 _COMMISSIONING = "devicecomissioning"  # this is the spelling of CiA 306
@@ -14,7 +14,7 @@ _NODE_ID_BITS = 0x7F
 
 def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) -> str:
     """Return the DCF of ``described.node_id`` with these values by (index, sub); comments of the EDS are left out."""
-    file = parse(decoded(described.content)[0])
+    file = parse(described.content)
     lists: dict[int, dict[int, str]] = {}
     sections = dict(file.sections)
     sections.pop(_COMMISSIONING, None)

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from canopen_device.eds.sections import Finding, Findings
+from canopen_device.eds.sections import Findings
 from canopen_device.errors import InputError
 from canopen_device.types import TYPES, DataType, Value
 
@@ -116,7 +116,7 @@ class Description:
 
     def add(self, line: int, text: str) -> None:
         """Note what is wrong at ``line``."""
-        self.findings.append(Finding(line, text))
+        self.findings.add(line, text)
 
     @property
     def warnings(self) -> list[str]:

@@ -42,7 +42,7 @@ def device_from_eds(
     """Return the CANopen device that an EDS, DCF, XDD or XDC describes, as node ``node_id`` (default: that of a DCF).
 
     Step it, or pass it to a bus loop. A DCF's ParameterValues are the stored parameters with which the device starts.
-    ``save`` and ``load`` keep parameter groups, as ``running.FileStore`` does; without them 1010h and 1011h refuse.
+    ``save`` and ``load`` keep parameter groups, as ``FileStore`` does; without them 1010h and 1011h refuse.
     Where the file leaves CiA 306 or contradicts itself, an ``EdsWarning`` names the line and how it is read.
 
     Raises InputError for a file that cannot be read or is no EDS, and for a node-id outside 1 to 127 (255: none yet).

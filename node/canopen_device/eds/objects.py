@@ -250,14 +250,19 @@ class _Reader:
 
     def _value(self, entry: Entry, section: Section, key: str) -> tuple[Value, bool]:
         value, has_node_id, remark = values.typed(entry.type, section.get(key) or "", self._into.node_id)
-        if remark:
-            section.say(key, remark)
+        section.say(key, remark)
         return value, has_node_id
 
     def _read_limits(self, entry: Entry, section: Section) -> None:
         if entry.type.python not in (int, float):
             return
-        low, high = limits = [self._limit(entry, section, key) for key in ("LowLimit", "HighLimit")]
+        limits: list[int | float | None] = []
+        for key in ("LowLimit", "HighLimit"):
+            text = section.get(key)
+            limit, remark = values.limit(entry.type, text, self._into.node_id) if text else (None, "")
+            section.say(key, remark)
+            limits.append(limit)
+        low, high = limits
         if low is not None and high is not None and (low > high or low == high == 0):
             why = "above HighLimit" if low > high else "HighLimit, too, is 0: no other value were allowed"
             section.say("LowLimit", f"{why}; neither limit applies")
@@ -269,13 +274,6 @@ class _Reader:
             if (low is not None and value < low) or (high is not None and value > high):
                 shown = " to ".join("any" if limit is None else str(limit) for limit in limits)
                 section.say(key, f"outside the limits {shown}; the value stays, a write of it is rejected")
-
-    def _limit(self, entry: Entry, section: Section, key: str) -> int | float | None:
-        text = section.get(key)
-        value, remark = values.limit(entry.type, text, self._into.node_id) if text else (None, "")
-        if remark:
-            section.say(key, remark)
-        return value
 
 
 def file_content(path: Path, name: str) -> tuple[bytes | None, str]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from canopen_device.eds import values
-from canopen_device.eds.checks import check
 from canopen_device.eds.description import Description
 from canopen_device.eds.objects import read_objects
 from canopen_device.eds.sections import BIT_RATES_KBIT_S, MOST_BYTES, EdsFile, Section, decoded, parse, read_key
-from canopen_device.eds.standard import add_compact_pdos, add_mandatory
+from canopen_device.eds.standard import add_compact_pdos, add_mandatory, check
 from canopen_device.errors import InputError
 
 _COMMISSIONING = ("devicecomissioning", "devicecommissioning")  # CiA 306 spells it with one m
@@ -26,30 +25,22 @@ def read_eds(path: str | Path, node_id: int | None = None) -> Description:
     how it is read there. Raises InputError for a file that cannot be read, is no EDS, has no object, or, without
     ``node_id``, names no node.
     """
-    file = read(path)
-    lines = [line for section in file.sections.values() for line in section.text_lines()] if file.is_xml else []
-    content = "\n".join(lines).encode() if file.is_xml else Path(path).read_bytes()
-    return describe(file, Path(path), content, node_id)
+    return describe(read(path), node_id)
 
 
 def read(path: str | Path) -> EdsFile:
-    """Return the sections of a file in UTF-8, UTF-16 with a byte order mark, or Windows-1252, or of an XDD or XDC.
-
-    Raises InputError for a file that cannot be read, or that has no section at all.
-    """
+    """Return the sections of an EDS, DCF, XDD or XDC. Raises InputError for what cannot be read, or has none at all."""
     try:
         content = Path(path).read_bytes()
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     if len(content) > MOST_BYTES:
         raise InputError(f"{path}: {len(content)} bytes; an EDS or DCF has at most {MOST_BYTES}")
-    text, findings = decoded(content)
-    if text.lstrip().startswith("<"):
+    if decoded(content)[0].lstrip().startswith("<"):
         from canopen_device.eds.xdd import read_xdd
 
         return read_xdd(path, content)
-    file = parse(text, path)
-    file.findings[:0] = findings
+    file = parse(content, path)
     if not file.sections:
         raise InputError(
             f"{path}: no [section] in it; an EDS or DCF (CiA 306) has [FileInfo], [DeviceInfo], [1000], ..."
@@ -57,9 +48,10 @@ def read(path: str | Path) -> EdsFile:
     return file
 
 
-def describe(file: EdsFile, path: Path, content: bytes, node_id: int | None) -> Description:
+def describe(file: EdsFile, node_id: int | None) -> Description:
     """Return the description of the sections of a file. Raises InputError as ``read_eds``."""
-    described = Description(path, 0, findings=file.findings, content=content)
+    path = Path(file.path)
+    described = Description(path, 0, findings=file.findings, content=file.content)
     commissioning = next((file.sections[name] for name in _COMMISSIONING if name in file.sections), None)
     described.is_dcf = commissioning is not None or path.suffix.lower() in _CONFIGURED
     if described.is_dcf and commissioning is None:

@@ -28,26 +28,19 @@ MOST_FINDINGS = 100_000
 _SHOWN_CHARACTERS = 80
 
 
-class Finding(NamedTuple):
-    """What is wrong at ``line`` (0: in the file as a whole), and how the file is read in spite of it."""
-
-    line: int
-    text: str
-
-
-class Findings(list[Finding]):
-    """The findings in a file; too many of them are the end: InputError."""
+class Findings(list[tuple[int, str]]):
+    """What is wrong at a line (0: in the file as a whole), and how the file is read in spite of it."""
 
     def __init__(self, path: str | Path = "") -> None:
         super().__init__()
         self._path = path
 
-    def append(self, finding: Finding) -> None:
+    def add(self, line: int, text: str) -> None:
         """Add a finding. Raises InputError beyond MOST_FINDINGS."""
         if len(self) >= MOST_FINDINGS:
             problem = f"{MOST_FINDINGS} remarks up to here, which is the limit; the file is no EDS of a device"
-            raise InputError(f"{self._path}:{finding.line}: {problem}")
-        super().append(finding)
+            raise InputError(f"{self._path}:{line}: {problem}")
+        self.append((line, text))
 
 
 @dataclass(slots=True)
@@ -75,7 +68,7 @@ class Section:
             return
         value = self.get(key)
         shown = f"{key} missing" if value is None else f"{self.written[key.lower()]}={shortened(value)}"
-        self.findings.append(Finding(self.lines.get(key.lower(), self.line), f"[{self.name}] {shown}: {what}"))
+        self.findings.add(self.lines.get(key.lower(), self.line), f"[{self.name}] {shown}: {what}")
 
 
 def shortened(text: str) -> str:
@@ -87,7 +80,8 @@ def shortened(text: str) -> str:
 class EdsFile:
     """The sections of a file by their names in lower case; objects, their subs and their lists by number.
 
-    ``lists[index]`` holds the sections "name", "value" and "denotation" of a compact object. ``is_xml``: of an XDD.
+    ``lists[index]`` holds the sections "name", "value" and "denotation" of a compact object. ``content``: the bytes of
+    the file, those of its sections for an XDD.
     """
 
     sections: dict[str, Section] = field(default_factory=dict)
@@ -95,8 +89,8 @@ class EdsFile:
     subs: dict[int, dict[int, Section]] = field(default_factory=dict)
     lists: dict[int, dict[str, Section]] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
-    is_xml: bool = False
     path: str | Path = ""
+    content: bytes = b""
     characters: int = 0
 
     def take(self, line: int, *texts: str) -> None:
@@ -112,10 +106,6 @@ class EdsFile:
         """The error for a file that is beyond a limit."""
         return InputError(f"{self.path}:{line}: {what}")
 
-    def add(self, line: int, text: str) -> None:
-        """Note what is wrong at ``line``."""
-        self.findings.append(Finding(line, text))
-
     def entry(self, index: int, sub: int) -> Section | None:
         """The section of an entry: that of the sub-index, or of the object itself where it has none."""
         if index in self.subs:
@@ -123,25 +113,30 @@ class EdsFile:
         return self.objects.get(index) if sub == 0 else None
 
 
-def decoded(content: bytes) -> tuple[str, list[Finding]]:
-    """Return the text of a file's bytes, with a finding if it is neither ASCII nor UTF-8."""
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return content.decode("utf-16", "replace"), [Finding(1, "UTF-16: CiA 306 has ASCII")]
-    if 0 in content[:2]:  # a character of ASCII in 16 bits, without a byte order mark
-        order = "utf-16-be" if content[0] == 0 else "utf-16-le"
-        return content.decode(order, "replace"), [Finding(1, "UTF-16: CiA 306 has ASCII")]
+def decoded(content: bytes) -> tuple[str, int, str]:
+    """Return the text of a file's bytes, with line and remark if it is neither ASCII nor UTF-8, else 0 and ""."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff") or 0 in content[:2]:
+        # Without a byte order mark, a character of ASCII in 16 bits shows the order.
+        order = "utf-16" if 0 not in content[:2] else "utf-16-be" if content[0] == 0 else "utf-16-le"
+        return content.decode(order, "replace"), 1, "UTF-16: CiA 306 has ASCII"
     try:
-        return content.decode("utf-8-sig"), []
+        return content.decode("utf-8-sig"), 0, ""
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         problem = f"byte 0x{content[error.start]:02X} is not UTF-8; the file is read as Windows-1252"
-        return content.decode("cp1252", "replace"), [Finding(line, problem)]
+        return content.decode("cp1252", "replace"), line, problem
 
 
-def parse(text: str, path: str | Path = "") -> EdsFile:
-    """Lines that are no part of an EDS, and what occurs twice, become findings. Raises InputError beyond the limits."""
-    file = EdsFile(path=path, findings=Findings(path))
+def parse(content: bytes, path: str | Path = "") -> EdsFile:
+    """Read the sections of an EDS or DCF in UTF-8, UTF-16, or Windows-1252.
+
+    Lines that are no part of an EDS, and what occurs twice, become findings. Raises InputError beyond the limits.
+    """
+    file = EdsFile(path=path, content=content, findings=Findings(path))
     section: Section | None = None
+    text, line_decoded, remark = decoded(content)
+    if remark:
+        file.findings.add(line_decoded, remark)
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     if (count := text.count("\n")) > MOST_LINES:
         raise file.error(count, f"{count} lines; allowed are {MOST_LINES}")
@@ -152,14 +147,14 @@ def parse(text: str, path: str | Path = "") -> EdsFile:
         if line.startswith("["):
             section = open_section(file, _heading(file, line, number), number)
         elif section is None:
-            file.add(number, f"{_shown(line)}: a key needs a [section] above it; skipped")
+            file.findings.add(number, f"{_shown(line)}: a key needs a [section] above it; skipped")
         elif "=" in line or ":" in line:
             if "=" not in line:
-                file.add(number, f"{_shown(line)}: the form is key=value; read so")
+                file.findings.add(number, f"{_shown(line)}: the form is key=value; read so")
             key, _, value = line.partition("=" if "=" in line else ":")
             add_key(file, section, key.strip(), value, number)
         else:
-            file.add(number, f"{_shown(line)}: allowed are [section], key=value and ; comment; skipped")
+            file.findings.add(number, f"{_shown(line)}: allowed are [section], key=value and ; comment; skipped")
     return file
 
 
@@ -167,9 +162,9 @@ def _heading(file: EdsFile, line: str, number: int) -> str:
     """Return the name of the section that a line opens."""
     name, closed, behind = line[1:].partition("]")
     if not closed:
-        file.add(number, f"{_shown(line)}: ] is missing; read as a section")
+        file.findings.add(number, f"{_shown(line)}: ] is missing; read as a section")
     elif behind and not behind.lstrip().startswith(";"):
-        file.add(number, f"{_shown(line)}: the text after ] is taken as a comment")
+        file.findings.add(number, f"{_shown(line)}: the text after ] is taken as a comment")
     return name.partition(";")[0].strip()
 
 
@@ -183,8 +178,8 @@ def open_section(file: EdsFile, name: str, number: int) -> Section:
     section = Section(name, number, file.findings)
     key = "".join(name.lower().split())
     if key in file.sections:
-        first = file.sections[key].line
-        file.add(number, f"[{shortened(name)}]: the section is already there at line {first}; the first one applies")
+        problem = f"the section is already there at line {file.sections[key].line}; the first one applies"
+        file.findings.add(number, f"[{shortened(name)}]: {problem}")
         return section
     known = section
     if match := _OBJECT.fullmatch(name):
@@ -194,11 +189,11 @@ def open_section(file: EdsFile, name: str, number: int) -> Section:
     elif match := _LIST.fullmatch(name):
         known = file.lists.setdefault(int(match[1], 16), {}).setdefault(match[2].lower(), section)
     elif _NEAR_OBJECT.match(name):
-        file.add(number, f"[{shortened(name)}]: the forms are [2000] and [2000sub1]; the section is skipped")
+        file.findings.add(number, f"[{shortened(name)}]: the forms are [2000] and [2000sub1]; the section is skipped")
     if known is section:
         file.sections[key] = section
     else:  # [018] and [0018]
-        file.add(number, f"[{name}]: the same as [{known.name}] at line {known.line}; the first one applies")
+        file.findings.add(number, f"[{name}]: the same as [{known.name}] at line {known.line}; the first one applies")
     return section
 
 
@@ -207,10 +202,10 @@ def add_key(file: EdsFile, section: Section, name: str, value: str, number: int)
     file.take(number, name, value)
     key = "".join(name.lower().split())
     if key != name.lower():
-        file.add(number, f"[{section.name}] {shortened(name)}: a key has no blanks; read without")
+        file.findings.add(number, f"[{section.name}] {shortened(name)}: a key has no blanks; read without")
     if key in section.keys:
         problem = f"the key is already there at line {section.lines.get(key, section.line)}; the first one applies"
-        file.add(number, f"[{section.name}] {name}: {problem}")
+        file.findings.add(number, f"[{section.name}] {name}: {problem}")
         return
     section.keys[key] = value.strip()
     section.written[key] = name
@@ -311,6 +306,5 @@ def read_key(section: Section, name: str) -> Any:
     if not text:
         return key.default
     value, remark = key.parse(text)
-    if remark:
-        section.say(name, remark)
+    section.say(name, remark)
     return key.default if value is None else value

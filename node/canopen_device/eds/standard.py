@@ -1,12 +1,14 @@
-"""What CiA 301 fixes for the communication area (7.5.2) where a file omits or changes it."""
+"""What CiA 301 fixes for the communication area (7.5.2) where a file omits or changes it; contradictions in a file."""
 
 from __future__ import annotations
 
 from canopen_device.core import codes
 from canopen_device.core import communication as at
+from canopen_device.core.object_dictionary import RPDO, TPDO
 from canopen_device.eds import values
 from canopen_device.eds.description import ARRAY, RECORD, VAR, Description, Entry, Object
-from canopen_device.eds.sections import EdsFile
+from canopen_device.eds.sections import EdsFile, Section
+from canopen_device.types import LETTER_OF_CODE, TYPES
 
 _U8, _U16, _U32 = "B", "H", "I"
 _VARIABLES = {
@@ -132,3 +134,196 @@ def _parameter(eds: Description, line: int, index: int, number: int, mask: int, 
     elif 1 in subs:
         made.entries[1].default = codes.COB_ID_INVALID
     return made
+
+
+# --- where the parts contradict each other: lists, identity, PDOs. Each becomes a finding; none stops a load ----
+
+_OBJECT_LISTS = ("mandatoryobjects", "optionalobjects", "manufacturerobjects")
+_COUNT_KEYS = ("SupportedObjects", "NrOfObjects", "NrOfEntries")
+_SHOWN = 5
+_NUMBERS = ("VendorNumber", "ProductNumber", "RevisionNumber")
+_WITH_NODE_ID = (
+    (at.COB_ID_EMCY, 0, codes.EMCY_BASE), (at.SDO_SERVER, 1, codes.SDO_REQUEST_BASE),
+    (at.SDO_SERVER, 2, codes.SDO_RESPONSE_BASE),
+)  # fmt: skip
+_DEFAULT_DUMMIES = frozenset(range(1, 8))
+_PDOS = ((at.RPDO, at.LAST_RPDO, RPDO), (at.TPDO, at.LAST_TPDO, TPDO))
+_DIRECTIONS = {"ro": TPDO, "const": TPDO, "rwr": TPDO, "wo": RPDO, "rww": RPDO}  # CiA 306-1; rw: both
+
+
+def check(file: EdsFile, eds: Description) -> None:
+    """Compare the parts of the file, and set ``Entry.directions``."""
+    for name in ("FileInfo", "MandatoryObjects"):
+        if name.lower() not in file.sections:
+            eds.add(0, f"no section [{name}]")
+    if any(name in file.sections for name in _OBJECT_LISTS):
+        _check_lists(file, eds)
+    if "supportedmodules" in file.sections and _count(file.sections["supportedmodules"], "NrOfEntries"):
+        eds.add(file.sections["supportedmodules"].line, "[SupportedModules]: objects of modules are not loaded")
+    _check_parameter_values(file, eds)
+    for index, sub, base in _WITH_NODE_ID:  # identifiers of EMCY and SDO
+        entry = eds.entry(index, sub)
+        if entry is not None and entry.initial == base:
+            eds.add(entry.line, f"{entry.place} has {base:#x}: $NODEID+{base:#x} may be meant; the value stays")
+    _check_identity(file.sections.get("deviceinfo"), eds)
+    if eds.bit_rate and eds.bit_rates and eds.bit_rate not in eds.bit_rates:
+        eds.add(0, f"Baudrate={eds.bit_rate // 1000}: [DeviceInfo] has BaudRate_{eds.bit_rate // 1000}=0")
+    for entry in eds.entries():
+        entry.directions = _DIRECTIONS.get(entry.access, TPDO | RPDO) if entry.mappable else 0
+    for first, last, direction in _PDOS:
+        _check_pdos(eds, first, last, direction)
+
+
+def _count(section: Section, *keys: str) -> int | None:
+    text = next((section.get(key) for key in keys if section.get(key)), None)
+    return None if text is None else values.integer(text).value
+
+
+def _check_lists(file: EdsFile, eds: Description) -> None:
+    listed: set[int] = set()
+    known = file.objects.keys() | file.subs.keys()
+    for name in _OBJECT_LISTS:
+        section = file.sections.get(name)
+        if section is None:
+            continue
+        own = [(key, text) for key, text in section.keys.items() if key[:1].isdigit()]
+        problem = _count(section, *_COUNT_KEYS)
+        if problem != len(own):
+            key = next((key for key in _COUNT_KEYS if section.get(key)), _COUNT_KEYS[0])
+            section.say(key, f"the list has {len(own)}")
+        for key, text in own:
+            index = _listed_index(file, text)
+            if index is None or index not in known:
+                section.say(key, "the file has no such section")
+                continue
+            if values.integer(text).value != index:
+                section.say(key, f"0x is missing; read as 0x{index:04X}")
+            if index in listed:
+                section.say(key, "listed twice")
+            listed.add(index)
+    unlisted = sorted((eds.objects.keys() & known) - listed)
+    if unlisted:
+        shown = ", ".join(f"0x{index:04X}" for index in unlisted[:_SHOWN]) + (", ..." if unlisted[_SHOWN:] else "")
+        eds.add(eds.objects[unlisted[0]].line, f"{len(unlisted)} objects are in no list of objects: {shown}; loaded")
+
+
+def _check_parameter_values(file: EdsFile, eds: Description) -> None:
+    """Report the values of a DCF in a file that configures no node."""
+    subs = [section for index in file.subs for section in file.subs[index].values()]
+    given = [section for section in [*file.objects.values(), *subs] if section.get("ParameterValue")]
+    if given and not eds.is_dcf:
+        first = min(given, key=lambda section: section.line)
+        problem = f"{len(given)} ParameterValues, but no [DeviceComissioning], as a DCF has; the DefaultValues apply"
+        without = sum(not section.get("DefaultValue") for section in given)
+        problem += f", where there is none ({without}) the ParameterValue" if without else ""
+        first.say("ParameterValue", problem)
+
+
+def _listed_index(file: EdsFile, text: str) -> int | None:
+    """Return the index of a list: hexadecimal; decimal if only that names a section."""
+    value = values.integer(text).value
+    if value in file.objects or value in file.subs or text.strip()[:2].lower() == "0x":
+        return value
+    try:
+        return int(text, 16)
+    except ValueError:
+        return value
+
+
+def _check_identity(section: Section | None, eds: Description) -> None:
+    """Fill 1018h from [DeviceInfo] where it has no default; report where they differ."""
+    for sub, key in enumerate(_NUMBERS, 1):
+        entry = eds.entry(at.IDENTITY, sub)
+        if section is None or entry is None or not section.get(key):
+            continue
+        number, _, remark = values.integer(section.get(key) or "")
+        if number is None or not 0 <= number <= 0xFFFFFFFF:
+            section.say(key, remark or "allowed are 0 to 0xFFFFFFFF")
+        elif not entry.has_default and entry.value is None:
+            entry.default = number
+        elif entry.initial != number:
+            section.say(key, f"{entry.place} has {entry.initial!r}, which applies")
+    serial = eds.entry(at.IDENTITY, 4)
+    if eds.serial is not None and serial is not None and serial.value is None:
+        serial.value = eds.serial
+
+
+def _check_pdos(eds: Description, first: int, last: int, direction: int) -> None:
+    used: dict[int, int] = {}
+    for index in sorted(index for index in eds.objects if first <= index <= last):
+        entry = eds.entry(index, 1)
+        cob_id = entry.initial if entry is not None else codes.COB_ID_INVALID
+        if not isinstance(cob_id, int):
+            continue
+        valid, can_id = not cob_id & codes.COB_ID_INVALID, cob_id & codes.STANDARD_MASK
+        line = eds.objects[index].line if entry is None else entry.line
+        mapping = index + at.MAPPING
+        if mapping not in eds.objects:
+            eds.add(line, f"[{index:04X}]: no mapping object 0x{mapping:04X}; the PDO is inactive")
+            continue
+        if valid and cob_id & codes.EXTENDED_COB_ID:
+            eds.add(line, f"[{index:04X}sub1] {cob_id:#x}: a 29-bit identifier, which is not supported; inactive")
+        elif valid and codes.restricted(can_id):
+            hint = "" if entry is None or entry.has_node_id or not can_id else f"; $NODEID+0x{can_id:X} may be meant"
+            eds.add(line, f"[{index:04X}sub1] 0x{can_id:X}: a restricted identifier (CiA 301, 7.3.5); inactive{hint}")
+        elif valid and can_id in used:
+            eds.add(line, f"[{index:04X}sub1] 0x{can_id:X}: also the identifier of 0x{used[can_id]:04X}")
+        if valid:
+            used.setdefault(can_id, index)
+            _check_transmission(eds, index, direction)
+        _check_mapping(eds, mapping, direction)
+
+
+def _check_transmission(eds: Description, index: int, direction: int) -> None:
+    entry = eds.entry(index, 2)
+    kind = entry.initial if entry is not None else None
+    if entry is None or not isinstance(kind, int):
+        return
+    place = f"[{index:04X}sub2]"
+    if kind <= codes.LAST_SYNCHRONOUS and at.COB_ID_SYNC not in eds.objects:
+        problem = f"a synchronous PDO, but no object 1005h; SYNC is received on 0x{codes.SYNC_COB_ID:02X}"
+        eds.add(entry.line, f"{place}: {problem}")
+    elif direction == TPDO and codes.LAST_SYNCHRONOUS < kind < codes.EVENT_DRIVEN:
+        problem = f"{kind} is reserved, or sent on a remote request, which is not supported; inactive"
+        eds.add(entry.line, f"{place}: {problem}")
+
+
+def _check_mapping(eds: Description, index: int, direction: int) -> None:
+    mapping = eds.objects[index].entries
+    count = mapping[0].initial if 0 in mapping else 0
+    bits = 0
+    for sub in range(1, count + 1 if isinstance(count, int) else 1):
+        word = mapping[sub].initial if sub in mapping else None
+        line = mapping[sub].line if sub in mapping else mapping[0].line
+        place = f"[{index:04X}sub{sub:X}]"
+        if not isinstance(word, int):
+            eds.add(line, f"{place}: [{index:04X}sub0] has {count!r}, the entry does not exist; the PDO is inactive")
+            return
+        bits += word & 0xFF
+        problem = _wrong(eds, word, direction)
+        if problem:
+            eds.add(line, f"{place} 0x{word:08X}: {problem}")
+    if bits > 8 * 8:
+        eds.add(mapping[0].line, f"[{index:04X}]: {bits} bits are mapped, 64 fit a PDO; the PDO is inactive")
+
+
+def _wrong(eds: Description, word: int, direction: int) -> str:
+    """Return what is wrong with a mapped entry, "" if nothing is; an entry that PDOMapping forbids becomes mappable."""
+    index, sub, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+    dummies = _DEFAULT_DUMMIES if eds.dummies is None else eds.dummies
+    if index in LETTER_OF_CODE and sub == 0:
+        if direction == TPDO:
+            return "a data type can be mapped into an RPDO only; the PDO is inactive"
+        return "" if index in dummies else f"[DummyUsage] has no Dummy{index:04X}=1; the PDO is inactive"
+    entry = eds.entry(index, sub)
+    if entry is None:
+        return "no such entry; the PDO is inactive"
+    size = TYPES[entry.letter].size
+    if size is not None and bits != 8 * size and not (entry.letter == "?" and bits == 1):
+        return f"{entry.type.name} has {8 * size} bits, {bits} are mapped; the PDO is inactive"
+    if not entry.directions & direction:
+        entry.directions |= direction
+        shown = "TPDO" if direction == TPDO else "RPDO"
+        key = f"AccessType={entry.access}" if entry.mappable else "PDOMapping=0"
+        return f"{entry.place} has {key}; taken as mappable into a {shown}"
+    return ""

@@ -12,13 +12,20 @@ from typing import NamedTuple
 
 from canopen_device.types import DataType, Value
 
-_DECIMAL, _OCTAL = re.compile(r"0|[1-9][0-9]*"), re.compile(r"0[0-7]+")
-_HEX, _BARE_HEX = re.compile(r"0x[0-9a-f]+", re.IGNORECASE), re.compile(r"[0-9a-f]+h?", re.IGNORECASE)
 _NODE_ID = re.compile(r"\$?\s*node_?id", re.IGNORECASE)
-_WORDS = {"true": 1, "false": 0, "yes": 1, "no": 0}
+_HEX = re.compile(r"0x([0-9a-f]+)", re.IGNORECASE)
 _AROUND = "\"'() "  # what some tools write around a number
 _AS_ZERO = "read as 0"
 _READ = "{}"  # in a remark: the number with its sign
+_FORMS = (  # of an unsigned integer, the first that fits: pattern, base, remark
+    (_HEX, 16, ""),
+    (re.compile(r"([1-9][0-9]*|0+[0-7]?)"), 10, ""),  # of one digit: octal or decimal
+    (re.compile(r"(0[0-7]+)"), 8, f"read as octal: {_READ}"),
+    (re.compile(r"([0-9]+)"), 10, f"a leading 0 is octal in CiA 306; read as decimal {_READ}"),
+    (re.compile(r"0x([0-9a-f]+)h", re.IGNORECASE), 16, "0x and h: read as hexadecimal"),
+    (re.compile(r"([0-9a-f]+)h?", re.IGNORECASE), 16, "0x is missing; read as hexadecimal"),
+)
+_WORDS = {"true": 1, "false": 0, "yes": 1, "no": 0}
 _COMMENT = re.compile(r";|#|//")
 _MOST_DIGITS = 40
 _LONGEST_SUM = 255  # characters; a line of CiA 306-1
@@ -78,21 +85,11 @@ def _number(text: str) -> tuple[int | None, str]:
 
 
 def _unsigned(digits: str) -> tuple[int | None, str]:
-    if _HEX.fullmatch(digits):
-        return int(digits, 16), ""
-    if _DECIMAL.fullmatch(digits):
-        return int(digits), ""
-    if _OCTAL.fullmatch(digits):
-        value = int(digits, 8)
-        return value, "" if value == int(digits) else f"read as octal: {_READ}"
-    if digits.isascii() and digits.isdigit():
-        return int(digits), f"a leading 0 is octal in CiA 306; read as decimal {_READ}"
+    for form, base, remark in _FORMS:
+        if match := form.fullmatch(digits):
+            return int(match[1], base), remark
     if digits.lower() in _WORDS:
         return _WORDS[digits.lower()], "the form is 0 or 1"
-    if _HEX.fullmatch(digits[:-1]) and digits[-1] in "hH":
-        return int(digits[:-1], 16), "0x and h: read as hexadecimal"
-    if _BARE_HEX.fullmatch(digits):
-        return int(digits.rstrip("hH"), 16), "0x is missing; read as hexadecimal"
     try:
         number = float(digits.replace(",", "."))
     except ValueError:

@@ -271,7 +271,7 @@ class _Reader:
 
     def file(self) -> EdsFile:
         """Return the sections."""
-        file = EdsFile(is_xml=True, path=self._path, findings=Findings(self._path))
+        file = EdsFile(path=self._path, findings=Findings(self._path))
         _section(file, "FileInfo", {"FileName": Path(self._path).name})
         _section(file, "DeviceInfo", self._info)
         if self._dummies:
@@ -281,11 +281,12 @@ class _Reader:
         for line, name, given in self._objects:
             reference = given.get("uniqueIDRef")
             if reference is not None and reference not in self._parameters:
-                file.add(line, f"[{name}] uniqueIDRef={reference}: no such parameter; read without")
+                file.findings.add(line, f"[{name}] uniqueIDRef={reference}: no such parameter; read without")
             _section(file, name, _keys({**self._parameters.get(reference or "", {}), **given}), line)
         for name, indices in _lists(file.objects).items():
             numbered = {str(number): f"0x{index:04X}" for number, index in enumerate(indices, 1)}
             _section(file, name, {"SupportedObjects": str(len(indices)), **numbered})
+        file.content = "\n".join(line for section in file.sections.values() for line in section.text_lines()).encode()
         return file
 
 

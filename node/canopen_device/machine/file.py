@@ -13,8 +13,7 @@ import msgspec
 
 from canopen_device.errors import InputError
 from canopen_device.machine import signals
-from canopen_device.machine.device import Key, SimulatedDevice
-from canopen_device.machine.faults import EMCY, SILENT, SLOW, WRONG_TOGGLE
+from canopen_device.machine.device import EMCY, SILENT, SLOW, WRONG_TOGGLE, Key, SimulatedDevice
 from canopen_device.machine.running import made_device
 from canopen_device.paths_below import below
 from canopen_device.toml_table import convert, read_table

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import os
+import runpy
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -97,13 +97,8 @@ def load_application(name: str, folder: Path | None) -> DeviceApplication | None
     path = path_of(folder, file, "application") if file else Path()
     if not file.endswith(".py") or not path.is_file():
         raise InputError(f"application {name!r}: allowed are {CIA402}, and FILE:CLASS of a file that exists")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise InputError(f"application {name!r}: {path} cannot be imported")
-    module = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(module)
-        named: Any = getattr(module, wanted, None)
+        named: Any = runpy.run_path(str(path)).get(wanted)
         made = named() if isinstance(named, type) and issubclass(named, DeviceApplication) else None
     except Exception as error:
         raise InputError(f"application {name!r}: {path}: {type(error).__name__}: {error}") from error

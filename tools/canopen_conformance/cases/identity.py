@@ -61,16 +61,12 @@ for sub in (1, 2):
         do.put("I", 0x1020, sub, 0x12345678), do.holds("I", 0x1020, sub, 0x12345678))
 identity("configuration_lost 7.5.2.23: 1020h is lost with what it speaks of, unless stored", ((0x1020, 1),),
     do.unchanged("I", 0x1020, 1, lambda dut: dut.put("I", 0x1020, 1, dut.integer("I", 0x1020, 1) ^ 0xFF), do.reset()))
-
-
-@identity("7.5.2.33: 1200h:{0} is the pre-defined COB-ID {1:03X}h + node-id", SERVER, each=[(1, 0x600), (2, 0x580)])
-def sdo_server(dut: Dut, sub: int, base: int) -> None:
-    dut.holds("I", 0x1200, sub, base + dut.node_id)
-
-
-@identity("7.5.2.33: 1200h:{0} cannot be written", SERVER, each=[(1,), (2,)])
-def sdo_server_constant(dut: Dut, sub: int) -> None:
-    dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, Abort.READ_ONLY)
+for sub, base in ((1, 0x600), (2, 0x580)):
+    identity(f"sdo_server 7.5.2.33: 1200h:{sub} is the pre-defined COB-ID {base:03X}h + node-id", SERVER,
+        do.run(lambda dut, sub, base: dut.holds("I", 0x1200, sub, base + dut.node_id), sub, base))
+for sub in (1, 2):
+    identity(f"sdo_server_constant 7.5.2.33: 1200h:{sub} cannot be written", SERVER,
+        do.run(lambda dut, sub: dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, Abort.READ_ONLY), sub))
 
 
 def predefined(dut: Dut, index: int, base: int) -> None:
@@ -124,13 +120,9 @@ for index, signature in ((0x1010, LOAD), (0x1011, SAVE)):
 for index, name in BOTH:
     storage(f"size 7.5.2.13: {name}: two bytes are refused by their length", GROUP,
         do.refuses("H", index, 1, 0x6173, Abort.TOO_SHORT, Abort.WRONG_LENGTH))
-
-
-@storage("7.5.2.13: {1} of a group that is not there: 06090011h", GROUP, each=BOTH)
-def no_group(dut: Dut, index: int, _name: str) -> None:
-    dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB)
-
-
+for index, name in BOTH:
+    storage(f"no_group 7.5.2.13: {name} of a group that is not there: 06090011h", GROUP,
+        do.run(lambda dut, index: dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB), index))
 for command, name in RESETS:
     storage(f"not_stored 7.5.2.13: what is not stored is lost by {name}", ((0x1016, 1),),
         do.unchanged("I", 0x1016, 1, do.put("I", 0x1016, 1, VALUE), do.reset(command)))

@@ -8,7 +8,7 @@ from itertools import pairwise, product
 from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import LAST_DATA_TYPE, Dut
-from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, OPERATIONAL, RESET_COMMUNICATION, START, Abort
+from canopen_conformance.wire import EMCY, ENTER_PRE_OPERATIONAL, OPERATIONAL, PDO, RESET_COMMUNICATION, START, Abort
 
 # fmt: off
 # A table: a case is its header, and below it its steps.
@@ -26,6 +26,14 @@ def disable_pdo(dut: Dut, communication: int) -> int:
     """Set bit 31 of a PDO's COB-ID; return the COB-ID without it."""
     cob_id = dut.integer("I", communication, 1) & ~INVALID
     dut.put("I", communication, 1, cob_id | INVALID)
+    return cob_id
+
+
+def move_pdo(dut: Dut, communication: int) -> int:
+    """Disable a PDO, give it the CAN-ID 390h, enable it; return the new COB-ID."""
+    cob_id = disable_pdo(dut, communication) & ~0x7FF | 0x390
+    dut.put("I", communication, 1, cob_id | INVALID)
+    dut.put("I", communication, 1, cob_id)
     return cob_id
 
 
@@ -128,40 +136,31 @@ def cyclic(dut: Dut, transmission: int) -> None:
 
 for transmission in (254, 255):
     tpdo(f"event_driven 7.2.2.2: type {transmission}: a SYNC sends nothing", TPDO1,
-        do.run(start_tpdo1, transmission), do.sleep(20), do.forget_pdo(), do.send(0x080), do.no_pdo())
+        do.run(start_tpdo1, transmission), do.sleep(20), do.forget(PDO), do.send(0x080), do.silence(PDO))
 for ms in (20, 60):
     tpdo(f"event_timer 7.5.2.37: event timer {ms} ms", TIMED,
-        do.run(start_tpdo1, 255, event_ms=ms), do.each_ms(ms, 3, "three times", do.pdo(within_ms=2 * ms)))
+        do.run(start_tpdo1, 255, event_ms=ms), do.each_ms(ms, 3, "three times", do.expect(PDO, within_ms=2 * ms)))
 tpdo("event_timer_off 7.5.2.37: event timer 0 ends the cyclic sending", TIMED,
-    do.run(start_tpdo1, 255, event_ms=20), do.pdo(), do.put("H", 0x1800, 5, 0), do.forget_pdo(), do.no_pdo(ms=60))
+    do.run(start_tpdo1, 255, event_ms=20), do.expect(PDO), do.put("H", 0x1800, 5, 0), do.forget(PDO),
+    do.silence(PDO, ms=60))
 tpdo("event_timer_stops 7.5.2.37: the event timer does nothing outside OPERATIONAL", TIMED,
-    do.run(enable_tpdo1, 255, event_ms=20), do.no_pdo(ms=60), do.nmt(START), do.pdo(within_ms=40),
-    do.nmt(ENTER_PRE_OPERATIONAL), do.sleep(5), do.forget_pdo(), do.no_pdo(ms=60))
+    do.run(enable_tpdo1, 255, event_ms=20), do.silence(PDO, ms=60), do.nmt(START), do.expect(PDO, within_ms=40),
+    do.nmt(ENTER_PRE_OPERATIONAL), do.sleep(5), do.forget(PDO), do.silence(PDO, ms=60))
 
 
 @tpdo("7.5.2.37: the inhibit time holds back the event timer", TIMED)
 def inhibit(dut: Dut) -> None:
     start_tpdo1(dut, 255, event_ms=10, inhibit_100us=800)
-    first = dut.pdo()
+    first = dut.expect(PDO)
     for _ in range(2):
-        last = dut.pdo(within_ms=120)
+        last = dut.expect(PDO, within_ms=120)
     dut.check_ms("two inhibit times of 80 ms", last.at_us - first.at_us, 160)
 
 
 tpdo("invalid 7.5.2.37: a TPDO with bit 31 set is not sent", TPDO1,
-    do.run(enable_tpdo1, 1), do.run(disable_pdo, 0x1800), do.nmt(START), do.send(0x080), do.no_pdo())
-
-
-@tpdo("7.5.2.37: a TPDO that was moved is sent with its new CAN-ID alone", TPDO1)
-def moved(dut: Dut) -> None:
-    enable_tpdo1(dut, 1)
-    cob_id = disable_pdo(dut, 0x1800) & ~0x7FF | 0x390
-    dut.put("I", 0x1800, 1, cob_id | INVALID)
-    dut.put("I", 0x1800, 1, cob_id)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.expect(0x390)
-    dut.no_pdo()
+    do.run(enable_tpdo1, 1), do.run(disable_pdo, 0x1800), do.nmt(START), do.send(0x080), do.silence(PDO))
+tpdo("moved 7.5.2.37: a TPDO that was moved is sent with its new CAN-ID alone", TPDO1,
+    do.run(enable_tpdo1, 1), do.run(move_pdo, 0x1800), do.nmt(START), do.send(0x080), do.expect(0x390), do.silence(PDO))
 
 
 @tpdo("7.2.2.5.1: a TPDO is as long as its mapping says", TPDO1)
@@ -170,7 +169,7 @@ def length(dut: Dut) -> None:
     bits = sum(dut.integer("I", 0x1A00, sub) & 0xFF for sub in range(1, dut.integer("B", 0x1A00, 0) + 1))
     dut.nmt(START)
     dut.send(0x080)
-    size = len(dut.pdo().data)
+    size = len(dut.expect(PDO).data)
     check(size == (bits + 7) // 8, f"{bits} bits", f"{size} bytes")
 
 
@@ -187,7 +186,7 @@ def rpdo_was(dut: Dut, fate: str, value: int) -> None:
 
 
 set_time = do.put("I", TIME, 0, 0)  # so that what an RPDO brings shows
-sends_6 = do.send_pdo(struct.pack("<I", 0x60000000))
+sends_6 = do.send(PDO, struct.pack("<I", 0x60000000))
 took_6 = do.run(high_resolution, 0x60000000, 0x61000000)
 for transmission in (254, 255):
     rpdo(f"received 7.2.2.2: an RPDO of type {transmission} acts at once", HIGH_RESOLUTION,
@@ -198,33 +197,26 @@ for transmission in (0, 1, 240):
         do.run(start_rpdo1, TIME_U32, transmission=transmission), set_time, sends_6,
         do.run(high_resolution, 0, 0x60000000), do.send(0x080), took_6)
 rpdo("last_before_sync 7.2.2.2: of two synchronous RPDOs before a SYNC the last one acts", HIGH_RESOLUTION,
-    do.run(start_rpdo1, TIME_U32, transmission=1), sends_6, do.send_pdo(struct.pack("<I", 0x70000000)), do.send(0x080),
+    do.run(start_rpdo1, TIME_U32, transmission=1), sends_6, do.send(PDO, struct.pack("<I", 0x70000000)), do.send(0x080),
     do.run(high_resolution, 0x70000000, 0x71000000))
 rpdo("longer 7.2.2.5.1: a longer RPDO: the mapped bytes count", HIGH_RESOLUTION,
-    do.run(start_rpdo1, TIME_U32), do.send_pdo(struct.pack("<II", 0x60000000, 0x99999999)), took_6)
+    do.run(start_rpdo1, TIME_U32), do.send(PDO, struct.pack("<II", 0x60000000, 0x99999999)), took_6)
 rpdo("shorter 7.2.2.5.1: a shorter RPDO: EMCY 8210h, nothing is taken", (*HIGH_RESOLUTION, (0x1014, 0)),
-    do.run(start_rpdo1, TIME_U32), set_time, do.send_pdo("00 00 60"), do.emcy("10 82 *"),
+    do.run(start_rpdo1, TIME_U32), set_time, do.send(PDO, "00 00 60"), do.expect(EMCY, "10 82 *"),
     do.run(high_resolution, 0, 0x600000))
 rpdo("dummies 7.4.7.1: dummy entries skip bytes of an RPDO", HIGH_RESOLUTION,
-    do.run(start_rpdo1, 0x00050008, TIME_U32, 0x00060010), do.send_pdo("AA 00 00 00 60 BB CC"), took_6)
+    do.run(start_rpdo1, 0x00050008, TIME_U32, 0x00060010), do.send(PDO, "AA 00 00 00 60 BB CC"), took_6)
 rpdo("deadline 7.5.2.35: an RPDO that stays away: EMCY 8250h after its event timer", DEADLINE,
-    do.run(start_rpdo1, TIME_U32, event_ms=50), do.send_pdo(bytes(4)), do.after(50, "event timer", do.emcy("50 82 *")),
-    do.no_emcy(ms=70), do.send_pdo(bytes(4)), do.emcy("00 00 *"))
-
-
-@rpdo("7.5.2.35: an RPDO is not missed {1}", DEADLINE, each=[
-    (False, "before the first one"), (True, "after OPERATIONAL was left"),
-])
-def no_deadline(dut: Dut, came: bool, _when: str) -> None:
-    start_rpdo1(dut, TIME_U32, event_ms=40)
-    if came:
-        dut.send_pdo(bytes(4))
-        dut.nmt(ENTER_PRE_OPERATIONAL)
-    dut.no_emcy(ms=100)
-
-
+    do.run(start_rpdo1, TIME_U32, event_ms=50), do.send(PDO, bytes(4)),
+    do.after(50, "event timer", do.expect(EMCY, "50 82 *")), do.silence(EMCY, ms=70), do.send(PDO, bytes(4)),
+    do.expect(EMCY, "00 00 *"))
+rpdo("no_deadline 7.5.2.35: an RPDO is not missed before the first one", DEADLINE,
+    do.run(start_rpdo1, TIME_U32, event_ms=40), do.silence(EMCY, ms=100))
+rpdo("no_deadline 7.5.2.35: an RPDO is not missed after OPERATIONAL was left", DEADLINE,
+    do.run(start_rpdo1, TIME_U32, event_ms=40), do.send(PDO, bytes(4)), do.nmt(ENTER_PRE_OPERATIONAL),
+    do.silence(EMCY, ms=100))
 rpdo("in_time 7.5.2.35: RPDOs in time: no EMCY", DEADLINE,
-    do.run(start_rpdo1, TIME_U32, event_ms=150), do.repeat(4, do.send_pdo(bytes(4)), do.no_emcy(ms=70)))
+    do.run(start_rpdo1, TIME_U32, event_ms=150), do.repeat(4, do.send(PDO, bytes(4)), do.silence(EMCY, ms=70)))
 rpdo("invalid_rpdo 7.5.2.35: an RPDO with bit 31 set is not taken", HIGH_RESOLUTION,
     do.run(mapped_rpdo1, TIME_U32), do.run(disable_pdo, 0x1400), do.nmt(START), set_time, sends_6,
     do.run(high_resolution, 0, 0x60000000))
@@ -261,13 +253,9 @@ def moved_while_valid(dut: Dut, communication: int, _mapping: int, _name: str) -
     dut.holds("I", communication, 1, cob_id)
 
 
-@parameters("7.5.2.35: {2}: disabled, moved, enabled", EITHER, each=BOTH)
-def pdo_parameters_moved(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
-    cob_id = disable_pdo(dut, communication)
-    new = cob_id & ~0x7FF | 0x390
-    dut.put("I", communication, 1, new | INVALID)
-    dut.put("I", communication, 1, new)
-    dut.holds("I", communication, 1, new)
+for communication, _, name in BOTH:
+    parameters(f"moved 7.5.2.35: {name}: disabled, moved, enabled", EITHER,
+        do.run(lambda dut, index: dut.holds("I", index, 1, move_pdo(dut, index)), communication))
 
 
 def refused_cob_id(dut: Dut, communication: int, mask: int, bits: int = 0) -> None:
@@ -291,14 +279,10 @@ for sub, name, kind in ((3, "inhibit time", "H"), (6, "SYNC start value", "B")):
         do.run(enable_tpdo1, 255), do.refuses(kind, 0x1800, sub, 5, *WHILE_VALID), do.holds(kind, 0x1800, sub, 0))
 parameters("start_value 7.5.2.37: SYNC start value 241 is refused", ((0x1800, 6),),
     do.run(disable_pdo, 0x1800), do.refuses("B", 0x1800, 6, 241, Abort.TOO_HIGH, Abort.INVALID_VALUE))
-
-
-@parameters("7.5.2.36: {2}: {4} is not written while the PDO is valid", EITHER, each=[
-    (*pdo, sub, name) for pdo in BOTH for sub, name in ((0, "the number of entries"), (1, "an entry"))
-])
-def mapping_while_valid(dut: Dut, communication: int, mapping: int, _name: str, sub: int, _what: str) -> None:
-    dut.put("I", communication, 1, disable_pdo(dut, communication))
-    dut.refuses("I" if sub else "B", mapping, sub, 0, *WHILE_VALID)
+for (communication, mapping, name), (sub, what) in product(BOTH, ((0, "the number of entries"), (1, "an entry"))):
+    parameters(f"mapping_while_valid 7.5.2.36: {name}: {what} is not written while the PDO is valid", EITHER,
+        do.run(lambda dut, index: dut.put("I", index, 1, disable_pdo(dut, index)), communication),
+        do.refuses("I" if sub else "B", mapping, sub, 0, *WHILE_VALID))
 
 
 @parameters("7.5.2.36: {2}: an entry is not written while sub-index 0 is not 0", EITHER, each=BOTH)

@@ -7,7 +7,7 @@ import struct
 from canopen_conformance import steps as do
 from canopen_conformance.case import NotApplicableError, Service, Step, check
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import EXTENDED_FLAG, REMOTE_FLAG, RESET_COMMUNICATION, Abort
+from canopen_conformance.wire import EXTENDED_FLAG, REMOTE_FLAG, REQUEST, RESET_COMMUNICATION, SDO, Abort
 
 # fmt: off
 # A table: a case is its header, and below it its steps.
@@ -77,36 +77,26 @@ def segment_without_transfer(dut: Dut, command: str, _what: str) -> None:
     check(data[0] == 0x80 and data[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND), "abort 05040001h", data.hex(" "))
 
 
-def send_request(dut: Dut, data: bytes | str) -> None:
-    """Send to the identifier of requests, without padding."""
-    dut.send(0x600 + dut.node_id, data)
-
-
+READ = bytes.fromhex("4000100000000000")  # 1000h
 for length in (0, 1, 4, 7):
     expedited(f"request_length 7.2.4.3: a request of {length} bytes is no SDO", (),
-        do.run(send_request, bytes.fromhex("4000100000000000")[:length]), do.no_sdo())
-
-
-@expedited("7.2.4.3: not a request: {1}", each=[
-    (EXTENDED_FLAG | 0x600, "a 29-bit frame"), (REMOTE_FLAG | 0x600, "a remote frame"),
-    (0x580, "the answer's identifier"),
-])
-def no_request(dut: Dut, can_id: int, _what: str) -> None:
-    dut.send(can_id + dut.node_id, "" if can_id & REMOTE_FLAG else "40 00 10 00 00 00 00 00")
-    dut.no_sdo()
-
-
+        do.send(REQUEST, READ[:length]), do.silence(SDO))
+for can_id, data, what in (
+    (EXTENDED_FLAG | REQUEST, READ, "a 29-bit frame"), (REMOTE_FLAG | REQUEST, b"", "a remote frame"),
+    (SDO, READ, "the answer's identifier"),
+):
+    expedited(f"no_request 7.2.4.3: not a request: {what}", (), do.send(can_id, data), do.silence(SDO))
 expedited("other_node 7.2.4.3: a request to another node is not answered", (),
-    lambda dut: dut.send(0x600 + (dut.node_id ^ 0x40), "40 00 10 00 00 00 00 00"), do.no_sdo())
+    lambda dut: dut.send(0x600 + (dut.node_id ^ 0x40), READ), do.silence(SDO))
 expedited("client_abort_idle 7.2.4.3.17: an abort of the client is not answered, and ends nothing when nothing goes on",
     (),
-    do.request("80 00 10 00 00 00 00 08"), do.no_sdo(), do.ask("40 00 10 00", "43 00 10 00 *"))
+    do.request("80 00 10 00 00 00 00 08"), do.silence(SDO), do.ask("40 00 10 00", "43 00 10 00 *"))
 expedited("reserved_bytes 7.2.4.3.6: reserved bytes of a request are not looked at", (),
     do.ask("40 00 10 00 FF FF FF FF", "43 00 10 00 *"))
 expedited("unused_bytes 7.2.4.3.3: unused bytes of a write are not looked at", BEAT,
     do.ask("2B 17 10 00 34 12 FF FF", "60 17 10 00"), do.holds("H", 0x1017, 0, 0x1234))
 expedited("in_order 7.2.4.3: every request has one answer, in order", (),
-    do.repeat(3, do.ask("40 00 10 00", "43 00 10 00 *"), do.ask("40 18 10 00", "4F 18 10 00 *")), do.no_sdo())
+    do.repeat(3, do.ask("40 00 10 00", "43 00 10 00 *"), do.ask("40 18 10 00", "4F 18 10 00 *")), do.silence(SDO))
 
 
 def highest_sub(dut: Dut, index: int) -> None:
@@ -158,7 +148,7 @@ for segments, when in ((0, "at first"), (1, "later")):
 segmented("upload_over 7.2.4.3.7: after the last segment the transfer is over", (),
     begin_upload, do.read_segments(), over)
 segmented("upload_abort 7.2.4.3.17: the client aborts an upload: no answer, the transfer is over", (),
-    begin_upload, do.abort_upload(), do.no_sdo(), over)
+    begin_upload, do.abort_upload(), do.silence(SDO), over)
 segmented("upload_wrong_segment 7.2.4.3.17: a download segment during an upload: 05040001h", (),
     begin_upload, do.request("00"), do.upload_aborted(Abort.UNKNOWN_COMMAND))
 segmented("upload_reset 7.2.8.2.1.6: reset communication ends a transfer", (),
@@ -192,7 +182,7 @@ for segment, how, code in (
     segmented(f"download_wrong_end 7.2.4.3.4: size not stated, {how} than the object: refused at the end", BEAT,
         do.run(begin_download, None), do.request(segment), do.aborted(0x1017, 0, code, Abort.WRONG_LENGTH))
 segmented("download_abort 7.2.4.3.17: the client aborts a download: the transfer is over, nothing is written", BEAT,
-    not_written(begin_download, do.request("80 17 10 00 00 00 00 08"), do.no_sdo(),
+    not_written(begin_download, do.request("80 17 10 00 00 00 00 08"), do.silence(SDO),
         do.ask("0B 34 12", lambda data: data[0] == 0x80)))
 segmented("download_wrong_segment 7.2.4.3.17: an upload segment during a download: 05040001h", BEAT,
     begin_download, do.request("60"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND))

@@ -9,7 +9,7 @@ from canopen_conformance import steps as do
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.cases.sdo import BEAT, NAMES, not_written
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import STOP, Abort
+from canopen_conformance.wire import SDO, STOP, Abort
 
 # fmt: off
 # A table: a case is its header, and below it its steps.
@@ -26,8 +26,8 @@ def initiate(dut: Dut, index: int, block_size: int, switch: int = 0, crc: bool =
     return answer
 
 
-def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> bytes:
-    """Initiate the block upload of a string of several segments; return what a segmented upload gives."""
+def begin_block_upload(dut: Dut, block_size: int, crc: bool = True, start: bool = True) -> bytes:
+    """Initiate the block upload of a string of several segments, and start it; return what a segmented upload gives."""
     for index in NAMES:
         data = dut.try_read(index)
         if isinstance(data, bytes) and len(data) > 7:
@@ -37,15 +37,16 @@ def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> bytes:
             if answer[0] & 2 and answer[4:] != struct.pack("<I", len(data)):
                 raise CheckError(f"size {len(data)}", answer[4:].hex(" "))
             dut.upload_index = index
+            if start:
+                dut.request("A3")
             return data
     raise NotApplicableError("no string of several segments")
 
 
 def begun_upload(dut: Dut, started: bool = True) -> None:
     """Initiate a block upload of one segment a block, and (``started``) receive the first."""
-    begin_block_upload(dut, 1)
+    begin_block_upload(dut, 1, start=started)
     if started:
-        dut.request("A3")
         block(dut, 1, False)
 
 
@@ -66,7 +67,7 @@ def end_block_upload(dut: Dut, data: bytes, crc: bool = True) -> None:
     if answer[0] >> 2 & 7 != unused or struct.unpack("<H", answer[1:3])[0] != wanted:
         raise CheckError(f"{unused} bytes unused, CRC {wanted:04X}h", answer.hex(" "))
     dut.request("A1")
-    dut.no_sdo()
+    dut.silence(SDO)
 
 
 def segments(data: bytes) -> int:
@@ -83,17 +84,18 @@ def last_block(dut: Dut, data: bytes, begin: int = 0, crc: bool = True) -> None:
     end_block_upload(dut, data, crc)
 
 
-@upload("7.2.4.3.13: one block: size, segments, end with CRC")
-def sdo_block_upload(dut: Dut) -> None:
-    data = begin_block_upload(dut, 127)
-    dut.request("A3")
-    last_block(dut, data)
+def one_block(dut: Dut, crc: bool = True) -> None:
+    """A whole upload in one block."""
+    data = begin_block_upload(dut, 127, crc)
+    last_block(dut, data, crc=crc)
+
+
+upload("upload 7.2.4.3.13: one block: size, segments, end with CRC", (), one_block)
 
 
 @upload("7.2.4.3.14: blocks of one segment")
 def blocks_of_one(dut: Dut) -> None:
     data = begin_block_upload(dut, 1)
-    dut.request("A3")
     count = segments(data)
     for number in range(1, count + 1):
         part = block(dut, 1, number == count)
@@ -106,7 +108,6 @@ def blocks_of_one(dut: Dut) -> None:
 @upload("7.2.4.3.14: the client changes the block size from block to block")
 def changed_block_size(dut: Dut) -> None:
     data = begin_block_upload(dut, 1)
-    dut.request("A3")
     check(block(dut, 1, False) == data[:7], data[:7].hex(" "), "another segment")
     dut.request("A2 01 7F")
     last_block(dut, data, 7)
@@ -115,7 +116,6 @@ def changed_block_size(dut: Dut) -> None:
 @upload("7.2.4.3.14: ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
 def resend(dut: Dut, received: int) -> None:
     data = begin_block_upload(dut, 2)
-    dut.request("A3")
     block(dut, 2, segments(data) == 2)
     dut.request(f"A2 {received:02X} 7F")
     last_block(dut, data, 7 * received)
@@ -124,7 +124,6 @@ def resend(dut: Dut, received: int) -> None:
 @upload("7.2.4.3.14: the last block is lost: ackseq 0, and it comes again")
 def resend_last(dut: Dut) -> None:
     data = begin_block_upload(dut, 127)
-    dut.request("A3")
     for _ in range(2):
         block(dut, segments(data), True)
         dut.request("A2 00 7F")
@@ -143,12 +142,7 @@ for size in (0, 128, 255):
 for size in (0, 128):
     upload(f"block_size_refused_later 7.2.4.3.14: block size {size} in an answer: 05040002h", (),
         begun_upload, do.request(f"A2 01 {size:02X}"), do.upload_aborted(Abort.BLOCK_SIZE))
-
-@upload("7.2.4.3.16: a client without CRC finds 0 in its place")
-def without_crc(dut: Dut) -> None:
-    data = begin_block_upload(dut, 127, crc=False)
-    dut.request("A3")
-    last_block(dut, data, crc=False)
+upload("without_crc 7.2.4.3.16: a client without CRC finds 0 in its place", (), do.run(one_block, False))
 
 
 @upload("7.2.4.3.13: refused at the initiate: {2}", each=[
@@ -164,9 +158,9 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
 
 for started, when in ((False, "before the start"), (True, "after a block")):
     upload(f"aborted 7.2.4.3.17: the client aborts {when}: no answer, the transfer is over", (),
-        do.run(begun_upload, started), do.abort_upload(), do.no_sdo(), do.ask("40 00 10 00", "43 00 10 00 *"))
+        do.run(begun_upload, started), do.abort_upload(), do.silence(SDO), do.ask("40 00 10 00", "43 00 10 00 *"))
 upload("stopped 7.3.2.3: stop ends a block upload without a word", (),
-    do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.no_sdo())
+    do.run(begun_upload, False), do.nmt(STOP), do.request("A3"), do.silence(SDO))
 for command in ("A1", "A2", "A3", "C1"):
     upload("no_transfer 7.2.4.3.17: a block command without a transfer: 05040001h", (),
         do.run(initiate, 0x1000, 127), do.request("80 00 10 00 00 00 00 08"),
@@ -237,7 +231,7 @@ for begun, when in (
     (do.run(begin_block_download, 0x1017, 2), "before the first segment"), (one_segment, "before the end"),
 ):
     download(f"aborted 7.2.4.3.17: the client aborts {when}: no answer, nothing is written", BEAT,
-        not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.no_sdo()))
+        not_written(begun, do.request("80 17 10 00 00 00 00 08"), do.silence(SDO)))
 download("refused_value 7.2.4.3.11: a refused value is refused at the end", ((0x1019, 0),),
     do.run(begin_block_download, 0x1019, 1), do.run(segment, 1, b"\xf1", True), do.answer("A2 01 .."),
     do.run(end_block_download, b"\xf1"), do.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE),

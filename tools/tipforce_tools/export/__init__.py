@@ -122,7 +122,7 @@ def _xdd(args: argparse.Namespace, converter: Converter) -> str:
         return xdd_text(described, "tipforce")
     text = eds_text(args.gauges, args.simulated, converter, args.programs)
     path = Path(file_name(args.gauges, args.simulated, bits=converter[0]))
-    return xdd_text(describe(parse(text), path, text.encode(), 1), "tipforce")
+    return xdd_text(describe(parse(text.encode(), path), 1), "tipforce")
 
 
 def _write_folder(args: argparse.Namespace, converter: Converter) -> int:

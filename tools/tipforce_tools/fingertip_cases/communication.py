@@ -15,7 +15,7 @@ from canopen_conformance.cases.nmt import CONSUMER, GUARDING, PRODUCER
 from canopen_conformance.cases.pdo import INVALID
 from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload, not_written, over
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import Abort
+from canopen_conformance.wire import EMCY, HEARTBEAT, SDO, Abort
 
 # fmt: off
 # A table: a case is its header, and below it its steps.
@@ -37,7 +37,7 @@ for value in (1, 5, 0x10):
     nmt(f"startup_refused CiA 302-2 1F80h: {value:08X}h asks for what a slave is not: refused", ((0x1F80, 0),),
         do.refuses("I", 0x1F80, 0, value, Abort.INVALID_VALUE), do.holds("I", 0x1F80, 0, 4))
 node_guarding("heartbeat_excludes 7.2.8.2.2: with a heartbeat there is no node guarding", GUARDING,
-    do.put("H", 0x1017, 0, 5000), lambda dut: dut.send(0x700 + dut.node_id | wire.REMOTE_FLAG), do.no_heartbeat())
+    do.put("H", 0x1017, 0, 5000), do.send(HEARTBEAT | wire.REMOTE_FLAG), do.silence(HEARTBEAT))
 
 
 @error_control("7.2.8.3.2.2: the boot-up message starts the first period of the default 1017h", PRODUCER)
@@ -46,7 +46,7 @@ def first_period(dut: Dut) -> None:
     dut.forget()
     dut.nmt(wire.RESET_COMMUNICATION)
     boot = dut.boot_up()
-    beat = dut.heartbeat("7F", 2 * ms)
+    beat = dut.expect(HEARTBEAT, "7F", 2 * ms)
     dut.check_ms("boot-up to heartbeat", beat.at_us - boot.at_us, ms)
 
 
@@ -62,9 +62,9 @@ for command, name in wire.RESETS[::-1]:
         clear, make_error, do.reset(command), do.holds("B", 0x1003, 0, 1))
 emcy("queue 7.5.2.18: many messages wait, in their order", INHIBIT,
     do.put("H", 0x1015, 0, 20), do.repeat(12, break_sync, do.send(0x080)),
-    do.repeat(12, do.emcy("40 82 *"), do.emcy("00 00 *")))
+    do.repeat(12, do.expect(EMCY, "40 82 *"), do.expect(EMCY, "00 00 *")))
 emcy("collision 7.2.7.1: another node sends this node's heartbeat: EMCY 8150h, once", NEEDS,
-    do.repeat(3, lambda dut: dut.send(0x700 + dut.node_id, "05")), do.emcy("50 81 11 *"), do.no_emcy())
+    do.repeat(3, do.send(HEARTBEAT, "05")), do.expect(EMCY, "50 81 11 *"), do.silence(EMCY))
 
 
 @emcy("7.2.7.1: an identifier that a TPDO has left may be another node's", (*NEEDS, (0x1800, 1)))
@@ -73,10 +73,10 @@ def no_collision(dut: Dut) -> None:
     dut.nmt(wire.START)
     dut.put("I", 0x1800, 1, cob_id | INVALID)
     dut.send(cob_id & 0x7FF, bytes(8))
-    dut.no_emcy()
+    dut.silence(EMCY)
     dut.put("I", 0x1800, 1, cob_id)
     dut.send(cob_id & 0x7FF, bytes(8))
-    dut.emcy("50 81 *")
+    dut.expect(EMCY, "50 81 *")
 
 
 identity("profile CiA 404 1000h: device profile 404, an analogue input block", (),
@@ -127,18 +127,12 @@ for sub, communication, application in ((2, 0, 777), (3, VALUE, 500)):
         do.within(restored, do.put("I", 0x1016, 1, VALUE), do.put("I", 0x6114, 1, 777), do.run(store, 1),
             do.put("I", 0x1011, sub, LOAD), do.reset(wire.RESET_NODE), do.holds("I", 0x1016, 1, communication),
             do.holds("I", 0x6114, 1, application)), persistent=True)
-
-
-@storage("7.5.2.13: a state is not stored: {2}", ALL, persistent=True, each=[
-    (0x2130, "H", "the command 2130h", 2, 0), (0x2103, "I", "the expected CRC 2103h:1", 0x12345678, 0),
-])
-def state(dut: Dut, index: int, kind: str, _name: str, value: int, after: int) -> None:
-    sub = 1 if index == 0x2103 else 0
-    with restored(dut):
-        dut.put(kind, index, sub, value)
-        store(dut, 1)
-        dut.reset(wire.RESET_NODE)
-        dut.holds(kind, index, sub, after)
+for index, sub, kind, name, value in (
+    (0x2130, 0, "H", "the command 2130h", 2), (0x2103, 1, "I", "the expected CRC 2103h:1", 0x12345678),
+):
+    storage(f"state 7.5.2.13: a state is not stored: {name}", ALL,
+        do.within(restored, do.put(kind, index, sub, value), do.run(store, 1), do.reset(wire.RESET_NODE),
+            do.holds(kind, index, sub, 0)), persistent=True)
 
 
 for value, why in (
@@ -148,9 +142,9 @@ for value, why in (
     sync(f"refused 7.5.2.5: 1005h = {value:08X}h is refused: {why}", ((0x1005, 0),),
         do.refuses("I", 0x1005, 0, value, Abort.INVALID_VALUE))
 sync("length_cured 7.2.7.1: a SYNC of the right length cures 8240h", special.LENGTH,
-    do.repeat(2, do.send(0x080, "01"), do.emcy("40 82 *"), do.send(0x080), do.emcy("00 00 00 *")))
+    do.repeat(2, do.send(0x080, "01"), do.expect(EMCY, "40 82 *"), do.send(0x080), do.expect(EMCY, "00 00 00 *")))
 sync("length_once 7.2.7.1: many SYNCs of wrong length are one error", special.LENGTH,
-    do.repeat(5, do.send(0x080, "01")), do.emcy("40 82 *"), do.no_emcy())
+    do.repeat(5, do.send(0x080, "01")), do.expect(EMCY, "40 82 *"), do.silence(EMCY))
 for value, why in (
     (0xC0000100, "this device produces no TIME"), (0xA0000100, "no 29-bit identifier"),
     (0x80000900, "no 29-bit identifier"),
@@ -159,31 +153,25 @@ for value, why in (
         do.refuses("I", 0x1012, 0, value, Abort.INVALID_VALUE))
 
 
-CONTROLLER, BUS_OFF, RESTARTED = 0x004, 0x040, 0x100
-PASSIVE, OVERFLOW, ACTIVE = "00 30 00 00 00 00 00 00", "00 01 00 00 00 00 00 00", "00 40 00 00 00 00 00 00"
-NONE = "00 00 00 00 00 00 00 00"
-
-
-def report(dut: Dut, error_class: int, data: str = NONE) -> None:
-    """An error frame of the controller."""
-    dut.send(wire.ERROR_FLAG | error_class, data)
-
-
+# Error frames of the controller.
+CONTROLLER = wire.ERROR_FLAG | 0x004
+passive, active = do.send(CONTROLLER, "00 30 00 00 00 00 00 00"), do.send(CONTROLLER, "00 40 00 00 00 00 00 00")
+overflow = do.send(CONTROLLER, "00 01 00 00 00 00 00 00")
+bus_off, restarted = do.send(wire.ERROR_FLAG | 0x040, bytes(8)), do.send(wire.ERROR_FLAG | 0x100, bytes(8))
 bus_faults("passive 7.2.7.1: error passive: EMCY 8120h once; active again: the cure", (),
-    do.run(report, CONTROLLER, PASSIVE), do.run(report, CONTROLLER, PASSIVE), do.emcy("20 81 11 *"), do.no_emcy(),
-    do.run(report, CONTROLLER, ACTIVE), do.emcy("00 00 00 *"), error_frames=True)
-bus_faults("overrun 7.2.7.1: overrun: EMCY 8110h once, cured when none came for a second", (),
-    do.repeat(3, do.run(report, CONTROLLER, OVERFLOW)), do.emcy("10 81 11 *"), do.no_emcy(ms=900),
-    do.emcy("00 00 00 *"), error_frames=True)
-bus_faults("bus_off 7.2.7.1: bus-off: silent, and EMCY 8140h when it is over", (),
-    do.beat(), do.run(report, BUS_OFF), do.forget(), do.no_heartbeat(ms=50), do.run(report, RESTARTED),
-    do.emcy("40 81 *"), do.ask("40 00 10 00", "43 00 10 00 *"), error_frames=True)
-bus_faults("bus_off_behaviour 7.5.2.32: bus-off in OPERATIONAL: PRE-OPERATIONAL by 1029h", (),
-    do.beat(), do.nmt(wire.START), do.state(wire.OPERATIONAL), do.run(report, BUS_OFF), do.run(report, RESTARTED),
-    do.state(wire.PRE_OPERATIONAL), error_frames=True)
-bus_faults("bus_off_again 7.2.7.1: bus-off twice in a row: both are reported", (),
-    do.repeat(2, do.run(report, BUS_OFF), do.sleep(10), do.run(report, RESTARTED), do.emcy("40 81 *")),
+    do.repeat(2, passive), do.expect(EMCY, "20 81 11 *"), do.silence(EMCY), active, do.expect(EMCY, "00 00 00 *"),
     error_frames=True)
+bus_faults("overrun 7.2.7.1: overrun: EMCY 8110h once, cured when none came for a second", (),
+    do.repeat(3, overflow), do.expect(EMCY, "10 81 11 *"), do.silence(EMCY, ms=900),
+    do.expect(EMCY, "00 00 00 *"), error_frames=True)
+bus_faults("bus_off 7.2.7.1: bus-off: silent, and EMCY 8140h when it is over", (),
+    do.beat(), bus_off, do.forget(), do.silence(HEARTBEAT, ms=50), restarted,
+    do.expect(EMCY, "40 81 *"), do.ask("40 00 10 00", "43 00 10 00 *"), error_frames=True)
+bus_faults("bus_off_behaviour 7.5.2.32: bus-off in OPERATIONAL: PRE-OPERATIONAL by 1029h", (),
+    do.beat(), do.nmt(wire.START), do.state(wire.OPERATIONAL), bus_off, restarted, do.state(wire.PRE_OPERATIONAL),
+    error_frames=True)
+bus_faults("bus_off_again 7.2.7.1: bus-off twice in a row: both are reported", (),
+    do.repeat(2, bus_off, do.sleep(10), restarted, do.expect(EMCY, "40 81 *")), error_frames=True)
 
 
 # --- SDO: expedited, in segments, by blocks
@@ -217,7 +205,7 @@ def upload_restart(dut: Dut) -> None:
 segmented("upload_timeout 7.2.4.3.17: a silent client: 05040000h, and the transfer is over", (),
     begin_upload, do.upload_aborted(Abort.TIMED_OUT, within_ms=1200), over)
 segmented("upload_patience 7.2.4.3.17: each request gives the client its time anew", (),
-    begin_upload, do.no_sdo(ms=700), do.ask("60", "0. *"), do.no_sdo(ms=700),
+    begin_upload, do.silence(SDO, ms=700), do.ask("60", "0. *"), do.silence(SDO, ms=700),
     do.ask("70", lambda data: data[0] & 0xF0 == 0x10))
 for index, size, code in (
     (0x1017, 1, Abort.TOO_SHORT), (0x1017, 3, Abort.TOO_LONG), (0x2141, 5, Abort.TOO_SHORT),
@@ -249,20 +237,19 @@ LONG = ((0x1021, 0),)
 block_upload("acknowledged_too_much 7.2.4.3.14: ackseq beyond what was sent: 05040003h", (),
     sdo_block.begun_upload, do.request("A2 02 7F"), do.upload_aborted(Abort.SEQUENCE_NUMBER))
 
-@block_upload("7.2.4.3.13: protocol switch: {0} bytes and pst {1} give a {2} upload", ((0x1000, 0),), each=[
-    (4, 4, "expedited"), (4, 255, "expedited"), (4, 3, "block"), (4, 0, "block"),
-])
-def protocol_switch(dut: Dut, _size: int, switch: int, how: str) -> None:
-    answer = sdo_block.initiate(dut, 0x1000, 127, switch)
-    wanted = 0x43 if how == "expedited" else 0xC6
-    check(answer[0] == wanted, f"{wanted:02X}h", f"{answer[0]:02X}h")
+
+def switched(dut: Dut, index: int, switch: int, command: int) -> None:
+    """The answer to the initiate of a block upload is this command."""
+    answer = sdo_block.initiate(dut, index, 127, switch)
+    check(answer[0] == command, f"{command:02X}h", f"{answer[0]:02X}h")
 
 
-@block_upload("7.2.4.3.13: protocol switch to a segmented upload")
-def protocol_switch_segmented(dut: Dut) -> None:
-    answer = sdo_block.initiate(dut, 0x1008, 127, 100)
-    check(answer[0] == 0x41, "41h", f"{answer[0]:02X}h")
-    dut.read_segments()
+for switch, how, command in ((4, "expedited", 0x43), (255, "expedited", 0x43), (3, "block", 0xC6), (0, "block", 0xC6)):
+    block_upload(f"protocol_switch 7.2.4.3.13: protocol switch: 4 bytes and pst {switch} give a {how} upload",
+        ((0x1000, 0),),
+        do.run(switched, 0x1000, switch, command))
+block_upload("protocol_switch_segmented 7.2.4.3.13: protocol switch to a segmented upload", (),
+    do.run(switched, 0x1008, 100, 0x41), do.read_segments())
 
 
 @block_upload("7.2.4.3.14: full blocks of 127 segments", LONG)
@@ -353,19 +340,10 @@ download("too_much 7.2.4.3.10: more data than stated: 06070012h, before the end"
 for size, code in ((1, Abort.TOO_SHORT), (3, Abort.TOO_LONG), (0xFFFFFFFF, Abort.TOO_LONG)):
     download("refused_size 7.2.4.3.9: a size that the object cannot have is refused at the initiate", BEAT,
         do.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size)), do.aborted(0x1017, 0, code))
-
-
-@download("7.2.4.3.17: a client that is silent {1}: 05040000h", BEAT, each=[
-    (False, "during a block"), (True, "before the end"),
-])
-def sdo_block_download_silent_client(dut: Dut, sent: bool, _when: str) -> None:
-    if sent:
-        sdo_block.one_segment(dut)
-    else:
-        sdo_block.begin_block_download(dut, 0x1017, 2)
-        dut.answer("A2 00 .. 00 00 00 00 00", within_ms=900)
-    dut.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)
-
-
+download("silent_client 7.2.4.3.17: a client that is silent during a block: 05040000h", BEAT,
+    do.run(sdo_block.begin_block_download, 0x1017, 2), do.answer("A2 00 .. 00 00 00 00 00", within_ms=900),
+    do.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200))
+download("silent_client 7.2.4.3.17: a client that is silent before the end: 05040000h", BEAT,
+    sdo_block.one_segment, do.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200))
 download("wrong_end 7.2.4.3.11: no end but another command: 05040001h", BEAT,
     sdo_block.one_segment, do.request("C2"), do.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND))

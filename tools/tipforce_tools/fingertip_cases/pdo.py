@@ -10,7 +10,7 @@ from canopen_conformance.case import Service, check
 from canopen_conformance.cases import pdo
 from canopen_conformance.cases.pdo import BOTH, EITHER, NO_RTR, refused_cob_id
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, REMOTE_FLAG, START, Abort
+from canopen_conformance.wire import EMCY, ENTER_PRE_OPERATIONAL, PDO, REMOTE_FLAG, START, Abort
 
 # fmt: off
 # A table: a case is its header, and below it its steps.
@@ -45,13 +45,14 @@ for communication, mapping, name in BOTH:
         do.run(pdo.disable_pdo, communication), do.put("B", mapping, 0, 0), do.put("I", mapping, 1, 0),
         do.refuses("B", mapping, 0, 1, Abort.NO_OBJECT, Abort.NOT_MAPPABLE))
 rpdo("forgotten 7.2.2.2: what waited for a SYNC is forgotten when OPERATIONAL is left", pdo.HIGH_RESOLUTION,
-    do.run(pdo.start_rpdo1, pdo.TIME_U32, transmission=1), pdo.set_time, do.send_pdo(struct.pack("<I", 0x60000000)),
+    do.run(pdo.start_rpdo1, pdo.TIME_U32, transmission=1), pdo.set_time, do.send(PDO, struct.pack("<I", 0x60000000)),
     do.nmt(ENTER_PRE_OPERATIONAL), do.nmt(START), do.send(0x080), do.run(pdo.high_resolution, 0, 0x60000000))
 rpdo("length_cured 7.2.7.1: an RPDO of the right length cures 8210h", (*pdo.HIGH_RESOLUTION, (0x1014, 0)),
     do.run(pdo.start_rpdo1, pdo.TIME_U32),
-    do.repeat(2, do.send_pdo(), do.emcy("10 82 *"), do.send_pdo(bytes(4)), do.emcy("00 00 00 *")))
+    do.repeat(2, do.send(PDO), do.expect(EMCY, "10 82 *"), do.send(PDO, bytes(4)), do.expect(EMCY, "00 00 00 *")))
 tpdo("cyclic_240 7.2.2.2: type 240: silent for the 200 SYNCs after a TPDO", pdo.TPDO1,
-    do.run(pdo.start_tpdo1, 240), do.repeat(239, do.send(0x080)), do.no_pdo(ms=50), do.send(0x080), do.pdo())
+    do.run(pdo.start_tpdo1, 240), do.repeat(239, do.send(0x080)), do.silence(PDO, ms=50), do.send(0x080),
+    do.expect(PDO))
 
 
 @tpdo("7.2.2.2: the SYNCs count anew when OPERATIONAL is entered", pdo.TPDO1)
@@ -66,20 +67,20 @@ def counted_anew(dut: Dut) -> None:
 
 
 tpdo("acyclic 7.2.2.2: type 0: silent at a SYNC while there was no event", pdo.TPDO1,
-    do.run(pdo.start_tpdo1, 0), do.send(0x080), lambda dut: dut.sleep(dut.link.tolerance_ms), do.forget_pdo(),
-    do.repeat(3, do.send(0x080)), do.no_pdo())
+    do.run(pdo.start_tpdo1, 0), do.send(0x080), lambda dut: dut.sleep(dut.link.tolerance_ms), do.forget(PDO),
+    do.repeat(3, do.send(0x080)), do.silence(PDO))
 for transmission in (254, 255):
     tpdo(f"first_values 7.2.2.2: type {transmission}: sent once when OPERATIONAL is entered", pdo.TPDO1,
-        do.run(pdo.start_tpdo1, transmission), do.pdo(), do.no_pdo())
+        do.run(pdo.start_tpdo1, transmission), do.expect(PDO), do.silence(PDO))
 tpdo("remote_frame 7.2.2.5.2: a remote frame is not answered by a TPDO without RTR", pdo.TPDO1,
-    do.run(pdo.start_tpdo1, 1), lambda dut: dut.send(dut.pdo_id | REMOTE_FLAG), do.no_pdo())
+    do.run(pdo.start_tpdo1, 1), do.send(PDO | REMOTE_FLAG), do.silence(PDO))
 
 
 @tpdo("7.5.2.38: a new mapping: contents in the order of the entries, little-endian", pdo.TPDO1)
 def remapped(dut: Dut) -> None:
     pdo.start_tpdo1(dut, 1, 0x10010008, 0x21230010, 0x10020020)
     dut.send(0x080)
-    data = dut.pdo(lambda d: len(d) == 7).data
+    data = dut.expect(PDO, lambda d: len(d) == 7).data
     wanted = dut.read(0x1001) + dut.read(0x2123) + dut.read(0x1002)
     check(data == wanted, wanted.hex(" "), data.hex(" "))
 
@@ -92,7 +93,7 @@ def nothing_mapped(dut: Dut) -> None:
     dut.put("I", 0x1800, 1, cob_id)
     dut.nmt(START)
     dut.send(0x080)
-    dut.no_pdo()
+    dut.silence(PDO)
 
 
 GAUGE_1 = 0x71300110
@@ -118,26 +119,26 @@ def shift(dut: Dut, microstrain: float) -> None:
 for change, what in ((150.0, "sent"), (-150.0, "sent"), (50.0, "silent")):
     interrupts_404(f"delta 6133h: a change of {change} microstrain with a delta of 100: {what}", NEEDS,
         do.put("f", 0x6133, 1, 100.0), begin, do.run(shift, change),
-        *([do.pdo(within_ms=SAMPLE_MS)] if what == "sent" else []), do.no_pdo(ms=SAMPLE_MS))
+        *([do.expect(PDO, within_ms=SAMPLE_MS)] if what == "sent" else []), do.silence(PDO, ms=SAMPLE_MS))
 interrupts_404("delta_off 6133h: delta 0: no interrupt", NEEDS,
-    begin, do.run(shift, 1000.0), do.no_pdo(ms=SAMPLE_MS))
+    begin, do.run(shift, 1000.0), do.silence(PDO, ms=SAMPLE_MS))
 interrupts_404("delta_sum 6133h: small changes add up to a delta", NEEDS,
-    do.put("f", 0x6133, 1, 100.0), begin, do.run(shift, 60.0), do.no_pdo(ms=SAMPLE_MS), do.run(shift, 120.0),
-    do.pdo(within_ms=SAMPLE_MS))
+    do.put("f", 0x6133, 1, 100.0), begin, do.run(shift, 60.0), do.silence(PDO, ms=SAMPLE_MS), do.run(shift, 120.0),
+    do.expect(PDO, within_ms=SAMPLE_MS))
 
 
 for index, limit in ((0x6135, 200.0), (0x6134, -200.0)):
     interrupts_404(f"limit {index:04X}h: the limit {index:04X}h is passed, and passed again: one TPDO each", NEEDS,
         do.put("f", index, 1, limit), begin, *(step for microstrain in (1.5 * limit, 0.0) for step in (
-            do.run(shift, microstrain), do.pdo(within_ms=SAMPLE_MS), do.no_pdo(ms=SAMPLE_MS))))
+            do.run(shift, microstrain), do.expect(PDO, within_ms=SAMPLE_MS), do.silence(PDO, ms=SAMPLE_MS))))
 interrupts_404("hysteresis 6136h: the hysteresis holds a value outside until it is well inside", NEEDS,
     do.put("f", 0x6135, 1, 200.0), do.put("f", 0x6136, 1, 100.0), begin, do.run(shift, 250.0),
-    do.pdo(within_ms=SAMPLE_MS), do.run(shift, 150.0), do.no_pdo(ms=SAMPLE_MS), do.run(shift, 50.0),
-    do.pdo(within_ms=SAMPLE_MS))
+    do.expect(PDO, within_ms=SAMPLE_MS), do.run(shift, 150.0), do.silence(PDO, ms=SAMPLE_MS), do.run(shift, 50.0),
+    do.expect(PDO, within_ms=SAMPLE_MS))
 interrupts_404("acyclic CiA 301 7.2.2.2: type 0: an interrupt is sent with the next SYNC, once", NEEDS,
     do.put("f", 0x6133, 1, 100.0), do.run(begin, 0), do.send(0x080), lambda dut: dut.sleep(dut.link.tolerance_ms),
-    do.forget_pdo(), do.run(shift, 150.0), do.sleep(5), do.send(0x080), do.pdo(), do.sleep(5), do.send(0x080),
-    do.no_pdo())
+    do.forget(PDO), do.run(shift, 150.0), do.sleep(5), do.send(0x080), do.expect(PDO), do.sleep(5), do.send(0x080),
+    do.silence(PDO))
 
 
 @interrupts_404(
@@ -150,9 +151,9 @@ def inhibit(dut: Dut) -> None:
     begin(dut, 255, inhibit_100us=4000)
     dut.sleep(400)
     shift(dut, 150.0)
-    first = dut.pdo(within_ms=SAMPLE_MS)
+    first = dut.expect(PDO, within_ms=SAMPLE_MS)
     shift(dut, 300.0)
-    second = dut.pdo(within_ms=500)
+    second = dut.expect(PDO, within_ms=500)
     between_ms = (second.at_us - first.at_us) / 1000
     check(between_ms >= 400 - dut.link.tolerance_ms, "400 ms between two TPDOs", f"{between_ms:.0f} ms")
     check(second.data != first.data, "the later value", "the first one again")
@@ -165,20 +166,15 @@ def counter(dut: Dut) -> None:
     for _ in range(260):
         dut.sleep(1)
         dut.send(0x080)
-        value = dut.pdo().data[0]
+        value = dut.expect(PDO).data[0]
         check(last < 0 or value == (last + 1) & 0xFF, str((last + 1) & 0xFF), str(value))
         last = value
 
 
-@interrupts_404("tipforce 2121h: with 1019h = 240 the counter is the number of the SYNC, 1 to 240", NUMBERED)
-def numbered(dut: Dut) -> None:
-    pdo.enable_tpdo1(dut, 1, COUNTER)
-    dut.put("B", 0x1019, 0, 240)
-    dut.nmt(START)
-    for number in (1, 2, 7, 8, 239, 240, 1, 120):  # also where numbers were left out
-        dut.send(0x080, bytes((number,)))
-        value = dut.pdo().data[0]
-        check(value == number, str(number), str(value))
+interrupts_404("numbered tipforce 2121h: with 1019h = 240 the counter is the number of the SYNC, 1 to 240", NUMBERED,
+    do.run(pdo.enable_tpdo1, 1, COUNTER), do.put("B", 0x1019, 0, 240), do.nmt(START),
+    *(step for number in (1, 2, 7, 8, 239, 240, 1, 120)  # also where numbers were left out
+      for step in (do.send(0x080, bytes((number,))), do.expect(PDO, f"{number:02X} *"))))
 
 
 @interrupts_404("tipforce 2121h: all TPDOs of one SYNC carry the same counter", (*pdo.TPDO1, (0x1801, 1)))
@@ -190,7 +186,7 @@ def one_sample(dut: Dut) -> None:
     for _ in range(3):
         dut.sleep(1)
         dut.send(0x080)
-        first = dut.pdo().data
+        first = dut.expect(PDO).data
         other = dut.expect(second & 0x7FF).data
         check(first[7] == other[7] and first[6] == other[6], "one status and counter", f"{first.hex()} {other.hex()}")
 
@@ -203,7 +199,7 @@ def stale(dut: Dut) -> None:
     for _ in range(2):  # one of two pairs lies within one sample period
         for _ in range(2):
             dut.send(0x080)
-        first, second = dut.pdo().data, dut.pdo().data
+        first, second = dut.expect(PDO).data, dut.expect(PDO).data
         if second[1] == first[1]:
             break
     check(second[1] == first[1] and second[0] & 8, "bit 3, and the same counter", f"{first.hex()} {second.hex()}")
@@ -212,13 +208,9 @@ def stale(dut: Dut) -> None:
 for value, code in ((4, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)):
     interrupts_404(f"command_refused tipforce 2130h: command {value}: {code:08X}h", (),
         do.refuses("H", 0x2130, 0, value, code))
-
-
-@interrupts_404("tipforce 2120h: a {0}-byte object is read as its type says", each=[
-    (1, 0x2120), (1, 0x2121), (2, 0x2122), (2, 0x2123), (2, 0x2124),
-])
-def live_sizes(dut: Dut, size: int, index: int) -> None:
-    check(len(dut.read(index)) == size, f"{size} bytes", "another size")
+for size, index in ((1, 0x2120), (1, 0x2121), (2, 0x2122), (2, 0x2123), (2, 0x2124)):
+    interrupts_404(f"live_sizes tipforce 2120h: a {size}-byte object is read as its type says", (),
+        do.run(lambda dut, i, size: check(len(dut.read(i)) == size, f"{size} bytes", "another size"), index, size))
 
 
 @interrupts_404("tipforce 2120h: status bit 1 follows the calibration")

@@ -191,15 +191,10 @@ def sample_period(dut: Dut) -> None:
 for value, code in ((0, Abort.TOO_LOW), (99, Abort.TOO_LOW), (1000001, Abort.TOO_HIGH)):
     settings_404(f"sample_period_range 6114h: a sample period of {value} microseconds is refused", (),
         do.refuses("I", 0x6114, 1, value, code))
-
-
-@settings_404("6120h: two scaling points at one field value: 06090030h, the first stays", each=[
-    (0x6120, 0x6122), (0x6122, 0x6120),
-])
-def scaling_points(dut: Dut, index: int, other: int) -> None:
-    before = dut.number("f", index, 1)
-    dut.refuses("f", index, 1, dut.number("f", other, 1), Abort.INVALID_VALUE)
-    dut.holds("f", index, 1, before)
+for index, other in ((0x6120, 0x6122), (0x6122, 0x6120)):
+    settings_404("scaling_points 6120h: two scaling points at one field value: 06090030h, the first stays", (),
+        do.unchanged("f", index, 1, do.run(
+            lambda dut, at, of: dut.refuses("f", at, 1, dut.number("f", of, 1), Abort.INVALID_VALUE), index, other)))
 
 
 @settings_404("6130h: process value = scaled field value + offset")
@@ -229,20 +224,11 @@ for value, code in ((3, Abort.INVALID_VALUE), (99, Abort.INVALID_VALUE), (101, A
 settings_404("filter_of_contact 61A0h: a contact channel has no filter: 06090011h", (),
     lambda dut: dut.refuses("B", 0x61A0, gauges(dut) + 1, 1, Abort.NO_SUB),
     lambda dut: dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, Abort.NO_SUB))
-
-
-@settings_404("61A1h: a moving average takes {0} values: {1}", each=[
-    (256, "taken", 0), (257, "06090031h", Abort.TOO_HIGH), (65535, "06090031h", Abort.TOO_HIGH),
-])
-def filter_window(dut: Dut, value: int, _shown: str, code: int) -> None:
-    dut.put("B", 0x61A0, 1, 1)
-    if code:
-        dut.refuses("H", 0x61A1, 1, value, code)
-    else:
-        dut.put("H", 0x61A1, 1, value)
-    dut.holds("H", 0x61A1, 1, 1 if code else value)
-
-
+settings_404("filter_window 61A1h: a moving average takes 256 values: taken", (),
+    do.put("B", 0x61A0, 1, 1), do.put("H", 0x61A1, 1, 256), do.holds("H", 0x61A1, 1, 256))
+for value in (257, 65535):
+    settings_404(f"filter_window 61A1h: a moving average takes {value} values: 06090031h", (),
+        do.put("B", 0x61A0, 1, 1), do.refuses("H", 0x61A1, 1, value, Abort.TOO_HIGH), do.holds("H", 0x61A1, 1, 1))
 for longest in (2, 100):
     settings_404(f"filter_longest 61A1h: filter type {longest} takes the constant 65535", (),
         do.put("H", 0x61A1, 1, 65535), do.put("B", 0x61A0, 1, longest),

@@ -109,18 +109,15 @@ def description(eds: str | None, sdo: SdoChannel) -> Description | None:
 def _stored(sdo: SdoChannel) -> Description | None:
     """Return the EDS of 1021h; None where the node has none, or a compressed one (CiA 301, 7.5.2.21 and 7.5.2.22)."""
     from canopen_device.eds.reader import describe
-    from canopen_device.eds.sections import decoded, parse
+    from canopen_device.eds.sections import parse
 
     with suppress(SdoAbortError):  # without 1022h the format is 0
         if any(sdo.upload(communication.EDS_FORMAT, 0)):
             return None
     with suppress(SdoAbortError, InputError):
         content = sdo.upload(EDS, 0, True)
-        text, findings = decoded(content)
-        file = parse(text)
-        file.findings[:0] = findings
         # The node does not choose files of this machine: its UploadFile is below no folder.
-        return describe(file, Path(os.devnull, "1021h"), content, sdo.node_id)
+        return describe(parse(content, Path(os.devnull, "1021h")), sdo.node_id)
     return None
 
 
