@@ -16,7 +16,7 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.calibration import Active
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources import iio_sysfs
-from tipforce.sources.iio import IioSource, Part
+from tipforce.sources.iio import IioSource
 from tipforce.sources.iio_buffer import (
     BufferedDevice,
     TimestampError,
@@ -47,11 +47,11 @@ def three(tree: Tree) -> Tree:
     return tree
 
 
-def polled(tree: Tree) -> list[Part]:
+def polled(tree: Tree) -> list[PolledDevice]:
     return [PolledDevice(device, iio_sysfs.voltage_channels(device.path)) for device in iio_sysfs.devices(tree.root)]
 
 
-def source(parts: list[Part], gauges: int = 3, **options: object) -> IioSource:
+def source(parts: list[PolledDevice], gauges: int = 3, **options: object) -> IioSource:
     return IioSource(parts, gauges, CONVERTER, ENDS, clock=lambda: 0, **options)  # type: ignore[arg-type]
 
 
@@ -129,7 +129,7 @@ def test_scale_of_a_channel_of_its_kind_or_none(tree: Tree) -> None:
         0.5, 0.25, 0.125,
     ]  # fmt: skip
     assert [iio_sysfs.attribute(path, name, "offset") for name in ("voltage0", "voltage1")] == [None, -2048.0]
-    assert iio_sysfs.millivolts(path, "voltage1") == (2 - 2048) * 0.25
+    assert PolledDevice(iio_sysfs.find("a", tree.root), ["voltage1"]).quantity("voltage1") == (2 - 2048) * 0.25
     (path / "in_voltage_scale").write_text("x\n")
     with pytest.raises(OSError, match="holds no number"):
         iio_sysfs.attribute(path, "voltage0", "scale")
@@ -145,10 +145,7 @@ def test_scale_of_a_channel_of_its_kind_or_none(tree: Tree) -> None:
     ],
 )
 def test_temperature_in_hundredths_of_a_degree(tree: Tree, files: dict[str, str], hundredths: int) -> None:
-    path = tree.add(0, "a", {"voltage": 1}, **files)
-    channel = iio_sysfs.temperature_channel(path)
-    assert channel is not None
-    assert iio_sysfs.temperature(path, channel) == hundredths
+    tree.add(0, "a", {"voltage": 1}, **files)
     assert PolledDevice(iio_sysfs.find("a", tree.root), ["voltage"]).temperature() == hundredths
 
 
@@ -181,7 +178,7 @@ def test_a_slow_read_does_not_pile_up_in_a_filter(three: Tree) -> None:
             now[0] += 3000
             return super().read(now_us)
 
-    parts: list[Part] = [Slow(device, ["voltage"]) for device in iio_sysfs.devices(three.root)]
+    parts: list[PolledDevice] = [Slow(device, ["voltage"]) for device in iio_sysfs.devices(three.root)]
     device = fingertip_node(5, IioSource(parts, 3, CONVERTER, ENDS, clock=lambda: now[0]))
     for index in (0x61A0, 0x61A1):
         assert device.od.writers[index](1, 4) == 0 or index == 0x61A0
