@@ -31,12 +31,6 @@ class Active:
     are zero; ``gain_per_kelvin`` 2115h; ``redundancy`` 2116h. ``checked``: a sample has something to be judged by.
     """
 
-    __slots__ = (
-        "C", "_checks", "checked", "compensated", "converter", "forces", "gain_per_kelvin", "limits", "model", "noise",
-        "offsets", "per_kelvin", "pull", "range_degC", "record", "redundancy", "reference_degC",
-        "solvers",
-    )  # fmt: skip
-
     def __init__(self, record: bytes, values: "list[float]", n: int) -> None:
         self.record = record
         self.C = [values[row * n : row * n + n] for row in range(3)]
@@ -160,8 +154,6 @@ def _is_covariance(full: "list[list[float]]") -> bool:
 
 class Calibration:
     """Staged and active record of one node, and the objects that show them."""
-
-    __slots__ = ("_generation", "_keys", "_letters", "_locked", "_n", "_od", "active", "packing", "refused")
 
     def __init__(self, od: "ObjectDictionary", n: int) -> None:
         self._od = od

@@ -30,8 +30,6 @@ class Interrupts:
     known or unknown.
     """
 
-    __slots__ = ("_device", "_sent", "_value", "_zones", "watched")
-
     def __init__(self, device: "Device", value: "Callable[[int], float]") -> None:
         self._device = device
         self._value = value
@@ -94,8 +92,6 @@ _BY_BIT = {
 
 class Reports:
     """EMCY and event-driven TPDOs of one node; ``counter`` is 2126h."""
-
-    __slots__ = ("_contradicted_us", "_device", "_is_out_of_range", "_next_us", "_raised", "counter")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
