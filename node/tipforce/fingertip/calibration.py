@@ -15,6 +15,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from canopen_device.core.object_dictionary import ObjectDictionary, Value
 
+    Force = tuple[float, float, float]
     Covariance = tuple[float, float, float, float, float, float]
     Solver = tuple[list[list[float]], Covariance]
     # rows and columns of scalar_redundancy, what chi-square must exceed for an alarm, and what excludes a gauge
@@ -92,21 +93,29 @@ class Active:
             self.solvers[lost] = solver
         return self.solvers[lost]
 
-    def force(self, matrix: "list[list[float]]", microstrains: "list[float]") -> "tuple[float, float, float]":
-        """F1, F2, F3 in newtons before any tare: F = C (V - offset), V the gauge strain."""
-        if len(microstrains) == 3:  # the same sums, in half the time
+    def strains(self, microstrains: "list[float]", kelvin: float) -> "list[float]":
+        """Gauge strain with the offset taken off, and what so many kelvin from the reference add to it."""
+        free = [1e-6 * m - o for m, o in zip(microstrains, self.offsets)]  # noqa: B905 (not in MicroPython)
+        if self.per_kelvin is not None and kelvin != 0.0:
+            free = [v - kelvin * c for v, c in zip(free, self.per_kelvin)]  # noqa: B905
+        return free
+
+    def force(self, matrix: "list[list[float]]", microstrains: "list[float]", kelvin: float = 0.0) -> "Force":
+        """F1, F2, F3 in newtons before any tare: F = C (V - offset), V the gauge strain, compensated for ``kelvin``."""
+        if len(microstrains) == 3 and kelvin == 0.0:  # the same sums, in half the time
             (a1, a2, a3), (b1, b2, b3), (c1, c2, c3) = matrix
             o1, o2, o3 = self.offsets
             v1, v2, v3 = 1e-6 * microstrains[0] - o1, 1e-6 * microstrains[1] - o2, 1e-6 * microstrains[2] - o3
             F1, F2 = 0.0 + a1 * v1 + a2 * v2 + a3 * v3, 0.0 + b1 * v1 + b2 * v2 + b3 * v3
             return F1, F2, 0.0 + c1 * v1 + c2 * v2 + c3 * v3
         F1 = F2 = F3 = 0.0
-        for m, o, c1, c2, c3 in zip(microstrains, self.offsets, matrix[0], matrix[1], matrix[2]):  # noqa: B905
-            v = 1e-6 * m - o
+        V, (row1, row2, row3) = self.strains(microstrains, kelvin), matrix
+        for v, c1, c2, c3 in zip(V, row1, row2, row3):  # noqa: B905
             F1 += c1 * v
             F2 += c2 * v
             F3 += c3 * v
-        return F1, F2, F3
+        gain = 1.0 + self.gain_per_kelvin * kelvin
+        return F1 / gain, F2 / gain, F3 / gain
 
 
 def _propagate(C: "list[list[float]]", noise: "list[float]", n: int) -> "Covariance":

@@ -23,34 +23,39 @@ _OVERLOAD = 1 << table.FAULT_OVERLOAD
 class Judgement:
     """One sample judged. ``bits``: of 2124h, 12 to 15; ``left_out``: the bit of the gauge that contradicts the others;
     ``solver`` and ``force``: matrix and covariance without it, and F1, F2, F3 in newtons before any tare; both None
-    where the gauges left have no rank 3, or contradict each other; ``strains``: offsets and temperature taken off.
+    where the gauges left have no rank 3, or contradict each other.
     """
 
     __slots__ = (
-        "_active", "_extra", "_faults", "_kelvin", "_lost", "bits", "force", "left_out", "solver", "strains",
+        "_active", "_extra", "_faults", "_kelvin", "_known_kelvin", "_lost", "_microstrains", "bits", "force",
+        "left_out", "solver",
     )  # fmt: skip
 
     def __init__(
         self, active: "Active", microstrains: "list[float]", lost: int, temperature_degC: float, overloaded: bool
     ) -> None:
         """``microstrains`` as 6130h, ``lost`` the gauges left out already, ``temperature_degC``: NaN where unknown."""
-        self._active = active
+        self._active, self._microstrains = active, microstrains
         self.bits = self.left_out = 0
         self.force: "tuple[float, float, float] | None" = None
-        known_kelvin, self._kelvin, outside = difference(active, temperature_degC)
+        self._known_kelvin, self._kelvin, outside = difference(active, temperature_degC)
         if outside:
             self.bits = _TEMPERATURE
-        self.strains = strains(active, microstrains, known_kelvin)
         self._lost = lost
         self._faults: "list[tuple[float, float]]" = []
         self._extra: "list[float] | None" = None
         self.solver = active.solver(lost)
         if self.solver is None:
             return
-        if active.redundancy > 0.0 and len(self.strains) > 3:
+        if active.redundancy > 0.0 and len(microstrains) > 3:
             self._judge_gauges(lost)
         if self.solver is not None:
-            self._judge_force(overloaded, known_kelvin)
+            self._judge_force(overloaded)
+
+    @property
+    def strains(self) -> "list[float]":
+        """Of the gauges, offsets and temperature taken off."""
+        return self._active.strains(self._microstrains, self._known_kelvin)
 
     def _judge_gauges(self, lost: int) -> None:
         """Set bit 12 where the gauges contradict each other, and leave out the one that explains it."""
@@ -58,10 +63,10 @@ class Judgement:
         check = active.check(lost)
         if check is None:
             return
-        model = active.model
+        model, strains = active.model, self.strains
         if model > 0.0:
-            self._extra = [(model * s) * (model * s) for s in self.strains]
-        bits, faults = _judged(check, self.strains, self._extra)
+            self._extra = [(model * s) * (model * s) for s in strains]
+        bits, faults = _judged(check, strains, self._extra)
         if bits < 0:
             self._faults = faults
             return
@@ -71,7 +76,7 @@ class Judgement:
         rest = active.check(lost | gauge) if gauge else None
         solver = None if rest is None else active.solver(lost | gauge)
         if solver is not None and rest is not None:
-            bits, faults = _judged(rest, self.strains, self._extra)
+            bits, faults = _judged(rest, strains, self._extra)
             if bits >= 0:
                 solver = None
         self.solver = solver
@@ -79,13 +84,10 @@ class Judgement:
             self.left_out = gauge
             self._faults = faults
 
-    def _judge_force(self, overloaded: bool, known_kelvin: float) -> None:
-        active, solver = self._active, self.solver
-        assert solver is not None
-        f1, f2, f3 = [dot(row, self.strains) for row in solver[0]]
-        gain = 1.0 + active.gain_per_kelvin * known_kelvin
-        self.force = f1 / gain, f2 / gain, f3 / gain
-        calibrated, overload = active.forces
+    def _judge_force(self, overloaded: bool) -> None:
+        assert self.solver is not None
+        self.force = self._active.force(self.solver[0], self._microstrains, self._known_kelvin)
+        calibrated, overload = self._active.forces
         if calibrated > 0.0 or overload > 0.0:
             P = magnitude(self.force)
             if calibrated > 0.0 and P > calibrated:
@@ -103,8 +105,8 @@ class Judgement:
         if model > 0.0:
             if self.bits & _BEYOND:  # what is not linear grows with the force, relative to it
                 model *= magnitude(force) / active.forces[0]
-            for k in range(len(self.strains)):
-                size = model * self.strains[k]
+            for k, strain in enumerate(self.strains):
+                size = model * strain
                 covariance = _with(covariance, size * matrix[0][k], size * matrix[1][k], size * matrix[2][k])
         if self._kelvin > 0.0:
             moved = [active.gain_per_kelvin * f for f in force]
@@ -139,14 +141,6 @@ def difference(active: "Active", temperature_degC: float) -> "tuple[float, float
         return 0.0, UNSTATED_KELVIN, True
     a, b = low - active.reference_degC, high - active.reference_degC
     return 0.0, sqrt((a * a + a * b + b * b) / 3.0), True
-
-
-def strains(active: "Active", microstrains: "list[float]", kelvin: float) -> "list[float]":
-    """Gauge strain with the offset and what temperature adds to it taken off."""
-    free = [1e-6 * m - o for m, o in zip(microstrains, active.offsets)]  # noqa: B905 (not in MicroPython)
-    if active.per_kelvin is not None and kelvin != 0.0:
-        free = [v - kelvin * c for v, c in zip(free, active.per_kelvin)]  # noqa: B905
-    return free
 
 
 def magnitude(force: "tuple[float, float, float]") -> float:
