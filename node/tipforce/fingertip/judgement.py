@@ -100,26 +100,30 @@ class Judgement:
         active, solver, force = self._active, self.solver, self.force
         if solver is None or force is None:
             return (scalar.NAN,) * 6
-        matrix, covariance = solver
-        model = active.model
+        matrix, (k11, k12, k13, k22, k23, k33) = solver
+        model, parts = active.model, []  # vectors F, of each F F^T is added
         if model > 0.0:
             if self.bits & _BEYOND:  # what is not linear grows with the force, relative to it
                 model *= magnitude(force) / active.forces[0]
-            for k, strain in enumerate(self.strains):
-                size = model * strain
-                covariance = _with(covariance, size * matrix[0][k], size * matrix[1][k], size * matrix[2][k])
+            row1, row2, row3 = matrix
+            parts = [
+                (model * v * a, model * v * b, model * v * c)
+                for v, a, b, c in zip(self.strains, row1, row2, row3)  # noqa: B905
+            ]
         if self._kelvin > 0.0:
             moved = [active.gain_per_kelvin * f for f in force]
             if active.per_kelvin is not None:
                 moved = [m + dot(row, active.per_kelvin) for m, row in zip(moved, matrix)]  # noqa: B905
-            covariance = _with(covariance, self._kelvin * moved[0], self._kelvin * moved[1], self._kelvin * moved[2])
+            parts.append((self._kelvin * moved[0], self._kelvin * moved[1], self._kelvin * moved[2]))
+        for f1, f2, f3 in parts:
+            k11, k12, k13 = k11 + f1 * f1, k12 + f1 * f2, k13 + f1 * f3
+            k22, k23, k33 = k22 + f2 * f2, k23 + f2 * f3, k33 + f3 * f3
         if self._faults:
             from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
 
-            k11, k12, k13, k22, k23, k33 = covariance
             d11, d12, d13, d22, d23, d33 = scalar_redundancy.doubt(matrix, active.noise, self._faults)
-            covariance = k11 + d11, k12 + d12, k13 + d13, k22 + d22, k23 + d23, k33 + d33
-        return covariance
+            return k11 + d11, k12 + d12, k13 + d13, k22 + d22, k23 + d23, k33 + d33
+        return k11, k12, k13, k22, k23, k33
 
 
 def difference(active: "Active", temperature_degC: float) -> "tuple[float, float, bool]":
@@ -156,9 +160,3 @@ def _judged(check: "Check", V: "list[float]", extra: "list[float] | None") -> "t
     W, shown, alarm, exclusion = check
     _chi_square, bits, faults = scalar_redundancy.judge(W, shown, V, extra, alarm, exclusion)
     return bits, faults
-
-
-def _with(cov: "Covariance", f1: float, f2: float, f3: float) -> "Covariance":
-    """The covariance, upper triangle, with f f^T added."""
-    k11, k12, k13, k22, k23, k33 = cov
-    return k11 + f1 * f1, k12 + f1 * f2, k13 + f1 * f3, k22 + f2 * f2, k23 + f2 * f3, k33 + f3 * f3
