@@ -57,7 +57,7 @@ class Gauges(Source):
     Raises ValueError without chips, or for chips of unequal ranges.
     """
 
-    def __init__(self, chips: "list[Chip]", counts_per_microstrain: float, wire_break_us: int = WIRE_BREAK_US) -> None:
+    def __init__(self, chips: "list[Chip]", counts_per_microstrain: float) -> None:
         if not chips:
             raise ValueError("chips: none")
         first = chips[0]
@@ -72,7 +72,6 @@ class Gauges(Source):
         self._wanted_us = self.conversion_us
         self._fresh: "list[tuple[int, ...] | None]" = [None] * len(chips)
         self._inside_us = [0] * self.n
-        self._wire_break_us = wire_break_us
 
     @property
     def period_us(self) -> int:
@@ -109,7 +108,7 @@ class Gauges(Source):
         for k, count in enumerate(counts):
             if self.count_min < count < self.count_max:
                 self._inside_us[k] = now_us
-            elif now_us - self._inside_us[k] >= self._wire_break_us:
+            elif now_us - self._inside_us[k] >= WIRE_BREAK_US:
                 faults |= 1 << table.FAULT_WIRE_BREAK
         return Reading(tuple(counts), faults, temperature)
 
