@@ -207,12 +207,6 @@ def test_node_id_out_of_range(node_id: int) -> None:
         fingertip_node(node_id, Bare())
 
 
-@pytest.mark.parametrize("n", [2, 9])
-def test_number_of_gauges_out_of_range(n: int) -> None:
-    with pytest.raises(ValueError, match="allowed 3 to 8"):
-        fingertip_node(5, Bare(), n)
-
-
 def replay(times_us: list[int], **options: object) -> ReplaySource:
     rows = [(k, -k, 2 * k) for k in range(len(times_us))]
     return ReplaySource(times_us, rows, CONVERTER, ENDS, **options)  # type: ignore[arg-type]
