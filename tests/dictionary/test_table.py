@@ -212,6 +212,7 @@ def test_a_string_from_the_wire_is_never_refused_a_wrong_length_is() -> None:
 def test_parse_value(letter: str, text: str, value: types.Value) -> None:
     assert types.parse_value(letter, text) == value
     assert str(types.parse_value("f", "NaN")) == "nan"
+    assert (types.format_value("D", b"\xde\xad"), types.format_value("f", 180.0)) == ("DE AD", "180.0")
 
 
 @pytest.mark.parametrize(
