@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     Check = tuple[list[list[float]], list[list[float] | None], float, float]
 
 
-_MOST_SOLVERS = 12  # kept for gauges left out: memory stays bounded whatever gauges do
+_MOST_LEFT = 12  # kept for gauges left out: memory stays bounded whatever gauges do
 
 
 class Active:
@@ -51,23 +51,27 @@ class Active:
         self.compensated = self.per_kelvin is not None or self.gain_per_kelvin != 0.0  # by temperature
         known = any(self.forces) or any(self.range_degC) or self.compensated
         self.checked = known or self.model > 0.0 or (n > 3 and self.redundancy > 0.0)
-        self._checks: "dict[int, Check | None]" = {}
-        self.solvers: "dict[int, Solver | None]" = {0: (self.C, _propagate(self.C, self.noise, n))}
+        self.left: "dict[int, tuple[Solver | None, Check | None]]" = {}  # of ``without``
 
-    def check(self, lost: int) -> "Check | None":
-        """What judges the gauges that are left without those of the bit mask ``lost``; None where nothing can.
+    def without(self, lost: int) -> "tuple[Solver | None, Check | None]":
+        """What solves and what judges the gauges that are left without those of mask ``lost``; None where nothing can.
 
-        2116h is for n - 3 degrees of freedom: with fewer gauges the limit of the same false-alarm rate holds.
+        A solver is (matrix, covariance of F in N^2). 2116h is for n - 3 degrees of freedom: with fewer gauges the
+        limit of the same false-alarm rate holds.
         """
-        if lost not in self._checks:
-            if len(self._checks) >= _MOST_SOLVERS:
-                self._checks.clear()
-            self._checks[lost] = self._find_check(lost)
-        return self._checks[lost]
+        if lost not in self.left:
+            if len(self.left) >= _MOST_LEFT:
+                self.left.clear()
+            n = len(self.offsets)
+            solver = None if lost else (self.C, _propagate(self.C, self.noise, n))
+            if lost and n > 3:
+                from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
 
-    def _find_check(self, lost: int) -> "Check | None":
-        n = len(self.offsets)
-        kept = [k for k in range(n) if not lost >> k & 1]
+                solver = scalar_redundancy.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
+            self.left[lost] = solver, self._check([k for k in range(n) if not lost >> k & 1], n)
+        return self.left[lost]
+
+    def _check(self, kept: "list[int]", n: int) -> "Check | None":
         if not self.redundancy > 0.0 or len(kept) < 4:
             return None
         from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
@@ -78,20 +82,6 @@ class Active:
         alarm = self.redundancy if len(kept) == n else scalar_redundancy.same_rate(self.redundancy, n - 3, len(W))
         exclusion = scalar_redundancy.same_rate(self.redundancy, n - 3, len(W) - 1)
         return W, scalar_redundancy.columns(W, self.noise), alarm, exclusion
-
-    def solver(self, lost: int) -> "Solver | None":
-        """(matrix, covariance of F in N^2) without the gauges of mask ``lost``; None where the rest has no rank 3."""
-        if lost not in self.solvers:
-            if len(self.solvers) >= _MOST_SOLVERS:
-                self.solvers = {0: self.solvers[0]}
-            solver = None
-            n = len(self.offsets)
-            if n > 3:
-                from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
-
-                solver = scalar_redundancy.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
-            self.solvers[lost] = solver
-        return self.solvers[lost]
 
     def strains(self, microstrains: "list[float]", kelvin: float) -> "list[float]":
         """Gauge strain with the offset taken off, and what so many kelvin from the reference add to it."""

@@ -44,11 +44,11 @@ class Judgement:
         self._lost = lost
         self._faults: "list[tuple[float, float]]" = []
         self._extra: "list[float] | None" = None
-        self.solver = active.solver(lost)
+        self.solver, check = active.left.get(lost) or active.without(lost)
         if self.solver is None:
             return
-        if active.redundancy > 0.0 and len(microstrains) > 3:
-            self._judge_gauges(lost)
+        if check is not None:
+            self._judge_gauges(check)
         if self.solver is not None:
             self._judge_force(overloaded)
 
@@ -57,12 +57,9 @@ class Judgement:
         """Of the gauges, offsets and temperature taken off."""
         return self._active.strains(self._microstrains, self._known_kelvin)
 
-    def _judge_gauges(self, lost: int) -> None:
+    def _judge_gauges(self, check: "Check") -> None:
         """Set bit 12 where the gauges contradict each other, and leave out the one that explains it."""
         active = self._active
-        check = active.check(lost)
-        if check is None:
-            return
         model, strains = active.model, self.strains
         if model > 0.0:
             self._extra = [(model * s) * (model * s) for s in strains]
@@ -73,12 +70,11 @@ class Judgement:
         self.bits |= _CONTRADICTION
         # One bit alone; of four gauges the three that would be left cannot be checked.
         gauge = bits if bits & (bits - 1) == 0 and len(check[0]) > 1 else 0
-        rest = active.check(lost | gauge) if gauge else None
-        solver = None if rest is None else active.solver(lost | gauge)
+        solver, rest = active.without(self._lost | gauge) if gauge else (None, None)
         if solver is not None and rest is not None:
             bits, faults = _judged(rest, strains, self._extra)
-            if bits >= 0:
-                solver = None
+        if rest is None or bits >= 0:
+            solver = None
         self.solver = solver
         if solver is not None:
             self.left_out = gauge

@@ -92,7 +92,7 @@ class Sample:
                     self.overloads[k] = self.overloads[k] or outside(self.microstrains[k], start, end)
             faults |= self._saturated()
         self.lost |= faults & _GAUGES
-        self.solver = None if active is None else active.solvers.get(self.lost) or active.solver(self.lost)
+        self.solver = None if active is None else (active.left.get(self.lost) or active.without(self.lost))[0]
         self.judgement: "Judgement | None" = None
         if active is not None and active.checked and reading is not None and not faults & _ALL_GAUGES:
             from .judgement import Judgement  # a calibration of which nothing is known does without
