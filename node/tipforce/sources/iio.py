@@ -217,8 +217,11 @@ class RemoteDevice(PolledDevice):
         self._temperature = next((name for name in sorted(inputs) if name.startswith("temp")), None)
 
     def read(self, _now_us: int) -> tuple[int, ...] | None:
-        """Return the counts of all channels. Raises OSError."""
-        return tuple([int(self._inputs[name].attrs["raw"].value) for name in self.channels])
+        """Return the counts of all channels. Raises OSError, also for a value that is no number."""
+        try:
+            return tuple([int(self._inputs[name].attrs["raw"].value) for name in self.channels])
+        except ValueError:
+            raise OSError(5, "raw holds no number") from None
 
     def attribute(self, channel: str, name: str) -> float | None:
         """Return such as ``scale`` of a channel, None if it has none. Raises OSError."""
