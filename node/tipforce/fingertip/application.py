@@ -194,8 +194,7 @@ class Fingertip(Application):
             faults = faults & ~no_data | (no_data if self._silent(now_us) else 0) | self.source.faults
         return Sample(
             reading, self.channels.scaling, self.calibration.active, self._tare, self.sample.present(), faults, stale,
-            0, now_us, self.frozen, filtered, self.ends, self.sample.overloaded,
-            self.channels.spans,
+            now_us, self.frozen, filtered, self.ends, self.sample.overloaded, self.channels.spans,
         )  # fmt: skip
 
     def _newest(self) -> Sample:
