@@ -76,12 +76,10 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.twin
 	$(PYTHON) -m bench.soak
 	$(PYTHON) -m bench.endurance
-	$(PYTHON) -m bench.tshark
 	$(PYTHON) -m bench.calibration
 	$(PYTHON) -m bench.coverage
 	$(PYTHON) -m bench.honesty
 	$(PYTHON) -m bench.fault_detection
-	$(PYTHON) -m bench.optimise
 	$(PYTHON) -m bench.fem
 	.venv/bin/tipforce report -o build/report
 

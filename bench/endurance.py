@@ -24,6 +24,7 @@ from canopen_device.running import loop
 from canopen_device.running.store import FileStore
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.iio import IioSource
+from tipforce.sources.iio_sysfs import PolledDevice
 
 NODE_ID = 5
 SYNC_US, HEARTBEAT_US, HOUR_US = 100_000, 1_000_000, 3_600_000_000
@@ -48,10 +49,8 @@ class Hour(NamedTuple):
     """The largest difference between a PDO and its SYNC, of a heartbeat and its second."""
 
 
-class Gauge:
+class Gauge(PolledDevice):
     """One device of the source, with one channel; ``trouble`` is "", "gone" or "end"."""
-
-    polled = True
 
     def __init__(self, name: str, seed: int) -> None:
         self.name = name

@@ -11,7 +11,10 @@ from .source import CONVERSIONS_LOST, SUPPLY, Chip, choice, signed24
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Generator
     from typing import Protocol
+
+    from .source import Steps
 
     class Spi(Protocol):
         """The used part of ``machine.SPI``."""
@@ -37,8 +40,6 @@ REFERENCES = {"internal": 0x00, "ref0": 0x40, "ref1": 0x80, "supply": 0xC0}
 RESET_US = 1000  # at least 50 us and 32 clocks
 OFFSET_READINGS = 8
 TEMPERATURE_EVERY_US = 10000000
-
-_RESET, _CONFIGURE, _OFFSET, _RUN = 0, 1, 2, 3
 
 
 class Ads1220(Chip):
@@ -70,27 +71,38 @@ class Ads1220(Chip):
         self._patience_us = 1000000 // rate * CONVERSIONS_LOST + RESET_US
         self.offset = 0
         self._three, self._four = bytearray(3), bytearray(4)
-        self._counts = [0] * channels
-        self._channel = self._left = self._sum = 0
-        self._warming = False  # the current conversion measures the temperature
-        self._temperature_us = 0
 
-    def poll(self, now_us: int) -> "tuple[int, ...] | None":
-        """Run one small step; return the counts of all channels after the last of them."""
-        if now_us < self._next_us:
-            return None
-        if self._state == _RESET:
-            self._command(bytes((RESET,)))
-            self._state, self._next_us = _CONFIGURE, now_us + RESET_US
-        elif self._state == _CONFIGURE:
-            self._configure(now_us)
-        elif self._drdy.value() == 0:
-            return self._take(now_us)
-        elif now_us > self._deadline_us:
-            self._again(now_us)
-        return None
+    def _run(self) -> "Steps":
+        self._command(bytes((RESET,)))
+        self._next_us = self._now_us + RESET_US
+        yield None
+        self._configure()
+        temperature_us, total = self._now_us, 0
+        for _ in range(OFFSET_READINGS):
+            total += yield from self._conversion(None)
+        self.offset = total // OFFSET_READINGS
+        counts, shown = [0] * self.channels, None
+        self._select(0)
+        while True:
+            for channel in range(self.channels):
+                if self.channels > 1:
+                    self._select(channel)
+                raw = yield from self._conversion(shown)
+                # A count at the end of the range is not corrected: subtracting the offset would hide the saturation.
+                inside = self.count_min < raw < self.count_max
+                counts[channel] = max(self.count_min, min(self.count_max, raw - self.offset)) if inside else raw
+                shown = None
+            shown = tuple(counts)
+            if self._now_us - temperature_us >= TEMPERATURE_EVERY_US:
+                temperature_us = self._now_us
+                self._command(bytes((WREG_1, self._reg1 | TEMPERATURE)))
+                raw = yield from self._conversion(shown)
+                self.temperature = (raw >> 10) * 25 // 8  # 0.03125 degC in steps of 0.01
+                self._command(bytes((WREG_1, self._reg1)))
+                shown = None
 
-    def _configure(self, now_us: int) -> None:
+    def _configure(self) -> None:
+        """Write the registers, with the inputs shorted, read them back, and let the chip convert."""
         wanted = bytes((MUX_SHORTED | self._reg0, self._reg1, self._reg2, 0))
         self._command(bytes((WREG_ALL,)) + wanted)
         self._cs.value(0)
@@ -98,48 +110,25 @@ class Ads1220(Chip):
         self._spi.readinto(self._four)
         self._cs.value(1)
         if bytes(self._four) != wanted:
-            self.faults |= SUPPLY  # the chip is missing, or without its supply
-            self._again(now_us)
-            return
+            self.faults |= SUPPLY
+            raise OSError("ADS1220: missing, or without its supply")
         self._command(bytes((START,)))
-        self._state, self._left, self._sum = _OFFSET, OFFSET_READINGS, 0
-        self._channel, self._warming, self._temperature_us = 0, False, now_us
-        self._deadline_us = now_us + self._patience_us
 
-    def _take(self, now_us: int) -> "tuple[int, ...] | None":
+    def _conversion(self, shown: "tuple[int, ...] | None") -> "Generator[tuple[int, ...] | None, None, int]":
+        """Yield what the step before shows, and None until a conversion is there; return it."""
+        deadline_us = self._now_us + self._patience_us
+        yield shown
+        while self._drdy.value():
+            if self._now_us > deadline_us:
+                raise OSError("ADS1220: no conversion")
+            yield None
         self._cs.value(0)
         self._spi.readinto(self._three)
         self._cs.value(1)
-        raw = signed24(self._three)
-        self._deadline_us = now_us + self._patience_us
-        if self._state == _OFFSET:
-            self._sum += raw
-            self._left -= 1
-            if not self._left:
-                self.offset = self._sum // OFFSET_READINGS
-                self._state = _RUN
-                self._select()
-            return None
-        if self._warming:
-            self.temperature = (raw >> 10) * 25 // 8  # 0.03125 degC in steps of 0.01
-            self._warming = False
-            self._command(bytes((WREG_1, self._reg1)))
-            return None
-        # A count at the end of the range is not corrected: subtracting the offset would hide the saturation.
-        inside = self.count_min < raw < self.count_max
-        self._counts[self._channel] = raw - self.offset if inside else raw
-        self._channel = (self._channel + 1) % self.channels
-        if self.channels > 1:
-            self._select()
-        if self._channel:
-            return None
-        if now_us - self._temperature_us >= TEMPERATURE_EVERY_US:
-            self._temperature_us, self._warming = now_us, True
-            self._command(bytes((WREG_1, self._reg1 | TEMPERATURE)))
-        return tuple([max(self.count_min, min(self.count_max, count)) for count in self._counts])
+        return signed24(int.from_bytes(self._three, "big"))
 
-    def _select(self) -> None:
-        self._command(bytes((WREG_0, MUX[self._channel] | self._reg0)))
+    def _select(self, channel: int) -> None:
+        self._command(bytes((WREG_0, MUX[channel] | self._reg0)))
 
     def _command(self, data: bytes) -> None:
         self._cs.value(0)

@@ -31,13 +31,10 @@ class PybCan(CanPort):
 
     def _next(self) -> "tuple[int, bytes] | None":
         while self._can.any(0):
-            message = self._can.recv(0, timeout=0)
-            # (id, rtr, filter, data); since MicroPython 1.19 (id, extended, rtr, filter, data).
-            if len(message) > 4 and message[1]:
+            can_id, extended, remote, _filter, data = self._can.recv(0, timeout=0)
+            if extended:
                 continue  # this node has no 29-bit identifiers
-            if message[-3]:
-                return message[0] | codes.REMOTE_FLAG, b""
-            return message[0], bytes(message[-1])
+            return (can_id | codes.REMOTE_FLAG, b"") if remote else (can_id, bytes(data))
         return None
 
     def _put(self, can_id: int, data: bytes) -> bool:

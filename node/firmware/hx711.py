@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from .ads1220 import Pin
+    from .source import Steps
 
 PULSES = {128: 25, 32: 26, 64: 27}
 SETTLING = 4  # conversions
@@ -27,6 +28,8 @@ class Hx711(Chip):
     Raises ValueError for a gain or a rate that the chip does not have.
     """
 
+    _retry_us = 0
+
     def __init__(
         self, dout: "Pin", sck: "Pin", gain: int = 128, rate: int = 80,
         lock: "Callable[[], int]" = lambda: 0, unlock: "Callable[[int], None]" = lambda _state: None,
@@ -36,32 +39,31 @@ class Hx711(Chip):
         self._dout, self._sck, self._lock, self._unlock = dout, sck, lock, unlock
         self._pulses = PULSES[gain]
         self.period_us = 1000000 // rate
-        self._three = bytearray(3)
-        self._left = SETTLING
-        self._asleep = True  # PD_SCK is set high first: a reset from any state of the chip
-        self._next_us = -1  # not begun
         self._sck.value(1)
 
-    def poll(self, now_us: int) -> "tuple[int, ...] | None":
-        """Return the counts of a finished conversion; a chip that is silent or out of step is reset."""
-        if self._next_us < 0:
-            self._next_us = now_us + RESET_US
-        if now_us < self._next_us:
-            return None
-        if self._asleep:
-            self._sck.value(0)
-            self._asleep = False
-            self._left = SETTLING
-            # The oscillator's error is up to a third, and the first conversion takes four periods.
-            self._deadline_us = now_us + 2 * SETTLING * self.period_us
-            return None
-        if self._dout.value():
-            if now_us > self._deadline_us:
-                self._reset(now_us)
-            return None
-        return self._take(now_us)
+    def _run(self) -> "Steps":
+        self._sck.value(1)  # a reset from any state of the chip
+        self._next_us = self._now_us + RESET_US
+        yield None
+        self._sck.value(0)
+        left, shown = SETTLING, None
+        # The oscillator's error is up to a third, and the first conversion takes four periods.
+        deadline_us = self._now_us + 2 * SETTLING * self.period_us
+        while True:
+            yield shown
+            shown = None
+            if self._dout.value():
+                if self._now_us > deadline_us:
+                    raise OSError("HX711: no conversion")
+                continue
+            count = self._take()
+            deadline_us = self._now_us + CONVERSIONS_LOST * self.period_us
+            if left:
+                left -= 1
+            else:
+                shown = (count,)
 
-    def _take(self, now_us: int) -> "tuple[int, ...] | None":
+    def _take(self) -> int:
         sck, dout = self._sck.value, self._dout.value
         value = 0
         state = self._lock()
@@ -76,16 +78,6 @@ class Hx711(Chip):
             sck(1)
             sck(0)
         self._unlock(state)
-        self._deadline_us = now_us + CONVERSIONS_LOST * self.period_us
         if not after:
-            self._reset(now_us)
-            return None
-        if self._left:
-            self._left -= 1
-            return None
-        self._three[0], self._three[1], self._three[2] = value >> 16, value >> 8 & 0xFF, value & 0xFF
-        return (signed24(self._three),)
-
-    def _reset(self, now_us: int) -> None:
-        self._sck.value(1)
-        self._asleep, self._next_us = True, now_us + RESET_US
+            raise OSError("HX711: out of step")
+        return signed24(value)

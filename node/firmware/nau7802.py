@@ -13,6 +13,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Protocol
 
+    from .source import Steps
+
     class I2C(Protocol):
         """The used part of ``machine.I2C``; an error on the bus is an OSError."""
 
@@ -31,8 +33,6 @@ LDO_MILLIVOLTS = (4500, 4200, 3900, 3600, 3300, 3000, 2700, 2400)  # by VLDO
 POWER_UP_US = 10000  # time-out of PUR
 REGULATOR_US = 250000  # settling time of the analogue supply
 CALIBRATION_US = 2000000  # time-out of CALS
-
-_RESET, _POWER_UP, _SETTLE, _CALIBRATE, _RUN = 0, 1, 2, 3, 4
 
 
 class Nau7802(Chip):
@@ -61,92 +61,70 @@ class Nau7802(Chip):
         self._conversion_us = 1000000 // rate
         self.period_us = self._conversion_us * (channels * (self._discard + 1) if channels > 1 else 1)
         self._byte, self._three = bytearray(1), bytearray(3)
-        self._counts = [0] * channels
-        self._channel = self._left = 0
 
-    def poll(self, now_us: int) -> "tuple[int, ...] | None":
-        """Run one small step; return the counts of all channels after the last of them."""
-        if now_us < self._next_us:
-            return None
-        try:
-            if self._state == _RUN:
-                return self._run(now_us)
-            self._start(now_us)
-        except OSError:  # no acknowledge, or the bus is blocked
-            self._again(now_us)
-        return None
+    def _run(self) -> "Steps":
+        yield from self._start()
+        counts, shown = [0] * self.channels, None
+        channel, left = 0, max(6, self._discard)
+        deadline_us = self._now_us + self._conversion_us * CONVERSIONS_LOST
+        while True:
+            yield shown
+            shown = None
+            power = self._read(PU_CTRL)
+            if power & (PUA | PUR) != PUA | PUR:
+                self.faults |= SUPPLY
+                raise OSError("NAU7802: it lost its power and its settings")
+            if not power & CR:
+                if self._now_us > deadline_us:
+                    raise OSError("NAU7802: no conversion")
+                continue
+            self._i2c.readfrom_mem_into(self._address, ADCO, self._three)  # clears CR
+            self._next_us = self._now_us + self._conversion_us // 2
+            deadline_us = self._now_us + self._conversion_us * CONVERSIONS_LOST
+            if left:
+                left -= 1
+                continue
+            counts[channel] = signed24(int.from_bytes(self._three, "big"))
+            if self.channels > 1:
+                channel, left = 1 - channel, self._discard
+                self._select(channel)
+            if not channel:
+                shown = tuple(counts)
 
-    def _start(self, now_us: int) -> None:
-        if self._state == _RESET:
-            self._write(PU_CTRL, RR)
-            self._write(PU_CTRL, PUD)
-            self._to(_POWER_UP, now_us + 200, now_us + POWER_UP_US)
-        elif self._state == _POWER_UP:
-            if self._read(PU_CTRL) & PUR:
-                self._write(CTRL1, self._ctrl1)
-                self._write(PU_CTRL, self._power)
-                self._write(ADC_CTRL, 0x30)
-                if self.channels == 1:
-                    self._write(PGA_POWER, 0x80)
-                self._to(_SETTLE, now_us + REGULATOR_US, 0)
-            elif now_us > self._deadline_us:
-                self.faults |= SUPPLY  # it responds, but does not power up
-                self._again(now_us)
-        elif self._state == _SETTLE:
-            self._begin_calibration(0, now_us)
-        else:
-            self._calibrate(now_us)
+    def _start(self) -> "Steps":
+        """Power the chip up, calibrate each channel, and let it convert."""
+        self._write(PU_CTRL, RR)
+        self._write(PU_CTRL, PUD)
+        self._next_us, deadline_us = self._now_us + 200, self._now_us + POWER_UP_US
+        yield None
+        while not self._read(PU_CTRL) & PUR:
+            if self._now_us > deadline_us:
+                self.faults |= SUPPLY
+                raise OSError("NAU7802: it responds, but does not power up")
+            yield None
+        self._write(CTRL1, self._ctrl1)
+        self._write(PU_CTRL, self._power)
+        self._write(ADC_CTRL, 0x30)
+        if self.channels == 1:
+            self._write(PGA_POWER, 0x80)
+        self._next_us = self._now_us + REGULATOR_US
+        yield None
+        for channel in range(self.channels):
+            self._select(channel, CALS)
+            ctrl2, deadline_us = CALS, self._now_us + CALIBRATION_US
+            while ctrl2 & CALS:
+                if self._now_us > deadline_us:
+                    raise OSError("NAU7802: the calibration does not end")
+                self._next_us = self._now_us + 1000
+                yield None
+                ctrl2 = self._read(CTRL2)
+            if ctrl2 & CAL_ERR:
+                raise OSError("NAU7802: the calibration failed")
+        self._select(0)
+        self._write(PU_CTRL, self._power)  # CS: starts the conversions
 
-    def _begin_calibration(self, channel: int, now_us: int) -> None:
-        self._channel = channel
-        self._write(CTRL2, self._ctrl2() | CALS)
-        self._to(_CALIBRATE, now_us + 1000, now_us + CALIBRATION_US)
-
-    def _calibrate(self, now_us: int) -> None:
-        ctrl2 = self._read(CTRL2)
-        if ctrl2 & CALS:
-            self._next_us = now_us + 1000
-            if now_us > self._deadline_us:
-                self._again(now_us)
-        elif ctrl2 & CAL_ERR:
-            self._again(now_us)
-        elif self._channel + 1 < self.channels:
-            self._begin_calibration(self._channel + 1, now_us)
-        else:
-            self._channel = 0
-            self._write(CTRL2, self._ctrl2())
-            self._write(PU_CTRL, self._power)  # CS: starts the conversions
-            self._left = 6 if self._discard < 6 else self._discard
-            self._to(_RUN, now_us, now_us + self._conversion_us * CONVERSIONS_LOST)
-
-    def _run(self, now_us: int) -> "tuple[int, ...] | None":
-        power = self._read(PU_CTRL)
-        if power & (PUA | PUR) != PUA | PUR:
-            self.faults |= SUPPLY  # it lost its power and its settings
-            self._again(now_us)
-            return None
-        if not power & CR:
-            if now_us > self._deadline_us:
-                self._again(now_us)
-            return None
-        self._i2c.readfrom_mem_into(self._address, ADCO, self._three)  # clears CR
-        self._next_us = now_us + self._conversion_us // 2
-        self._deadline_us = now_us + self._conversion_us * CONVERSIONS_LOST
-        if self._left:
-            self._left -= 1
-            return None
-        self._counts[self._channel] = signed24(self._three)
-        if self.channels > 1:
-            self._channel = 1 - self._channel
-            self._write(CTRL2, self._ctrl2())
-            self._left = self._discard
-        return None if self._channel else tuple(self._counts)
-
-    def _ctrl2(self) -> int:
-        return self._crs << 4 | self._channel << 7
-
-    def _to(self, state: int, next_us: int, deadline_us: int) -> None:
-        self._state, self._next_us, self._deadline_us = state, next_us, deadline_us
+    def _select(self, channel: int, calibrate: int = 0) -> None:
+        self._write(CTRL2, self._crs << 4 | channel << 7 | calibrate)
 
     def _read(self, register: int) -> int:
         self._i2c.readfrom_mem_into(self._address, register, self._byte)

@@ -5,26 +5,46 @@ from tipforce.fingertip.source import Reading, Source
 
 WIRE_BREAK_US = 1000000  # a gauge at an end of the range for this time has a broken wire
 CONVERSIONS_LOST = 4  # a chip without a conversion for so many periods is restarted
-RETRY_US = 20000  # after a chip that did not respond
 SUPPLY = 1 << table.FAULT_SUPPLY
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    Steps = Iterator[tuple[int, ...] | None]
 
 
 class Chip:
-    """A converter of 24 bits: ``period_us`` of a whole reading, ``faults`` of 2124h, ``temperature`` in 0.01 degC."""
+    """A converter of 24 bits: ``period_us`` of a whole reading, ``faults`` of 2124h, ``temperature`` in 0.01 degC.
+
+    A driver is the generator ``_run``: it resets the chip, and each ``yield`` ends a step, with the counts of all
+    channels or None. An OSError in it, also one of the bus, starts it again after ``_retry_us``.
+    """
 
     bits, count_min, count_max = 24, -0x800000, 0x7FFFFF
     channels = 1
     period_us = 0
     faults = 0
     temperature = table.UNKNOWN_I16
-    _state = _next_us = _deadline_us = 0  # state 0 resets the chip
+    _now_us = _next_us = 0  # of this step, and of the next one at the earliest
+    _retry_us = 20000
+    _steps: "Steps | None" = None
 
     def poll(self, now_us: int) -> "tuple[int, ...] | None":
         """Run one small step; return the counts of all channels if there are new ones."""
-        raise NotImplementedError
+        if now_us < self._next_us:
+            return None
+        self._now_us = now_us
+        try:
+            if self._steps is None:
+                self._steps = self._run()
+            return next(self._steps)
+        except OSError:
+            self._steps, self._next_us = None, now_us + self._retry_us
+        return None
 
-    def _again(self, now_us: int) -> None:
-        self._state, self._next_us = 0, now_us + RETRY_US
+    def _run(self) -> "Steps":
+        raise NotImplementedError
 
 
 class Gauges(Source):
@@ -37,7 +57,7 @@ class Gauges(Source):
     Raises ValueError without chips, or for chips of unequal ranges.
     """
 
-    def __init__(self, chips: "list[Chip]", counts_per_microstrain: float, wire_break_us: int = WIRE_BREAK_US) -> None:
+    def __init__(self, chips: "list[Chip]", counts_per_microstrain: float) -> None:
         if not chips:
             raise ValueError("chips: none")
         first = chips[0]
@@ -52,7 +72,6 @@ class Gauges(Source):
         self._wanted_us = self.conversion_us
         self._fresh: "list[tuple[int, ...] | None]" = [None] * len(chips)
         self._inside_us = [0] * self.n
-        self._wire_break_us = wire_break_us
 
     @property
     def period_us(self) -> int:
@@ -89,14 +108,13 @@ class Gauges(Source):
         for k, count in enumerate(counts):
             if self.count_min < count < self.count_max:
                 self._inside_us[k] = now_us
-            elif now_us - self._inside_us[k] >= self._wire_break_us:
+            elif now_us - self._inside_us[k] >= WIRE_BREAK_US:
                 faults |= 1 << table.FAULT_WIRE_BREAK
         return Reading(tuple(counts), faults, temperature)
 
 
-def signed24(data: "bytes | bytearray") -> int:
-    """Return three bytes, most significant first, as a two's complement number."""
-    value = data[0] << 16 | data[1] << 8 | data[2]
+def signed24(value: int) -> int:
+    """Return the two's complement number of 24 bits."""
     return value - 0x1000000 if value & 0x800000 else value
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import struct
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -14,11 +13,9 @@ from canopen_device import types
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table, table_objects
 from tipforce.dictionary.entries import Array, Entry, entries, gauges_of, objects
-from tipforce.dictionary.generate import constant_name
 from tipforce.errors import InputError
 
 ALL = [(n, simulated) for n in range(3, 9) for simulated in (False, True)]
-CONSTANTS: dict[str, Any] = {k: v for k, v in vars(od).items() if isinstance(v, Entry | Array)}
 INTEGERS = [t for t in types.TYPES.values() if t.limits is not None and t.letter != "?"]
 
 
@@ -106,17 +103,6 @@ def test_a_product_code_states_the_gauges(simulated: bool, converter: table.Conv
     assert [gauges_of(table.product_code(n, simulated, converter)) for n in range(3, 9)] == [3, 4, 5, 6, 7, 8]
     assert [gauges_of(table.product_code(n, simulated, converter)) for n in (0, 2, 9, 15)] == [0, 0, 0, 0]
     assert gauges_of(table.product_code(3, simulated, converter) | 1 << 10) == 0
-
-
-def test_constants_agree_with_the_table() -> None:
-    rows = [row for row in entries(3, True, True).values() if constant_name(row.stem) in CONSTANTS]
-    assert {constant_name(row.stem) for row in rows} == set(CONSTANTS)
-    for row in rows:
-        constant = CONSTANTS[constant_name(row.stem)]
-        assert isinstance(constant, Array) == row.is_counted, row.name
-        entry = constant[row.sub] if row.is_counted else constant
-        expected = (row.index, row.sub, row.type, row.name, row.access, row.unit)
-        assert (entry.index, entry.sub, entry.type, entry.name, entry.access, entry.unit) == expected
 
 
 def test_typed_use() -> None:
@@ -226,6 +212,7 @@ def test_a_string_from_the_wire_is_never_refused_a_wrong_length_is() -> None:
 def test_parse_value(letter: str, text: str, value: types.Value) -> None:
     assert types.parse_value(letter, text) == value
     assert str(types.parse_value("f", "NaN")) == "nan"
+    assert (types.format_value("D", b"\xde\xad"), types.format_value("f", 180.0)) == ("DE AD", "180.0")
 
 
 @pytest.mark.parametrize(
@@ -244,13 +231,3 @@ def test_words_of_cia_309_3() -> None:
         types.letter_of_word("word")
     with pytest.raises(InputError, match="allowed are"):
         types.data_type("Z")
-
-
-def test_format_value() -> None:
-    for letter, value, text in (
-        ("f", 3276.7, "3276.7"),
-        ("f", 180.0, "180.0"),
-        ("D", b"\xde\xad", "DE AD"),
-        ("h", -3, "-3"),
-    ):
-        assert types.format_value(letter, value) == text

@@ -28,18 +28,6 @@ SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148
 F = forces(PUSH)
 
 
-def test_channels_of_three_gauges() -> None:
-    talk = finger(load=PUSH)
-    expected = [*(100.0 * f for f in forces(PUSH)), *forces(PUSH), *PUSH]
-    tolerance = [0.051] * 3 + [0.51e-3] * 3 + [0.6e-3, 0.05, 0.1]  # half a count, and what it makes of the angles
-    for found, wanted, within in zip(talk.channels(), expected, tolerance, strict=True):
-        assert found == pytest.approx(wanted, abs=within)
-    units = [talk.get("I", 0x6131, sub) for sub in range(1, 10)]
-    assert units == [0xFA010100] * 3 + [0x00210000] * 4 + [0x00410000] * 2
-    assert [talk.get("B", 0x6132, sub) for sub in range(1, 10)] == [1, 1, 1, 3, 3, 3, 3, 2, 2]
-    assert [talk.get("H", 0x6110, sub) for sub in range(1, 10)] == [70] * 3 + [10001] * 3 + [10002, 10003, 10003]
-
-
 def test_two_point_scaling_and_offset() -> None:
     talk = finger(calibrated=False, load=(1.0, 90.0, 0.0))  # 1000 counts on gauges 1 and 2
     for index, value in ((0x6120, 100.0), (0x6121, -50.0), (0x6122, 600.0), (0x6123, 200.0), (0x6124, 7.0)):
@@ -60,19 +48,6 @@ def test_scaling_points_that_differ_less_than_real32_tells_are_equal() -> None:
     assert talk.put("I", 0x1010, 1, SAVE) == 0
     talk.say("> 000#8105\n< 705#00")
     assert finger(store=store, calibrated=False).get("f", 0x6120, 1) == 0.0
-
-
-def test_settings_are_the_same_after_a_restart() -> None:
-    store = MemoryStore()
-    talk = finger(store=store)
-    for sub in (1, 2, 3):
-        assert talk.put("i", 0x9124, sub, 123456789 + sub) == 0
-    assert talk.put("f", 0x6123, 1, 1234.5) == talk.put("I", 0x6114, 1, 250) == 0
-    assert talk.put("I", 0x1010, 3, SAVE) == 0
-    before = [talk.upload(index, sub) for index in (0x6123, 0x6124, 0x7124, 0x9124) for sub in (1, 2, 3)]
-    again = finger(store=store, calibrated=False)
-    assert [again.upload(index, sub) for index in (0x6123, 0x6124, 0x7124, 0x9124) for sub in (1, 2, 3)] == before
-    assert again.source.period_us == 250
 
 
 def test_flat_scaling_never_raises() -> None:
@@ -172,7 +147,7 @@ def test_identity_and_number_of_channels(n: int) -> None:
     for index, highest in ((0x6130, n + 6), (0x7100, n), (0x6125, n), (0x6139, n + 1), (0x2100, 3 * n), (0x2101, n)):
         assert talk.get("B", index, 0) == highest
     values = talk.channels(n)
-    assert values[:n] == pytest.approx(gauges(n), abs=0.051)
+    assert values[:n] == pytest.approx(gauges(n), abs=0.051)  # half a count, and what it makes of the angles
     assert values[n:] == pytest.approx([*F, *PUSH], rel=5e-3, abs=1e-3)
     assert talk.get("B", 0x2120) == CALIBRATED | CONTACT
 
@@ -273,22 +248,6 @@ def test_node_gives_its_own_eds(eds: bytes) -> None:
 
 def test_three_gauges_have_four_tpdos_and_a_node_without_room_for_its_eds_no_object_of_it() -> None:
     assert {finger().upload(*place) for place in ((0x1021, 0), (0x1022, 0), (0x1804, 1), (0x1A04, 1))} == {0x06020000}
-
-
-@pytest.mark.parametrize("n", [5, 8])
-def test_saturated_gauge_among_many(n: int) -> None:
-    talk = finger(n, load=PUSH)
-    talk.source.offset_microstrain[n - 1] = -5000.0
-    sent = talk.frames()
-    assert sent[0x285][6] & SATURATED
-    assert talk.get("h", 0x7130, n) == -32767
-    assert talk.get("B", 0x6150, n) == 5
-    assert talk.get("H", 0x2124) == 1 << n - 1
-    assert struct.unpack("<hhh", sent[0x285][:6]) == (
-        pytest.approx(1000, abs=3),
-        pytest.approx(17500, abs=20),
-        pytest.approx(1000, abs=40),
-    )
 
 
 def test_force_goes_on_while_the_gauges_left_have_rank_3() -> None:

@@ -234,21 +234,13 @@ def test_order_of_refusals(talk: Finger) -> None:
     assert talk.calibration() == (record(C=DOUBLED), binascii.crc32(record(C=DOUBLED)), 2)
 
 
-def test_lock_is_not_stored_and_outlasts_a_reset() -> None:
-    store = MemoryStore()
-    talk = finger(store=store)
-    assert talk.put("B", 0x2105, 2, 1) == 0
-    assert talk.put("I", 0x1010, 1, SAVE) == 0
-    talk.say("> 000#8105\n< 705#00")
-    assert talk.get("B", 0x2105, 2) == 1  # until a power cycle
-    assert finger(store=store, calibrated=False).get("B", 0x2105, 2) == 0
-
-
 def test_node_never_calibrated_has_zeros() -> None:
     talk = finger(calibrated=False)
     assert talk.calibration() == (bytes(158), 0, 0)
     assert talk.commit() == CRC  # the expected CRC is still 0, that of 158 zero bytes is not
-    assert not talk.sync().status & 0x02
+    assert talk.sync().status == 0
+    assert talk.get("H", 0x2123) == 0xFFFF
+    assert all(math.isnan(talk.get("f", 0x2107, sub)) for sub in (1, 2, 3))
 
 
 def read(talk: Finger) -> list[float]:

@@ -107,17 +107,6 @@ def test_theta_unresolved_hides_theta_alone() -> None:
     assert pdos.contact[2] == UNKNOWN
 
 
-def test_uncalibrated_node_shows_gauges_alone() -> None:
-    talk = finger(calibrated=False, load=PUSH)
-    pdos = talk.sync()
-    assert pdos.status == 0
-    assert pdos.contact == (UNKNOWN,) * 3
-    assert UNKNOWN not in pdos.gauges
-    assert all(math.isnan(value) for value in talk.channels()[3:])
-    assert talk.get("H", 0x2123) == 0xFFFF
-    assert all(math.isnan(talk.get("f", 0x2107, sub)) for sub in (1, 2, 3))
-
-
 def test_contact_has_a_hysteresis() -> None:
     talk = finger()
     present = []

@@ -68,14 +68,13 @@ class FakeMachineCan(FakeBus):
 
 
 class FakePybCan(FakeBus):
-    """``pyb.CAN``: ``old`` gives tuples of four, as MicroPython did before 1.19."""
+    """``pyb.CAN`` as its documentation describes it."""
 
     NORMAL, MASK16 = 0, 1
     ERROR_ACTIVE, ERROR_WARNING, ERROR_PASSIVE, BUS_OFF = 1, 2, 3, 4
 
-    def __init__(self, old: bool = False) -> None:
+    def __init__(self) -> None:
         FakeBus.__init__(self)
-        self._old = old
         self._takes: "list[bool]" = []
         self.pending = 0
 
@@ -99,10 +98,7 @@ class FakePybCan(FakeBus):
         """(id, extended, rtr, filter, data)."""
         assert (fifo, timeout) == (0, 0)
         can_id, data = self.coming.pop(0)
-        rtr, extended = bool(can_id & 0x40000000), bool(can_id & 0x80000000)
-        if self._old:
-            return can_id & 0x1FFFFFFF, rtr, 0, data
-        return can_id & 0x1FFFFFFF, extended, rtr, 0, data
+        return can_id & 0x1FFFFFFF, bool(can_id & 0x80000000), bool(can_id & 0x40000000), 0, data
 
     def info(self, into: "list[int]") -> "list[int]":
         """TEC, REC, warnings, passives, offs, pending to send, pending in FIFO 0 and 1."""

@@ -9,7 +9,6 @@ from firmware.app import Clock, Firmware
 from firmware.can_machine import MachineCan
 from firmware.can_mcp2515 import Mcp2515, bit_timing
 from firmware.can_port import QUEUE
-from firmware.can_pyb import PybCan
 from firmware.source import Gauges
 from microcontroller import fake_controllers, fakes, rig
 from tipforce_loader.flash import FlashStore
@@ -55,14 +54,6 @@ def test_pyb_sends_one_at_a_time() -> None:
     bus.pending = 0
     port.receive()
     assert bus.sent == [(1, b"")]
-
-
-def test_pyb_of_old_firmware() -> None:
-    bus = fake_controllers.FakePybCan(old=True)
-    port = PybCan(bus, 250000)
-    bus.coming += [(0x123, b"\1"), (0x40000705, b"")]
-    assert port.receive() == [(0x123, b"\1"), (0x40000705, b"")]
-    assert bus.bit_rates == [250000]
 
 
 def test_a_full_queue_is_told(pair: tuple[Any, Any]) -> None:

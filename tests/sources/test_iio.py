@@ -1,8 +1,9 @@
 """Kernel ADCs (Industrial I/O): configuration, single readings, and the buffer of a trigger."""
 
+import contextlib
 import logging
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.calibration import Active
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources import iio_sysfs
-from tipforce.sources.iio import IioSource, Part
+from tipforce.sources.iio import IioSource
 from tipforce.sources.iio_buffer import (
     BufferedDevice,
     TimestampError,
@@ -47,11 +48,11 @@ def three(tree: Tree) -> Tree:
     return tree
 
 
-def polled(tree: Tree) -> list[Part]:
+def polled(tree: Tree) -> list[PolledDevice]:
     return [PolledDevice(device, iio_sysfs.voltage_channels(device.path)) for device in iio_sysfs.devices(tree.root)]
 
 
-def source(parts: list[Part], gauges: int = 3, **options: object) -> IioSource:
+def source(parts: list[PolledDevice], gauges: int = 3, **options: object) -> IioSource:
     return IioSource(parts, gauges, CONVERTER, ENDS, clock=lambda: 0, **options)  # type: ignore[arg-type]
 
 
@@ -129,7 +130,7 @@ def test_scale_of_a_channel_of_its_kind_or_none(tree: Tree) -> None:
         0.5, 0.25, 0.125,
     ]  # fmt: skip
     assert [iio_sysfs.attribute(path, name, "offset") for name in ("voltage0", "voltage1")] == [None, -2048.0]
-    assert iio_sysfs.millivolts(path, "voltage1") == (2 - 2048) * 0.25
+    assert PolledDevice(iio_sysfs.find("a", tree.root), ["voltage1"]).quantity("voltage1") == (2 - 2048) * 0.25
     (path / "in_voltage_scale").write_text("x\n")
     with pytest.raises(OSError, match="holds no number"):
         iio_sysfs.attribute(path, "voltage0", "scale")
@@ -145,10 +146,7 @@ def test_scale_of_a_channel_of_its_kind_or_none(tree: Tree) -> None:
     ],
 )
 def test_temperature_in_hundredths_of_a_degree(tree: Tree, files: dict[str, str], hundredths: int) -> None:
-    path = tree.add(0, "a", {"voltage": 1}, **files)
-    channel = iio_sysfs.temperature_channel(path)
-    assert channel is not None
-    assert iio_sysfs.temperature(path, channel) == hundredths
+    tree.add(0, "a", {"voltage": 1}, **files)
     assert PolledDevice(iio_sysfs.find("a", tree.root), ["voltage"]).temperature() == hundredths
 
 
@@ -181,7 +179,7 @@ def test_a_slow_read_does_not_pile_up_in_a_filter(three: Tree) -> None:
             now[0] += 3000
             return super().read(now_us)
 
-    parts: list[Part] = [Slow(device, ["voltage"]) for device in iio_sysfs.devices(three.root)]
+    parts: list[PolledDevice] = [Slow(device, ["voltage"]) for device in iio_sysfs.devices(three.root)]
     device = fingertip_node(5, IioSource(parts, 3, CONVERTER, ENDS, clock=lambda: now[0]))
     for index in (0x61A0, 0x61A1):
         assert device.od.writers[index](1, 4) == 0 or index == 0x61A0
@@ -355,13 +353,21 @@ class Capture:
         scan = struct.pack(">ii", first << 8, last << 8)
         return scan + (struct.pack("<q", 1000 * stamp_us) if self.stamped else b"")
 
+    def source(self) -> IioSource:
+        return IioSource([self.device], 2, (24, 1.0), (-(1 << 23), (1 << 23) - 1), clock=lambda: 0)
+
     def close(self) -> None:
         self.device.close()
         self.writer.close()
 
 
-def test_a_capture_is_set_up_as_the_kernel_wants_it(tree: Tree) -> None:
-    capture = Capture(tree)
+@pytest.fixture
+def capture(tree: Tree) -> Iterator[Capture]:
+    with contextlib.closing(Capture(tree)) as capture:
+        yield capture
+
+
+def test_a_capture_is_set_up_as_the_kernel_wants_it(capture: Capture) -> None:
     names = ("voltage0", "voltage1", "voltage2", "timestamp")
     assert [capture.text(f"scan_elements/in_{name}_en") for name in names] == ["1", "0", "1", "1"]
     assert capture.text("current_timestamp_clock") == "monotonic"
@@ -371,8 +377,7 @@ def test_a_capture_is_set_up_as_the_kernel_wants_it(tree: Tree) -> None:
     assert capture.text("buffer/enable") == "0"
 
 
-def test_scans_come_once_each_and_not_before_their_time(tree: Tree) -> None:
-    capture = Capture(tree)
+def test_scans_come_once_each_and_not_before_their_time(capture: Capture) -> None:
     assert capture.device.read(10_000) is None
     whole = b"".join(capture.put(1000 * k, -k, k) for k in range(1, 6))
     capture.writer.write(whole[:40])  # two scans and a half
@@ -381,7 +386,6 @@ def test_scans_come_once_each_and_not_before_their_time(tree: Tree) -> None:
     capture.writer.write(whole[40:])
     assert capture.device.read(4000) == (4, -4)
     assert capture.device.read(9000) == (5, -5)
-    capture.close()
 
 
 def test_without_time_stamps_the_newest_scan_counts(tree: Tree) -> None:
@@ -391,9 +395,8 @@ def test_without_time_stamps_the_newest_scan_counts(tree: Tree) -> None:
     capture.close()
 
 
-def test_time_stamps_that_do_not_increase_are_frozen(tree: Tree) -> None:
-    capture = Capture(tree)
-    found = IioSource([capture.device], 2, (24, 1.0), (-(1 << 23), (1 << 23) - 1), clock=lambda: 0)
+def test_time_stamps_that_do_not_increase_are_frozen(capture: Capture) -> None:
+    found = capture.source()
     capture.writer.write(capture.put(1000, 1, 2))
     assert found.read(1_000_000) is not None
     for stamp_us in (1000, 1000, 900):
@@ -407,12 +410,10 @@ def test_time_stamps_that_do_not_increase_are_frozen(tree: Tree) -> None:
     assert (reading.counts, reading.faults, found.faults) == ((6, 5), 0, 0)
     with pytest.raises(TimestampError):
         capture.device._take(capture.put(901, 0, 0))
-    capture.close()
 
 
-def test_a_buffer_that_falls_silent_is_no_data_within_100_ms(tree: Tree) -> None:
-    capture = Capture(tree)
-    found = IioSource([capture.device], 2, (24, 1.0), (-(1 << 23), (1 << 23) - 1), clock=lambda: 0)
+def test_a_buffer_that_falls_silent_is_no_data_within_100_ms(capture: Capture) -> None:
+    found = capture.source()
     capture.writer.write(capture.put(1000, 1, 2))
     assert found.read(1_000_000) is not None
     assert (found.read(1_080_000), found.faults) == (None, 0)
@@ -420,12 +421,12 @@ def test_a_buffer_that_falls_silent_is_no_data_within_100_ms(tree: Tree) -> None
     capture.writer.write(capture.put(2000, 1, 2))
     assert found.read(1_101_000) is not None
     assert found.faults == 0
-    capture.close()
 
 
-def test_a_buffer_whose_device_is_pulled_out_and_comes_back(tree: Tree, caplog: pytest.LogCaptureFixture) -> None:
-    capture = Capture(tree)
-    found = IioSource([capture.device], 2, (24, 1.0), (-(1 << 23), (1 << 23) - 1), clock=lambda: 0)
+def test_a_buffer_whose_device_is_pulled_out_and_comes_back(
+    capture: Capture, tree: Tree, caplog: pytest.LogCaptureFixture
+) -> None:
+    found = capture.source()
     capture.writer.write(capture.put(1000, 1, 2))
     assert found.read(1_000_000) is not None
     tree.remove(0)
@@ -441,7 +442,6 @@ def test_a_buffer_whose_device_is_pulled_out_and_comes_back(tree: Tree, caplog: 
     assert reading.counts == (8, 7)
     assert (path / "buffer/enable").read_text() == "1"
     assert [entry.levelno for entry in caplog.records] == [logging.WARNING] * 2
-    capture.close()
 
 
 def test_a_device_without_a_buffer_says_so(tree: Tree) -> None:

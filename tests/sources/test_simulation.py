@@ -121,25 +121,6 @@ def test_drift_grows_with_time() -> None:
     assert talk.sync().gauges == (0, 0, 0)
 
 
-def test_applied_load_is_written_by_sdo() -> None:
-    talk = finger()
-    for sub, value in enumerate((2.5, -165.0, 20.0), 1):
-        assert talk.put("f", 0x2201, sub, value) == 0
-        assert talk.get("f", 0x2201, sub) == value
-    P, phi, theta = talk.sync().contact
-    assert pytest.approx(2500, abs=2) == P
-    assert phi == pytest.approx(-16500, abs=5)
-    assert theta == pytest.approx(2000, abs=10)
-
-
-@pytest.mark.parametrize(
-    ("kind", "sub", "value", "code"),
-    [("H", 1, 6, 0x06090031), ("B", 2, 0, 0x06090032), ("B", 2, 4, 0x06090031), ("f", 3, math.nan, 0x06090030)],
-)
-def test_simulation_has_limits(kind: str, sub: int, value: float, code: int) -> None:
-    assert finger().put(kind, 0x2200, sub, value) == code
-
-
 def test_the_load_that_the_source_has_is_read_back() -> None:
     """Also one that did not come over SDO: `tipforce node --load`."""
     talk = finger()
@@ -166,12 +147,6 @@ class Bare(Source):
     def read(self, now_us: int) -> Reading | None:
         del now_us
         return self.next
-
-
-def test_real_node_has_no_simulation_objects_and_another_product_code() -> None:
-    device = fingertip_node(5, Bare())
-    assert device.od.upload(0x2200, 1) == device.od.upload(0x2201, 1) == 0x06020000
-    assert device.od.integer(0x1018, 2) == 0x54500003
 
 
 def test_supply_fault_reported_by_the_front_end() -> None:
@@ -205,12 +180,6 @@ def test_equal_readings_that_are_not_in_a_row_freeze_nothing() -> None:
 def test_node_id_out_of_range(node_id: int) -> None:
     with pytest.raises(ValueError, match="allowed 1 to 127"):
         fingertip_node(node_id, Bare())
-
-
-@pytest.mark.parametrize("n", [2, 9])
-def test_number_of_gauges_out_of_range(n: int) -> None:
-    with pytest.raises(ValueError, match="allowed 3 to 8"):
-        fingertip_node(5, Bare(), n)
 
 
 def replay(times_us: list[int], **options: object) -> ReplaySource:

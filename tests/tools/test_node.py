@@ -283,8 +283,10 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
     up[0] = False
     assert (source.read(1_200_000), source.faults) == (None, 1 << 8)
     up[0] = True
+    board.channels[1].attrs["raw"] = _Attribute("?")  # what is no number does not end the node
+    assert (source.read(1_300_500), source.faults) == (None, 1 << 8)
     board.channels[1].attrs["raw"] = _Attribute("11")
-    reading = source.read(1_400_000)
+    reading = source.read(1_500_000)
     assert reading is not None
     assert (reading.counts, source.faults) == ((0, 11, 20), 0)
     up[0] = False

@@ -16,7 +16,6 @@ from tipforce.errors import InputError
 MAX_BITS = 64
 FIRST_OBJECT = communication.FIRST  # below are the data types: mapped, they are gaps (CiA 301, 7.4.7, dummy mapping)
 
-_FORCE_SCALE = 0.001  # N; also of 2123h
 _UNCERTAINTIES = (("u_P", "N"), ("u_phi", "degree"), ("u_theta", "degree"))
 
 
@@ -150,7 +149,7 @@ def _measurement(entry: Entry[Any], start: int, n: int) -> Signal | None:
     if entry.index == indices.TEMPERATURE:
         return _scaled(entry, start, "temperature", 0.01, "degC", "temperature of the fingertip")
     if entry.index == indices.U_P:
-        return _scaled(entry, start, "u_P", _FORCE_SCALE, "N", "standard uncertainty of P")
+        return _scaled(entry, start, "u_P", 0.001, "N", "standard uncertainty of P")
     return None
 
 
@@ -158,25 +157,20 @@ def _scaled(
     entry: Entry[Any], start: int, name: str, scale: float, unit: str, what: str, limit: float | None = None
 ) -> Signal:
     kind = types.data_type(entry.type)
-    bits = 8 * _size(entry)
-    if kind.python is float:
-        low, high = (0.0, 3.4e38) if entry.index == indices.UNCERTAINTY else (-3.4e38, 3.4e38)
+    if kind.limits is None:  # REAL32
+        low, high = (0.0 if entry.index == indices.UNCERTAINTY else -3.4e38), 3.4e38
         scale, unknown, note = 1.0, None, "NaN means unknown"
-    elif kind.letter in "hi":
-        top = (1 << bits - 1) - 1
-        low, high, unknown = -top * scale, top * scale, -top - 1
-        note = f"raw {unknown} means unknown"
     else:
-        top = (1 << bits) - 1
-        low, high, unknown = 0.0, (top - 1) * scale, top
+        least, top = kind.limits
+        unknown = least or top
+        low, high = (-top * scale, top * scale) if least else (0.0, (top - 1) * scale)
         note = f"raw {unknown} means unknown"
     if limit is not None:
         low, high = -limit, limit
-    text = f"{what}, in {unit}; {note}"
-    signed = kind.letter in "hif"
+    text, signed = f"{what}, in {unit}; {note}", kind.letter in "hif"
     low, high = (float(f"{value:.10g}") for value in (low, high))  # 3276.7000000000003, of a product, becomes 3276.7
     return Signal(
-        name, start, bits, signed, round(scale, 9), unit, low, high, unknown, text, entry.index, entry.sub,
+        name, start, 8 * _size(entry), signed, round(scale, 9), unit, low, high, unknown, text, entry.index, entry.sub,
         kind.python is float,
     )  # fmt: skip
 

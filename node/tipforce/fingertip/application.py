@@ -43,17 +43,8 @@ class Fingertip(Application):
         self.filtering: "Filtering | None" = None
         self.calibration = Calibration(device.od, n)
         self.channels = Channels(device.od, n, self)
-        self._tare = NO_TARE
-        self._tared_us = 0
-        self._counter = 0
-        self._read_us = 0
-        self._equal: "list[int]" = []  # equal readings in a row by gauge; empty for none
-        self.frozen = 0  # bit k: the reading of gauge k + 1 stands still
-        self._latches_by_sync_until_us = 0  # until this time only SYNCs latch
-        self._synced_us = -LONGEST_INTERVAL_US
-        self._waiting_faults = 0
-        self._waiting: "Reading | None" = None  # read for a tare or zero; the next latch has not taken it yet
-        self.sample = Sample(None, self.channels.scaling, None)
+        self._tared_us = self._counter = self._waiting_faults = 0
+        self._forget(0)
         self.interrupts = Interrupts(device, self.channels.exact)
         self.reports = Reports(device)
         device.application = self
@@ -73,6 +64,16 @@ class Fingertip(Application):
         tara = table.SIGNATURE_TARA
         writers[indices.AUTOTARE] = lambda _sub, value: self.tare() if value == tara else codes.NOT_TRANSFERRED
 
+    def _forget(self, now_us: int) -> None:
+        self._tare = NO_TARE
+        self._read_us = now_us
+        self._equal: "list[int]" = []  # equal readings in a row by gauge; empty for none
+        self.frozen = 0  # bit k: the reading of gauge k + 1 stands still
+        self._latches_by_sync_until_us = 0  # until this time only SYNCs latch
+        self._synced_us = -LONGEST_INTERVAL_US
+        self._waiting: "Reading | None" = None  # read for a tare or zero; the next latch has not taken it yet
+        self.sample = Sample(None, self.channels.scaling, self.calibration.active)
+
     # --- the device calls these -----------------------------------------------------------------------------
 
     def on_reset(self, now_us: int) -> None:
@@ -81,15 +82,8 @@ class Fingertip(Application):
         self.channels.one_filter()
         self.source.reset(self.device)
         self.device.od.values[indices.COMMAND << 8] = 0
-        self._tare = NO_TARE
-        self._latches_by_sync_until_us = 0
-        self._synced_us = -LONGEST_INTERVAL_US
-        self._waiting = None
-        self._read_us = now_us
-        self._equal = []
-        self.frozen = 0
+        self._forget(now_us)
         self.load_filter()
-        self.sample = Sample(None, self.channels.scaling, self.calibration.active)
         self.reports.reset()
         if "calibration" in self.device.storage.damaged or self.calibration.refused:
             self.device.emcy.raise_error(table.EMCY_CALIBRATION_INVALID, emcy.MANUFACTURER)
@@ -200,8 +194,7 @@ class Fingertip(Application):
             faults = faults & ~no_data | (no_data if self._silent(now_us) else 0) | self.source.faults
         return Sample(
             reading, self.channels.scaling, self.calibration.active, self._tare, self.sample.present(), faults, stale,
-            0, now_us, self.frozen, filtered, self.ends, self.sample.overloaded,
-            self.channels.spans,
+            now_us, self.frozen, filtered, self.ends, self.sample.overloaded, self.channels.spans,
         )  # fmt: skip
 
     def _newest(self) -> Sample:

@@ -15,13 +15,14 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from canopen_device.core.object_dictionary import ObjectDictionary, Value
 
+    Force = tuple[float, float, float]
     Covariance = tuple[float, float, float, float, float, float]
     Solver = tuple[list[list[float]], Covariance]
     # rows and columns of scalar_redundancy, what chi-square must exceed for an alarm, and what excludes a gauge
     Check = tuple[list[list[float]], list[list[float] | None], float, float]
 
 
-_MOST_SOLVERS = 12  # kept for gauges left out: memory stays bounded whatever gauges do
+_MOST_LEFT = 12  # kept for gauges left out: memory stays bounded whatever gauges do
 
 
 class Active:
@@ -30,12 +31,6 @@ class Active:
     ``forces``, ``range_degC`` and ``model`` are 2112h; ``converter`` 2113h and ``per_kelvin`` 2114h, None where all
     are zero; ``gain_per_kelvin`` 2115h; ``redundancy`` 2116h. ``checked``: a sample has something to be judged by.
     """
-
-    __slots__ = (
-        "C", "_checks", "checked", "compensated", "converter", "forces", "gain_per_kelvin", "limits", "model", "noise",
-        "offsets", "per_kelvin", "pull", "range_degC", "record", "redundancy", "reference_degC",
-        "solvers",
-    )  # fmt: skip
 
     def __init__(self, record: bytes, values: "list[float]", n: int) -> None:
         self.record = record
@@ -56,23 +51,27 @@ class Active:
         self.compensated = self.per_kelvin is not None or self.gain_per_kelvin != 0.0  # by temperature
         known = any(self.forces) or any(self.range_degC) or self.compensated
         self.checked = known or self.model > 0.0 or (n > 3 and self.redundancy > 0.0)
-        self._checks: "dict[int, Check | None]" = {}
-        self.solvers: "dict[int, Solver | None]" = {0: (self.C, _propagate(self.C, self.noise, n))}
+        self.left: "dict[int, tuple[Solver | None, Check | None]]" = {}  # of ``without``
 
-    def check(self, lost: int) -> "Check | None":
-        """What judges the gauges that are left without those of the bit mask ``lost``; None where nothing can.
+    def without(self, lost: int) -> "tuple[Solver | None, Check | None]":
+        """What solves and what judges the gauges that are left without those of mask ``lost``; None where nothing can.
 
-        2116h is for n - 3 degrees of freedom: with fewer gauges the limit of the same false-alarm rate holds.
+        A solver is (matrix, covariance of F in N^2). 2116h is for n - 3 degrees of freedom: with fewer gauges the
+        limit of the same false-alarm rate holds.
         """
-        if lost not in self._checks:
-            if len(self._checks) >= _MOST_SOLVERS:
-                self._checks.clear()
-            self._checks[lost] = self._find_check(lost)
-        return self._checks[lost]
+        if lost not in self.left:
+            if len(self.left) >= _MOST_LEFT:
+                self.left.clear()
+            n = len(self.offsets)
+            solver = None if lost else (self.C, _propagate(self.C, self.noise, n))
+            if lost and n > 3:
+                from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
 
-    def _find_check(self, lost: int) -> "Check | None":
-        n = len(self.offsets)
-        kept = [k for k in range(n) if not lost >> k & 1]
+                solver = scalar_redundancy.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
+            self.left[lost] = solver, self._check([k for k in range(n) if not lost >> k & 1], n)
+        return self.left[lost]
+
+    def _check(self, kept: "list[int]", n: int) -> "Check | None":
         if not self.redundancy > 0.0 or len(kept) < 4:
             return None
         from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
@@ -84,35 +83,29 @@ class Active:
         exclusion = scalar_redundancy.same_rate(self.redundancy, n - 3, len(W) - 1)
         return W, scalar_redundancy.columns(W, self.noise), alarm, exclusion
 
-    def solver(self, lost: int) -> "Solver | None":
-        """(matrix, covariance of F in N^2) without the gauges of mask ``lost``; None where the rest has no rank 3."""
-        if lost not in self.solvers:
-            if len(self.solvers) >= _MOST_SOLVERS:
-                self.solvers = {0: self.solvers[0]}
-            solver = None
-            n = len(self.offsets)
-            if n > 3:
-                from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
+    def strains(self, microstrains: "list[float]", kelvin: float) -> "list[float]":
+        """Gauge strain with the offset taken off, and what so many kelvin from the reference add to it."""
+        free = [1e-6 * m - o for m, o in zip(microstrains, self.offsets)]  # noqa: B905 (not in MicroPython)
+        if self.per_kelvin is not None and kelvin != 0.0:
+            free = [v - kelvin * c for v, c in zip(free, self.per_kelvin)]  # noqa: B905
+        return free
 
-                solver = scalar_redundancy.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
-            self.solvers[lost] = solver
-        return self.solvers[lost]
-
-    def force(self, matrix: "list[list[float]]", microstrains: "list[float]") -> "tuple[float, float, float]":
-        """F1, F2, F3 in newtons before any tare: F = C (V - offset), V the gauge strain."""
-        if len(microstrains) == 3:  # the same sums, in half the time
+    def force(self, matrix: "list[list[float]]", microstrains: "list[float]", kelvin: float = 0.0) -> "Force":
+        """F1, F2, F3 in newtons before any tare: F = C (V - offset), V the gauge strain, compensated for ``kelvin``."""
+        if len(microstrains) == 3 and kelvin == 0.0:  # the same sums, in half the time
             (a1, a2, a3), (b1, b2, b3), (c1, c2, c3) = matrix
             o1, o2, o3 = self.offsets
             v1, v2, v3 = 1e-6 * microstrains[0] - o1, 1e-6 * microstrains[1] - o2, 1e-6 * microstrains[2] - o3
             F1, F2 = 0.0 + a1 * v1 + a2 * v2 + a3 * v3, 0.0 + b1 * v1 + b2 * v2 + b3 * v3
             return F1, F2, 0.0 + c1 * v1 + c2 * v2 + c3 * v3
         F1 = F2 = F3 = 0.0
-        for m, o, c1, c2, c3 in zip(microstrains, self.offsets, matrix[0], matrix[1], matrix[2]):  # noqa: B905
-            v = 1e-6 * m - o
+        V, (row1, row2, row3) = self.strains(microstrains, kelvin), matrix
+        for v, c1, c2, c3 in zip(V, row1, row2, row3):  # noqa: B905
             F1 += c1 * v
             F2 += c2 * v
             F3 += c3 * v
-        return F1, F2, F3
+        gain = 1.0 + self.gain_per_kelvin * kelvin
+        return F1 / gain, F2 / gain, F3 / gain
 
 
 def _propagate(C: "list[list[float]]", noise: "list[float]", n: int) -> "Covariance":
@@ -160,8 +153,6 @@ def _is_covariance(full: "list[list[float]]") -> bool:
 
 class Calibration:
     """Staged and active record of one node, and the objects that show them."""
-
-    __slots__ = ("_generation", "_keys", "_letters", "_locked", "_n", "_od", "active", "packing", "refused")
 
     def __init__(self, od: "ObjectDictionary", n: int) -> None:
         self._od = od

@@ -62,12 +62,10 @@ class Channels:
                 self._integer(self.exact(sub), sub, h, u)
             )
         od.views = self._read_view, self._write_view
-        for index in _SCALING:
-            od.writers[index] = lambda sub, value, i=index: self._write_scaling(i, sub, value)  # type: ignore[misc]
+        for index in _SCALING + _SPAN:
+            od.writers[index] = self._writer(index, self.load)
         for index in _INTERRUPTS:
             od.writers[index] = self._writer(index, fingertip.on_settings)
-        for index in _SPAN:
-            od.writers[index] = self._writer(index, self.load)
         od.writers[indices.SAMPLE_PERIOD_US] = self._write_period
         od.writers[indices.AUTOZERO] = lambda sub, value: (
             fingertip.zero([sub - 1]) if value == table.SIGNATURE_ZERO else codes.NOT_TRANSFERRED
@@ -218,19 +216,12 @@ class Channels:
         self.load()
         return 0
 
-    def _write_scaling(self, index: int, sub: int, value: "Value") -> int:
-        before = self._od.values[index << 8 | sub]
-        self._od.values[index << 8 | sub] = value
-        field_1, field_2 = [self._od.values[field << 8 | sub] for field in _FIELD_SETTINGS]
-        if field_1 == field_2:
-            # Two scaling points at one field value make no line.
-            self._od.values[index << 8 | sub] = before
-            return codes.INVALID_VALUE
-        self.load()
-        return 0
-
     def _writer(self, index: int, apply: "Callable[[], None]") -> "Callable[[int, Value], int]":
+        other = _FIELD_SETTINGS[index == _FIELD_SETTINGS[0]]
+
         def write(sub: int, value: "Value") -> int:
+            if index in _FIELD_SETTINGS and value == self._od.values[other << 8 | sub]:
+                return codes.INVALID_VALUE  # two scaling points at one field value make no line
             self._od.values[index << 8 | sub] = value
             apply()
             return 0

@@ -16,18 +16,14 @@ if TYPE_CHECKING:
 MOVING_AVERAGE, REPEATING_AVERAGE, FIRST_ORDER = 1, 2, 100  # 61A0h
 LONGEST_WINDOW = 256  # of a moving average, the one filter that keeps values: 8 gauges take 8 kB then
 GAP_US = 100000  # conversions so long past are no longer what an average of now is made of
-_FRACTION_BITS = 8  # of the first-order filter's state: it is exact to 1/256 count
-_ONE = 1 << _FRACTION_BITS
+_ONE = 256  # of the first-order filter's state, which is exact to 1/256 count
 
 
 class Average:
     """What the filters share: sums of ``n`` gauges, and how many conversions are in them."""
 
-    __slots__ = ("_constant", "_filled", "_n", "_sums")
-
     def __init__(self, n: int, constant: int) -> None:
-        self._n = n
-        self._constant = constant
+        self._n, self._constant = n, constant
         self.restart()
 
     def restart(self) -> None:
@@ -35,11 +31,13 @@ class Average:
         self._sums = [0] * self._n
         self._filled = 0
 
+    def output(self) -> "list[float] | None":
+        """The mean of each gauge in counts; None while there is none."""
+        return [total / self._filled for total in self._sums] if self._filled else None
+
 
 class MovingAverage(Average):
     """The mean of the last ``constant`` conversions; of as many as there are, while they are fewer."""
-
-    __slots__ = ("_at", "_ring")
 
     def __init__(self, n: int, constant: int) -> None:
         Average.__init__(self, n, constant)
@@ -58,15 +56,9 @@ class MovingAverage(Average):
         self._at = (self._at + 1) % self._constant
         return True
 
-    def output(self) -> "list[float] | None":
-        """The mean of each gauge in counts; None while there is none."""
-        return [total / self._filled for total in self._sums] if self._filled else None
-
 
 class RepeatingAverage(Average):
     """The mean of ``constant`` conversions, then of the next ``constant``: one output for so many conversions."""
-
-    __slots__ = ("_mean",)
 
     def restart(self) -> None:
         """Forget all conversions, and the last output."""
@@ -80,9 +72,8 @@ class RepeatingAverage(Average):
         self._filled += 1
         if self._filled < self._constant:
             return False
-        self._mean = [total / self._constant for total in self._sums]
-        self._sums = [0] * self._n
-        self._filled = 0
+        self._mean = Average.output(self)
+        Average.restart(self)
         return True
 
     def output(self) -> "list[float] | None":
@@ -97,19 +88,13 @@ class FirstOrder(Average):
     settles exactly on a constant input, and lies within 1/256 count of the real-valued filter.
     """
 
-    __slots__ = ()
-
     def push(self, counts: "Sequence[int]") -> bool:
         """Take a conversion; True when there is a new output."""
-        states = self._sums
-        if self._filled < self._constant:
-            # A mean's sum is already the state with which the filter goes on.
+        full = self._filled == self._constant
+        if not full:
             self._filled += 1
-            for k in range(self._n):
-                states[k] += counts[k] * _ONE
-        else:
-            for k in range(self._n):
-                states[k] += counts[k] * _ONE - states[k] // self._constant
+        for k, state in enumerate(self._sums):  # a mean's sum is already the state with which the filter goes on
+            self._sums[k] = state + counts[k] * _ONE - (state // self._constant if full else 0)
         return True
 
     def output(self) -> "list[float] | None":
@@ -136,8 +121,6 @@ class Filtering:
     the front end show in the sample at once, as without a filter; when one of them goes away, the filter begins anew.
     So it does after ``GAP_US`` without a conversion.
     """
-
-    __slots__ = ("_bad", "_fingertip", "_put_us", "algorithm", "due_us", "faults", "fresh", "reading")
 
     def __init__(self, fingertip: "Fingertip", kind: int, constant: int, now_us: int) -> None:
         self._fingertip = fingertip

@@ -23,69 +23,67 @@ _OVERLOAD = 1 << table.FAULT_OVERLOAD
 class Judgement:
     """One sample judged. ``bits``: of 2124h, 12 to 15; ``left_out``: the bit of the gauge that contradicts the others;
     ``solver`` and ``force``: matrix and covariance without it, and F1, F2, F3 in newtons before any tare; both None
-    where the gauges left have no rank 3, or contradict each other; ``strains``: offsets and temperature taken off.
+    where the gauges left have no rank 3, or contradict each other.
     """
 
     __slots__ = (
-        "_active", "_extra", "_faults", "_kelvin", "_lost", "bits", "force", "left_out", "solver", "strains",
+        "_active", "_extra", "_faults", "_kelvin", "_known_kelvin", "_lost", "_microstrains", "bits", "force",
+        "left_out", "solver",
     )  # fmt: skip
 
     def __init__(
         self, active: "Active", microstrains: "list[float]", lost: int, temperature_degC: float, overloaded: bool
     ) -> None:
         """``microstrains`` as 6130h, ``lost`` the gauges left out already, ``temperature_degC``: NaN where unknown."""
-        self._active = active
+        self._active, self._microstrains = active, microstrains
         self.bits = self.left_out = 0
         self.force: "tuple[float, float, float] | None" = None
-        known_kelvin, self._kelvin, outside = difference(active, temperature_degC)
+        self._known_kelvin, self._kelvin, outside = difference(active, temperature_degC)
         if outside:
             self.bits = _TEMPERATURE
-        self.strains = strains(active, microstrains, known_kelvin)
         self._lost = lost
         self._faults: "list[tuple[float, float]]" = []
         self._extra: "list[float] | None" = None
-        self.solver = active.solver(lost)
+        self.solver, check = active.left.get(lost) or active.without(lost)
         if self.solver is None:
             return
-        if active.redundancy > 0.0 and len(self.strains) > 3:
-            self._judge_gauges(lost)
+        if check is not None:
+            self._judge_gauges(check)
         if self.solver is not None:
-            self._judge_force(overloaded, known_kelvin)
+            self._judge_force(overloaded)
 
-    def _judge_gauges(self, lost: int) -> None:
+    @property
+    def strains(self) -> "list[float]":
+        """Of the gauges, offsets and temperature taken off."""
+        return self._active.strains(self._microstrains, self._known_kelvin)
+
+    def _judge_gauges(self, check: "Check") -> None:
         """Set bit 12 where the gauges contradict each other, and leave out the one that explains it."""
         active = self._active
-        check = active.check(lost)
-        if check is None:
-            return
-        model = active.model
+        model, strains = active.model, self.strains
         if model > 0.0:
-            self._extra = [(model * s) * (model * s) for s in self.strains]
-        bits, faults = _judged(check, self.strains, self._extra)
+            self._extra = [(model * s) * (model * s) for s in strains]
+        bits, faults = _judged(check, strains, self._extra)
         if bits < 0:
             self._faults = faults
             return
         self.bits |= _CONTRADICTION
         # One bit alone; of four gauges the three that would be left cannot be checked.
         gauge = bits if bits & (bits - 1) == 0 and len(check[0]) > 1 else 0
-        rest = active.check(lost | gauge) if gauge else None
-        solver = None if rest is None else active.solver(lost | gauge)
+        solver, rest = active.without(self._lost | gauge) if gauge else (None, None)
         if solver is not None and rest is not None:
-            bits, faults = _judged(rest, self.strains, self._extra)
-            if bits >= 0:
-                solver = None
+            bits, faults = _judged(rest, strains, self._extra)
+        if rest is None or bits >= 0:
+            solver = None
         self.solver = solver
         if solver is not None:
             self.left_out = gauge
             self._faults = faults
 
-    def _judge_force(self, overloaded: bool, known_kelvin: float) -> None:
-        active, solver = self._active, self.solver
-        assert solver is not None
-        f1, f2, f3 = [dot(row, self.strains) for row in solver[0]]
-        gain = 1.0 + active.gain_per_kelvin * known_kelvin
-        self.force = f1 / gain, f2 / gain, f3 / gain
-        calibrated, overload = active.forces
+    def _judge_force(self, overloaded: bool) -> None:
+        assert self.solver is not None
+        self.force = self._active.force(self.solver[0], self._microstrains, self._known_kelvin)
+        calibrated, overload = self._active.forces
         if calibrated > 0.0 or overload > 0.0:
             P = magnitude(self.force)
             if calibrated > 0.0 and P > calibrated:
@@ -98,26 +96,30 @@ class Judgement:
         active, solver, force = self._active, self.solver, self.force
         if solver is None or force is None:
             return (scalar.NAN,) * 6
-        matrix, covariance = solver
-        model = active.model
+        matrix, (k11, k12, k13, k22, k23, k33) = solver
+        model, parts = active.model, []  # vectors F, of each F F^T is added
         if model > 0.0:
             if self.bits & _BEYOND:  # what is not linear grows with the force, relative to it
                 model *= magnitude(force) / active.forces[0]
-            for k in range(len(self.strains)):
-                size = model * self.strains[k]
-                covariance = _with(covariance, size * matrix[0][k], size * matrix[1][k], size * matrix[2][k])
+            row1, row2, row3 = matrix
+            parts = [
+                (model * v * a, model * v * b, model * v * c)
+                for v, a, b, c in zip(self.strains, row1, row2, row3)  # noqa: B905
+            ]
         if self._kelvin > 0.0:
             moved = [active.gain_per_kelvin * f for f in force]
             if active.per_kelvin is not None:
                 moved = [m + dot(row, active.per_kelvin) for m, row in zip(moved, matrix)]  # noqa: B905
-            covariance = _with(covariance, self._kelvin * moved[0], self._kelvin * moved[1], self._kelvin * moved[2])
+            parts.append((self._kelvin * moved[0], self._kelvin * moved[1], self._kelvin * moved[2]))
+        for f1, f2, f3 in parts:
+            k11, k12, k13 = k11 + f1 * f1, k12 + f1 * f2, k13 + f1 * f3
+            k22, k23, k33 = k22 + f2 * f2, k23 + f2 * f3, k33 + f3 * f3
         if self._faults:
             from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
 
-            k11, k12, k13, k22, k23, k33 = covariance
             d11, d12, d13, d22, d23, d33 = scalar_redundancy.doubt(matrix, active.noise, self._faults)
-            covariance = k11 + d11, k12 + d12, k13 + d13, k22 + d22, k23 + d23, k33 + d33
-        return covariance
+            return k11 + d11, k12 + d12, k13 + d13, k22 + d22, k23 + d23, k33 + d33
+        return k11, k12, k13, k22, k23, k33
 
 
 def difference(active: "Active", temperature_degC: float) -> "tuple[float, float, bool]":
@@ -141,14 +143,6 @@ def difference(active: "Active", temperature_degC: float) -> "tuple[float, float
     return 0.0, sqrt((a * a + a * b + b * b) / 3.0), True
 
 
-def strains(active: "Active", microstrains: "list[float]", kelvin: float) -> "list[float]":
-    """Gauge strain with the offset and what temperature adds to it taken off."""
-    free = [1e-6 * m - o for m, o in zip(microstrains, active.offsets)]  # noqa: B905 (not in MicroPython)
-    if active.per_kelvin is not None and kelvin != 0.0:
-        free = [v - kelvin * c for v, c in zip(free, active.per_kelvin)]  # noqa: B905
-    return free
-
-
 def magnitude(force: "tuple[float, float, float]") -> float:
     """P as ``scalar.contact`` gives it, without the angles."""
     f1, f2, f3 = force
@@ -162,9 +156,3 @@ def _judged(check: "Check", V: "list[float]", extra: "list[float] | None") -> "t
     W, shown, alarm, exclusion = check
     _chi_square, bits, faults = scalar_redundancy.judge(W, shown, V, extra, alarm, exclusion)
     return bits, faults
-
-
-def _with(cov: "Covariance", f1: float, f2: float, f3: float) -> "Covariance":
-    """The covariance, upper triangle, with f f^T added."""
-    k11, k12, k13, k22, k23, k33 = cov
-    return k11 + f1 * f1, k12 + f1 * f2, k13 + f1 * f3, k22 + f2 * f2, k23 + f2 * f3, k33 + f3 * f3

@@ -30,8 +30,6 @@ class Interrupts:
     known or unknown.
     """
 
-    __slots__ = ("_device", "_sent", "_value", "_zones", "watched")
-
     def __init__(self, device: "Device", value: "Callable[[int], float]") -> None:
         self._device = device
         self._value = value
@@ -85,17 +83,17 @@ COLDEST, HOTTEST = -2000, 8000  # 0.01 degC; outside, glue and coefficients of t
 HOLD_US = 100000  # a contradiction ends when none was seen for so long: at its limit it comes and goes with the noise
 FAULTS_PERIOD_US = 10000  # between two TPDOs that a change of 2124h sends
 _CONTRADICTION = 1 << table.FAULT_CONTRADICTION
+_GAUGES_TEMPERATURE = 16  # in place of a bit of 2124h
 _BY_BIT = {
     table.FAULT_CONTRADICTION: (table.EMCY_FRONT_END, emcy.PROFILE),
     table.FAULT_TEMPERATURE: (table.EMCY_TEMPERATURE, emcy.TEMPERATURE),
     table.FAULT_OVERLOAD: (table.EMCY_OVERLOAD, emcy.PROFILE),
+    _GAUGES_TEMPERATURE: (table.EMCY_TEMPERATURE, emcy.TEMPERATURE),
 }
 
 
 class Reports:
     """EMCY and event-driven TPDOs of one node; ``counter`` is 2126h."""
-
-    __slots__ = ("_contradicted_us", "_device", "_is_out_of_range", "_next_us", "_raised", "counter")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
@@ -109,7 +107,6 @@ class Reports:
         self._raised: "dict[int, tuple[int, int]]" = {}  # bit of 2124h -> (code, detail) of its EMCY
         self._contradicted_us = -HOLD_US
         self._next_us = 0
-        self._is_out_of_range = False  # the temperature
 
     def changed(self) -> None:
         """What is sent, or what it means, is another thing now: count, and say so before the first PDO of it."""
@@ -118,29 +115,25 @@ class Reports:
 
     def sampled(self, sample: "Sample", before: int) -> None:
         """A sample was latched; ``before`` is 2124h of the one before."""
-        if sample.faults or self._raised:
-            self._report(sample)
+        faults, reading = sample.faults, sample.reading
+        if reading is None or reading.temperature == table.UNKNOWN_I16:
+            out_of_range = _GAUGES_TEMPERATURE in self._raised  # as it was
+        else:
+            out_of_range = not COLDEST <= reading.temperature <= HOTTEST
+        if out_of_range:
+            faults |= 1 << _GAUGES_TEMPERATURE
+        if faults or self._raised:
+            self._report(sample, faults)
         if sample.faults != before:
             self._request_faults()
-        reading = sample.reading
-        if reading is None or reading.temperature == table.UNKNOWN_I16:
-            return
-        is_out_of_range = not COLDEST <= reading.temperature <= HOTTEST
-        if is_out_of_range == self._is_out_of_range:
-            return
-        self._is_out_of_range = is_out_of_range
-        if is_out_of_range:
-            self._device.emcy.raise_error(table.EMCY_TEMPERATURE, emcy.TEMPERATURE)
-        else:
-            self._device.emcy.cure(table.EMCY_TEMPERATURE)
 
-    def _report(self, sample: "Sample") -> None:
-        now_us, faults = self._device.now_us, sample.faults
+    def _report(self, sample: "Sample", faults: int) -> None:
+        now_us = self._device.now_us
         if faults & _CONTRADICTION:
             self._contradicted_us = now_us
         held = now_us - self._contradicted_us < HOLD_US
         left = 0 if sample.judgement is None else sample.judgement.left_out
-        for bit in range(16):
+        for bit in range(_GAUGES_TEMPERATURE + 1):
             raised = self._raised.get(bit)
             error = _error(bit, sample) if faults >> bit & 1 else None
             if error is None and held and raised is not None and not left:
@@ -180,4 +173,4 @@ def _error(bit: int, sample: "Sample") -> "tuple[int, int] | None":
         return table.EMCY_FRONT_END, why << 8 | bit + 1
     if bit == table.FAULT_BEYOND_CALIBRATED:
         return None
-    return (_BY_BIT[bit][0] if bit in _BY_BIT else table.EMCY_FRONT_END), bit
+    return (_BY_BIT[bit][0] if bit in _BY_BIT else table.EMCY_FRONT_END), bit % _GAUGES_TEMPERATURE

@@ -5,8 +5,6 @@ from canopen_device.core.object_dictionary import real32
 from tipforce.dictionary import table
 from tipforce.sensor.contact import scalar
 
-from .source import Source
-
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +15,6 @@ if TYPE_CHECKING:
 
 NAN = float("nan")
 NO_TARE = (0.0, 0.0, 0.0)
-_ENDS = Source.count_min, Source.count_max
 # Faults that cost one gauge, which is left out where it can be spared: frozen, and a broken wire at the range's end.
 _OF_ONE_GAUGE = 1 << table.FAULT_FROZEN | 1 << table.FAULT_WIRE_BREAK
 _FRONT_END = 1 << table.FAULT_NO_DATA | 1 << table.FAULT_FROZEN | 1 << table.FAULT_WIRE_BREAK | 1 << table.FAULT_SUPPLY
@@ -51,11 +48,11 @@ class Sample:
     def __init__(
         self, reading: "Reading | None", scaling: "list[tuple[float, float]]", active: "Active | None",
         tare: "tuple[float, float, float]" = NO_TARE, was_present: bool = False, faults: int = 0, stale: bool = False,
-        counter: int = 0, latched_us: int = -NEVER_US, frozen: int = 0, filtered: "list[float] | None" = None,
-        ends: "tuple[int, int]" = _ENDS, was_overloaded: bool = False, spans: "Sequence[tuple[float, float]]" = (),
+        latched_us: int = -NEVER_US, frozen: int = 0, filtered: "list[float] | None" = None,
+        ends: "tuple[int, int]" = (0, 0), was_overloaded: bool = False, spans: "Sequence[tuple[float, float]]" = (),
     ) -> None:  # fmt: skip
         self.reading, self.active, self.tare = reading, active, tare
-        self.stale, self.counter, self.latched_us = stale, counter, latched_us
+        self.stale, self.counter, self.latched_us = stale, 0, latched_us
         self._was_present = was_present
         self._force: "tuple[float, float, float] | None"
         self._contact: "tuple[float, float, float, float] | None"
@@ -92,7 +89,7 @@ class Sample:
                     self.overloads[k] = self.overloads[k] or outside(self.microstrains[k], start, end)
             faults |= self._saturated()
         self.lost |= faults & _GAUGES
-        self.solver = None if active is None else active.solvers.get(self.lost) or active.solver(self.lost)
+        self.solver = None if active is None else (active.left.get(self.lost) or active.without(self.lost))[0]
         self.judgement: "Judgement | None" = None
         if active is not None and active.checked and reading is not None and not faults & _ALL_GAUGES:
             from .judgement import Judgement  # a calibration of which nothing is known does without

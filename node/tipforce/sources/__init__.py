@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from tipforce.sources.front_end import FrontEnd as FrontEnd
     from tipforce.sources.front_end import OneOverFNoise as OneOverFNoise
     from tipforce.sources.front_end import Temperature as Temperature
-    from tipforce.sources.front_end import WhiteNoise as WhiteNoise
     from tipforce.sources.iio import IioSource as IioSource
     from tipforce.sources.replay import ReplaySource as ReplaySource
     from tipforce.sources.simulated import SimulatedSource as SimulatedSource

@@ -14,14 +14,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from random import Random
-    from typing import Protocol
 
-    class Part(Protocol):
-        """One part of the chain: change the signal of all gauges."""
-
-        def apply(self, microstrains: list[float], now_us: int) -> None:
-            """Change ``microstrains``, one value per gauge, in place."""
-
+    Part = Callable[[list[float], int], None]  # one part of the chain: changes the microstrain of all gauges in place
     Trajectory = float | Sequence[tuple[float, float]] | Callable[[float], float]
 
 
@@ -59,7 +53,7 @@ class Bridge:
         self.volts_per_microstrain = 1e-6 * gauge_factor * _ARMS[kind] * excitation_volts
 
     def apply(self, microstrains: "list[float]", _now_us: int) -> None:
-        """Return the strain that a quarter bridge measures; below -1/k (no resistance left) the lower limit."""
+        """The strain that a quarter bridge measures; below -1/k (no resistance left) the lower limit."""
         half = 0.5e-6 * self.gauge_factor
         for k in range(len(microstrains)):
             loss = 1.0 + half * microstrains[k]
@@ -102,49 +96,43 @@ class Temperature:
         return round(hundredths) if -32767.5 < hundredths < 32767.5 else _UNKNOWN_TEMPERATURE
 
 
-class ApparentStrain:
-    """Apparent strain of the gauges by temperature: microstrain per degC away from 23 degC, for each gauge."""
+def _apparent_strain(temperature: Temperature, microstrain_per_degC: "float | Sequence[float]") -> "Part":
+    """Apparent strain: per degC away from 23 degC. Raises ValueError for another number of gauges than of values."""
+    given = microstrain_per_degC
+    each = None if isinstance(given, (int, float)) else [_check("apparent_strain", value) for value in given]
+    same = 0.0 if each is not None else _check("apparent_strain", given)  # type: ignore[arg-type]
 
-    def __init__(self, temperature: Temperature, microstrain_per_degC: "float | Sequence[float]") -> None:
-        self._temperature = temperature
-        given = microstrain_per_degC
-        self._one = _check("apparent_strain", given) if isinstance(given, (int, float)) else None
-        self._each = [] if isinstance(given, (int, float)) else [_check("apparent_strain", value) for value in given]
-
-    def apply(self, microstrains: "list[float]", now_us: int) -> None:
-        """Add the apparent strain. Raises ValueError if the number of values is not the number of gauges."""
-        away = self._temperature.degrees(now_us) - REFERENCE_DEGC
-        if self._one is None and len(self._each) != len(microstrains):
-            raise ValueError("apparent_strain: %d numbers for %d gauges" % (len(self._each), len(microstrains)))
+    def apply(microstrains: "list[float]", now_us: int) -> None:
+        away = temperature.degrees(now_us) - REFERENCE_DEGC
+        if each is not None and len(each) != len(microstrains):
+            raise ValueError("apparent_strain: %d numbers for %d gauges" % (len(each), len(microstrains)))
         for k in range(len(microstrains)):
-            microstrains[k] += away * (self._each[k] if self._one is None else self._one)
+            microstrains[k] += away * (same if each is None else each[k])
+
+    return apply
 
 
-class GainDrift:
+def _gain_drift(temperature: Temperature, ppm_per_degC: float) -> "Part":
     """An amplifier whose gain drifts by this many parts per million per degC away from 23 degC."""
+    per_degC = 1e-6 * _check("gain_drift_ppm", ppm_per_degC)
 
-    def __init__(self, temperature: Temperature, ppm_per_degC: float) -> None:
-        self._temperature = temperature
-        self._per_degC = 1e-6 * _check("gain_drift_ppm", ppm_per_degC)
-
-    def apply(self, microstrains: "list[float]", now_us: int) -> None:
-        """Multiply by the gain relative to the gain at 23 degC."""
-        gain = 1.0 + self._per_degC * (self._temperature.degrees(now_us) - REFERENCE_DEGC)
+    def apply(microstrains: "list[float]", now_us: int) -> None:
+        gain = 1.0 + per_degC * (temperature.degrees(now_us) - REFERENCE_DEGC)
         for k in range(len(microstrains)):
             microstrains[k] *= gain
 
+    return apply
 
-class WhiteNoise:
+
+def _white_noise(microstrain: float, random: "Random") -> "Part":
     """White noise, independent for each conversion, normal with this standard deviation in microstrain."""
+    sigma = _check("white_noise", microstrain, 0.0)
 
-    def __init__(self, microstrain: float, random: "Random") -> None:
-        self._sigma = _check("white_noise", microstrain, 0.0)
-        self._random = random
-
-    def apply(self, microstrains: "list[float]", _now_us: int) -> None:
-        """Add the noise."""
+    def apply(microstrains: "list[float]", _now_us: int) -> None:
         for k in range(len(microstrains)):
-            microstrains[k] += self._random.gauss(0.0, self._sigma)
+            microstrains[k] += random.gauss(0.0, sigma)
+
+    return apply
 
 
 class OneOverFNoise:
@@ -208,18 +196,12 @@ class FrontEnd:
     """
 
     def __init__(
-        self,
-        bits: int = 16,
-        bridge: "Bridge | None" = None,
-        gain: "float | None" = None,
-        reference_volts: "float | None" = None,
-        temperature: "Trajectory | None" = None,
-        apparent_strain: "float | Sequence[float] | None" = None,
-        gain_drift_ppm: "float | None" = None,
-        white_noise: "float | None" = None,
-        one_over_f: "float | tuple[float, float, float] | None" = None,
+        self, bits: int = 16, bridge: "Bridge | None" = None, gain: "float | None" = None,
+        reference_volts: "float | None" = None, temperature: "Trajectory | None" = None,
+        apparent_strain: "float | Sequence[float] | None" = None, gain_drift_ppm: "float | None" = None,
+        white_noise: "float | None" = None, one_over_f: "float | tuple[float, float, float] | None" = None,
         seed: int = 0,
-    ) -> None:
+    ) -> None:  # fmt: skip
         if bits not in BITS:
             raise ValueError("bits: %r, allowed 16 and 24" % bits)
         self.count_max, self.count_min = (1 << bits - 1) - 1, -(1 << bits - 1)
@@ -227,21 +209,21 @@ class FrontEnd:
         self.temperature = None if temperature is None else Temperature(temperature)
         self.parts: "list[Part]" = []
         if apparent_strain is not None:
-            self.parts.append(ApparentStrain(self._needed("apparent_strain"), apparent_strain))
+            self.parts.append(_apparent_strain(self._needed("apparent_strain"), apparent_strain))
         if bridge is not None and bridge.kind == QUARTER:
-            self.parts.append(bridge)
+            self.parts.append(bridge.apply)
         if gain_drift_ppm is not None:
-            self.parts.append(GainDrift(self._needed("gain_drift_ppm"), gain_drift_ppm))
+            self.parts.append(_gain_drift(self._needed("gain_drift_ppm"), gain_drift_ppm))
         if white_noise is None and one_over_f is None:
             return
         import random  # imported only if there is noise
 
         chance = random.Random(seed)
         if white_noise is not None:
-            self.parts.append(WhiteNoise(white_noise, chance))
+            self.parts.append(_white_noise(white_noise, chance))
         if one_over_f is not None:
             given = (one_over_f,) if isinstance(one_over_f, (int, float)) else one_over_f
-            self.parts.append(OneOverFNoise(given[0], chance, *given[1:]))
+            self.parts.append(OneOverFNoise(given[0], chance, *given[1:]).apply)
 
     def _needed(self, name: str) -> Temperature:
         if self.temperature is None:
@@ -251,7 +233,7 @@ class FrontEnd:
     def counts(self, microstrains: "list[float]", now_us: int) -> "list[int]":
         """Return the counts of one conversion. Changes ``microstrains``, one per gauge."""
         for part in self.parts:
-            part.apply(microstrains, now_us)
+            part(microstrains, now_us)
         per_microstrain = self.converter[1]
         return [convert(m * per_microstrain, self.count_min, self.count_max) for m in microstrains]
 

@@ -15,14 +15,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from canopen_device.running.loop import now_us
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.source import Reading, Source
 from tipforce.sources.iio_buffer import TimestampError
-from tipforce.sources.iio_sysfs import UNKNOWN_TEMPERATURE, hundredths_degC
+from tipforce.sources.iio_sysfs import UNKNOWN_TEMPERATURE, PolledDevice
 
 _LOG = logging.getLogger(__name__)
 WATCH_US = 40_000  # between two checks if no SYNC takes samples
@@ -32,26 +32,6 @@ WIRE_BREAK_US = 1_000_000  # a gauge at an end of the range for this time has a 
 TEMPERATURE_US = 1_000_000
 NO_DATA, FROZEN = 1 << table.FAULT_NO_DATA, 1 << table.FAULT_FROZEN
 WIRE_BREAK, SUPPLY = 1 << table.FAULT_WIRE_BREAK, 1 << table.FAULT_SUPPLY
-
-
-class Part(Protocol):
-    """One device with some of the gauges."""
-
-    polled: bool
-    """True if ``read`` starts the conversion, False if the device converts on its own."""
-    name: str
-
-    def read(self, now_us: int) -> tuple[int, ...] | None:
-        """Return new counts of its channels, or None. Raises OSError."""
-
-    def reopen(self) -> None:
-        """Open a lost device again. Raises OSError while it is lost."""
-
-    def temperature(self) -> int:
-        """Return the temperature in 0.01 degC, or -0x8000."""
-
-    def close(self) -> None:
-        """Release the device."""
 
 
 class IioSource(Source):
@@ -66,7 +46,7 @@ class IioSource(Source):
 
     def __init__(
         self,
-        parts: Sequence[Part],
+        parts: Sequence[PolledDevice],
         gauges: int,
         converter: table.Converter,
         ends: tuple[int, int],
@@ -194,16 +174,13 @@ class IioSource(Source):
 TIMEOUT_MS = 50
 
 
-class RemoteDevice:
+class RemoteDevice(PolledDevice):
     """Channels of one device of a remote context. Raises EnvironmentLackError without pylibiio or a response."""
-
-    polled = True
 
     def __init__(self, uri: str, device: str, channels: Sequence[str]) -> None:
         self.name = f"{uri}/{device}"
         self._uri, self._device, self.channels = uri, device, tuple(channels)
-        self._open: list[Any] = []
-        self._temperature: Any = None
+        self._inputs: dict[str, Any] = {}
         try:
             self._connect()
         except OSError as error:
@@ -236,35 +213,24 @@ class RemoteDevice:
         missing = [name for name in names if name not in inputs]
         if missing or not names:
             raise InputError(f"iio {self.name}: no channel {missing or 'voltage'}; allowed: {', '.join(inputs)}")
-        self.channels = names
-        self._open = [inputs[name] for name in names]
-        self._temperature = next((inputs[name] for name in sorted(inputs) if name.startswith("temp")), None)
+        self._inputs, self.channels = inputs, names
+        self._temperature = next((name for name in sorted(inputs) if name.startswith("temp")), None)
 
     def read(self, _now_us: int) -> tuple[int, ...] | None:
-        """Return the counts of all channels. Raises OSError."""
-        return tuple([int(channel.attrs["raw"].value) for channel in self._open])
-
-    def attribute(self, k: int, name: str) -> float | None:
-        """Return ``scale`` or ``offset`` of channel ``k``; None if there is none. Raises OSError."""
-        attrs = self._open[k].attrs
-        return float(attrs[name].value) if name in attrs else None
-
-    def temperature(self) -> int:
-        """Return the temperature in 0.01 degC, or unknown."""
-        if self._temperature is None:
-            return UNKNOWN_TEMPERATURE
-        attrs = self._temperature.attrs
+        """Return the counts of all channels. Raises OSError, also for a value that is no number."""
         try:
-            if "input" in attrs:
-                thousandths = float(attrs["input"].value)
-            else:
-                scale = float(attrs["scale"].value) if "scale" in attrs else 1.0
-                offset = float(attrs["offset"].value) if "offset" in attrs else 0.0
-                thousandths = (float(attrs["raw"].value) + offset) * scale
-        except (OSError, ValueError):
-            return UNKNOWN_TEMPERATURE
-        return hundredths_degC(thousandths)
+            return tuple([int(self._inputs[name].attrs["raw"].value) for name in self.channels])
+        except ValueError:
+            raise OSError(5, "raw holds no number") from None
+
+    def attribute(self, channel: str, name: str) -> float | None:
+        """Return such as ``scale`` of a channel, None if it has none. Raises OSError."""
+        attrs = self._inputs[channel].attrs
+        try:
+            return float(attrs[name].value) if name in attrs else None
+        except ValueError:
+            raise OSError(5, f"{name} holds no number") from None
 
     def close(self) -> None:
         """Close the connection."""
-        self._open, self._temperature = [], None
+        self._inputs, self._temperature = {}, None

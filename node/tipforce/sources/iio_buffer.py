@@ -67,17 +67,12 @@ class BufferedDevice(PolledDevice):
     """
 
     polled = False
+    _fd = -1
 
     def __init__(
         self, device: Device, channels: Sequence[str], trigger: str, device_files: Path = DEVICE_FILES
     ) -> None:
         self._trigger, self._device_files = trigger, device_files
-        self._fd = -1
-        self._rest = b""
-        self._scans: deque[tuple[int, tuple[int, ...]]] = deque(maxlen=_KEPT_SCANS)
-        self._stamp_ns = -1
-        self._monotonic = False
-        self._layout = Layout(0, (), None)
         try:
             super().__init__(device, channels)
         except OSError as error:
@@ -89,21 +84,20 @@ class BufferedDevice(PolledDevice):
         """Set up and start the capture. Raises OSError while the device is missing."""
         self.close()
         super().reopen()
-        path = self.path
         self._write("buffer/enable", "0")
         self._layout = layout_of(self._enabled(), self.channels)
         with contextlib.suppress(OSError):  # older kernels have only one clock, the time of day
             self._write("current_timestamp_clock", CLOCK)
-        clock = iio_sysfs.text_of(path / "current_timestamp_clock")
+        clock = iio_sysfs.text_of(self.path / "current_timestamp_clock")
         self._monotonic = self._layout.stamp is not None and clock == CLOCK
         if self._trigger:
             self._write("trigger/current_trigger", self._trigger)
         with contextlib.suppress(OSError):
             self._write("buffer/length", str(_KEPT_SCANS))
-        self._fd = os.open(self._device_files / path.name, os.O_RDONLY | os.O_NONBLOCK)
+        self._fd = os.open(self._device_files / self.path.name, os.O_RDONLY | os.O_NONBLOCK)
         self._write("buffer/enable", "1")
         self._rest, self._stamp_ns = b"", -1
-        self._scans.clear()
+        self._scans: deque[tuple[int, tuple[int, ...]]] = deque(maxlen=_KEPT_SCANS)
 
     def _enabled(self) -> list[tuple[str, int, ScanType]]:
         """Enable the wanted channels of the scan and disable the others; return name, index and type of the former."""

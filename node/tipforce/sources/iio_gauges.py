@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
+from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.sources import iio_buffer, iio_sysfs
-from tipforce.sources.iio import IioSource, Part, RemoteDevice
+from tipforce.sources.iio import IioSource, RemoteDevice
 from tipforce.sources.iio_buffer import BufferedDevice
 from tipforce.sources.iio_sysfs import Device, PolledDevice
-from tipforce.sources.layout_file import BridgeTable, ChannelScale, converter_of, ends_fit
+from tipforce.sources.layout_file import BridgeTable
 
 _LOG = logging.getLogger(__name__)
 _HRTIMER = "tipforce"
-_NO_SCALE = "the driver states no scale"
+_FULL_MICROSTRAIN = 1000.0  # the process value of the second scaling point, 6123h
 
 
 class Place(NamedTuple):
@@ -73,15 +76,18 @@ def open_iio(
             'points = ["K_H", "S_H", "U"] and [bridge] gauge_factor, excitation_volts, gain'
         )
     root = iio_sysfs.ROOT if root is None else root
-    parts: list[Part] = []
+    parts: list[PolledDevice] = []
     channels: list[_Channel] = []
     # Neighbours in the list that are channels of one local device are read together.
     for key, group in groupby(parse_devices(devices), lambda at: at if at.uri else iio_sysfs.find(at.device, root)):
         places = list(group)
         if isinstance(key, Place):
-            remotes = [RemoteDevice(at.uri, at.device, [at.channel] if at.channel else []) for at in places]
-            parts += remotes
-            channels += [channel for remote in remotes for channel in _remote_channels(remote)]
+            for at in places:
+                remote = RemoteDevice(at.uri, at.device, [at.channel] if at.channel else [])
+                parts.append(remote)
+                refusal = "the board does not state its scale ({})"
+                for name in remote.channels:
+                    channels.append(_stated(f"{remote.name}/{name}", partial(remote.attribute, name), refusal, None))
         else:
             names = [name for at in places for name in _names(key, at.channel)]
             channels += [_local_channel(key, name, bridge) for name in names]
@@ -102,19 +108,54 @@ def open_iio(
             f"--source iio:{devices}: the range of counts is {shown}; all gauges need one range, and the layout file "
             "can state it: [bridge] count_range = [lowest, highest]"
         )
-    converter = converter_of(bridge, [channel.scale for channel in channels], names, ends_fit(ends[0]))
+    bits = max(16, 1 + max(ends[0][1], ~ends[0][0]).bit_length())  # of a signed integer that holds the range
+    converter = _converter(bridge, channels, bits)
     period_us = round(1e6 / capture.timer_hz) if capture.mode != "poll" else 0
     return IioSource(parts, gauges, converter, ends[0], _supply(bridge, root), period_us)
 
 
 class _Channel(NamedTuple):
+    """One channel, and what the driver states about it."""
+
     name: str
-    scale: ChannelScale
+    millivolts_per_count: float | None
+    offset_counts: float
+    why: str
+    """The reason for a missing scale; empty if there is a scale."""
     ends: tuple[int, int] | None
-    """The lowest and the highest count, if the driver states them."""
+    """The lowest and the highest count."""
 
 
-def _part(device: Device, channels: list[str], capture: Capture, root: Path) -> Part:
+def _converter(bridge: BridgeTable, channels: Sequence[_Channel], bits: int) -> table.Converter:
+    """Return the converter for the dictionary, with the scaling points of each gauge.
+
+    Raises InputError if a channel has no scale and the table states none.
+    """
+    from tipforce.sources.front_end import Bridge
+
+    volts_per_microstrain = Bridge(bridge.kind, bridge.gauge_factor, bridge.excitation_volts).volts_per_microstrain
+    gains = bridge.gain if isinstance(bridge.gain, list) else [bridge.gain] * len(channels)
+    if len(gains) != len(channels):
+        raise InputError(f"[bridge] gain: {len(gains)} numbers for {len(channels)} gauges")
+    points = []
+    for channel, gain in zip(channels, gains, strict=True):
+        volts_per_count, millivolts = bridge.volts_per_count, channel.millivolts_per_count
+        if volts_per_count is None:
+            if millivolts is None:
+                raise InputError(
+                    f"{channel.name}: {channel.why}; state the converter's step in the layout file: "
+                    "[bridge] volts_per_count = (reference voltage / number of counts)"
+                )
+            if not (math.isfinite(millivolts) and millivolts > 0.0):
+                raise InputError(f"{channel.name}: scale {millivolts!r}; state [bridge] volts_per_count")
+            volts_per_count = 1e-3 * millivolts
+        zero = bridge.zero_volts / volts_per_count - channel.offset_counts
+        points.append((zero, zero + _FULL_MICROSTRAIN * gain * volts_per_microstrain / volts_per_count))
+    fits = all(abs(count) <= 0x7FFF for pair in points for count in pair)
+    return (bits if fits else max(bits, 17)), abs(points[0][1] - points[0][0]) / _FULL_MICROSTRAIN, tuple(points)
+
+
+def _part(device: Device, channels: list[str], capture: Capture, root: Path) -> PolledDevice:
     """Open buffered capture; if it is optional and the kernel refuses it, poll and log a warning."""
     trigger = None if capture.mode == "poll" else _trigger(device, capture, root)
     if trigger is None:
@@ -146,14 +187,16 @@ def _trigger(device: Device, capture: Capture, root: Path) -> str | None:
         return None
 
 
-def _remote_channels(remote: RemoteDevice) -> Iterator[_Channel]:
-    for k, channel in enumerate(remote.channels):
-        try:
-            scale, offset = remote.attribute(k, "scale"), remote.attribute(k, "offset") or 0.0
-            why = "" if scale is not None else _NO_SCALE
-        except OSError as error:
-            scale, offset, why = None, 0.0, f"the board does not state its scale ({error.strerror})"
-        yield _Channel(f"{remote.name}/{channel}", ChannelScale(scale, offset, why), None)
+def _stated(
+    name: str, attribute: Callable[[str], float | None], refusal: str, ends: tuple[int, int] | None
+) -> _Channel:
+    try:
+        offset, scale = attribute("offset") or 0.0, attribute("scale")
+    except PermissionError:
+        raise
+    except OSError as error:
+        return _Channel(name, None, 0.0, refusal.format(error.strerror), ends)
+    return _Channel(name, scale, offset, "" if scale is not None else "the driver states no scale", ends)
 
 
 def _names(device: Device, channel: str) -> list[str]:
@@ -167,22 +210,14 @@ def _names(device: Device, channel: str) -> list[str]:
 
 
 def _local_channel(device: Device, channel: str, bridge: BridgeTable) -> _Channel:
-    path, name, kind = device.path, f"{device.number}/{channel}", iio_sysfs.scan_type(device.path, channel)
-    try:
-        offset = iio_sysfs.attribute(path, channel, "offset") or 0.0
-        scale = iio_sysfs.attribute(path, channel, "scale")
-        why = "" if scale is not None else _NO_SCALE
-    except PermissionError:
-        raise
-    except OSError as error:
-        offset, scale = 0.0, None
-        why = f"the kernel does not state its scale ({error.strerror}: no regulator)"
+    name, kind = f"{device.number}/{channel}", iio_sysfs.scan_type(device.path, channel)
     if kind is None and bridge.count_range is None:
         raise InputError(
             f"{name}: the driver does not state its range of counts; state it in the layout file: [bridge] "
             "count_range = [lowest, highest]"
         )
-    return _Channel(name, ChannelScale(scale, offset, why), kind.ends if kind else None)
+    refusal = "the kernel does not state its scale ({}: no regulator)"
+    return _stated(name, partial(iio_sysfs.attribute, device.path, channel), refusal, kind.ends if kind else None)
 
 
 def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
@@ -192,11 +227,12 @@ def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
     (place,) = parse_devices(bridge.supply)
     device = iio_sysfs.find(place.device, root)
     channel = _names(device, place.channel)[0]
+    part = PolledDevice(device, [channel])
     allowed = bridge.supply_tolerance * bridge.excitation_volts
 
     def off() -> bool:
         try:
-            volts = 1e-3 * iio_sysfs.millivolts(device.path, channel) * bridge.supply_divider
+            volts = 1e-3 * part.quantity(channel) * bridge.supply_divider
         except OSError:
             return True
         return not abs(volts - bridge.excitation_volts) <= allowed

@@ -91,11 +91,18 @@ def voltage_channels(path: Path) -> list[str]:
 
 def raw_value(path: Path, channel: str) -> int:
     """Return one conversion in counts. Raises OSError, with EIO for a text that is not a number."""
-    return _integer(path / f"in_{channel}_raw")
+    file = f"in_{channel}_raw"
+    fd = os.open(path / file, os.O_RDONLY)
+    try:
+        return int(os.read(fd, 64))
+    except ValueError:
+        raise OSError(5, f"{file} holds no number") from None
+    finally:
+        os.close(fd)
 
 
 def attribute(path: Path, channel: str, name: str) -> float | None:
-    """Return ``scale`` or ``offset`` of a channel, its own or the shared one; None if there is none.
+    """Return such as ``scale`` of a channel, its own or the shared one; None if there is none.
 
     Raises OSError if the kernel has the file and rejects the read: EINVAL means an unknown reference.
     """
@@ -121,82 +128,65 @@ def scan_type(path: Path, channel: str) -> ScanType | None:
     return None
 
 
-def temperature_channel(path: Path) -> str | None:
-    """Return the first temperature channel of a device, None if it has none."""
-    names = sorted(match[1] for entry in path.iterdir() if (match := _TEMPERATURE.fullmatch(entry.name)))
-    return names[0] if names else None
-
-
-def temperature(path: Path, channel: str) -> int:
-    """Return a temperature in 0.01 degC as in 2122h; unknown if INTEGER16 cannot hold it. Raises OSError."""
-    try:
-        return hundredths_degC(float(_integer(path / f"in_{channel}_input")))
-    except FileNotFoundError:
-        return hundredths_degC(_scaled(path, channel, 1.0))
-
-
-def hundredths_degC(thousandths: float) -> int:
-    """Return a temperature in thousandths of a degree as in 2122h."""
-    hundredths = 0.1 * thousandths
-    return round(hundredths) if -32767.5 < hundredths < 32767.5 else UNKNOWN_TEMPERATURE
-
-
-def millivolts(path: Path, channel: str) -> float:
-    """Return the voltage at a channel. Raises OSError, with EINVAL if it has no scale."""
-    return _scaled(path, channel, None)
-
-
-def _scaled(path: Path, channel: str, default: float | None) -> float:
-    scale, offset = attribute(path, channel, "scale"), attribute(path, channel, "offset")
-    scale = default if scale is None else scale
-    if scale is None:
-        raise OSError(22, f"in_{channel}_scale is missing")
-    return (raw_value(path, channel) + (offset or 0.0)) * scale
-
-
 class PolledDevice:
     """Channels of one device, read one after the other on request: each read waits for a conversion."""
 
     polled = True
+    """True if ``read`` starts the conversion, False if the device converts on its own."""
+    name: str
+    channels: tuple[str, ...]
+    _temperature: str | None = None
+    """The channel of a temperature."""
 
     def __init__(self, device: Device, channels: Sequence[str]) -> None:
-        self.path = device.path
-        self.name = device.number
-        self.channels = tuple(channels)
-        self._temperature: str | None = None
+        self.path, self.name, self.channels = device.path, device.number, tuple(channels)
         self.reopen()
 
     def reopen(self) -> None:
-        """Find the device again at the same place under any number. Raises OSError while it is missing."""
-        self.path = at_same_place(self.path)
-        self._temperature = temperature_channel(self.path)
+        """Find the device again at the same place: its number may change, its place does not.
+
+        Raises OSError while there is none there, or if there are several and none has the old number.
+        """
+        if not self.path.is_dir():
+            present = sorted(self.path.parent.glob("iio:device*"))
+            if len(present) != 1:
+                raise FileNotFoundError(2, "No such device")
+            self.path = present[0]
+        matches = (_TEMPERATURE.fullmatch(entry.name) for entry in self.path.iterdir())
+        self._temperature = min((match[1] for match in matches if match), default=None)
 
     def read(self, _now_us: int) -> tuple[int, ...] | None:
-        """Return the counts of all channels. Raises OSError if the device is removed or does not respond."""
+        """Return new counts of all channels, or None. Raises OSError if the device is removed or does not respond."""
         return tuple([raw_value(self.path, channel) for channel in self.channels])
 
+    def attribute(self, channel: str, name: str) -> float | None:
+        """Return such as ``scale`` of a channel, None if it has none. Raises OSError."""
+        return attribute(self.path, channel, name)
+
+    def quantity(self, channel: str, default_scale: float | None = None) -> float:
+        """Return (raw + offset) * scale. Raises OSError, with EINVAL if there is no scale."""
+        raw, offset, scale = (self.attribute(channel, name) for name in ("raw", "offset", "scale"))
+        scale = default_scale if scale is None else scale
+        if raw is None or scale is None:
+            raise OSError(22, f"in_{channel}_scale is missing")
+        return (raw + (offset or 0.0)) * scale
+
     def temperature(self) -> int:
-        """Return the temperature in 0.01 degC, or unknown; some drivers reject the read while a buffer runs."""
+        """Return the temperature in 0.01 degC as in 2122h; unknown if the read fails or INTEGER16 cannot hold it.
+
+        Some drivers reject the read while a buffer runs.
+        """
+        if self._temperature is None:
+            return UNKNOWN_TEMPERATURE
         try:
-            return UNKNOWN_TEMPERATURE if self._temperature is None else temperature(self.path, self._temperature)
+            given = self.attribute(self._temperature, "input")
+            hundredths = 0.1 * (self.quantity(self._temperature, 1.0) if given is None else given)
         except OSError:
             return UNKNOWN_TEMPERATURE
+        return round(hundredths) if -32767.5 < hundredths < 32767.5 else UNKNOWN_TEMPERATURE
 
     def close(self) -> None:
-        """Do nothing: no file stays open."""
-
-
-def at_same_place(path: Path) -> Path:
-    """Return the present path of the device that was at ``path``: its number may change, its place does not.
-
-    Raises OSError while there is none, or if there are several and none has the old number.
-    """
-    if path.is_dir():
-        return path
-    present = sorted(path.parent.glob("iio:device*"))
-    if len(present) != 1:
-        raise FileNotFoundError(2, "No such device")
-    return present[0]
+        """Release the device; here no file stays open."""
 
 
 def text_of(file: Path) -> str:
@@ -214,18 +204,6 @@ def write_attribute(file: Path, text: str) -> None:
         os.write(fd, text.encode())
     finally:
         os.close(fd)
-
-
-def _integer(file: Path) -> int:
-    fd = os.open(file, os.O_RDONLY)
-    try:
-        text = os.read(fd, 64)
-    finally:
-        os.close(fd)
-    try:
-        return int(text)
-    except ValueError:
-        raise OSError(5, f"{file.name} holds no number") from None
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

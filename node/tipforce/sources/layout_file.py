@@ -47,7 +47,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal
 
 import msgspec
 
@@ -57,12 +57,6 @@ from tipforce.output_file import LAYOUT, write_file
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, layout
 from tipforce.sensor.structure.strain import Gauge, GaugePosition, check_gauges
-
-if TYPE_CHECKING:
-    from tipforce.dictionary.table import Converter
-
-_I16 = 0x7FFF
-_FULL_MICROSTRAIN = 1000.0  # the process value of the second scaling point, 6123h
 
 
 class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
@@ -229,56 +223,6 @@ def _gauges(geometry: Geometry, points: Sequence[str | _Place]) -> tuple[Gauge, 
         else GaugePosition(point.beam, point.side, point.position_mm / 1e3, point.face or "lower")
         for point in points
     ])  # fmt: skip
-
-
-# --- the wiring of the gauges ---------------------------------------------------------------------------------------
-
-
-class ChannelScale(NamedTuple):
-    """What the driver states about one channel."""
-
-    millivolts_per_count: float | None
-    offset_counts: float
-    why: str
-    """The reason for a missing scale; empty if there is a scale."""
-
-
-def converter_of(table: BridgeTable, channels: Sequence[ChannelScale], names: Sequence[str], bits: int) -> Converter:
-    """Return the converter for the dictionary, with the scaling points of each gauge.
-
-    Raises InputError if a channel has no scale and the table states none.
-    """
-    from tipforce.sources.front_end import Bridge
-
-    bridge = Bridge(table.kind, table.gauge_factor, table.excitation_volts)
-    gains = table.gain if isinstance(table.gain, list) else [table.gain] * len(channels)
-    if len(gains) != len(channels):
-        raise InputError(f"[bridge] gain: {len(gains)} numbers for {len(channels)} gauges")
-    points = []
-    for channel, gain, name in zip(channels, gains, names, strict=True):
-        volts_per_count, millivolts = table.volts_per_count, channel.millivolts_per_count
-        if volts_per_count is None:
-            if millivolts is None:
-                raise InputError(
-                    f"{name}: {channel.why}; state the converter's step in the layout file: "
-                    "[bridge] volts_per_count = (reference voltage / number of counts)"
-                )
-            if not (math.isfinite(millivolts) and millivolts > 0.0):
-                raise InputError(f"{name}: scale {millivolts!r}; state [bridge] volts_per_count")
-            volts_per_count = 1e-3 * millivolts
-        zero = table.zero_volts / volts_per_count - channel.offset_counts
-        points.append((zero, zero + _FULL_MICROSTRAIN * gain * bridge.volts_per_microstrain / volts_per_count))
-    per_microstrain = abs(points[0][1] - points[0][0]) / _FULL_MICROSTRAIN
-    fits = all(abs(count) <= _I16 for pair in points for count in pair)
-    return (bits if fits else max(bits, 17)), per_microstrain, tuple(points)
-
-
-def ends_fit(ends: tuple[int, int]) -> int:
-    """Return the bits that a signed integer needs for a converter's range: 16 or more."""
-    bits = 16
-    while not -(1 << bits - 1) <= ends[0] <= ends[1] < 1 << bits - 1:
-        bits += 1
-    return bits
 
 
 def _finite(name: str, value: float, positive: bool = False) -> float:

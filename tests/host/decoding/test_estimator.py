@@ -168,6 +168,6 @@ def test_what_a_set_of_gauges_needs_is_worked_out_once(monkeypatch: pytest.Monke
     calibration, microstrain, _, _ = readings(11)
     estimator = Estimator(calibration)
     estimator(microstrain)
-    monkeypatch.delattr(Active, "_find_check")
+    monkeypatch.delattr(Active, "_check")
     estimator(microstrain)
     estimator(microstrain[0].tolist())

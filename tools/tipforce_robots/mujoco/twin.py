@@ -66,42 +66,21 @@ def _added(
 class Load:
     """The load on one tip at one time step; vectors (3,) are along x, y and z of the site (``models.py``).
 
-    ``F_newtons`` are F1, F2, F3, equation (16) of the paper: all that the gauges see.
+    ``F_newtons`` are F1, F2, F3, equation (16) of the paper: all that the gauges see. ``force_newtons`` is the sum of
+    the contact forces, ``moment_newton_metres`` their moment about the site, ``sum_newtons`` the sum of their
+    magnitudes, ``contacts`` their number.
     """
 
-    __slots__ = ("F_newtons", "_axes", "_rows", "_wrench")
+    __slots__ = ("F_newtons", "_rows", "contacts", "force_newtons", "moment_newton_metres", "sum_newtons")
 
     def __init__(self, axes: list[float], wrench: Wrench, r_m: float, strain_per_newton: list[Vector]) -> None:
         """``axes``: the site's rotation by rows."""
-        a, b, c, d, e, f, g, h, i = self._axes = axes
-        fx, fy, fz, mx, my, mz, _total, _count = self._wrench = wrench
-        self.F_newtons: Vector = b * fx + e * fy + h * fz, (c * mx + f * my + i * mz) / r_m, a * fx + d * fy + g * fz
+        a, b, c, d, e, f, g, h, i = axes
+        x, y, z, p, q, r, self.sum_newtons, self.contacts = wrench
+        self.force_newtons: Vector = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+        self.moment_newton_metres: Vector = a * p + d * q + g * r, b * p + e * q + h * r, c * p + f * q + i * r
+        self.F_newtons: Vector = self.force_newtons[1], self.moment_newton_metres[2] / r_m, self.force_newtons[0]
         self._rows = strain_per_newton
-
-    @property
-    def contacts(self) -> int:
-        """Contacts on the tip."""
-        return self._wrench[7]
-
-    @property
-    def sum_newtons(self) -> float:
-        """The magnitudes of the contact forces, added up."""
-        return self._wrench[6]
-
-    @property
-    def force_newtons(self) -> Vector:
-        """The sum of the contact forces."""
-        F = self.F_newtons
-        c, f, i = self._axes[2::3]
-        fx, fy, fz = self._wrench[:3]
-        return F[2], F[0], c * fx + f * fy + i * fz
-
-    @property
-    def moment_newton_metres(self) -> Vector:
-        """Their moment about the site."""
-        a, b, c, d, e, f, g, h, i = self._axes
-        mx, my, mz = self._wrench[3:6]
-        return a * mx + d * my + g * mz, b * mx + e * my + h * mz, c * mx + f * my + i * mz
 
     @property
     def microstrain(self) -> list[float]:
@@ -122,8 +101,7 @@ class Load:
     @property
     def unseen_newton_metres(self) -> float:
         """The moment about x and y, which the gauges do not see: of forces along z, and of contacts off the plane."""
-        moment = self.moment_newton_metres
-        return hypot(moment[0], moment[1])
+        return hypot(*self.moment_newton_metres[:2])
 
     @property
     def cancelled_newtons(self) -> float:

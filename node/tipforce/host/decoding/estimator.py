@@ -117,7 +117,7 @@ class Estimator:
         self._has_own = calibration.parameter_covariance is not None
         ranged, redundant = any(active.range_degC), self.gauges > 3 and active.redundancy > 0.0
         self._is_judged = self._has_own or active.model > 0.0 or active.compensated or ranged or redundant
-        solver = active.solver(0)
+        solver = active.without(0)[0]
         assert solver is not None
         self._K, self._scaled_K = solver[1], scalar.scaled_covariance(solver[1])
         self._status_of: dict[int, Status] = {}

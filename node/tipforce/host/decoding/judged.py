@@ -126,7 +126,7 @@ class Judge:
     def _judge_gauges(self, mask: int, rows: Rows, work: _Work, alone: bool = False) -> None:
         """Bit 12, force and covariance of rows with the same gauges; ``alone``: one is left out for it already."""
         active = self.active
-        solver, check = active.solver(mask), active.check(mask)
+        solver, check = active.without(mask)
         if solver is None or (alone and check is None):
             return
         V, noise = work.V[:, rows], _part(work.noise, rows)
@@ -182,7 +182,7 @@ class Judge:
         rows: Rows,
         work: _Work,
     ) -> list[Column]:
-        active, solver = self.active, self.active.solver(mask)
+        active, solver = self.active, self.active.without(mask)[0]
         assert solver is not None
         matrix = solver[0]
         K: list[Column] = [element * noise for element in solver[1]]
@@ -232,7 +232,7 @@ class Judge:
     def of_parameters(self, mask: int, F1: Column, F2: Column, F3: Column) -> list[Column]:
         """The calibration's own part of the covariance of F, six elements, N^2: covariance_of_estimate()."""
         if mask not in self._parameters:  # what each product of two of (F1, F2, F3, 1) adds to the six elements
-            solver, blocks = self.active.solver(mask), self.calibration.parameter_covariance
+            solver, blocks = self.active.without(mask)[0], self.calibration.parameter_covariance
             assert solver is not None
             assert blocks is not None
             kernel = np.einsum("ak,kilj,bl->abij", solver[0], blocks, solver[0])
