@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import struct
 import threading
 from collections.abc import Callable, Iterator
@@ -12,14 +13,13 @@ import can
 import pytest
 
 from canopen_device.core import codes
-from canopen_device.core.sdo_client import Transfer
 from host.bus_with_nodes import FaultyBus, connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError, SdoAbortError
+from tipforce.host.network import sdo as module
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.sdo import SdoChannel
-from tipforce.host.network.sdo_exchange import LONGEST_WAIT_S, Exchange
+from tipforce.host.network.sdo import LONGEST_WAIT_S, Exchange, Request, SdoChannel
 
 NODE = 5
 ANSWER = 0x580 + NODE
@@ -256,17 +256,30 @@ def test_four_threads_at_once(
     assert not wrong
 
 
-def test_a_transfer_that_ends_between_two_looks_is_not_waited_for_longer_than_a_lock_can() -> None:
+def test_a_thread_and_a_task_take_turns_in_the_order_of_their_requests(connection: Bus, bus: FaultyBus) -> None:
+    sdo = connection.sdo(NODE)
+    sdo.retries = 1
+    bus.fault = only_first(lambda _message: None)  # the thread waits for a response: the task for the thread
+    names: list[str] = []
+    thread = threading.Thread(target=lambda: names.append(sdo.read(od.DEVICE_NAME)))
+    thread.start()
+    while not bus.sent:
+        pass
+    assert asyncio.run(sdo.read_async(od.IDENTITY_SERIAL)) == 1000 + NODE
+    assert names, "the task had its turn after the thread"
+    thread.join()
+
+
+def test_a_transfer_that_ends_between_two_looks_is_not_waited_for_longer_than_a_lock_can(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Its next step is due never; a thread that waits for it at that moment must not end with OverflowError."""
-
-    class Ended:
-        ended, abort_code, failure, data = True, None, None, b""
-
-        def step(self, _now_us: int, _response: bytes | None = None) -> tuple[list[bytes], int]:
-            return [], codes.NEVER_US
-
+    ended = SimpleNamespace(
+        ended=True, abort_code=None, failure=None, data=b"", step=lambda _now_us, _response: ([], codes.NEVER_US)
+    )
+    monkeypatch.setattr(module, "Upload", lambda *_: ended)
     channel = SimpleNamespace(node_id=5, now_us=lambda: 0, deadline_s=1.0, timeout_s=0.5)
-    exchange = Exchange(cast(SdoChannel, channel), "read", lambda *_: cast(Transfer, Ended()))
+    exchange = Exchange(cast(SdoChannel, channel), Request(0x1000, 0))
     exchange.step()
     assert exchange.left_s <= LONGEST_WAIT_S
     assert exchange.done.exception(exchange.left_s) is None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import struct
-import threading
 from collections.abc import Callable, Coroutine
 from typing import Any, NamedTuple
 
@@ -200,22 +199,6 @@ async def test_a_node_without_blocks_is_asked_for_segments_from_then_on(talk: Ta
         await talk.sdo.write_async(od.CALIBRATION_STAGED_RECORD, record)
     starts = [data[0] for _, data in talk.bus.sent if data[0] in (0xA4, 0xC6, 0x40, 0x21)]
     assert starts == [0xA4, 0x40, 0x21, 0x40, 0x21]
-
-
-@with_node_5()
-async def test_a_thread_waits_for_the_turn_of_a_task(talk: Talk) -> None:
-    """A channel is given to threads and tasks in the order in which they ask for it."""
-    turn, later = talk.sdo._turns.request(), talk.sdo._turns.request()
-    thread = threading.Thread(target=later.result)
-    thread.start()
-    task = asyncio.create_task(talk.sdo.read_async(od.IDENTITY_SERIAL))
-    await asyncio.sleep(1.0)
-    assert (turn.done(), later.done(), task.done()) == (True, False, False)
-    talk.sdo._turns.release()
-    thread.join()
-    assert not task.done()
-    talk.sdo._turns.release()
-    assert await task == 1005
 
 
 class Malicious:
