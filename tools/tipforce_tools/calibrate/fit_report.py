@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -247,7 +248,7 @@ def _print_loads(fit: Fit) -> None:
     print()
 
 
-def publish(path: str, request: FitRequest, result: Fitted, more_notes: tuple[str, ...] = ()) -> bool:
+def publish(path: str, request: FitRequest, result: Fitted, more_notes: Iterable[str] = ()) -> bool:
     """Print the account of a fit; return whether something speaks against it."""
     remarks = [*notes(result, request), *more_notes]
     doubts = warnings(result)

@@ -195,8 +195,7 @@ class Calibration:
         fit: dict[str, object] | None = None
         if self.parameter_covariance is not None:
             side = 4 * self.gauges
-            matrix = (self.parameter_covariance * 1e12).reshape(side, side)
-            fit = {"parameter_covariance_microstrain2": matrix.tolist()}
+            fit = {"parameter_covariance_microstrain2": (self.parameter_covariance * 1e12).reshape(side, side).tolist()}
         write_calibration(path, self, fit)
 
     def check(self) -> None:
@@ -299,16 +298,21 @@ def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
     """
     from tipforce.host.configuration.calibration_file import read_file
 
-    content = read_file(path, fields(Calibration))
+    values, crc32, fit = read_file(path, fields(Calibration))
     try:
-        calibration = Calibration(**content.values)
+        calibration = Calibration(**values)
         record = calibration.record()
-        if content.is_version_1:
-            record = record[: struct.calcsize(_packing(calibration.gauges, indices.CALIBRATION_VALIDITY))]
-        content.check_crc32(binascii.crc32(record))
+        if max(stated(of).place for of in RECORD if of.name in values) < (indices.CALIBRATION_VALIDITY, 0):
+            record = record[: struct.calcsize(_packing(calibration.gauges, indices.CALIBRATION_VALIDITY))]  # version 1
+        crc = binascii.crc32(record)
+        if crc32 is not None and crc32.lower() != f"0x{crc:08x}":
+            raise InputError(
+                f"crc32 is {crc32}, but the numbers give 0x{crc:08X}; "
+                "the file was changed: restore it, or take out the crc32 line to accept the change"
+            )
         calibration.check()
-        fit = content.fit(calibration.gauges) if with_fit else None
-        if fit is not None:
+        if with_fit and fit is not None:
+            fit.check(calibration.gauges)
             calibration = replace(calibration, parameter_covariance=fit.parameter_covariance())
             calibration.check()
     except InputError as error:
@@ -320,24 +324,25 @@ def read_fit(path: str | Path) -> FitRecord | None:
     """The [fit] table of a calibration file, None where it has none. Raises InputError for shapes that do not fit."""
     from tipforce.host.configuration.calibration_file import read_file
 
-    content = read_file(path, fields(Calibration))
+    values, _, fit = read_file(path, fields(Calibration))
     try:
-        return content.fit(len(content.values["offset_strain"]))
+        if fit is not None:
+            fit.check(len(values["offset_strain"]))
     except InputError as error:
         raise InputError(f"calibration {path}: {error}") from None
+    return fit
 
 
 def write_calibration(
     path: str | Path, calibration: Calibration, fit: FitRecord | dict[str, object] | None = None
 ) -> None:
-    """Write a calibration file that reads back to the same record.
+    """Write a calibration file that reads back to the same record, with its [fit] table.
 
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
     """
     from tipforce.host.configuration.calibration_file import write_file
 
-    values = {of.name: getattr(calibration, of.name) for of in fields(calibration)}
-    write_file(path, fields(calibration), values, calibration.crc32(), fit)
+    write_file(path, fields(calibration), calibration, calibration.crc32(), fit)
 
 
 def difference(expected: bytes, held: bytes) -> list[str]:

@@ -6,7 +6,7 @@ import datetime
 from dataclasses import MISSING, Field
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from canopen_device.toml_table import convert, read_table
 from tipforce import output_file
 from tipforce.arrays import FloatArray
-from tipforce.dictionary import indices, table
+from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.sensor.structure.layouts import CASE_OF_CODE
 
@@ -69,99 +69,68 @@ class FitRecord(msgspec.Struct):
 
         return kronecker(np.array(self.residual_covariance_microstrain2) * 1e-12, np.array(self.normal_matrix))
 
-
-def fit_record(fit: Fit, **facts: object) -> FitRecord:
-    """The [fit] table of a fit; facts: fields of FitRecord that the fit does not know (data, lines, ...)."""
-    n = fit.A.shape[0]
-    values: dict[str, object] = {
-        "dof": fit.dof,
-        "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * 1e12).tolist(),
-        "normal_matrix": fit.N.tolist(),
-        "parameter_covariance_microstrain2": (fit.parameter_covariance * 1e12).reshape(4 * n, 4 * n).tolist(),
-        "matrix_standard_uncertainty_newtons_per_strain": fit.C_uncertainty.tolist(),
-        "coverage_factor": fit.coverage_factor,
-        "sigma0": fit.sigma0 if np.isfinite(fit.sigma0) else None,
-        "condition_number": fit.condition_number,
-        "row_equilibrated_condition_number": fit.row_equilibrated_condition_number,
-        "drift": fit.drift,
-        "loss": fit.loss,
-    }
-    return msgspec.convert({**values, **facts}, FitRecord)
-
-
-class Content(NamedTuple):
-    """What a file has."""
-
-    values: dict[str, Any]
-    """Fields of ``Calibration`` by name; what is absent is not among them."""
-    crc32: str | None
-    is_version_1: bool
-    fit_table: FitRecord | None
-
-    def check_crc32(self, crc: int) -> None:
-        """Raise InputError where the file states another CRC-32 of its numbers."""
-        if self.crc32 is not None and self.crc32.lower() != f"0x{crc:08x}":
+    def check(self, n: int) -> None:
+        """Raise InputError for shapes that do not fit ``n`` gauges, or where the parameter covariance is missing."""
+        S, N = self.residual_covariance_microstrain2, self.normal_matrix
+        if self.parameter_covariance_microstrain2 is None and None in (S, N):
             raise InputError(
-                f"crc32 is {self.crc32}, but the numbers give 0x{crc:08X}; "
-                "the file was changed: restore it, or take out the crc32 line to accept the change"
+                "fit: parameter_covariance_microstrain2 is missing, or in its place "
+                "residual_covariance_microstrain2 and normal_matrix"
             )
-
-    def fit(self, n: int) -> FitRecord | None:
-        """The [fit] table of ``n`` gauges, None where there is none. Raises InputError for shapes that do not fit."""
-        record = self.fit_table
-        if record is None:
-            return None
         shapes = {
             "residual_covariance_microstrain2": ((n, n),),
             "normal_matrix": ((4, 4), (3, 3)),
             "parameter_covariance_microstrain2": ((4 * n, 4 * n),),
         }
-        if record.parameter_covariance_microstrain2 is None and None in (
-            record.residual_covariance_microstrain2,
-            record.normal_matrix,
-        ):
-            raise InputError(
-                "fit: parameter_covariance_microstrain2 is missing, or in its place "
-                "residual_covariance_microstrain2 and normal_matrix"
-            )
         for name, allowed in shapes.items():
-            rows = getattr(record, name)
+            rows = getattr(self, name)
             matrix = None if rows is None else _matrix(name, rows)
             if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
                 raise InputError(f"{name} must be {' or '.join(map(str, allowed))}, finite")
-        return record
 
 
-def read_file(path: str | Path, fields: Fields) -> Content:
-    """What a file has of the fields. Raises InputError naming the key and what is allowed."""
-    place, rows = f"calibration {path}", _rows(fields)
+_OF_FIT = ("dof", "coverage_factor", "condition_number", "row_equilibrated_condition_number", "drift", "loss")
+
+
+def fit_record(fit: Fit, **facts: object) -> FitRecord:
+    """The [fit] table of a fit; facts: fields of FitRecord that the fit does not know (data, lines, ...)."""
+    side = 4 * len(fit.A)
+    values: dict[str, object] = {
+        "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * 1e12).tolist(),
+        "normal_matrix": fit.N.tolist(),
+        "parameter_covariance_microstrain2": (fit.parameter_covariance * 1e12).reshape(side, side).tolist(),
+        "matrix_standard_uncertainty_newtons_per_strain": fit.C_uncertainty.tolist(),
+        "sigma0": fit.sigma0 if np.isfinite(fit.sigma0) else None,
+    }
+    return msgspec.convert(values | {name: getattr(fit, name) for name in _OF_FIT} | facts, FitRecord)
+
+
+def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | None, FitRecord | None]:
+    """What a file has of the fields, by name; its CRC-32; its [fit] table.
+
+    Raises InputError naming the key and what is allowed.
+    """
+    place = f"calibration {path}"
     content: Any = convert(_file_type(fields), read_table(path, place), place, finite=False)
     try:
         values = {
             of.name: _value(of, key, unit, cell)
-            for of, key, unit in rows
+            for of, key, unit in _rows(fields)
             if (cell := getattr(content.calibration, key)) is not None
         }
     except InputError as error:
         raise InputError(f"{place}: {error}") from None
-    newest = max(of.metadata["row"].place[0] for of, _, _ in rows if of.name in values)
     fit = None if content.fit is None else convert(FitRecord, content.fit, f"{place}: fit", finite=False)
-    return Content(values, content.calibration.crc32, newest < indices.CALIBRATION_VALIDITY, fit)
+    return values, content.calibration.crc32, fit
 
 
-def write_file(
-    path: str | Path,
-    fields: Fields,
-    values: dict[str, Any],
-    crc32: int,
-    fit: FitRecord | dict[str, object] | None = None,
-) -> None:
-    """Write a file with the values of the fields by name, the CRC-32 of its record, and a [fit] table.
+def write_file(path: str | Path, fields: Fields, calibration: object, crc32: int, fit: object) -> None:
+    """Write a file with the fields of a calibration, the CRC-32 of its record, and a [fit] table.
 
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
     """
     try:
-        content = {key: _cell(of, unit, values[of.name]) for of, key, unit in _rows(fields)}
+        content = {key: _cell(of, unit, getattr(calibration, of.name)) for of, key, unit in _rows(fields)}
     except InputError as error:
         raise InputError(f"calibration {path}: {error}") from None
     date = content.pop("date")
@@ -170,8 +139,7 @@ def write_file(
     content["crc32"] = f"0x{crc32:08X}"
     document: dict[str, object] = {"calibration": content if date is None else {**content, "date": date}}
     if fit is not None:
-        record = msgspec.to_builtins(fit)
-        document["fit"] = {name: value for name, value in record.items() if value is not None}
+        document["fit"] = {name: value for name, value in msgspec.to_builtins(fit).items() if value is not None}
     output_file.write_file(path, msgspec.toml.encode(document), output_file.CALIBRATION)
 
 
