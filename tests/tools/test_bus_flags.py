@@ -22,8 +22,8 @@ from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.interfaces import link_of
 from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor import configuration_check, machine
-from tipforce_tools.doctor.machine import interface_check
+from tipforce_tools.doctor import machine
+from tipforce_tools.doctor.machine import configuration_check, interface_check
 from tools.rig import Printed
 
 
@@ -121,7 +121,8 @@ def _no_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("can.util.CONFIG_FILES", [])
-    monkeypatch.setattr("tipforce_tools.doctor.machine.trial", lambda: 0)  # test_vcan_boot.py has the real one
+    # test_vcan_boot.py has the real one
+    monkeypatch.setattr("tipforce_tools.kernel.uml.run_with_vcan", lambda *_, **_options: 0)
     monkeypatch.setattr("tipforce_tools.doctor.machine.multicast_checks", lambda: ())  # test_udp_multicast.py
 
 
@@ -182,14 +183,14 @@ def test_vcan_that_works_and_vcan_that_does_not(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr("tipforce_tools.kernel.host.choose", lambda _interfaces: "uml")
     assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in printed(0, ["doctor"]).out
 
-    def lacking() -> int:
+    def lacking(*_: object, **_options: object) -> int:
         raise EnvironmentLackError("User-mode Linux ended before it had booted\n  Kernel panic")
 
     for trial, finding, step in (
         (lacking, "User-mode Linux ended before it had booted", "`tipforce vcan -- true`"),
-        (lambda: 1, "`tipforce vcan -- true` ended with 1", "sudo modprobe vcan"),
+        (lambda *_, **_options: 1, "`tipforce vcan -- true` ended with 1", "sudo modprobe vcan"),
     ):
-        monkeypatch.setattr(machine, "trial", trial)
+        monkeypatch.setattr("tipforce_tools.kernel.uml.run_with_vcan", trial)
         (check,) = machine.vcan_checks()
         assert (check.state, check.finding) == ("note", finding)
         assert step in check.next_step

@@ -45,9 +45,9 @@ def command(channel: str, *words: str) -> int:
     return main(["firmware", action, str(NODE_ID), *words, "-i", "virtual", "-c", channel])
 
 
-def test_progress_and_the_program_that_the_node_confirms() -> None:
+def test_progress_and_the_program_that_the_node_confirms(tmp_path: Path) -> None:
     channel, arrived = new_channel(), list[int]()
-    firmware = Firmware.of(image(size=20000))
+    firmware = Firmware.read(written(tmp_path, image(size=20000)))
     with board_on(channel) as board, Bus(can.Bus(interface="virtual", channel=channel), timeout_s=3.0) as bus:
         after = install(bus, NODE_ID, firmware, progress=arrived.append)
         assert (after.version, after.identification, after.reason) == ("0.2.0", firmware.header.crc, "")
@@ -67,7 +67,7 @@ def test_the_command_shows_versions(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert '"index":"0x1F57"' in capsys.readouterr().out.replace(" ", "")
         assert command(channel, written(tmp_path, content), "--json") == 0
         record = json.loads(capsys.readouterr().out)
-        crc = Firmware.of(content).header.crc
+        crc = Firmware.read(written(tmp_path, content)).header.crc
         assert record == {
             "node_id": 5, "version": "0.2.0", "identification": f"0x{crc:08X}", "version_before": "0.1.0", "reason": "",
         }  # fmt: skip
@@ -102,12 +102,12 @@ def test_a_downgrade_that_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFix
     assert "0.1.0 -> 0.0.9" in capsys.readouterr().out
 
 
-def test_an_unhealthy_program_is_reported() -> None:
+def test_an_unhealthy_program_is_reported(tmp_path: Path) -> None:
     channel = new_channel()
     with board_on(channel) as board, Bus(can.Bus(interface="virtual", channel=channel), timeout_s=3.0) as bus:
         board.healthy = False
         with pytest.raises(RefusedError, match=r"runs 0.1.0: the new program did not start and communicate"):
-            install(bus, NODE_ID, Firmware.of(image()))
+            install(bus, NODE_ID, Firmware.read(written(tmp_path, image())))
         assert node_program(bus.sdo(NODE_ID)).reason.startswith("the new program did not start")
 
 

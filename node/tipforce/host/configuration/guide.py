@@ -204,6 +204,8 @@ class Session:
         self.cut = False
         """The last line was truncated by an interruption, and has been removed."""
         self._serial, self._n = serial, gauges
+        upper = [(j, k) for j in range(gauges) for k in range(j, gauges)]
+        self._variances = {f"var_{j + 1}_{k + 1}_ue2": (j, k) for j, k in upper}
         self._steps = {step.number: step for step in steps}
         self._columns = self._columns_of(temperature)
         self._content = self._read()
@@ -254,33 +256,30 @@ class Session:
     def _columns_of(self, temperature: bool) -> list[str]:
         gauges = [f"SG{k + 1}" for k in range(self._n)]
         degrees = ["temperature_degC"] if temperature else []
-        variances = [f"var_{j + 1}_{k + 1}_ue2" for j, k in _upper(self._n)]
         load = ["P_N", "phi_deg", "theta_deg"]
-        return ["t_s", *gauges, *load, *degrees, "weight", "mode", "step", "serial", "taken", *variances]
+        return ["t_s", *gauges, *load, *degrees, "weight", "mode", "step", "serial", "taken", *self._variances]
 
     def _header(self) -> bytes:
         return ",".join(self._columns).encode() + b"\n"
 
     def _line(self, step: Step, capture: Capture, t_s: float, now: datetime.datetime) -> str:
-        degrees = []
-        if "temperature_degC" in self._columns:
-            if capture.temperature_degC is None:
-                raise InputError("the node no longer sends its temperature, which the session has: check the node")
-            degrees = [f"{capture.temperature_degC:.2f}"]
-        return ",".join(
-            [
-                f"{t_s:.3f}",
-                *(f"{value:.6f}" for value in capture.mean),
-                *(repr(value) for value in step.load[:3]),
-                *degrees,
-                str(capture.count),
-                step.mode,
-                str(step.number) if step.number != EXTRA else "extra",
-                str(self._serial),
-                now.isoformat(timespec="milliseconds"),
-                *(f"{capture.covariance[j, k]:.8g}" for j, k in _upper(self._n)),
-            ]
-        ) + "\n"  # fmt: skip
+        if "temperature_degC" in self._columns and capture.temperature_degC is None:
+            raise InputError("the node no longer sends its temperature, which the session has: check the node")
+        cells = {
+            "t_s": f"{t_s:.3f}",
+            "P_N": repr(step.P_newtons),
+            "phi_deg": repr(step.phi_deg),
+            "theta_deg": repr(step.theta_deg),
+            "temperature_degC": f"{capture.temperature_degC or 0.0:.2f}",
+            "weight": str(capture.count),
+            "mode": step.mode,
+            "step": str(step.number) if step.number != EXTRA else "extra",
+            "serial": str(self._serial),
+            "taken": now.isoformat(timespec="milliseconds"),
+        }
+        cells |= {f"SG{k + 1}": f"{value:.6f}" for k, value in enumerate(capture.mean)}
+        cells |= {name: f"{capture.covariance[place]:.8g}" for name, place in self._variances.items()}
+        return ",".join(cells[name] for name in self._columns) + "\n"
 
     def _read(self) -> bytes:
         try:
@@ -334,13 +333,15 @@ class Session:
             serial, samples = int(cells["serial"]), round(float(cells["weight"]))
             taken = datetime.datetime.fromisoformat(cells["taken"])
             P, phi, theta = (float(cells[name]) for name in ("P_N", "phi_deg", "theta_deg"))
-            upper = [float(cells[f"var_{j + 1}_{k + 1}_ue2"]) for j, k in _upper(self._n)]
+            covariance = np.zeros((self._n, self._n))
+            for name, (j, k) in self._variances.items():
+                covariance[j, k] = covariance[k, j] = float(cells[name])
             mean = np.array([float(cells[f"SG{k + 1}"]) for k in range(self._n)])
-            usable = taken.tzinfo is not None and samples >= 2 and all(map(math.isfinite, upper))
+            if taken.tzinfo is None or samples < 2 or not np.isfinite(covariance).all():
+                raise ValueError
         except ValueError:
-            usable = False
-        if not usable:
-            raise InputError(f"{place}: not a line of a session; correct it, or remove it to repeat the step")
+            text = f"{place}: not a line of a session; correct it, or remove it to repeat the step"
+            raise InputError(text) from None
         if serial != self._serial:
             raise InputError(f"{place}: of the node with serial {serial}, this one has serial {self._serial}")
         taken_step, planned = Step(step, P, phi, theta, cells["mode"], ""), self._steps.get(step)
@@ -351,11 +352,4 @@ class Session:
             if planned is None:
                 wrong = f"step {step} ({taken_step}), this plan has {len(self._steps)} steps"
             raise InputError(f"{place}: {wrong}: another plan; pass the plan of this session, or another --session")
-        covariance = np.zeros((self._n, self._n))
-        for (j, k), value in zip(_upper(self._n), upper, strict=True):
-            covariance[j, k] = covariance[k, j] = value
         return Row(step, float(cells["t_s"]), taken, mean, covariance, samples, cells["mode"] == "tare")
-
-
-def _upper(n: int) -> list[tuple[int, int]]:
-    return [(j, k) for j in range(n) for k in range(j, n)]
