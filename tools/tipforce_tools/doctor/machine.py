@@ -25,6 +25,7 @@ from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
 from tipforce.host.network.find import find_nodes
 from tipforce.host.network.interfaces import Link, interfaces, links
 from tipforce.host.network.open_bus import open_bus
+from tipforce.sources import iio_buffer, iio_sysfs
 from tipforce.watching.findings import RATE, Finding, Observed, findings, of_the_wire, shown
 
 if TYPE_CHECKING:
@@ -125,8 +126,6 @@ def iio_checks(root: Path = _IIO, device_files: Path = Path("/dev"), configfs: P
         cause = f"Industrial I/O needs Linux; this is {sys.platform}"
         yield Finding("ADC", "note", cause, "--source sim or replay:FILE")
         return
-    from tipforce.sources import iio_sysfs
-
     if not root.is_dir():
         yield Finding("ADC", "note", "the kernel has no Industrial I/O", "`modprobe industrialio`, or --source sim")
         return
@@ -144,21 +143,17 @@ def iio_checks(root: Path = _IIO, device_files: Path = Path("/dev"), configfs: P
 
 
 def _channels(path: Path) -> list[str]:
-    from tipforce.sources import iio_sysfs
-
     with suppress(OSError):
         return iio_sysfs.voltage_channels(path)
     return []
 
 
 def _device_checks(device: Device, device_files: Path) -> Iterator[Finding]:
-    from tipforce.sources import iio_sysfs
-
     topic, path, channels = f"ADC {device.number}", device.path, _channels(device.path)
     types = [iio_sysfs.scan_type(path, channel) for channel in channels]
     bits = "/".join(map(str, sorted({kind.bits for kind in types if kind is not None})))
-    shown = f"{device}: {', '.join(channels)}" + (f", {bits} bits" if bits else "")
-    yield Finding(topic, "ok", shown, f"--source iio:{device.place or device.number}")
+    about = f"{device}: {', '.join(channels)}" + (f", {bits} bits" if bits else "")
+    yield Finding(topic, "ok", about, f"--source iio:{device.place or device.number}")
     try:
         iio_sysfs.raw_value(path, channels[0])
     except OSError as error:
@@ -179,8 +174,6 @@ def _device_checks(device: Device, device_files: Path) -> Iterator[Finding]:
 
 
 def _buffering(devices: list[Device], root: Path, configfs: Path | None) -> Finding:
-    from tipforce.sources import iio_buffer
-
     topic = "ADC trigger"
     own = [name for device in devices if (name := iio_buffer.own_trigger(device, root))]
     if own:

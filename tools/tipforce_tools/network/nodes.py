@@ -8,16 +8,17 @@ import sys
 import threading
 import time
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tipforce.dictionary import table
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError
+from tipforce.host.network.lss import LssAddress, LssMaster
+from tipforce.samples.reasons import NOT_CALIBRATED
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.host.network.firmware import NodeProgram
-    from tipforce.host.network.lss import LssAddress, LssMaster
 
 _CONTACT = ("P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg")
 NMT_COMMANDS = {
@@ -60,13 +61,11 @@ def run_scan(args: argparse.Namespace) -> int:
         nodes = find_nodes(connection, args.nodes, args.wait, seen.count)
         seen.heard_s = time.monotonic() - begun_s
         for node in nodes:
-            line = f"{common.shown_id(node.node_id):>11}  {node.state:15}  "
-            if node.duplicate:
-                line += node.device
-            else:
+            line = node.device
+            if not node.duplicate:
                 faults = f"  faults: {node.faults}" if node.faults else ""
-                line += f"{node.device:24}  serial {node.serial:<10}  {node.calibration:28}  EDS {node.eds}{faults}"
-            common.print_record(asdict(node), line)
+                line = f"{line:24}  serial {node.serial:<10}  {node.calibration:28}  EDS {node.eds}{faults}"
+            _print(asdict(node), f"{node.state:15}  {line}")
         seen.add_nodes(nodes)
         seen.link = bus_flags.link_of(args)
         duplicates = [node.duplicate for node in nodes if node.duplicate]
@@ -97,7 +96,6 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_read(args: argparse.Namespace) -> int:
     """Print ``count`` new samples of each finger: 0. Raises NoResponseError for a finger that gives none in time."""
-    from tipforce.samples.reasons import NOT_CALIBRATED
     from tipforce.watching.findings import not_calibrated
 
     bare: set[int] = set()
@@ -110,7 +108,7 @@ def run_read(args: argparse.Namespace) -> int:
                 record |= {"status": int(contact.status), "reason": contact.reason}
                 record["microstrain"] = list(contact.microstrain)
                 u = f"  u(P) {contact.u_P_newtons:.3f} N" if math.isfinite(contact.u_P_newtons) else ""
-                common.print_record(record, f"{common.shown_id(contact.node_id):>11}  {contact}{u}")
+                _print(record, f"{contact}{u}")
                 if NOT_CALIBRATED in contact.reason and node_id not in bare:
                     bare.add(node_id)
                     common.note(str(not_calibrated(node_id)))
@@ -145,12 +143,17 @@ def run_tare(args: argparse.Namespace) -> int:
             elif not args.show:
                 client.tare()
             tare = client.tare_state()
-            record: dict[str, object] = {"node_id": node_id}
-            record |= {f"F{k}_N": value for k, value in enumerate(tare.force_newtons, 1)}
-            forces = ", ".join(f"F{k} {value:+.4f} N" for k, value in enumerate(tare.force_newtons, 1))
+            newtons = {f"F{k}": value for k, value in enumerate(tare.force_newtons, 1)}
+            record = {"node_id": node_id, **{f"{name}_N": value for name, value in newtons.items()}}
+            forces = ", ".join(f"{name} {value:+.4f} N" for name, value in newtons.items())
             since = f"since {tare.age_s} s" if any(tare.force_newtons) else "no tare"
-            common.print_record(record | {"age_s": tare.age_s}, f"{common.shown_id(node_id):>11}  {forces}  {since}")
+            _print(record | {"age_s": tare.age_s}, f"{forces}  {since}")
     return 0
+
+
+def _print(record: dict[str, Any], text: str) -> None:
+    """Print the record of a node, or a line with its node-id and the text."""
+    common.print_record(record, f"{common.shown_id(record['node_id']):>11}  {text}")
 
 
 def _add_ids(parser: argparse.ArgumentParser) -> None:
@@ -196,7 +199,7 @@ def run_nmt(args: argparse.Namespace) -> int:
 
 def _print_states(states: dict[int, str]) -> None:
     for node_id, state in sorted(states.items()):
-        common.print_record({"node_id": node_id, "state": state}, f"{common.shown_id(node_id):>11}  {state}")
+        _print({"node_id": node_id, "state": state}, state)
 
 
 def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
@@ -223,8 +226,6 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_lss(args: argparse.Namespace) -> int:
     """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
-    from tipforce.host.network.lss import LssAddress, LssMaster
-
     if args.action == "assign" and not args.ids:
         raise InputError("lss assign: IDS missing; for example tipforce lss assign 1-5 --store")
     if args.action == "assign" and args.serial is not None and len(args.ids) != 1:
@@ -346,5 +347,4 @@ def _print_program(node_id: int, program: NodeProgram, change: str, **further: s
     identification = f"0x{program.identification:08X}"
     record = {"node_id": node_id, "version": program.version, "identification": identification, **further}
     reason = f"  last update: {program.reason}" if program.reason else ""
-    line = f"{common.shown_id(node_id):>11}  {change}  {identification}{reason}"
-    common.print_record(record | {"reason": program.reason}, line)
+    _print(record | {"reason": program.reason}, f"{change}  {identification}{reason}")
