@@ -18,6 +18,7 @@ from canopen_device.running.store import FileStore
 from host.bus_with_nodes import apply_load, connected, fresh_sample, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.source import Reading, Source
 from tipforce.host.configuration.calibration import read_calibration, read_fit
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
@@ -387,3 +388,18 @@ def test_a_session_that_is_none(bench: Bench, content: bytes) -> None:
     assert code == 2
     assert "session" in err
     assert bench.session.read_bytes() == content
+
+
+class RealGauges(Source):
+    """A converter that is no simulation."""
+
+    def read(self, now_us: int) -> Reading:
+        return Reading((1, 2, now_us % 7), 0, 2300)
+
+
+def test_no_auto_with_real_gauges(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    channel = new_channel()
+    with connected(fingertip_node(5, RealGauges()), channel=channel):
+        words = ["calibrate", "guide", "--node", "5", "--auto", "--session", str(tmp_path / "s.csv")]
+        assert main([*words, "-i", "virtual", "-c", channel]) == 2
+    assert "node 5 (0x05) has real gauges: --auto needs a simulated node" in capsys.readouterr().err

@@ -1,37 +1,21 @@
-"""Bus: NMT, waiting for frames, the buffer of what came; and opening a bus that is not there."""
+"""Bus: NMT, waiting for frames, the buffer of what came; opening a bus that is not there; responses to LSS."""
 
 from __future__ import annotations
 
+import itertools
 import threading
-import time
 
 import can
 import numpy as np
 import pytest
 
-from host.bus_with_nodes import connected, finger, new_channel
+from canopen_device.core import codes
+from host.bus_with_nodes import connected, finger, new_channel, running
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameBuffer, frame_array
 from tipforce.host.network.bus import Bus
+from tipforce.host.network.lss import LssAddress, LssMaster
 from tipforce.host.network.open_bus import open_bus
-
-HEARTBEAT = 0x705
-
-
-def test_nmt_commands_change_the_state() -> None:
-    with connected(finger(5)) as (connection, _):
-        sdo = connection.sdo(5)
-        sdo.download(0x1017, 0, (10).to_bytes(2, "little"))
-        for command, state in (("start", 5), ("stop", 4), ("preop", 127)):
-            connection.nmt(command, 5)
-            connection.buffer.clear()
-            connection.wait_for({HEARTBEAT})
-            assert connection.wait_for({HEARTBEAT})[-1]["data"][0] == state
-        for command in ("reset-comm", "reset-node"):
-            connection.nmt(command)
-            frames = connection.wait_for({HEARTBEAT})
-            while frames[-1]["data"][0]:  # heartbeats that were on their way
-                frames = connection.wait_for({HEARTBEAT})
 
 
 def test_what_is_not_allowed_is_named() -> None:
@@ -95,28 +79,6 @@ def test_a_buffer_passes_over_can_fd() -> None:
     assert not len(buffer.take_all())
 
 
-def test_take_ends_at_the_deadline_with_what_there_is() -> None:
-    buffer = FrameBuffer()
-    for message in frames(3):
-        buffer.on_message_received(message)
-    assert buffer.take({0x7FF}, time.monotonic()).shape == (3,)
-
-
-def test_take_wakes_for_the_last_identifier_and_leaves_what_follows() -> None:
-    buffer = FrameBuffer()
-
-    def arrive() -> None:
-        for message in frames(6):
-            buffer.on_message_received(message)
-
-    thread = threading.Thread(target=arrive)
-    thread.start()
-    taken = buffer.take({4, 1}, time.monotonic() + 10)
-    thread.join()
-    assert taken["can_id"].tolist() == [0, 1, 2, 3, 4]
-    assert buffer.take_all()["can_id"].tolist() == [5]
-
-
 def test_frame_array_of_nothing_and_of_short_data() -> None:
     assert frame_array([]).shape == (0,)
     (row,) = frame_array([(7, 0x181, b"\1\2")])
@@ -143,3 +105,57 @@ def test_open_gives_a_connection() -> None:
     with Bus.open(new_channel(), "virtual", timeout_s=0.25, retries=0) as connection:
         assert connection.sdo(1).timeout_s == 0.25
         assert connection.sdo(1).retries == 0
+
+
+OTHER = bytes((codes.LSS_IDENTIFIED,)) + bytes(7)
+
+
+def test_other_traffic_neither_extends_the_wait_nor_is_kept() -> None:
+    """With a wait that each frame restarts, this test would not end."""
+    with connected() as (connection, _), LssMaster(connection, timeout_s=0.05) as lss:
+        stopped = threading.Event()
+
+        def flood() -> None:
+            while not stopped.wait(0.001):
+                connection.network.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        try:
+            assert not lss.any_unconfigured()
+            assert not lss.select(LssAddress(1, 2, 3, 4))
+        finally:
+            stopped.set()
+            thread.join()
+
+
+def test_a_response_among_other_frames_is_found() -> None:
+    with connected(finger(5)) as (connection, _), LssMaster(connection) as lss:
+        serial = connection.sdo(5)["identity.serial"]
+        found = [connection.sdo(5)[f"identity.{part}"] for part in ("vendor", "product", "revision")]
+        connection.network.notify(codes.LSS_RESPONSE_COB_ID, bytearray(OTHER), 0.0)
+        assert lss.select(LssAddress(*(int(part) for part in (*found, serial))))
+        assert lss.node_id() == 5
+
+
+@pytest.mark.parametrize("lost", [3, 70, 110])
+def test_a_response_that_is_late_is_no_bit_of_the_address(lost: int) -> None:
+    """The wait for a response ends before it: silence, which stands for a bit of 1."""
+    responses = itertools.count()
+
+    def late(message: can.Message) -> can.Message | None:
+        is_late = message.arbitration_id == codes.LSS_RESPONSE_COB_ID and next(responses) == lost
+        return None if is_late else message
+
+    channel = new_channel()
+    with (
+        connected(channel=channel) as (connection, bus),
+        running([finger(255, serial=0x00F00001)], channel),
+        LssMaster(connection, 0.05) as lss,
+    ):
+        bus.fault = late
+        address = lss.fastscan()
+        assert address is not None
+        assert address.serial == 0x00F00001
+        assert next(responses) > lost
+        assert lss.node_id() == 255

@@ -10,10 +10,7 @@ from typing import Any, NamedTuple
 import can
 import canopen
 import pytest
-from bench.fuzz_sdo import Response
 
-from canopen_device.core.sdo_client import BlockDownload, BlockUpload, Upload
-from device.test_sdo_client import Behaviour, malice
 from host.bus_with_nodes import finger
 from host.virtual_time import DelayedBus, run
 from tipforce.dictionary import objects as od
@@ -199,49 +196,3 @@ async def test_a_node_without_blocks_is_asked_for_segments_from_then_on(talk: Ta
         await talk.sdo.write_async(od.CALIBRATION_STAGED_RECORD, record)
     starts = [data[0] for _, data in talk.bus.sent if data[0] in (0xA4, 0xC6, 0x40, 0x21)]
     assert starts == [0xA4, 0x40, 0x21, 0x40, 0x21]
-
-
-class Malicious:
-    """A server of the malicious ones, at node 5."""
-
-    channel_info = "malice"
-
-    def __init__(self, network: canopen.Network, server: Behaviour) -> None:
-        self._network, self._server = network, server
-        network.bus = self  # type: ignore[assignment]
-
-    def send(self, message: Any, _timeout: float | None = None) -> None:
-        """Let the server respond."""
-        loop = asyncio.get_running_loop()
-        for answer in self._server(round(1e6 * loop.time()), bytes(message.data)):
-            self._later(answer.delay_us, answer)
-
-    def _later(self, delay_us: int, answer: Response) -> None:
-        asyncio.get_running_loop().call_later(1e-6 * delay_us, self._receive, answer)
-
-    def _receive(self, answer: Response) -> None:
-        self._network.notify(0x585, bytearray(answer.data), 0.0)
-        answer.times -= 1
-        if answer.times > 0:
-            self._later(answer.every_us, answer)
-
-
-@pytest.mark.parametrize("name", [name for name in malice() if "endless" not in name])  # the limit here is 256 kB
-def test_a_malicious_node_costs_one_error_within_the_deadline(name: str) -> None:
-    make, server, _, text = malice()[name]
-    kind = type(make())
-
-    async def work() -> float:
-        network = canopen.Network()
-        Malicious(network, server)
-        sdo = channel(network, 5, retries=0, deadline_s=5.0)
-        sdo.has_blocks = kind in (BlockUpload, BlockDownload)
-        reads = issubclass(kind, Upload)
-        transfer = sdo.upload_async(0x2000, 0, True) if reads else sdo.download_async(0x2000, 0, bytes(range(40)))
-        with pytest.raises(NoResponseError, match=r"^node 5 \(0x05\), (read|write) of 0x2000:00: no ") as caught:
-            await transfer
-        assert text in str(caught.value)
-        assert len(str(caught.value).splitlines()) == 1
-        return asyncio.get_running_loop().time()
-
-    assert run(work()) <= 5.0
