@@ -12,7 +12,6 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from canopen_device.core import codes
-from canopen_device.core.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import DuplicateNodeError, InputError, NoNewSampleError, SdoAbortError
@@ -154,10 +153,9 @@ class ContactReader:
         if self._received:
             return ""
         state = self._connection.heartbeats.state(self._node_id)
-        if state == STOPPED:
-            return f": it is STOPPED (NMT); start it: bus.nmt('start', {self._node_id})"
-        if state not in (None, OPERATIONAL):
-            return f": it is not operational (NMT); start it: bus.nmt('start', {self._node_id})"
+        if state not in (None, codes.OPERATIONAL):
+            name = "STOPPED" if state == codes.STOPPED else "not operational"
+            return f": it is {name} (NMT); start it: bus.nmt('start', {self._node_id})"
         identifiers = ", ".join(f"0x{can_id:03X}" for can_id in self._assembler.pdos)
         return f": no frame with identifier {identifiers}; check that it receives a SYNC"
 
