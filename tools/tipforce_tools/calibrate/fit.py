@@ -85,12 +85,12 @@ def run_fit(args: argparse.Namespace) -> int:
     request = FitRequest(**requested(args))
     request.check_gauges(data.strain.shape[1], args.data)
     result = fitted(request, data, common.note)
-    doubtful = publish(args.data, request, result)
+    doubtful = publish(args.data, result)
     if (data.bad or doubtful) and args.strict:
         common.note("--strict: no file is written")
         return 1
     if args.output:
-        write(args.output, args.data, request, result)
+        write(args.output, args.data, result)
     return 0
 
 

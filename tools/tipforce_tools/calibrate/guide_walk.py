@@ -324,9 +324,9 @@ class Walk:
         notes = ["the node gets the noise covariance within the captures"]
         if result.fit.outliers:
             notes.append("to repeat an outlier: remove its line from the session and start the same command")
-        publish(path, self._request, result, notes)
+        publish(path, result, notes)
         if args.output:  # first, so that a later failure does not lose it
-            write(args.output, path, self._request, result)
+            write(args.output, path, result)
         name = common.shown_node(args.node)
         answer = self._asked(f"{name}: apply this calibration and store it")
         if answer in ("y", "yes"):

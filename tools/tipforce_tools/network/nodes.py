@@ -7,6 +7,7 @@ import math
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -236,13 +237,10 @@ def run_lss(args: argparse.Namespace) -> int:
         bus_flags.confirm(args, "this replaces the stored node-id")
     with bus_flags.open_connection(args) as connection, LssMaster(connection, args.lss_timeout) as master:
         if args.action == "scan":
-            address = master.fastscan()
-            if address is None:
-                raise NoResponseError(NO_UNCONFIGURED_NODE)
-            _print_lss(address, None, stored=False)
+            _configure_found(master, [None], store=False)
             common.note("there may be more: a fastscan finds one at a time; `tipforce lss assign IDS` configures all")
         elif args.serial is None:
-            _assign_lss(master, args.ids, args.store)
+            _configure_found(master, args.ids, store=args.store)
         else:
             revision = table.REVISION if args.revision is None else args.revision
             address = LssAddress(args.vendor, args.product, revision, args.serial)
@@ -250,8 +248,8 @@ def run_lss(args: argparse.Namespace) -> int:
     return 0
 
 
-def _assign_lss(master: LssMaster, node_ids: list[int], store: bool) -> None:
-    """Give the node-ids to the nodes that fastscan finds, one after the other."""
+def _configure_found(master: LssMaster, node_ids: Sequence[int | None], *, store: bool) -> None:
+    """Give the node-ids to the nodes that fastscan finds, one after the other; None: the node keeps none."""
     for number, node_id in enumerate(node_ids):
         address = master.fastscan()
         if address is None and not number:
@@ -259,7 +257,11 @@ def _assign_lss(master: LssMaster, node_ids: list[int], store: bool) -> None:
         if address is None:
             left = ", ".join(map(str, node_ids[number:]))
             raise NoResponseError(f"{number} of {len(node_ids)} nodes were found and configured; not assigned: {left}")
-        _configure_lss(master, address, node_id, store)
+        if node_id is not None:
+            master.configure_node_id(node_id)
+        if store:
+            master.store()
+        _print_lss(address, node_id, store)
         master.release()
 
 
@@ -267,21 +269,14 @@ def _configure_addressed(master: LssMaster, address: LssAddress, node_id: int | 
     """Give the node with this address another node-id; without one store the one that it has."""
     if not master.select(address):
         raise NoResponseError(f"no node with {address} responded; `tipforce scan --json` shows the nodes' identities")
-    if node_id is None:
-        master.store()
-        _print_lss(address, master.node_id(), stored=True)
-        return
     before = master.node_id()
-    _configure_lss(master, address, node_id, store)
-    if before not in (255, node_id):
-        common.note(f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
-
-
-def _configure_lss(master: LssMaster, address: LssAddress, node_id: int, store: bool) -> None:
-    master.configure_node_id(node_id)
-    if store:
+    if node_id is not None:
+        master.configure_node_id(node_id)
+    if store or node_id is None:
         master.store()
-    _print_lss(address, node_id, store)
+    _print_lss(address, before if node_id is None else node_id, store or node_id is None)
+    if node_id is not None and before not in (255, node_id):
+        common.note(f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
 
 
 def _print_lss(address: LssAddress, node_id: int | None, stored: bool) -> None:
