@@ -136,32 +136,30 @@ def _add_transfer(parser: argparse.ArgumentParser) -> None:
 def run_apply(args: argparse.Namespace) -> int:
     """Apply: return 0. Raises RefusedError."""
     from tipforce.host.configuration.calibration import read_calibration
-    from tipforce.host.network.finger import FingertipClient
 
     calibration, name = read_calibration(args.file), common.shown_node(args.node)
     if not args.no_store:
         bus_flags.confirm(args, f"{name}: this replaces its stored calibration")
     with bus_flags.open_connection(args) as connection:
-        transfer(FingertipClient(connection.sdo(args.node)), args.node, calibration, not args.no_store, "applied")
+        transfer(connection.finger(args.node), calibration, not args.no_store, "applied")
     return 0
 
 
-def transfer(client: FingertipClient, node: int, calibration: Calibration, store: bool, done: str) -> None:
+def transfer(client: FingertipClient, calibration: Calibration, store: bool, done: str) -> None:
     """Apply a calibration with a note of each step, and print what the node then has. Raises RefusedError."""
-    name, crc32 = common.shown_node(node), f"0x{calibration.crc32():08X}"
+    name, crc32 = common.shown_node(client.node_id), f"0x{calibration.crc32():08X}"
     generation = client.apply_calibration(calibration, store, lambda step: common.note(f"{name}: {step}"))
-    record = {"node": node, "generation": generation, "crc32": crc32}
+    record = {"node": client.node_id, "generation": generation, "crc32": crc32}
     common.print_record(record, f"{done}, generation {generation}, CRC-32 {crc32}")
 
 
 def run_verify(args: argparse.Namespace) -> int:
     """Compare: return 0 if equal, 1 if different."""
     from tipforce.host.configuration.calibration import read_calibration
-    from tipforce.host.network.finger import FingertipClient
 
     calibration = read_calibration(args.file)
     with bus_flags.open_connection(args) as connection:
-        differences = FingertipClient(connection.sdo(args.node)).verify_calibration(calibration)
+        differences = connection.finger(args.node).verify_calibration(calibration)
     compared = {"node": args.node, "equal": not differences, "differences": differences}
     common.print_record(compared, "\n".join(differences) or "equal byte for byte")
     return 1 if differences else 0

@@ -43,7 +43,7 @@ def checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipCl
     a node with a front-end fault or without new samples.
     """
     name = common.shown_node(args.node)
-    client = FingertipClient(connection.sdo(args.node))
+    client = connection.finger(args.node)
     identity = client.identity()
     if not identity.is_fingertip:
         raise InputError(f"{name}: product code 0x{identity.product:08X} is not a fingertip of this dictionary")
@@ -330,7 +330,7 @@ class Walk:
         name = common.shown_node(args.node)
         answer = self._asked(f"{name}: apply this calibration and store it")
         if answer in ("y", "yes"):
-            fit.transfer(self._client, args.node, calibration, True, "applied and stored")
+            fit.transfer(self._client, calibration, True, "applied and stored")
         elif answer != "r":
             common.note(f"{name} is unchanged; the same command asks again")
         return answer == "r"

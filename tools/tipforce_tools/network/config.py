@@ -20,6 +20,7 @@ from tipforce_tools.network.sdo import connection_or, description, gauges_read, 
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.configuration_file import Configuration
+    from tipforce.host.network.finger import Finger
     from tipforce.host.network.sdo import SdoChannel
 
 ACTIONS = {
@@ -67,8 +68,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _opened(args: argparse.Namespace) -> Iterator[tuple[SdoChannel, DeviceObjects, Configuration]]:
-    """Open the node; yield its channel, its dictionary and the content of the file. Raises what a file lacks."""
+def _opened(args: argparse.Namespace) -> Iterator[tuple[Finger, DeviceObjects, Configuration]]:
+    """Open the node; yield it, its dictionary and the content of the file. Raises what a file lacks."""
     from tipforce.host.configuration.configuration_file import read_configuration
 
     wanted, error = {}, None
@@ -79,20 +80,20 @@ def _opened(args: argparse.Namespace) -> Iterator[tuple[SdoChannel, DeviceObject
     if args.action == "apply" and args.store:
         bus_flags.confirm(args, f"{common.shown_node(args.node)}: this replaces its stored parameters")
     with connection_or(args, error) as connection:
-        sdo = connection.sdo(args.node)
-        objects = _objects(sdo, args.gauges, args.eds, error)
+        finger = connection.finger(args.node)
+        objects = _objects(finger.sdo, args.gauges, args.eds, error)
         if not isinstance(objects, FingertipObjects):
             wanted = read_configuration(args.file, args.node, args.gauges, objects)
         elif error is not None:
             raise error
-        yield sdo, objects, wanted
+        yield finger, objects, wanted
 
 
 def _diff(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.configuration_file import compare
 
-    with _opened(args) as (sdo, objects, wanted):
-        lines = compare(_read(sdo, objects), wanted, objects)
+    with _opened(args) as (finger, objects, wanted):
+        lines = compare(_read(finger.sdo, objects), wanted, objects)
     for line in lines:
         there = "is not in the file" if line["other"] is None else f"{args.file} has {line['other']}"
         common.print_record(line, f"{line['name']} ({line['entry']}): the node has {line['node']}, {there}")
@@ -102,16 +103,15 @@ def _diff(args: argparse.Namespace) -> int:
 
 def _apply_or_verify(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.configuration_file import apply_configuration, verify_configuration
-    from tipforce.host.network.finger import FingertipClient
 
-    with _opened(args) as (sdo, _, wanted):
+    with _opened(args) as (finger, _, wanted):
         if args.action == "apply":
-            apply_configuration(sdo, wanted)
-        differences = verify_configuration(sdo, wanted)
+            apply_configuration(finger.sdo, wanted)
+        differences = verify_configuration(finger.sdo, wanted)
         if args.action == "apply" and args.store and not differences:
-            FingertipClient(sdo).store()
+            finger.store()
     for difference in differences:
-        text = f"{difference['object']}: expected {difference['expected']}, the node has {difference['found']}"
+        text = "{object}: expected {expected}, the node has {found}".format(**difference)
         common.print_record(difference, text)
     unread = sum(entry.access == "wo" for entry, _ in wanted.values())
     shown = f"{len(differences)} different" + (f", {unread} write-only, not compared" if unread else "")
@@ -191,7 +191,6 @@ def _save(args: argparse.Namespace) -> int:
     from canopen_device.eds import dcf
     from tipforce.dictionary import eds as fingertip_eds
     from tipforce.host.configuration.configuration_file import changed_settings, settings_toml
-    from tipforce.host.network.finger import FingertipClient
     from tipforce.output_file import EDS, SETTINGS, check_output, write_file
 
     as_dcf = args.file.lower().endswith((".dcf", ".eds"))
@@ -208,8 +207,8 @@ def _save(args: argparse.Namespace) -> int:
         elif isinstance(objects, EdsObjects):
             text = dcf.dcf_text(objects.described, chosen)
         else:
-            simulated = FingertipClient(sdo).identity().simulated
-            text = fingertip_eds.dcf_text(args.gauges, sdo.node_id, chosen, simulated)
+            simulated = connection.finger(args.node).identity().simulated
+            text = fingertip_eds.dcf_text(args.gauges, args.node, chosen, simulated)
     if args.file == "-":
         print(text, end="")
         return 0

@@ -134,11 +134,9 @@ def add_tare_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_tare(args: argparse.Namespace) -> int:
     """Act on each node and print its tare afterwards. Raises NoResponseError and SdoAbortError."""
-    from tipforce.host.network.finger import FingertipClient
-
     with bus_flags.open_connection(args) as connection:
         for node_id in args.ids:
-            client = FingertipClient(connection.sdo(node_id))
+            client = connection.finger(node_id)
             if args.clear:
                 client.clear_tare()
             elif not args.show:

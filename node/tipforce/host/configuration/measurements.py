@@ -104,13 +104,10 @@ def time_faults(line: list[int], times: list[float]) -> list[BadRow]:
     for row, t in enumerate(times):
         place = bisect_right(ends, t)
         before[row] = end_rows[place - 1] if place else -1
-        ends[place : place + 1] = [t]
-        end_rows[place : place + 1] = [row]
-    kept: list[int] = []
-    row = end_rows[-1]
-    while row >= 0:
-        kept.append(row)
-        row = before[row]
+        ends[place : place + 1], end_rows[place : place + 1] = [t], [row]
+    kept = end_rows[-1:]
+    while before[kept[-1]] >= 0:
+        kept.append(before[kept[-1]])
     kept.reverse()
     faults = []
     for row in sorted(set(range(len(times))).difference(kept)):
