@@ -19,7 +19,7 @@ from host.bus_with_nodes import apply_load, connected, fresh_sample, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
-from tipforce.host.configuration.calibration import read_calibration, read_fit
+from tipforce.host.configuration.calibration import read_calibration
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
@@ -169,8 +169,8 @@ def _check_stored(bench: Bench) -> None:
 
 def _check_unseen_loads(bench: Bench) -> None:
     """The node's own estimates, against its uncertainty and the calibration's; z for 1 in a million over all."""
-    calibration, fit = read_calibration(bench.file), read_fit(bench.file)
-    assert fit is not None
+    calibration = read_calibration(bench.file, with_fit=True)
+    assert calibration.parameter_covariance is not None
     hand = PolledHand(bench.connection, [5])
     hand.start()
     for P, phi, theta in ((2.0, 20.0, 75.0), (3.1, 100.0, 60.0), (1.2, 0.0, 20.0), (4.0, 150.0, 110.0)):
@@ -179,7 +179,7 @@ def _check_unseen_loads(bench: Bench) -> None:
         row = fresh_sample(hand)
         F = force_vector(P, *np.radians([phi, theta]))
         covariance = covariance_of_estimate(
-            calibration.C, calibration.covariance_strain2, fit.parameter_covariance(), F[np.newaxis]
+            calibration.C, calibration.covariance_strain2, calibration.parameter_covariance, F[np.newaxis]
         )
         u = standard_uncertainties(F[np.newaxis], covariance, pull=True)[0] * [1.0, 180 / np.pi, 180 / np.pi]
         error = np.array([row.P_newtons[0], row.phi_deg[0], row.theta_deg[0]]) - [P, phi, theta]

@@ -4,7 +4,6 @@ import binascii
 import itertools
 import struct
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -19,7 +18,7 @@ from host.bus_with_nodes import ROUNDING_STRAIN2, beam_calibration
 from tipforce.dictionary import table, table_objects
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, read_calibration, write_calibration
-from tipforce.host.configuration.measurements import MODES, BadRow, Measurements, read_measurements, write_measurements
+from tipforce.host.configuration.measurements import MODES, BadRow, Measurements, read_measurements
 
 UNCHECKED = patch.object(Calibration, "check", lambda _self: None)
 """Any numbers survive a file and a record, those that no sensor can have too."""
@@ -383,31 +382,6 @@ def test_gauge_readings_alone(tmp_path: Path) -> None:
     assert not found.unloaded.any()
     with pytest.raises(InputError, match="P_N, phi_deg, theta_deg is missing"):
         read(tmp_path, "SG1,SG2,SG3\n1,2,3\n", loads=True)
-
-
-def test_written_rows_read_back(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    original = Measurements(
-        line=np.arange(2, 7),
-        strain=rng.normal(size=(5, 4)) * 1e-4,
-        P_newtons=np.array([0.0, 1.1, 2.2, 4.4, 0.0]),
-        phi_rad=rng.uniform(-3, 3, 5),
-        theta_rad=rng.uniform(0, 3, 5),
-        t_s=np.cumsum(rng.random(5)),
-        temperature_degC=rng.normal(size=5),
-        weight=rng.random(5),
-        mode=np.array([2, 0, 1, -1, -1], dtype=np.int8),
-        bad=(),
-        ignored_columns=(),
-    )
-    path = tmp_path / "out.csv"
-    write_measurements(path, original)
-    again = read_measurements(path, loads=True)
-    assert again.bad == ()
-    for name in ("strain", "P_newtons", "phi_rad", "theta_rad", "t_s", "temperature_degC", "weight", "mode", "line"):
-        np.testing.assert_allclose(getattr(again, name), getattr(original, name), rtol=1e-14)
-    with pytest.raises(InputError, match="does not exist; create it first"):
-        write_measurements(tmp_path / "no" / "out.csv", replace(original, P_newtons=None))
 
 
 @settings(max_examples=60, deadline=None)

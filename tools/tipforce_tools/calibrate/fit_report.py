@@ -11,7 +11,7 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
 from tipforce.host.configuration.calibration import RECORD, Calibration, stated, write_calibration
-from tipforce.host.configuration.calibration_file import fit_record
+from tipforce.host.configuration.calibration_file import fit_table
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.sensor.calibration.fit import Fit
 from tipforce.sensor.calibration.outliers import rejections
@@ -263,6 +263,6 @@ def publish(path: str, result: Fitted, more_notes: Iterable[str] = ()) -> bool:
 
 def write(output: str, path: str, result: Fitted) -> None:
     """Write the calibration file ``output`` of the data in ``path``."""
-    known = facts(path, result) | {"angle_scatter_deg": result.request.angle_scatter}
-    write_calibration(output, result.calibration, fit_record(result.fit, **known))
+    table = fit_table(result.fit, result.request.angle_scatter, **facts(path, result))
+    write_calibration(output, result.calibration, table)
     common.note(f"{output}: written, load sense {'pull' if result.calibration.pull else 'push'}")

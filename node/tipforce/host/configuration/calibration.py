@@ -20,7 +20,6 @@ from tipforce.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from tipforce.host.configuration.calibration_file import FitRecord
     from tipforce.sensor.calibration.result import Fit
 
 _LEAST_RANK = 1e-9  # smallest over largest singular value: below, rounding alone decides
@@ -312,31 +311,15 @@ def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
             )
         calibration.check()
         if with_fit and fit is not None:
-            fit.check(calibration.gauges)
-            calibration = replace(calibration, parameter_covariance=fit.parameter_covariance())
+            calibration = replace(calibration, parameter_covariance=fit.parameter_covariance(calibration.gauges))
             calibration.check()
     except InputError as error:
         raise InputError(f"calibration {path}: {str(error).removeprefix('calibration ')}") from None
     return calibration
 
 
-def read_fit(path: str | Path) -> FitRecord | None:
-    """The [fit] table of a calibration file, None where it has none. Raises InputError for shapes that do not fit."""
-    from tipforce.host.configuration.calibration_file import read_file
-
-    values, _, fit = read_file(path, fields(Calibration))
-    try:
-        if fit is not None:
-            fit.check(len(values["offset_strain"]))
-    except InputError as error:
-        raise InputError(f"calibration {path}: {error}") from None
-    return fit
-
-
-def write_calibration(
-    path: str | Path, calibration: Calibration, fit: FitRecord | dict[str, object] | None = None
-) -> None:
-    """Write a calibration file that reads back to the same record, with its [fit] table.
+def write_calibration(path: str | Path, calibration: Calibration, fit: dict[str, object] | None = None) -> None:
+    """Write a calibration file that reads back to the same record, with its table [fit].
 
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
     """

@@ -30,82 +30,72 @@ _WORDS: dict[str, dict[str, int | bool]] = {
 """What a file says in place of a number."""
 
 
-class FitRecord(msgspec.Struct):
-    """The [fit] table: how the matrix came about, and all that the covariance of an estimate needs.
+class FitTable(msgspec.Struct):
+    """What is read of the table [fit]; the other keys are for people, and those that others write are let be.
 
-    The crc32 of the file covers the node's record, not this table. Keys that others write into it are let be.
+    The crc32 of the file covers the node's record, not this table.
     """
 
-    dof: float | None = None
     residual_covariance_microstrain2: list[list[float]] | None = None
     """S, (n, n)."""
     normal_matrix: list[list[float]] | None = None
     """N, the sum of G G^T with G = (F, 1), (4, 4) in newtons; (3, 3) for a fit without offset."""
     parameter_covariance_microstrain2: list[list[float]] | None = None
     """(4 n, 4 n): gauge by gauge (A1, A2, A3, offset). Without it S and N give it."""
-    matrix_standard_uncertainty_newtons_per_strain: list[list[float]] | None = None
-    coverage_factor: float | None = None
-    """Standard uncertainties to either side that make 95 %."""
-    sigma0: float | None = None
-    condition_number: float | None = None
-    row_equilibrated_condition_number: float | None = None
-    data: str | None = None
-    rows: int | None = None
-    unloaded_rows: int | None = None
-    bad_lines: list[int] = []
-    outlier_lines: list[int] = []
-    saturated_lines: list[int] = []
-    """Lines with a reading left out at the converter's limit, or too near to it."""
-    drift: str | None = None
-    loss: str | None = None
-    angle_scatter_deg: float | None = None
 
-    def parameter_covariance(self) -> FloatArray:
-        """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes."""
-        if self.parameter_covariance_microstrain2 is not None:
-            n = len(self.parameter_covariance_microstrain2) // 4
-            return np.array(self.parameter_covariance_microstrain2).reshape(n, 4, n, 4) * 1e-12
-        from tipforce.sensor.calibration.result import kronecker
+    def parameter_covariance(self, n: int) -> FloatArray:
+        """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes.
 
-        return kronecker(np.array(self.residual_covariance_microstrain2) * 1e-12, np.array(self.normal_matrix))
-
-    def check(self, n: int) -> None:
-        """Raise InputError for shapes that do not fit ``n`` gauges, or where the parameter covariance is missing."""
-        S, N = self.residual_covariance_microstrain2, self.normal_matrix
-        if self.parameter_covariance_microstrain2 is None and None in (S, N):
+        Raises InputError for shapes that do not fit ``n`` gauges, and where it is missing.
+        """
+        S, N, whole = (
+            None if rows is None else _matrix(name, rows) for name, rows in msgspec.structs.asdict(self).items()
+        )
+        if whole is None and (S is None or N is None):
             raise InputError(
                 "fit: parameter_covariance_microstrain2 is missing, or in its place "
                 "residual_covariance_microstrain2 and normal_matrix"
             )
-        shapes = {
-            "residual_covariance_microstrain2": ((n, n),),
-            "normal_matrix": ((4, 4), (3, 3)),
-            "parameter_covariance_microstrain2": ((4 * n, 4 * n),),
-        }
-        for name, allowed in shapes.items():
-            rows = getattr(self, name)
-            matrix = None if rows is None else _matrix(name, rows)
+        shapes = ((n, n),), ((4, 4), (3, 3)), ((4 * n, 4 * n),)
+        for name, matrix, allowed in zip(self.__struct_fields__, (S, N, whole), shapes, strict=True):
             if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
                 raise InputError(f"{name} must be {' or '.join(map(str, allowed))}, finite")
+        if whole is not None:
+            return whole.reshape(n, 4, n, 4) * 1e-12
+        from tipforce.sensor.calibration.result import kronecker
+
+        assert S is not None
+        assert N is not None
+        return kronecker(S * 1e-12, N)
 
 
-_OF_FIT = ("dof", "coverage_factor", "condition_number", "row_equilibrated_condition_number", "drift", "loss")
+def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, object]:
+    """The table [fit]: how the matrix came about, and all that the covariance of an estimate needs.
 
-
-def fit_record(fit: Fit, **facts: object) -> FitRecord:
-    """The [fit] table of a fit; facts: fields of FitRecord that the fit does not know (data, lines, ...)."""
+    ``facts`` of the data: file, rows, lines with bad rows, outliers, readings at or too near to the converter's limit.
+    """
     side = 4 * len(fit.A)
-    values: dict[str, object] = {
+    table = {
+        "dof": fit.dof,
         "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * 1e12).tolist(),
         "normal_matrix": fit.N.tolist(),
         "parameter_covariance_microstrain2": (fit.parameter_covariance * 1e12).reshape(side, side).tolist(),
         "matrix_standard_uncertainty_newtons_per_strain": fit.C_uncertainty.tolist(),
-        "sigma0": fit.sigma0 if np.isfinite(fit.sigma0) else None,
+        "coverage_factor": fit.coverage_factor,
+        "sigma0": fit.sigma0,
+        "condition_number": fit.condition_number,
+        "row_equilibrated_condition_number": fit.row_equilibrated_condition_number,
+        **facts,
+        "drift": fit.drift,
+        "loss": fit.loss,
+        "angle_scatter_deg": angle_scatter_deg,
     }
-    return msgspec.convert(values | {name: getattr(fit, name) for name in _OF_FIT} | facts, FitRecord)
+    if not np.isfinite(fit.sigma0):
+        del table["sigma0"]
+    return table
 
 
-def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | None, FitRecord | None]:
+def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | None, FitTable | None]:
     """What a file has of the fields, by name; its CRC-32; its [fit] table.
 
     Raises InputError naming the key and what is allowed.
@@ -120,12 +110,12 @@ def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | N
         }
     except InputError as error:
         raise InputError(f"{place}: {error}") from None
-    fit = None if content.fit is None else convert(FitRecord, content.fit, f"{place}: fit", finite=False)
+    fit = None if content.fit is None else convert(FitTable, content.fit, f"{place}: fit", finite=False)
     return values, content.calibration.crc32, fit
 
 
 def write_file(path: str | Path, fields: Fields, calibration: object, crc32: int, fit: object) -> None:
-    """Write a file with the fields of a calibration, the CRC-32 of its record, and a [fit] table.
+    """Write a file with the fields of a calibration, the CRC-32 of its record, and its table [fit], None for none.
 
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
     """
@@ -139,7 +129,7 @@ def write_file(path: str | Path, fields: Fields, calibration: object, crc32: int
     content["crc32"] = f"0x{crc32:08X}"
     document: dict[str, object] = {"calibration": content if date is None else {**content, "date": date}}
     if fit is not None:
-        document["fit"] = {name: value for name, value in msgspec.to_builtins(fit).items() if value is not None}
+        document["fit"] = fit
     output_file.write_file(path, msgspec.toml.encode(document), output_file.CALIBRATION)
 
 
