@@ -1,5 +1,6 @@
 """Configuration files, TOML and DCF: what they say, in which order it goes to the node, what is wrong with them."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from canopen_device import types
+from host.bus_with_nodes import connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
 from tipforce.dictionary.entries import entries
@@ -17,6 +19,7 @@ from tipforce.host.configuration.configuration_file import (
     read_configuration,
     verify_configuration,
 )
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.sdo import SdoChannel
 
 NODE = 5
@@ -26,6 +29,20 @@ REMAP = """[objects]
 "tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]
 "rpdo1.cob_id" = 0x205
 """
+
+
+@pytest.fixture(scope="module")
+def connection(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
+    with connected(finger(NODE, store=tmp_path_factory.mktemp("store") / "node.json")) as (connection, _):
+        yield connection
+
+
+@pytest.fixture
+def sdo(connection: Bus) -> SdoChannel:
+    connection.buffer.clear()
+    connection.nmt("reset-node", NODE)
+    connection.wait_for({0x700 + NODE})
+    return connection.sdo(NODE)
 
 
 def read_text(tmp_path: Path, text: str, gauges: int = 3) -> Configuration:

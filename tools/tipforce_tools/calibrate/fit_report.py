@@ -10,7 +10,7 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
-from tipforce.host.configuration.calibration import RECORD, Calibration, stated, write_calibration
+from tipforce.host.configuration.calibration import RECORD, Calibration, write_calibration
 from tipforce.host.configuration.calibration_file import fit_table
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.sensor.calibration.fit import Fit
@@ -213,7 +213,7 @@ def _record(path: str, result: Fitted, notes: list[str], warnings: list[str]) ->
         "validity": {
             of.name: getattr(calibration, of.name)
             for of in RECORD
-            if stated(of).place[0] >= indices.CALIBRATION_VALIDITY and not stated(of).shape
+            if of.metadata["place"][0] >= indices.CALIBRATION_VALIDITY and not of.metadata["shape"]
         },
         "warnings": warnings,
         "notes": notes,

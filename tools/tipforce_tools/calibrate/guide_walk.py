@@ -313,7 +313,8 @@ class Walk:
         C, A = result.fit.C, result.fit.A
         # The residuals also contain differences between hooks; the scatter of a single reading of the node is that
         # within the captures. C is then optimal for that noise, which matters for a node with more than three gauges.
-        noise, dof = to_digits(self._session.noise_covariance_strain2()), self._session.freedom()
+        covariance, dof = self._session.noise()
+        noise = to_digits(covariance)
         calibration = replace(
             result.calibration,
             C=matrix_to_digits(weighted_inverse(A, noise)) if len(A) > 3 else C,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 from dataclasses import MISSING, Field
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -141,27 +140,26 @@ def _rows(fields: Fields) -> list[tuple[Field[Any], str, float]]:
 
     def rank(of: Field[Any]) -> int:
         required = of.type == "bool" or of.default is of.default_factory is MISSING
-        return 3 if not of.metadata["row"].place[0] else 0 if required else 1 + (of.type == "FloatArray")
+        return 3 if not of.metadata["place"][0] else 0 if required else 1 + (of.type == "FloatArray")
 
     listed = sorted((of for of in fields if of.type != "FloatArray | None"), key=rank)
     return [
         (
             of,
-            of.metadata["row"].key or of.name.replace("_strain", "_microstrain"),
+            of.metadata["key"] or of.name.replace("_strain", "_microstrain"),
             1e12 if "_strain2" in of.name else 1e6 if "_strain" in of.name else 1.0,
         )
         for of in listed
     ]
 
 
-@lru_cache(maxsize=1)
 def _file_type(fields: Fields) -> type[msgspec.Struct]:
     """The form of a file: the keys of its table [calibration] with their types, None where one may be absent."""
     keys: list[Any] = []
     for of, key, _ in _rows(fields):
         words, plain = of.name in _WORDS, int if of.type == "int" else float
         kind: Any = str if words else datetime.date if of.name == "date" else plain
-        for _ in of.metadata["row"].shape:
+        for _ in of.metadata["shape"]:
             kind = list[kind]
         required = of.type == "bool" or of.default is of.default_factory is MISSING
         keys.append((key, kind) if required else (key, kind | None, None))
@@ -179,7 +177,7 @@ def _value(of: Field[Any], key: str, unit: float, cell: Any) -> Any:
         return _WORDS[of.name][cell]
     if of.name == "date":
         return cell.year * 10000 + cell.month * 100 + cell.day
-    value = _matrix(key, cell) if of.metadata["row"].shape else cell
+    value = _matrix(key, cell) if of.metadata["shape"] else cell
     return value if unit == 1.0 else value * (1.0 / unit)
 
 
@@ -196,7 +194,7 @@ def _cell(of: Field[Any], unit: float, value: Any) -> Any:
         except ValueError:
             raise InputError(f"date {value}, allowed is YYYYMMDD of a day that there was, or 0") from None
     number = value if unit == 1.0 else value * unit
-    return number.tolist() if of.metadata["row"].shape else number
+    return number.tolist() if of.metadata["shape"] else number
 
 
 def _matrix(name: str, rows: object) -> FloatArray:

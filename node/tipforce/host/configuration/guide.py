@@ -25,6 +25,7 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -108,7 +109,7 @@ def groove_plan(weights: str, grooves: str) -> tuple[Step, ...]:
         for along, phi, theta in places:
             text = f"{hang} {along}-groove at theta = {theta:g} degrees (phi = {phi:g})"
             loads.append(Step(0, P, phi, theta, "pull", text))
-    return _numbered(_with_tares(loads, TARE_EVERY))
+    return _plan(loads, TARE_EVERY)
 
 
 def file_plan(path: str | Path) -> tuple[Step, ...]:
@@ -118,8 +119,7 @@ def file_plan(path: str | Path) -> tuple[Step, ...]:
         raise InputError(f"plan {path}: tare_every = {content.tare_every}: allowed is 1 or more")
     try:
         steps = [_step(k + 1, step) for k, step in enumerate(content.step)]
-        own_tares = any(step.mode == "tare" for step in steps)
-        return _numbered(steps if own_tares else _with_tares(steps, content.tare_every))
+        return _plan(steps, 0 if any(step.mode == "tare" for step in steps) else content.tare_every)
     except InputError as error:
         raise InputError(f"plan {path}: {error}") from None
 
@@ -158,14 +158,11 @@ def _grooves(text: str) -> list[tuple[str, float, float]]:
     return found
 
 
-def _with_tares(loads: Sequence[Step], every: int) -> list[Step]:
-    steps = [TARE]
-    for k in range(0, len(loads), every):
-        steps += [*loads[k : k + every], TARE]
-    return steps
-
-
-def _numbered(steps: Sequence[Step]) -> tuple[Step, ...]:
+def _plan(steps: list[Step], tare_every: int) -> tuple[Step, ...]:
+    """Return the steps, numbered; ``tare_every`` 0: with tares of their own, else with one after so many loads."""
+    if tare_every:
+        groups = [[*steps[k : k + tare_every], TARE] for k in range(0, len(steps), tare_every)]
+        steps = [TARE, *chain.from_iterable(groups)]
     loads = [step for step in steps if step.mode != "tare"]
     if not loads:
         raise InputError("no step has a load: add at least one with P_N above 0")
@@ -241,15 +238,11 @@ class Session:
         self._save(self._content[: self._content.rfind(b"\n", 0, -1) + 1])
         return self.rows.pop().step
 
-    def noise_covariance_strain2(self) -> FloatArray:
-        """Return the covariance of one reading from the scatter within all captures, (n, n), strain^2."""
+    def noise(self) -> tuple[FloatArray, float]:
+        """Return the covariance of one reading, (n, n), strain^2, and its degrees of freedom, from all captures."""
         freedom = [row.samples - 1 for row in self.rows]
         mean = np.average([row.covariance_microstrain2 for row in self.rows], axis=0, weights=freedom)
-        return np.asarray(mean * 1e-12, dtype=np.float64)
-
-    def freedom(self) -> float:
-        """Degrees of freedom of that covariance."""
-        return float(sum(row.samples - 1 for row in self.rows))
+        return np.asarray(mean * 1e-12, dtype=np.float64), float(sum(freedom))
 
     # --- the file -----------------------------------------------------------------------------------------------
 
