@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -203,7 +203,11 @@ def _dump(args: argparse.Namespace) -> int:
     """Print the objects of the node; return 0. An entry that it refuses to read shows the abort, not a value."""
     with bus_flags.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
-        readable = _readable(sdo, args.gauges, args.eds)
+        readable = [
+            (entry, entry.name if entry.stem else entry.title)  # a sub-index 0 that holds a count has no name
+            for entry in _entries(sdo, args.gauges, args.eds)
+            if entry.access != "wo" and entry.index != EDS
+        ]
         readings = []
         with common.progress("read", len(readable)) as advance:
             for entry, label in readable:
@@ -248,23 +252,19 @@ def _read(sdo: SdoChannel, entry: Entry[Value]) -> tuple[Value | SdoAbortError, 
         return data, data.hex(" ").upper()
 
 
-def _readable(sdo: SdoChannel, gauges: int | None, eds: str | None) -> list[tuple[Entry[Value], str]]:
-    """Return the entries to read, each with its label: with --gauges those of such a fingertip, otherwise by identity.
-
-    A label is the name that `sdo read` takes, or a description of a sub-index 0 that holds a count.
-    """
+def _entries(sdo: SdoChannel, gauges: int | None, eds: str | None) -> Iterable[Entry[Value]]:
+    """Return the entries of the node: with --gauges those of such a fingertip, otherwise by its identity."""
     below, described = 0x10000, None
     if gauges is None and not eds:
         gauges = gauges_read(sdo) or None
     if eds or gauges is None:
         described = description(eds, sdo)
-    if described is not None:  # under the names of the EDS
-        known: list[tuple[Entry[Value], str]] = []
+    if described is not None:
+        known = []
         for each in described.entries():
             parent = described.objects[each.index]
             name = parent.name if set(parent.entries) == {0} else f"{parent.name}/{each.name}"
-            if each.access != "wo" and each.index != EDS:
-                known.append((Entry(each.index, each.sub, each.letter, name, each.access, each.unit), name))
+            known.append(Entry[Value](each.index, each.sub, each.letter, name, each.access, each.unit, name))
         return known
     if gauges is None:
         gauges, below = 3, _PROFILE_FREE
@@ -275,8 +275,4 @@ def _readable(sdo: SdoChannel, gauges: int | None, eds: str | None) -> list[tupl
     programs = False
     with suppress(SdoAbortError):
         programs = below > communication.PROGRAM_DATA and sdo.upload(communication.PROGRAM_DATA, 0) is not None
-    return [
-        (entry, entry.name if entry.stem else entry.title)
-        for entry in entries(gauges, True, programs).values()
-        if entry.access != "wo" and entry.index < below and entry.index != EDS
-    ]
+    return [entry for entry in entries(gauges, True, programs).values() if entry.index < below]

@@ -1,16 +1,6 @@
 """The steps of a guided calibration, loads and unloaded readings between them, and the session of their readings.
 
-The steps are those of the paper, or of a plan file, in TOML::
-
-    tare_every = 4                # loads between unloaded readings (default 4); not used if a step is a tare
-
-    [[step]]
-    P_N = 4.4                     # newtons, above 0
-    phi_deg = 0.0                 # direction of the force
-    theta_deg = 30.0              # contact angle
-    mode = "pull"                 # or push, or tare (an unloaded reading, without the three keys above)
-    instruction = "hang weight A on hook 3"      # optional
-
+The steps are those of the paper, or of a plan file in TOML, whose keys `tipforce calibrate guide --help` describes.
 A session is a CSV of measurements, one row per step, on disk before the next step begins. Besides the columns of every
 measurement file (`tipforce calibrate fit` reads it unchanged): ``step`` (number in the plan, or extra), ``serial`` (of
 the node), ``taken`` (UTC) and ``var_j_k_ue2``, the covariance of one reading.
