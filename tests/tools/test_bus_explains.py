@@ -16,7 +16,6 @@ from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.interfaces import Link, link_of
 from tipforce.watching.findings import Observed, findings
 from tipforce_tools.cli.main import main
@@ -63,7 +62,7 @@ def situation(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
             connection.wait_for({0x705})
             connection.sdo(5).write(od.HEARTBEAT_PRODUCER_MS, 60)
             if name not in {"not calibrated", "two nodes"}:
-                FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
+                connection.finger(5).apply_calibration(beam_calibration(), store=False)
             if name in ("no SYNC", "not calibrated"):
                 connection.nmt("start", 5)
             if name in ("not calibrated", "two nodes"):

@@ -18,7 +18,6 @@ from can.interfaces import BACKENDS
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.interfaces import link_of
 from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.main import main
@@ -130,7 +129,7 @@ def test_a_bus_with_nodes_is_listened_to(capsys: pytest.CaptureFixture[str]) -> 
     channel = new_channel()
     with connected(finger(5), channel=channel) as (connection, _):
         connection.sdo(5).write(od.HEARTBEAT_PRODUCER_MS, 20)
-        FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
+        connection.finger(5).apply_calibration(beam_calibration(), store=False)
         assert main(["doctor", "--listen", "0.3", "--json", "-i", "virtual", "-c", channel]) == 0
     checks = {check["topic"]: check for check in map(json.loads, capsys.readouterr().out.splitlines())}
     shown = "pre-operational, simulated fingertip, 3 gauges, serial 1005"

@@ -22,7 +22,6 @@ from tipforce.fingertip.source import Reading, Source
 from tipforce.host.configuration.calibration import read_calibration
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -151,7 +150,7 @@ def _check_stored(bench: Bench) -> None:
     bench.connection.nmt("reset-node", 5)
     bench.connection.wait_for({0x705})
     calibration = read_calibration(bench.file)
-    assert FingertipClient(bench.connection.sdo(5)).verify_calibration(calibration) == []
+    assert bench.connection.finger(5).verify_calibration(calibration) == []
     assert (calibration.serial, calibration.pull, calibration.layout_code) == (1005, True, 1)
     np.testing.assert_allclose(np.sqrt(np.diag(calibration.covariance_strain2)) * 1e6, 0.5, rtol=0.1)
     np.testing.assert_allclose(calibration.offset_strain * 1e6, OFFSETS, atol=0.4)
@@ -205,7 +204,7 @@ def test_more_gauges_than_three(tmp_path: Path, capsys: pytest.CaptureFixture[st
     with connected(device, channel=channel) as (connection, _):
         words = ["calibrate", "guide", "--node", 5, "--auto", *FEW, *QUICK, "--session", tmp_path / "s.csv"]
         assert main([*map(str, words), "-i", "virtual", "-c", channel]) == 0
-        held = FingertipClient(connection.sdo(5)).calibration()
+        held = connection.finger(5).calibration()
     assert "by SYNC and SDO reads" in capsys.readouterr().err
     assert held is not None
     np.testing.assert_allclose(held.C @ A, np.eye(3), atol=2e-3)

@@ -19,7 +19,6 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.configuration.device_objects import FingertipObjects
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
@@ -109,7 +108,7 @@ def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureF
 
 def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     connection = bench[0]
-    FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
+    connection.finger(5).apply_calibration(beam_calibration(), store=False)
     apply_load(connection, 5, 4.4, 90.0, 45.0)
     code, out, err = tipforce("read", "5")
     assert (code, err) == (0, "")
@@ -164,7 +163,7 @@ def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Bus, s
 
 def test_tare_shows_and_clears(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     connection = bench[0]
-    FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
+    connection.finger(5).apply_calibration(beam_calibration(), store=False)
     apply_load(connection, 5, 2.0, 0.0, 0.0)
     code, out, _ = tipforce("tare", "5", "--json")
     record = json.loads(out)

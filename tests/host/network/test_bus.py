@@ -22,7 +22,6 @@ from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameBuffer, frame_array
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.find import FoundNode, find_nodes
-from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssAddress, LssMaster
 from tipforce.host.network.open_bus import open_bus
 
@@ -202,7 +201,7 @@ def bus() -> Iterator[tuple[Bus, FaultyBus]]:
     with connected(*devices, *others, timeout_s=0.3, retries=1) as (connection, faulty):
         for node_id in (5, 6, 7):
             connection.sdo(node_id).write(od.HEARTBEAT_PRODUCER_MS, 20)
-        FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
+        connection.finger(5).apply_calibration(beam_calibration(), store=False)
         connection.nmt("start", 6)
         connection.nmt("stop", 7)
         yield connection, faulty
