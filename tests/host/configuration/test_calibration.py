@@ -260,7 +260,7 @@ def read(tmp_path: Path, text: str | bytes, loads: bool = True) -> Measurements:
 def test_plain_rows(tmp_path: Path) -> None:
     found = read(tmp_path, HEADER + "\n1,-2.5,3e2,4.4,90,45\n0,0,0,0,0,0\n")
     np.testing.assert_allclose(found.strain, np.array([[1, -2.5, 300], [0, 0, 0]]) * 1e-6)
-    loads = {"P_newtons": [4.4, 0.0], "phi_rad": np.radians([90, 0]), "theta_rad": np.radians([45, 0])}
+    loads = {"P_newtons": np.array([4.4, 0.0]), "phi_rad": np.radians([90, 0]), "theta_rad": np.radians([45, 0])}
     for name, values in loads.items():
         np.testing.assert_allclose(getattr(found, name), values)
     assert found.line.tolist() == [2, 3]
