@@ -14,7 +14,7 @@ import pytest
 from host.bus_with_nodes import finger
 from host.virtual_time import DelayedBus, run
 from tipforce.dictionary import objects as od
-from tipforce.dictionary.entries import resolve
+from tipforce.dictionary.entries import Entry, resolve
 from tipforce.errors import NoResponseError, SdoAbortError
 from tipforce.host.configuration.configuration_file import (
     Configuration,
@@ -116,10 +116,10 @@ def test_a_silent_node_costs_its_tries_and_an_abort_none() -> None:
         DelayedBus(network, [finger(5)], DELAY_S)
         loop = asyncio.get_running_loop()
         with pytest.raises(NoResponseError, match=r"node 9 .* no response after 3 tries of 0\.5 s"):
-            await channel(network, 9).upload_async(0x1000, 0)
+            await channel(network, 9).read_async(od.DEVICE_TYPE)
         assert loop.time() == pytest.approx(1.5, abs=1e-3)
         with pytest.raises(SdoAbortError, match="0x06020000"):
-            await channel(network, 5).upload_async(0x3000, 0)
+            await channel(network, 5).read_async(Entry[int](0x3000, 0, "B", "", "", ""))
         assert loop.time() == pytest.approx(1.5 + DELAY_S, abs=1e-3)
 
     run(work())
@@ -143,7 +143,7 @@ class Trickle(DelayedBus):
 @with_node_5(Trickle, 0.4, deadline_s=7.0)
 async def test_a_server_that_always_answers_in_time_meets_the_deadline(talk: Talk) -> None:
     with pytest.raises(NoResponseError, match=r"the last: the transfer exceeded its deadline"):
-        await talk.sdo.upload_async(0x1008, 0)
+        await talk.sdo.read_async(od.DEVICE_NAME)
     assert asyncio.get_running_loop().time() == pytest.approx(7.0, abs=1e-3)
 
 

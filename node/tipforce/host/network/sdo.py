@@ -116,11 +116,12 @@ class SdoChannel:
 
     async def read_async(self, entry: Entry[T]) -> T:
         """Read for asyncio. Raises as ``read``."""
-        return entry.decode(await self.upload_async(*entry.key, entry.type == _DOMAIN))
+        return entry.decode(await self._transfer(Request(*entry.key, entry.type == _DOMAIN), blocks=False))
 
     async def write_async(self, entry: Entry[T], value: T) -> None:
         """Write for asyncio. Raises as ``write``."""
-        await self.download_async(*entry.key, entry.encode(value))
+        data = entry.encode(value)
+        await self._transfer(Request(*entry.key, len(data) > SWITCH_BYTES, data), blocks=False)
 
     def __getitem__(self, name: str) -> Value:
         """Return the value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``.
@@ -153,14 +154,6 @@ class SdoChannel:
         """
         request = Request(index, sub, len(data) > SWITCH_BYTES, data, progress, deadline_s)
         finished(self._transfer(request, blocks=True))
-
-    async def upload_async(self, index: int, sub: int, long: bool = False) -> bytes:
-        """Upload for asyncio."""
-        return await self._transfer(Request(index, sub, long), blocks=False)
-
-    async def download_async(self, index: int, sub: int, data: bytes) -> None:
-        """Download for asyncio."""
-        await self._transfer(Request(index, sub, len(data) > SWITCH_BYTES, data), blocks=False)
 
     def check_duplicates(self, wait: bool = False) -> None:
         """Raise DuplicateNodeError if two nodes respond with this node-id. Without a suspicion nothing is sent.
