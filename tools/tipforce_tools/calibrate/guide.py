@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
                 raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
         common.InputFile("plan ").check(args.plan)
     from tipforce.host.configuration.guide import file_plan, groove_plan
-    from tipforce_tools.calibrate.guide_walk import Walk, checked_node
+    from tipforce_tools.calibrate.guide_walk import Walk
 
     steps = file_plan(args.plan) if args.plan else groove_plan(args.weights or DEFAULT_WEIGHTS, args.grooves or "paper")
     # What would otherwise fail after an hour of weights.
@@ -70,8 +70,4 @@ def run(args: argparse.Namespace) -> int:
     if args.angle_scatter is None:
         args.angle_scatter = AUTO_SCATTER_DEG if args.auto else HAND_SCATTER_DEG
     with bus_flags.open_connection(args) as connection:
-        client, reader, identity = checked_node(connection, args)
-        try:
-            return Walk(args, steps, client, reader, identity).run()
-        finally:
-            reader.stop()
+        return Walk(args, steps, connection).run()

@@ -36,12 +36,8 @@ def _fault_names(faults: int) -> str:
     return ", ".join(name.replace("_", " ") for bit, name, _ in table.FAULT_BITS if faults >> bit & 1)
 
 
-def checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipClient, GaugeReader, Identity]:
-    """Return the node, after checking that it measures; a note says what it is.
-
-    Raises NoResponseError without a node, InputError for another device or --auto with real gauges, RefusedError for
-    a node with a front-end fault or without new samples.
-    """
+def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipClient, GaugeReader, Identity]:
+    """Return the node, after checking that it measures; a note says what it is."""
     name = common.shown_node(args.node)
     client = connection.finger(args.node)
     identity = client.identity()
@@ -142,25 +138,25 @@ def ask(question: str) -> str:
 
 
 class Walk:
-    """One run at the node; the session holds its results."""
+    """One run at the node; the session holds its results.
 
-    def __init__(
-        self,
-        args: argparse.Namespace,
-        steps: Sequence[Step],
-        client: FingertipClient,
-        reader: GaugeReader,
-        identity: Identity,
-    ) -> None:
-        self._args, self._steps, self._client, self._reader = args, steps, client, reader
+    Raises NoResponseError without a node, InputError for another device or --auto with real gauges, RefusedError for
+    a node with a front-end fault or without new samples.
+    """
+
+    def __init__(self, args: argparse.Namespace, steps: Sequence[Step], connection: Bus) -> None:
+        self._args, self._steps = args, steps
+        self._client, self._reader, identity = _checked_node(connection, args)
         self._request = FitRequest(**fit.requested(args), serial=identity.serial)
         self._request.check_gauges(identity.gauges, "the node")
         _ = self._request.model  # wrong flags of the fit show before an hour of weights
         path = Path(args.session or f"session-{identity.serial}.csv")
-        has_temperature = reader.temperature_degC() is not None
+        has_temperature = self._reader.temperature_degC() is not None
         self._session = session = Session(path, steps, identity.serial, identity.gauges, has_temperature)
         loads = sum(step.mode != "tare" for step in steps)
-        common.note(f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {reader.how}; session {path}")
+        common.note(
+            f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {self._reader.how}; session {path}"
+        )
         if session.cut:
             common.note(f"session {path}: its last line was truncated by an interruption and is removed")
         self._skipped: set[int] = set()
@@ -185,6 +181,8 @@ class Walk:
         except (KeyboardInterrupt, Exception):
             self._say_where()
             raise
+        finally:
+            self._reader.stop()
         self._say_where()
         return code
 

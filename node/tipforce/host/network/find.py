@@ -109,23 +109,22 @@ def _request_device_types(connection: Bus, node_ids: Collection[int]) -> None:
 
 
 def _describe(connection: Bus, node_id: int, state: int | None, answers: bool) -> FoundNode:
-    state_name = "no heartbeat" if state is None else state_text(state)
+    node = FoundNode(node_id, "no heartbeat" if state is None else state_text(state), "no SDO in this state")
     if not answers:
-        seen = connection.duplicates.found.get(node_id, "")
-        return FoundNode(node_id, state_name, "no SDO in this state", duplicate=str(seen))
+        return replace(node, duplicate=str(connection.duplicates.found.get(node_id, "")))
     try:
-        node = _identified(FingertipClient(connection.sdo(node_id)), state_name)
+        identified = _identified(FingertipClient(connection.sdo(node_id)), node)
         connection.sdo(node_id).check_duplicates(wait=True)
-        return node
+        return identified
     except DuplicateNodeError as error:
-        return FoundNode(node_id, state_name, "two nodes", duplicate=str(error))
+        return replace(node, device="two nodes", duplicate=str(error))
     except tuple(_FAILED) as error:
-        return FoundNode(node_id, state_name, next(text for kind, text in _FAILED.items() if isinstance(error, kind)))
+        return replace(node, device=next(text for kind, text in _FAILED.items() if isinstance(error, kind)))
 
 
-def _identified(client: FingertipClient, state_name: str) -> FoundNode:
+def _identified(client: FingertipClient, node: FoundNode) -> FoundNode:
     identity = client.identity()
-    node = FoundNode(client.node_id, state_name, "", identity.serial, product=identity.product)
+    node = replace(node, serial=identity.serial, product=identity.product)
     if not identity.is_fingertip:
         device = f"product 0x{identity.product:08X}"
         return replace(node, device=device, calibration="not a fingertip", eds="no: another device")
