@@ -53,14 +53,13 @@ def fitted(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]
 def test_text_tells_all(data: Path, sim: Simulated, printed: Printed) -> None:
     limit = (sim.saturation_strain or 0.0) * 1e6
     out, err = printed(0, ["calibrate", "fit", str(data), "--layout", "I", "--saturation", f"{limit * 0.9999999}"])
-    assert "57 loaded and 20 unloaded rows, 3 gauges" in out
-    assert "drift tare, loss huber, load directions 0.5 degree" in out
-    assert "condition number 2.4" in out
+    for text in (
+        "57 loaded and 20 unloaded rows, 3 gauges", "drift tare, loss huber, load directions 0.5 degree",
+        "condition number 2.4", *(f"outlier: line {row + 2}: " for row in np.flatnonzero(sim.true_outlier)),
+        "saturated: line 17: SG2 is left out", "1 degree costs about 1 % of P and 1 degree of phi or theta",
+    ):  # fmt: skip
+        assert text in out
     assert len([line for line in out.splitlines() if line.startswith("   4.400")]) >= 17
-    for row in np.flatnonzero(sim.true_outlier):
-        assert f"outlier: line {row + 2}: " in out
-    assert "saturated: line 17: SG2 is left out" in out
-    assert "1 degree costs about 1 % of P and 1 degree of phi or theta" in out
     assert err == ""
 
 
@@ -91,7 +90,8 @@ def test_the_file_has_the_digits_that_were_told_and_gives_the_covariance_again(
     assert (table["rows"], table["unloaded_rows"], table["drift"], table["bad_lines"]) == (77, 20, "tare", [])
     assert table["outlier_lines"] == [int(row) + 2 for row in np.flatnonzero(sim.true_outlier)]
     # S and N alone give nearly the same.
-    again = Calibration.read(replace_in(path, "parameter_covariance_microstrain2")).parameter_covariance
+    path.write_text(path.read_text().replace("parameter_covariance_microstrain2", "covariance"))
+    again = Calibration.read(path).parameter_covariance
     assert again is not None
     assert again.shape == (3, 4, 3, 4)
 
@@ -112,17 +112,6 @@ def test_the_last_bits_of_the_arithmetic_change_no_file(
     assert files[0].record() == files[1].record()
     for part in ("C", "offset_strain", "covariance_strain2"):
         assert np.array_equal(getattr(files[0], part), getattr(files[1], part)), part
-
-
-def replace_in(path: Path, name: str) -> Path:
-    """The same file without one key of [fit]."""
-    import msgspec
-
-    content = tomllib.loads(path.read_text())
-    del content["fit"][name]
-    other = path.with_name("other.toml")
-    other.write_bytes(msgspec.toml.encode(content))
-    return other
 
 
 def test_bad_rows_are_told_and_strict_refuses(data: Path, tmp_path: Path, printed: Printed) -> None:

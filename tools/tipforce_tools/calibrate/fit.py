@@ -45,14 +45,15 @@ def requested(args: argparse.Namespace) -> dict[str, Any]:
     return given | {"loss": args.loss.replace("-", "_")}
 
 
-def add_model_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags that say how the readings are believed to have come about."""
+def add_model_arguments(
+    parser: argparse.ArgumentParser, scatter: float | None = 0.5, default: str = "%(default)s"
+) -> None:
+    """Flags that say how the readings are believed to have come about; ``default``: what the help says of scatter."""
     group = parser.add_argument_group("model")
     above_0 = common.number_within(0.0, common.MOST, "is above 0", over=True)
-    scatter = "standard deviation of a groove's phi and theta (default %(default)s)"
-    common.add_numbers(
-        group, ("--angle-scatter", 0.5, "DEG", scatter, common.number_within(0.0, 20.0, "is 0 to 20 degrees"))
-    )
+    about = f"standard deviation of a groove's phi and theta (default {default})"
+    degrees = common.number_within(0.0, 20.0, "is 0 to 20 degrees")
+    common.add_numbers(group, ("--angle-scatter", scatter, "DEG", about, degrees))
     group.add_argument("--drift", choices=("none", "tare", "linear"), help="of the offsets (default: best predictor)")
     group.add_argument(
         "--loss", choices=("huber", "soft-l1", "none"), default="huber",

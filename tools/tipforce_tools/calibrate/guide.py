@@ -43,10 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--max-drift", 2.0, "UE", "largest drift, microstrain (default %(default)s)", limit),
     )
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout, for file and prior")
-    fit.add_model_arguments(parser)
-    parser.set_defaults(angle_scatter=None)  # None: 0.5 degree with weights, 0 with --auto
-    scatter = next(action for action in parser._actions if action.dest == "angle_scatter")
-    scatter.help = (scatter.help or "").replace("%(default)s", "0.5; --auto: 0")
+    fit.add_model_arguments(parser, None, "0.5; --auto: 0")
     common.add_confirm_argument(parser)
     bus_flags.add_sdo_arguments(parser)
 

@@ -21,7 +21,10 @@ from tipforce_tools.cli.actions import add_choice
 if TYPE_CHECKING:
     from tipforce.host.network.firmware import NodeProgram
 
-_CONTACT = ("P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg")
+_CONTACT = (
+    "node_id", "t_s", "counter", "P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg",
+    "status", "reason", "microstrain",
+)  # fmt: skip
 NMT_COMMANDS = {
     "start": "enter operational: PDOs and SDO",
     "stop": "enter stopped: neither PDOs nor SDO, only heartbeat and NMT",
@@ -104,10 +107,7 @@ def run_read(args: argparse.Namespace) -> int:
         for _ in range(args.count):
             for node_id in args.ids:
                 contact = connection.finger(node_id).read(args.wait)
-                record: dict[str, object] = {"node_id": node_id, "t_s": contact.t_s, "counter": contact.counter}
-                record |= {name: getattr(contact, name) for name in _CONTACT}
-                record |= {"status": int(contact.status), "reason": contact.reason}
-                record["microstrain"] = list(contact.microstrain)
+                record = {name: getattr(contact, name) for name in _CONTACT}
                 u = f"  u(P) {contact.u_P_newtons:.3f} N" if math.isfinite(contact.u_P_newtons) else ""
                 _print(record, f"{contact}{u}")
                 if NOT_CALIBRATED in contact.reason and node_id not in bare:
