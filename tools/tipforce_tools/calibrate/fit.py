@@ -157,7 +157,7 @@ def run_guide(args: argparse.Namespace) -> int:
         common.InputFile("plan ").check(args.plan)
     from tipforce.host.configuration.guide import file_plan, groove_plan
     from tipforce.output_file import CALIBRATION, check_output
-    from tipforce_tools.calibrate.guide_walk import Walk
+    from tipforce_tools.calibrate.guide import Walk
 
     steps = file_plan(args.plan) if args.plan else groove_plan(args.weights or DEFAULT_WEIGHTS, args.grooves or "paper")
     # What would otherwise fail after an hour of weights.
