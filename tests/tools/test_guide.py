@@ -15,12 +15,11 @@ import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.running.store import FileStore
-from host.bus_with_nodes import apply_load, connected, fresh_sample, new_channel
+from host.bus_with_nodes import apply_load, connected, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
 from tipforce.host.configuration.calibration import read_calibration
-from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
@@ -160,18 +159,16 @@ def _check_unseen_loads(bench: Bench) -> None:
     """The node's own estimates, against its uncertainty and the calibration's; z for 1 in a million over all."""
     calibration = read_calibration(bench.file, with_fit=True)
     assert calibration.parameter_covariance is not None
-    hand = PolledHand(bench.connection, [5])
-    hand.start()
     for P, phi, theta in ((2.0, 20.0, 75.0), (3.1, 100.0, 60.0), (1.2, 0.0, 20.0), (4.0, 150.0, 110.0)):
         apply_load(bench.connection, 5, P, phi, theta)
         time.sleep(0.002)
-        row = fresh_sample(hand)
+        contact = bench.connection.finger(5).read()
         F = force_vector(P, *np.radians([phi, theta]))
         covariance = covariance_of_estimate(
             calibration.C, calibration.covariance_strain2, calibration.parameter_covariance, F[np.newaxis]
         )
         u = standard_uncertainties(F[np.newaxis], covariance, pull=True)[0] * [1.0, 180 / np.pi, 180 / np.pi]
-        error = np.array([row.P_newtons[0], row.phi_deg[0], row.theta_deg[0]]) - [P, phi, theta]
+        error = np.array([contact.P_newtons, contact.phi_deg, contact.theta_deg]) - [P, phi, theta]
         assert (np.abs(error) <= 5.3 * u + [0.0005, 0.005, 0.005]).all()
 
 
