@@ -26,7 +26,6 @@ from tipforce.samples.reasons import Status
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
 
-DEFAULT_RATE_HZ = 100.0
 _LISTEN_S = 0.12  # wait for another producer's SYNC before the first own one
 _FRESH_S = 0.1  # an older unread sample is stale, unless the SYNC period is longer
 _MOST_WAITING = 10_000
