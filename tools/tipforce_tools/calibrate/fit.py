@@ -1,4 +1,4 @@
-"""`tipforce calibrate fit|guide`: readings under known loads to a calibration; `apply|verify`: its file and a node."""
+"""`tipforce calibrate fit`: readings under known loads to a calibration file; `apply|verify`: that file and a node."""
 
 from __future__ import annotations
 
@@ -13,10 +13,6 @@ from tipforce_tools.cli import bus_flags, common
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration
     from tipforce.host.network.finger import FingertipClient
-
-DEFAULT_WEIGHTS = "4.4"
-AUTO_SCATTER_DEG, HAND_SCATTER_DEG = 0.0, 0.5  # a simulated load has its nominal direction
-MIN_SAMPLES, MAX_SAMPLES = 10, 100_000
 
 
 def add_fit_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,66 +105,6 @@ def _date(text: str) -> datetime.date:
         return datetime.date.fromisoformat(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r}: write it as 2025-12-31") from None
-
-
-# --- guide -----------------------------------------------------------------------------------------------------
-
-
-def add_guide_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of guide."""
-    parser.epilog = (
-        "At each step: Enter captures, s skips, r repeats the last step, q saves and quits. Each capture is one row\n"
-        "of the session file, written to disk at once: the same command continues where it stopped. At the end the\n"
-        "calibration is fitted, shown, and after confirmation written to the node, verified and stored.\n"
-        "  tipforce calibrate guide --node 5 --weights 4.4,2.2 --session a.csv -o finger.toml -i socketcan -c can0\n"
-        "  tipforce calibrate guide --node 5 --auto -o finger.toml -i socketcan -c vcan0      (a simulated node)\n"
-        "A plan for another rig (TOML): a [[step]] per load with P_N, phi_deg, theta_deg, optional mode (pull, push,\n"
-        "tare) and instruction; tare_every = 4 sets the number of loads between unloaded readings."
-    )
-    parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
-    parser.add_argument("--plan", metavar="PLAN.toml", help="steps for another rig")
-    parser.add_argument("--weights", metavar="N,N", help=f"weights in newtons (default {DEFAULT_WEIGHTS})")
-    parser.add_argument("--grooves", metavar="paper|x30,y60,...", help="default: paper, its 19 grooves")
-    parser.add_argument("--session", metavar="FILE.csv", help="default: session-SERIAL.csv, serial of the node")
-    parser.add_argument("-o", "--output", metavar="CAL.toml", help="calibration file to write")
-    parser.add_argument("--auto", action="store_true", help="simulated node: apply the loads itself")
-    group = parser.add_argument_group("capture")
-    group.add_argument("--samples", type=int, default=200, metavar="N", help="of a capture (default %(default)s)")
-    period = common.number_within(0.0, 1000.0, "is above 0, up to 1000", over=True)
-    limit = common.number_within(0.0, 1e6, "is above 0, up to 1e+06", over=True)
-    common.add_numbers(
-        group,
-        ("--period", 5.0, "MS", "between samples (default %(default)s)", period),
-        ("--max-std", 5.0, "UE", "largest scatter, microstrain (default %(default)s)", limit),
-        ("--max-drift", 2.0, "UE", "largest drift, microstrain (default %(default)s)", limit),
-    )
-    parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout, for file and prior")
-    add_model_arguments(parser, None, "0.5; --auto: 0")
-    common.add_confirm_argument(parser)
-    bus_flags.add_sdo_arguments(parser)
-
-
-def run_guide(args: argparse.Namespace) -> int:
-    """Execute the plan; return 0 if it is done or the user quits, 1 if a capture of --auto was refused."""
-    if args.plan:
-        for flag in ("weights", "grooves"):
-            if getattr(args, flag) is not None:
-                raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
-        common.InputFile("plan ").check(args.plan)
-    from tipforce.host.configuration.guide import file_plan, groove_plan
-    from tipforce.output_file import CALIBRATION, check_output
-    from tipforce_tools.calibrate.guide import Walk
-
-    steps = file_plan(args.plan) if args.plan else groove_plan(args.weights or DEFAULT_WEIGHTS, args.grooves or "paper")
-    # What would otherwise fail after an hour of weights.
-    if not MIN_SAMPLES <= args.samples <= MAX_SAMPLES:
-        raise InputError(f"--samples {args.samples}: allowed is {MIN_SAMPLES} to {MAX_SAMPLES}")
-    if args.output:
-        check_output(args.output, CALIBRATION)
-    if args.angle_scatter is None:
-        args.angle_scatter = AUTO_SCATTER_DEG if args.auto else HAND_SCATTER_DEG
-    with bus_flags.open_connection(args) as connection:
-        return Walk(args, steps, connection).run()
 
 
 # --- apply and verify ------------------------------------------------------------------------------------------

@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 _CALIBRATE = {
     "fit": ("tipforce_tools.calibrate.fit:fit", "fit a calibration to readings under known loads"),
     "apply": ("tipforce_tools.calibrate.fit:apply", "write a calibration file to a node, verify and store it"),
-    "guide": (
-        "tipforce_tools.calibrate.fit:guide",
-        "calibrate a node weight by weight and store the result; resumable",
-    ),
+    "guide": ("tipforce_tools.calibrate.guide", "calibrate a node weight by weight and store the result; resumable"),
     "verify": ("tipforce_tools.calibrate.fit:verify", "compare a calibration file with that of a node"),
     "budget": ("tipforce_tools.calibrate.budget", "compute the error budget of P, phi and theta by cause"),
 }
