@@ -174,8 +174,8 @@ class Walk:
         RefusedError if the node refuses it.
         """
         try:
-            while (code := self._steps_done()) is None:
-                if not self._is_to_redo():
+            while (code := self._take_steps()) is None:
+                if not self._finish():
                     return 0
                 self._redo_last()
         except (KeyboardInterrupt, Exception):
@@ -186,7 +186,7 @@ class Walk:
         self._say_where()
         return code
 
-    def _steps_done(self) -> int | None:
+    def _take_steps(self) -> int | None:
         """Execute the remaining steps; return None when they are done, otherwise the exit code."""
         sdo, auto = self._client.sdo, self._args.auto
         before = [sdo.read(entry) for entry in _LOAD] if auto else []
@@ -303,8 +303,8 @@ class Walk:
 
     # --- the end: the fit, its report, and after confirmation the transfer to the node ----------------------------
 
-    def _is_to_redo(self) -> bool:
-        """Fit the session, show it, write the file, and after confirmation apply, verify and store it."""
+    def _finish(self) -> bool:
+        """Fit the session, show it, write the file, apply and store it after confirmation; True: redo the last step."""
         args, path = self._args, str(self._session.path)
         data = replace(read_measurements(path, loads=True), ignored_columns=())  # the guide's own columns
         result = fitted(self._request, data, common.note)
