@@ -46,7 +46,7 @@ _REFUSALS = (can.CanError, OSError, RuntimeError)  # canopen raises the last for
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A read of an entry, or with ``data`` a write; ``long``: in blocks."""
+    """A read of an entry, in blocks if it is ``long``; or with ``data`` a write."""
 
     index: int
     sub: int
@@ -120,8 +120,7 @@ class SdoChannel:
 
     async def write_async(self, entry: Entry[T], value: T) -> None:
         """Write for asyncio. Raises as ``write``."""
-        data = entry.encode(value)
-        await self._transfer(Request(*entry.key, len(data) > SWITCH_BYTES, data), blocks=False)
+        await self._transfer(Request(*entry.key, data=entry.encode(value)), blocks=False)
 
     def __getitem__(self, name: str) -> Value:
         """Return the value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``.
@@ -152,8 +151,7 @@ class SdoChannel:
         ``progress`` receives the number of bytes that the node has acknowledged, in the thread that receives frames;
         ``deadline_s`` is the time for a transfer that takes longer than that of the channel.
         """
-        request = Request(index, sub, len(data) > SWITCH_BYTES, data, progress, deadline_s)
-        finished(self._transfer(request, blocks=True))
+        finished(self._transfer(Request(index, sub, False, data, progress, deadline_s), blocks=True))
 
     def check_duplicates(self, wait: bool = False) -> None:
         """Raise DuplicateNodeError if two nodes respond with this node-id. Without a suspicion nothing is sent.
@@ -312,7 +310,8 @@ class Exchange:
         self._attempts += 1
         of = self._request
         what = of.index, of.sub, round(1e6 * self._channel.timeout_s), self._deadline_us
-        in_blocks = of.long and self._channel.has_blocks and self._attempts == 1
+        long = of.long if of.data is None else len(of.data) > SWITCH_BYTES
+        in_blocks = long and self._channel.has_blocks and self._attempts == 1
         if of.data is None:
             return (BlockUpload if in_blocks else Upload)(*what)
         return (BlockDownload if in_blocks else Download)(*what, of.data, of.progress)
