@@ -267,14 +267,14 @@ def test_a_thread_and_a_task_take_turns_in_the_order_of_their_requests(connectio
     sdo = connection.sdo(NODE)
     sdo.retries = 1
     bus.fault = only_first(lambda _message: None)  # the thread waits for a response: the task for the thread
-    names: list[str] = []
-    thread = threading.Thread(target=lambda: names.append(sdo.read(od.DEVICE_NAME)))
+    thread = threading.Thread(target=lambda: sdo.read(od.DEVICE_NAME))
     thread.start()
     while not bus.sent:
         pass
     assert asyncio.run(sdo.read_async(od.IDENTITY_SERIAL)) == 1000 + NODE
-    assert names, "the task had its turn after the thread"
     thread.join()
+    requests = [data[:4] for _, data in bus.sent]
+    assert requests.index(b"\x40\x18\x10\x04") == len(requests) - 1, "after all of the name"
 
 
 def test_a_transfer_that_ends_between_two_looks_is_not_waited_for_longer_than_a_lock_can(
