@@ -29,7 +29,6 @@ from docs.runner import Terminal
 from sources.iio_tree import Tree
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration, write_calibration
-from tipforce.host.configuration.measurements import Measurements, write_measurements
 from tipforce.sensor.calibration.fit import Readings
 from tipforce.sensor.calibration.simulation import simulate
 from tipforce.sensor.contact.estimate import force_vector
@@ -40,6 +39,7 @@ from tipforce.sources.iio_gauges import Capture, open_iio
 from tipforce.sources.layout_file import read_bridge
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.doctor import machine
+from tools.rig import write_readings
 
 Names = dict[str, Any]
 Setup = Callable[[], contextlib.AbstractContextManager[Names]]
@@ -180,9 +180,7 @@ def simulated_calibration() -> Iterator[Names]:
     sim = simulate("I", np.random.default_rng(4))
     assert (np.flatnonzero(sim.true_outlier) + 2).tolist() == [9, 61]
     loads = (sim.P_newtons, sim.phi_rad, sim.theta_rad)
-    write_measurements(
-        "grooves.csv", Measurements(np.arange(77), sim.strain, *loads, sim.t_s, None, None, None, (), ())
-    )
+    write_readings(Path("grooves.csv"), sim)
     good = ~sim.true_outlier
     yield {"true_A": sim.true_A, "loads": Readings(sim.strain[good], *(values[good] for values in loads))}
 

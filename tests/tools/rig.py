@@ -5,9 +5,11 @@ import json
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import can
+import numpy as np
 import pytest
 from bench.measure import background
 
@@ -15,7 +17,18 @@ from canopen_device.core.node import Device
 from host.bus_with_nodes import new_channel
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.source import Source
+from tipforce.sensor.calibration.simulation import Simulated
 from tipforce_tools.cli.main import main
+
+
+def write_readings(path: Path, sim: Simulated, **more: Sequence[object]) -> None:
+    """Write the readings of a simulated calibration as a file for `calibrate fit`; ``more``: further columns."""
+    columns: dict[str, Sequence[object]] = {"t_s": sim.t_s.tolist()}
+    columns |= {f"SG{k + 1}": (1e6 * gauge).tolist() for k, gauge in enumerate(sim.strain.T)}
+    columns |= {"P_N": sim.P_newtons.tolist(), "phi_deg": np.degrees(sim.phi_rad).tolist()}
+    columns |= {"theta_deg": np.degrees(sim.theta_rad).tolist(), **more}
+    rows = zip(*columns.values(), strict=True)
+    path.write_text("\n".join([",".join(columns), *(",".join(map(str, row)) for row in rows), ""]))
 
 
 class Clock:

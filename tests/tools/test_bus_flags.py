@@ -1,29 +1,41 @@
-"""The bus flags, which are python-can's to the letter; and `tipforce doctor`: what stands in the way, the next step."""
+"""The bus flags, which are python-can's to the letter; `tipforce doctor`: what stands in the way, and the next step.
+
+On a second person's board the first command that somebody would try names what is missing, and the remedy.
+"""
 
 from __future__ import annotations
 
 import argparse
 import importlib.metadata
 import json
+import re
+import struct
 import subprocess
 import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import can
 import can.cli
 import pytest
+from bench.measure import background
 from can.interfaces import BACKENDS
 
-from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
+from host.bus_with_nodes import beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.network.finger import FingertipClient
-from tipforce.host.network.interfaces import link_of
+from tipforce.host.frames.frame_array import frame_array
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.interfaces import Link, link_of
+from tipforce.watching.findings import Observed, findings
 from tipforce_tools.cli import bus_flags
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor import configuration_check, machine
-from tipforce_tools.doctor.machine import interface_check
+from tipforce_tools.doctor import machine
+from tipforce_tools.doctor.machine import configuration_check, interface_check
 from tools.rig import Printed
 
 
@@ -111,9 +123,10 @@ def test_an_interface_of_a_plugin_is_allowed_and_listed(tmp_path: Path) -> None:
 UP = {"ifname": "can0", "flags": ["NOARP", "UP"], "txqlen": 1000}
 
 
-def can_link(**info: Any) -> dict[str, Any]:
-    """What `ip -details -json link show` says of a real interface."""
-    return UP | {"linkinfo": {"info_kind": "can", "info_data": {"bittiming": {"bitrate": 500000}} | info}}
+def can_link(changes: Mapping[str, object] = UP, **info: Any) -> Link:
+    """A real interface, as `ip -details -json link show` has it."""
+    data = {"bittiming": {"bitrate": 500000}} | info
+    return link_of({**UP, "linkinfo": {"info_kind": "can", "info_data": data}, **changes})
 
 
 @pytest.fixture(autouse=True)
@@ -121,7 +134,8 @@ def _no_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("can.util.CONFIG_FILES", [])
-    monkeypatch.setattr("tipforce_tools.doctor.machine.trial", lambda: 0)  # test_vcan_boot.py has the real one
+    # test_vcan_boot.py has the real one
+    monkeypatch.setattr("tipforce_tools.kernel.uml.run_with_vcan", lambda *_, **_options: 0)
     monkeypatch.setattr("tipforce_tools.doctor.machine.multicast_checks", lambda: ())  # test_udp_multicast.py
 
 
@@ -129,7 +143,7 @@ def test_a_bus_with_nodes_is_listened_to(capsys: pytest.CaptureFixture[str]) -> 
     channel = new_channel()
     with connected(finger(5), channel=channel) as (connection, _):
         connection.sdo(5).write(od.HEARTBEAT_PRODUCER_MS, 20)
-        FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
+        connection.finger(5).apply_calibration(beam_calibration(), store=False)
         assert main(["doctor", "--listen", "0.3", "--json", "-i", "virtual", "-c", channel]) == 0
     checks = {check["topic"]: check for check in map(json.loads, capsys.readouterr().out.splitlines())}
     shown = "pre-operational, simulated fingertip, 3 gauges, serial 1005"
@@ -148,15 +162,15 @@ def test_a_bus_that_does_not_open(printed: Printed) -> None:
     ("link", "state", "finding", "step"),
     [
         (can_link(), "ok", "up, 500000 bit/s", ""),
-        (can_link() | {"flags": ["NOARP"]}, "fail", "down, 500000", "ip link set can0 up type can bitrate 500000"),
+        (can_link({"flags": ["NOARP"]}), "fail", "down, 500000", "ip link set can0 up type can bitrate 500000"),
         (can_link(state="BUS-OFF"), "fail", "bus-off", "type can restart"),
         (can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0}), "fail", "sent 128", "bitrate 1000000"),
-        (can_link() | {"txqlen": 10}, "note", "queue of 10", "txqueuelen 1000"),
-        (UP | {"linkinfo": {"info_kind": "vcan"}, "txqlen": 10}, "ok", "up, virtual", ""),
+        (can_link({"txqlen": 10}), "note", "queue of 10", "txqueuelen 1000"),
+        (can_link({"linkinfo": {"info_kind": "vcan"}, "txqlen": 10}), "ok", "up, virtual", ""),
     ],
 )
-def test_interfaces(link: dict[str, Any], state: str, finding: str, step: str) -> None:
-    last = interface_check(link_of(link))
+def test_interfaces(link: Link, state: str, finding: str, step: str) -> None:
+    last = interface_check(link)
     assert last.state == state
     assert finding in last.finding
     assert step in last.next_step
@@ -182,14 +196,14 @@ def test_vcan_that_works_and_vcan_that_does_not(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr("tipforce_tools.kernel.host.choose", lambda _interfaces: "uml")
     assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in printed(0, ["doctor"]).out
 
-    def lacking() -> int:
+    def lacking(*_: object, **_options: object) -> int:
         raise EnvironmentLackError("User-mode Linux ended before it had booted\n  Kernel panic")
 
     for trial, finding, step in (
         (lacking, "User-mode Linux ended before it had booted", "`tipforce vcan -- true`"),
-        (lambda: 1, "`tipforce vcan -- true` ended with 1", "sudo modprobe vcan"),
+        (lambda *_, **_options: 1, "`tipforce vcan -- true` ended with 1", "sudo modprobe vcan"),
     ):
-        monkeypatch.setattr(machine, "trial", trial)
+        monkeypatch.setattr("tipforce_tools.kernel.uml.run_with_vcan", trial)
         (check,) = machine.vcan_checks()
         assert (check.state, check.finding) == ("note", finding)
         assert step in check.next_step
@@ -203,3 +217,190 @@ def test_missing_extras_and_a_missing_core_are_named_with_the_command(monkeypatc
     assert "science" in checks["extras"].next_step
     assert checks["core"].state == "note"
     assert "pip install --force-reinstall" in checks["core"].next_step
+
+
+# --- a second person's board ------------------------------------------------------------------------------------
+
+SITUATIONS = {
+    "silent": "nothing received for .*: power the nodes; .*bit rate",
+    "not started": r"node 5 \(0x05\): not started: tipforce nmt start 5 --wait",
+    "no SYNC": "no SYNC on this bus: .*--sync 100",
+    "not calibrated": r"node 5 \(0x05\): not calibrated: tipforce calibrate guide --node 5, or apply CAL.toml",
+    "two nodes": "two nodes .* node 5|another node sends its identifier.*: .*`tipforce (lss assign|scan)",
+}
+COMMANDS = (
+    "scan --wait 0.3", "monitor --once 1", "dump --decode -T 1000 -n 60", "log -o FOLDER/run.log --seconds 1",
+    "view --port 0", "doctor --listen 0.3",
+)  # fmt: skip
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Waits of a tenth of a second, and a page that is served for a second."""
+    for name in ("findings.SILENT_S", "findings._NO_SYNC_S"):
+        monkeypatch.setattr(f"tipforce.watching.{name}", 0.1)
+    monkeypatch.setattr("tipforce_tools.cli.listening._HINT_S", 0.1)
+    monkeypatch.setattr("tipforce_tools.doctor.machine.iio_checks", lambda: ())
+    sleep = time.sleep
+
+    def serve(_seconds: float) -> None:
+        sleep(1.0)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tipforce_tools.page.serving.time", SimpleNamespace(sleep=serve))
+
+
+@pytest.fixture(scope="module", params=SITUATIONS)
+def situation(request: pytest.FixtureRequest) -> Iterator[tuple[str, str]]:
+    """The name of a situation, and the channel of its virtual bus."""
+    name, channel = request.param, new_channel()
+    with ExitStack() as opened:
+        if name != "silent":
+            nodes = [finger(5), *([finger(5, serial=1006, seed=2)] if name == "two nodes" else [])]
+            connection = opened.enter_context(Bus.open(channel, "virtual"))
+            opened.enter_context(running(nodes, channel))
+            connection.wait_for({0x705})
+            connection.sdo(5).write(od.HEARTBEAT_PRODUCER_MS, 60)
+            if name not in {"not calibrated", "two nodes"}:
+                connection.finger(5).apply_calibration(beam_calibration(), store=False)
+            if name in ("no SYNC", "not calibrated"):
+                connection.nmt("start", 5)
+            if name in ("not calibrated", "two nodes"):
+
+                def send(stop: Callable[[float], bool]) -> None:
+                    """SYNCs; or requests of the serial number, to which two nodes respond."""
+                    while not stop(0.02):
+                        if name == "not calibrated":
+                            connection.sync()
+                        else:
+                            connection.send(0x605, b"\x40\x18\x10\x04\0\0\0\0")
+
+                opened.enter_context(background(lambda stop: send(stop.wait)))
+        yield name, channel
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_first_command_names_cause_and_remedy(
+    command: str, situation: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name, channel = situation
+    code = main([*command.replace("FOLDER", str(tmp_path)).split(), "-i", "virtual", "-c", channel])
+    out, err = capsys.readouterr()
+    said = re.findall(f"^.*(?:{SITUATIONS[name]}).*$", (err + out).replace(" -> ", ": "), re.MULTILINE)
+    assert len(said) == 1, err + out
+    if command.startswith("doctor"):
+        assert code == (name in ("two nodes", "not calibrated"))
+
+
+@pytest.mark.usefixtures("impatient")
+def test_what_a_filter_leaves_out_is_not_missing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", f"{new_channel()},185:7FF", "--decode", "-T", "500", "-i", "virtual"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize(("command", "code"), [("hand check FILE", 0), ("doctor FILE --listen 0.3", 1)])
+def test_a_finger_that_does_not_respond(
+    command: str, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, channel = tmp_path / "hand.toml", new_channel()
+    path.write_text('[[finger]]\nnode_id = 5\n[[finger]]\nnode_id = 6\nname = "index"\n')
+    with running([finger(5)], channel):
+        assert main([*command.replace("FILE", str(path)).split(), "-i", "virtual", "-c", channel]) == code
+    text = "".join(capsys.readouterr())
+    assert "no identity on the bus: index (6)" in text
+    assert "`tipforce lss scan`" in text
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("command", ["hand check FILE", "doctor FILE --listen 0.3"])
+def test_swapped_serial_numbers(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The remedy that is named helps."""
+    path, channel = tmp_path / "hand.toml", new_channel()
+    fingers = ((5, 1006, "thumb"), (6, 1005, "index"))
+    tables = (f'[[finger]]\nnode_id = {k}\nserial = {serial}\nname = "{name}"\n' for k, serial, name in fingers)
+    path.write_text("[hand]\n" + "".join(tables))
+    bus = ["-i", "virtual", "-c", channel]
+    with running([finger(5), finger(6)], channel):
+        words = [*command.replace("FILE", str(path)).split(), *bus]
+        assert main(words) == 1
+        text = "".join(capsys.readouterr())
+        assert "swapped serial numbers: thumb (5) has 1005, index (6) has 1006" in text
+        for remedy in re.findall(r"`tipforce ([ln][^`]+)`", text):
+            assert main([*remedy.split(), *bus]) == 0
+        time.sleep(0.2)
+        capsys.readouterr()
+        main(words)
+        assert "swapped" not in "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize(
+    ("seen", "finding", "step"),
+    [
+        (Observed(errors=7), "another bit rate than that of the nodes, or no node acknowledges: 7 error", "-b 1000000"),
+        (
+            Observed(errors=7, link=can_link()),
+            "(500000 bit/s here), or no node acknowledges: 7 error frames, and",
+            "set can0 up type can bitrate 1000000",
+        ),
+        (
+            Observed(heard_s=3.0, link=can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0})),
+            "error-passive, errors sent 128, received 0, and no other frame",
+            "set can0 up type can bitrate 1000000",
+        ),
+        (Observed(heard_s=3.0, link=can_link(state="BUS-OFF")), "can0 is bus-off", "type can restart"),
+        (Observed(errors=7, frames=9), "7 error frames beside 9 frames", "dump -e can0,#FFFFFFFF"),
+        (Observed(emergencies={7: (0x8240, 0x11)}), "node 7 (0x07): the SYNC does not fit 1019h", "sdo write 7 0x1019"),
+        (Observed(emergencies={7: (0x8110, 0x11)}), "EMCY 0x8110 CAN overrun", "sdo dump 7"),
+        (Observed(emergencies={7: (0x8150, 0x11)}), "EMCY 0x8150 COB-ID collision", "sdo dump 7"),  # SDO shows one node
+        (Observed(faults={5: "overload"}), "node 5 (0x05): overload", "sdo read 5 faults"),
+        (Observed(states={1: 127, 2: 4, 3: 127, 9: 127}), "nodes 1-3,9: not started", "nmt start 1-3,9 --wait"),
+    ],
+)
+def test_a_finding_has_its_remedy(seen: Observed, finding: str, step: str) -> None:
+    (only,) = findings(seen)
+    assert finding in only.finding
+    assert step in only.next_step
+
+
+def test_nothing_is_said_of_a_bus_that_works_nor_of_another_device() -> None:
+    """TPDO2 of another device: no status of a fingertip is in it."""
+    contact = struct.pack("<hhhBB", 10, 20, 30, 3, 1)
+    frames = [(0, 0x080, b""), (1, 0x705, b"\x05"), (2, 0x285, contact), (3, 0x286, bytes(8)), (4, 0x085, bytes(8))]
+    seen = Observed(heard_s=9.0)
+    seen.take(frame_array(frames))
+    assert findings(seen) == []
+    assert (seen.frames, seen.syncs, seen.states, seen.calibrated) == (5, 1, {5: 5}, {5: True})
+
+
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        ({"can0": True, "can1": False}, "bus: -i socketcan -c can0, the only CAN interface that is up"),
+        ({"can0": True, "can1": True}, "no bus given: can0, can1 are up: add -i socketcan -c can0"),
+        ({"can3": False}, "no bus given: can3 down; `sudo ip link set can3 up type can bitrate 1000000`"),
+    ],
+)
+@pytest.mark.parametrize("command", ["scan", "read 5", "monitor", "log -o x", "view", "node --node-id 5", "hand up H"])
+def test_the_interface_is_the_only_one_that_is_up(
+    command: str, known: dict[str, bool], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    def refuse(*_: object, **options: object) -> None:
+        raise EnvironmentLackError(f"it would open {options or _}")
+
+    monkeypatch.setattr("tipforce.host.network.interfaces.interfaces", lambda: known)
+    for name in ("host.network.open_bus.open_bus", "host.live.receive.open_socket", "host.hand.link.open_bus"):
+        monkeypatch.setattr(f"tipforce.{name}", refuse)
+    monkeypatch.setattr("canopen_device.running.ports.SocketCanPort.__init__", refuse)
+    monkeypatch.setattr("tipforce.host.hand.link.SocketLink.__init__", refuse)
+    monkeypatch.chdir(tmp_path)
+    Path("H").write_text("[[finger]]\nnode_id = 5\n")
+    assert main(command.split()) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert ("it would open" in err and "can0" in err) == said.startswith("bus")
+    if command == "scan":  # a channel alone is an interface of the kernel
+        assert main(["scan", "-c", "can7"]) == 2
+        assert re.search("would open .*can7", capsys.readouterr().err)

@@ -15,13 +15,12 @@ import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.running.store import FileStore
-from host.bus_with_nodes import apply_load, connected, fresh_sample, new_channel
+from host.bus_with_nodes import apply_load, connected, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration import read_calibration, read_fit
-from tipforce.host.hand.polled import PolledHand
+from tipforce.fingertip.source import Reading, Source
+from tipforce.host.configuration.calibration import read_calibration
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.contact.estimate import force_vector, standard_uncertainties
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -44,6 +43,7 @@ class Bench(NamedTuple):
     source: SimulatedSource
     folder: Path
     capsys: pytest.CaptureFixture[str]
+    patch: pytest.MonkeyPatch
 
     @property
     def session(self) -> Path:
@@ -63,19 +63,25 @@ class Bench(NamedTuple):
     def auto(self, *words: object) -> tuple[int, str, str]:
         return (self.guide("--auto", *FEW, *words), *self.capsys.readouterr())
 
+    def by_hand(self, key: Callable[[str], str], *words: object, code: int = 0) -> "Person":
+        """Run the guide for a person at the keys."""
+        person = Person(self, key)
+        self.patch.setattr(sys, "stdin", person)
+        assert self.guide(*words) == code
+        person.listen()
+        return person
+
     def rows(self) -> list[dict[str, str]]:
         with self.session.open() as file:
             return list(csv.DictReader(file))
 
 
 class Person:
-    """Reads what the guide says, hangs the weight, and presses a key: Enter, if ``key`` does not say another."""
+    """Reads what the guide says, hangs the weight, and presses the key that ``key`` says."""
 
-    def __init__(self, bench: Bench, key: Callable[[str], str] = lambda _question: "") -> None:
-        self._bench = bench
-        self._key = key
-        self.heard = ""
-        self.out = ""
+    def __init__(self, bench: Bench, key: Callable[[str], str]) -> None:
+        self._bench, self._key = bench, key
+        self.heard = self.out = ""
 
     def listen(self) -> str:
         """What the guide has said since the last time."""
@@ -94,33 +100,20 @@ class Person:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Iterator[Bench]:
+def bench(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist(), 0.5, OFFSETS, seed=4)
     store = FileStore(tmp_path / "node.json")
     device = fingertip_node(5, source, serial=1005, save=store.save, load=store.load)
     channel = new_channel()
     with connected(device, channel=channel) as (connection, _):
-        yield Bench(connection, channel, device, source, tmp_path, capsys)
+        yield Bench(connection, channel, device, source, tmp_path, capsys, monkeypatch)
 
 
-@pytest.fixture
-def person(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Person]:
-    def seat(key: Callable[[str], str] = lambda _question: "") -> Person:
-        found = Person(bench, key)
-        monkeypatch.setattr(sys, "stdin", found)
-        return found
-
-    return seat
-
-
-def test_from_the_first_weight_to_the_stored_calibration(
-    bench: Bench, person: Callable[..., Person], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_from_the_first_weight_to_the_stored_calibration(bench: Bench) -> None:
     """Quit at step 9, interrupted within the capture of a later one, resumed twice; then unseen loads."""
     flags = ("--samples", 60, "--angle-scatter", 0.1, "--layout", "I", "-o", bench.file)
-    first = person(lambda question: "q" if "step 9 of 25" in question else "")
-    assert bench.guide(*flags) == 0
-    assert "8 of 25 steps are in" in first.listen()
+    first = bench.by_hand(lambda question: "q" if "step 9 of 25" in question else "", *flags)
+    assert "8 of 25 steps are in" in first.heard
     assert [row["step"] for row in bench.rows()] == [str(k) for k in range(1, 9)]
 
     before = bench.session.read_bytes()
@@ -132,20 +125,16 @@ def test_from_the_first_weight_to_the_stored_calibration(
             raise KeyboardInterrupt
         sync(connection)
 
-    second = person()
-    with monkeypatch.context() as patch:
+    with bench.patch.context() as patch:
         patch.setattr(Bus, "sync", interrupted_sync)
-        assert bench.guide(*flags) == 130
-    second.listen()
+        second = bench.by_hand(lambda _question: "", *flags, code=130)
     assert "continuing: 8 of 25 steps done, 17 to do" in second.heard
     assert "the extra unloaded reading: remove every load" in second.heard
     rows = bench.rows()
     assert [row["step"] for row in rows[8:]] == ["extra", "9", "10", "11"][: len(rows) - 8]
     assert bench.session.read_bytes().startswith(before)
 
-    third = person(lambda question: "y" if "apply this calibration" in question else "")
-    assert bench.guide(*flags) == 0
-    third.listen()
+    third = bench.by_hand(lambda question: "y" if "apply this calibration" in question else "", *flags)
     assert "read back: equal byte for byte" in third.heard
     assert "node 5 (0x05): stored" in third.heard
     assert "condition number 2.5" in third.out
@@ -160,7 +149,7 @@ def _check_stored(bench: Bench) -> None:
     bench.connection.nmt("reset-node", 5)
     bench.connection.wait_for({0x705})
     calibration = read_calibration(bench.file)
-    assert FingertipClient(bench.connection.sdo(5)).verify_calibration(calibration) == []
+    assert bench.connection.finger(5).verify_calibration(calibration) == []
     assert (calibration.serial, calibration.pull, calibration.layout_code) == (1005, True, 1)
     np.testing.assert_allclose(np.sqrt(np.diag(calibration.covariance_strain2)) * 1e6, 0.5, rtol=0.1)
     np.testing.assert_allclose(calibration.offset_strain * 1e6, OFFSETS, atol=0.4)
@@ -168,20 +157,18 @@ def _check_stored(bench: Bench) -> None:
 
 def _check_unseen_loads(bench: Bench) -> None:
     """The node's own estimates, against its uncertainty and the calibration's; z for 1 in a million over all."""
-    calibration, fit = read_calibration(bench.file), read_fit(bench.file)
-    assert fit is not None
-    hand = PolledHand(bench.connection, [5])
-    hand.start()
+    calibration = read_calibration(bench.file, with_fit=True)
+    assert calibration.parameter_covariance is not None
     for P, phi, theta in ((2.0, 20.0, 75.0), (3.1, 100.0, 60.0), (1.2, 0.0, 20.0), (4.0, 150.0, 110.0)):
         apply_load(bench.connection, 5, P, phi, theta)
         time.sleep(0.002)
-        row = fresh_sample(hand)
+        contact = bench.connection.finger(5).read()
         F = force_vector(P, *np.radians([phi, theta]))
         covariance = covariance_of_estimate(
-            calibration.C, calibration.covariance_strain2, fit.parameter_covariance(), F[np.newaxis]
+            calibration.C, calibration.covariance_strain2, calibration.parameter_covariance, F[np.newaxis]
         )
         u = standard_uncertainties(F[np.newaxis], covariance, pull=True)[0] * [1.0, 180 / np.pi, 180 / np.pi]
-        error = np.array([row.P_newtons[0], row.phi_deg[0], row.theta_deg[0]]) - [P, phi, theta]
+        error = np.array([contact.P_newtons, contact.phi_deg, contact.theta_deg]) - [P, phi, theta]
         assert (np.abs(error) <= 5.3 * u + [0.0005, 0.005, 0.005]).all()
 
 
@@ -214,7 +201,7 @@ def test_more_gauges_than_three(tmp_path: Path, capsys: pytest.CaptureFixture[st
     with connected(device, channel=channel) as (connection, _):
         words = ["calibrate", "guide", "--node", 5, "--auto", *FEW, *QUICK, "--session", tmp_path / "s.csv"]
         assert main([*map(str, words), "-i", "virtual", "-c", channel]) == 0
-        held = FingertipClient(connection.sdo(5)).calibration()
+        held = connection.finger(5).calibration()
     assert "by SYNC and SDO reads" in capsys.readouterr().err
     assert held is not None
     np.testing.assert_allclose(held.C @ A, np.eye(3), atol=2e-3)
@@ -222,31 +209,28 @@ def test_more_gauges_than_three(tmp_path: Path, capsys: pytest.CaptureFixture[st
     np.testing.assert_allclose(held.C, np.linalg.solve(A.T @ W @ A, A.T @ W), rtol=0.02, atol=20.0)
 
 
-def test_skip_redo_and_nonsense(bench: Bench, person: Callable[..., Person]) -> None:
+def test_skip_redo_and_nonsense(bench: Bench) -> None:
     keys = iter(["r", "x", "", "", "r", "", "s", *[""] * 6, "r", "", "n"])
-    found = person(lambda _question: next(keys))
-    assert bench.guide(*FEW) == 0
-    found.listen()
-    assert "there is no capture to repeat" in found.heard
-    assert "'x' is not one of the keys" in found.heard
-    assert "step 2 of 9 is removed" in found.heard
-    assert "step 9 of 9 is removed" in found.heard
-    assert "1 steps were skipped" in found.heard
-    assert "node 5 (0x05) is unchanged" in found.heard
+    heard = bench.by_hand(lambda _question: next(keys), *FEW).heard
+    for text in (
+        "there is no capture to repeat", "'x' is not one of the keys", "step 2 of 9 is removed",
+        "step 9 of 9 is removed", "1 steps were skipped", "node 5 (0x05) is unchanged",
+    ):  # fmt: skip
+        assert text in heard
     assert [row["step"] for row in bench.rows()] == ["1", "2", "4", "5", "6", "7", "8", "9"]
     assert bench.connection.sdo(5).read(od.CALIBRATION_ACTIVE_CRC) == 0
     assert next(keys, None) is None
 
 
-def test_nobody_at_the_keys(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n"))
+def test_nobody_at_the_keys(bench: Bench) -> None:
+    bench.patch.setattr(sys, "stdin", io.StringIO("\n\n"))
     assert bench.guide(*FEW) == 2
     err = bench.capsys.readouterr().err
     assert "2 of 9 steps are in" in err
     assert "end of input: the guide needs a user to hang weights" in err
 
 
-def test_a_weight_that_was_forgotten_is_remarked_upon(bench: Bench, person: Callable[..., Person]) -> None:
+def test_a_weight_that_was_forgotten_is_remarked_upon(bench: Bench) -> None:
     forgetful = {"step 2 of 9": (0.0, 0.0, 0.0), "step 6 of 9": (4.4, 90.0, 45.0)}
 
     def key(question: str) -> str:
@@ -255,11 +239,9 @@ def test_a_weight_that_was_forgotten_is_remarked_upon(bench: Bench, person: Call
                 bench.source.load = load
         return "q" if "step 7 of 9" in question else ""
 
-    found = person(key)
-    bench.guide(*FEW)
-    found.listen()
-    assert found.heard.count("is the weight applied? (r repeats it)") == 1
-    assert found.heard.count("is a load still applied? (r repeats it)") == 1
+    heard = bench.by_hand(key, *FEW).heard
+    assert heard.count("is the weight applied? (r repeats it)") == 1
+    assert heard.count("is a load still applied? (r repeats it)") == 1
 
 
 @pytest.mark.parametrize(
@@ -272,9 +254,7 @@ def test_a_weight_that_was_forgotten_is_remarked_upon(bench: Bench, person: Call
         (DRIFT, 400.0, r"not quiet: SG2 (drifts|scatters) by .*: "),
     ],
 )
-def test_a_refused_capture(
-    bench: Bench, person: Callable[..., Person], fault: int, magnitude: float, reason: str
-) -> None:
+def test_a_refused_capture(bench: Bench, fault: int, magnitude: float, reason: str) -> None:
     """It is not written, the person hears why, and once the fault is gone the same step goes on."""
     asked = [0]
     sdo = bench.connection.sdo(5)
@@ -287,10 +267,7 @@ def test_a_refused_capture(
             sdo.write(od.SIMULATION_FAULT, fault if asked[0] == 1 else 0)
         return "q" if "step 4 of 9" in question else ""
 
-    found = person(key)
-    assert bench.guide(*FEW, "--samples", 40) == 0
-    found.listen()
-    assert re.search(f"refused: .*({reason})", found.heard)
+    assert re.search(f"refused: .*({reason})", bench.by_hand(key, *FEW, "--samples", 40).heard)
     assert asked == [2]
     assert [row["step"] for row in bench.rows()] == ["1", "2", "3"]
 
@@ -319,30 +296,21 @@ def test_no_node_is_5(bench: Bench) -> None:
     assert "node 9 (0x09)" in bench.capsys.readouterr().err
 
 
-def _pull_the_plug(bench: Bench, monkeypatch: pytest.MonkeyPatch, out: bool) -> None:
+def test_a_node_that_goes_and_comes_back(bench: Bench) -> None:
+    asked = [0]
+
     def step(now_us: int, _frames: object) -> tuple[list[tuple[int, bytes]], int]:
         return [], now_us + 1000
 
-    bench.device.__dict__.pop("step", None)
-    if out:
-        monkeypatch.setitem(bench.device.__dict__, "step", step)
-
-
-def test_a_node_that_goes_and_comes_back(
-    bench: Bench, person: Callable[..., Person], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = [0]
-
     def key(question: str) -> str:
-        if "step 2 of 9" in question:
+        if "step 2 of 9" in question:  # without its plug the first time
             asked[0] += 1
-            _pull_the_plug(bench, monkeypatch, asked[0] == 1)
+            bench.device.__dict__.pop("step", None)
+            if asked[0] == 1:
+                bench.patch.setitem(bench.device.__dict__, "step", step)
         return "q" if "step 3 of 9" in question else ""
 
-    found = person(key)
-    assert bench.guide(*FEW, "--timeout", 0.05, "--retries", 0) == 0
-    found.listen()
-    assert "no capture: node 5 (0x05)" in found.heard
+    assert "no capture: node 5 (0x05)" in bench.by_hand(key, *FEW, "--timeout", 0.05, "--retries", 0).heard
     assert len(bench.rows()) == 2
 
 
@@ -387,3 +355,18 @@ def test_a_session_that_is_none(bench: Bench, content: bytes) -> None:
     assert code == 2
     assert "session" in err
     assert bench.session.read_bytes() == content
+
+
+class RealGauges(Source):
+    """A converter that is no simulation."""
+
+    def read(self, now_us: int) -> Reading:
+        return Reading((1, 2, now_us % 7), 0, 2300)
+
+
+def test_no_auto_with_real_gauges(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    channel = new_channel()
+    with connected(fingertip_node(5, RealGauges()), channel=channel):
+        words = ["calibrate", "guide", "--node", "5", "--auto", "--session", str(tmp_path / "s.csv")]
+        assert main([*words, "-i", "virtual", "-c", channel]) == 2
+    assert "node 5 (0x05) has real gauges: --auto needs a simulated node" in capsys.readouterr().err

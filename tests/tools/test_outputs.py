@@ -21,13 +21,12 @@ from host.bus_with_nodes import connected, finger, new_channel
 from host.logs.test_pcap import block, socketcan
 from tipforce.errors import InputError, WriteError
 from tipforce.host.configuration.calibration import write_calibration
-from tipforce.host.configuration.measurements import write_measurements
 from tipforce.output_file import CALIBRATION, NewFile, new_file, write_file
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
 from tipforce_tools.cli.main import COMMANDS, main
 from tools.blocks import CONTACTS_LOG
-from tools.test_calibrate_fit import measured
+from tools.rig import write_readings
 from tools.test_log import counting
 
 SCENE = """
@@ -92,7 +91,7 @@ def full_disk(limit_bytes: int = 64) -> Iterator[None]:
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("inputs")
     write_calibration(folder / "cal.toml", beam_calibration("I", pull=True))
-    write_measurements(folder / "data.csv", measured(simulate("I", np.random.default_rng(4))))
+    write_readings(folder / "data.csv", simulate("I", np.random.default_rng(4)))
     (folder / "readings.csv").write_text("SG1,SG2,SG3\n" + 50 * "-125.0,728.7,323.6\n")
     (folder / "run.log").write_text(CONTACTS_LOG)
     for name, outputs in (("scene", ""), ("table", 'table = "table.csv"\n'), ("plot", 'plot = "scene.svg"\n')):

@@ -16,7 +16,6 @@ from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.errors import DuplicateNodeError
 from tipforce.host.configuration.calibration import write_calibration
-from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.events import Supervisor
 from tipforce.host.hand.file import HandPlan
 from tipforce.host.hand.hand import Hand
@@ -150,14 +149,9 @@ def test_monitor_sees_the_samples_of_two_nodes() -> None:
         for _ in range(40):
             connection.sync()
             time.sleep(0.005)
-        monitor.feed(received_pdos(connection))
+        frames = connection.buffer.take_all()
+        monitor.feed(frames[(frames["can_id"] >= 0x180) & (frames["can_id"] < 0x580)])  # the PDOs
     assert monitor.view(0).nodes[0].duplicate.startswith("two nodes send the samples of node 5")
-
-
-def received_pdos(connection: Bus) -> FrameArray:
-    """The received frames that are PDOs."""
-    frames = connection.buffer.take_all()
-    return frames[(frames["can_id"] >= 0x180) & (frames["can_id"] < 0x580)]
 
 
 @pytest.mark.parametrize("passive", [False, True])

@@ -8,11 +8,9 @@ import pytest
 
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.host.configuration.calibration import write_calibration
-from tipforce.host.configuration.measurements import write_measurements
 from tipforce.scene import beam_calibration
 from tipforce.sensor.calibration.simulation import simulate
-from tools.rig import Tipforce
-from tools.test_calibrate_fit import measured
+from tools.rig import Tipforce, write_readings
 
 LOG = "".join(f"({1700000000 + k / 1000:.6f}) vcan0 285#2E1129239A1103{k:02X}\n" for k in range(50))
 EXTENDED = "".join(f"(1700000000.{k:06d}) can0 18FEF1{k:02X}#0102030405060708\n" for k in range(40))
@@ -346,7 +344,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (found / "folder.toml").mkdir()
     (found / "link.csv").symlink_to(found / "readings.csv")
     write_calibration(found / "cal.toml", beam_calibration("I", pull=True))
-    write_measurements(found / "data.csv", measured(simulate("I", np.random.default_rng(4))))
+    write_readings(found / "data.csv", simulate("I", np.random.default_rng(4)))
     return found
 
 

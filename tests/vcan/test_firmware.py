@@ -6,10 +6,12 @@ from microcontroller import program_board
 from microcontroller.program_board import NODE_ID, Board, image
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.firmware import Firmware, install
+from tipforce_loader.image import Header
 
 
 def test_64_kb_with_progress() -> None:
-    firmware = Firmware.of(image(size=64 * 1024))
+    content = image(size=64 * 1024)
+    firmware = Firmware(content, Header(content))
     board, arrived = Board(), list[int]()
     with (
         can.Bus(interface="socketcan", channel="vcan0") as end,

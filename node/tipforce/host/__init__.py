@@ -4,10 +4,7 @@ from canopen_device.lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from tipforce.host.configuration.calibration import read_fit as read_fit
     from tipforce.host.configuration.calibration import write_calibration as write_calibration
-    from tipforce.host.configuration.calibration_file import FitRecord as FitRecord
-    from tipforce.host.configuration.calibration_file import fit_record as fit_record
     from tipforce.host.configuration.configuration_file import apply_configuration as apply_configuration
     from tipforce.host.configuration.configuration_file import apply_configuration_async as apply_configuration_async
     from tipforce.host.configuration.configuration_file import read_configuration as read_configuration
@@ -15,7 +12,6 @@ if TYPE_CHECKING:
     from tipforce.host.configuration.configuration_file import verify_configuration_async as verify_configuration_async
     from tipforce.host.configuration.measurements import Measurements as Measurements
     from tipforce.host.configuration.measurements import read_measurements as read_measurements
-    from tipforce.host.configuration.measurements import write_measurements as write_measurements
     from tipforce.host.decoding.decoder import Decoder as Decoder
     from tipforce.host.decoding.decoder import Samples as Samples
     from tipforce.host.frames.frame_array import FRAME as FRAME

@@ -4,7 +4,6 @@ import binascii
 import itertools
 import struct
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -19,7 +18,7 @@ from host.bus_with_nodes import ROUNDING_STRAIN2, beam_calibration
 from tipforce.dictionary import table, table_objects
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, read_calibration, write_calibration
-from tipforce.host.configuration.measurements import MODES, BadRow, Measurements, read_measurements, write_measurements
+from tipforce.host.configuration.measurements import MODES, BadRow, Measurements, read_measurements
 
 UNCHECKED = patch.object(Calibration, "check", lambda _self: None)
 """Any numbers survive a file and a record, those that no sensor can have too."""
@@ -107,21 +106,6 @@ def test_a_record_of_no_length(length: int) -> None:
         Calibration.from_record(bytes(length))
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"C": np.diag([1.0, 1.0, 1e39])}, r"0x2100:09: 1e\+39 does not fit REAL32: allowed are"),
-        ({"offset_strain": np.array([0.0, -1e39, 0.0])}, r"0x2101:02: -1e\+39 does not fit REAL32"),
-        ({"serial": -1}, r"0x2102:01: -1 does not fit UNSIGNED32: allowed are 0 to 4294967295"),
-        ({"serial": 1 << 32}, r"0x2102:01: 4294967296 does not fit UNSIGNED32"),
-        ({"layout_code": 256}, r"0x2102:04: 256 does not fit UNSIGNED8: allowed are 0 to 255"),
-    ],
-)
-def test_what_a_record_cannot_hold(changes: dict[str, object], text: str) -> None:
-    with pytest.raises(InputError, match=text):
-        beam_calibration(**changes).record()
-
-
 def read_text(tmp_path: Path, text: str) -> Calibration:
     path = tmp_path / "cal.toml"
     path.write_text(text, encoding="utf-8")
@@ -185,6 +169,8 @@ def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, old: str, new: str, te
 def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"calibration .*absent\.toml: No such file or directory"):
         read_calibration(tmp_path / "absent.toml")
+    with pytest.raises(InputError, match=r"none\.csv: No such file"):
+        read_measurements(tmp_path / "none.csv", loads=True)
     with pytest.raises(InputError, match=r"Is a directory"):
         read_calibration(tmp_path)
     (tmp_path / "cal.toml").write_bytes(b"\xff\xfe\x00")
@@ -248,6 +234,10 @@ def test_a_file_of_version_1_is_read_by_its_own_crc(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
+        ({"offset_strain": np.array([0.0, -1e39, 0.0])}, r"0x2101:02: -1e\+39 does not fit REAL32: allowed are"),
+        ({"serial": -1}, r"0x2102:01: -1 does not fit UNSIGNED32: allowed are 0 to 4294967295"),
+        ({"serial": 1 << 32}, r"0x2102:01: 4294967296 does not fit UNSIGNED32"),
+        ({"layout_code": 256}, r"0x2102:04: 256 does not fit UNSIGNED8: allowed are 0 to 255"),
         ({"model_uncertainty": -0.1}, "calibration model_uncertainty: -0.1, allowed is 0"),
         ({"overload_force_newtons": np.nan}, "calibration overload_force_newtons: nan is not finite"),
         ({"converter_limit_strain": np.array([1.0, -1.0, 1.0])}, "calibration converter_limit_strain: -1, allowed"),
@@ -256,7 +246,7 @@ def test_a_file_of_version_1_is_read_by_its_own_crc(tmp_path: Path) -> None:
         ({"converter_limit_strain": np.ones(2)}, r"converter_limit_strain: shape \(2,\), allowed is \(3,\)"),
     ],
 )
-def test_validity_that_a_node_would_refuse(changes: dict[str, Any], text: str) -> None:
+def test_what_no_record_holds_and_no_node_takes(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(InputError, match=text):
         beam_calibration(**changes).check()
 
@@ -270,12 +260,9 @@ def read(tmp_path: Path, text: str | bytes, loads: bool = True) -> Measurements:
 def test_plain_rows(tmp_path: Path) -> None:
     found = read(tmp_path, HEADER + "\n1,-2.5,3e2,4.4,90,45\n0,0,0,0,0,0\n")
     np.testing.assert_allclose(found.strain, np.array([[1, -2.5, 300], [0, 0, 0]]) * 1e-6)
-    assert found.P_newtons is not None
-    assert found.phi_rad is not None
-    assert found.theta_rad is not None
-    np.testing.assert_allclose(found.P_newtons, [4.4, 0.0])
-    np.testing.assert_allclose(np.degrees(found.phi_rad), [90, 0])
-    np.testing.assert_allclose(np.degrees(found.theta_rad), [45, 0])
+    loads = {"P_newtons": np.array([4.4, 0.0]), "phi_rad": np.radians([90, 0]), "theta_rad": np.radians([45, 0])}
+    for name, values in loads.items():
+        np.testing.assert_allclose(getattr(found, name), values)
     assert found.line.tolist() == [2, 3]
     assert found.unloaded.tolist() == [False, True]
     assert (found.t_s, found.temperature_degC, found.weight, found.mode) == (None, None, None, None)
@@ -294,12 +281,8 @@ def test_every_column_in_any_order_with_other_names_and_line_ends(tmp_path: Path
     assert found.mode is not None
     assert [MODES[code] if code >= 0 else "" for code in found.mode] == ["pull", "tare", ""]
     assert found.unloaded.tolist() == [False, True, False]
-    assert found.t_s is not None
-    assert found.t_s.tolist() == [0, 1, 1]
-    assert found.weight is not None
-    assert found.weight.tolist() == [4, 1, 1]
-    assert found.temperature_degC is not None
-    assert found.temperature_degC.tolist() == [21.5, 22, 22]
+    for name, values in (("t_s", [0, 1, 1]), ("weight", [4, 1, 1]), ("temperature_degC", [21.5, 22, 22])):
+        assert getattr(found, name).tolist() == values
     assert found.ignored_columns == ("who",)
     assert found.bad == ()
 
@@ -371,11 +354,6 @@ def test_files_that_cannot_be_used(content: bytes, text: str, tmp_path: Path) ->
     assert "data.csv" in str(caught.value)
 
 
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.csv: No such file"):
-        read_measurements(tmp_path / "none.csv", loads=True)
-
-
 def test_gauge_readings_alone(tmp_path: Path) -> None:
     found = read(tmp_path, "SG1,SG2,SG3,SG4\n1,2,3,4\n", loads=False)
     assert found.strain.shape == (1, 4)
@@ -383,31 +361,6 @@ def test_gauge_readings_alone(tmp_path: Path) -> None:
     assert not found.unloaded.any()
     with pytest.raises(InputError, match="P_N, phi_deg, theta_deg is missing"):
         read(tmp_path, "SG1,SG2,SG3\n1,2,3\n", loads=True)
-
-
-def test_written_rows_read_back(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    original = Measurements(
-        line=np.arange(2, 7),
-        strain=rng.normal(size=(5, 4)) * 1e-4,
-        P_newtons=np.array([0.0, 1.1, 2.2, 4.4, 0.0]),
-        phi_rad=rng.uniform(-3, 3, 5),
-        theta_rad=rng.uniform(0, 3, 5),
-        t_s=np.cumsum(rng.random(5)),
-        temperature_degC=rng.normal(size=5),
-        weight=rng.random(5),
-        mode=np.array([2, 0, 1, -1, -1], dtype=np.int8),
-        bad=(),
-        ignored_columns=(),
-    )
-    path = tmp_path / "out.csv"
-    write_measurements(path, original)
-    again = read_measurements(path, loads=True)
-    assert again.bad == ()
-    for name in ("strain", "P_newtons", "phi_rad", "theta_rad", "t_s", "temperature_degC", "weight", "mode", "line"):
-        np.testing.assert_allclose(getattr(again, name), getattr(original, name), rtol=1e-14)
-    with pytest.raises(InputError, match="does not exist; create it first"):
-        write_measurements(tmp_path / "no" / "out.csv", replace(original, P_newtons=None))
 
 
 @settings(max_examples=60, deadline=None)

@@ -1,6 +1,6 @@
 """Configuration files, TOML and DCF: what they say, in which order it goes to the node, what is wrong with them."""
 
-import struct
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from canopen_device import types
-from host.bus_with_nodes import FaultyBus
+from host.bus_with_nodes import connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
 from tipforce.dictionary.entries import entries
@@ -29,6 +29,20 @@ REMAP = """[objects]
 "tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]
 "rpdo1.cob_id" = 0x205
 """
+
+
+@pytest.fixture(scope="module")
+def connection(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
+    with connected(finger(NODE, store=tmp_path_factory.mktemp("store") / "node.json")) as (connection, _):
+        yield connection
+
+
+@pytest.fixture
+def sdo(connection: Bus) -> SdoChannel:
+    connection.buffer.clear()
+    connection.nmt("reset-node", NODE)
+    connection.wait_for({0x700 + NODE})
+    return connection.sdo(NODE)
 
 
 def read_text(tmp_path: Path, text: str, gauges: int = 3) -> Configuration:
@@ -199,17 +213,6 @@ def test_apply_then_verify_on_a_node(tmp_path: Path, sdo: SdoChannel) -> None:
     assert verify_configuration(sdo, wanted) == []
 
 
-def test_the_remapped_pdo_comes(tmp_path: Path, sdo: SdoChannel, bus: tuple[Bus, FaultyBus]) -> None:
-    connection, _ = bus
-    apply_configuration(sdo, read_text(tmp_path, REMAP))
-    connection.nmt("start", NODE)
-    connection.sync()
-    connection.sync()
-    frame = connection.wait_for({0x180 + NODE})[-1]
-    assert frame["length"] == 4
-    assert struct.unpack_from("<h", frame["data"].tobytes())[0] == -0x8000, "uncalibrated: P is unknown"
-
-
 def test_a_write_only_object_is_applied_and_not_compared(tmp_path: Path, sdo: SdoChannel) -> None:
     wanted = read_text(tmp_path, '[objects]\n"calibration.unlock" = 0x6E65706F\n')
     apply_configuration(sdo, wanted)
@@ -219,8 +222,6 @@ def test_a_write_only_object_is_applied_and_not_compared(tmp_path: Path, sdo: Sd
 def test_what_the_node_refuses_is_named(tmp_path: Path, sdo: SdoChannel) -> None:
     with pytest.raises(SdoAbortError, match=r"write of 0x1800:02: abort 0x06090030"):
         apply_configuration(sdo, read_text(tmp_path, '[objects]\n"tpdo1.transmission_type" = 252\n'))
-    with pytest.raises(SdoAbortError, match=r"write of 0x1A00:01: abort 0x06040041"):
-        apply_configuration(sdo, read_text(tmp_path, '[objects]\n"tpdo1.mapping" = ["heartbeat.producer_ms"]\n'))
 
 
 def test_a_refusal_puts_back_what_was_there(tmp_path: Path, sdo: SdoChannel) -> None:
@@ -229,7 +230,7 @@ def test_a_refusal_puts_back_what_was_there(tmp_path: Path, sdo: SdoChannel) -> 
     wanted = read_text(
         tmp_path, '[objects]\n"heartbeat.producer_ms" = 500\n"tpdo1.mapping" = [0x71300110, 0x21200008, 0x21000120]\n'
     )
-    with pytest.raises(SdoAbortError, match="0x06040041"):
+    with pytest.raises(SdoAbortError, match=r"write of 0x1A00:03: abort 0x06040041"):
         apply_configuration(sdo, wanted)
     assert {entry: sdo.read(entry) for entry in before} == before
     assert [sdo.read(od.TPDO1_MAPPING[k]) for k in (1, 2, 3)] == mapping
@@ -273,23 +274,6 @@ def test_our_own_dcf_reads_back(tmp_path: Path, wanted: dict[tuple[int, int], ty
     assert {place: entry.encode(value) for place, (entry, value) in found.items()} == {
         place: types.encode(PLACES[place], value) for place, value in wanted.items()
     }
-
-
-def test_a_dcf_goes_to_a_node(tmp_path: Path, sdo: SdoChannel) -> None:
-    wanted: dict[tuple[int, int], types.Value] = {
-        (0x1017, 0): 123,
-        (0x1800, 1): 0xC0000185,  # bit 30: no remote requests, which this device does not answer
-        (0x2105, 1): 500.0,
-        (0x6134, 2): -12.5,
-        (0x7134, 3): -5,
-    }
-    path = tmp_path / "node.dcf"
-    path.write_text(dcf_text(3, NODE, wanted), encoding="utf-8")
-    configuration = read_configuration(path, NODE)
-    apply_configuration(sdo, configuration)
-    assert verify_configuration(sdo, configuration) == []
-    assert sdo.read(od.HEARTBEAT_PRODUCER_MS) == 123
-    assert sdo.read(od.TPDO1_COB_ID) == 0xC0000185
 
 
 def test_a_foreign_dcf_names_the_file_and_the_object(tmp_path: Path) -> None:

@@ -35,8 +35,7 @@ from tipforce.host.hand.hand import Hand
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssMaster
-from tipforce.host.network.sdo import SdoChannel
-from tipforce.host.network.sdo_exchange import Exchange
+from tipforce.host.network.sdo import Exchange, Request, SdoChannel
 from tipforce.samples.reasons import PRESENT
 from tipforce.samples.record import Rows
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -203,8 +202,8 @@ class Channel(SdoChannel):
         super().__init__(network, node_id, clock=line.now_s)
         self._line = line
 
-    async def _wait(self, what: str, attempt: Any, deadline_s: float = 0.0, *, blocks: bool) -> bytes:  # noqa: ARG002
-        self._exchange = exchange = Exchange(self, what, attempt, deadline_s)
+    async def _transfer(self, request: Request, *, blocks: bool) -> bytes:  # noqa: ARG002
+        self._exchange = exchange = Exchange(self, request)
         try:
             while True:
                 exchange.step()

@@ -1,6 +1,5 @@
 """`tipforce firmware` and its library on a bus: progress, versions, and every refusal with its message."""
 
-import contextlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,8 +26,13 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_POLL_S", 0.01)
 
 
-@contextlib.contextmanager
-def board_on(channel: str) -> Iterator[Board]:
+@pytest.fixture
+def channel() -> str:
+    return new_channel()
+
+
+@pytest.fixture
+def board(channel: str) -> Iterator[Board]:
     board = Board()
     with can.Bus(interface="virtual", channel=channel) as bus, program_board.running(board, bus):
         yield board
@@ -45,10 +49,9 @@ def command(channel: str, *words: str) -> int:
     return main(["firmware", action, str(NODE_ID), *words, "-i", "virtual", "-c", channel])
 
 
-def test_progress_and_the_program_that_the_node_confirms() -> None:
-    channel, arrived = new_channel(), list[int]()
-    firmware = Firmware.of(image(size=20000))
-    with board_on(channel) as board, Bus(can.Bus(interface="virtual", channel=channel), timeout_s=3.0) as bus:
+def test_progress_and_the_program_that_the_node_confirms(board: Board, channel: str, tmp_path: Path) -> None:
+    arrived, firmware = list[int](), Firmware.read(written(tmp_path, image(size=20000)))
+    with Bus.open(channel, "virtual", timeout_s=3.0) as bus:
         after = install(bus, NODE_ID, firmware, progress=arrived.append)
         assert (after.version, after.identification, after.reason) == ("0.2.0", firmware.header.crc, "")
         assert board.slot == 0
@@ -58,19 +61,18 @@ def test_progress_and_the_program_that_the_node_confirms() -> None:
     assert arrived[-1] == len(firmware.content)
 
 
-def test_the_command_shows_versions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    channel, content = new_channel(), image()
-    with board_on(channel):
-        assert command(channel) == 0
-        assert capsys.readouterr().out == "   5 (0x05)  0.1.0  0x00000000\n"
-        assert main(["sdo", "dump", str(NODE_ID), "--json", "-q", "-i", "virtual", "-c", channel]) == 0
-        assert '"index":"0x1F57"' in capsys.readouterr().out.replace(" ", "")
-        assert command(channel, written(tmp_path, content), "--json") == 0
-        record = json.loads(capsys.readouterr().out)
-        crc = Firmware.of(content).header.crc
-        assert record == {
-            "node_id": 5, "version": "0.2.0", "identification": f"0x{crc:08X}", "version_before": "0.1.0", "reason": "",
-        }  # fmt: skip
+@pytest.mark.usefixtures("board")
+def test_the_command_shows_versions(channel: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command(channel) == 0
+    assert capsys.readouterr().out == "   5 (0x05)  0.1.0  0x00000000\n"
+    assert main(["sdo", "dump", str(NODE_ID), "--json", "-q", "-i", "virtual", "-c", channel]) == 0
+    assert '"index":"0x1F57"' in capsys.readouterr().out.replace(" ", "")
+    file = written(tmp_path, image())
+    assert command(channel, file, "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "node_id": 5, "version": "0.2.0", "identification": f"0x{Firmware.read(file).header.crc:08X}",
+        "version_before": "0.1.0", "reason": "",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -84,41 +86,37 @@ def test_the_command_shows_versions(tmp_path: Path, capsys: pytest.CaptureFixtur
         (image(size=1 << 17), 12, "refuses the image: the image is larger than a slot; it keeps 0.1.0"),
     ],
 )
-def test_refusals(content: bytes, code: int, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    channel = new_channel()
-    with board_on(channel) as board:
-        assert command(channel, written(tmp_path, content)) == code
-        assert board.slot == 2
-    found = capsys.readouterr()
-    assert said in found.err
-    assert found.err.count("\n") == 1
-    assert not found.out
+def test_refusals(
+    content: bytes, code: int, said: str, board: Board, channel: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(channel, written(tmp_path, content)) == code
+    assert board.slot == 2
+    out, err = capsys.readouterr()
+    assert said in err
+    assert (err.count("\n"), out) == (1, "")
 
 
-def test_a_downgrade_that_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    channel = new_channel()
-    with board_on(channel):
-        assert command(channel, written(tmp_path, image((0, 0, 9))), "--allow-downgrade") == 0
+@pytest.mark.usefixtures("board")
+def test_a_downgrade_that_is_asked_for(channel: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command(channel, written(tmp_path, image((0, 0, 9))), "--allow-downgrade") == 0
     assert "0.1.0 -> 0.0.9" in capsys.readouterr().out
 
 
-def test_an_unhealthy_program_is_reported() -> None:
-    channel = new_channel()
-    with board_on(channel) as board, Bus(can.Bus(interface="virtual", channel=channel), timeout_s=3.0) as bus:
+def test_an_unhealthy_program_is_reported(board: Board, channel: str, tmp_path: Path) -> None:
+    with Bus.open(channel, "virtual", timeout_s=3.0) as bus:
         board.healthy = False
         with pytest.raises(RefusedError, match=r"runs 0.1.0: the new program did not start and communicate"):
-            install(bus, NODE_ID, Firmware.of(image()))
+            install(bus, NODE_ID, Firmware.read(written(tmp_path, image())))
         assert node_program(bus.sdo(NODE_ID)).reason.startswith("the new program did not start")
 
 
-def test_a_linux_node_says_why_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    channel = new_channel()
+def test_a_linux_node_says_why_not(channel: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     node = fingertip_node(NODE_ID, SimulatedSource([[0.0] * 3] * 3))
     with running([node], channel):
         assert command(channel, written(tmp_path, image())) == 12
     assert "has no program slots (1F56h: abort 0x06020000): update a Linux node on its own" in capsys.readouterr().err
 
 
-def test_a_missing_file(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command(new_channel(), "/nowhere/program.bin") == 2
+def test_a_missing_file(channel: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert command(channel, "/nowhere/program.bin") == 2
     assert "/nowhere/program.bin: No such file" in capsys.readouterr().err

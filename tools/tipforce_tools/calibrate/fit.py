@@ -45,14 +45,15 @@ def requested(args: argparse.Namespace) -> dict[str, Any]:
     return given | {"loss": args.loss.replace("-", "_")}
 
 
-def add_model_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags that say how the readings are believed to have come about."""
+def add_model_arguments(
+    parser: argparse.ArgumentParser, scatter: float | None = 0.5, default: str = "%(default)s"
+) -> None:
+    """Flags that say how the readings are believed to have come about; ``default``: what the help says of scatter."""
     group = parser.add_argument_group("model")
     above_0 = common.number_within(0.0, common.MOST, "is above 0", over=True)
-    scatter = "standard deviation of a groove's phi and theta (default %(default)s)"
-    common.add_numbers(
-        group, ("--angle-scatter", 0.5, "DEG", scatter, common.number_within(0.0, 20.0, "is 0 to 20 degrees"))
-    )
+    about = f"standard deviation of a groove's phi and theta (default {default})"
+    degrees = common.number_within(0.0, 20.0, "is 0 to 20 degrees")
+    common.add_numbers(group, ("--angle-scatter", scatter, "DEG", about, degrees))
     group.add_argument("--drift", choices=("none", "tare", "linear"), help="of the offsets (default: best predictor)")
     group.add_argument(
         "--loss", choices=("huber", "soft-l1", "none"), default="huber",
@@ -85,12 +86,12 @@ def run_fit(args: argparse.Namespace) -> int:
     request = FitRequest(**requested(args))
     request.check_gauges(data.strain.shape[1], args.data)
     result = fitted(request, data, common.note)
-    doubtful = publish(args.data, request, result)
+    doubtful = publish(args.data, result)
     if (data.bad or doubtful) and args.strict:
         common.note("--strict: no file is written")
         return 1
     if args.output:
-        write(args.output, args.data, request, result)
+        write(args.output, args.data, result)
     return 0
 
 
@@ -136,32 +137,30 @@ def _add_transfer(parser: argparse.ArgumentParser) -> None:
 def run_apply(args: argparse.Namespace) -> int:
     """Apply: return 0. Raises RefusedError."""
     from tipforce.host.configuration.calibration import read_calibration
-    from tipforce.host.network.finger import FingertipClient
 
     calibration, name = read_calibration(args.file), common.shown_node(args.node)
     if not args.no_store:
         bus_flags.confirm(args, f"{name}: this replaces its stored calibration")
     with bus_flags.open_connection(args) as connection:
-        transfer(FingertipClient(connection.sdo(args.node)), args.node, calibration, not args.no_store, "applied")
+        transfer(connection.finger(args.node), calibration, not args.no_store, "applied")
     return 0
 
 
-def transfer(client: FingertipClient, node: int, calibration: Calibration, store: bool, done: str) -> None:
+def transfer(client: FingertipClient, calibration: Calibration, store: bool, done: str) -> None:
     """Apply a calibration with a note of each step, and print what the node then has. Raises RefusedError."""
-    name, crc32 = common.shown_node(node), f"0x{calibration.crc32():08X}"
+    name, crc32 = common.shown_node(client.node_id), f"0x{calibration.crc32():08X}"
     generation = client.apply_calibration(calibration, store, lambda step: common.note(f"{name}: {step}"))
-    record = {"node": node, "generation": generation, "crc32": crc32}
+    record = {"node": client.node_id, "generation": generation, "crc32": crc32}
     common.print_record(record, f"{done}, generation {generation}, CRC-32 {crc32}")
 
 
 def run_verify(args: argparse.Namespace) -> int:
     """Compare: return 0 if equal, 1 if different."""
     from tipforce.host.configuration.calibration import read_calibration
-    from tipforce.host.network.finger import FingertipClient
 
     calibration = read_calibration(args.file)
     with bus_flags.open_connection(args) as connection:
-        differences = FingertipClient(connection.sdo(args.node)).verify_calibration(calibration)
+        differences = connection.finger(args.node).verify_calibration(calibration)
     compared = {"node": args.node, "equal": not differences, "differences": differences}
     common.print_record(compared, "\n".join(differences) or "equal byte for byte")
     return 1 if differences else 0

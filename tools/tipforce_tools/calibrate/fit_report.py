@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
-from tipforce.host.configuration.calibration import RECORD, Calibration, stated, write_calibration
-from tipforce.host.configuration.calibration_file import fit_record
+from tipforce.host.configuration.calibration import RECORD, Calibration, write_calibration
+from tipforce.host.configuration.calibration_file import fit_table
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.sensor.calibration.fit import Fit
 from tipforce.sensor.calibration.outliers import rejections
@@ -19,7 +20,7 @@ from tipforce.sensor.contact.scalar_redundancy import LEAST_SHARE
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce.host.configuration.fitting import FitRequest, Fitted
+    from tipforce.host.configuration.fitting import Fitted
 
 UE = 1e6
 _FIGURES = (
@@ -42,9 +43,9 @@ def facts(path: str, result: Fitted) -> dict[str, object]:
     }
 
 
-def notes(result: Fitted, request: FitRequest) -> list[str]:
+def notes(result: Fitted) -> list[str]:
     """What a person should look at before he trusts the fit."""
-    data, fit, model, scores, layout = result.data, result.fit, result.model, result.scores, request.layout
+    request, data, _, fit, model, scores, calibration = result
     lines = [f"column {name} is not used" for name in data.ignored_columns]
     if len(scores) > 1:
         others = ", ".join(f"{name} {score:.1f}" for name, score in sorted(scores.items(), key=lambda pair: -pair[1]))
@@ -57,10 +58,10 @@ def notes(result: Fitted, request: FitRequest) -> list[str]:
     stray = max(fit.groove_scatter, fit.hang_scatter)
     if stray > 2.0:
         lines.append(f"load directions stray {stray:.1f} times as far as --angle-scatter says")
-    lines.extend(_of_validity(fit, result.calibration, layout))
+    lines.extend(_of_validity(fit, calibration, request.layout))
     if request.theory is not None:
         opposite = np.flatnonzero((request.theory * fit.A).sum(axis=1) < 0.0)
-        text = f"its load response is opposite to beam theory for {layout}: is tension positive?"
+        text = f"its load response is opposite to beam theory for {request.layout}: is tension positive?"
         lines.extend(f"SG{gauge + 1}: {text}" for gauge in opposite)
     lines.extend(
         f"the fit follows the load of {load.P_newtons:g} N at phi {math.degrees(load.phi_rad):g}, theta "
@@ -212,7 +213,7 @@ def _record(path: str, result: Fitted, notes: list[str], warnings: list[str]) ->
         "validity": {
             of.name: getattr(calibration, of.name)
             for of in RECORD
-            if stated(of).place[0] >= indices.CALIBRATION_VALIDITY and not stated(of).shape
+            if of.metadata["place"][0] >= indices.CALIBRATION_VALIDITY and not of.metadata["shape"]
         },
         "warnings": warnings,
         "notes": notes,
@@ -247,9 +248,9 @@ def _print_loads(fit: Fit) -> None:
     print()
 
 
-def publish(path: str, request: FitRequest, result: Fitted, more_notes: tuple[str, ...] = ()) -> bool:
+def publish(path: str, result: Fitted, more_notes: Iterable[str] = ()) -> bool:
     """Print the account of a fit; return whether something speaks against it."""
-    remarks = [*notes(result, request), *more_notes]
+    remarks = [*notes(result), *more_notes]
     doubts = warnings(result)
     if common.OUTPUT.json:
         common.print_json(_record(path, result, remarks, doubts))
@@ -260,8 +261,8 @@ def publish(path: str, request: FitRequest, result: Fitted, more_notes: tuple[st
     return bool(doubts)
 
 
-def write(output: str, path: str, request: FitRequest, result: Fitted) -> None:
+def write(output: str, path: str, result: Fitted) -> None:
     """Write the calibration file ``output`` of the data in ``path``."""
-    known = facts(path, result) | {"angle_scatter_deg": request.angle_scatter}
-    write_calibration(output, result.calibration, fit_record(result.fit, **known))
+    table = fit_table(result.fit, result.request.angle_scatter, **facts(path, result))
+    write_calibration(output, result.calibration, table)
     common.note(f"{output}: written, load sense {'pull' if result.calibration.pull else 'push'}")

@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce.output_file import CALIBRATION, check_output
 from tipforce_tools.calibrate import fit
 from tipforce_tools.cli import bus_flags, common
-
-if TYPE_CHECKING:
-    from tipforce.host.configuration.capture import GaugeReader
-    from tipforce.host.configuration.guide import Step
-    from tipforce.host.network.bus import Bus
-    from tipforce.host.network.finger import FingertipClient, Identity
 
 DEFAULT_WEIGHTS = "4.4"
 AUTO_SCATTER_DEG, HAND_SCATTER_DEG = 0.0, 0.5  # a simulated load has its nominal direction
@@ -51,10 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--max-drift", 2.0, "UE", "largest drift, microstrain (default %(default)s)", limit),
     )
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout, for file and prior")
-    fit.add_model_arguments(parser)
-    parser.set_defaults(angle_scatter=None)  # None: 0.5 degree with weights, 0 with --auto
-    scatter = next(action for action in parser._actions if action.dest == "angle_scatter")
-    scatter.help = (scatter.help or "").replace("%(default)s", "0.5; --auto: 0")
+    fit.add_model_arguments(parser, None, "0.5; --auto: 0")
     common.add_confirm_argument(parser)
     bus_flags.add_sdo_arguments(parser)
 
@@ -67,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
                 raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
         common.InputFile("plan ").check(args.plan)
     from tipforce.host.configuration.guide import file_plan, groove_plan
+    from tipforce_tools.calibrate.guide_walk import Walk
 
     steps = file_plan(args.plan) if args.plan else groove_plan(args.weights or DEFAULT_WEIGHTS, args.grooves or "paper")
     # What would otherwise fail after an hour of weights.
@@ -77,72 +67,4 @@ def run(args: argparse.Namespace) -> int:
     if args.angle_scatter is None:
         args.angle_scatter = AUTO_SCATTER_DEG if args.auto else HAND_SCATTER_DEG
     with bus_flags.open_connection(args) as connection:
-        client, reader, identity = _checked_node(connection, args)
-        try:
-            return _guided(args, steps, client, reader, identity)
-        finally:
-            reader.stop()
-
-
-def _guided(
-    args: argparse.Namespace, steps: tuple[Step, ...], client: FingertipClient, reader: GaugeReader, identity: Identity
-) -> int:
-    from tipforce.host.configuration.fitting import FitRequest
-    from tipforce.host.configuration.guide import Session
-    from tipforce_tools.calibrate.guide_walk import Walk, finish
-
-    request = FitRequest(**fit.requested(args), serial=identity.serial)
-    request.check_gauges(identity.gauges, "the node")
-    _ = request.model  # wrong flags of the fit show before an hour of weights
-    path = Path(args.session or f"session-{identity.serial}.csv")
-    session = Session(path, steps, identity.serial, identity.gauges, reader.temperature_degC() is not None)
-    loads = sum(step.mode != "tare" for step in steps)
-    common.note(f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {reader.how}; session {path}")
-    if session.cut:
-        common.note(f"session {path}: its last line was truncated by an interruption and is removed")
-    walk = Walk(args, steps, session, reader, client.sdo)
-    try:
-        while (outcome := walk.run()) == "done":
-            if finish(args, request, session, client) != "redo":
-                return 0
-            walk.redo_last()
-    except (KeyboardInterrupt, Exception):
-        walk.say_where()
-        raise
-    walk.say_where()
-    return 0 if outcome == "quit" else 1
-
-
-def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipClient, GaugeReader, Identity]:
-    """Return the node, after checking that it measures; a note says what it is.
-
-    Raises NoResponseError without a node, InputError for another device or --auto with real gauges, RefusedError for
-    a node with a front-end fault or without new samples.
-    """
-    from tipforce.dictionary import objects as od
-    from tipforce.dictionary import table
-    from tipforce.errors import RefusedError
-    from tipforce.host.configuration.capture import GaugeReader
-    from tipforce.host.network.finger import FingertipClient
-
-    name = common.shown_node(args.node)
-    client = FingertipClient(connection.sdo(args.node))
-    identity = client.identity()
-    if not identity.is_fingertip:
-        raise InputError(f"{name}: product code 0x{identity.product:08X} is not a fingertip of this dictionary")
-    if args.auto and not identity.simulated:
-        raise InputError(f"{name} has real gauges: --auto needs a simulated node; leave it out and hang weights")
-    reader = GaugeReader(connection, args.node, identity.gauges, args.period * 1e-3)
-    if not reader.moves():
-        raise RefusedError(f"{name}: its sample counter (2121h) does not change: it does not measure; reset it")
-    faults = client.sdo.read(od.FAULTS)
-    if faults >> table.FAULT_NO_DATA:
-        names = ", ".join(word.replace("_", " ") for bit, word, _ in table.FAULT_BITS if faults >> bit & 1)
-        raise RefusedError(f"{name}: front-end fault 2124h = 0x{faults:04X} ({names}): repair it before calibration")
-    temperature = reader.temperature_degC()
-    crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
-    what = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges, serial {identity.serial}"
-    held = f"calibrated (CRC-32 0x{crc:08X})" if crc else "not calibrated yet"
-    degrees = "temperature unknown" if temperature is None else f"{temperature:.2f} degC"
-    common.note(f"{name}: {what}; {held}; {degrees}; measures, no fault")
-    return client, reader, identity
+        return Walk(args, steps, connection).run()

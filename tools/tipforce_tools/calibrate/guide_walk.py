@@ -6,30 +6,59 @@ A capture is checked for quiet, new and complete samples; otherwise it is refuse
 from __future__ import annotations
 
 import argparse
-import contextlib
 import sys
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
-from typing import Literal
+from pathlib import Path
 
 import numpy as np
 
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
-from tipforce.errors import InputError, NoResponseError, TipforceError
+from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
 from tipforce.host.configuration.fitting import FitRequest, fitted, limit_of
 from tipforce.host.configuration.guide import EXTRA, EXTRA_TARE, Session, Step
 from tipforce.host.configuration.measurements import read_measurements
-from tipforce.host.network.finger import FingertipClient
-from tipforce.host.network.sdo import SdoChannel
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.finger import FingertipClient, Identity
 from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.result import matrix_to_digits, to_digits
 from tipforce.sensor.contact.redundancy import weighted_inverse
-from tipforce_tools.calibrate.fit import transfer
+from tipforce_tools.calibrate import fit
 from tipforce_tools.calibrate.fit_report import publish, write
 from tipforce_tools.cli import bus_flags, common
+
+
+def _fault_names(faults: int) -> str:
+    return ", ".join(name.replace("_", " ") for bit, name, _ in table.FAULT_BITS if faults >> bit & 1)
+
+
+def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipClient, GaugeReader, Identity]:
+    """Return the node, after checking that it measures; a note says what it is."""
+    name = common.shown_node(args.node)
+    client = connection.finger(args.node)
+    identity = client.identity()
+    if not identity.is_fingertip:
+        raise InputError(f"{name}: product code 0x{identity.product:08X} is not a fingertip of this dictionary")
+    if args.auto and not identity.simulated:
+        raise InputError(f"{name} has real gauges: --auto needs a simulated node; leave it out and hang weights")
+    reader = GaugeReader(connection, args.node, identity.gauges, args.period * 1e-3)
+    if not reader.moves():
+        raise RefusedError(f"{name}: its sample counter (2121h) does not change: it does not measure; reset it")
+    faults = client.sdo.read(od.FAULTS)
+    if faults >> table.FAULT_NO_DATA:
+        names = _fault_names(faults)
+        raise RefusedError(f"{name}: front-end fault 2124h = 0x{faults:04X} ({names}): repair it before calibration")
+    temperature = reader.temperature_degC()
+    crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
+    what = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges, serial {identity.serial}"
+    held = f"calibrated (CRC-32 0x{crc:08X})" if crc else "not calibrated yet"
+    degrees = "temperature unknown" if temperature is None else f"{temperature:.2f} degC"
+    common.note(f"{name}: {what}; {held}; {degrees}; measures, no fault")
+    return client, reader, identity
 
 
 def refusals(capture: Capture, max_std_microstrain: float, max_drift_microstrain: float) -> list[str]:
@@ -69,10 +98,10 @@ def _unusable(capture: Capture) -> list[str]:
             "check for another NMT master and for bus overload; try again"
         )
     if capture.faulty:
-        names = [name.replace("_", " ") for bit, name, _ in table.FAULT_BITS if capture.faults >> bit & 1]
+        names = _fault_names(capture.faults)
         texts.append(
             f"front-end fault in {capture.faulty} {of} (2124h = 0x{capture.faults:04X}"
-            f"{': ' + ', '.join(names) if names else ''}): check the wiring and the supply of the gauges"
+            f"{names and ': ' + names}): check the wiring and the supply of the gauges"
         )
     hit = [f"SG{k + 1}" for k, count in enumerate(capture.saturated) if count]
     if hit:
@@ -89,9 +118,6 @@ def _unusable(capture: Capture) -> list[str]:
             )
     return texts
 
-
-Outcome = Literal["done", "quit", "refused"]
-Answer = Literal["applied", "declined", "redo"]
 
 KEYS = "Enter: capture, s: skip, r: repeat the last, q: save and quit"
 _LOAD = (od.SIMULATION_P, od.SIMULATION_PHI, od.SIMULATION_THETA)
@@ -112,12 +138,27 @@ def ask(question: str) -> str:
 
 
 class Walk:
-    """One run at the node; the session holds its results."""
+    """One run at the node; the session holds its results.
 
-    def __init__(
-        self, args: argparse.Namespace, steps: Sequence[Step], session: Session, reader: GaugeReader, sdo: SdoChannel
-    ) -> None:
-        self._args, self._steps, self._session, self._reader, self._sdo = args, steps, session, reader, sdo
+    Raises NoResponseError without a node, InputError for another device or --auto with real gauges, RefusedError for
+    a node with a front-end fault or without new samples.
+    """
+
+    def __init__(self, args: argparse.Namespace, steps: Sequence[Step], connection: Bus) -> None:
+        self._args, self._steps = args, steps
+        self._client, self._reader, identity = _checked_node(connection, args)
+        self._request = FitRequest(**fit.requested(args), serial=identity.serial)
+        self._request.check_gauges(identity.gauges, "the node")
+        _ = self._request.model  # wrong flags of the fit show before an hour of weights
+        path = Path(args.session or f"session-{identity.serial}.csv")
+        has_temperature = self._reader.temperature_degC() is not None
+        self._session = session = Session(path, steps, identity.serial, identity.gauges, has_temperature)
+        loads = sum(step.mode != "tare" for step in steps)
+        common.note(
+            f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {self._reader.how}; session {path}"
+        )
+        if session.cut:
+            common.note(f"session {path}: its last line was truncated by an interruption and is removed")
         self._skipped: set[int] = set()
         missing = [step for step in steps if step.number not in session.done]
         self._todo = deque(missing)
@@ -126,29 +167,54 @@ class Walk:
             if missing[0].mode != "tare":
                 self._todo.appendleft(EXTRA_TARE)
 
-    def run(self) -> Outcome:
-        """Execute the remaining steps; return "done", "quit" by the user, or "refused" (--auto, no good capture)."""
-        with self._self_loading():
+    def run(self) -> int:
+        """Execute the remaining steps, fit and apply: 0, as for a user who quits; 1 if --auto gets no good capture.
+
+        Says at each other end how to continue. Raises InputError if the rows do not determine a calibration,
+        RefusedError if the node refuses it.
+        """
+        try:
+            while (code := self._take_steps()) is None:
+                if not self._finish():
+                    return 0
+                self._redo_last()
+        except (KeyboardInterrupt, Exception):
+            self._say_where()
+            raise
+        finally:
+            self._reader.stop()
+        self._say_where()
+        return code
+
+    def _take_steps(self) -> int | None:
+        """Execute the remaining steps; return None when they are done, otherwise the exit code."""
+        sdo, auto = self._client.sdo, self._args.auto
+        before = [sdo.read(entry) for entry in _LOAD] if auto else []
+        try:
             while self._todo:
                 step = self._todo[0]
                 self._say(f"{self._name(step)}: {step.instruction}")
-                word = "" if self._args.auto else ask(f"  {KEYS} >")
+                word = "" if auto else ask(f"  {KEYS} >")
                 if word == "q":
-                    return "quit"
+                    return 0
                 if word == "s":
                     self._skipped.add(step.number)
                     self._todo.popleft()
                 elif word == "r":
-                    self.redo_last()
+                    self._redo_last()
                 elif word:
                     self._say(f"  {word!r} is not one of the keys")
-                elif not self._captured(step) and self._args.auto:
-                    return "refused"
+                elif not self._captured(step) and auto:
+                    return 1
+        finally:
+            with suppress(TipforceError):  # if the node is lost, the first error is reported
+                for entry, value in zip(_LOAD, before, strict=False):
+                    sdo.write(entry, value)
         if self._skipped:
             self._say(f"{len(self._skipped)} steps were skipped; the same command asks for them again")
-        return "done"
+        return None
 
-    def redo_last(self) -> None:
+    def _redo_last(self) -> None:
         """Remove the last row and make its step the next one."""
         number = self._session.drop_last()
         if number is None:
@@ -158,7 +224,7 @@ class Walk:
         self._say(f"  {self._name(step)} is removed from {self._session.path}")
         self._todo.appendleft(step)
 
-    def say_where(self) -> None:
+    def _say_where(self) -> None:
         """Print the state of the session and how to continue it."""
         steps = f"{len(self._session.done)} of {len(self._steps)} steps are in {self._session.path}"
         self._say(f"{steps}; the same command continues there" if self._session.rows else "nothing was captured")
@@ -170,7 +236,7 @@ class Walk:
         for _ in range(_AUTO_TRIES if self._args.auto else 1):
             try:
                 for entry, value in zip(_LOAD, step.load[:3], strict=True) if self._args.auto else ():
-                    self._sdo.write(entry, value)
+                    self._client.sdo.write(entry, value)
                 with common.progress("  capture", self._args.samples, absolute=True) as advance:
                     capture = self._reader.capture(self._args.samples, advance)
             except NoResponseError as error:
@@ -227,8 +293,6 @@ class Walk:
             f"{moved:.1f} microstrain from the last unloaded reading: is a load still applied?" if still_loaded else ""
         )
 
-    # --- output, progress bars, and loads of a simulated node ----------------------------------------------------
-
     def _name(self, step: Step) -> str:
         return "the extra unloaded reading" if step.number == EXTRA else f"step {step.number} of {len(self._steps)}"
 
@@ -237,66 +301,45 @@ class Walk:
         if not (common.OUTPUT.quiet and self._args.auto):
             print(text, file=sys.stderr)
 
-    @contextlib.contextmanager
-    def _self_loading(self) -> Iterator[None]:
-        """Restore the simulated load after --auto."""
-        if not self._args.auto:
-            yield
-            return
-        before = [self._sdo.read(entry) for entry in _LOAD]
-        try:
-            yield
-        finally:
-            with contextlib.suppress(TipforceError):  # if the node is lost, the first error is reported
-                for entry, value in zip(_LOAD, before, strict=True):
-                    self._sdo.write(entry, value)
+    # --- the end: the fit, its report, and after confirmation the transfer to the node ----------------------------
 
+    def _finish(self) -> bool:
+        """Fit the session, show it, write the file, apply and store it after confirmation; True: redo the last step."""
+        args, path = self._args, str(self._session.path)
+        data = replace(read_measurements(path, loads=True), ignored_columns=())  # the guide's own columns
+        result = fitted(self._request, data, common.note)
+        C, A = result.fit.C, result.fit.A
+        # The residuals also contain differences between hooks; the scatter of a single reading of the node is that
+        # within the captures. C is then optimal for that noise, which matters for a node with more than three gauges.
+        covariance, dof = self._session.noise()
+        noise = to_digits(covariance)
+        calibration = replace(
+            result.calibration,
+            C=matrix_to_digits(weighted_inverse(A, noise)) if len(A) > 3 else C,
+            covariance_strain2=to_digits(noise * variance_factors(dof, len(A) - 3)[0]),
+            redundancy_limit=limit_of(result.fit, noise, dof, result.calibration.calibrated_force_newtons),
+        )
+        result = result._replace(calibration=calibration)
+        notes = ["the node gets the noise covariance within the captures"]
+        if result.fit.outliers:
+            notes.append("to repeat an outlier: remove its line from the session and start the same command")
+        publish(path, result, notes)
+        if args.output:  # first, so that a later failure does not lose it
+            write(args.output, path, result)
+        name = common.shown_node(args.node)
+        answer = self._asked(f"{name}: apply this calibration and store it")
+        if answer in ("y", "yes"):
+            fit.transfer(self._client, calibration, True, "applied and stored")
+        elif answer != "r":
+            common.note(f"{name} is unchanged; the same command asks again")
+        return answer == "r"
 
-# --- the end: the fit, its report, and after confirmation the transfer to the node ------------------------------
-
-
-def finish(args: argparse.Namespace, request: FitRequest, session: Session, client: FingertipClient) -> Answer:
-    """Fit the session, show it, write the file, and after confirmation apply, verify and store it.
-
-    Raises InputError if the rows do not determine a calibration, RefusedError if the node refuses it.
-    """
-    path = str(session.path)
-    data = replace(read_measurements(path, loads=True), ignored_columns=())  # the guide's own columns
-    result = fitted(request, data, common.note)
-    fit = result.fit
-    # The residuals also contain differences between hooks; the scatter of a single reading of the node is that within
-    # the captures. C is then optimal for that noise, which matters for a node with more than three gauges.
-    noise, dof = to_digits(session.noise_covariance_strain2()), session.freedom()
-    calibration = replace(
-        result.calibration,
-        C=matrix_to_digits(weighted_inverse(fit.A, noise)) if fit.C.shape[1] > 3 else fit.C,
-        covariance_strain2=to_digits(noise * variance_factors(dof, fit.C.shape[1] - 3)[0]),
-        redundancy_limit=limit_of(fit, noise, dof, result.calibration.calibrated_force_newtons),
-    )
-    result = result._replace(calibration=calibration)
-    repeat = ("to repeat an outlier: remove its line from the session and start the same command",) * bool(fit.outliers)
-    publish(path, request, result, ("the node gets the noise covariance within the captures", *repeat))
-    if args.output:  # first, so that a later failure does not lose it
-        write(args.output, path, request, result)
-    name = common.shown_node(args.node)
-    answer = _asked(args, f"{name}: apply this calibration and store it")
-    if answer == "declined":
-        common.note(f"{name} is unchanged; the same command asks again")
-    if answer != "applied":
-        return answer
-    transfer(client, args.node, calibration, True, "applied and stored")
-    return answer
-
-
-def _asked(args: argparse.Namespace, question: str) -> Answer:
-    if args.auto:
-        bus_flags.confirm(args, question)
-    if args.auto or args.yes:
-        return "applied"
-    words: dict[str, Answer] = {
-        "y": "applied", "yes": "applied", "r": "redo", "": "declined", "n": "declined", "no": "declined",
-        "q": "declined",
-    }  # fmt: skip
-    while (word := ask(f"{question}? y: yes, r: redo the last step, Enter: no >")) not in words:
-        pass
-    return words[word]
+    def _asked(self, question: str) -> str:
+        if self._args.auto:
+            bus_flags.confirm(self._args, question)
+        if self._args.auto or self._args.yes:
+            return "yes"
+        allowed = ("y", "yes", "r", "", "n", "no", "q")
+        while (word := ask(f"{question}? y: yes, r: redo the last step, Enter: no >")) not in allowed:
+            pass
+        return word

@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import os
-import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from canopen_device.core.codes import STOPPED
-from tipforce.errors import EnvironmentLackError, TipforceError
+from tipforce.errors import EnvironmentLackError
 from tipforce_tools.cli import bus_flags, common
 
 if TYPE_CHECKING:
-    from tipforce.host.frames.frame_array import FrameArray
-    from tipforce.host.hand.file import FingerPlan
     from tipforce.watching.findings import Finding
 
-VARIABLES = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
-BEATS_S = 5.0
-"""Listen so much longer to a stopped node: it has no SDO, and two may send its heartbeats."""
-_LOADED = 0.8
 _STYLES = {"ok": "green", "note": "yellow", "fail": "bold red"}
 
 
@@ -65,7 +55,7 @@ def _findings(args: argparse.Namespace) -> Iterator[Finding]:
     options: dict[str, Any] = {}
     try:
         options = bus_flags.find_bus(args, hand.bus if hand else None)
-        configuration = configuration_check(options, flags)
+        configuration = machine.configuration_check(options, flags)
     except EnvironmentLackError as error:
         configuration = Finding("configuration", "note", *str(error).split(": ", 1))
     for check in machine.kernel_checks():
@@ -80,67 +70,4 @@ def _findings(args: argparse.Namespace) -> Iterator[Finding]:
     yield from machine.iio_checks()
     yield from machine.software_checks()
     if configuration.state == "ok":
-        yield from bus_findings(options, args.listen, hand.finger if hand else ())
-
-
-def configuration_check(options: Mapping[str, Any], flags: Mapping[str, Any]) -> Finding:
-    """Return where the name of the bus comes from: flags, environment, configuration files, or the only interface."""
-    import can.util
-
-    from tipforce.watching.findings import Finding
-
-    sources = [f"flags ({' '.join(f'--{name} {value}' for name, value in flags.items())})"] if flags else []
-    sources += [f"{name}={os.environ[name]}" for name in VARIABLES if os.environ.get(name)]
-    sources += [str(path) for p in can.util.CONFIG_FILES if (path := Path(p).expanduser()).is_file()]
-    try:
-        config = can.util.load_config(config=dict(options))
-    except (can.CanError, ValueError) as error:
-        return Finding("configuration", "fail", f"{error}", "name the bus: -i socketcan -c can0")
-    named = f"{config['interface']} {config.get('channel', '')}".strip()
-    return Finding("configuration", "ok", f"{named}, from {'; '.join(sources) or 'the interfaces that are up'}")
-
-
-def bus_findings(options: Mapping[str, Any], listen_s: float, wanted: tuple[FingerPlan, ...] = ()) -> Iterator[Finding]:
-    """Open the bus, listen, ask every node-id for its identity, and yield what was found."""
-    import numpy as np
-
-    from tipforce.host.network.bus import Bus
-    from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
-    from tipforce.host.network.find import find_nodes
-    from tipforce.host.network.interfaces import links
-    from tipforce.host.network.open_bus import open_bus
-    from tipforce.watching.findings import Finding, Observed, findings, shown
-
-    received: list[FrameArray] = []
-    nodes = []
-    link = links().get(str(options.get("channel")))
-    try:
-        with Bus(open_bus(**options)) as connection:
-            begun_s, seen = time.monotonic(), Observed(duplicates=connection.duplicates, link=link)
-            try:
-                nodes = find_nodes(connection, range(1, 128), listen_s, received.append)
-            except TipforceError as error:  # the bus takes no frames
-                yield Finding("bus", "fail", str(error))
-                time.sleep(listen_s)
-            if any(connection.heartbeats.state(node.node_id) == STOPPED for node in nodes):
-                time.sleep(BEATS_S)
-            received.append(connection.buffer.take_all())
-            seen.heard_s = time.monotonic() - begun_s
-    except TipforceError as error:
-        yield Finding("bus", "fail", str(error), "`tipforce doctor` without -i -c lists the interfaces")
-        return
-    frames = np.concatenate(received)
-    seen.count(frames)
-    seen.add_nodes(nodes)
-    if seen.frames:
-        rate = int(options.get("bitrate") or (link.bit_rate if link else 0) or DEFAULT_BIT_RATE)
-        least, most = (bits / seen.heard_s / rate for bits in range_of_bits(frames))
-        load = f"load {100 * least:.0f} to {100 * most:.0f} % of {rate} bit/s"
-        finding = f"{len(frames) / seen.heard_s:.0f} frames/s, {load}"
-        step = "a lower SYNC rate or fewer PDOs: `tipforce hand check` computes them" if most > _LOADED else ""
-        yield Finding("traffic", "note" if step else "ok", finding, step)
-    for node in nodes:
-        if not node.duplicate:
-            serial = f", serial {node.serial}" if node.product else ""
-            yield Finding(shown([node.node_id]), "ok", f"{node.state}, {node.device}{serial}")
-    yield from findings(seen, wanted=wanted)
+        yield from machine.bus_findings(options, args.listen, hand.finger if hand else ())

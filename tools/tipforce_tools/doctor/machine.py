@@ -1,4 +1,4 @@
-"""Checks of this machine: kernel and CAN interfaces, buses without hardware, converters, installed software."""
+"""Checks of this machine: kernel and CAN interfaces, buses without hardware, converters, software; and of the bus."""
 
 from __future__ import annotations
 
@@ -7,18 +7,30 @@ import platform
 import shutil
 import socket
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import can.util
+import numpy as np
+
+from canopen_device.core.codes import STOPPED
 from tipforce.core import core, how_to_build
 from tipforce.errors import TipforceError
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, range_of_bits
+from tipforce.host.network.find import find_nodes
 from tipforce.host.network.interfaces import Link, interfaces, links
-from tipforce.watching.findings import RATE, Finding, Observed, of_the_wire
+from tipforce.host.network.open_bus import open_bus
+from tipforce.sources import iio_buffer, iio_sysfs
+from tipforce.watching.findings import RATE, Finding, Observed, findings, of_the_wire, shown
 
 if TYPE_CHECKING:
+    from tipforce.host.frames.frame_array import FrameArray
+    from tipforce.host.hand.file import FingerPlan
     from tipforce.sources.iio_sysfs import Device
 
 SHORT_QUEUE = 100  # frames; a hand responds to SYNC with more than the default of ten at once
@@ -38,6 +50,10 @@ EXTRAS = {
 }  # fmt: skip
 """A package of each extra."""
 PEERS = ("candump", "canplayer", "tshark")
+VARIABLES = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
+BEATS_S = 5.0
+"""Listen so much longer to a stopped node: it has no SDO, and two may send its heartbeats."""
+_LOADED = 0.8
 
 
 def kernel_checks() -> Iterator[Finding]:
@@ -75,23 +91,17 @@ def interface_check(link: Link) -> Finding:
     return Finding(topic, "ok", f"up, {kind}" + (f", sample point {link.sample_point}" if link.sample_point else ""))
 
 
-def trial() -> int:
-    """Run `true` with the buses; return its exit code. Raises EnvironmentLackError."""
-    from tipforce_tools.kernel.uml import run_with_vcan
-
-    return run_with_vcan(["true"], interfaces=INTERFACES, timeout_s=120.0)
-
-
 def vcan_checks() -> Iterator[Finding]:
     """Yield one check. Never raises."""
     if sys.platform != "linux":
         yield Finding("vcan", "note", f"vcan exists on Linux only, and this is {sys.platform}", _UDP)
         return
+    from tipforce_tools.kernel import uml
     from tipforce_tools.kernel.host import ELSEWHERE, choose
 
     place = choose(INTERFACES)
     try:
-        code = trial()
+        code = uml.run_with_vcan(["true"], interfaces=INTERFACES, timeout_s=120.0)
     except TipforceError as error:
         yield Finding("vcan", "note", str(error).splitlines()[0], "`tipforce vcan -- true` shows the details")
         return
@@ -103,8 +113,6 @@ def vcan_checks() -> Iterator[Finding]:
 
 def multicast_checks() -> Iterator[Finding]:
     """Yield one check: open the bus of UDP datagrams, without sending. Never raises."""
-    from tipforce.host.network.open_bus import open_bus
-
     try:
         open_bus(interface="udp_multicast", channel="239.74.163.2").shutdown()
         yield Finding("UDP bus", "ok", f"{_UDP} between programs, where vcan is not available")
@@ -118,8 +126,6 @@ def iio_checks(root: Path = _IIO, device_files: Path = Path("/dev"), configfs: P
         cause = f"Industrial I/O needs Linux; this is {sys.platform}"
         yield Finding("ADC", "note", cause, "--source sim or replay:FILE")
         return
-    from tipforce.sources import iio_sysfs
-
     if not root.is_dir():
         yield Finding("ADC", "note", "the kernel has no Industrial I/O", "`modprobe industrialio`, or --source sim")
         return
@@ -137,21 +143,17 @@ def iio_checks(root: Path = _IIO, device_files: Path = Path("/dev"), configfs: P
 
 
 def _channels(path: Path) -> list[str]:
-    from tipforce.sources import iio_sysfs
-
     with suppress(OSError):
         return iio_sysfs.voltage_channels(path)
     return []
 
 
 def _device_checks(device: Device, device_files: Path) -> Iterator[Finding]:
-    from tipforce.sources import iio_sysfs
-
     topic, path, channels = f"ADC {device.number}", device.path, _channels(device.path)
     types = [iio_sysfs.scan_type(path, channel) for channel in channels]
     bits = "/".join(map(str, sorted({kind.bits for kind in types if kind is not None})))
-    shown = f"{device}: {', '.join(channels)}" + (f", {bits} bits" if bits else "")
-    yield Finding(topic, "ok", shown, f"--source iio:{device.place or device.number}")
+    about = f"{device}: {', '.join(channels)}" + (f", {bits} bits" if bits else "")
+    yield Finding(topic, "ok", about, f"--source iio:{device.place or device.number}")
     try:
         iio_sysfs.raw_value(path, channels[0])
     except OSError as error:
@@ -172,8 +174,6 @@ def _device_checks(device: Device, device_files: Path) -> Iterator[Finding]:
 
 
 def _buffering(devices: list[Device], root: Path, configfs: Path | None) -> Finding:
-    from tipforce.sources import iio_buffer
-
     topic = "ADC trigger"
     own = [name for device in devices if (name := iio_buffer.own_trigger(device, root))]
     if own:
@@ -191,9 +191,10 @@ def software_checks() -> Iterator[Finding]:
     """Yield checks of versions, extras and related tools."""
     base = ", ".join(f"{name} {_version(name)}" for name in BASE)
     yield Finding("software", "ok", f"tipforce {_version('tipforce')}, Python {platform.python_version()}, {base}")
-    built = core is not None
-    finding = "compiled" if built else "not compiled: logs are read more slowly"
-    yield Finding("core", "ok" if built else "note", finding, "" if built else how_to_build())
+    if core is not None:
+        yield Finding("core", "ok", "compiled")
+    else:
+        yield Finding("core", "note", "not compiled: logs are read more slowly", how_to_build())
     missing = [extra for extra, name in EXTRAS.items() if _version(name) == "missing"]
     yield _lacks("extras", "not installed", missing, f'pip install "tipforce[{",".join(missing)}]"', "all installed")
     absent = [name for name in PEERS if shutil.which(name) is None]
@@ -211,3 +212,53 @@ def _version(name: str) -> str:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return "missing"
+
+
+def configuration_check(options: Mapping[str, Any], flags: Mapping[str, Any]) -> Finding:
+    """Return where the name of the bus comes from: flags, environment, configuration files, or the only interface."""
+    sources = [f"flags ({' '.join(f'--{name} {value}' for name, value in flags.items())})"] if flags else []
+    sources += [f"{name}={os.environ[name]}" for name in VARIABLES if os.environ.get(name)]
+    sources += [str(path) for p in can.util.CONFIG_FILES if (path := Path(p).expanduser()).is_file()]
+    try:
+        config = can.util.load_config(config=dict(options))
+    except (can.CanError, ValueError) as error:
+        return Finding("configuration", "fail", f"{error}", "name the bus: -i socketcan -c can0")
+    named = f"{config['interface']} {config.get('channel', '')}".strip()
+    return Finding("configuration", "ok", f"{named}, from {'; '.join(sources) or 'the interfaces that are up'}")
+
+
+def bus_findings(options: Mapping[str, Any], listen_s: float, wanted: tuple[FingerPlan, ...] = ()) -> Iterator[Finding]:
+    """Open the bus, listen, ask every node-id for its identity, and yield what was found."""
+    received: list[FrameArray] = []
+    nodes = []
+    link = links().get(str(options.get("channel")))
+    try:
+        with Bus(open_bus(**options)) as connection:
+            begun_s, seen = time.monotonic(), Observed(duplicates=connection.duplicates, link=link)
+            try:
+                nodes = find_nodes(connection, range(1, 128), listen_s, received.append)
+            except TipforceError as error:  # the bus takes no frames
+                yield Finding("bus", "fail", str(error))
+                time.sleep(listen_s)
+            if any(connection.heartbeats.state(node.node_id) == STOPPED for node in nodes):
+                time.sleep(BEATS_S)
+            received.append(connection.buffer.take_all())
+            seen.heard_s = time.monotonic() - begun_s
+    except TipforceError as error:
+        yield Finding("bus", "fail", str(error), "`tipforce doctor` without -i -c lists the interfaces")
+        return
+    frames = np.concatenate(received)
+    seen.count(frames)
+    seen.add_nodes(nodes)
+    if seen.frames:
+        rate = int(options.get("bitrate") or (link.bit_rate if link else 0) or DEFAULT_BIT_RATE)
+        least, most = (bits / seen.heard_s / rate for bits in range_of_bits(frames))
+        load = f"load {100 * least:.0f} to {100 * most:.0f} % of {rate} bit/s"
+        finding = f"{len(frames) / seen.heard_s:.0f} frames/s, {load}"
+        step = "a lower SYNC rate or fewer PDOs: `tipforce hand check` computes them" if most > _LOADED else ""
+        yield Finding("traffic", "note" if step else "ok", finding, step)
+    for node in nodes:
+        if not node.duplicate:
+            serial = f", serial {node.serial}" if node.product else ""
+            yield Finding(shown([node.node_id]), "ok", f"{node.state}, {node.device}{serial}")
+    yield from findings(seen, wanted=wanted)

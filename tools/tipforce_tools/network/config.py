@@ -7,16 +7,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
+from canopen_device import types
+from canopen_device.core import codes, communication
+from canopen_device.types import Value
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import InputError, SdoAbortError
+from tipforce.host.configuration.device_objects import DeviceObjects, EdsObjects, FingertipObjects
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
-from tipforce_tools.network.sdo import connection_or, description, gauges_read
+from tipforce_tools.network.sdo import connection_or, description, gauges_read, record_of
 
 if TYPE_CHECKING:
-    from canopen_device.types import Value
-    from tipforce.dictionary.entries import Entry
     from tipforce.host.configuration.configuration_file import Configuration
-    from tipforce.host.configuration.device_objects import DeviceObjects
+    from tipforce.host.network.finger import Finger
     from tipforce.host.network.sdo import SdoChannel
 
 ACTIONS = {
@@ -64,10 +68,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _opened(args: argparse.Namespace) -> Iterator[tuple[SdoChannel, DeviceObjects, Configuration]]:
-    """Open the node; yield its channel, its dictionary and the content of the file. Raises what a file lacks."""
+def _opened(args: argparse.Namespace) -> Iterator[tuple[Finger, DeviceObjects, Configuration]]:
+    """Open the node; yield it, its dictionary and the content of the file. Raises what a file lacks."""
     from tipforce.host.configuration.configuration_file import read_configuration
-    from tipforce.host.configuration.device_objects import FingertipObjects
 
     wanted, error = {}, None
     try:
@@ -77,20 +80,20 @@ def _opened(args: argparse.Namespace) -> Iterator[tuple[SdoChannel, DeviceObject
     if args.action == "apply" and args.store:
         bus_flags.confirm(args, f"{common.shown_node(args.node)}: this replaces its stored parameters")
     with connection_or(args, error) as connection:
-        sdo = connection.sdo(args.node)
-        objects = _objects(sdo, args.gauges, args.eds, error)
+        finger = connection.finger(args.node)
+        objects = _objects(finger.sdo, args.gauges, args.eds, error)
         if not isinstance(objects, FingertipObjects):
             wanted = read_configuration(args.file, args.node, args.gauges, objects)
         elif error is not None:
             raise error
-        yield sdo, objects, wanted
+        yield finger, objects, wanted
 
 
 def _diff(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.configuration_file import compare
 
-    with _opened(args) as (sdo, objects, wanted):
-        lines = compare(_read(sdo, objects), wanted, objects)
+    with _opened(args) as (finger, objects, wanted):
+        lines = compare(_read(finger.sdo, objects), wanted, objects)
     for line in lines:
         there = "is not in the file" if line["other"] is None else f"{args.file} has {line['other']}"
         common.print_record(line, f"{line['name']} ({line['entry']}): the node has {line['node']}, {there}")
@@ -100,16 +103,15 @@ def _diff(args: argparse.Namespace) -> int:
 
 def _apply_or_verify(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.configuration_file import apply_configuration, verify_configuration
-    from tipforce.host.network.finger import FingertipClient
 
-    with _opened(args) as (sdo, _, wanted):
+    with _opened(args) as (finger, _, wanted):
         if args.action == "apply":
-            apply_configuration(sdo, wanted)
-        differences = verify_configuration(sdo, wanted)
+            apply_configuration(finger.sdo, wanted)
+        differences = verify_configuration(finger.sdo, wanted)
         if args.action == "apply" and args.store and not differences:
-            FingertipClient(sdo).store()
+            finger.store()
     for difference in differences:
-        text = f"{difference['object']}: expected {difference['expected']}, the node has {difference['found']}"
+        text = "{object}: expected {expected}, the node has {found}".format(**difference)
         common.print_record(difference, text)
     unread = sum(entry.access == "wo" for entry, _ in wanted.values())
     shown = f"{len(differences)} different" + (f", {unread} write-only, not compared" if unread else "")
@@ -119,8 +121,6 @@ def _apply_or_verify(args: argparse.Namespace) -> int:
 
 def _objects(sdo: SdoChannel, gauges: int, eds: str | None, error: InputError | None = None) -> DeviceObjects:
     """Return the dictionary of the node. Raises InputError for a device that is no fingertip and has no EDS."""
-    from tipforce.host.configuration.device_objects import EdsObjects, FingertipObjects
-
     if not eds and gauges_read(sdo, error):
         return FingertipObjects(sdo.node_id, gauges)
     described = description(eds, sdo)
@@ -148,30 +148,23 @@ def _show(args: argparse.Namespace) -> int:
         values = texts if isinstance(value, bytes) else (value, entry.default)
         default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
         line = f"{_line(entry, texts[0])}{default}"
-        common.print_record(_record(entry, values[0]) | {"default": values[1], "unit": entry.unit}, line)
+        common.print_record(record_of(entry, values[0]) | {"default": values[1], "unit": entry.unit}, line)
     common.note(f"{common.shown_node(args.node)}: {len(settings)} settings, {len(shown)} shown")
     return 0
 
 
 def _show_foreign(sdo: SdoChannel) -> int:
     """Print the objects of CiA 301 that a device of another type has; only its manufacturer knows their defaults."""
-    from canopen_device.core import communication
-    from tipforce.host.configuration.device_objects import FingertipObjects
-
     shown = 0
     for (index, sub), entry in FingertipObjects(sdo.node_id).settings.items():
         if index <= communication.LAST:
             with suppress(SdoAbortError, InputError):  # it lacks the object, or has one of another length
                 value = entry.decode(sdo.upload(index, sub))
                 shown += 1
-                common.print_record(_record(entry, value), _line(entry, _shown(entry, value)))
+                common.print_record(record_of(entry, value), _line(entry, _shown(entry, value)))
     communication_settings = f"{shown} communication settings (CiA 301), compared with nothing"
     common.note(f"{common.shown_node(sdo.node_id)} is not a fingertip: {communication_settings}")
     return 0
-
-
-def _record(entry: Entry[Value], value: object) -> dict[str, object]:
-    return {"index": f"0x{entry.index:04X}", "sub": entry.sub, "name": entry.name, "value": value}
 
 
 def _line(entry: Entry[Value], text: str) -> str:
@@ -180,10 +173,6 @@ def _line(entry: Entry[Value], text: str) -> str:
 
 def _shown(entry: Entry[Value], value: Value) -> str:
     """Return a value as text; COB-IDs and mapped objects in hexadecimal with the meaning of their parts."""
-    from canopen_device import types
-    from canopen_device.core import codes, communication
-    from tipforce.dictionary.signals import is_mapping
-
     if entry.stem.endswith("cob_id") and isinstance(value, int):  # CiA 301, 7.5.2: bits by name, and the identifier
         meanings = {communication.COB_ID_SYNC: ("", "produced"), communication.COB_ID_TIME: ("consumed", "produced")}
         high = meanings.get(entry.index, ("off", "no RTR"))
@@ -202,8 +191,6 @@ def _save(args: argparse.Namespace) -> int:
     from canopen_device.eds import dcf
     from tipforce.dictionary import eds as fingertip_eds
     from tipforce.host.configuration.configuration_file import changed_settings, settings_toml
-    from tipforce.host.configuration.device_objects import EdsObjects
-    from tipforce.host.network.finger import FingertipClient
     from tipforce.output_file import EDS, SETTINGS, check_output, write_file
 
     as_dcf = args.file.lower().endswith((".dcf", ".eds"))
@@ -220,8 +207,8 @@ def _save(args: argparse.Namespace) -> int:
         elif isinstance(objects, EdsObjects):
             text = dcf.dcf_text(objects.described, chosen)
         else:
-            simulated = FingertipClient(sdo).identity().simulated
-            text = fingertip_eds.dcf_text(args.gauges, sdo.node_id, chosen, simulated)
+            simulated = connection.finger(args.node).identity().simulated
+            text = fingertip_eds.dcf_text(args.gauges, args.node, chosen, simulated)
     if args.file == "-":
         print(text, end="")
         return 0

@@ -7,19 +7,24 @@ import math
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from tipforce.dictionary import table
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError
+from tipforce.host.network.lss import LssAddress, LssMaster
+from tipforce.samples.reasons import NOT_CALIBRATED
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.host.network.firmware import NodeProgram
-    from tipforce.host.network.lss import LssAddress, LssMaster
 
-_CONTACT = ("P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg")
+_CONTACT = (
+    "node_id", "t_s", "counter", "P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg",
+    "status", "reason", "microstrain",
+)  # fmt: skip
 NMT_COMMANDS = {
     "start": "enter operational: PDOs and SDO",
     "stop": "enter stopped: neither PDOs nor SDO, only heartbeat and NMT",
@@ -60,13 +65,11 @@ def run_scan(args: argparse.Namespace) -> int:
         nodes = find_nodes(connection, args.nodes, args.wait, seen.count)
         seen.heard_s = time.monotonic() - begun_s
         for node in nodes:
-            line = f"{common.shown_id(node.node_id):>11}  {node.state:15}  "
-            if node.duplicate:
-                line += node.device
-            else:
+            line = node.device
+            if not node.duplicate:
                 faults = f"  faults: {node.faults}" if node.faults else ""
-                line += f"{node.device:24}  serial {node.serial:<10}  {node.calibration:28}  EDS {node.eds}{faults}"
-            common.print_record(asdict(node), line)
+                line = f"{line:24}  serial {node.serial:<10}  {node.calibration:28}  EDS {node.eds}{faults}"
+            _print(asdict(node), f"{node.state:15}  {line}")
         seen.add_nodes(nodes)
         seen.link = bus_flags.link_of(args)
         duplicates = [node.duplicate for node in nodes if node.duplicate]
@@ -97,7 +100,6 @@ def add_read_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_read(args: argparse.Namespace) -> int:
     """Print ``count`` new samples of each finger: 0. Raises NoResponseError for a finger that gives none in time."""
-    from tipforce.samples.reasons import NOT_CALIBRATED
     from tipforce.watching.findings import not_calibrated
 
     bare: set[int] = set()
@@ -105,12 +107,9 @@ def run_read(args: argparse.Namespace) -> int:
         for _ in range(args.count):
             for node_id in args.ids:
                 contact = connection.finger(node_id).read(args.wait)
-                record: dict[str, object] = {"node_id": node_id, "t_s": contact.t_s, "counter": contact.counter}
-                record |= {name: getattr(contact, name) for name in _CONTACT}
-                record |= {"status": int(contact.status), "reason": contact.reason}
-                record["microstrain"] = list(contact.microstrain)
+                record = {name: getattr(contact, name) for name in _CONTACT}
                 u = f"  u(P) {contact.u_P_newtons:.3f} N" if math.isfinite(contact.u_P_newtons) else ""
-                common.print_record(record, f"{common.shown_id(contact.node_id):>11}  {contact}{u}")
+                _print(record, f"{contact}{u}")
                 if NOT_CALIBRATED in contact.reason and node_id not in bare:
                     bare.add(node_id)
                     common.note(str(not_calibrated(node_id)))
@@ -135,22 +134,25 @@ def add_tare_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_tare(args: argparse.Namespace) -> int:
     """Act on each node and print its tare afterwards. Raises NoResponseError and SdoAbortError."""
-    from tipforce.host.network.finger import FingertipClient
-
     with bus_flags.open_connection(args) as connection:
         for node_id in args.ids:
-            client = FingertipClient(connection.sdo(node_id))
+            client = connection.finger(node_id)
             if args.clear:
                 client.clear_tare()
             elif not args.show:
                 client.tare()
             tare = client.tare_state()
-            record: dict[str, object] = {"node_id": node_id}
-            record |= {f"F{k}_N": value for k, value in enumerate(tare.force_newtons, 1)}
-            forces = ", ".join(f"F{k} {value:+.4f} N" for k, value in enumerate(tare.force_newtons, 1))
+            newtons = {f"F{k}": value for k, value in enumerate(tare.force_newtons, 1)}
+            record = {"node_id": node_id, **{f"{name}_N": value for name, value in newtons.items()}}
+            forces = ", ".join(f"{name} {value:+.4f} N" for name, value in newtons.items())
             since = f"since {tare.age_s} s" if any(tare.force_newtons) else "no tare"
-            common.print_record(record | {"age_s": tare.age_s}, f"{common.shown_id(node_id):>11}  {forces}  {since}")
+            _print(record | {"age_s": tare.age_s}, f"{forces}  {since}")
     return 0
+
+
+def _print(record: dict[str, Any], text: str) -> None:
+    """Print the record of a node, or a line with its node-id and the text."""
+    common.print_record(record, f"{common.shown_id(record['node_id']):>11}  {text}")
 
 
 def _add_ids(parser: argparse.ArgumentParser) -> None:
@@ -196,7 +198,7 @@ def run_nmt(args: argparse.Namespace) -> int:
 
 def _print_states(states: dict[int, str]) -> None:
     for node_id, state in sorted(states.items()):
-        common.print_record({"node_id": node_id, "state": state}, f"{common.shown_id(node_id):>11}  {state}")
+        _print({"node_id": node_id, "state": state}, state)
 
 
 def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
@@ -223,8 +225,6 @@ def add_lss_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run_lss(args: argparse.Namespace) -> int:
     """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
-    from tipforce.host.network.lss import LssAddress, LssMaster
-
     if args.action == "assign" and not args.ids:
         raise InputError("lss assign: IDS missing; for example tipforce lss assign 1-5 --store")
     if args.action == "assign" and args.serial is not None and len(args.ids) != 1:
@@ -235,13 +235,10 @@ def run_lss(args: argparse.Namespace) -> int:
         bus_flags.confirm(args, "this replaces the stored node-id")
     with bus_flags.open_connection(args) as connection, LssMaster(connection, args.lss_timeout) as master:
         if args.action == "scan":
-            address = master.fastscan()
-            if address is None:
-                raise NoResponseError(NO_UNCONFIGURED_NODE)
-            _print_lss(address, None, stored=False)
+            _configure_found(master, [None], store=False)
             common.note("there may be more: a fastscan finds one at a time; `tipforce lss assign IDS` configures all")
         elif args.serial is None:
-            _assign_lss(master, args.ids, args.store)
+            _configure_found(master, args.ids, store=args.store)
         else:
             revision = table.REVISION if args.revision is None else args.revision
             address = LssAddress(args.vendor, args.product, revision, args.serial)
@@ -249,8 +246,8 @@ def run_lss(args: argparse.Namespace) -> int:
     return 0
 
 
-def _assign_lss(master: LssMaster, node_ids: list[int], store: bool) -> None:
-    """Give the node-ids to the nodes that fastscan finds, one after the other."""
+def _configure_found(master: LssMaster, node_ids: Sequence[int | None], *, store: bool) -> None:
+    """Give the node-ids to the nodes that fastscan finds, one after the other; None: the node keeps none."""
     for number, node_id in enumerate(node_ids):
         address = master.fastscan()
         if address is None and not number:
@@ -258,7 +255,11 @@ def _assign_lss(master: LssMaster, node_ids: list[int], store: bool) -> None:
         if address is None:
             left = ", ".join(map(str, node_ids[number:]))
             raise NoResponseError(f"{number} of {len(node_ids)} nodes were found and configured; not assigned: {left}")
-        _configure_lss(master, address, node_id, store)
+        if node_id is not None:
+            master.configure_node_id(node_id)
+        if store:
+            master.store()
+        _print_lss(address, node_id, store)
         master.release()
 
 
@@ -266,21 +267,14 @@ def _configure_addressed(master: LssMaster, address: LssAddress, node_id: int | 
     """Give the node with this address another node-id; without one store the one that it has."""
     if not master.select(address):
         raise NoResponseError(f"no node with {address} responded; `tipforce scan --json` shows the nodes' identities")
-    if node_id is None:
-        master.store()
-        _print_lss(address, master.node_id(), stored=True)
-        return
     before = master.node_id()
-    _configure_lss(master, address, node_id, store)
-    if before not in (255, node_id):
-        common.note(f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
-
-
-def _configure_lss(master: LssMaster, address: LssAddress, node_id: int, store: bool) -> None:
-    master.configure_node_id(node_id)
-    if store:
+    if node_id is not None:
+        master.configure_node_id(node_id)
+    if store or node_id is None:
         master.store()
-    _print_lss(address, node_id, store)
+    _print_lss(address, before if node_id is None else node_id, store or node_id is None)
+    if node_id is not None and before not in (255, node_id):
+        common.note(f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
 
 
 def _print_lss(address: LssAddress, node_id: int | None, stored: bool) -> None:
@@ -346,5 +340,4 @@ def _print_program(node_id: int, program: NodeProgram, change: str, **further: s
     identification = f"0x{program.identification:08X}"
     record = {"node_id": node_id, "version": program.version, "identification": identification, **further}
     reason = f"  last update: {program.reason}" if program.reason else ""
-    line = f"{common.shown_id(node_id):>11}  {change}  {identification}{reason}"
-    common.print_record(record | {"reason": program.reason}, line)
+    _print(record | {"reason": program.reason}, f"{change}  {identification}{reason}")

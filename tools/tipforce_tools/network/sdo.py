@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from canopen_device import types
 from canopen_device.core import codes, communication
+from canopen_device.types import Value
+from tipforce.dictionary import objects as od
+from tipforce.dictionary.entries import Entry, describe, entries, gauges_of, resolve
 from tipforce.errors import InputError, NoResponseError, SdoAbortError, TipforceError
 from tipforce_tools.cli import bus_flags, common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
     from canopen_device.eds.description import Description
-    from canopen_device.types import Value
-    from tipforce.dictionary.entries import Entry
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.sdo import SdoChannel
 
@@ -80,9 +82,6 @@ def connection_or(args: argparse.Namespace, error: InputError | None) -> Iterato
 
 def gauges_read(sdo: SdoChannel, error: InputError | None = None) -> int:
     """Return the gauges by the product code 1018h:2, 0 for another device. Raises ``error`` or NoResponseError."""
-    from tipforce.dictionary import objects as od
-    from tipforce.dictionary.entries import gauges_of
-
     try:
         return gauges_of(sdo.read(od.IDENTITY_PRODUCT))
     except SdoAbortError:  # CiA 301 requires the vendor alone
@@ -122,8 +121,6 @@ def _stored(sdo: SdoChannel) -> Description | None:
 
 
 def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None) -> int:
-    from canopen_device import types
-
     entry = error = None
     try:
         entry = _known(words, args.node, args.gauges, args.eds)
@@ -147,14 +144,13 @@ def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None
             return 0
         value = types.decode(entry.type, sdo.upload(entry.index, entry.sub, entry.type == "D"))
     text = types.format_value(entry.type, value)
-    common.print_record(_record(args.node, entry, text if isinstance(value, bytes) else value), text)
+    shown = text if isinstance(value, bytes) else value
+    common.print_record({"node": args.node, **record_of(entry, shown)}, text)
     return 0
 
 
 def _data(args: argparse.Namespace, entry: Entry[Value], value_text: str | None) -> bytes | None:
     """Return the bytes to write, None for a read; ask first where the write persists."""
-    from canopen_device import types
-
     if value_text is None:
         return None
     data = types.encode(entry.type, types.parse_value(entry.type, value_text))
@@ -165,11 +161,9 @@ def _data(args: argparse.Namespace, entry: Entry[Value], value_text: str | None)
 
 def _known(words: list[str], node_id: int, gauges: int | None, eds: str | None) -> Entry[Value]:
     """Return the object of --eds, or that of a fingertip: NAME, or INDEX SUB [TYPE]."""
-    from canopen_device import types
-    from canopen_device.eds.reader import read_eds
-    from tipforce.dictionary.entries import Entry, describe, resolve
-
     if eds:
+        from canopen_device.eds.reader import read_eds
+
         return _eds_entry(words, read_eds(eds, node_id))
     gauges = 3 if gauges is None else gauges
     if len(words) == 1:
@@ -189,8 +183,6 @@ def _known(words: list[str], node_id: int, gauges: int | None, eds: str | None) 
 
 def _eds_entry(words: list[str], described: Description) -> Entry[Value]:
     """Return an object of an EDS: by its name, or INDEX [SUB]."""
-    from tipforce.dictionary.entries import Entry
-
     if len(words) > 2:
         raise InputError(f"sdo: {' '.join(words)!r}: with --eds write NAME, or INDEX SUB; the type is in the file")
     entry = described.find(words[0] if len(words) == 1 else _index_sub(words, "0x6064"))
@@ -208,27 +200,29 @@ def _dump(args: argparse.Namespace) -> int:
     """Print the objects of the node; return 0. An entry that it refuses to read shows the abort, not a value."""
     with bus_flags.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
-        entries = _readable(sdo, args.gauges, args.eds)
+        readable = [
+            (entry, entry.name if entry.stem else entry.title)  # a sub-index 0 that holds a count has no name
+            for entry in _entries(sdo, args.gauges, args.eds)
+            if entry.access != "wo" and entry.index != EDS
+        ]
         readings = []
-        with common.progress("read", len(entries)) as advance:
-            for entry, label in entries:
+        with common.progress("read", len(readable)) as advance:
+            for entry, label in readable:
                 value, text = _read(sdo, entry)
                 advance()
                 if not (isinstance(value, SdoAbortError) and value.code in _NOT_THERE):
                     readings.append((entry, label, value, text))
     width = max((len(label) for _, label, _, _ in readings), default=0)
     for entry, label, value, text in readings:
+        extra, shown = {}, f"{text} {entry.unit}"
         if isinstance(value, SdoAbortError):
-            record = _record(args.node, entry, None)
             extra, shown = {"abort": f"0x{value.code:08X}"}, f"({str(value).rpartition(': ')[2]})"
-        else:
-            record = _record(args.node, entry, text if isinstance(value, bytes) else value)
-            extra, shown = {}, f"{text} {entry.unit}"
-        if entry.type == "I" and not entry.unit and isinstance(value, int) and value > _LAST_DIGIT:
+        elif entry.type == "I" and not entry.unit and isinstance(value, int) and value > _LAST_DIGIT:
             shown += f"(0x{value:X})"  # COB-IDs, mappings, signatures
-        record |= {"unit": entry.unit, "access": entry.access, **extra}
+        number = None if extra else text if isinstance(value, bytes) else value
+        record = {"node": args.node, **record_of(entry, number), "unit": entry.unit, "access": entry.access, **extra}
         common.print_record(record, f"{entry}  {label:{width}}  {shown}".rstrip())
-    missing = len(entries) - len(readings)
+    missing = len(readable) - len(readings)
     absent = f", {missing} of the dictionary it does not have" if missing else ""
     common.note(
         f"{common.shown_node(args.node)}: {len(readings)} entries{absent}; left out: write-only entries, and the "
@@ -237,14 +231,13 @@ def _dump(args: argparse.Namespace) -> int:
     return 0
 
 
-def _record(node: int, entry: Entry[Value], value: object) -> dict[str, object]:
-    return {"node": node, "index": f"0x{entry.index:04X}", "sub": entry.sub, "name": entry.name, "value": value}
+def record_of(entry: Entry[Value], value: object) -> dict[str, object]:
+    """Return the JSON record of a value of an entry."""
+    return {"index": f"0x{entry.index:04X}", "sub": entry.sub, "name": entry.name, "value": value}
 
 
 def _read(sdo: SdoChannel, entry: Entry[Value]) -> tuple[Value | SdoAbortError, str]:
     """Return the value of an entry and its text, or the abort of the node."""
-    from canopen_device import types
-
     try:
         data = sdo.upload(entry.index, entry.sub, entry.type == "D")
     except SdoAbortError as error:
@@ -256,25 +249,19 @@ def _read(sdo: SdoChannel, entry: Entry[Value]) -> tuple[Value | SdoAbortError, 
         return data, data.hex(" ").upper()
 
 
-def _readable(sdo: SdoChannel, gauges: int | None, eds: str | None) -> list[tuple[Entry[Value], str]]:
-    """Return the entries to read, each with its label: with --gauges those of such a fingertip, otherwise by identity.
-
-    A label is the name that `sdo read` takes, or a description of a sub-index 0 that holds a count.
-    """
-    from tipforce.dictionary.entries import Entry, entries
-
+def _entries(sdo: SdoChannel, gauges: int | None, eds: str | None) -> Iterable[Entry[Value]]:
+    """Return the entries of the node: with --gauges those of such a fingertip, otherwise by its identity."""
     below, described = 0x10000, None
     if gauges is None and not eds:
         gauges = gauges_read(sdo) or None
     if eds or gauges is None:
         described = description(eds, sdo)
-    if described is not None:  # under the names of the EDS
-        known: list[tuple[Entry[Value], str]] = []
+    if described is not None:
+        known = []
         for each in described.entries():
             parent = described.objects[each.index]
             name = parent.name if set(parent.entries) == {0} else f"{parent.name}/{each.name}"
-            if each.access != "wo" and each.index != EDS:
-                known.append((Entry(each.index, each.sub, each.letter, name, each.access, each.unit), name))
+            known.append(Entry[Value](each.index, each.sub, each.letter, name, each.access, each.unit, name))
         return known
     if gauges is None:
         gauges, below = 3, _PROFILE_FREE
@@ -285,8 +272,4 @@ def _readable(sdo: SdoChannel, gauges: int | None, eds: str | None) -> list[tupl
     programs = False
     with suppress(SdoAbortError):
         programs = below > communication.PROGRAM_DATA and sdo.upload(communication.PROGRAM_DATA, 0) is not None
-    return [
-        (entry, entry.name if entry.stem else entry.title)
-        for entry in entries(gauges, True, programs).values()
-        if entry.access != "wo" and entry.index < below and entry.index != EDS
-    ]
+    return [entry for entry in entries(gauges, True, programs).values() if entry.index < below]

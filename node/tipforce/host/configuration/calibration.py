@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import binascii
+import math
 import struct
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,6 @@ from tipforce.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from tipforce.host.configuration.calibration_file import FitRecord
     from tipforce.sensor.calibration.result import Fit
 
 _LEAST_RANK = 1e-9  # smallest over largest singular value: below, rounding alone decides
@@ -38,25 +38,14 @@ _SUSPECTS = {
 }
 
 
-class Stated(NamedTuple):
-    """What the table says of a field of a calibration beside its name, type and default."""
+def _row(index: int, sub: int = 0, shape: tuple[int | str, ...] = (), key: str = "") -> dict[str, Any]:
+    """What the table says of a field beside its name, type and default.
 
-    place: tuple[int, int] = (0, 0)
-    """Index and sub-index of the dictionary: the order of a record. (0, 0): a node does not hold it."""
-    shape: tuple[int | str, ...] = ()
-    """Of an array; "n" is the number of gauges. A covariance of gauges is its upper triangle in a record."""
-    key: str = ""
-    """In a file, where it is not the name of the field in microstrain."""
-
-
-def stated(of: Field[Any]) -> Stated:
-    """The row of the table of a field of ``Calibration``."""
-    row: Stated = of.metadata["row"]
-    return row
-
-
-def _row(index: int, sub: int = 0, shape: tuple[int | str, ...] = (), key: str = "") -> dict[str, Stated]:
-    return {"row": Stated((index, sub), shape, key)}
+    ``place`` in the dictionary: the order of a record; index 0: a node does not hold it. ``shape`` of an array: "n" is
+    the number of gauges; of a covariance of gauges a record has the upper triangle. ``key`` in a file, where it is not
+    the name of the field in microstrain.
+    """
+    return {"place": (index, sub), "shape": shape, "key": key}
 
 
 def _not_known() -> FloatArray:
@@ -121,7 +110,7 @@ class Calibration:
         """
         n = 0
         for of in fields(self):
-            value, shape = getattr(self, of.name), stated(of).shape
+            value, shape = getattr(self, of.name), of.metadata["shape"]
             if shape and value is not None:
                 value = _array(_label(of), value)
                 if of.name == "C":
@@ -195,8 +184,7 @@ class Calibration:
         fit: dict[str, object] | None = None
         if self.parameter_covariance is not None:
             side = 4 * self.gauges
-            matrix = (self.parameter_covariance * 1e12).reshape(side, side)
-            fit = {"parameter_covariance_microstrain2": matrix.tolist()}
+            fit = {"parameter_covariance_microstrain2": (self.parameter_covariance * 1e12).reshape(side, side).tolist()}
         write_calibration(path, self, fit)
 
     def check(self) -> None:
@@ -228,8 +216,8 @@ class Calibration:
         """Finite, and of the sign and order that the node's commit wants."""
         names = {}
         for of in RECORD:
-            place = stated(of).place[0] << 8 | stated(of).place[1]
-            names[place] = of.name
+            index, sub = of.metadata["place"]
+            names[place := index << 8 | sub] = of.name
             values = np.atleast_1d(getattr(self, of.name))
             if of.type != "int" and not np.isfinite(values).all():
                 raise InputError(f"calibration {_label(of)}: {values[~np.isfinite(values)][0]} is not finite")
@@ -255,7 +243,7 @@ class Calibration:
         values: list[float] = []
         for of in RECORD:
             value = getattr(self, of.name)
-            triangle = stated(of).shape == ("n", "n")
+            triangle = of.metadata["shape"] == ("n", "n")
             values += (value[np.triu_indices(self.gauges)] if triangle else np.ravel(value)).tolist()
         return values
 
@@ -277,17 +265,17 @@ class Calibration:
     def from_record(cls, record: bytes) -> Calibration:
         """The calibration in a record that a node gave. Raises InputError for a length that no n has."""
         for n in range(table.MIN_GAUGES, table.MAX_GAUGES + 1):
-            packing = _packing(n)
-            size = struct.calcsize(packing)
-            if size == len(record):
-                numbers = iter(struct.unpack(packing, record))
+            if len(record) == struct.calcsize(_packing(n)):
+                numbers = iter(struct.unpack(_packing(n), record))
                 return cls(**{of.name: _from_numbers(of, numbers, n) for of in RECORD})
             if len(record) == struct.calcsize(_packing(n, indices.CALIBRATION_VALIDITY)):
                 raise InputError(f"a calibration record of {len(record)} bytes is of version 1: allowed is version 2")
         raise InputError(f"a calibration record of {len(record)} bytes: with 3 gauges it has 158")
 
 
-RECORD = tuple(sorted((of for of in fields(Calibration) if stated(of).place[0]), key=lambda of: stated(of).place))
+RECORD = tuple(
+    sorted((of for of in fields(Calibration) if of.metadata["place"][0]), key=lambda of: of.metadata["place"])
+)
 """The fields that a node holds, in the order of its record."""
 
 
@@ -299,45 +287,35 @@ def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
     """
     from tipforce.host.configuration.calibration_file import read_file
 
-    content = read_file(path, fields(Calibration))
+    values, crc32, fit = read_file(path, fields(Calibration))
     try:
-        calibration = Calibration(**content.values)
+        calibration = Calibration(**values)
         record = calibration.record()
-        if content.is_version_1:
-            record = record[: struct.calcsize(_packing(calibration.gauges, indices.CALIBRATION_VALIDITY))]
-        content.check_crc32(binascii.crc32(record))
+        if max(of.metadata["place"] for of in RECORD if of.name in values) < (indices.CALIBRATION_VALIDITY, 0):
+            record = record[: struct.calcsize(_packing(calibration.gauges, indices.CALIBRATION_VALIDITY))]  # version 1
+        crc = binascii.crc32(record)
+        if crc32 is not None and crc32.lower() != f"0x{crc:08x}":
+            raise InputError(
+                f"crc32 is {crc32}, but the numbers give 0x{crc:08X}; "
+                "the file was changed: restore it, or take out the crc32 line to accept the change"
+            )
         calibration.check()
-        fit = content.fit(calibration.gauges) if with_fit else None
-        if fit is not None:
-            calibration = replace(calibration, parameter_covariance=fit.parameter_covariance())
+        if with_fit and fit is not None:
+            calibration = replace(calibration, parameter_covariance=fit.parameter_covariance(calibration.gauges))
             calibration.check()
     except InputError as error:
         raise InputError(f"calibration {path}: {str(error).removeprefix('calibration ')}") from None
     return calibration
 
 
-def read_fit(path: str | Path) -> FitRecord | None:
-    """The [fit] table of a calibration file, None where it has none. Raises InputError for shapes that do not fit."""
-    from tipforce.host.configuration.calibration_file import read_file
-
-    content = read_file(path, fields(Calibration))
-    try:
-        return content.fit(len(content.values["offset_strain"]))
-    except InputError as error:
-        raise InputError(f"calibration {path}: {error}") from None
-
-
-def write_calibration(
-    path: str | Path, calibration: Calibration, fit: FitRecord | dict[str, object] | None = None
-) -> None:
-    """Write a calibration file that reads back to the same record.
+def write_calibration(path: str | Path, calibration: Calibration, fit: dict[str, object] | None = None) -> None:
+    """Write a calibration file that reads back to the same record, with its table [fit].
 
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
     """
     from tipforce.host.configuration.calibration_file import write_file
 
-    values = {of.name: getattr(calibration, of.name) for of in fields(calibration)}
-    write_file(path, fields(calibration), values, calibration.crc32(), fit)
+    write_file(path, fields(calibration), calibration, calibration.crc32(), fit)
 
 
 def difference(expected: bytes, held: bytes) -> list[str]:
@@ -363,15 +341,13 @@ def _label(of: Field[Any]) -> str:
 
 def _from_numbers(of: Field[Any], numbers: Iterator[int | float], n: int) -> Any:
     """A field of ``n`` gauges from the next numbers of a record."""
-    shape = [n if side == "n" else int(side) for side in stated(of).shape]
+    shape = [n if side == "n" else int(side) for side in of.metadata["shape"]]
     if not shape:
         return bool(next(numbers)) if of.type == "bool" else next(numbers)
-    array = np.zeros(shape)
-    if stated(of).shape == ("n", "n"):
-        rows, columns = np.triu_indices(n)
-        array[rows, columns] = array[columns, rows] = list(islice(numbers, len(rows)))
-    else:
-        array[...] = np.reshape(list(islice(numbers, array.size)), shape)
+    if of.metadata["shape"] != ("n", "n"):
+        return np.reshape(list(islice(numbers, math.prod(shape))), shape)
+    array, (rows, columns) = np.zeros(shape), np.triu_indices(n)
+    array[rows, columns] = array[columns, rows] = list(islice(numbers, len(rows)))
     return array
 
 

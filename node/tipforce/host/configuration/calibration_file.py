@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import datetime
 from dataclasses import MISSING, Field
-from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from canopen_device.toml_table import convert, read_table
 from tipforce import output_file
 from tipforce.arrays import FloatArray
-from tipforce.dictionary import indices, table
+from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.sensor.structure.layouts import CASE_OF_CODE
 
@@ -30,138 +29,97 @@ _WORDS: dict[str, dict[str, int | bool]] = {
 """What a file says in place of a number."""
 
 
-class FitRecord(msgspec.Struct):
-    """The [fit] table: how the matrix came about, and all that the covariance of an estimate needs.
+class FitTable(msgspec.Struct):
+    """What is read of the table [fit]; the other keys are for people, and those that others write are let be.
 
-    The crc32 of the file covers the node's record, not this table. Keys that others write into it are let be.
+    The crc32 of the file covers the node's record, not this table.
     """
 
-    dof: float | None = None
     residual_covariance_microstrain2: list[list[float]] | None = None
     """S, (n, n)."""
     normal_matrix: list[list[float]] | None = None
     """N, the sum of G G^T with G = (F, 1), (4, 4) in newtons; (3, 3) for a fit without offset."""
     parameter_covariance_microstrain2: list[list[float]] | None = None
     """(4 n, 4 n): gauge by gauge (A1, A2, A3, offset). Without it S and N give it."""
-    matrix_standard_uncertainty_newtons_per_strain: list[list[float]] | None = None
-    coverage_factor: float | None = None
-    """Standard uncertainties to either side that make 95 %."""
-    sigma0: float | None = None
-    condition_number: float | None = None
-    row_equilibrated_condition_number: float | None = None
-    data: str | None = None
-    rows: int | None = None
-    unloaded_rows: int | None = None
-    bad_lines: list[int] = []
-    outlier_lines: list[int] = []
-    saturated_lines: list[int] = []
-    """Lines with a reading left out at the converter's limit, or too near to it."""
-    drift: str | None = None
-    loss: str | None = None
-    angle_scatter_deg: float | None = None
 
-    def parameter_covariance(self) -> FloatArray:
-        """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes."""
-        if self.parameter_covariance_microstrain2 is not None:
-            n = len(self.parameter_covariance_microstrain2) // 4
-            return np.array(self.parameter_covariance_microstrain2).reshape(n, 4, n, 4) * 1e-12
-        from tipforce.sensor.calibration.result import kronecker
+    def parameter_covariance(self, n: int) -> FloatArray:
+        """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes.
 
-        return kronecker(np.array(self.residual_covariance_microstrain2) * 1e-12, np.array(self.normal_matrix))
-
-
-def fit_record(fit: Fit, **facts: object) -> FitRecord:
-    """The [fit] table of a fit; facts: fields of FitRecord that the fit does not know (data, lines, ...)."""
-    n = fit.A.shape[0]
-    values: dict[str, object] = {
-        "dof": fit.dof,
-        "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * 1e12).tolist(),
-        "normal_matrix": fit.N.tolist(),
-        "parameter_covariance_microstrain2": (fit.parameter_covariance * 1e12).reshape(4 * n, 4 * n).tolist(),
-        "matrix_standard_uncertainty_newtons_per_strain": fit.C_uncertainty.tolist(),
-        "coverage_factor": fit.coverage_factor,
-        "sigma0": fit.sigma0 if np.isfinite(fit.sigma0) else None,
-        "condition_number": fit.condition_number,
-        "row_equilibrated_condition_number": fit.row_equilibrated_condition_number,
-        "drift": fit.drift,
-        "loss": fit.loss,
-    }
-    return msgspec.convert({**values, **facts}, FitRecord)
-
-
-class Content(NamedTuple):
-    """What a file has."""
-
-    values: dict[str, Any]
-    """Fields of ``Calibration`` by name; what is absent is not among them."""
-    crc32: str | None
-    is_version_1: bool
-    fit_table: FitRecord | None
-
-    def check_crc32(self, crc: int) -> None:
-        """Raise InputError where the file states another CRC-32 of its numbers."""
-        if self.crc32 is not None and self.crc32.lower() != f"0x{crc:08x}":
-            raise InputError(
-                f"crc32 is {self.crc32}, but the numbers give 0x{crc:08X}; "
-                "the file was changed: restore it, or take out the crc32 line to accept the change"
-            )
-
-    def fit(self, n: int) -> FitRecord | None:
-        """The [fit] table of ``n`` gauges, None where there is none. Raises InputError for shapes that do not fit."""
-        record = self.fit_table
-        if record is None:
-            return None
-        shapes = {
-            "residual_covariance_microstrain2": ((n, n),),
-            "normal_matrix": ((4, 4), (3, 3)),
-            "parameter_covariance_microstrain2": ((4 * n, 4 * n),),
-        }
-        if record.parameter_covariance_microstrain2 is None and None in (
-            record.residual_covariance_microstrain2,
-            record.normal_matrix,
-        ):
+        Raises InputError for shapes that do not fit ``n`` gauges, and where it is missing.
+        """
+        S, N, whole = (
+            None if rows is None else _matrix(name, rows) for name, rows in msgspec.structs.asdict(self).items()
+        )
+        if whole is None and (S is None or N is None):
             raise InputError(
                 "fit: parameter_covariance_microstrain2 is missing, or in its place "
                 "residual_covariance_microstrain2 and normal_matrix"
             )
-        for name, allowed in shapes.items():
-            rows = getattr(record, name)
-            matrix = None if rows is None else _matrix(name, rows)
+        shapes = ((n, n),), ((4, 4), (3, 3)), ((4 * n, 4 * n),)
+        for name, matrix, allowed in zip(self.__struct_fields__, (S, N, whole), shapes, strict=True):
             if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
                 raise InputError(f"{name} must be {' or '.join(map(str, allowed))}, finite")
-        return record
+        if whole is not None:
+            return whole.reshape(n, 4, n, 4) * 1e-12
+        from tipforce.sensor.calibration.result import kronecker
+
+        assert S is not None
+        assert N is not None
+        return kronecker(S * 1e-12, N)
 
 
-def read_file(path: str | Path, fields: Fields) -> Content:
-    """What a file has of the fields. Raises InputError naming the key and what is allowed."""
-    place, rows = f"calibration {path}", _rows(fields)
+def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, object]:
+    """The table [fit]: how the matrix came about, and all that the covariance of an estimate needs.
+
+    ``facts`` of the data: file, rows, lines with bad rows, outliers, readings at or too near to the converter's limit.
+    """
+    side = 4 * len(fit.A)
+    table = {
+        "dof": fit.dof,
+        "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * 1e12).tolist(),
+        "normal_matrix": fit.N.tolist(),
+        "parameter_covariance_microstrain2": (fit.parameter_covariance * 1e12).reshape(side, side).tolist(),
+        "matrix_standard_uncertainty_newtons_per_strain": fit.C_uncertainty.tolist(),
+        "coverage_factor": fit.coverage_factor,
+        "sigma0": fit.sigma0,
+        "condition_number": fit.condition_number,
+        "row_equilibrated_condition_number": fit.row_equilibrated_condition_number,
+        **facts,
+        "drift": fit.drift,
+        "loss": fit.loss,
+        "angle_scatter_deg": angle_scatter_deg,
+    }
+    if not np.isfinite(fit.sigma0):
+        del table["sigma0"]
+    return table
+
+
+def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | None, FitTable | None]:
+    """What a file has of the fields, by name; its CRC-32; its [fit] table.
+
+    Raises InputError naming the key and what is allowed.
+    """
+    place = f"calibration {path}"
     content: Any = convert(_file_type(fields), read_table(path, place), place, finite=False)
     try:
         values = {
             of.name: _value(of, key, unit, cell)
-            for of, key, unit in rows
+            for of, key, unit in _rows(fields)
             if (cell := getattr(content.calibration, key)) is not None
         }
     except InputError as error:
         raise InputError(f"{place}: {error}") from None
-    newest = max(of.metadata["row"].place[0] for of, _, _ in rows if of.name in values)
-    fit = None if content.fit is None else convert(FitRecord, content.fit, f"{place}: fit", finite=False)
-    return Content(values, content.calibration.crc32, newest < indices.CALIBRATION_VALIDITY, fit)
+    fit = None if content.fit is None else convert(FitTable, content.fit, f"{place}: fit", finite=False)
+    return values, content.calibration.crc32, fit
 
 
-def write_file(
-    path: str | Path,
-    fields: Fields,
-    values: dict[str, Any],
-    crc32: int,
-    fit: FitRecord | dict[str, object] | None = None,
-) -> None:
-    """Write a file with the values of the fields by name, the CRC-32 of its record, and a [fit] table.
+def write_file(path: str | Path, fields: Fields, calibration: object, crc32: int, fit: object) -> None:
+    """Write a file with the fields of a calibration, the CRC-32 of its record, and its table [fit], None for none.
 
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
     """
     try:
-        content = {key: _cell(of, unit, values[of.name]) for of, key, unit in _rows(fields)}
+        content = {key: _cell(of, unit, getattr(calibration, of.name)) for of, key, unit in _rows(fields)}
     except InputError as error:
         raise InputError(f"calibration {path}: {error}") from None
     date = content.pop("date")
@@ -170,8 +128,7 @@ def write_file(
     content["crc32"] = f"0x{crc32:08X}"
     document: dict[str, object] = {"calibration": content if date is None else {**content, "date": date}}
     if fit is not None:
-        record = msgspec.to_builtins(fit)
-        document["fit"] = {name: value for name, value in record.items() if value is not None}
+        document["fit"] = fit
     output_file.write_file(path, msgspec.toml.encode(document), output_file.CALIBRATION)
 
 
@@ -183,27 +140,26 @@ def _rows(fields: Fields) -> list[tuple[Field[Any], str, float]]:
 
     def rank(of: Field[Any]) -> int:
         required = of.type == "bool" or of.default is of.default_factory is MISSING
-        return 3 if not of.metadata["row"].place[0] else 0 if required else 1 + (of.type == "FloatArray")
+        return 3 if not of.metadata["place"][0] else 0 if required else 1 + (of.type == "FloatArray")
 
     listed = sorted((of for of in fields if of.type != "FloatArray | None"), key=rank)
     return [
         (
             of,
-            of.metadata["row"].key or of.name.replace("_strain", "_microstrain"),
+            of.metadata["key"] or of.name.replace("_strain", "_microstrain"),
             1e12 if "_strain2" in of.name else 1e6 if "_strain" in of.name else 1.0,
         )
         for of in listed
     ]
 
 
-@lru_cache(maxsize=1)
 def _file_type(fields: Fields) -> type[msgspec.Struct]:
     """The form of a file: the keys of its table [calibration] with their types, None where one may be absent."""
     keys: list[Any] = []
     for of, key, _ in _rows(fields):
         words, plain = of.name in _WORDS, int if of.type == "int" else float
         kind: Any = str if words else datetime.date if of.name == "date" else plain
-        for _ in of.metadata["row"].shape:
+        for _ in of.metadata["shape"]:
             kind = list[kind]
         required = of.type == "bool" or of.default is of.default_factory is MISSING
         keys.append((key, kind) if required else (key, kind | None, None))
@@ -221,7 +177,7 @@ def _value(of: Field[Any], key: str, unit: float, cell: Any) -> Any:
         return _WORDS[of.name][cell]
     if of.name == "date":
         return cell.year * 10000 + cell.month * 100 + cell.day
-    value = _matrix(key, cell) if of.metadata["row"].shape else cell
+    value = _matrix(key, cell) if of.metadata["shape"] else cell
     return value if unit == 1.0 else value * (1.0 / unit)
 
 
@@ -238,7 +194,7 @@ def _cell(of: Field[Any], unit: float, value: Any) -> Any:
         except ValueError:
             raise InputError(f"date {value}, allowed is YYYYMMDD of a day that there was, or 0") from None
     number = value if unit == 1.0 else value * unit
-    return number.tolist() if of.metadata["row"].shape else number
+    return number.tolist() if of.metadata["shape"] else number
 
 
 def _matrix(name: str, rows: object) -> FloatArray:

@@ -33,11 +33,10 @@ _FLAGS = ("counter", "saturated", "stale", "fault")
 
 
 class Sample(NamedTuple):
-    """One sample as received."""
+    """One sample as received; the microstrain of the n gauges is NaN where the node reports unknown."""
 
     t_s: float
     microstrain: Sequence[float]
-    """Of the n gauges; NaN where the node reports unknown."""
     counter: int
     saturated: bool
     stale: bool
@@ -110,6 +109,7 @@ class GaugeReader:
         self._connection = connection
         self._node_id = node_id
         self._n = gauges
+        self._gauges = [f"SG{k + 1}" for k in range(gauges)]
         self._sdo = connection.sdo(node_id)
         self.period_s = max(period_s, self._sdo.read(od.SAMPLE_PERIOD_US[1]) * 1e-6)
         self._decoder = Decoder(gauges, (node_id,))
@@ -132,15 +132,12 @@ class GaugeReader:
             return 0
         words = [self._sdo.read(od.TPDO1_MAPPING[k + 1]) for k in range(self._sdo.read(od.TPDO1_MAPPED))]
         mapping = [(word >> 16, word >> 8 & 0xFF, word & 0xFF) for word in words]
-        try:
+        with suppress(InputError):  # a mapping that is not in this dictionary
             names = {signal.name for signal in mapping_signals(mapping, self._n)}
-            wanted = {*(f"SG{k + 1}" for k in range(self._n)), *_FLAGS}
-            if not wanted <= names:
-                return 0
-            self._decoder.remap(self._node_id, tpdo_messages(self._n)[0].name, can_id, mapping)
-        except InputError:  # a mapping that is not in this dictionary
-            return 0
-        return can_id
+            if names >= {*self._gauges, *_FLAGS}:
+                self._decoder.remap(self._node_id, tpdo_messages(self._n)[0].name, can_id, mapping)
+                return can_id
+        return 0
 
     def _takes_sync(self) -> bool:
         """Return whether the node consumes the SYNC that Bus sends; number it where the node asks for that (1019h)."""
@@ -165,8 +162,6 @@ class GaugeReader:
 
         Returns all readings, valid or not; the caller decides whether to use them.
         """
-        if samples < 2:
-            raise InputError(f"a capture of {samples} samples: allowed are 2 or more")
         self.start()
         rows: list[Sample] = []
         silent = taken = 0
@@ -244,7 +239,7 @@ class GaugeReader:
     def _by_pdo(self) -> Sample | None:
         """Return the sample of one SYNC, None without a response."""
         for samples in self._decoder.decode(self._ask()).values():
-            gauges = [float(samples.columns[f"SG{k + 1}"][0]) for k in range(self._n)]
+            gauges = [float(samples.columns[name][0]) for name in self._gauges]
             return Sample(float(samples.t_ns[0]) * 1e-9, gauges, *(samples.columns[name][0].item() for name in _FLAGS))
         return None
 
@@ -256,8 +251,8 @@ class GaugeReader:
         status = self._sdo.read(od.STATUS)
         if self._sdo.read(od.COUNTER) != counter:
             return None
-        set_now = [name for bit, (name, _) in enumerate(table.STATUS_BITS) if status >> bit & 1]
-        return Sample(time.monotonic(), gauges, counter, *(name in set_now for name in _FLAGS[1:]))
+        bits = {name: bool(status >> bit & 1) for bit, (name, _) in enumerate(table.STATUS_BITS)}
+        return Sample(time.monotonic(), gauges, counter, *(bits[name] for name in _FLAGS[1:]))
 
 
 def _fresh(rows: list[Sample]) -> list[bool]:

@@ -39,11 +39,9 @@ def read_settings(
             content = sdo.upload(*place)
             if entry.type != "s" or content.isascii():
                 values[place] = entry.decode(content)
-        except SdoAbortError as error:
-            if isinstance(objects, FingertipObjects) and error.code != codes.NO_OBJECT:
-                raise
-        except InputError:
-            if isinstance(objects, FingertipObjects):
+        except (SdoAbortError, InputError) as error:
+            is_missing = isinstance(error, SdoAbortError) and error.code == codes.NO_OBJECT
+            if isinstance(objects, FingertipObjects) and not is_missing:
                 raise
         advance()
     return values
@@ -52,7 +50,7 @@ def read_settings(
 def changed_settings(settings: Mapping[Place, Value], objects: DeviceObjects) -> dict[Place, Value]:
     """Return the settings that differ from their default; of a remapped PDO its whole mapping."""
     known = objects.settings
-    changed = {place for place, value in settings.items() if not same(known[place], value, known[place].default)}
+    changed = {place for place, value in settings.items() if not _same(known[place], value, known[place].default)}
     remapped = {index for index, _ in changed if is_mapping(index)}
     return {
         (index, sub): value
@@ -69,7 +67,7 @@ def compare(node: Mapping[Place, Value], wanted: Configuration, objects: DeviceO
     differences = []
     for place in sorted({*changed_settings(node, objects), *wanted} & objects.settings.keys()):
         entry, here, there = objects.settings[place], node.get(place), wanted[place][1] if place in wanted else None
-        if here is None or there is None or not same(entry, here, there):
+        if here is None or there is None or not _same(entry, here, there):
             node_has, file_has = (v if v is None else types.format_value(entry.type, v) for v in (here, there))
             differences.append({"name": entry.name, "entry": str(entry), "node": node_has, "other": file_has})
     return differences
@@ -96,8 +94,8 @@ def settings_toml(settings: Mapping[Place, Value], objects: DeviceObjects, node_
     return tomli_w.dumps({"objects": written}, multiline_strings=False)
 
 
-def same(entry: Entry[Value], a: Value, b: Value) -> bool:
-    """Return whether both are equal on the wire: a REAL32 default is compared as REAL32."""
+def _same(entry: Entry[Value], a: Value, b: Value) -> bool:
+    """Whether both are equal on the wire: a REAL32 default is compared as REAL32."""
     try:
         return entry.encode(a) == entry.encode(b)
     except InputError:  # an EDS may have a default that its type does not
@@ -214,18 +212,39 @@ async def _present(sdo: SdoChannel | Blocking, wanted: Configuration) -> Configu
     """Return the node's present values of the objects that ``wanted`` changes; of a PDO its whole mapping."""
     entries = {key: entry for key, (entry, _) in wanted.items() if entry.access != "wo"}
     for pdo in _pdos(wanted):
-        cob_id, count = _pdo_entries(pdo)
-        entries[pdo, 1] = cob_id
-        if any(index == count.index for index, _ in wanted):
-            entries[count.index, 0] = count
+        mapping = pdo + communication.MAPPING
+        entries[pdo, 1] = _entry(pdo, 1, "I")
+        if any(index == mapping for index, _ in wanted):
+            entries[mapping, 0] = count = _entry(mapping, 0, "B")
             for sub in range(1, int(await sdo.read_async(count)) + 1):
-                entries[count.index, sub] = _entry(count.index, sub, "I")
+                entries[mapping, sub] = _entry(mapping, sub, "I")
     return {place: (entry, await sdo.read_async(entry)) for place, entry in sorted(entries.items())}
 
 
 async def _write(sdo: SdoChannel | Blocking, values: Configuration) -> None:
+    """Write PDO by PDO: switched off, remapped, its other parameters, its COB-ID (7.5.2.36); then all else."""
+
+    async def final(entry: Entry[Value]) -> int:
+        value = values[entry.key][1] if entry.key in values else await sdo.read_async(entry)
+        assert isinstance(value, int)
+        return value
+
     for pdo in _pdos(values):
-        await _apply_pdo(sdo, pdo, values)
+        mapping = pdo + communication.MAPPING
+        cob_id, count = _entry(pdo, 1, "I"), _entry(mapping, 0, "B")  # of any device (7.5.2.35)
+        can_id = await final(cob_id)
+        await sdo.write_async(cob_id, can_id | codes.COB_ID_INVALID)
+        if any(index == mapping for index, _ in values):
+            length = await final(count)
+            await sdo.write_async(count, 0)
+            for (index, sub), (entry, value) in values.items():
+                if index == mapping and sub:
+                    await sdo.write_async(entry, value)
+            await sdo.write_async(count, length)
+        for (index, sub), (entry, value) in values.items():
+            if index == pdo and sub != 1:
+                await sdo.write_async(entry, value)
+        await sdo.write_async(cob_id, can_id)
     for (index, _), (entry, value) in values.items():
         if not _is_pdo(index):
             await sdo.write_async(entry, value)
@@ -236,33 +255,9 @@ def _pdos(values: Configuration) -> list[int]:
     return sorted({index & ~communication.MAPPING for index, _ in values if _is_pdo(index)})
 
 
-def _pdo_entries(parameters: int) -> tuple[Entry[Value], Entry[Value]]:
-    """Return COB-ID and mapping count, of any device (CiA 301, 7.5.2.35 and 7.5.2.36)."""
-    return _entry(parameters, 1, "I"), _entry(parameters + communication.MAPPING, 0, "B")
-
-
 def _entry(index: int, sub: int, letter: str) -> Entry[Value]:
     known = describe(index, sub, table.MAX_GAUGES)
     return Entry[Value](index, sub, letter, f"0x{index:04X}:{sub:02X}" if known is None else known.name, "rw", "")
-
-
-async def _apply_pdo(sdo: SdoChannel | Blocking, parameters: int, wanted: Configuration) -> None:
-    mapping = parameters + communication.MAPPING
-    cob_id, count = _pdo_entries(parameters)
-    final = wanted[parameters, 1][1] if (parameters, 1) in wanted else (await sdo.read_async(cob_id))
-    assert isinstance(final, int)
-    await sdo.write_async(cob_id, final | codes.COB_ID_INVALID)
-    if any(index == mapping for index, _ in wanted):
-        length = wanted[mapping, 0][1] if (mapping, 0) in wanted else (await sdo.read_async(count))
-        await sdo.write_async(count, 0)
-        for (index, sub), (entry, value) in wanted.items():
-            if index == mapping and sub:
-                await sdo.write_async(entry, value)
-        await sdo.write_async(count, length)
-    for (index, sub), (entry, value) in wanted.items():
-        if index == parameters and sub != 1:
-            await sdo.write_async(entry, value)
-    await sdo.write_async(cob_id, final)
 
 
 def apply_differences(sdo: SdoChannel, wanted: Configuration) -> Configuration:

@@ -88,6 +88,7 @@ class FitRequest:
 class Fitted(NamedTuple):
     """A fit, rounded, and the calibration that it gives."""
 
+    request: FitRequest
     data: Measurements
     readings: Readings
     fit: Fit
@@ -118,7 +119,7 @@ def fitted(request: FitRequest, data: Measurements, note: Callable[[str], None] 
         require_size(fit.A, request.theory, ALLOWED_WITH_LAYOUT, str(request.layout))
         require_order(fit.A, request.theory, str(request.layout))
     fit = rounded(fit)
-    return Fitted(data, readings, fit, model, scores, _calibration_of(request, data, fit, note))
+    return Fitted(request, data, readings, fit, model, scores, _calibration_of(request, data, fit, note))
 
 
 def limit_of(fit: Fit, Sigma: FloatArray, dof: float, largest_newtons: float) -> float:

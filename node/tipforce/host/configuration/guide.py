@@ -1,16 +1,6 @@
 """The steps of a guided calibration, loads and unloaded readings between them, and the session of their readings.
 
-The steps are those of the paper, or of a plan file, in TOML::
-
-    tare_every = 4                # loads between unloaded readings (default 4); not used if a step is a tare
-
-    [[step]]
-    P_N = 4.4                     # newtons, above 0
-    phi_deg = 0.0                 # direction of the force
-    theta_deg = 30.0              # contact angle
-    mode = "pull"                 # or push, or tare (an unloaded reading, without the three keys above)
-    instruction = "hang weight A on hook 3"      # optional
-
+The steps are those of the paper, or of a plan file in TOML, whose keys `tipforce calibrate guide --help` describes.
 A session is a CSV of measurements, one row per step, on disk before the next step begins. Besides the columns of every
 measurement file (`tipforce calibrate fit` reads it unchanged): ``step`` (number in the plan, or extra), ``serial`` (of
 the node), ``taken`` (UTC) and ``var_j_k_ue2``, the covariance of one reading.
@@ -25,6 +15,7 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -108,7 +99,7 @@ def groove_plan(weights: str, grooves: str) -> tuple[Step, ...]:
         for along, phi, theta in places:
             text = f"{hang} {along}-groove at theta = {theta:g} degrees (phi = {phi:g})"
             loads.append(Step(0, P, phi, theta, "pull", text))
-    return _numbered(_with_tares(loads, TARE_EVERY))
+    return _plan(loads, TARE_EVERY)
 
 
 def file_plan(path: str | Path) -> tuple[Step, ...]:
@@ -118,8 +109,7 @@ def file_plan(path: str | Path) -> tuple[Step, ...]:
         raise InputError(f"plan {path}: tare_every = {content.tare_every}: allowed is 1 or more")
     try:
         steps = [_step(k + 1, step) for k, step in enumerate(content.step)]
-        own_tares = any(step.mode == "tare" for step in steps)
-        return _numbered(steps if own_tares else _with_tares(steps, content.tare_every))
+        return _plan(steps, 0 if any(step.mode == "tare" for step in steps) else content.tare_every)
     except InputError as error:
         raise InputError(f"plan {path}: {error}") from None
 
@@ -158,14 +148,11 @@ def _grooves(text: str) -> list[tuple[str, float, float]]:
     return found
 
 
-def _with_tares(loads: Sequence[Step], every: int) -> list[Step]:
-    steps = [TARE]
-    for k in range(0, len(loads), every):
-        steps += [*loads[k : k + every], TARE]
-    return steps
-
-
-def _numbered(steps: Sequence[Step]) -> tuple[Step, ...]:
+def _plan(steps: list[Step], tare_every: int) -> tuple[Step, ...]:
+    """Return the steps, numbered; ``tare_every`` 0: with tares of their own, else with one after so many loads."""
+    if tare_every:
+        groups = [[*steps[k : k + tare_every], TARE] for k in range(0, len(steps), tare_every)]
+        steps = [TARE, *chain.from_iterable(groups)]
     loads = [step for step in steps if step.mode != "tare"]
     if not loads:
         raise InputError("no step has a load: add at least one with P_N above 0")
@@ -204,6 +191,8 @@ class Session:
         self.cut = False
         """The last line was truncated by an interruption, and has been removed."""
         self._serial, self._n = serial, gauges
+        upper = [(j, k) for j in range(gauges) for k in range(j, gauges)]
+        self._variances = {f"var_{j + 1}_{k + 1}_ue2": (j, k) for j, k in upper}
         self._steps = {step.number: step for step in steps}
         self._columns = self._columns_of(temperature)
         self._content = self._read()
@@ -239,48 +228,41 @@ class Session:
         self._save(self._content[: self._content.rfind(b"\n", 0, -1) + 1])
         return self.rows.pop().step
 
-    def noise_covariance_strain2(self) -> FloatArray:
-        """Return the covariance of one reading from the scatter within all captures, (n, n), strain^2."""
+    def noise(self) -> tuple[FloatArray, float]:
+        """Return the covariance of one reading, (n, n), strain^2, and its degrees of freedom, from all captures."""
         freedom = [row.samples - 1 for row in self.rows]
         mean = np.average([row.covariance_microstrain2 for row in self.rows], axis=0, weights=freedom)
-        return np.asarray(mean * 1e-12, dtype=np.float64)
-
-    def freedom(self) -> float:
-        """Degrees of freedom of that covariance."""
-        return float(sum(row.samples - 1 for row in self.rows))
+        return np.asarray(mean * 1e-12, dtype=np.float64), float(sum(freedom))
 
     # --- the file -----------------------------------------------------------------------------------------------
 
     def _columns_of(self, temperature: bool) -> list[str]:
         gauges = [f"SG{k + 1}" for k in range(self._n)]
         degrees = ["temperature_degC"] if temperature else []
-        variances = [f"var_{j + 1}_{k + 1}_ue2" for j, k in _upper(self._n)]
         load = ["P_N", "phi_deg", "theta_deg"]
-        return ["t_s", *gauges, *load, *degrees, "weight", "mode", "step", "serial", "taken", *variances]
+        return ["t_s", *gauges, *load, *degrees, "weight", "mode", "step", "serial", "taken", *self._variances]
 
     def _header(self) -> bytes:
         return ",".join(self._columns).encode() + b"\n"
 
     def _line(self, step: Step, capture: Capture, t_s: float, now: datetime.datetime) -> str:
-        degrees = []
-        if "temperature_degC" in self._columns:
-            if capture.temperature_degC is None:
-                raise InputError("the node no longer sends its temperature, which the session has: check the node")
-            degrees = [f"{capture.temperature_degC:.2f}"]
-        return ",".join(
-            [
-                f"{t_s:.3f}",
-                *(f"{value:.6f}" for value in capture.mean),
-                *(repr(value) for value in step.load[:3]),
-                *degrees,
-                str(capture.count),
-                step.mode,
-                str(step.number) if step.number != EXTRA else "extra",
-                str(self._serial),
-                now.isoformat(timespec="milliseconds"),
-                *(f"{capture.covariance[j, k]:.8g}" for j, k in _upper(self._n)),
-            ]
-        ) + "\n"  # fmt: skip
+        if "temperature_degC" in self._columns and capture.temperature_degC is None:
+            raise InputError("the node no longer sends its temperature, which the session has: check the node")
+        cells = {
+            "t_s": f"{t_s:.3f}",
+            "P_N": repr(step.P_newtons),
+            "phi_deg": repr(step.phi_deg),
+            "theta_deg": repr(step.theta_deg),
+            "temperature_degC": f"{capture.temperature_degC or 0.0:.2f}",
+            "weight": str(capture.count),
+            "mode": step.mode,
+            "step": str(step.number) if step.number != EXTRA else "extra",
+            "serial": str(self._serial),
+            "taken": now.isoformat(timespec="milliseconds"),
+        }
+        cells |= {f"SG{k + 1}": f"{value:.6f}" for k, value in enumerate(capture.mean)}
+        cells |= {name: f"{capture.covariance[place]:.8g}" for name, place in self._variances.items()}
+        return ",".join(cells[name] for name in self._columns) + "\n"
 
     def _read(self) -> bytes:
         try:
@@ -334,13 +316,15 @@ class Session:
             serial, samples = int(cells["serial"]), round(float(cells["weight"]))
             taken = datetime.datetime.fromisoformat(cells["taken"])
             P, phi, theta = (float(cells[name]) for name in ("P_N", "phi_deg", "theta_deg"))
-            upper = [float(cells[f"var_{j + 1}_{k + 1}_ue2"]) for j, k in _upper(self._n)]
+            covariance = np.zeros((self._n, self._n))
+            for name, (j, k) in self._variances.items():
+                covariance[j, k] = covariance[k, j] = float(cells[name])
             mean = np.array([float(cells[f"SG{k + 1}"]) for k in range(self._n)])
-            usable = taken.tzinfo is not None and samples >= 2 and all(map(math.isfinite, upper))
+            if taken.tzinfo is None or samples < 2 or not np.isfinite(covariance).all():
+                raise ValueError
         except ValueError:
-            usable = False
-        if not usable:
-            raise InputError(f"{place}: not a line of a session; correct it, or remove it to repeat the step")
+            text = f"{place}: not a line of a session; correct it, or remove it to repeat the step"
+            raise InputError(text) from None
         if serial != self._serial:
             raise InputError(f"{place}: of the node with serial {serial}, this one has serial {self._serial}")
         taken_step, planned = Step(step, P, phi, theta, cells["mode"], ""), self._steps.get(step)
@@ -351,11 +335,4 @@ class Session:
             if planned is None:
                 wrong = f"step {step} ({taken_step}), this plan has {len(self._steps)} steps"
             raise InputError(f"{place}: {wrong}: another plan; pass the plan of this session, or another --session")
-        covariance = np.zeros((self._n, self._n))
-        for (j, k), value in zip(_upper(self._n), upper, strict=True):
-            covariance[j, k] = covariance[k, j] = value
         return Row(step, float(cells["t_s"]), taken, mean, covariance, samples, cells["mode"] == "tare")
-
-
-def _upper(n: int) -> list[tuple[int, int]]:
-    return [(j, k) for j in range(n) for k in range(j, n)]

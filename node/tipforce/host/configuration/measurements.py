@@ -1,4 +1,4 @@
-"""Read and write measurements as CSV: gauge readings with loads, times and modes; bad rows by line and reason."""
+"""Read measurements as CSV: gauge readings with loads, times and modes; bad rows by line and reason."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import codecs
 import csv
 import re
 from bisect import bisect_right
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -18,7 +17,6 @@ import numpy.typing as npt
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.dictionary.table import MAX_GAUGES, MIN_GAUGES
 from tipforce.errors import InputError
-from tipforce.output_file import CSV, write_file
 
 MODES = ("push", "pull", "tare")
 LEAST_LOAD_NEWTONS, MOST_LOAD_NEWTONS = 1e-9, 1e9
@@ -104,13 +102,10 @@ def time_faults(line: list[int], times: list[float]) -> list[BadRow]:
     for row, t in enumerate(times):
         place = bisect_right(ends, t)
         before[row] = end_rows[place - 1] if place else -1
-        ends[place : place + 1] = [t]
-        end_rows[place : place + 1] = [row]
-    kept: list[int] = []
-    row = end_rows[-1]
-    while row >= 0:
-        kept.append(row)
-        row = before[row]
+        ends[place : place + 1], end_rows[place : place + 1] = [t], [row]
+    kept = end_rows[-1:]
+    while before[kept[-1]] >= 0:
+        kept.append(before[kept[-1]])
     kept.reverse()
     faults = []
     for row in sorted(set(range(len(times))).difference(kept)):
@@ -200,25 +195,6 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
         bad=tuple(bad),
         ignored_columns=ignored,
     )
-
-
-def write_measurements(path: str | Path, measurements: Measurements) -> None:
-    """Write rows with full precision: they read back unchanged. Raises InputError for an unusable path, WriteError."""
-    n = measurements.strain.shape[1]
-    arrays: dict[str, FloatArray | None] = {"t_s": measurements.t_s}
-    arrays |= {f"SG{k + 1}": measurements.strain[:, k] * 1e6 for k in range(n)}
-    P = measurements.P_newtons
-    if P is not None:
-        phi, theta = (0.0 * P if angle is None else angle for angle in (measurements.phi_rad, measurements.theta_rad))
-        arrays |= {"P_N": P, "phi_deg": np.degrees(phi), "theta_deg": np.degrees(theta)}
-    arrays |= {"temperature_degC": measurements.temperature_degC, "weight": measurements.weight}
-    columns: dict[str, Sequence[object]] = {
-        name: column.tolist() for name, column in arrays.items() if column is not None
-    }
-    if measurements.mode is not None:
-        columns["mode"] = ["" if code < 0 else MODES[code] for code in measurements.mode]
-    rows = (",".join(str(value) for value in row) for row in zip(*columns.values(), strict=True))
-    write_file(path, "\n".join([",".join(columns), *rows, ""]), CSV)
 
 
 def _lines(path: str | Path) -> list[str]:

@@ -6,6 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,23 +25,12 @@ _WINDOW_S = 1.0  # of the load of a live bus
 _FEW, _WAIT_S = 256, 0.02  # frames of a batch that waits for others, and how long
 
 
-@dataclass(frozen=True, slots=True)
-class Traffic:
+class Traffic(NamedTuple):
     """One kind of frame: its rate per second on the whole bus, and its number of data bytes."""
 
     name: str
     per_second: float
     data_bytes: int
-
-    @property
-    def least_bits_per_second(self) -> float:
-        """Without stuffing."""
-        return self.per_second * least_bits(self.data_bytes)
-
-    @property
-    def most_bits_per_second(self) -> float:
-        """With worst-case stuffing."""
-        return self.per_second * most_bits(self.data_bytes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +43,12 @@ class Budget:
     @property
     def least_load(self) -> float:
         """Without stuffing."""
-        return sum(t.least_bits_per_second for t in self.traffic) / self.bit_rate
+        return sum(each.per_second * least_bits(each.data_bytes) for each in self.traffic) / self.bit_rate
 
     @property
     def most_load(self) -> float:
         """With worst-case stuffing."""
-        return sum(t.most_bits_per_second for t in self.traffic) / self.bit_rate
+        return sum(each.per_second * most_bits(each.data_bytes) for each in self.traffic) / self.bit_rate
 
 
 def hand_budget(
@@ -111,8 +101,7 @@ def kinds(frames: FrameArray) -> npt.NDArray[np.int64]:
     if flags.any():
         kind[(flags & REMOTE_FLAG >> 29) != 0] = 0
         kind[(flags & EXTENDED_FLAG >> 29) != 0] += 9
-        on_the_wire: npt.NDArray[np.int64] = kind[(flags & ERROR_FLAG >> 29) == 0]
-        return on_the_wire
+        kind = kind[(flags & ERROR_FLAG >> 29) == 0]
     return kind
 
 
@@ -164,9 +153,9 @@ class LoadMeter:
 def budget_lines(budget: Budget) -> list[str]:
     """Return a line per kind of frame, and the sum."""
     lines = [f"  {'frame':12} {'each s':>10} {'bytes':>6} {'no stuffing':>12} {'worst case':>11}"]
-    for t in budget.traffic:
-        least, most = (100 * bits / budget.bit_rate for bits in (t.least_bits_per_second, t.most_bits_per_second))
-        lines.append(f"  {t.name:12} {t.per_second:10g} {t.data_bytes:6} {least:10.1f} % {most:9.1f} %")
+    for name, per_second, data_bytes in budget.traffic:
+        least, most = (100 * per_second * bits(data_bytes) / budget.bit_rate for bits in (least_bits, most_bits))
+        lines.append(f"  {name:12} {per_second:10g} {data_bytes:6} {least:10.1f} % {most:9.1f} %")
     lines.append(f"  {'together':12} {'':10} {'':6} {100 * budget.least_load:10.1f} % {100 * budget.most_load:9.1f} %")
     return lines
 
@@ -174,13 +163,9 @@ def budget_lines(budget: Budget) -> list[str]:
 def what_fits(nodes: int, rate_hz: float, pdos: list[str], gauges: int, bit_rate: int, limit: float) -> list[str]:
     """Return lines with the rate and the number of nodes that fit, for all PDOs requested and for each of them."""
     lines = []
-    choices = [pdos] + ([[name] for name in pdos] if len(pdos) > 1 else [])
-    for choice in choices:
+    for choice in (pdos, *([name] for name in pdos if len(pdos) > 1)):
         rate = highest_rate_hz(nodes, choice, gauges, bit_rate, limit)
-        most = max(
-            (n for n in range(1, 128) if hand_budget(n, rate_hz, choice, gauges, bit_rate).most_load <= limit),
-            default=0,
-        )
+        most = sum(hand_budget(n, rate_hz, choice, gauges, bit_rate).most_load <= limit for n in range(1, 128))
         names = " + ".join(name.lower() for name in choice)
         lines.append(f"  {names:24} {nodes} nodes up to {rate:.0f} Hz; at {rate_hz:g} Hz up to {most} nodes")
     return lines

@@ -14,7 +14,7 @@ import itertools
 import random
 import time
 from collections import Counter
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any
 
 import can
@@ -25,6 +25,7 @@ from tipforce.errors import InputError
 from tipforce.host.live.python_can import message
 
 RawFrame = tuple[int, bytes]  # can_id with SocketCAN's flags, data
+_PROBABILITIES = ("drop", "duplicate", "corrupt", "reorder", "delay")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +46,9 @@ class Faults:
     only: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name not in ("only", "delay_s") and not 0.0 <= value <= 1.0:
-                raise InputError(f"faults: {field.name} = {value!r}, allowed are probabilities 0 to 1")
+        for name in _PROBABILITIES:
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError(f"faults: {name} = {getattr(self, name)!r}, allowed are probabilities 0 to 1")
         if not 0.0 <= self.delay_s < 3600.0:
             raise InputError(f"faults: delay_s = {self.delay_s!r}, allowed are 0 to 3600 s")
 
@@ -122,6 +122,8 @@ class FaultyBus(can.BusABC):
         self.bus = bus
         self.bus_off = False
         self._injector = Injector(faults, seed)
+        self.counts = self._injector.counts
+        """Number of each fault so far."""
         self.channel_info = f"faulty {bus.channel_info}"
         self._can_protocol = bus.protocol
         super().__init__(channel="", **options)
@@ -134,11 +136,6 @@ class FaultyBus(can.BusABC):
     @faults.setter
     def faults(self, faults: Faults) -> None:
         self._injector.faults = faults
-
-    @property
-    def counts(self) -> Counter[str]:
-        """Number of each fault so far."""
-        return self._injector.counts
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send; raises can.CanOperationError during bus-off."""
@@ -201,4 +198,4 @@ class Babbler:
 
 def quiet(faults: Faults) -> Faults:
     """Return the same without faults, for tests of the recovery."""
-    return replace(faults, drop=0.0, duplicate=0.0, corrupt=0.0, reorder=0.0, delay=0.0)
+    return Faults(delay_s=faults.delay_s, only=faults.only)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,7 @@ from canopen_device.core import codes
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.service_texts import state_text
 from tipforce.dictionary.table import REVISION
-from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError
+from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError, TipforceError
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import checked_time
 from tipforce.samples import reasons
@@ -28,7 +28,7 @@ _DEVICE_TYPE = (0x00, 0x10, 0x00)  # 1000h:00 in bytes 1 to 3 of a request, and 
 _READ_DEVICE_TYPE = bytes((0x40, *_DEVICE_TYPE, 0, 0, 0, 0))
 _IN_A_ROW, _GAP_S = 8, 1e-3  # requests without a pause, so that short transmit queues do not overflow
 _STEP_S = 0.02  # between looks whether every node-id was heard
-_FAILED = {
+_FAILED: dict[type[TipforceError], str] = {
     SdoAbortError: "no identity object",
     NoResponseError: "stopped responding",
     InputError: "unknown object format",  # a device of another type whose objects have other lengths
@@ -78,13 +78,11 @@ def find_nodes(
         time.sleep(max(min(_STEP_S, left_s), 0.0))
         frames = connection.buffer.take_all()
         observe(frames)
-        for frame in frames:
-            can_id = int(frame["can_id"])
-            service, node_id = can_id & ~codes.NODE_ID_MASK, can_id & codes.NODE_ID_MASK
-            if node_id in wanted and service == codes.SDO_RESPONSE_BASE:
-                answered.add(node_id)
-            elif node_id in wanted and service == codes.HEARTBEAT_BASE:
-                states[node_id] = int(frame["data"][0]) & 0x7F
+        for can_id, first in zip(frames["can_id"].tolist(), frames["data"][:, 0].tolist(), strict=True):
+            if can_id - codes.SDO_RESPONSE_BASE in wanted:
+                answered.add(can_id - codes.SDO_RESPONSE_BASE)
+            elif can_id - codes.HEARTBEAT_BASE in wanted:
+                states[can_id - codes.HEARTBEAT_BASE] = first & 0x7F
         ended = left_s <= _STEP_S or wanted <= answered & states.keys()
     return [_describe(connection, n, states.get(n), n in answered) for n in sorted(answered | set(states))]
 
@@ -111,28 +109,25 @@ def _request_device_types(connection: Bus, node_ids: Collection[int]) -> None:
 
 
 def _describe(connection: Bus, node_id: int, state: int | None, answers: bool) -> FoundNode:
-    state_name = "no heartbeat" if state is None else state_text(state)
+    node = FoundNode(node_id, "no heartbeat" if state is None else state_text(state), "no SDO in this state")
     if not answers:
-        seen = connection.duplicates.found.get(node_id, "")
-        return FoundNode(node_id, state_name, "no SDO in this state", duplicate=str(seen))
+        return replace(node, duplicate=str(connection.duplicates.found.get(node_id, "")))
     try:
-        node = _identified(FingertipClient(connection.sdo(node_id)), state_name)
+        identified = _identified(FingertipClient(connection.sdo(node_id)), node)
         connection.sdo(node_id).check_duplicates(wait=True)
-        return node
+        return identified
     except DuplicateNodeError as error:
-        return FoundNode(node_id, state_name, "two nodes", duplicate=str(error))
-    except (SdoAbortError, NoResponseError, InputError) as error:
-        return FoundNode(node_id, state_name, next(text for kind, text in _FAILED.items() if isinstance(error, kind)))
+        return replace(node, device="two nodes", duplicate=str(error))
+    except tuple(_FAILED) as error:
+        return replace(node, device=next(text for kind, text in _FAILED.items() if isinstance(error, kind)))
 
 
-def _identified(client: FingertipClient, state_name: str) -> FoundNode:
+def _identified(client: FingertipClient, node: FoundNode) -> FoundNode:
     identity = client.identity()
+    node = replace(node, serial=identity.serial, product=identity.product)
     if not identity.is_fingertip:
         device = f"product 0x{identity.product:08X}"
-        return FoundNode(
-            client.node_id, state_name, device, identity.serial, "not a fingertip", "no: another device",
-            product=identity.product,
-        )  # fmt: skip
+        return replace(node, device=device, calibration="not a fingertip", eds="no: another device")
     crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
     generation = client.sdo.read(od.CALIBRATION_GENERATION)
     calibration = f"0x{crc:08X} generation {generation}" if crc else reasons.NOT_CALIBRATED
@@ -141,6 +136,4 @@ def _identified(client: FingertipClient, state_name: str) -> FoundNode:
     if identity.revision >> 16 != REVISION >> 16:
         eds = f"no: revision 0x{identity.revision:08X}, expected 0x{REVISION:08X}"
     device = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges"
-    return FoundNode(
-        client.node_id, state_name, device, identity.serial, calibration, eds, faults, product=identity.product
-    )
+    return replace(node, device=device, calibration=calibration, eds=eds, faults=faults)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound=Value)
 
-HIGHEST_RATE_HZ = 10_000.0
+DEFAULT_RATE_HZ, HIGHEST_RATE_HZ = 100.0, 10_000.0
 _START_AGAIN_S = 2.0  # time-out of a heartbeat with the new state
 
 _REFUSALS = {
@@ -215,13 +215,11 @@ class Finger(FingertipClient):
         there is none), NoResponseError and SdoAbortError if the finger does not respond, and InputError for a finger
         that sends no PDO with its contact, its force or all its gauges.
         """
-        from tipforce.host.network.finger_samples import DEFAULT_RATE_HZ
-
         checked_time("timeout_s", timeout_s)
         period_s = None if self.passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
         return self._opened().newest(time.monotonic() + timeout_s, period_s)
 
-    def samples(self, timeout_s: float = 1.0, rate_hz: float = 100.0) -> ContactStream:
+    def samples(self, timeout_s: float = 1.0, rate_hz: float = DEFAULT_RATE_HZ) -> ContactStream:
         """Yield each new sample as it arrives, for ``for`` and ``async for``.
 
         If no node sends SYNCs, they are sent at ``rate_hz``. Raises as ``read``; NoNewSampleError after ``timeout_s``

@@ -12,7 +12,6 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from canopen_device.core import codes
-from canopen_device.core.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import DuplicateNodeError, InputError, NoNewSampleError, SdoAbortError
@@ -27,7 +26,6 @@ from tipforce.samples.reasons import Status
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
 
-DEFAULT_RATE_HZ = 100.0
 _LISTEN_S = 0.12  # wait for another producer's SYNC before the first own one
 _FRESH_S = 0.1  # an older unread sample is stale, unless the SYNC period is longer
 _MOST_WAITING = 10_000
@@ -154,10 +152,9 @@ class ContactReader:
         if self._received:
             return ""
         state = self._connection.heartbeats.state(self._node_id)
-        if state == STOPPED:
-            return f": it is STOPPED (NMT); start it: bus.nmt('start', {self._node_id})"
-        if state not in (None, OPERATIONAL):
-            return f": it is not operational (NMT); start it: bus.nmt('start', {self._node_id})"
+        if state not in (None, codes.OPERATIONAL):
+            name = "STOPPED" if state == codes.STOPPED else "not operational"
+            return f": it is {name} (NMT); start it: bus.nmt('start', {self._node_id})"
         identifiers = ", ".join(f"0x{can_id:03X}" for can_id in self._assembler.pdos)
         return f": no frame with identifier {identifiers}; check that it receives a SYNC"
 

@@ -53,22 +53,13 @@ class Firmware:
         """Read an image. Raises InputError for a file that is none, or that is damaged."""
         try:
             content = Path(path).read_bytes()
+            header = image.Header(content)
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}") from error
-        try:
-            return cls.of(content)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
-
-    @classmethod
-    def of(cls, content: bytes) -> Firmware:
-        """Return the image that these bytes are. Raises InputError; the signature is checked by the node alone."""
-        try:
-            header = image.Header(content)
         except ValueError as error:
-            raise InputError(f"{error}; python -m bench.firmware_image makes one") from None
-        if not image.is_sound(content):
-            raise InputError("the length or the CRC-32 of the image is wrong: the file is damaged")
+            raise InputError(f"{path}: {error}; python -m bench.firmware_image makes one") from None
+        if not image.is_sound(content):  # the node alone checks the signature
+            raise InputError(f"{path}: the length or the CRC-32 of the image is wrong: the file is damaged")
         return cls(content, header)
 
 

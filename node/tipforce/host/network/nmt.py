@@ -96,17 +96,14 @@ def command_and_wait(
     """Send an NMT command to each node and wait for its heartbeat; return the state that each reported.
 
     NMT is not confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may
-    boot meanwhile. Raises InputError for an unknown command, and NotReachedError naming the nodes whose heartbeat did
-    not report it in time: they are off, or their heartbeat (1017h) is slower or 0.
+    boot meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or
+    their heartbeat (1017h) is slower or 0.
     """
     since_s = time.monotonic()
     wanted, reached = NMT_COMMANDS[command][1], dict[int, str]()
     again_s = timeout_s if command.startswith("reset") else _AGAIN_S
     waiting = sorted(node_ids)
-    while waiting:
-        now_s = time.monotonic()
-        if now_s >= since_s + timeout_s:
-            break
+    while waiting and (now_s := time.monotonic()) < since_s + timeout_s:
         for node_id in waiting:
             connection.nmt(command, node_id)
         until_s = min(now_s + again_s, since_s + timeout_s)

@@ -6,11 +6,16 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
+import can
 import canopen
 
 from canopen_device.core import codes
@@ -18,10 +23,10 @@ from canopen_device.core.sdo_client import SWITCH_BYTES, BlockDownload, BlockUpl
 from canopen_device.types import Value
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry, gauges_of, resolve
+from tipforce.dictionary.service_texts import abort_text
 from tipforce.dictionary.table import MIN_GAUGES
-from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError
+from tipforce.errors import DuplicateNodeError, EnvironmentLackError, InputError, NoResponseError, SdoAbortError
 from tipforce.host.decoding.duplicates import PRODUCT, SERIAL, DuplicateNodes
-from tipforce.host.network.sdo_exchange import Attempt, Exchange, Turns
 
 T = TypeVar("T", bound=Value)
 R = TypeVar("R")
@@ -34,6 +39,21 @@ SECOND_RESPONSE_S = 0.05
 _STEP_S = 0.002
 _MOST_PROBES = 16
 _DOMAIN = "D"  # the only type of objects that are long on a fingertip
+LONGEST_WAIT_S = 10.0
+_FULL_QUEUE_US = 2000  # pause after the bus refused a segment of a block: its transmit queue is full
+_REFUSALS = (can.CanError, OSError, RuntimeError)  # canopen raises the last for a closed bus
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A read of an entry, in blocks if it is ``long``; or with ``data`` a write."""
+
+    index: int
+    sub: int
+    long: bool = False
+    data: bytes | None = None
+    progress: Callable[[int], None] | None = None
+    deadline_s: float = 0.0
 
 
 def checked_time(name: str, time_s: float) -> float:
@@ -73,8 +93,10 @@ class SdoChannel:
         self.has_blocks = True
         self._deadline_s = deadline_s
         self._clock = clock
-        self._network = network
-        self._turns = Turns()
+        self.network = network
+        self._lock = threading.Lock()
+        self._turns: deque[Future[None]] = deque()
+        """Of the transfers that were requested; the first is done: it has the channel."""
         self._exchange: Exchange | None = None
         self._gauges: int | None = None
         network.subscribe(codes.SDO_RESPONSE_BASE + node_id, self._on_response)
@@ -82,7 +104,7 @@ class SdoChannel:
     def close(self) -> None:
         """Stop listening to the node's responses."""
         with suppress(KeyError, ValueError):
-            self._network.unsubscribe(codes.SDO_RESPONSE_BASE + self.node_id, self._on_response)
+            self.network.unsubscribe(codes.SDO_RESPONSE_BASE + self.node_id, self._on_response)
 
     def read(self, entry: Entry[T]) -> T:
         """Return the value of an entry. Raises NoResponseError, SdoAbortError, or InputError for a wrong length."""
@@ -94,11 +116,11 @@ class SdoChannel:
 
     async def read_async(self, entry: Entry[T]) -> T:
         """Read for asyncio. Raises as ``read``."""
-        return entry.decode(await self.upload_async(*entry.key, entry.type == _DOMAIN))
+        return entry.decode(await self._transfer(Request(*entry.key, entry.type == _DOMAIN), blocks=False))
 
     async def write_async(self, entry: Entry[T], value: T) -> None:
         """Write for asyncio. Raises as ``write``."""
-        await self.download_async(*entry.key, entry.encode(value))
+        await self._transfer(Request(*entry.key, data=entry.encode(value)), blocks=False)
 
     def __getitem__(self, name: str) -> Value:
         """Return the value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``.
@@ -113,7 +135,7 @@ class SdoChannel:
 
     def upload(self, index: int, sub: int, long: bool = False) -> bytes:
         """Return the bytes of an entry (an SDO upload). ``long``: in blocks, except data too short for them."""
-        return finished(self._wait(*self._attempt(index, sub, long), blocks=True))
+        return finished(self._transfer(Request(index, sub, long), blocks=True))
 
     def download(
         self,
@@ -129,16 +151,7 @@ class SdoChannel:
         ``progress`` receives the number of bytes that the node has acknowledged, in the thread that receives frames;
         ``deadline_s`` is the time for a transfer that takes longer than that of the channel.
         """
-        long = len(data) > SWITCH_BYTES
-        finished(self._wait(*self._attempt(index, sub, long, data, progress), deadline_s, blocks=True))
-
-    async def upload_async(self, index: int, sub: int, long: bool = False) -> bytes:
-        """Upload for asyncio."""
-        return await self._wait(*self._attempt(index, sub, long), blocks=False)
-
-    async def download_async(self, index: int, sub: int, data: bytes) -> None:
-        """Download for asyncio."""
-        await self._wait(*self._attempt(index, sub, len(data) > SWITCH_BYTES, data), blocks=False)
+        finished(self._transfer(Request(index, sub, False, data, progress, deadline_s), blocks=True))
 
     def check_duplicates(self, wait: bool = False) -> None:
         """Raise DuplicateNodeError if two nodes respond with this node-id. Without a suspicion nothing is sent.
@@ -153,7 +166,7 @@ class SdoChannel:
         watch.retry(node_id)
         for number in range(_MOST_PROBES):
             try:
-                finished(self._transferred(*self._attempt(*(SERIAL if number else PRODUCT)), blocks=True))
+                finished(self._in_turn(Request(*(SERIAL if number else PRODUCT)), blocks=True))
             except SdoAbortError:  # a response, too
                 pass
             except NoResponseError:
@@ -186,12 +199,7 @@ class SdoChannel:
         """Send a request. Raises can.CanError, or RuntimeError for a closed bus."""
         can_id = codes.SDO_REQUEST_BASE + self.node_id
         self._duplicates.frame(can_id, request, time.time_ns())
-        self._network.send_message(can_id, request)
-
-    def bus_failure(self) -> Exception | None:
-        """Return the error with which python-can's receiving thread has ended; no frame is received from then on."""
-        notifier = self._network.notifier
-        return None if notifier is None else notifier.exception
+        self.network.send_message(can_id, request)
 
     # --- transfers -------------------------------------------------------------------------------------------
 
@@ -202,25 +210,11 @@ class SdoChannel:
             self._gauges = gauges_of(self.read(od.IDENTITY_PRODUCT)) or MIN_GAUGES
         return resolve(name, self._gauges)
 
-    def _attempt(
-        self, index: int, sub: int, long: bool = False, data: bytes | None = None,
-        progress: Callable[[int], None] | None = None,
-    ) -> tuple[str, Attempt]:  # fmt: skip
-        """Return the name of an upload, or of a download of ``data``, and what makes its transfers."""
-
-        def attempt(number: int, timeout_us: int, deadline_us: int) -> Transfer:
-            in_blocks = long and self.has_blocks and number == 1
-            if data is None:
-                return (BlockUpload if in_blocks else Upload)(index, sub, timeout_us, deadline_us)
-            return (BlockDownload if in_blocks else Download)(index, sub, timeout_us, deadline_us, data, progress)
-
-        return f"{'read' if data is None else 'write'} of 0x{index:04X}:{sub:02X}", attempt
-
-    async def _wait(self, what: str, attempt: Attempt, deadline_s: float = 0.0, *, blocks: bool) -> bytes:
+    async def _transfer(self, request: Request, *, blocks: bool) -> bytes:
         """Do a transfer. ``blocks``: without an event loop, this thread waits; see ``finished``."""
         await self._check(blocks)
         try:
-            return await self._transferred(what, attempt, deadline_s, blocks=blocks)
+            return await self._in_turn(request, blocks=blocks)
         except NoResponseError:  # responses of two nodes among each other are valid for neither
             await self._check(blocks)
             raise
@@ -231,14 +225,26 @@ class SdoChannel:
         elif self._suspected:
             await asyncio.to_thread(self.check_duplicates)
 
-    async def _transferred(self, what: str, attempt: Attempt, deadline_s: float = 0.0, *, blocks: bool) -> bytes:
-        turn = self._turns.request()
+    async def _in_turn(self, request: Request, *, blocks: bool) -> bytes:
+        """Transfer after all earlier requests of threads and tasks, in their order."""
+        turn: Future[None] = Future()
+        turn.set_running_or_notify_cancel()  # a task that is cancelled does not cancel it
+        with self._lock:
+            self._turns.append(turn)
+            if self._turns[0] is turn:
+                turn.set_result(None)
         try:
             turn.result() if blocks else await asyncio.wrap_future(turn)
-        except BaseException:
-            self._turns.withdraw(turn)
-            raise
-        self._exchange = exchange = Exchange(self, what, attempt, deadline_s)
+            return await self._exchanged(Exchange(self, request), blocks=blocks)
+        finally:
+            with self._lock:
+                had_turn = self._turns[0] is turn
+                self._turns.remove(turn)
+                if had_turn and self._turns:
+                    self._turns[0].set_result(None)
+
+    async def _exchanged(self, exchange: Exchange, *, blocks: bool) -> bytes:
+        self._exchange = exchange
         try:
             done = exchange.done if blocks else asyncio.wrap_future(exchange.done)
             while not done.done():
@@ -252,12 +258,118 @@ class SdoChannel:
         finally:
             self._exchange, self._ended_s = None, time.monotonic()
             exchange.cancel()
-            self._turns.release()
 
     def _on_response(self, _can_id: int, data: bytearray, _t_s: float) -> None:
         exchange = self._exchange
         if exchange is not None:
             exchange.step(bytes(data))
+
+
+class Exchange:
+    """A transfer with its retries. ``done`` gets the data or the error, in whichever thread steps it last."""
+
+    def __init__(self, channel: SdoChannel, request: Request) -> None:
+        self._channel, self._request = channel, request
+        verb = "read" if request.data is None else "write"
+        self._place = (
+            f"node {channel.node_id} (0x{channel.node_id:02X}), {verb} of 0x{request.index:04X}:{request.sub:02X}"
+        )
+        self._attempts = 0
+        self._lock = threading.Lock()
+        self._unsent: deque[bytes] = deque()
+        self._deadline_us = channel.now_us() + round(1e6 * max(request.deadline_s, channel.deadline_s))
+        self._due_us = 0
+        self._transfer = self._next_attempt()
+        self.done: Future[bytes] = Future()
+        self.done.set_running_or_notify_cancel()  # a waiter that is cancelled does not cancel it
+
+    @property
+    def left_s(self) -> float:
+        """The time until ``step`` is due, which a transfer that ends meanwhile never is: LONGEST_WAIT_S at most."""
+        return min(max(0.0, (self._due_us - self._channel.now_us()) * 1e-6), LONGEST_WAIT_S)
+
+    def step(self, response: bytes | None = None) -> None:
+        """Start the transfer, process a response, or the time that has passed."""
+        with self._lock:
+            if not self.done.done():
+                try:
+                    self._step(response)
+                except BaseException as error:  # also of a receiving thread: it belongs to the waiting one
+                    self.done.set_exception(error)
+
+    def cancel(self) -> None:
+        """End a transfer for which nobody waits any more."""
+        with self._lock:
+            if not self.done.done():
+                self.done.set_result(b"")
+                for request in self._transfer.cancel():
+                    with suppress(*_REFUSALS):
+                        self._channel.send(request)
+
+    def _next_attempt(self) -> Transfer:
+        self._attempts += 1
+        of = self._request
+        what = of.index, of.sub, round(1e6 * self._channel.timeout_s), self._deadline_us
+        long = of.long if of.data is None else len(of.data) > SWITCH_BYTES
+        in_blocks = long and self._channel.has_blocks and self._attempts == 1
+        if of.data is None:
+            return (BlockUpload if in_blocks else Upload)(*what)
+        return (BlockDownload if in_blocks else Download)(*what, of.data, of.progress)
+
+    def _step(self, response: bytes | None) -> None:
+        now_us = self._channel.now_us()
+        requests, self._due_us = self._transfer.step(now_us, response)
+        if requests:
+            self._unsent = deque(requests)
+        self._flush(now_us)
+        transfer = self._transfer
+        if not transfer.ended:
+            return
+        code, block = transfer.abort_code, isinstance(transfer, BlockUpload | BlockDownload)
+        if block and code == codes.UNKNOWN_COMMAND:  # the node has no block transfers: this was no attempt
+            self._channel.has_blocks = False
+            self._transfer = self._next_attempt()
+            self._attempts -= 1
+            self._step(None)
+        elif code is not None:
+            raise SdoAbortError(f"{self._place}: abort 0x{code:08X}, {abort_text(code)}", code)
+        elif transfer.failure is None:
+            self.done.set_result(transfer.data)
+        elif self._attempts <= self._channel.retries and now_us < self._deadline_us:
+            self._transfer = self._next_attempt()
+            self._step(None)
+        else:
+            raise self._no_response(transfer)
+
+    def _flush(self, now_us: int) -> None:
+        """Send the requests; of a block for which the transmit queue is too short, the rest after a pause."""
+        while self._unsent:
+            try:
+                self._channel.send(self._unsent[0])
+            except _REFUSALS as error:
+                if isinstance(error, RuntimeError) or len(self._unsent) == 1:
+                    raise EnvironmentLackError(f"{self._place}: the bus refused the frame: {error}") from None
+                self._due_us = min(self._due_us, now_us + _FULL_QUEUE_US)
+                return
+            self._unsent.popleft()
+
+    def _no_response(self, transfer: Transfer) -> Exception:
+        notifier = self._channel.network.notifier
+        if notifier is not None and notifier.exception is not None:  # python-can's receiving thread has ended
+            return EnvironmentLackError(f"{self._place}: the bus failed: {notifier.exception}; open it again")
+        tries = f"{self._attempts} tries" if self._attempts > 1 else "1 try"
+        wrong = transfer.failure
+        if not wrong and transfer.ignored is not None:
+            wrong = f"unexpected response {transfer.ignored.hex(' ') or 'without data'}"
+        if wrong:
+            return NoResponseError(
+                f"{self._place}: no valid response in {tries}, the last: {wrong}; check for another SDO client of this "
+                "node and for another node with its node-id"
+            )
+        return NoResponseError(
+            f"{self._place}: no response after {tries} of {self._channel.timeout_s:g} s; "
+            "check its power, bus, bit rate and node-id; `tipforce scan` lists nodes"
+        )
 
 
 class Blocking:
