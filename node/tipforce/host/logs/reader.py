@@ -9,7 +9,7 @@ from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.lines import LineBlocks, never, open_file
-from tipforce.host.logs.notes import MESSAGE_SUFFIXES, LogNotes
+from tipforce.host.logs.notes import MESSAGE_SUFFIXES, LogNotes, suffix_of
 from tipforce.host.logs.unpacking import first_bytes
 
 STDIN = "-"
@@ -130,7 +130,4 @@ def log_kind(path: Path) -> str:
         return "pcap"
     if start.startswith(MCAP_MAGIC):
         return "mcap"
-    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
-    if suffixes[-1:] == [".gz"]:
-        suffixes.pop()
-    return "messages" if suffixes and suffixes[-1] in MESSAGE_SUFFIXES else "text"
+    return "messages" if suffix_of(path)[0] in MESSAGE_SUFFIXES else "text"
