@@ -56,14 +56,10 @@ class LogReader(LogNotes):
         if path is None or kind == "text":
             self._lines = LineBlocks(path, self, follow, part, stop)
             self._blocks = self._text_blocks(self._lines, deltas)
-        elif kind == "mcap":
-            from tipforce.host.logs.mcap_frames import mcap_blocks
+        elif kind in {"mcap", "pcap"}:
+            from tipforce.host.logs.captures import mcap_blocks, pcap_blocks
 
-            self._blocks = mcap_blocks(path, self)
-        elif kind == "pcap":
-            from tipforce.host.logs.pcap import pcap_blocks
-
-            self._blocks = pcap_blocks(path, self)
+            self._blocks = mcap_blocks(path, self) if kind == "mcap" else pcap_blocks(path, self)
         else:
             from tipforce.host.logs.library_formats import message_blocks
 
