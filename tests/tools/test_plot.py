@@ -105,13 +105,6 @@ def test_a_gap_survives_the_growth_of_bins() -> None:
     assert np.count_nonzero(starts) == 2
 
 
-def test_nothing_known_is_no_line() -> None:
-    trace = Trace(T0)
-    trace.add(times(3), np.full(3, NAN))
-    assert trace.line() is None
-    assert trace.unknown == 3
-
-
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(1.0, 120.0), st.integers(1, 5))
 def test_an_angle_never_jumps(seed: int, step_deg: float, parts: int) -> None:

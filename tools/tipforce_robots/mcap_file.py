@@ -194,7 +194,6 @@ _OUTLINE = [
 ]  # fmt: skip
 """The half circle of the tip, the horizontal beam below it, and the vertical beam, in one line."""
 _GREY, _FORCE = {"r": 0.4, "g": 0.45, "b": 0.5, "a": 1.0}, {"r": 0.85, "g": 0.2, "b": 0.1, "a": 1.0}
-_HERE = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
 def _entity(t_ns: int, number: int, name: str, contact: tuple[float, float, float], status: int) -> dict[str, Any]:
@@ -245,6 +244,5 @@ def _arrow(x_m: float, contact: tuple[float, float, float]) -> dict[str, Any]:
 
 
 def _pose(x_m: float, y_m: float, turn_rad: float = 0.0) -> dict[str, Any]:
-    half = 0.5 * turn_rad
-    orientation = {**_HERE, "z": math.sin(half), "w": math.cos(half)}
+    orientation = {"x": 0.0, "y": 0.0, "z": math.sin(0.5 * turn_rad), "w": math.cos(0.5 * turn_rad)}
     return {"position": {"x": x_m, "y": y_m, "z": 0.0}, "orientation": orientation}

@@ -86,10 +86,9 @@ def run(args: argparse.Namespace) -> int:
     if args.assignments and getattr(args, "channel", None):
         raise InputError("-c and WRITE=LOG: allowed is one of them: -c sends all frames to one bus")
     parser = CandumpParser(strict=args.strict)
-    late_s = 0.0
+    late_s, started = 0.0, True
     with StopSignals() as stop, ExitStack() as opened:
-        buses = Buses(args, opened)
-        start_s, started = time.monotonic(), True
+        buses, start_s = Buses(args, opened), time.monotonic()
         try:
             for due_s, name, frame in _frames(args, parser):
                 while (rest_s := start_s + due_s - time.monotonic()) > 0 and not stop.stopped:

@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from tipforce.errors import InputError, LogError
 from tipforce.host.frames.frame_array import MAX_CHANNELS
-from tipforce.host.logs import mcap_frames, unpacking
+from tipforce.host.logs import captures, unpacking
 from tipforce.host.logs.reader import open_log
 from tipforce_tools.cli.main import main
 
@@ -60,7 +60,7 @@ def mcap(path: Path, kind: CompressionType, message: bytes) -> None:
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=1, compression=kind)
         writer.start()
-        schema = writer.register_schema(mcap_frames.SCHEMA, "ros2msg", b"")
+        schema = writer.register_schema(captures.SCHEMA, "ros2msg", b"")
         channel = writer.register_channel("can0", "cdr", schema)
         writer.add_message(channel, 0, message, 0)
         writer.finish()  # type: ignore[no-untyped-call]

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from host.bus_with_nodes import connected, finger, new_channel
+from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.sensor.contact.estimate import force_vector
@@ -161,10 +161,7 @@ def test_calibration_equals_estimate(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 def test_calibration_without_readings_is_missing(tmp_path: Path) -> None:
-    cal = tmp_path / "cal.toml"
-    write_calibration(
-        cal, Calibration(calibration_matrix(FABRICATED, "I"), np.zeros(3), 1e-12 * np.eye(3), layout_code=1, pull=True)
-    )
+    write_calibration(cal := tmp_path / "cal.toml", beam_calibration(pull=True))
     frames = ["185#0080008000800A01", "185#640064006400070A", "186#6400640064000301", "185#640064006400030B"]
     lines = [f"(1700000000.{k:06d}) can0 {frame}" for k, frame in enumerate(frames)]
     assert decode(write_log(tmp_path / "a.log", lines), "--calibration", f"5={cal}", "-o", tmp_path / "a.csv") == 0

@@ -215,9 +215,9 @@ def test_a_cluster_whose_worker_is_killed(tmp_path: Path, lines: list[str]) -> N
     assert pq.read_table(tmp_path / "one.parquet").num_rows == len(rows_of_logs(log))
 
 
-def killed_runs(tmp_path: Path, lines: list[str], instants: int, seed: int) -> None:
-    """Append to a dataset in a process that is killed; then look at it, and complete it."""
-    order = random.Random(seed)
+def test_a_run_that_is_killed_is_completed(tmp_path: Path, lines: list[str]) -> None:
+    """Append to a dataset in a process that is killed; then look at it, and complete it. Many instants: `make long`."""
+    order = random.Random(5)
     log = write_log(tmp_path / "run.log", lines)
     expected = rows_of_logs(log)
     code = (
@@ -226,7 +226,7 @@ def killed_runs(tmp_path: Path, lines: list[str], instants: int, seed: int) -> N
         "session._DATASET_PIECE_BYTES = 60_000\ndataset_run._COMMIT_S = 0.0\ndataset_run._COMMIT_SHARE = 0\n"
         "print('ready', flush=True)\nsys.stdin.readline()\nmain(sys.argv[1:])\nprint('done', flush=True)\n"
     )
-    for number in range(instants):
+    for number in range(int(os.environ.get("TIPFORCE_KILLS", "2"))):
         data = tmp_path / f"data-{number}"
         words = ["decode", "-q", str(log), "-o", f"{data}/", "-j", str(order.choice([1, 2]))]
         with subprocess.Popen(
@@ -247,11 +247,6 @@ def killed_runs(tmp_path: Path, lines: list[str], instants: int, seed: int) -> N
         while globbed(data) != {file.path for file in opened(str(data))[1].files()} and time.monotonic() < deadline:
             time.sleep(0.2)  # a worker of the killed run writes its last file
             assert decode(log, "-o", f"{data}/", "-j", 1) == 0
-
-
-def test_a_run_that_is_killed_is_completed(tmp_path: Path, lines: list[str]) -> None:
-    """A hundred instants: `make long`."""
-    killed_runs(tmp_path, lines, int(os.environ.get("TIPFORCE_KILLS", "2")), 5)
 
 
 def test_two_calibrations(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -21,7 +21,6 @@ from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.logs.reader import open_log
 from tipforce.samples import reasons
 from tipforce.watching.watcher import Finger
-from tipforce_robots.ros2 import cdr
 from tipforce_tools.cli.main import main
 from tipforce_tools.page.sources import LogSource
 from tools.decode.logs import START_US, decode, log_lines, number, rows_of, write_log
@@ -160,13 +159,6 @@ def test_plot_view_and_read_log_read_it(files: Path) -> None:
     assert len(a) == len(b) > 1100
     np.testing.assert_array_equal(a.contact, b.contact)
     assert main(["plot", "-q", str(files / "run.mcap"), "-o", str(files / "run.svg"), "--signals", "P"]) == 0
-
-
-def test_the_schemas_have_all_that_they_use() -> None:
-    text = cdr.with_dependencies(cdr.DIAGNOSTICS)
-    assert [line.split()[1] for line in text.splitlines() if line.startswith("MSG: ")] == [
-        "std_msgs/Header", "diagnostic_msgs/DiagnosticStatus", "builtin_interfaces/Time", "diagnostic_msgs/KeyValue",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("flag", ["--signals=P", "--eds=a.eds", "--dbc=hand.dbc"])

@@ -54,8 +54,8 @@ def test_the_page_needs_nothing_that_its_policy_forbids() -> None:
 def test_no_other_file_can_be_named() -> None:
     with serving(MovingSource()) as server:
         for path in (
-            "/../command.py", "/..%2fcommand.py", "/static/../command.py", "//etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",
-            "/main.js/../../command.py", "/./main.js", "/etc/passwd", "/main.js%00.html", "\\..\\command.py",
+            "/../model.py", "/..%2fmodel.py", "/static/../model.py", "//etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",
+            "/main.js/../../model.py", "/./main.js", "/etc/passwd", "/main.js%00.html", "\\..\\model.py",
         ):  # fmt: skip
             assert get(server, path)[0] == 404, path
 

@@ -15,14 +15,10 @@ from tipforce_tools.cli.listening import counted
 if TYPE_CHECKING:
     from tipforce.host.dataset.manifest import Manifest
 
-EPILOG = """\
-DIR: a directory, or a URL that fsspec opens. Exit code 1: a file is missing or damaged.
-"""
-
 
 def add_show_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `tipforce dataset show`, and of verify and compact."""
-    parser.epilog = EPILOG
+    parser.epilog = "DIR: a directory, or a URL that fsspec opens. Exit code 1: a file is missing or damaged.\n"
     parser.add_argument("directory", metavar="DIR", help="of `tipforce decode -o DIR/`")
     common.add_output_arguments(parser)
 
@@ -59,9 +55,6 @@ def run_compact(args: argparse.Namespace) -> int:
     files = len(manifest.files())
     common.note(f"{store.name}: {files} files are {len(compact(store).files())} now")
     return 0
-
-
-_MB = 1_000_000
 
 
 def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str, Any]:
@@ -132,7 +125,7 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
     found = record(store, manifest, wrong)
     yield (
         f"{store.name}: {found['rows']} samples, {found['lost']} lost, {found['files']} files, "
-        f"{found['bytes'] / _MB:.1f} MB, generation {manifest.generation}"
+        f"{found['bytes'] / 1e6:.1f} MB, generation {manifest.generation}"
     )
     for node in found["nodes"]:
         first, last = (_utc(round(node[name] * 1000)) for name in ("first_s", "last_s"))

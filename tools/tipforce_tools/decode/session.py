@@ -36,15 +36,7 @@ from tipforce_tools.cli.main import INTERRUPTED
 from tipforce_tools.decode import summary as summaries
 from tipforce_tools.decode.resample import steps_of
 from tipforce_tools.writing.text_rows import COUNTER, NODE, TIME
-from tipforce_tools.writing.writers import (
-    KINDS,
-    JoinedFile,
-    Shape,
-    StreamWriter,
-    check_format,
-    format_of,
-    is_directory,
-)
+from tipforce_tools.writing.writers import KINDS, JoinedFile, Shape, StreamWriter, check_format, format_of, is_directory
 
 if TYPE_CHECKING:
     from tipforce_tools.decode.workers import Sink, Workers

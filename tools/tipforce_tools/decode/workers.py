@@ -11,6 +11,7 @@ import multiprocessing
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, field
 from itertools import chain
 from multiprocessing import connection
@@ -187,7 +188,7 @@ class InOrder:
         if told.state is not None and told.notes is not None and number == self._followed:
             events = len(self._recording.told.bus.found)
             self._recording.resume(told.state, told.notes, told.services)
-            self._shape = told.shape.copy()
+            self._shape = copy(told.shape)
             self._passed(number, told.notes, events)
             self._alone = False
 
@@ -205,7 +206,7 @@ class InOrder:
             else:
                 self._shape.take(columns, self._recording.channels)
                 self._passed(number, ends.notes, events)
-            self._workers.write(number, before, not self._alone, self._shape.copy(), last)
+            self._workers.write(number, before, not self._alone, copy(self._shape), last)
 
     def _passed(self, number: int, notes: Notes, events: int) -> None:
         """Note what the recording knows after a part, which had so many ``events`` before it."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack
 from functools import partial
+from io import FileIO
 from pathlib import Path
 from select import select as readable
 from typing import Any
@@ -28,6 +27,7 @@ from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.live.targets import STDIN, Target, select, split_targets
 from tipforce.host.logs.candump import BadLineError, CandumpParser, text_blocks
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
+from tipforce.host.logs.lines import open_file
 from tipforce.host.logs.notes import DROPPED, TEXT, LogNotes, no_frame
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import Hints, check_sync, counted, open_targets
@@ -137,21 +137,13 @@ def dump(args: Namespace) -> int:
 def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...], session: Session) -> int:
     parser = CandumpParser(strict=args.strict)
     notes = parser.notes
-    with ExitStack() as opened:
-        if source == STDIN:
-            descriptor = sys.stdin.fileno()
-        else:
-            try:
-                descriptor = os.open(source, os.O_RDONLY)
-            except OSError as error:
-                raise InputError(f"{source}: {error.strerror}") from error
-            opened.callback(os.close, descriptor)
+    with FileIO(sys.stdin.fileno(), closefd=False) if source == STDIN else open_file(Path(source)) as file:
 
-        def read(count: int) -> bytes:
+        def read(count: int) -> bytes | None:
             """Return what has arrived; nothing after --timeout without it."""
             waits = args.timeout_ms is not None
-            ready = not waits or readable([descriptor], [], [], args.timeout_ms / 1000)[0]
-            return os.read(descriptor, count) if ready else b""
+            ready = not waits or readable([file], [], [], args.timeout_ms / 1000)[0]
+            return file.read(count) if ready else b""
 
         frames = 0
         try:

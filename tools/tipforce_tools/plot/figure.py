@@ -23,7 +23,7 @@ from tipforce.output_file import FIGURES, check_output, figure_kind, save_figure
 from tipforce.samples.reasons import BY_NAME
 from tipforce_tools.cli import common, log_choice
 from tipforce_tools.cli.listening import counted
-from tipforce_tools.plot.fingers import Finger, Fingers, Line
+from tipforce_tools.plot.fingers import HATCHES, Finger, Fingers, Line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,11 +38,6 @@ _TITLES = {"P": "P", "phi": "phi", "theta": "theta", "force": "force", "gauges":
 _UNITS = {"degree": "deg", "microstrain": "microstrain", "degC": "deg C"}
 _STYLES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (3, 3)), (0, (1, 3)), (0, (8, 2)))
 _INK = ("#0b4f8a", "#a33c00", "#2b6a30", "#5b2a86", "#333333", "#8a6d00", "#00707a", "#91003f")
-_HATCHES = {
-    "contact": "", "not calibrated": "xx", "saturated": "//", "stale": "\\\\", "theta_unresolved": "..",
-    "misses_tip": "++", "outside_pad": "oo", "fault": "xx", "beyond_first_order": "..",
-}  # fmt: skip
-"""By name of a flag, in the order of the strip; others follow."""
 _LEGEND_COLUMNS = 4
 _EPOCH_NS = 10**17  # 1973; earlier times are not dates
 LOST = "lost samples"
@@ -217,8 +212,8 @@ def _frame(fingers: Sequence[Finger], recording: Fingers) -> _Frame:
                 ends.setdefault(panel_of(signal), []).extend((float(np.nanmin(line.y)), float(np.nanmax(line.y))))
     circles = {panel for panel, of_panel in ends.items() if max(of_panel) - min(of_panel) >= TURN}
     happened = {name for finger in fingers for flags in finger.flags.values() for name in flags.bars()}
-    names = [name for name in _HATCHES if name in happened or name == "contact"] + sorted(happened - {*_HATCHES})
-    bars = [(name, BY_NAME.get(name, name.replace("_", " ")), _HATCHES.get(name, "xx")) for name in names]
+    names = [name for name in HATCHES if name in happened or name == "contact"] + sorted(happened - {*HATCHES})
+    bars = [(name, BY_NAME.get(name, name.replace("_", " ")), HATCHES.get(name, "xx")) for name in names]
     if any(finger.lost.total for finger in fingers):
         bars.append((LOST, LOST, ""))
     banded = any(trace.banded for finger in fingers for trace in finger.traces.values())

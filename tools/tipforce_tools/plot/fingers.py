@@ -247,7 +247,7 @@ class Finger:
                 u = self._uncertainty(table, columns, signal, rows, t_ns)
                 self.traces[signal].add(t_ns[there], values.astype(np.float64)[there], None if u is None else u[there])
         for group in ("status", "health"):  # at different times: status with each sample, faults with TPDO4
-            chosen = {name: both for name, both in flags.items() if (name in _STATUS) == (group == "status")}
+            chosen = {name: both for name, both in flags.items() if (name in HATCHES) == (group == "status")}
             if chosen:
                 kept = np.logical_or.reduce([there for _, there in chosen.values()])
                 collected = self.flags.setdefault(group, Flags(self._start_ns))
@@ -284,12 +284,11 @@ class Finger:
         return np.where(t_ns - times <= _HELD_NS, held, np.nan)
 
 
-_STATUS = frozenset(
-    {
-        "contact", "not calibrated", "saturated", "stale", "theta_unresolved", "misses_tip", "outside_pad", "fault",
-        "beyond_first_order",
-    }
-)  # fmt: skip
+HATCHES = {
+    "contact": "", "not calibrated": "xx", "saturated": "//", "stale": "\\\\", "theta_unresolved": "..",
+    "misses_tip": "++", "outside_pad": "oo", "fault": "xx", "beyond_first_order": "..",
+}  # fmt: skip
+"""By name of a flag of the status, in the order of the strip; others follow."""
 
 
 class Fingers:

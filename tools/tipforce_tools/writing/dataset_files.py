@@ -188,9 +188,7 @@ def _runs(manifest: Manifest, parts: list[Part]) -> list[list[Part]]:
 
 
 def _part(run: list[Part], files: list[DataFile], name: str) -> Part:
-    bad = Counter[str]()
-    for part in run:
-        bad.update(part.bad)
+    bad: Counter[str] = sum((Counter(part.bad) for part in run), Counter())
     return msgspec.structs.replace(
         run[0], id=name, end=run[-1].end, frames=sum(part.frames for part in run), bad=dict(bad),
         files=[file for file in files if not _of_events(file.path)],

@@ -96,8 +96,12 @@ def column_cells(column: Column, values: Values) -> Cells:
         return real_cells(values, column.digits)
     if column.kind == "flag":
         return np.where(values == NO_FLAG, 0, values + ord("0")).astype(np.uint8)[:, np.newaxis]
-    cells = whole_cells(np.where(is_missing(column, values), 0, values).astype(np.int64))
-    cells[is_missing(column, values)] = 0
+    return _known_cells(values, is_missing(column, values))
+
+
+def _known_cells(values: Values, missing: npt.NDArray[np.bool_]) -> Cells:
+    cells = whole_cells(np.where(missing, 0, values).astype(np.int64))
+    cells[missing] = 0
     return cells
 
 
@@ -171,21 +175,17 @@ def channel_names(table: Table, quoted: bool = False) -> Cells:
     return word_cells(np.array([name.encode() for name in names])[table.channel])
 
 
-def base_cells(table: Table, name: str) -> tuple[Cells, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+def base_cells(table: Table, name: str) -> tuple[Cells, npt.NDArray[np.bool_]]:
     """Return (cells, mask of missing values) of one of the columns that every table has."""
     nothing = np.zeros(len(table), dtype=np.bool_)
     if name == TIME:
-        if not table.timed:
-            return np.zeros((len(table), 1), dtype=np.uint8), ~nothing
-        return time_cells(table.t_ns), nothing
+        return (time_cells(table.t_ns), nothing) if table.timed else (np.zeros((len(table), 1), np.uint8), ~nothing)
     if name == NODE:
         return whole_cells(table.node.astype(np.int64)), nothing
     if name == CHANNEL:
         return channel_names(table), nothing
     missing = table.counter == NO_COUNTER
-    found = whole_cells(np.where(missing, 0, table.counter))
-    found[missing] = 0
-    return found, missing
+    return _known_cells(table.counter, missing), missing
 
 
 def name_of(column: Column | str) -> str:

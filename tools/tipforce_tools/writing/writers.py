@@ -66,12 +66,6 @@ class Shape:
         """Of the rows before it."""
         self._begun = False
 
-    def copy(self) -> Shape:
-        """Return a shape that grows on its own."""
-        found = Shape(self.base)
-        found.columns, found.channel, found._begun = self.columns, self.channel, self._begun
-        return found
-
     def fits(self, table: Table) -> bool:
         """Add the columns of a table as ``take`` does."""
         return self.take(table.columns, table.channels)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -97,12 +98,8 @@ def tally(manifest: Manifest) -> Tally:
 
 def notes(name: str, manifest: Manifest) -> Notes:
     """Return the counts of frames and bad lines of all parts."""
-    total = Notes(name)
-    for part in manifest.parts:
-        total.frames += part.frames
-        for reason, count in part.bad.items():
-            total.bad[reason] = total.bad.get(reason, 0) + count
-    return total
+    bad: Counter[str] = sum((Counter(part.bad) for part in manifest.parts), Counter())
+    return Notes(name, sum(part.frames for part in manifest.parts), dict(bad))
 
 
 def tables(name: str, reading: Reading) -> Iterator[Table]:

@@ -119,7 +119,8 @@ class CandumpParser:
                 return None
             is_fd, flags, length, data = _screen_payload(match)
         t_ns = None if match["stamp"] is None else self._time(match["stamp"])
-        can_id, number, sent = _identifier(match["id"]), self._number(match["name"]), match["way"] == "T"
+        can_id, number = _identifier(match["id"]), self._number(match["name"])
+        sent = match["way"] == "T"
         if is_fd:
             self.notes.skip(FD)
             return FdFrame(0, -1 if t_ns is None else t_ns, can_id, flags, data, number, sent)
@@ -245,11 +246,13 @@ def _identifier(text: str) -> int:
     if _HEX.fullmatch(text) is None or len(text) not in {3, 8}:
         raise ValueError("identifier")
     can_id = int(text, 16)
+    if len(text) == 3 and can_id <= STANDARD_MASK:
+        return can_id
+    if len(text) == 8 and can_id <= EXTENDED_MASK:
+        return can_id | EXTENDED_FLAG
     if len(text) == 8 and can_id & ERROR_FLAG and can_id <= ERROR_FLAG | EXTENDED_MASK:
         return can_id
-    if can_id > (STANDARD_MASK if len(text) == 3 else EXTENDED_MASK):
-        raise ValueError("identifier")
-    return can_id if len(text) == 3 else can_id | EXTENDED_FLAG
+    raise ValueError("identifier")
 
 
 _Payload = tuple[bool, int, int, bytes]  # is CAN FD, its flags or the remote flag, length, data
@@ -265,8 +268,8 @@ def _log_payload(text: str) -> _Payload:
     match = (_LOG_FD_DATA if is_fd else _LOG_DATA).fullmatch(text)
     if match is None:
         raise ValueError("data")
-    data = bytes.fromhex(match[match.re.groups].replace(".", ""))
-    if len(data) not in LENGTHS or (len(data) > 8 and not is_fd):
+    data = bytes.fromhex(match[2 if is_fd else 1].replace(".", ""))
+    if len(data) > 8 and not (is_fd and len(data) in LENGTHS):
         raise ValueError("length")
     return is_fd, int(match[1], 16) if is_fd else 0, len(data), data
 

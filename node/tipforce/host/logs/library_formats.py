@@ -18,7 +18,7 @@ from canopen_device.can_frame import raw_can_id
 from tipforce.errors import EnvironmentLackError, LogError, TipforceError
 from tipforce.host.frames.frame_array import PACK_FRAME, SENT, FrameArray
 from tipforce.host.logs.lines import open_file, row_blocks
-from tipforce.host.logs.notes import FD, UNREADABLE, LogNotes
+from tipforce.host.logs.notes import FD, UNREADABLE, LogNotes, suffix_of
 from tipforce.host.logs.unpacking import BoundedLines, Expansion, decompressed, unpacked_chunk
 
 _OBJECT = struct.Struct("<4sHHII")  # of BLF: signature, length of the header, version, length, type
@@ -57,8 +57,7 @@ def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
 
 def message_reader(path: Path) -> Any:
     """Return python-can's reader of a file that unpacks within limits: what it gets are bounded lines or containers."""
-    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
-    suffix = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) == 2 else suffixes[-1]
+    suffix, _ = suffix_of(path)
     kind = {".asc": can.ASCReader, ".csv": can.CSVReader, ".trc": can.TRCReader}.get(suffix)
     if suffix == ".db":
         _check_table(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -96,6 +97,14 @@ class LogNotes:
 
 MESSAGE_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")
 """Formats that python-can reads; each may be followed by .gz."""
+
+
+def suffix_of(path: Path) -> tuple[str, bool]:
+    """Return `.log` and True for run.LOG.gz: the suffix in lower case, and whether .gz follows it."""
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    zipped = suffixes[-1:] == [".gz"]
+    return "".join(suffixes[:-1][-1:] if zipped else suffixes[-1:]), zipped
+
 
 TEXT = "candump text (candump -L, tipforce log)"
 PACKED = "that text packed with gzip or zstd"

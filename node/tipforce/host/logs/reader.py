@@ -12,7 +12,7 @@ from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.lines import LineBlocks, never, open_file
-from tipforce.host.logs.notes import MESSAGE_SUFFIXES, LogNotes
+from tipforce.host.logs.notes import MESSAGE_SUFFIXES, LogNotes, suffix_of
 from tipforce.host.logs.unpacking import first_bytes
 
 STDIN = "-"
@@ -65,14 +65,10 @@ class LogReader(LogNotes):
             self._lines = LineBlocks(path, notes, follow, part, stop)
             blocks = _text_blocks(self._lines, notes, deltas)
             self._blocks = self._read_ahead(blocks, notes) if ahead else blocks
-        elif kind == "mcap":
-            from tipforce.host.logs.mcap_frames import mcap_blocks
+        elif kind in {"mcap", "pcap"}:
+            from tipforce.host.logs.captures import mcap_blocks, pcap_blocks
 
-            self._blocks = mcap_blocks(path, self)
-        elif kind == "pcap":
-            from tipforce.host.logs.pcap import pcap_blocks
-
-            self._blocks = pcap_blocks(path, self)
+            self._blocks = mcap_blocks(path, self) if kind == "mcap" else pcap_blocks(path, self)
         else:
             from tipforce.host.logs.library_formats import message_blocks
 
@@ -161,7 +157,4 @@ def log_kind(path: Path) -> str:
         return "pcap"
     if start.startswith(MCAP_MAGIC):
         return "mcap"
-    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
-    if suffixes[-1:] == [".gz"]:
-        suffixes.pop()
-    return "messages" if suffixes and suffixes[-1] in MESSAGE_SUFFIXES else "text"
+    return "messages" if suffix_of(path)[0] in MESSAGE_SUFFIXES else "text"

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeAlias
 
 from tipforce.errors import EnvironmentLackError, InputError, WriteError
+from tipforce.host.logs.notes import suffix_of
 from tipforce.output_file import check_output
 
 if TYPE_CHECKING:
@@ -90,7 +91,6 @@ class Recorder:
 
 
 _CANDUMP = ".log"
-_ZIP = ".gz"
 _ZIP_FLUSH_S = 1.0  # each flush costs compression
 _DRAIN_S = 60.0
 
@@ -102,9 +102,7 @@ def open_writer(path: Path) -> LogWriter:
 
 def format_suffix(path: Path) -> str:
     """Return `.log` for run.log and run.log.gz. Raises InputError for a format that cannot be written."""
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    zipped = suffixes[-1:] == [_ZIP]
-    suffix = "".join(suffixes[:-1][-1:] if zipped else suffixes[-1:])
+    suffix, zipped = suffix_of(path)
     if suffix == _CANDUMP:
         return suffix
     from can.io.logger import MESSAGE_WRITERS
@@ -126,7 +124,7 @@ class CandumpWriter:
 
         # Names are not aligned: the width would change with a longer one.
         self._format = CandumpFormat(log=True, align=False)
-        zipped = path.suffix.lower() == _ZIP
+        zipped = suffix_of(path)[1]
         self._file: BufferedIOBase = gzip.GzipFile(path, "wb", compresslevel=6) if zipped else path.open("wb")
         self._flush_every_s = _ZIP_FLUSH_S if zipped else 0.0
         self._flushed_s = time.monotonic()

@@ -1,23 +1,26 @@
-"""Read CAN frames from pcap and pcapng files, as Wireshark, tcpdump and dumpcap record them from SocketCAN.
+"""Read CAN frames from captures: pcap and pcapng of SocketCAN (Wireshark, tcpdump, dumpcap), and MCAP (ROS 2).
 
 Link types: 227 (SocketCAN: CAN ID in network byte order, length, then the data) and Linux' cooked captures of the
 pseudo interface "any", 113 and 276, of the protocols 000Ch (CAN) and 000Dh (CAN FD). Formats as in the drafts of the
-IETF opsawg: pcap file format, PCAP Next Generation.
+IETF opsawg: pcap file format, PCAP Next Generation. In MCAP: can_msgs/Frame, as ros2_socketcan and `tipforce decode`
+write it.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from io import BufferedReader, FileIO
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
-from canopen_device.core.codes import REMOTE_FLAG
-from tipforce.errors import InputError
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce.host.frames.frame_array import PACK_FRAME, FrameArray
 from tipforce.host.logs.lines import open_file, row_blocks
 from tipforce.host.logs.notes import FD, LogNotes
+from tipforce.host.logs.unpacking import MOST_CHUNK_BYTES, Expansion, unpacked_chunk
 
 SOCKETCAN, COOKED, COOKED_2 = 227, 113, 276
 _CAN, _CAN_FD = 0x000C, 0x000D
@@ -27,7 +30,7 @@ _SECTION, _INTERFACE, _SIMPLE, _ENHANCED = 0x0A0D0D0A, 1, 3, 6
 _BYTE_ORDER_MAGIC = 0x1A2B3C4D
 _NAME_OPTION, _RESOLUTION_OPTION = 2, 9
 _LONGEST_BLOCK = 1 << 20
-_HEAD = struct.Struct(">IBB")
+_SOCKETCAN_HEAD = struct.Struct(">IBB")
 _UNIT_OF_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}  # ns per unit of the fraction
 
 
@@ -52,10 +55,10 @@ def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
         magic = int.from_bytes(file.peek(4)[:4], "little")
         order = "<" if magic in _UNIT_OF_MAGIC else ">"
         packets = _pcapng(file, path, notes) if magic == _SECTION else _pcap(file, order, path, notes)
-        yield from row_blocks(path, (_row(packet, path, notes) for packet in packets), notes)
+        yield from row_blocks(path, (_packet_row(packet, path, notes) for packet in packets), notes)
 
 
-def _row(packet: _Packet, path: Path, notes: LogNotes) -> bytes:
+def _packet_row(packet: _Packet, path: Path, notes: LogNotes) -> bytes:
     """Return a packet as the bytes of a FRAME; empty for CAN FD, and for what is not a CAN frame, which is noted."""
     t_ns, interface, data = packet
     is_fd, is_can = False, interface.link == SOCKETCAN
@@ -64,7 +67,7 @@ def _row(packet: _Packet, path: Path, notes: LogNotes) -> bytes:
         protocol = int.from_bytes(data[start : start + 2], "big")
         data, is_fd, is_can = data[size:], protocol == _CAN_FD, protocol in {_CAN, _CAN_FD}
     if is_can and len(data) >= 8:
-        can_id, length, flags = _HEAD.unpack_from(data)
+        can_id, length, flags = _SOCKETCAN_HEAD.unpack_from(data)
         if is_fd or flags & _FD_FLAG or len(data) == _FD_BYTES:
             notes.skip(FD)
             return b""
@@ -144,3 +147,79 @@ def _exactly(file: _File, count: int) -> bytes:
     if len(data) < count:
         raise ValueError("the end of the last packet is missing")
     return data
+
+
+SCHEMA = "can_msgs/msg/Frame"
+_HEAD = {0: struct.Struct(">iII"), 1: struct.Struct("<iII")}  # stamp, length of frame_id; by the byte order of CDR
+_REST = {0: struct.Struct(">I???B8s"), 1: struct.Struct("<I???B8s")}
+_CDR_HEADER = 4
+
+
+def mcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
+    """Yield blocks of frames in the order of the file. A damaged file is noted as bad.
+
+    Raises EnvironmentLackError without the package mcap, LogError for a file that has no CAN frames.
+    """
+    try:
+        from mcap.stream_reader import StreamReader
+    except ImportError:
+        raise EnvironmentLackError(f"{path} is MCAP: `pip install 'tipforce[mcap]'`") from None
+    empty = True
+    with path.open("rb") as stream:
+        reader = StreamReader(stream, emit_chunks=True, record_size_limit=MOST_CHUNK_BYTES)
+        messages = _messages(reader.records, path)
+        for block in row_blocks(path, (_message_row(path, notes, *message) for message in messages), notes):
+            empty = False
+            yield block
+    if empty and not notes.bad:
+        raise LogError(f"{path}: no CAN frames ({SCHEMA}) in it; `tipforce decode run.log -o run.mcap` writes them")
+
+
+def _messages(records: Iterable[Any], path: Path) -> Iterator[tuple[str, int, bytes]]:
+    from mcap.records import Channel, Message, Schema
+
+    schemas: dict[int, str] = {}
+    topics: dict[int, str] = {}
+    for record in _unpacked(records, path):
+        if isinstance(record, Schema):
+            schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            if schemas.get(record.schema_id) == SCHEMA and record.message_encoding == "cdr":
+                topics[record.id] = record.topic
+        elif isinstance(record, Message) and record.channel_id in topics:
+            yield topics[record.channel_id], record.log_time, record.data
+
+
+def _unpacked(records: Iterable[Any], path: Path) -> Iterator[Any]:
+    """Yield the records in the chunks, too; mcap itself unpacks a chunk to any size."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import breakup_chunk
+
+    expansion, packed_bytes = Expansion(str(path)), 0
+    for record in records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        packed_bytes += len(record.data)
+        if record.compression:
+            content = unpacked_chunk(str(path), record.compression, record.data)
+            expansion.take(packed_bytes, len(content))
+            yield from breakup_chunk(replace(record, compression="", data=content))
+        else:
+            yield from breakup_chunk(record)
+
+
+def _message_row(path: Path, notes: LogNotes, topic: str, log_time_ns: int, data: bytes) -> bytes:
+    """Return one FRAME. Raises struct.error and IndexError for a message that is too short."""
+    order = data[1] & 1
+    sec, nanosec, size = _HEAD[order].unpack_from(data, _CDR_HEADER)
+    start = _CDR_HEADER + _HEAD[order].size
+    name = data[start : start + size - 1].decode() or topic
+    end = start + size
+    can_id, remote, extended, error, length, payload = _REST[order].unpack_from(data, end + -end % 4)
+    channel = notes.channel(name, path)
+    if channel is None:
+        return b""
+    can_id |= (EXTENDED_FLAG if extended else 0) | (REMOTE_FLAG if remote else 0) | (ERROR_FLAG if error else 0)
+    t_ns = sec * 1_000_000_000 + nanosec
+    return PACK_FRAME(t_ns or log_time_ns, can_id, min(length, 8), channel, 0, payload)
