@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,7 +11,6 @@ import numpy.typing as npt
 from canopen_device.core.codes import SYNC_COB_ID
 from tipforce.arrays import IntArray, occurring
 from tipforce.host.decoding.decoder import Samples, lost_samples, unwrap_counter
-from tipforce.host.decoding.health_rows import with_channel
 from tipforce.host.decoding.sample_rule import COUNTER, SAMPLES, SlotCount, follows_sync, lost_between
 from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
 from tipforce.host.frames.frame_array import FrameArray
@@ -110,8 +109,6 @@ class Counters:
     def __init__(self, last: Mapping[int, tuple[int, int]] | None = None) -> None:
         """``last``: by key, unwrapped and as sent."""
         self.last = dict(last or {})
-        self.first: dict[int, tuple[int, int]] = {}
-        """By key as sent, and its modulus, where ``last`` had none."""
 
     def unwrapped(self, table: Table) -> Table:
         """Return the table with each node's counter continued from its first value.
@@ -142,22 +139,10 @@ class Counters:
         for start, end in zip(starts.tolist(), ends, strict=True):
             of, first = int(key[start]), int(sent[start])
             last = self.last.get(of)
-            if last is None:
-                self.first[of] = first, modulus
             begin = first if last is None else last[0] + (first - last[1]) % modulus
             counts[start:end] += begin - int(counts[start])
             self.last[of] = int(counts[end - 1]), int(sent[end - 1])
         return counts
-
-    def skip(
-        self, first: Mapping[int, tuple[int, int]], last: Mapping[int, tuple[int, int]], numbers: Sequence[int]
-    ) -> None:
-        """Take ``first`` and ``last`` of a part that was unwrapped by itself; ``numbers``: of its channels here."""
-        for key, (unwrapped, sent) in last.items():
-            place, (begun, modulus) = with_channel(key, numbers), first[key]
-            before = self.last.get(place)
-            shift = 0 if before is None else before[0] + (begun - before[1]) % modulus - begun
-            self.last[place] = unwrapped + shift, sent
 
 
 def modulus_of(table: Table, key: int) -> int:

@@ -17,7 +17,7 @@ from tipforce.dictionary.entries import gauges_of
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import MAX_COB_ID, Decoder, Key
-from tipforce.host.decoding.health_rows import SERVICES
+from tipforce.host.decoding.health import SERVICES
 from tipforce.host.frames.frame_array import FRAME
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ class Layouts:
     def decoder(self, services: bool = False) -> Decoder:
         """Return a separate decoder for each bus. Raises InputError for incompatible layouts.
 
-        ``services``: of EMCY and heartbeats too (health_rows), except for a DBC.
+        ``services``: of EMCY and heartbeats too (``health``), except for a DBC.
         """
         if self.dbc is not None:
             wanted = None if self.nodes is None else {*self.nodes}
