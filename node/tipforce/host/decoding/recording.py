@@ -126,8 +126,7 @@ class Recording:
         self._counters, self._health = Counters(state.counters), HealthRows(self.reading.signals, state.health)
         for key in state.sampled:
             self._health.sampled[key] = self.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
-        self.told.tally, merger.tally = Tally(), Tally()
-        self.told.tally.set_rows(state.tally, state.short)
+        self.told.tally, merger.tally = Tally.of_rows(state.tally, state.short), Tally()
 
     def state(self) -> State:
         """Return what the next part of the recording depends on."""

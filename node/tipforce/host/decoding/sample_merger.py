@@ -35,11 +35,6 @@ class OpenRows(NamedTuple):
     number: npt.NDArray[np.int64]
     syncs: list[tuple[int, int, int, int]]
 
-    @classmethod
-    def none(cls) -> OpenRows:
-        """Return those of a merger that has seen nothing."""
-        return cls(np.zeros(0, dtype=FRAME), np.zeros(0, dtype=np.int64), [])
-
     def renumbered(self, numbers: Sequence[int]) -> OpenRows:
         """Return them with other ``numbers`` of the channels."""
         syncs = [(numbers[k], modulus, largest, last) for k, modulus, largest, last in self.syncs]
@@ -206,7 +201,7 @@ class SampleMerger:
         spans = {group: slice(low, high) for group, low, high in joined.spans}
         for number, counts in self._in_turn(joined.counts):
             for count in counts:
-                self.tally.add(self._place(count.slot), count, int(layouts["modulus"][count.slot]))
+                self.tally.add(self._place(count.slot), *count[1:], int(layouts["modulus"][count.slot]))
             group, span = self._slots.groups[number], spans.get(number, slice(0, 0))
             for signal in group.signals if not group.columns else ():
                 column = column_of(signal)

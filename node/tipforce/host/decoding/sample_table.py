@@ -18,6 +18,7 @@ BoolArray = npt.NDArray[np.bool_]
 NO_COUNTER = -1
 NO_FLAG = -1
 NO_INTEGER = np.iinfo(np.int64).min
+_MISSING = {"flag": np.int8(NO_FLAG), "integer": np.int64(NO_INTEGER), "real": np.float64(math.nan)}
 NODE_BITS = 7
 """A key is channel << NODE_BITS | node-id: it separates nodes of two buses."""
 
@@ -156,17 +157,9 @@ def in_order(columns: Iterable[Column], asked: Sequence[str] | None = None) -> t
 
 def missing_of(column: Column, count: int) -> Values:
     """Return ``count`` missing values."""
-    if column.kind == "flag":
-        return np.full(count, NO_FLAG, dtype=np.int8)
-    if column.kind == "integer":
-        return np.full(count, NO_INTEGER, dtype=np.int64)
-    return np.full(count, np.nan)
+    return np.full(count, _MISSING[column.kind])
 
 
 def is_missing(column: Column, values: Values) -> BoolArray:
     """Return which values are missing."""
-    if column.kind == "flag":
-        return np.asarray(values == NO_FLAG)
-    if column.kind == "integer":
-        return np.asarray(values == NO_INTEGER)
-    return np.asarray(np.isnan(values))
+    return np.isnan(values) if column.kind == "real" else np.asarray(values == _MISSING[column.kind])
