@@ -114,10 +114,7 @@ class Assembler:
     def service(self, can_id: int, t_ns: int, data: bytes) -> None:
         """Process an EMCY or a heartbeat, whose identifier is one of ``services``."""
         node_id, base = self.services[can_id]
-        if base == codes.EMCY_BASE:
-            self._health.emcy(node_id, t_ns, data)
-        elif data and data[0] & codes.NODE_ID_MASK == codes.INITIALISING:
-            self._health.boot(node_id, t_ns)
+        self._health.service(node_id, t_ns, base, data)
 
     def _take(self) -> Samples:
         """Return the complete samples."""

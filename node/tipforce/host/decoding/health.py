@@ -120,16 +120,14 @@ class Health:
         before, seen = self.now(node)
         self._tell(node, time, before & ~mask | faults, seen | mask)
 
-    def boot(self, node: int, time: int) -> None:
-        """A node that has booted tells each fault again."""
-        self._tell(node, time, 0, TOLD_BY_EMCY)
-
-    def emcy(self, node: int, time: int, data: bytes) -> None:
-        """An EMCY tells that a fault began or ended."""
-        if len(data) == EMCY_LENGTH:
+    def service(self, node: int, time: int, base: int, data: bytes) -> None:
+        """Take an EMCY: a fault began or ended; or a heartbeat: a node that has booted tells each fault again."""
+        if base == EMCY_BASE and len(data) == EMCY_LENGTH:
             bit, is_set = of_emcy(data)
             faults, seen = self.now(node)
             self._tell(node, time, faults | bit if is_set else faults & ~bit, seen | bit)
+        elif base == HEARTBEAT_BASE and data and data[0] & NODE_ID_MASK == INITIALISING:
+            self._tell(node, time, 0, TOLD_BY_EMCY)
 
     def _tell(self, node: int, time: int, faults: int, seen: int) -> None:
         if (faults, seen) != self.now(node):
@@ -154,10 +152,8 @@ class Health:
             time = int(frames["t_ns"][row])
             if isinstance(what, int):
                 self.pdo(node, time, what)
-            elif function[row] == EMCY_BASE:
-                self.emcy(node, time, what)
-            elif what and what[0] & NODE_ID_MASK == INITIALISING:
-                self.boot(node, time)
+            else:
+                self.service(node, time, int(function[row]), what)
 
 
 EMCY, STATE = "emcy", "nmt_state"
@@ -253,10 +249,10 @@ class HealthRows:
         for row in np.flatnonzero(emcy | state | told).tolist():
             key, time = int(table.key[row]), int(place[row])
             if emcy[row]:
-                self._health.emcy(key, time, int(values[EMCY][row]).to_bytes(EMCY_LENGTH, "little", signed=True))
+                data = int(values[EMCY][row]).to_bytes(EMCY_LENGTH, "little", signed=True)
+                self._health.service(key, time, EMCY_BASE, data)
             elif state[row]:
-                if int(values[STATE][row]) & NODE_ID_MASK == INITIALISING:
-                    self._health.boot(key, time)
+                self._health.service(key, time, HEARTBEAT_BASE, bytes([int(values[STATE][row]) & 0xFF]))
             else:
                 faults = sum(1 << NAMES[name] for name in names if values[name][row] == 1)
                 self._health.pdo(key, time, faults, mask)

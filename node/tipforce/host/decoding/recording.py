@@ -169,8 +169,7 @@ class Recording:
 
     def finish(self) -> Iterator[Table]:
         """Yield the rows that are still open: the recording ends."""
-        table = self._merger.finish()
-        if table is not None:
+        for table in self._merger.finish():
             yield from self._finished(table)
         self._take_tally()
         if joins(self.reading.signals):

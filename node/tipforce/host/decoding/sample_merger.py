@@ -95,36 +95,30 @@ class SampleMerger:
 
     def tables(self, frames: FrameArray) -> Iterator[Table]:
         """Yield the samples that are complete now, apart where numbers of SYNCs begin or end, and layouts change."""
-        changes = self._changes(frames)
-        start = 0
-        cuts = {*self.sync.cuts(frames), *(row for row, _, _ in changes)} - {len(frames)}
-        for number, end in enumerate([*sorted(cuts), len(frames)]):
-            yield from self._part(frames[start:end], begins=number > 0)
-            here = [(decoder, change) for row, decoder, change in changes if row == end]
-            rest = self.finish() if here else None
-            if rest is not None:
-                yield rest
-            for decoder, change in here:
-                decoder.apply(change)
+        changes, start = self._changes(frames), 0
+        for end in [*sorted({*self.sync.cuts(frames), *changes} - {len(frames)}), len(frames)]:
+            if start:
+                yield from self.finish()
+            self.sync.look(frames[start:end])
+            yield from self._joined(frames[start:end])
+            if end in changes:
+                yield from self.finish()
+                for decoder, change in changes[end]:
+                    decoder.apply(change)
                 self._changed = True
             start = end
 
-    def _part(self, frames: FrameArray, *, begins: bool) -> Iterator[Table]:
-        rest = self.finish() if begins else None
-        self.sync.look(frames)
-        yield from (table for table in (rest, self.add(frames)) if table is not None)
-
-    def _changes(self, frames: FrameArray) -> list[tuple[int, Decoder, Change]]:
+    def _changes(self, frames: FrameArray) -> dict[int, list[tuple[Decoder, Change]]]:
         """Return the changes of all channels by their row."""
-        found: list[tuple[int, Decoder, Change]] = []
+        changes: dict[int, list[tuple[Decoder, Change]]] = {}
         for number in occurring(frames["channel"]) if self._follows else ():
             rows = np.flatnonzero(frames["channel"] == number)
             decoder = self._decoder(number)
-            found += [(int(rows[one.row - 1]) + 1, decoder, one) for one in decoder.changes(frames.take(rows))]
-        return found
+            for change in decoder.changes(frames.take(rows)):
+                changes.setdefault(int(rows[change.row - 1]) + 1, []).append((decoder, change))
+        return changes
 
-    def add(self, frames: FrameArray, *, last: bool = False) -> Table | None:
-        """Return the samples that are complete now; with ``last`` all of them. None if there are none."""
+    def _joined(self, frames: FrameArray, *, last: bool = False) -> Iterator[Table]:
         block = (
             np.concatenate((self._held.view(_PLAIN), frames.view(_PLAIN))).view(FRAME) if len(self._held) else frames
         )
@@ -136,11 +130,12 @@ class SampleMerger:
         for slot, count in joined.short:
             place = self._place(slot)
             self.tally.short[place] = self.tally.short.get(place, 0) + count
-        return self._table(block, slots, joined) if len(joined.first) else None
+        if len(joined.first):
+            yield self._table(block, slots, joined)
 
-    def finish(self) -> Table | None:
-        """Return the remaining samples."""
-        return self.add(np.zeros(0, dtype=FRAME), last=True)
+    def finish(self) -> Iterator[Table]:
+        """Yield the remaining samples."""
+        return self._joined(np.zeros(0, dtype=FRAME), last=True)
 
     @property
     def open(self) -> OpenRows:
@@ -160,7 +155,7 @@ class SampleMerger:
     def _slots_of(self, block: FrameArray) -> npt.NDArray[np.uint32]:
         """Return the slot of each frame, after those of new channels and changed layouts were made."""
         channels = occurring(block["channel"])
-        if self._changed or not self._slots.has(channels):
+        if self._changed or not {*channels} <= self._slots.plans.keys():
             self._changed = False
             plans = {
                 number: self._decoder(number).plan(self._wanted) for number in sorted({*self._decoders, *channels})
@@ -280,7 +275,7 @@ class _Slots:
 
     def __init__(self, plans: Mapping[int, Plan], *, with_counter_alone: bool = True) -> None:
         """``with_counter_alone``: use messages too that have no other signal."""
-        self._plans, self._bases = plans, dict[int, int]()
+        self.plans, self._bases = plans, dict[int, int]()
         self._moduli: dict[int, int] = {}
         self.places: list[tuple[int, int, str]] = [(0, 0, "")]
         self.layouts = np.zeros(1, dtype=SLOT)
@@ -302,18 +297,13 @@ class _Slots:
         self.layouts["group"][1:] = [number_of[id(group.message)] for group in of_slots]
 
     def set_moduli(self, moduli: Mapping[int, int]) -> None:
-        """Set the moduli of the counters, by channel."""
         if moduli != self._moduli:
             self._moduli = dict(moduli)
             self.layouts["modulus"] = [self._moduli.get(channel, SAMPLES) for channel, _, _ in self.places]
 
-    def has(self, channels: Iterable[int]) -> bool:
-        """Return whether the channels are among these."""
-        return all(channel in self._plans for channel in channels)
-
     def of(self, channel: int, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint32]:
         """Return the slot of each identifier (k,) of a channel."""
-        slots = slots_of(self._plans[channel], can_id)
+        slots = slots_of(self.plans[channel], can_id)
         if self._bases[channel]:
             slots[slots > 0] += np.uint32(self._bases[channel])
         return slots
