@@ -160,29 +160,27 @@ def _with_events(
 
 
 class SyncModulus:
-    """Follow the SYNCs of each channel: counters are their numbers, 1 to 1019h, or count samples modulo 256.
-
-    ``of`` has the modulus by channel number; SAMPLES for one that it lacks.
-    """
+    """Follow the SYNCs of each channel: counters are their numbers, 1 to 1019h, or count samples modulo 256."""
 
     def __init__(self, state: Iterable[tuple[int, int, int, int]] = ()) -> None:
         """``state`` as a property of that name returned it."""
-        self.of: dict[int, int] = {}
-        self._numbers: dict[int, tuple[int, int]] = {}  # the largest number since the numbers began, and the last
-        for channel, modulus, largest, last in state:
-            self.of[channel] = modulus
-            if largest != _NONE:
-                self._numbers[channel] = largest, last
+        # By channel the modulus, the largest number since the numbers began, and the last; _NONE without numbers.
+        self._known = {channel: (modulus, largest, last) for channel, modulus, largest, last in state}
+
+    @property
+    def of(self) -> dict[int, int]:
+        """The modulus by channel number; SAMPLES for one that it lacks."""
+        return {channel: modulus for channel, (modulus, _, _) in self._known.items()}
 
     @property
     def state(self) -> list[tuple[int, int, int, int]]:
         """By channel: its number, the modulus, the largest and the last number, -1 for none."""
-        return [(k, modulus, *self._numbers.get(k, (_NONE, _NONE))) for k, modulus in self.of.items()]
+        return [(channel, *known) for channel, known in self._known.items()]
 
     @property
     def settled(self) -> bool:
         """Whether the numbers of each channel that has them were seen up to the largest one."""
-        return all(self.of[k] == max(largest, 2) for k, (largest, _) in self._numbers.items())
+        return all(modulus == max(largest, 2) for modulus, largest, _ in self._known.values() if largest != _NONE)
 
     @property
     def modulus(self) -> int:
@@ -204,7 +202,7 @@ class SyncModulus:
         for channel in occurring(frames["channel"][at]):
             mine = at[frames["channel"][at] == channel]
             numbered = (frames["length"][mine] == 1).astype(np.int8)
-            before = np.int8(self.of.get(channel, SAMPLES) != SAMPLES)
+            before = np.int8(channel in self._known and self._known[channel][0] != SAMPLES)
             found += mine[np.diff(numbered, prepend=before) != 0].tolist()
         return sorted(found)
 
@@ -214,13 +212,13 @@ class SyncModulus:
         for channel in occurring(syncs["channel"]):
             mine = syncs.compress(syncs["channel"] == channel)
             if mine["length"][-1] != 1:
-                self.of[channel] = SAMPLES
-                self._numbers.pop(channel, None)
+                self._known[channel] = SAMPLES, _NONE, _NONE
                 continue
             number = mine["data"][:, 0].astype(np.int64)
-            largest, last = self._numbers.get(channel, (0, int(number[0])))
+            modulus, largest, last = self._known.get(channel, (SAMPLES, _NONE, _NONE))
+            last = int(number[0]) if last == _NONE else last
             wraps = bool((np.diff(number, prepend=last) < 0).any())
             largest = max(largest, int(number.max()))
-            self._numbers[channel] = largest, int(number[-1])
-            if wraps or largest > self.of.get(channel, 0) or self.of[channel] == SAMPLES:
-                self.of[channel] = max(largest, 2) if wraps else _LARGEST_NUMBER
+            if wraps or largest > modulus or modulus == SAMPLES:
+                modulus = max(largest, 2) if wraps else _LARGEST_NUMBER
+            self._known[channel] = modulus, largest, int(number[-1])
