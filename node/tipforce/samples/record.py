@@ -17,8 +17,8 @@ import numpy.typing as npt
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.columns import Layout, divisor_of
 from tipforce.host.decoding.health import NAMES
+from tipforce.host.decoding.sample_table import Layout, divisor_of
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block, contact_values, status_of, uncertainties
 from tipforce.samples.contact import Contact, Fields

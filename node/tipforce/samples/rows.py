@@ -221,8 +221,6 @@ class RowAssembler:
     def _other(self, t_ns: int, can_id: int, length: int, word: int, now_s: float) -> None:
         """Take a frame that is neither a SYNC nor an answer; ``word``: its data, little-endian."""
 
-    # --- the core ---------------------------------------------------------------------------------------------------
-
     def _enter(self) -> bool:
         """Give the state to the core, if no row is open and all is as it should be; return whether it has it."""
         numbers = self._numbers
@@ -255,8 +253,6 @@ class RowAssembler:
             self._opened_s = row.opened_s
             self._rows = {self._last: row}  # answers are held for none
             self._latest[:] = [self._last - (not is_present) for is_present in present]
-
-    # --- SYNCs ------------------------------------------------------------------------------------------------------
 
     def _sync(self, number: int, t_ns: int, now_s: float) -> None:
         """Start the row of a received SYNC, and those of SYNCs between it and the last one."""
@@ -309,8 +305,6 @@ class RowAssembler:
                 right = row <= last or (last == before and not self._rows[row].received)
                 del self._held[row, slot]
                 self._store(row, slot, word, state if right else _DOUBTFUL)
-
-    # --- answers ----------------------------------------------------------------------------------------------------
 
     def _answer(self, slot: int, k: int, word: int, counter: int, t_ns: int) -> None:
         """Store an answer with ``counter``, or note that it is late, or that it can be that to no SYNC."""
@@ -365,8 +359,6 @@ class RowAssembler:
         elif row.words[slot] != word:
             row.states[slot] = _DOUBTFUL
             self.tally.doubtful[k] += 1
-
-    # --- rows -------------------------------------------------------------------------------------------------------
 
     def _ready(self, now_s: float) -> int:
         """Return the first row that cannot be closed yet."""

@@ -21,7 +21,7 @@ import numpy as np
 from tipforce.errors import EnvironmentLackError, TipforceError
 from tipforce.host.decoding.duplicates import services
 from tipforce.host.decoding.log_part import Piece, Reading, StrictError
-from tipforce.host.decoding.recording import Columns, DecodedPart, Passed, Recording, State, noting
+from tipforce.host.decoding.recording import DecodedPart, Headers, Passed, Recording, State, noting
 from tipforce.host.decoding.sample_table import Table
 from tipforce.host.decoding.services import BusEvent
 from tipforce.host.frames.frame_array import FrameArray
@@ -141,7 +141,7 @@ class Here(Workers):
 
     def write(self, number: int, before: State, shape: Shape, last: bool) -> None:
         assert self._piece is not None
-        recording, few, columns = Recording(self._reading, before), list[FrameArray](), Columns()
+        recording, few, columns = Recording(self._reading, before), list[FrameArray](), Headers()
         tables = recording.tables_of_piece(self._piece, tap=lambda block, _: few.append(services(block)))
         rows = noting(chain(tables, recording.finish() if last else ()), columns)
         written = _written(number, self._piece, self._reading, self._sink, rows, shape)

@@ -36,8 +36,8 @@ _IN_MEMORY_BYTES = 100_000_000
 """Of the rows of one part; more are kept in a temporary file."""
 Tap = Callable[[FrameArray, Sequence[str]], None]
 """Takes FRAME (n,) and the interfaces by number."""
-Columns = list[tuple[tuple[Column, ...], tuple[str, ...]]]
-"""Columns and channels of tables, each time they change."""
+Headers = list[tuple[tuple[Column, ...], tuple[str, ...]]]
+"""Headers and channels of tables, each time they change."""
 
 
 @dataclass(slots=True)
@@ -84,7 +84,7 @@ class Passed:
     notes: Notes
     services: list[FrameArray]
     """All frames that ``BusEvents`` looks at; channels are numbered as in ``notes.channels``."""
-    columns: Columns
+    columns: Headers
     """Of a part that was decoded apart, one element: all of them, in order."""
     apart: bool = False
 
@@ -113,7 +113,7 @@ class Recording:
         if joins(self.reading.signals):
             self.told.unseen = self._health.unseen
 
-    def passed(self, services: list[FrameArray], columns: Columns) -> Passed:
+    def passed(self, services: list[FrameArray], columns: Headers) -> Passed:
         """Return what the one part leaves that was read since the beginning, by ``tables_of_piece``."""
         return Passed(self.state(), self.told.notes[0], services, columns)
 
@@ -224,7 +224,7 @@ class Recording:
         return [self.channels.index(name) for name in names]
 
 
-def noting(tables: Iterable[Table], columns: Columns) -> Iterator[Table]:
+def noting(tables: Iterable[Table], columns: Headers) -> Iterator[Table]:
     """Yield tables; append their columns and channels each time they change."""
     for table in tables:
         if not columns or columns[-1] != (table.columns, table.channels):
@@ -262,7 +262,7 @@ class DecodedPart:
 
     def follow(self, before: State, *, last: bool) -> Passed:
         """Return what the part leaves after ``before``; ``last``: the recording ends with it."""
-        columns: Columns = []
+        columns: Headers = []
         recording, tables, apart = self._completed(before, last)
         for _ in noting(tables, columns):
             pass

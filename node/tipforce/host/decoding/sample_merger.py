@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from tipforce.arrays import occurring
 from tipforce.dictionary.signals import Message, Signal
-from tipforce.host.decoding.columns import Layout
 from tipforce.host.decoding.counters import Place, SyncModulus, Tally
 from tipforce.host.decoding.decoder import Change, Decoder, Group, Plan, slots_of
 from tipforce.host.decoding.pdo_layout import has_signal
@@ -19,6 +18,7 @@ from tipforce.host.decoding.sample_table import (
     NODE_BITS,
     BoolArray,
     Column,
+    Layout,
     Table,
     Values,
     column_of,

@@ -20,8 +20,7 @@ import numpy.typing as npt
 
 from tipforce.core import core
 from tipforce.dictionary.signals import Message, Signal
-from tipforce.host.decoding.columns import is_plain
-from tipforce.host.decoding.sample_table import NO_COUNTER
+from tipforce.host.decoding.sample_table import NO_COUNTER, is_plain
 from tipforce.host.frames.frame_array import FrameArray
 
 COUNTER = "counter"
