@@ -117,7 +117,6 @@ class Assembler:
         self._health.service(node_id, t_ns, base, data)
 
     def _take(self) -> Samples:
-        """Return the complete samples."""
         samples, self._complete = self._complete, []
         columns = _columns(samples)
         faults = np.array([sample.faults for sample in samples], dtype=np.int64)

@@ -192,7 +192,6 @@ class RowAssembler:
             return Rows(first, rows, self.node_ids, self._pdos)
 
     def _process(self, data: bytes, now_s: float) -> None:
-        """Process the bytes of FRAME (n,)."""
         place_of = self._answers.get
         for t_ns, can_id, length, word in _FIELDS.iter_unpack(data):
             place = place_of(can_id)

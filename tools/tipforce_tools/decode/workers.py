@@ -145,7 +145,8 @@ class Here(Workers):
         tables = recording.tables_of_piece(self._piece, tap=lambda block, _: few.append(services(block)))
         rows = noting(chain(tables, recording.finish() if last else ()), columns)
         written = _written(number, self._piece, self._reading, self._sink, rows, shape)
-        self._events += [Event(number, recording.passed(few, columns)), Event(number, written)]
+        passed = Passed(recording.state(), recording.told.notes[0], few, columns)
+        self._events += [Event(number, passed), Event(number, written)]
         self._piece = None
 
     def next(self) -> Event:

@@ -113,10 +113,6 @@ class Recording:
         if joins(self.reading.signals):
             self.told.unseen = self._health.unseen
 
-    def passed(self, services: list[FrameArray], columns: Headers) -> Passed:
-        """Return what the one part leaves that was read since the beginning, by ``tables_of_piece``."""
-        return Passed(self.state(), self.told.notes[0], services, columns)
-
     def _set(self, state: State) -> None:
         self.channels[:] = state.channels
         merger = self._merger
@@ -299,7 +295,6 @@ class _Kept:
         self._file: Any = None
 
     def add(self, table: Table) -> None:
-        """Append a table."""
         self._bytes += table.t_ns.nbytes + sum(column.nbytes for column in table.values.values())
         if self._bytes < _IN_MEMORY_BYTES:
             self._first.append(table)
@@ -309,7 +304,6 @@ class _Kept:
         pickle.dump(table, self._file, protocol=5)
 
     def __iter__(self) -> Iterator[Table]:
-        """Yield the tables."""
         yield from self._first
         if self._file is not None:
             self._file.seek(0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -222,18 +222,20 @@ class _Values:
 
     def __init__(self, rows: int) -> None:
         self._rows = rows
-        self._present: dict[str, BoolArray] = {}
+        self._present: dict[str, BoolArray] = {}  # of the columns that lack values
         self.found: dict[str, Values] = {}
-        self.whole: set[str] = set()
+
+    @property
+    def whole(self) -> frozenset[str]:
         """Names of the columns that have a value in each row."""
+        return frozenset(self.found.keys() - self._present.keys())
 
     def add(self, column: Column, where: npt.NDArray[np.int64] | None, what: Values) -> None:
-        """Add the values of a signal in the rows ``where``, each of which occurs once; None: in all."""
+        """Add the values of a signal, whose column is not whole, in different rows ``where``; None: in all."""
         name = column.name
         if where is None and name not in self.found:
             kind = missing_of(column, 0).dtype
             self.found[name] = what.view(kind) if what.dtype == np.bool_ else what.astype(kind, copy=False)
-            self.whole.add(name)
             return
         values = self.found.setdefault(name, missing_of(column, self._rows))
         there = self._present.setdefault(name, np.zeros(self._rows, dtype=np.bool_))
@@ -242,12 +244,12 @@ class _Values:
         values[where[new]] = what[new]
         there[where] = True
         if there.all():
-            self.whole.add(name)
+            del self._present[name]
 
     @property
     def absent(self) -> dict[str, BoolArray]:
         """By name, where no message had the column."""
-        return {name: ~there for name, there in self._present.items() if name not in self.whole}
+        return {name: ~there for name, there in self._present.items()}
 
 
 class _Group:
@@ -261,13 +263,12 @@ class _Group:
         """By signal, from the first table on."""
         self._layouts: dict[frozenset[str], Layout] = {}
 
-    def layout(self, without: Set[str]) -> Layout:
+    def layout(self, without: frozenset[str]) -> Layout:
         """Return the layout of its signals that have none of these columns."""
-        key = frozenset(without)
-        if key not in self._layouts:
+        if without not in self._layouts:
             wanted = [signal for signal in self.signals if self.columns[signal.name].name not in without]
-            self._layouts[key] = Layout(wanted, wide=True)
-        return self._layouts[key]
+            self._layouts[without] = Layout(wanted, wide=True)
+        return self._layouts[without]
 
 
 class _Slots:

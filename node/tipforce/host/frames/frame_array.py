@@ -124,11 +124,6 @@ class FrameBuffer:
             taken, self._frames = self._frames, []
         return frame_array(taken)
 
-    def can_ids(self) -> list[int]:
-        """Return the identifiers of the received frames, which stay in the buffer."""
-        with self._arrived:
-            return [can_id for _, can_id, _ in self._frames]
-
     def take_all(self) -> FrameArray:
         """Remove and return the received frames."""
         return self.take_some(0.0)
