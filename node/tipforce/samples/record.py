@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.configuration.calibration import Calibration
@@ -24,7 +25,6 @@ from tipforce.samples.columns import Block, contact_values, status_of, uncertain
 from tipforce.samples.contact import Contact, Fields
 from tipforce.samples.reasons import PRESENT, Status
 
-FloatArray = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
 COUNTER = "counter"
 _UNKNOWN = (math.nan,) * 6

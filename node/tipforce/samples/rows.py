@@ -26,11 +26,10 @@ import numpy.typing as npt
 from canopen_device.core.codes import STANDARD_MASK, SYNC_COB_ID
 from tipforce.core import core
 from tipforce.dictionary.signals import tpdo_messages
+from tipforce.host.frames.frame_array import FIELDS, FrameArray
 from tipforce.samples.reasons import CHANGED, DOUBTFUL, MIXED, NO_RESPONSE, PRESENT
 from tipforce.samples.record import Pdo, Row, Rows
 from tipforce.samples.sync_numbers import LARGEST, RESTARTED, SyncNumbers
-
-FrameArray = npt.NDArray[np.void]
 
 AHEAD = LARGEST // 2
 """An answer may precede its SYNC's place by so many numbers: the SYNCs between were not received."""
@@ -40,7 +39,6 @@ _EMPTY, _LIVE, _DOUBTFUL, _CHANGED = range(4)  # states of an answer
 _REASON = (NO_RESPONSE, PRESENT, DOUBTFUL, CHANGED)  # by state
 _ANY_NUMBER = 0, 1  # end of a count and its modulus, where the numbers of the count are not known
 _NO_TIME = -math.inf  # between the frames of a call no row times out: its answer may be among them
-_FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
 _STEADY, _OPENED, _ANSWER = 10, slice(8, 9), struct.Struct("<Qqq")  # Steady and Answer of _core.c
 _WORD_MASK = (1 << 64) - 1
 
@@ -193,7 +191,7 @@ class RowAssembler:
 
     def _process(self, data: bytes, now_s: float) -> None:
         place_of = self._answers.get
-        for t_ns, can_id, length, word in _FIELDS.iter_unpack(data):
+        for t_ns, can_id, length, word in FIELDS.iter_unpack(data):
             place = place_of(can_id)
             if place is None:
                 if can_id == SYNC_COB_ID:

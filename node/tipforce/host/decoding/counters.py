@@ -15,8 +15,8 @@ from tipforce.host.decoding.decoder import Samples, lost_samples, unwrap_counter
 from tipforce.host.decoding.sample_rule import COUNTER, SAMPLES, follows_sync, lost_between
 from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
 from tipforce.host.frames.frame_array import FrameArray
+from tipforce.samples.sync_numbers import LARGEST
 
-_LARGEST_NUMBER = 240
 _NONE = -1
 
 Place = tuple[str, int, str]
@@ -220,5 +220,5 @@ class SyncModulus:
             wraps = bool((np.diff(number, prepend=last) < 0).any())
             largest = max(largest, int(number.max()))
             if wraps or largest > modulus or modulus == SAMPLES:
-                modulus = max(largest, 2) if wraps else _LARGEST_NUMBER
+                modulus = max(largest, 2) if wraps else LARGEST
             self._known[channel] = modulus, largest, int(number[-1])

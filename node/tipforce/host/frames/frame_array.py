@@ -41,6 +41,8 @@ MAX_CHANNELS = 256
 
 PACK_FRAME = struct.Struct("<qIBBBx8s").pack
 """Return one FRAME as bytes."""
+FIELDS = struct.Struct("<qIB3xQ")
+"""Of FRAME: t_ns, can_id, length, and the data as a little-endian number."""
 
 FrameArray = npt.NDArray[np.void]
 RawFrame = tuple[int, int, bytes]  # t_ns, can_id with SocketCAN's flags, data
