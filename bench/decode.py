@@ -24,8 +24,8 @@ import numpy.typing as npt
 from bench.decode_methods import DBC
 from bench.measure import ROOT, TIPFORCE, arguments, command_s, in_turns, machine, peak_mb, table, write_page
 
-from tipforce.host.decoding.columns import Column
 from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.sample_table import Values
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.recorder import CandumpWriter
@@ -139,7 +139,7 @@ def _column(values: list[Any], scale: float) -> npt.NDArray[np.float64]:
     return np.array([math.nan if str(value) == "unknown" else round(float(value), digits) for value in values])
 
 
-def _differ(ours: Column, theirs: npt.NDArray[np.float64]) -> int:
+def _differ(ours: Values, theirs: npt.NDArray[np.float64]) -> int:
     equal = (ours == theirs) | (np.isnan(ours.astype(np.float64)) & np.isnan(theirs))
     return int(np.count_nonzero(~equal))
 

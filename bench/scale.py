@@ -15,7 +15,6 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -25,10 +24,9 @@ from bench.measure import TIPFORCE, arguments, command_s, cpu_s, in_turns, machi
 from tipforce.host.dataset.manifest import Change, DataFile, Part, Source, commit, read_manifest
 from tipforce.host.dataset.reader import tables
 from tipforce.host.dataset.store import FOLDER, Store
-from tipforce.host.decoding.decoded_part import DecodedPart
 from tipforce.host.decoding.log_part import Piece, Reading, When
 from tipforce.host.decoding.pdo_layout import Layouts
-from tipforce.host.decoding.recording import Recording
+from tipforce.host.decoding.recording import DecodedPart, Passed, Recording
 from tipforce.host.decoding.sample_table import Column
 from tipforce.host.logs.lines import line_borders
 
@@ -76,15 +74,20 @@ def serial_part(log: Path) -> str:
     reading = Reading(Layouts())
     borders = line_borders(log, -(-os.path.getsize(log) // 64_000_000))
     recording, frames = Recording(reading), 0
-    seconds: dict[str, list[float]] = {"decode": [], "follow": [], "state": []}
+    seconds: dict[str, list[float]] = {"decode": [], "follow": []}
+
+    def follow(part: DecodedPart) -> Passed:
+        passed = part.follow(recording.state(), last=False)
+        recording.resume(passed)
+        return passed
+
     for start, end in pairwise(borders):
         began = time.process_time()
         part = DecodedPart(Piece(str(log), start, end), reading)
         seconds["decode"].append(time.process_time() - began)
-        seconds["follow"].append(cpu_s(lambda part=part: recording.follow(part.ends)))  # type: ignore[misc]
-        seconds["state"].append(cpu_s(lambda: msgspec.json.encode(recording.state())))
-        frames += part.ends.notes.frames
-    in_order_s = statistics.median(seconds["follow"][1:]) + statistics.median(seconds["state"][1:])
+        seconds["follow"].append(cpu_s(lambda part=part: follow(part)))  # type: ignore[misc]
+        frames += part.notes.frames
+    in_order_s = statistics.median(seconds["follow"][1:])
     decode_s, a_part = statistics.median(seconds["decode"]), frames / len(seconds["decode"])
     return (
         f"A part of {a_part:,.0f} frames: decoding {1e3 * decode_s:.0f} ms, the pass in order {1e3 * in_order_s:.1f} "

@@ -2,7 +2,7 @@
 
    These are the fast bodies of Python functions that do the same. `parse` leaves lines that are not of the plain
    forms below to host/logs/candump.py, which alone judges them; `join` is join_here of host/decoding/sample_rule.py,
-   `extract` columns_of of host/decoding/columns.py; `rows` leaves what does not follow to samples/rows.py. Without
+   `extract` columns_of of host/decoding/sample_table.py; `rows` leaves what does not follow to samples/rows.py. Without
    this module everything works, slower. Limited API of Python 3.11: one build for all later versions. */
 
 #define PY_SSIZE_T_CLEAN
@@ -767,7 +767,7 @@ static PyObject *receive(PyObject *module, PyObject *args) {
 
 enum { FLAG, INTEGER, NUMBER, REAL };
 
-typedef struct { /* SIGNAL of columns.py */
+typedef struct { /* SIGNAL of sample_table.py */
     double scale, offset, divisor;
     uint64_t unknown;
     Byte start, bits, kind, size, is_signed, has_unknown, big_endian, spare;

@@ -15,7 +15,7 @@ from stability.record import cases, recorded
 from tipforce.fingertip import calibration, filters
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.channels import Channels
-from tipforce.host.decoding import columns, decoder
+from tipforce.host.decoding import decoder, sample_table
 from tipforce.host.logs import candump
 from tipforce.sensor.calibration import regressors
 from tipforce.sensor.contact import estimate, scalar, scalar_condition, scalar_redundancy
@@ -86,7 +86,7 @@ def _naive_triangle(right: Any) -> Any:
 
 
 def _no_unknown(right: Any) -> Any:
-    return lambda self, words: right(columns.Layout(replace(one, unknown=None) for one in self.signals), words)
+    return lambda self, words: right(sample_table.Layout(replace(one, unknown=None) for one in self.signals), words)
 
 
 def _any_length(right: Any) -> Any:
@@ -165,7 +165,7 @@ FAULTS: tuple[tuple[str, Any, str, Any], ...] = (
     ("calibration.flipped_in_store", Storage, "read_blob",
      lambda _right: lambda self, name: (self._load(name) or b"")[4:] if self._load else b""),
     ("fit.plane_of_loads", regressors, "require_seen", _gives(np.zeros(0))),
-    ("wire.unknown", columns.Layout, "columns", _no_unknown),
+    ("wire.unknown", sample_table.Layout, "columns", _no_unknown),
     ("wire.integer16_overflow", Channels, "_status", _silently_clamped),
     ("wire.short_pdo", decoder, "join", _any_length),
     ("clock.counter_wrap", decoder, "unwrap_counter",

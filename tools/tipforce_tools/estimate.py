@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     """Write one row per input row; return 0, or 1 with --strict and bad rows."""
     from tipforce.host.configuration.calibration import read_calibration
     from tipforce.host.configuration.measurements import read_measurements
-    from tipforce.host.decoding.estimates import estimates
+    from tipforce.host.decoding.contact_columns import estimates
 
     calibration = read_calibration(args.calibration, with_fit=True)
     data = read_measurements(args.gauges, loads=False)

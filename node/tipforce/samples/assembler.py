@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from canopen_device.core import codes
 from tipforce.dictionary.signals import Message
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.health import NAMES, Health
 from tipforce.host.decoding.sample_rule import SampleRule, follows_sync
+from tipforce.host.frames.frame_array import FIELDS, FrameArray
 from tipforce.samples.record import Column, Pdo, Samples
-
-_FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
 
 
 class _Sample:
@@ -55,13 +52,13 @@ class Assembler:
         }
         """By identifier of an EMCY or a heartbeat: the node-id and the base."""
 
-    def feed(self, frames: npt.NDArray[np.void], now_ns: int | None = None) -> Samples:
+    def feed(self, frames: FrameArray, now_ns: int | None = None) -> Samples:
         """Process frames, FRAME (n,), in the order of the bus; return the samples that are complete, often none.
 
         ``now_ns``: the time on their clock, after which an incomplete sample is old; None: that of the last frame.
         """
         last_ns = None
-        for t_ns, can_id, length, word in _FIELDS.iter_unpack(frames.tobytes()):
+        for t_ns, can_id, length, word in FIELDS.iter_unpack(frames.tobytes()):
             last_ns = t_ns
             place = self.pdos.get(can_id)
             if place is not None:
@@ -114,13 +111,9 @@ class Assembler:
     def service(self, can_id: int, t_ns: int, data: bytes) -> None:
         """Process an EMCY or a heartbeat, whose identifier is one of ``services``."""
         node_id, base = self.services[can_id]
-        if base == codes.EMCY_BASE:
-            self._health.emcy(node_id, t_ns, data)
-        elif data and data[0] & codes.NODE_ID_MASK == codes.INITIALISING:
-            self._health.boot(node_id, t_ns)
+        self._health.service(node_id, t_ns, base, data)
 
     def _take(self) -> Samples:
-        """Return the complete samples."""
         samples, self._complete = self._complete, []
         columns = _columns(samples)
         faults = np.array([sample.faults for sample in samples], dtype=np.int64)

@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.columns import Layout, divisor_of
 from tipforce.host.decoding.health import NAMES
+from tipforce.host.decoding.sample_table import Layout, divisor_of
 from tipforce.samples import reasons
 from tipforce.samples.columns import Block, contact_values, status_of, uncertainties
 from tipforce.samples.contact import Contact, Fields
 from tipforce.samples.reasons import PRESENT, Status
 
-FloatArray = npt.NDArray[np.float64]
 Column = npt.NDArray[Any]
 COUNTER = "counter"
 _UNKNOWN = (math.nan,) * 6

@@ -26,11 +26,10 @@ import numpy.typing as npt
 from canopen_device.core.codes import STANDARD_MASK, SYNC_COB_ID
 from tipforce.core import core
 from tipforce.dictionary.signals import tpdo_messages
+from tipforce.host.frames.frame_array import FIELDS, FrameArray
 from tipforce.samples.reasons import CHANGED, DOUBTFUL, MIXED, NO_RESPONSE, PRESENT
 from tipforce.samples.record import Pdo, Row, Rows
 from tipforce.samples.sync_numbers import LARGEST, RESTARTED, SyncNumbers
-
-FrameArray = npt.NDArray[np.void]
 
 AHEAD = LARGEST // 2
 """An answer may precede its SYNC's place by so many numbers: the SYNCs between were not received."""
@@ -40,7 +39,6 @@ _EMPTY, _LIVE, _DOUBTFUL, _CHANGED = range(4)  # states of an answer
 _REASON = (NO_RESPONSE, PRESENT, DOUBTFUL, CHANGED)  # by state
 _ANY_NUMBER = 0, 1  # end of a count and its modulus, where the numbers of the count are not known
 _NO_TIME = -math.inf  # between the frames of a call no row times out: its answer may be among them
-_FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
 _STEADY, _OPENED, _ANSWER = 10, slice(8, 9), struct.Struct("<Qqq")  # Steady and Answer of _core.c
 _WORD_MASK = (1 << 64) - 1
 
@@ -192,9 +190,8 @@ class RowAssembler:
             return Rows(first, rows, self.node_ids, self._pdos)
 
     def _process(self, data: bytes, now_s: float) -> None:
-        """Process the bytes of FRAME (n,)."""
         place_of = self._answers.get
-        for t_ns, can_id, length, word in _FIELDS.iter_unpack(data):
+        for t_ns, can_id, length, word in FIELDS.iter_unpack(data):
             place = place_of(can_id)
             if place is None:
                 if can_id == SYNC_COB_ID:
@@ -220,8 +217,6 @@ class RowAssembler:
 
     def _other(self, t_ns: int, can_id: int, length: int, word: int, now_s: float) -> None:
         """Take a frame that is neither a SYNC nor an answer; ``word``: its data, little-endian."""
-
-    # --- the core ---------------------------------------------------------------------------------------------------
 
     def _enter(self) -> bool:
         """Give the state to the core, if no row is open and all is as it should be; return whether it has it."""
@@ -255,8 +250,6 @@ class RowAssembler:
             self._opened_s = row.opened_s
             self._rows = {self._last: row}  # answers are held for none
             self._latest[:] = [self._last - (not is_present) for is_present in present]
-
-    # --- SYNCs ------------------------------------------------------------------------------------------------------
 
     def _sync(self, number: int, t_ns: int, now_s: float) -> None:
         """Start the row of a received SYNC, and those of SYNCs between it and the last one."""
@@ -309,8 +302,6 @@ class RowAssembler:
                 right = row <= last or (last == before and not self._rows[row].received)
                 del self._held[row, slot]
                 self._store(row, slot, word, state if right else _DOUBTFUL)
-
-    # --- answers ----------------------------------------------------------------------------------------------------
 
     def _answer(self, slot: int, k: int, word: int, counter: int, t_ns: int) -> None:
         """Store an answer with ``counter``, or note that it is late, or that it can be that to no SYNC."""
@@ -365,8 +356,6 @@ class RowAssembler:
         elif row.words[slot] != word:
             row.states[slot] = _DOUBTFUL
             self.tally.doubtful[k] += 1
-
-    # --- rows -------------------------------------------------------------------------------------------------------
 
     def _ready(self, now_s: float) -> int:
         """Return the first row that cannot be closed yet."""

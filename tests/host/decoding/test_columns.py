@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from tipforce.core import core
 from tipforce.dictionary.signals import Signal
-from tipforce.host.decoding.columns import SIGNAL, Layout, columns_of
 from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.sample_table import SIGNAL, Layout, columns_of
 from tipforce.host.frames.frame_array import FRAME
 
 pytestmark = pytest.mark.skipif(core is None, reason="needs the compiled core")

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench.decode import FLOOR, hand_traffic, write_log
+from bench.decode import FLOOR, different_values, hand_traffic, random_frames, write_log
 from bench.decode_methods import cantools_loop, memory, memory_sum
 
+from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.logs.reader import open_log
 
 
@@ -36,3 +37,15 @@ def test_cantools_finds_the_same(log: Path) -> None:
     found = cantools_loop(log)
     assert found["decoded"] == memory(log)["decoded"]
     np.testing.assert_allclose(found["sum"], memory_sum(log), rtol=1e-9)
+
+
+def test_every_value_is_that_of_cantools() -> None:
+    """`python -m bench.decode --check` compares those of a million frames."""
+    unknown, columns = set[str](), 0
+    for samples in Decoder().decode(random_frames(10_000, 20240917)).values():
+        unknown |= {
+            name for name, column in samples.columns.items() if column.dtype == float and np.isnan(column).any()
+        }
+        columns += len(samples.columns) * len(samples.row)
+    assert unknown == {"SG1", "SG2", "SG3", "P", "phi", "theta", "F1", "F2", "F3", "temperature", "u_P"}
+    assert different_values(10_000) == (columns, 0)

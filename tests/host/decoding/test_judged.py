@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from fingertip.finger import PUSH, finger, record
-from tipforce.errors import InputError
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.judgement import Judgement
 from tipforce.fingertip.sample import Sample
@@ -95,22 +94,6 @@ def test_the_verdicts_of_node_and_host_are_equal(n: int) -> None:
     assert bits >= {13, 14, 15, *({12} if n > 3 else set()), *({0, 3, 6} if n == 8 else set())}
 
 
-@pytest.mark.parametrize("n", [5, 8])
-def test_public_estimate_says_the_same(n: int) -> None:
-    calibration, samples = recorded(n)
-    microstrain, temperature = strains(samples)
-    found = estimate(calibration, microstrain, temperature_degC=temperature)
-    for bit, flag in ((13, Status.BEYOND_CALIBRATED), (14, Status.TEMPERATURE), (15, Status.OVERLOAD)):
-        assert found.has(flag).tolist() == [bool(s.faults >> bit & 1) for s in samples]
-    unresolved = [s.faults >> 12 & 1 == 1 and s.solver is None for s in samples]
-    assert found.has(Status.CONTRADICTION).tolist() == unresolved
-    assert found.has(Status.FAULT).tolist() == unresolved
-    assert found.has(Status.LEFT_OUT).tolist() == [s.spared for s in samples]
-    assert np.isnan(found.P_newtons[found.has(Status.CONTRADICTION | Status.OVERLOAD)]).all()
-    with pytest.raises(InputError, match="microstrain has the shape"):
-        estimate(calibration, np.ones((4, n + 1)))
-
-
 @pytest.mark.parametrize("n", [3, 5, 8])
 def test_decode_says_the_same(n: int) -> None:
     """The columns of `decode --calibration`, from gauges and temperature alone, in full precision."""
@@ -136,6 +119,10 @@ def test_decode_says_the_same(n: int) -> None:
         ("gauge_left_out", [s.spared for s in samples]),
     ):
         np.testing.assert_array_equal(found.values[name][told], np.array(node, dtype=np.int8)[told], name)
+    assert (
+        estimate(calibration, microstrain, temperature_degC=temperature).has(Status.FAULT).tolist()
+        == unresolved.tolist()
+    )
     hidden = np.array([bool(s.unknown() & scalar.UNKNOWN_FORCE) for s in samples])
     np.testing.assert_array_equal(np.isnan(found.values["P_N"])[told], hidden[told])
     shown = np.flatnonzero(told & ~hidden)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tipforce.host.decoding.counters import Tally
 from tipforce.host.decoding.decoder import lost_samples
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.sample_merger import SampleMerger
@@ -34,12 +36,18 @@ def frames_of(made: list[tuple[str, int, int, int]]) -> FrameArray:
     return frames
 
 
-def rows(tables: list[Table | None]) -> list[Row]:
+def tables_of(frames: FrameArray, cuts: Iterable[int] = ()) -> tuple[list[Table], Tally]:
+    """The samples of frames that come in blocks, and their counts."""
+    merger = SampleMerger(Layouts().decoder, ["can0"], None)
+    edges = [0, *sorted(min(cut, len(frames)) for cut in cuts), len(frames)]
+    tables = [table for start, end in pairwise(edges) for table in merger.tables(frames[start:end])]
+    return [*tables, *merger.finish()], merger.tally
+
+
+def rows(frames: FrameArray, cuts: Iterable[int] = ()) -> list[Row]:
     """All rows in a form that compares."""
     found: list[Row] = []
-    for table in tables:
-        if table is None:
-            continue
+    for table in tables_of(frames, cuts)[0]:
         columns = [(c.name, table.values[c.name].tolist()) for c in sorted(table.columns, key=lambda c: c.name)]
         for k in range(len(table)):
             values = tuple(
@@ -47,10 +55,6 @@ def rows(tables: list[Table | None]) -> list[Row]:
             )
             found.append((int(table.t_ns[k]), int(table.key[k]), int(table.counter[k]), values))
     return found
-
-
-def merger() -> SampleMerger:
-    return SampleMerger(Layouts().decoder, ["can0"], None)
 
 
 STREAMS = st.lists(
@@ -68,51 +72,38 @@ STREAMS = st.lists(
 @settings(max_examples=120, deadline=None)
 def test_blocks_do_not_matter(made: list[tuple[str, int, int, int]], cuts: list[int]) -> None:
     frames = frames_of(made)
-    whole = merger()
-    expected = rows([whole.add(frames), whole.finish()])
-    pieces = merger()
-    edges = [0, *sorted(min(cut, len(frames)) for cut in cuts), len(frames)]
-    tables = [pieces.add(frames[start:end]) for start, end in pairwise(edges)]
-    assert rows([*tables, pieces.finish()]) == expected
-    assert pieces.tally == whole.tally
+    assert rows(frames, cuts) == rows(frames)
+    assert tables_of(frames, cuts)[1] == tables_of(frames)[1]
 
 
 @given(STREAMS)
 @settings(max_examples=100, deadline=None)
 def test_each_frame_is_in_one_row(made: list[tuple[str, int, int, int]]) -> None:
-    frames = frames_of(made)
-    one = merger()
-    found = [table for table in (one.add(frames), one.finish()) if table is not None]
+    tables, tally = tables_of(frames_of(made))
     values = sum(
         int((~np.isnan(table.values[name])).sum())
-        for table in found
+        for table in tables
         for name in ("SG1_ue", "P_N", "temperature_degC")
         if name in table.values
     )
-    assert values == len(made)
-    assert sum(count.frames for count in one.tally.messages.values()) == len(made)
+    assert values == sum(count.frames for count in tally.messages.values()) == len(made)
 
 
-def test_a_sample_is_one_row() -> None:
-    one = merger()
-    made = [(name, 1, k, 0 if name == "contact" else 1) for k in range(5) for name in ("gauges", "contact")]
-    found = rows([one.add(frames_of(made)), one.finish()])
-    assert len(found) == 5
-    late = [("gauges", 1, 7, 0), ("contact", 1, 7, 201)]
-    one = merger()
-    assert len(rows([one.add(frames_of(late)), one.finish()])) == 2
-
-
-def test_a_repeated_counter_is_a_sample_of_its_own() -> None:
-    one = merger()
-    made = [(name, 1, 9, 0) for _ in range(4) for name in ("gauges", "contact")]
-    assert len(rows([one.add(frames_of(made)), one.finish()])) == 4
+@pytest.mark.parametrize(
+    ("made", "count"),
+    [
+        ([(name, 1, k, 0 if name == "contact" else 1) for k in range(5) for name in ("gauges", "contact")], 5),
+        ([("gauges", 1, 7, 0), ("contact", 1, 7, 201)], 2),
+        ([(name, 1, 9, 0) for _ in range(4) for name in ("gauges", "contact")], 4),  # a repeated counter
+    ],
+)
+def test_a_sample_is_one_row(made: list[tuple[str, int, int, int]], count: int) -> None:
+    assert len(rows(frames_of(made))) == count
 
 
 def test_health_has_no_sample_counter_and_is_a_row_of_its_own() -> None:
-    one = merger()
     made = [("gauges", 1, 3, 1), ("contact", 1, 3, 0), ("health", 1, 3, 1), ("health", 1, 3, 1), ("gauges", 1, 4, 1)]
-    found = rows([one.add(frames_of(made)), one.finish()])
+    found = rows(frames_of(made))
     assert [row[2] for row in found] == [3, -1, -1, 4]
     names = [repr(row[3]) for row in found]
     assert ["('P_N'" in name for name in names] == [True, False, False, False]
@@ -125,8 +116,7 @@ def test_of_a_sample_the_first_pdo_that_has_a_value_counts(names: tuple[str, str
     frames = frames_of([(name, 1, 3, 0) for name in names])
     frames["data"][frames["can_id"] == BASES["gauges"] + 1, 6] = Status.STALE
     frames["data"][frames["can_id"] == BASES["contact"] + 1, 6] = Status.FAULT
-    one = merger()
-    tables = [table for table in (one.add(frames), one.finish()) if table is not None]
+    tables, _ = tables_of(frames)
     stale = np.concatenate([table.values["stale"] for table in tables])
     fault = np.concatenate([table.values["fault"] for table in tables])
     joined = names[0] == "gauges"
@@ -137,13 +127,7 @@ def test_of_a_sample_the_first_pdo_that_has_a_value_counts(names: tuple[str, str
 @settings(max_examples=100, deadline=None)
 def test_lost_samples_over_borders(counters: list[int], cuts: list[int]) -> None:
     frames = frames_of([("contact", 1, counter, 1) for counter in counters])
-    one = merger()
-    edges = [0, *sorted(min(cut, len(frames)) for cut in cuts), len(frames)]
-    for start, end in pairwise(edges):
-        one.add(frames[start:end])
-    one.finish()
-    lost = sum(one.tally.lost().values())
-    assert lost == lost_samples(counters)
+    assert sum(tables_of(frames, cuts)[1].lost().values()) == lost_samples(counters)
 
 
 @pytest.mark.parametrize("jobs", [1, 3])

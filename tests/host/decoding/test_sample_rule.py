@@ -20,24 +20,18 @@ SENDERS = 3
 KINDS = [  # message number, length, follows SYNC, place of the counter
     (1, 8, 1, 56), (2, 8, 1, 56), (3, 7, 1, 48), (4, 8, 0, 48), (200, 3, 0, 16), (5, 4, 0, -1), (6, 8, 1, -1),
 ]  # fmt: skip
+
+
+def slot(sender: int, group: int) -> tuple[int, ...]:
+    """A message of a node, as SLOT has it."""
+    number, length, cyclic, shift = KINDS[group]
+    used = (number + sender) % 7 != 0
+    return sender, group, shift, 255, number, length, cyclic and shift >= 0, used, sender + 5, (256, 240, 3)[sender]
+
+
 LAYOUTS = np.array(
     [(0, 0, -1, 0, 0, 0, 0, 0, 0, 0)]
-    + [
-        (
-            sender,
-            group,
-            shift,
-            255,
-            number,
-            length,
-            cyclic and shift >= 0,
-            (number + sender) % 7 != 0,
-            sender + 5,
-            (256, 240, 3)[sender],
-        )
-        for group, (number, length, cyclic, shift) in enumerate(KINDS)
-        for sender in range(SENDERS)
-    ],
+    + [slot(sender, group) for group in range(len(KINDS)) for sender in range(SENDERS)],
     dtype=SLOT,
 )
 Sequence = tuple[FrameArray, npt.NDArray[np.uint32]]

@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.host.dataset.reader import tables_of_logs
-from tipforce.host.decoding import decoded_part
+from tipforce.host.decoding import recording as recordings
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.pdo_layout import Layouts
-from tipforce.host.decoding.recording import Recording, State
+from tipforce.host.decoding.recording import Passed, Recording, State
 from tipforce.host.decoding.sample_table import NODE_BITS, Table, is_missing
 from tipforce_tools.decode.workers import Event, InOrder, Work
 from tipforce_tools.writing.writers import Shape
@@ -51,7 +51,7 @@ STEPS = st.tuples(
 @pytest.fixture(autouse=True)
 def short_heads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the head of a part end after few frames."""
-    monkeypatch.setattr(decoded_part, "_STEP_FRAMES", 10)
+    monkeypatch.setattr(recordings, "_STEP_FRAMES", 10)
 
 
 def lines_of(steps: list[tuple[str, int, int, int]], modulus: int) -> list[str]:
@@ -111,6 +111,7 @@ class Shuffled:
         self._works: dict[int, Work] = {}
         self._events: list[Event] = []
         self._pieces: dict[int, Piece] = {}
+        self.apart = 0
 
     @property
     def free(self) -> int:
@@ -121,14 +122,16 @@ class Shuffled:
         """As Workers."""
         self._pieces[number] = piece
         self._works[number] = Work(number, piece, READING)
-        self._events.append((number, self._works[number].decode()))
 
-    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
+    def write(self, number: int, before: State, shape: Shape, last: bool) -> None:
         """As Workers."""
+        passed = self._works[number].follow(before, last)
+        assert isinstance(passed, Passed)
+        self.apart += passed.apart
         if self._order.random() < 0.3:  # the worker dies
             self._works[number] = Work(number, self._pieces[number], READING)
-            self._works[number].decode()
-        self._events.append((number, self._works.pop(number).write(self._sink, before, apart, shape, last)))
+        written = self._works.pop(number).write(self._sink, passed, before, shape, last)
+        self._events += [Event(number, passed), Event(number, written)]
 
     def next(self) -> Event:
         """As Workers."""
@@ -144,10 +147,10 @@ def in_parts(log: Path, cuts: list[int], slots: int, order: random.Random) -> tu
     starts = [0, *(k + 1 for k, byte in enumerate(text) if byte == 10 and k + 1 < len(text))]
     edges = sorted({0, *(starts[cut % len(starts)] for cut in cuts), len(text)})
     pieces = [Piece(str(log), start, end) for start, end in pairwise(edges)]
-    recording = Recording(READING)
-    parts = list(InOrder(pieces, recording, Shape(("t_s",)), Shuffled(slots, order, Rows())))
+    recording, workers = Recording(READING), Shuffled(slots, order, Rows())
+    parts = list(InOrder(pieces, recording, Shape(("t_s",)), workers))
     assert [part.number for part in parts] == list(range(len(pieces)))
-    return [row for part in parts for row in part.record], recording, sum(not part.notes for part in parts)
+    return [row for part in parts for row in part.record], recording, workers.apart
 
 
 def one_pass(log: Path) -> tuple[list[str], Recording]:
@@ -177,10 +180,10 @@ def test_the_rows_are_those_of_one_pass(
     ]
 
 
-@pytest.mark.parametrize("in_memory_bytes", [decoded_part._IN_MEMORY_BYTES, 1])
+@pytest.mark.parametrize("in_memory_bytes", [recordings._IN_MEMORY_BYTES, 1])
 def test_parts_are_decoded_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_memory_bytes: int) -> None:
     """The test above would prove nothing if each part waited for the ones in front."""
-    monkeypatch.setattr(decoded_part, "_IN_MEMORY_BYTES", in_memory_bytes)
+    monkeypatch.setattr(recordings, "_IN_MEMORY_BYTES", in_memory_bytes)
     order = random.Random(3)
     steps = [(order.choice(KINDS), order.randrange(3), order.choice([0, 0, 1, 1, 2]), 30) for _ in range(1200)]
     for modulus in (0, 4):

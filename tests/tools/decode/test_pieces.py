@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.host.decoding import decoded_part
+from tipforce.host.decoding import recording
 from tipforce.host.decoding.log_part import Notes, Piece, Reading, Source
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
@@ -29,8 +29,8 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Logs are cut from 20 kB on, and a piece's start is decided after few frames."""
     monkeypatch.setattr(session, "_LEAST_PIECE_BYTES", PIECE_BYTES)
     monkeypatch.setattr(session, "_PIECE_BYTES", 3 * PIECE_BYTES)
-    monkeypatch.setattr(decoded_part, "_STEP_FRAMES", 50)
-    monkeypatch.setattr(decoded_part, "_HEAD_FRAMES", 100)
+    monkeypatch.setattr(recording, "_STEP_FRAMES", 50)
+    monkeypatch.setattr(recording, "_HEAD_FRAMES", 100)
 
 
 @pytest.fixture

@@ -1,8 +1,8 @@
 """Decode the parts of a recording with any number of workers, each of which writes the rows of its parts itself.
 
-A worker decodes a part and keeps its rows; the parts' ends come here, where a pass in order (``Recording.follow``)
-finds what each part cannot know; then the worker completes and writes its rows. What comes back is a record of what
-was written, never a row. A part is repeated if its worker dies.
+A worker decodes a part and keeps its rows. When the part in front has passed, it gets the ``State`` behind that,
+returns the one behind its own part, for the next, and completes and writes its rows. What comes back is a record of
+what was written, never a row. A part is repeated if its worker dies.
 """
 
 from __future__ import annotations
@@ -15,16 +15,14 @@ from copy import copy
 from dataclasses import dataclass, field
 from itertools import chain
 from multiprocessing import connection
-from operator import itemgetter
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, TipforceError
-from tipforce.host.decoding.decoded_part import DecodedPart, Ends
 from tipforce.host.decoding.duplicates import services
-from tipforce.host.decoding.log_part import Notes, Piece, Reading, StrictError
-from tipforce.host.decoding.recording import Recording, State
+from tipforce.host.decoding.log_part import Piece, Reading, StrictError
+from tipforce.host.decoding.recording import DecodedPart, Headers, Passed, Recording, State, noting
 from tipforce.host.decoding.sample_table import Table
 from tipforce.host.decoding.services import BusEvent
 from tipforce.host.frames.frame_array import FrameArray
@@ -49,18 +47,18 @@ class Written:
     shape: Shape
     summary: Summary
     state: State | None = None
-    """Of the recording after it."""
-    notes: Notes | None = None
-    """Of a part that was decoded after the ones in front, as ``services``: the frames that ``BusEvents`` looks at."""
-    services: list[FrameArray] = field(default_factory=list)
+    """Of the recording after it; this and what follows is added here."""
     frames: int = 0
     bad: dict[str, int] = field(default_factory=dict)
     """Bad lines by reason."""
     events: list[BusEvent] = field(default_factory=list)
 
 
-Event = tuple[int, Ends | Written | Exception]
-"""What a worker says of a part by its number: its Ends, what was written, or an error."""
+class Event(NamedTuple):
+    """What a worker says of part ``number``: what it leaves, what was written, or an error."""
+
+    number: int
+    told: Passed | Written | Exception
 
 
 class Workers(Protocol):
@@ -73,8 +71,8 @@ class Workers(Protocol):
     def decode(self, number: int, piece: Piece) -> None:
         """Begin to decode a part."""
 
-    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
-        """Complete and write a part after ``before``: as it was decoded apart, or decode it now."""
+    def write(self, number: int, before: State, shape: Shape, last: bool) -> None:
+        """Complete and write a part after ``before``: two events. ``shape``: the columns of the parts in front."""
 
     def next(self) -> Event:
         """Wait for the next event. Raises EnvironmentLackError if a part cannot be finished."""
@@ -87,57 +85,70 @@ class Work:
     """What a worker does with one part, in whatever process. An error that a user can cause is returned."""
 
     def __init__(self, number: int, piece: Piece, reading: Reading) -> None:
-        self._number, self._piece, self._reading = number, piece, reading
-        self._part: DecodedPart | None = None
-
-    def decode(self) -> Ends | Exception:
         """Decode the part and keep its rows."""
+        self._number, self._piece, self._reading = number, piece, reading
+        self._part: DecodedPart | Exception
         try:
-            self._part = DecodedPart(self._piece, self._reading)
-            return self._part.ends
+            self._part = DecodedPart(piece, reading)
+        except (TipforceError, OSError) as error:
+            self._part = error
+
+    def follow(self, before: State, last: bool) -> Passed | Exception:
+        """Return what the part leaves."""
+        if isinstance(self._part, Exception):
+            return self._part
+        try:
+            return self._part.follow(before, last=last)
         except (TipforceError, OSError) as error:
             return error
 
-    def write(self, sink: Sink, before: State, apart: bool, shape: Shape, last: bool) -> Written | Exception:
+    def write(
+        self, sink: Sink, passed: Passed | Exception, before: State, shape: Shape, last: bool
+    ) -> Written | Exception:  # fmt: skip
         """Complete and write the rows, see ``Workers``."""
-        summary, recording, few = Summary(self._reading.reasons), None, list[FrameArray]()
+        if isinstance(passed, Exception):
+            return passed
+        assert isinstance(self._part, DecodedPart)
+        for columns in passed.columns:
+            shape.take(*columns)
         try:
-            tables: Iterable[Table]
-            if apart:
-                assert self._part is not None
-                tables = self._part.rows(before, last=last)
-            else:
-                recording = Recording(self._reading, before)
-                tables = recording.tables_of_piece(self._piece, tap=lambda block, _: few.append(services(block)))
-                tables = chain(tables, recording.finish() if last else ())
-            record = sink.write(self._number, summary.passing(tables), shape)
+            return _written(self._number, self._piece, self._reading, sink, self._part.rows(before, last=last), shape)
         except (TipforceError, OSError) as error:
             return error
-        written = Written(self._number, self._piece, record, shape, summary, services=few)
-        if recording is not None:
-            written.state, written.notes = recording.state(), recording.told.notes[0]
-        return written
+
+
+def _written(
+    number: int, piece: Piece, reading: Reading, sink: Sink, tables: Iterable[Table], shape: Shape
+) -> Written:  # fmt: skip
+    summary = Summary(reading.reasons)
+    return Written(number, piece, sink.write(number, summary.passing(tables), shape), shape, summary)
 
 
 class Here(Workers):
-    """This process as the only worker: each part is decoded after the ones in front."""
+    """This process as the only worker: a part is decoded after the ones in front, while it is written."""
 
     def __init__(self, reading: Reading, sink: Sink) -> None:
         self._reading, self._sink = reading, sink
-        self._pieces: dict[int, Piece] = {}
+        self._piece: Piece | None = None
         self._events: list[Event] = []
 
     @property
     def free(self) -> int:
-        return int(not self._pieces)
+        return int(self._piece is None and not self._events)
 
     def decode(self, number: int, piece: Piece) -> None:
-        self._pieces[number] = piece
-        self._events.append((number, Ends((), Notes(piece.name))))
+        del number
+        self._piece = piece
 
-    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
-        work = Work(number, self._pieces.pop(number), self._reading)
-        self._events.append((number, work.write(self._sink, before, apart, shape, last)))
+    def write(self, number: int, before: State, shape: Shape, last: bool) -> None:
+        assert self._piece is not None
+        recording, few, columns = Recording(self._reading, before), list[FrameArray](), Headers()
+        tables = recording.tables_of_piece(self._piece, tap=lambda block, _: few.append(services(block)))
+        rows = noting(chain(tables, recording.finish() if last else ()), columns)
+        written = _written(number, self._piece, self._reading, self._sink, rows, shape)
+        passed = Passed(recording.state(), recording.told.notes[0], few, columns)
+        self._events += [Event(number, passed), Event(number, written)]
+        self._piece = None
 
     def next(self) -> Event:
         return self._events.pop(0)
@@ -155,11 +166,9 @@ class InOrder:
         """``ends``: the recording ends with the last part."""
         self._pieces, self._recording, self._shape = pieces, recording, shape
         self._workers, self._ends = workers, ends
-        self._known: dict[int, Ends | Exception] = {}
         self._written: dict[int, Written] = {}
         self._told: dict[int, tuple[State, int, dict[str, int], list[BusEvent]]] = {}
-        self._begun = self._followed = self._given = 0
-        self._alone = False
+        self._begun = self._ordered = self._passed = self._given = 0
 
     def __iter__(self) -> Iterator[Written]:
         """Yield what was written, in order. Raises the errors of the decoding and the writing in order, too."""
@@ -168,54 +177,35 @@ class InOrder:
                 while self._begun < len(self._pieces) and self._workers.free:
                     self._workers.decode(self._begun, self._pieces[self._begun])
                     self._begun += 1
-                self._take(*self._workers.next())
-                self._follow()
-                while self._given in self._written:
+                if self._ordered == self._passed < self._begun:
+                    last = self._ends and self._passed == len(self._pieces) - 1
+                    self._workers.write(self._passed, self._recording.state(), copy(self._shape), last)
+                    self._ordered += 1
+                self._take(self._workers.next())
+                while self._given in self._written and self._given < self._passed:
                     written = self._written.pop(self._given)
-                    written.state, written.frames, written.bad, written.events = self._told.pop(written.number)
+                    written.state, written.frames, written.bad, written.events = self._told.pop(self._given)
                     self._given += 1
                     yield written
         finally:
             self._workers.close()
 
-    def _take(self, number: int, told: Ends | Written | Exception) -> None:
-        if not isinstance(told, Written):
-            if isinstance(told, Exception) and number < self._followed + self._alone:
-                raise self._numbered(told) if number == self._followed else told
-            self._known[number] = told
+    def _take(self, event: Event) -> None:
+        number, told = event
+        if isinstance(told, StrictError) and number == self._passed:
+            raise self._recording.numbered(told)
+        if isinstance(told, Exception):
+            raise told
+        if isinstance(told, Written):
+            self._written[number] = told
             return
-        self._written[number] = told
-        if told.state is not None and told.notes is not None and number == self._followed:
-            events = len(self._recording.told.bus.found)
-            self._recording.resume(told.state, told.notes, told.services)
-            self._shape = copy(told.shape)
-            self._passed(number, told.notes, events)
-            self._alone = False
-
-    def _follow(self) -> None:
-        """Tell the parts whose turn it is what the parts in front leave."""
-        while not self._alone and self._followed in self._known:
-            number, ends = self._followed, self._known.pop(self._followed)
-            if isinstance(ends, Exception):
-                raise self._numbered(ends)
-            last = self._ends and number == len(self._pieces) - 1
-            before, events = self._recording.state(), len(self._recording.told.bus.found)
-            columns = self._recording.follow(ends, last=last)
-            if columns is None:
-                self._alone = True
-            else:
-                self._shape.take(columns, self._recording.channels)
-                self._passed(number, ends.notes, events)
-            self._workers.write(number, before, not self._alone, copy(self._shape), last)
-
-    def _passed(self, number: int, notes: Notes, events: int) -> None:
-        """Note what the recording knows after a part, which had so many ``events`` before it."""
-        bus = self._recording.told.bus.found[events:]
-        self._told[number] = self._recording.state(), notes.frames, notes.bad, bus
-        self._followed = number + 1
-
-    def _numbered(self, error: Exception) -> Exception:
-        return self._recording.numbered(error) if isinstance(error, StrictError) else error
+        events = len(self._recording.told.bus.found)
+        self._recording.resume(told)
+        for columns in told.columns:
+            self._shape.take(*columns)
+        found = self._recording.told.bus.found[events:]
+        self._told[number] = self._recording.state(), told.notes.frames, told.notes.bad, found
+        self._passed = number + 1
 
 
 _KEPT_BYTES = 31 << 20  # glibc keeps twice as much
@@ -235,7 +225,7 @@ class Processes(Workers):
         for _ in range(jobs):
             self._idle.append(self._started())
         self._orders: dict[int, list[tuple[Any, ...]]] = {}  # of each part, to be repeated
-        self._known: set[int] = set()  # parts whose ends were returned
+        self._passed: set[int] = set()  # parts of which it was returned what they leave
         self._tries: dict[int, int] = {}
 
     def _started(self) -> tuple[Any, Any]:
@@ -256,8 +246,8 @@ class Processes(Workers):
         self._busy[number] = self._idle.pop()
         self._order(number, ("decode", number, piece))
 
-    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
-        self._order(number, ("write", before, apart, shape, last))
+    def write(self, number: int, before: State, shape: Shape, last: bool) -> None:
+        self._order(number, ("write", before, shape, last))
 
     def _order(self, number: int, order: tuple[Any, ...]) -> None:
         self._orders.setdefault(number, []).append(order)
@@ -277,10 +267,10 @@ class Processes(Workers):
             if isinstance(told, Written | Exception):
                 self._idle.append(self._busy.pop(number))
                 self._orders.pop(number)
-            elif number in self._known:
-                continue  # repeated: its ends are the same
-            self._known.add(number)
-            return number, told
+            elif number in self._passed:
+                continue  # repeated: it leaves the same
+            self._passed.add(number)
+            return Event(number, told)
 
     def _repeat(self, number: int) -> None:
         process, pipe = self._busy.pop(number)
@@ -315,9 +305,11 @@ def _serve(pipe: Any, inherited: list[Any], reading: Reading, sink: Sink) -> Non
             match pipe.recv():
                 case "decode", number, piece:
                     work = Work(number, piece, reading)
-                    pipe.send(work.decode())
-                case "write", *order if work is not None:
-                    done = work.write(sink, *order)
+                case "write", before, shape, last if work is not None:
+                    passed = work.follow(before, last)
+                    if isinstance(passed, Passed):
+                        pipe.send(passed)
+                    done = work.write(sink, passed, before, shape, last)
                     work = None  # its rows are not kept while the process waits
                     pipe.send(done)
 
@@ -352,12 +344,14 @@ class Cluster(Workers):
         return max(_PER_THREAD * max(threads, 1) - len(self._works), 0)
 
     def decode(self, number: int, piece: Piece) -> None:
-        work = self._works[number] = self._client.submit(_decoded, number, piece, self._reading, pure=False)
-        self._wait(number, self._client.submit(itemgetter(1), work, pure=False, priority=1))
+        self._works[number] = self._client.submit(Work, number, piece, self._reading, pure=False)
 
-    def write(self, number: int, before: State, apart: bool, shape: Shape, last: bool) -> None:
-        order = self._works[number], self._sink, before, apart, shape, last
-        self._wait(number, self._client.submit(_written, *order, pure=False, priority=2))
+    def write(self, number: int, before: State, shape: Shape, last: bool) -> None:
+        work = self._works[number]
+        passed = self._client.submit(Work.follow, work, before, last, pure=False, priority=1)
+        self._wait(number, passed)
+        order = work, self._sink, passed, before, shape, last
+        self._wait(number, self._client.submit(Work.write, *order, pure=False, priority=2))
 
     def _wait(self, number: int, future: Any) -> None:
         self._numbers[future.key] = number
@@ -373,19 +367,10 @@ class Cluster(Workers):
         except distributed.KilledWorker as error:
             raise EnvironmentLackError(f"--scheduler: the workers of part {number} ended: {error}") from error
         future.release()
-        if not isinstance(told, Ends):
+        if isinstance(told, Written):
             self._works.pop(number).release()
-        return number, told
+        return Event(number, told)
 
     def close(self) -> None:
         self._works.clear()
         self._client.close()
-
-
-def _decoded(number: int, piece: Piece, reading: Reading) -> tuple[Work, Ends | Exception]:
-    work = Work(number, piece, reading)
-    return work, work.decode()
-
-
-def _written(decoded: tuple[Work, Ends], *order: Any) -> Written | Exception:
-    return decoded[0].write(*order)

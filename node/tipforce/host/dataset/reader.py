@@ -90,9 +90,7 @@ def tally(manifest: Manifest) -> Tally:
     total, followed = Tally(), {source.after for source in manifest.sources}
     for source in manifest.sources:
         if source.id not in followed:
-            recording = Tally()
-            recording.set_rows(source.end.tally, source.end.short)
-            total.append(recording)
+            total.append(Tally.of_rows(source.end.tally, source.end.short))
     return total
 
 

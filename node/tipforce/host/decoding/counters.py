@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -11,43 +12,41 @@ import numpy.typing as npt
 from canopen_device.core.codes import SYNC_COB_ID
 from tipforce.arrays import IntArray, occurring
 from tipforce.host.decoding.decoder import Samples, lost_samples, unwrap_counter
-from tipforce.host.decoding.health_rows import with_channel
-from tipforce.host.decoding.sample_rule import COUNTER, SAMPLES, SlotCount, follows_sync, lost_between
+from tipforce.host.decoding.sample_rule import COUNTER, SAMPLES, follows_sync, lost_between
 from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
 from tipforce.host.frames.frame_array import FrameArray
+from tipforce.samples.sync_numbers import LARGEST
 
-_LARGEST_NUMBER = 240
 _NONE = -1
 
 Place = tuple[str, int, str]
 """Channel, node-id, message name."""
-TallyRow = tuple[str, int, str, int, int | None, int | None, int | None, int, int]
-"""A place and the fields of its MessageCount."""
 
 
-@dataclass(slots=True)
-class MessageCount:
+class MessageCount(NamedTuple):
     """Frames of one message, and the samples lost between them (None: its PDO does not follow SYNC)."""
 
     frames: int = 0
     lost: int | None = None
     first: int | None = None
     last: int | None = None
-    moduli: tuple[int, int] = (SAMPLES, SAMPLES)
-    """Of the first and of the last counter."""
+    first_modulus: int = SAMPLES
+    last_modulus: int = SAMPLES
 
-    def append(self, other: MessageCount) -> None:
-        """Add the count of the next part; where its modulus is another one the count begins again."""
-        self.frames += other.frames
+    def followed_by(self, other: MessageCount) -> MessageCount:
+        """Return it with the count of the next part; where its modulus is another one the count begins again."""
         if other.first is None:
-            return
-        between = 0
-        if self.last is not None and self.moduli[1] == other.moduli[0]:
-            between = lost_between(self.last, other.first, self.moduli[1])
-        self.lost = (self.lost or 0) + (other.lost or 0) + between
-        self.moduli = (other.moduli[0] if self.first is None else self.moduli[0]), other.moduli[1]
-        self.first = other.first if self.first is None else self.first
-        self.last = other.last
+            return self._replace(frames=self.frames + other.frames)
+        begin = other if self.first is None else self
+        lost = (self.lost or 0) + (other.lost or 0)
+        if self.last is not None and self.last_modulus == other.first_modulus:
+            lost += lost_between(self.last, other.first, self.last_modulus)
+        frames = self.frames + other.frames
+        return MessageCount(frames, lost, begin.first, other.last, begin.first_modulus, other.last_modulus)
+
+
+TallyRow = tuple[str, int, str, int, int | None, int | None, int | None, int, int]
+"""A place and the fields of its MessageCount."""
 
 
 @dataclass(slots=True)
@@ -57,11 +56,10 @@ class Tally:
     messages: dict[Place, MessageCount] = field(default_factory=dict)
     short: dict[Place, int] = field(default_factory=dict)
 
-    def add(self, place: Place, count: SlotCount, modulus: int) -> None:
-        """Count frames, whose counters have this ``modulus`` (``SyncModulus``)."""
-        part = MessageCount(count.frames, count.lost, count.first, count.last, (modulus, modulus))
-        part = part if count.first >= 0 else MessageCount(count.frames)
-        self.messages.setdefault(place, MessageCount()).append(part)
+    def add(self, place: Place, frames: int, first: int, last: int, lost: int, modulus: int) -> None:
+        """Count frames, whose counters have this ``modulus`` (``SyncModulus``); ``first`` -1: they show no losses."""
+        part = MessageCount(frames, lost, first, last, modulus, modulus) if first >= 0 else MessageCount(frames)
+        self.messages[place] = self.messages.get(place, MessageCount()).followed_by(part)
 
     def add_samples(self, samples: Samples, modulus: int) -> None:
         """Count the samples of a bus."""
@@ -71,37 +69,32 @@ class Tally:
             counter = counter if modulus == SAMPLES else counter[counter > 0]  # 0 is no SYNC's latch
             if len(counter):
                 first, last, lost = int(counter[0]), int(counter[-1]), lost_samples(counter, modulus)
-        count = SlotCount(0, len(samples.row), first, last, lost)
-        self.add(("", samples.node_id, samples.message.name), count, modulus)
+        self.add(("", samples.node_id, samples.message.name), len(samples.row), first, last, lost, modulus)
 
     def append(self, other: Tally) -> None:
         """Add the counts of the next part."""
         for place, count in other.messages.items():
-            self.messages.setdefault(place, MessageCount()).append(count)
+            self.messages[place] = self.messages.get(place, MessageCount()).followed_by(count)
         for place, frames in other.short.items():
             self.short[place] = self.short.get(place, 0) + frames
 
     def rows(self) -> tuple[list[TallyRow], list[tuple[str, int, str, int]]]:
         """Return both counts as rows."""
-        rows = [
-            (*place, count.frames, count.lost, count.first, count.last, *count.moduli)
-            for place, count in self.messages.items()
-        ]
-        return rows, [(*place, frames) for place, frames in self.short.items()]
+        messages = [(*place, *count) for place, count in self.messages.items()]
+        return messages, [(*place, frames) for place, frames in self.short.items()]
 
-    def set_rows(self, messages: Iterable[TallyRow], short: Iterable[tuple[str, int, str, int]]) -> None:
-        """Set both counts from ``rows``."""
-        for channel, node, name, frames, lost, first, last, *moduli in messages:
-            self.messages[channel, node, name] = MessageCount(frames, lost, first, last, (moduli[0], moduli[1]))
-        self.short |= {(channel, node, name): frames for channel, node, name, frames in short}
+    @classmethod
+    def of_rows(cls, messages: Iterable[TallyRow], short: Iterable[tuple[str, int, str, int]]) -> Tally:
+        """Return the counts that ``rows`` returned."""
+        return cls({row[:3]: MessageCount._make(row[3:]) for row in messages}, {row[:3]: row[3] for row in short})
 
     def lost(self) -> dict[tuple[str, int], int]:
         """Return lost samples by channel and node: the maximum over its messages, which have one counter."""
-        found: dict[tuple[str, int], int] = {}
+        lost: dict[tuple[str, int], int] = {}
         for (channel, node, _), count in self.messages.items():
             if count.lost is not None:
-                found[channel, node] = max(found.get((channel, node), 0), count.lost)
-        return found
+                lost[channel, node] = max(lost.get((channel, node), 0), count.lost)
+        return lost
 
 
 class Counters:
@@ -110,8 +103,6 @@ class Counters:
     def __init__(self, last: Mapping[int, tuple[int, int]] | None = None) -> None:
         """``last``: by key, unwrapped and as sent."""
         self.last = dict(last or {})
-        self.first: dict[int, tuple[int, int]] = {}
-        """By key as sent, and its modulus, where ``last`` had none."""
 
     def unwrapped(self, table: Table) -> Table:
         """Return the table with each node's counter continued from its first value.
@@ -142,22 +133,10 @@ class Counters:
         for start, end in zip(starts.tolist(), ends, strict=True):
             of, first = int(key[start]), int(sent[start])
             last = self.last.get(of)
-            if last is None:
-                self.first[of] = first, modulus
             begin = first if last is None else last[0] + (first - last[1]) % modulus
             counts[start:end] += begin - int(counts[start])
             self.last[of] = int(counts[end - 1]), int(sent[end - 1])
         return counts
-
-    def skip(
-        self, first: Mapping[int, tuple[int, int]], last: Mapping[int, tuple[int, int]], numbers: Sequence[int]
-    ) -> None:
-        """Take ``first`` and ``last`` of a part that was unwrapped by itself; ``numbers``: of its channels here."""
-        for key, (unwrapped, sent) in last.items():
-            place, (begun, modulus) = with_channel(key, numbers), first[key]
-            before = self.last.get(place)
-            shift = 0 if before is None else before[0] + (begun - before[1]) % modulus - begun
-            self.last[place] = unwrapped + shift, sent
 
 
 def modulus_of(table: Table, key: int) -> int:
@@ -181,29 +160,27 @@ def _with_events(
 
 
 class SyncModulus:
-    """Follow the SYNCs of each channel: counters are their numbers, 1 to 1019h, or count samples modulo 256.
-
-    ``of`` has the modulus by channel number; SAMPLES for one that it lacks.
-    """
+    """Follow the SYNCs of each channel: counters are their numbers, 1 to 1019h, or count samples modulo 256."""
 
     def __init__(self, state: Iterable[tuple[int, int, int, int]] = ()) -> None:
         """``state`` as a property of that name returned it."""
-        self.of: dict[int, int] = {}
-        self._numbers: dict[int, tuple[int, int]] = {}  # the largest number since the numbers began, and the last
-        for channel, modulus, largest, last in state:
-            self.of[channel] = modulus
-            if largest != _NONE:
-                self._numbers[channel] = largest, last
+        # By channel the modulus, the largest number since the numbers began, and the last; _NONE without numbers.
+        self._known = {channel: (modulus, largest, last) for channel, modulus, largest, last in state}
+
+    @property
+    def of(self) -> dict[int, int]:
+        """The modulus by channel number; SAMPLES for one that it lacks."""
+        return {channel: modulus for channel, (modulus, _, _) in self._known.items()}
 
     @property
     def state(self) -> list[tuple[int, int, int, int]]:
         """By channel: its number, the modulus, the largest and the last number, -1 for none."""
-        return [(k, modulus, *self._numbers.get(k, (_NONE, _NONE))) for k, modulus in self.of.items()]
+        return [(channel, *known) for channel, known in self._known.items()]
 
     @property
     def settled(self) -> bool:
         """Whether the numbers of each channel that has them were seen up to the largest one."""
-        return all(self.of[k] == max(largest, 2) for k, (largest, _) in self._numbers.items())
+        return all(modulus == max(largest, 2) for modulus, largest, _ in self._known.values() if largest != _NONE)
 
     @property
     def modulus(self) -> int:
@@ -225,7 +202,7 @@ class SyncModulus:
         for channel in occurring(frames["channel"][at]):
             mine = at[frames["channel"][at] == channel]
             numbered = (frames["length"][mine] == 1).astype(np.int8)
-            before = np.int8(self.of.get(channel, SAMPLES) != SAMPLES)
+            before = np.int8(channel in self._known and self._known[channel][0] != SAMPLES)
             found += mine[np.diff(numbered, prepend=before) != 0].tolist()
         return sorted(found)
 
@@ -235,13 +212,13 @@ class SyncModulus:
         for channel in occurring(syncs["channel"]):
             mine = syncs.compress(syncs["channel"] == channel)
             if mine["length"][-1] != 1:
-                self.of[channel] = SAMPLES
-                self._numbers.pop(channel, None)
+                self._known[channel] = SAMPLES, _NONE, _NONE
                 continue
             number = mine["data"][:, 0].astype(np.int64)
-            largest, last = self._numbers.get(channel, (0, int(number[0])))
+            modulus, largest, last = self._known.get(channel, (SAMPLES, _NONE, _NONE))
+            last = int(number[0]) if last == _NONE else last
             wraps = bool((np.diff(number, prepend=last) < 0).any())
             largest = max(largest, int(number.max()))
-            self._numbers[channel] = largest, int(number[-1])
-            if wraps or largest > self.of.get(channel, 0) or self.of[channel] == SAMPLES:
-                self.of[channel] = max(largest, 2) if wraps else _LARGEST_NUMBER
+            if wraps or largest > modulus or modulus == SAMPLES:
+                modulus = max(largest, 2) if wraps else LARGEST
+            self._known[channel] = modulus, largest, int(number[-1])

@@ -13,8 +13,8 @@ import numpy.typing as npt
 from canopen_device.core.codes import STANDARD_MASK
 from tipforce.dictionary.signals import Message, mapping_signals, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decoding.columns import Column, Layout
 from tipforce.host.decoding.sample_rule import SAMPLES, SLOT, counter_place, follows_sync, join
+from tipforce.host.decoding.sample_table import Layout, Values
 from tipforce.host.frames.frame_array import FrameArray
 
 MAX_COB_ID = STANDARD_MASK
@@ -112,7 +112,7 @@ class Samples:
     message: Message
     t_ns: npt.NDArray[np.int64]
     row: npt.NDArray[np.intp]
-    columns: Mapping[str, Column]
+    columns: Mapping[str, Values]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,8 +41,7 @@ _MOST_STEPS = 2  # from a sample to the next of the same node: a SYNC may be los
 _SHORTEST_PERIOD_NS = 50_000_000  # receivers that read in batches give faster heartbeats any spacing
 _SHORT = 0.3  # of the period: a node that rounds its period to its cycle alternates by a third at most
 _UNEVEN = 1.25
-_OF_EIGHT_BYTES = (codes.EMCY_BASE, codes.SDO_RESPONSE_BASE, codes.SDO_REQUEST_BASE)
-_OF_ANY_LENGTH = (codes.NMT_COB_ID, codes.HEARTBEAT_BASE, codes.HEARTBEAT_BASE | codes.REMOTE_FLAG)
+_GUARDING = codes.HEARTBEAT_BASE | codes.REMOTE_FLAG
 _RESETS = (codes.NMT_RESET_NODE, codes.NMT_RESET_COMMUNICATION)
 
 
@@ -76,11 +75,6 @@ class Duplicate(NamedTuple):
 class _Node:
     """What was seen of one node-id since its boot-up."""
 
-    __slots__ = (
-        "answered", "answers", "beats", "changes", "doubled", "pdos", "product", "serials", "state", "suspect",
-        "waiting",
-    )  # fmt: skip
-
     def __init__(self) -> None:
         self.waiting: dict[bytes, int] = {}  # by request: responses that are due; -1 after a second one
         self.answers: dict[bytes, tuple[bytes, int]] = {}  # by request: the last response and its time
@@ -100,7 +94,6 @@ class _Node:
         self.changes, self.state = 0, -1
 
     def request(self, place: bytes, most: int = _MOST_WAITING) -> None:
-        """Expect one more response."""
         if len(self.waiting) >= _MOST_REQUESTS and place not in self.waiting:
             self.waiting.clear()
         self.waiting[place] = min(max(self.waiting.get(place, 0), 0) + 1, most)
@@ -171,38 +164,30 @@ class _Node:
         return min(max(intervals[::2]), max(intervals[1::2])) <= _SHORT * least
 
 
-def _begins(requested: bool, command: int) -> bool:
-    """Return whether an SDO frame begins a transfer."""
-    if requested:
-        return command == 0x40 or command >> 5 == 1
-    return command >> 4 == 4 or command in (0x60, 0x80)
-
-
-_BEGINS = np.array([[_begins(requested, command) for command in range(256)] for requested in (True, False)])
-"""By what an SDO frame is (0: a request, 1: a response) and its first byte."""
-
-
-_MAY_BE = np.isin(
-    np.arange(codes.STANDARD_MASK + 1) & ~codes.NODE_ID_MASK, [codes.NMT_COB_ID, codes.HEARTBEAT_BASE, *_OF_EIGHT_BYTES]
-)
-_MAY_BE[[*range(1, codes.NODE_ID_MASK + 1), codes.EMCY_BASE]] = False
-"""By the lowest bits of an identifier, whether it is one of those below: of a block of PDOs none is."""
+_ANY_LENGTH, _EMCY, _REQUEST, _RESPONSE = 1, 2, 3, 4
+_KIND = np.zeros(codes.STANDARD_MASK + 1, dtype=np.uint8)
+"""By identifier what its frames are; 0: nothing that is looked at."""
+_KIND[codes.NMT_COB_ID] = _ANY_LENGTH
+for _base, _kind in (
+    (codes.HEARTBEAT_BASE, _ANY_LENGTH), (codes.EMCY_BASE, _EMCY), (codes.SDO_REQUEST_BASE, _REQUEST),
+    (codes.SDO_RESPONSE_BASE, _RESPONSE),
+):  # fmt: skip
+    _KIND[_base + 1 : _base + codes.NODE_ID_MASK + 1] = _kind
+_KIND_OF = _KIND.tolist()
+_BEGINS = np.ones((5, 256), dtype=np.bool_)
+"""By the kind and the first byte; of SDO frames only those count that begin a transfer."""
+_BEGINS[_REQUEST] = [command == 0x40 or command >> 5 == 1 for command in range(256)]
+_BEGINS[_RESPONSE] = [command >> 4 == 4 or command in (0x60, 0x80) for command in range(256)]
 
 
 def services(frames: FrameArray) -> FrameArray:
     """Return those of FRAME (n,) that ``DuplicateNodes.frame`` looks at."""
-    frames = frames.compress(_MAY_BE.take(frames["can_id"] & np.uint32(codes.STANDARD_MASK)))
+    frames = frames.compress(_KIND.take(frames["can_id"] & np.uint32(codes.STANDARD_MASK)) > 0)
     can_id = frames["can_id"]
-    function = can_id & ~np.uint32(codes.NODE_ID_MASK)
-    chosen = (can_id == codes.NMT_COB_ID) | (function == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG)
-    chosen |= (function == codes.HEARTBEAT_BASE) & (can_id != codes.HEARTBEAT_BASE)
-    whole = frames["length"] == 8
-    chosen |= (function == codes.EMCY_BASE) & (can_id != codes.EMCY_BASE) & whole
-    rows = np.flatnonzero(
-        ((function == codes.SDO_REQUEST_BASE) | (function == codes.SDO_RESPONSE_BASE)) & whole & (can_id != function)
-    )
-    chosen[rows] = _BEGINS[(function[rows] == codes.SDO_RESPONSE_BASE).astype(np.intp), frames["data"][rows, 0]]
-    return frames.compress(chosen)
+    kind = _KIND.take(can_id & np.uint32(codes.STANDARD_MASK))
+    whole = (can_id <= codes.STANDARD_MASK) & ((kind == _ANY_LENGTH) | (frames["length"] == 8))
+    guarding = can_id & ~np.uint32(codes.NODE_ID_MASK) == _GUARDING
+    return frames.compress(guarding | (whole & _BEGINS[kind, frames["data"][:, 0]]))
 
 
 class DuplicateNodes:
@@ -229,25 +214,25 @@ class DuplicateNodes:
 
     def frame(self, can_id: int, data: bytes, t_ns: int) -> Duplicate | None:
         """Process one frame, ``can_id`` with SocketCAN's flags; return a new finding."""
-        function, node_id = can_id & ~codes.NODE_ID_MASK, can_id & codes.NODE_ID_MASK
-        if not node_id and can_id != codes.NMT_COB_ID:
-            return None
-        if function not in _OF_ANY_LENGTH and (function not in _OF_EIGHT_BYTES or len(data) != 8):
+        node_id = can_id & codes.NODE_ID_MASK
+        guarding = can_id - node_id == _GUARDING
+        kind = _KIND_OF[can_id & codes.STANDARD_MASK] if guarding or can_id <= codes.STANDARD_MASK else 0
+        if not kind or (kind != _ANY_LENGTH and len(data) != 8):
             return None
         with self._lock:
-            if not function:
+            if can_id == codes.NMT_COB_ID:
                 self._commanded(data)
                 return None
             node = self._nodes.get(node_id)
             if node is None:
                 node = self._nodes[node_id] = _Node()
-            cause = ""
-            if function == codes.HEARTBEAT_BASE and len(data) == 1:
-                cause = self._heartbeat(node_id, node, data[0], t_ns)
-            elif function == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG:
+            if guarding:
                 node.request(_GUARD, 1)
-            elif function in _OF_EIGHT_BYTES:
-                cause = _service(function, node_id, node, data, t_ns)
+                cause = ""
+            elif kind == _ANY_LENGTH:
+                cause = self._heartbeat(node_id, node, data[0], t_ns) if len(data) == 1 else ""
+            else:
+                cause = _service(kind, node_id, node, data, t_ns)
             return self._note(node_id, node, cause, t_ns) if cause else None
 
     def samples(self, samples: Samples, frames: FrameArray, modulus: int) -> None:
@@ -320,15 +305,18 @@ class DuplicateNodes:
         return f"two nodes send heartbeats as node {node_id}" if node.heartbeat(state, t_ns) else ""
 
 
-def _service(function: int, node_id: int, node: _Node, data: bytes, t_ns: int) -> str:
-    """Take an SDO frame that begins a transfer, or an EMCY; return the cause of a finding."""
-    command, place = data[0], data[1:4]
-    if function == codes.SDO_REQUEST_BASE and _begins(True, command):
-        node.request(place)
-    elif function == codes.SDO_RESPONSE_BASE and _begins(False, command):
-        return f"two nodes respond as node {node_id}" if node.response(place, data, t_ns) else ""
-    elif function == codes.EMCY_BASE and int.from_bytes(data[:2], "little") == COB_ID_COLLISION:
+def _service(kind: int, node_id: int, node: _Node, data: bytes, t_ns: int) -> str:
+    """Take an SDO frame, or an EMCY; return the cause of a finding."""
+    if kind == _EMCY:
+        if int.from_bytes(data[:2], "little") != COB_ID_COLLISION:
+            return ""
         can_id = int.from_bytes(data[3:5], "little")  # of a tipforce node; others may send something else there
         which = f"its identifier 0x{can_id:03X}" if can_id & codes.NODE_ID_MASK == node_id else "one of its identifiers"
         return f"node {node_id} reports that another node sends {which} (EMCY 8150h)"
-    return ""
+    place = data[1:4]
+    if not _BEGINS[kind, data[0]]:
+        return ""
+    if kind == _REQUEST:
+        node.request(place)
+        return ""
+    return f"two nodes respond as node {node_id}" if node.response(place, data, t_ns) else ""

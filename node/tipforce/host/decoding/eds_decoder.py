@@ -32,15 +32,6 @@ Values: TypeAlias = Mapping[tuple[int, int], int]
 _MOST_BITS = 64
 
 
-def pdo_values(found: Description) -> dict[tuple[int, int], int]:
-    """Return the PDO parameters after power-on."""
-    return {
-        (one.index, one.sub): one.initial
-        for one in found.entries()
-        if communication.RPDO <= one.index <= communication.LAST_TPDO_MAPPING and isinstance(one.initial, int)
-    }
-
-
 def pdo_message(found: Description, values: Values, name: str, index: int) -> tuple[int, Message] | None:
     """Return the identifier and the layout of the PDO with the communication parameters ``index``; None if invalid.
 
@@ -67,7 +58,9 @@ def pdo_message(found: Description, values: Values, name: str, index: int) -> tu
 
 def _signal(found: Description, entry: Entry, start: int, bits: int, taken: set[str]) -> Signal:
     low, high = entry.type.limits or (0, 0)
-    name = signal_name(found, entry)
+    described = found.objects[entry.index]
+    text = described.name if set(described.entries) == {0} else f"{described.name} {entry.name}"
+    name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or f"x{entry.index:04X}_{entry.sub:02X}"
     if name in taken:
         name = f"{name}_{entry.index:04X}_{entry.sub:02X}"
     lowest, highest = float(low if entry.low is None else entry.low), float(high if entry.high is None else entry.high)
@@ -75,13 +68,6 @@ def _signal(found: Description, entry: Entry, start: int, bits: int, taken: set[
         name, start, bits, low < 0, 1.0, entry.unit, lowest, highest, None, entry.name, entry.index, entry.sub,
         entry.type.python is float,
     )  # fmt: skip
-
-
-def signal_name(found: Description, entry: Entry) -> str:
-    """Return the name of an entry as a signal, of letters, digits and underscores."""
-    one = found.objects[entry.index]
-    text = one.name if set(one.entries) == {0} else f"{one.name} {entry.name}"
-    return re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_") or f"x{entry.index:04X}_{entry.sub:02X}"
 
 
 _MOST_BYTES = 4  # of a PDO parameter
@@ -131,26 +117,25 @@ class _Device:
 
     def __init__(self, described: Description) -> None:
         self._described = described
-        self._initial = pdo_values(described)
+        self._initial = {
+            (entry.index, entry.sub): entry.initial
+            for entry in described.entries()
+            if communication.RPDO <= entry.index <= communication.LAST_TPDO_MAPPING and isinstance(entry.initial, int)
+        }
         self._values, self._stored = dict(self._initial), dict(self._initial)
         self._sdo = SdoConversation(described.node_id, lambda *_: None)
-        self._made: dict[tuple[object, ...], tuple[int, Message]] = {}  # one object per layout, kept for its identity
+        self._made: dict[tuple[int, Message], tuple[int, Message]] = {}  # one object per layout, kept for its identity
         self._known = self.messages()
 
     def messages(self) -> dict[str, tuple[int, Message] | None]:
         """Return each PDO by name; None for one that is not valid."""
-        return {
-            f"{kind}{index - first + 1}": self._message(f"{kind}{index - first + 1}", index)
-            for kind, first, last in RANGES
-            for index in sorted(one for one in self._described.objects if first <= one <= last)
-        }
-
-    def _message(self, name: str, index: int) -> tuple[int, Message] | None:
-        found = pdo_message(self._described, self._values, name, index)
-        if found is None:
-            return None
-        layout = tuple((one.index, one.sub, one.start_bit, one.bits) for one in found[1].signals)
-        return self._made.setdefault((name, found[0], found[1].length_bytes, layout), found)
+        messages: dict[str, tuple[int, Message] | None] = {}
+        for kind, first, last in RANGES:
+            for index in sorted(index for index in self._described.objects if first <= index <= last):
+                name = f"{kind}{index - first + 1}"
+                message = pdo_message(self._described, self._values, name, index)
+                messages[name] = message and self._made.setdefault(message, message)
+        return messages
 
     def take(self, service: tuple[int, bytes]) -> Iterator[tuple[str, tuple[int, Message] | None]]:
         """Take a frame; yield the PDOs that it changes."""

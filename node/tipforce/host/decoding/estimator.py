@@ -172,7 +172,7 @@ class Estimator:
                 degC = float(_numbers("temperature_degC", degC, ()))
             bits = lost if isinstance(lost, int) else int(_numbers("lost", lost, ()))
             faults, values = self._one(row, degC, bits, was_present, was_overloaded)
-            status = _shown_one(faults)
+            status = _shown(faults)
             if status not in self._status_of:
                 self._status_of[status] = Status(status)
             return Contact(0, scalar.NAN, -1, *values, self._status_of[status], tuple(row))
@@ -185,7 +185,7 @@ class Estimator:
             columns = [getattr(contacts, name) for name in Contacts.__slots__]
             for k, one in enumerate(zip(readings.tolist(), degC.tolist(), lost.tolist(), strict=True)):
                 faults, values = self._one(*one, was_present, was_overloaded)
-                for column, value in zip(columns, (*values, _shown_one(faults)), strict=True):
+                for column, value in zip(columns, (*values, _shown(faults)), strict=True):
                     column[k] = value
                 if not faults & reasons.NO_ESTIMATE:
                     was_present = bool(faults & scalar.CONTACT_PRESENT)
@@ -199,7 +199,7 @@ class Estimator:
             judged.frozen_gauges(self._calibration, strain),
         )
         contacts, status_of_rows, _ = self.rows(given, Before(was_present, was_overloaded), out)
-        contacts.status[:] = (status_of_rows | _shown(status_of_rows)) & 0xFFFF
+        contacts.status[:] = _shown_rows(status_of_rows)
         return contacts
 
     def rows(self, given: Readings, before: Before, out: Contacts | None = None) -> tuple[Contacts, IntArray, Before]:
@@ -276,7 +276,6 @@ class Estimator:
     def _one(
         self, microstrain: Sequence[float], degC: float, lost: int, was_present: bool, was_overloaded: bool
     ) -> tuple[int, Values]:
-        """(status, values) of a reading."""
         most, active = LARGEST_MICROSTRAIN, self._active
         readings = [value if -most <= value <= most else scalar.NAN for value in microstrain]
         for k, limit in enumerate(self._limits):
@@ -326,7 +325,6 @@ class Estimator:
         was_present: bool,
         was_overloaded: bool,
     ) -> tuple[int, Values]:
-        """(status, values) of a force."""
         (F1, F2, F3), pull, limits = F, self._active.pull, self._active.limits
         force = scalar.scaled_force(F1, F2, F3)
         P, phi, theta, miss = scalar.contact_of(force, pull)
@@ -395,7 +393,6 @@ def estimate(
 
 
 def _room(out: Contacts | None, shape: tuple[int, ...]) -> Contacts:
-    """Return where the contacts go."""
     contacts = Contacts.empty(*shape) if out is None else out
     columns = [getattr(contacts, name) for name in Contacts.__slots__]
     if any(not isinstance(column, np.ndarray) or column.shape != shape for column in columns):
@@ -403,16 +400,14 @@ def _room(out: Contacts | None, shape: tuple[int, ...]) -> Contacts:
     return contacts
 
 
-def _shown(status: IntArray) -> IntArray:
-    """The bits that a node would set beside those of ``rows``."""
-    bits: IntArray = np.full(len(status), scalar.CALIBRATED)
+def _shown_rows(status: IntArray) -> IntArray:
     for flag, why in _FLAGS:
-        bits |= np.where(status & why, flag, 0)
-    return bits
+        status = status | np.where(status & why, flag, 0)
+    return (status | scalar.CALIBRATED) & 0xFFFF
 
 
-def _shown_one(status: int) -> int:
-    """The status as a node would give it: with the bits of ``_shown``, without those above 16."""
+def _shown(status: int) -> int:
+    """The status as a node would give it, without bits above 16."""
     status |= scalar.CALIBRATED
     if status & _FLAGGED:
         for flag, why in _FLAGS:

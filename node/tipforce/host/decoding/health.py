@@ -1,33 +1,52 @@
 """The faults of a node (2124h) as its TPDO4, EMCY and boot-up messages tell them: held until they say otherwise.
 
-By default TPDO4 is off and bits 12 to 15 are in no other PDO, so EMCY is all that a bus shows of them; bit 13 has none.
+``Health`` follows frames, ``HealthRows`` the tables of a log. By default TPDO4 is off and bits 12 to 15 are in no other
+PDO, so EMCY is all that a bus shows of them; bit 13 has none.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from canopen_device.core.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, SYNC_COB_ID
-from tipforce.arrays import IntArray
-from tipforce.dictionary import table
+from tipforce.arrays import BoolArray, IntArray, occurring
+from tipforce.dictionary import table as dictionary
+from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.decoding.decoder import Samples
+from tipforce.host.decoding.sample_table import (
+    NO_COUNTER,
+    NO_FLAG,
+    NO_INTEGER,
+    NODE_BITS,
+    Table,
+    Values,
+    flag,
+    in_order,
+)
 from tipforce.host.frames.frame_array import FrameArray
+from tipforce.samples import reasons
 
 ALL = 0xFFFF
-TOLD_BY_EMCY = 1 << table.FAULT_CONTRADICTION | 1 << table.FAULT_TEMPERATURE | 1 << table.FAULT_OVERLOAD
+TOLD_BY_EMCY = 1 << dictionary.FAULT_CONTRADICTION | 1 << dictionary.FAULT_TEMPERATURE | 1 << dictionary.FAULT_OVERLOAD
 """What the calibration says of a sample, as far as EMCY has it."""
-NAMES = {f"SG{k + 1}_fault": k for k in range(table.MAX_GAUGES)} | {f"fault_{n}": k for k, n, _ in table.FAULT_BITS}
+NAMES = {f"SG{k + 1}_fault": k for k in range(dictionary.MAX_GAUGES)} | {
+    f"fault_{n}": k for k, n, _ in dictionary.FAULT_BITS
+}
 """Bit of 2124h by signal name."""
 EMCY_LENGTH = 8
 MOST_KEPT = 4096
 """Changes of one node that are kept: more than a block of frames has."""
 _BEFORE = -1 << 63
-_OF_BIT = {table.EMCY_TEMPERATURE: table.FAULT_TEMPERATURE, table.EMCY_OVERLOAD: table.FAULT_OVERLOAD}
+_OF_BIT = {
+    dictionary.EMCY_TEMPERATURE: dictionary.FAULT_TEMPERATURE,
+    dictionary.EMCY_OVERLOAD: dictionary.FAULT_OVERLOAD,
+}
 
 
 def of_emcy(data: bytes) -> tuple[int, bool]:
@@ -37,9 +56,9 @@ def of_emcy(data: bytes) -> tuple[int, bool]:
     if not is_set:
         code, detail = detail, second
     bit = -1
-    if code == table.EMCY_GAUGE_SATURATED:
+    if code == dictionary.EMCY_GAUGE_SATURATED:
         bit = detail - 1
-    elif code == table.EMCY_FRONT_END:
+    elif code == dictionary.EMCY_FRONT_END:
         # Of a gauge left out: its number, and above it the bit that says why.
         bit = (detail & 0xFF) - 1 if detail >> 8 else detail
     elif _OF_BIT.get(code) == detail:
@@ -49,7 +68,7 @@ def of_emcy(data: bytes) -> tuple[int, bool]:
 
 def packed(columns: Mapping[str, npt.NDArray[Any]]) -> IntArray | None:
     """2124h from the columns of its bits, (k,); None where these are not all that a TPDO4 has of bits 8 to 15."""
-    if any(f"fault_{name}" not in columns for _, name, _ in table.FAULT_BITS):
+    if any(f"fault_{name}" not in columns for _, name, _ in dictionary.FAULT_BITS):
         return None
     found = [(columns[name] == 1).astype(np.int64) << bit for name, bit in NAMES.items() if name in columns]
     return np.asarray(np.bitwise_or.reduce(found))
@@ -75,9 +94,8 @@ class Health:
     Times are integers that do not decrease from call to call: nanoseconds, or places in a log.
     """
 
-    def __init__(self, told: Mapping[int, tuple[int, int]] | None = None, unknown: tuple[int, int] = (0, 0)) -> None:
-        """``told``: (faults, seen) by node before the first time; ``unknown``: of all other nodes."""
-        self._unknown = unknown
+    def __init__(self, told: Mapping[int, tuple[int, int]] | None = None) -> None:
+        """``told``: (faults, seen) by node before the first time."""
         # node -> (time, faults, seen), the last MOST_KEPT
         self._told = {node: [(_BEFORE, *state)] for node, state in (told or {}).items()}
 
@@ -89,7 +107,7 @@ class Health:
     def now(self, node: int) -> tuple[int, int]:
         """(faults, seen) at present."""
         told = self._told.get(node)
-        return self._unknown if told is None else told[-1][1:]
+        return (0, 0) if told is None else told[-1][1:]
 
     def at(self, node: int, times: npt.NDArray[np.int64]) -> tuple[IntArray, IntArray]:
         """(faults, seen) of a node at some times, (k,) each."""
@@ -102,20 +120,14 @@ class Health:
         before, seen = self.now(node)
         self._tell(node, time, before & ~mask | faults, seen | mask)
 
-    def set(self, node: int, faults: int, seen: int) -> None:
-        """Set the state at present, without a past."""
-        self._told[node] = [(_BEFORE, faults, seen)]
-
-    def boot(self, node: int, time: int) -> None:
-        """A node that has booted tells each fault again."""
-        self._tell(node, time, 0, TOLD_BY_EMCY)
-
-    def emcy(self, node: int, time: int, data: bytes) -> None:
-        """An EMCY tells that a fault began or ended."""
-        if len(data) == EMCY_LENGTH:
+    def service(self, node: int, time: int, base: int, data: bytes) -> None:
+        """Take an EMCY: a fault began or ended; or a heartbeat: a node that has booted tells each fault again."""
+        if base == EMCY_BASE and len(data) == EMCY_LENGTH:
             bit, is_set = of_emcy(data)
             faults, seen = self.now(node)
             self._tell(node, time, faults | bit if is_set else faults & ~bit, seen | bit)
+        elif base == HEARTBEAT_BASE and data and data[0] & NODE_ID_MASK == INITIALISING:
+            self._tell(node, time, 0, TOLD_BY_EMCY)
 
     def _tell(self, node: int, time: int, faults: int, seen: int) -> None:
         if (faults, seen) != self.now(node):
@@ -140,7 +152,108 @@ class Health:
             time = int(frames["t_ns"][row])
             if isinstance(what, int):
                 self.pdo(node, time, what)
-            elif function[row] == EMCY_BASE:
-                self.emcy(node, time, what)
-            elif what and what[0] & NODE_ID_MASK == INITIALISING:
-                self.boot(node, time)
+            else:
+                self.service(node, time, int(function[row]), what)
+
+
+EMCY, STATE = "emcy", "nmt_state"
+"""Columns of the messages below, which become rows of a table until they are joined."""
+
+
+def _service(name: str, column: str, base: int, length: int) -> Message:
+    signal = Signal(column, 0, 8 * length, True, 1, "", 0, 0, None, name, 0, 0)
+    return Message("emcy", 0, name, base, length, (signal,), (), True, 255, 0)
+
+
+SERVICES = (_service("EMCY", EMCY, EMCY_BASE, EMCY_LENGTH), _service("Heartbeat", STATE, HEARTBEAT_BASE, 1))
+
+
+def joins(signals: Iterable[str] | None) -> bool:
+    """Whether bits of 2124h are among the signals; None: all signals."""
+    return signals is None or any(name in NAMES for name in signals)
+
+
+def with_services(signals: tuple[str, ...] | None) -> tuple[str, ...] | None:
+    """The signals to decode where these are asked for."""
+    return signals if signals is None or not joins(signals) else (*signals, EMCY, STATE)
+
+
+class HealthRows:
+    """Joins table after table. ``asked``: the signals that are shown; None: all.
+
+    ``told``: (faults, seen) by key before the first table.
+    """
+
+    def __init__(self, asked: tuple[str, ...] | None = None, told: Mapping[int, tuple[int, int]] | None = None) -> None:
+        self._asked = asked
+        self._health = Health(told)
+        self._rows = 0
+        self.sampled: dict[int, tuple[str, int]] = {}
+
+    @property
+    def told(self) -> dict[int, tuple[int, int]]:
+        """(faults, seen) by key now."""
+        return {key: self._health.now(key) for key in self._health.nodes}
+
+    @property
+    def unseen(self) -> list[tuple[str, int]]:
+        """Channel and node-id of the nodes with samples of which nothing told any of bits 12 to 15."""
+        seen = {key for key in self._health.nodes if self._health.now(key)[1] & reasons.JUDGED}
+        return sorted(place for key, place in self.sampled.items() if key not in seen)
+
+    def joined(self, table: Table) -> Table:
+        """The table with the columns of 2124h in all rows where they are known, and without rows of other messages."""
+        place = self._rows + np.arange(len(table))
+        self._rows += len(table)
+        service = self._take(table, place)
+        for key in occurring(table.key[~service & (table.counter != NO_COUNTER)]):
+            self.sampled[key] = table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
+        if self._health.nodes:
+            table = self._with_faults(table, place)
+        if not service.any() and EMCY not in table.values and STATE not in table.values:
+            return table
+        found = table.take(np.flatnonzero(~service))
+        columns = tuple(column for column in found.columns if column.name not in (EMCY, STATE))
+        values = {column.name: found.values[column.name] for column in columns}
+        absent = {name: rows for name, rows in found.absent.items() if name in values and rows.any()}
+        return replace(found, columns=columns, values=values, absent=absent)
+
+    def _with_faults(self, table: Table, place: IntArray) -> Table:
+        faults, seen = np.zeros(len(table), dtype=np.int64), np.zeros(len(table), dtype=np.int64)
+        for key in occurring(table.key):
+            rows = np.flatnonzero(table.key == key)
+            faults[rows], seen[rows] = self._health.at(key, place[rows])
+        some = int(np.bitwise_or.reduce(seen)) if len(seen) else 0
+        new: dict[str, Values] = {}
+        absent = dict(table.absent)
+        for name, bit in NAMES.items():
+            if not some >> bit & 1 or (self._asked is not None and name not in self._asked):
+                continue
+            known = seen >> bit & 1 == 1
+            new[name] = np.where(known, faults >> bit & 1, NO_FLAG).astype(np.int8)
+            absent[name] = ~known
+        columns = {column.name: column for column in table.columns}
+        columns |= {name: flag(name) for name in new if name not in columns}
+        absent = {name: rows for name, rows in absent.items() if rows.any()}
+        ordered = in_order(columns.values(), self._asked)
+        return replace(table, columns=ordered, values={**table.values, **new}, absent=absent)
+
+    def _take(self, table: Table, place: IntArray) -> BoolArray:
+        """Take what the rows tell; return (k,) the rows of EMCY and heartbeats."""
+        values, none = table.values, np.zeros(len(table), dtype=np.bool_)
+        emcy = none if EMCY not in values else values[EMCY] != NO_INTEGER
+        state = none if STATE not in values else values[STATE] != NO_INTEGER
+        names = [name for name in NAMES if name in values]
+        told = none if not names else np.logical_or.reduce([values[name] != NO_FLAG for name in names])
+        mask = sum(1 << NAMES[name] for name in names)
+        for row in np.flatnonzero(emcy | state | told).tolist():
+            key, time = int(table.key[row]), int(place[row])
+            if emcy[row]:
+                data = int(values[EMCY][row]).to_bytes(EMCY_LENGTH, "little", signed=True)
+                self._health.service(key, time, EMCY_BASE, data)
+            elif state[row]:
+                self._health.service(key, time, HEARTBEAT_BASE, bytes([int(values[STATE][row]) & 0xFF]))
+            else:
+                faults = sum(1 << NAMES[name] for name in names if values[name][row] == 1)
+                self._health.pdo(key, time, faults, mask)
+        return emcy | state

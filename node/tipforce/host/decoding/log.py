@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.configuration.calibration import Calibration
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
     import pyarrow
 
 _log = logging.getLogger(__name__)
-FloatArray = npt.NDArray[np.float64]
 _SHOWN_NODES = 4
 _ARROW_NAMES = {"temperature": "temperature_degC", "u_P": "u_P_N"}
 _NOT_USABLE = np.uint16(Status.STALE | Status.FAULT)

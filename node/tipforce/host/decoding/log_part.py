@@ -11,7 +11,7 @@ import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.decoding.health_rows import joins, with_services
+from tipforce.host.decoding.health import joins, with_services
 from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import never

@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-import numpy as np
-
 from canopen_device.core import communication
 from canopen_device.core.codes import COB_ID_INVALID, EXTENDED_FLAG, EXTENDED_MASK
 from tipforce.dictionary import table
@@ -17,8 +15,7 @@ from tipforce.dictionary.entries import gauges_of
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import MAX_COB_ID, Decoder, Key
-from tipforce.host.decoding.health_rows import SERVICES
-from tipforce.host.frames.frame_array import FRAME
+from tipforce.host.decoding.health import SERVICES
 
 if TYPE_CHECKING:
     from cantools.database.can import Message as DbcMessage
@@ -195,7 +192,7 @@ class Layouts:
     def decoder(self, services: bool = False) -> Decoder:
         """Return a separate decoder for each bus. Raises InputError for incompatible layouts.
 
-        ``services``: of EMCY and heartbeats too (health_rows), except for a DBC.
+        ``services``: of EMCY and heartbeats too (``health``), except for a DBC.
         """
         if self.dbc is not None:
             wanted = None if self.nodes is None else {*self.nodes}
@@ -236,14 +233,14 @@ def signals_named(decoder: Decoder, names: Iterable[str]) -> tuple[str, ...]:
         signal = name if bare == name or has_signal(decoder, name) else bare
         if signal not in found:
             found.append(signal)
-    decoder.decode(np.zeros(0, dtype=FRAME), found)
+    decoder.plan(found)
     return tuple(found)
 
 
 def has_signal(decoder: Decoder, name: str) -> bool:
     """Return whether any message of the decoder has a signal."""
     try:
-        decoder.decode(np.zeros(0, dtype=FRAME), [name])
+        decoder.plan([name])
     except InputError:
         return False
     return True

@@ -1,28 +1,43 @@
-"""Join the parts of a recording in order: the same tables as from one log, with continuous counters."""
+"""The tables of a recording, from consecutive logs or from parts that are decoded apart: the same as from one log.
+
+A part that is decoded before the parts in front cannot know: rows that are open at its edges, where the counters of its
+nodes continue, the modulus of these counters, and which faults of 2124h are set. So its first frames, the head, only
+bring the decoder into the state that it would have there, and are decoded again after the parts in front. Where that
+ends in the same state, the rows behind the head are right; they still get their counters and faults. Otherwise the
+whole part is decoded again. The ``State`` behind it is known before its rows are written.
+"""
 
 from __future__ import annotations
 
+import pickle
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from itertools import chain
+from typing import Any
 
 import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.decoding.counters import Counters, Tally, TallyRow
-from tipforce.host.decoding.health import NAMES
-from tipforce.host.decoding.health_rows import EMCY, STATE, HealthRows, joins, with_channel
+from tipforce.host.decoding.duplicates import services
+from tipforce.host.decoding.health import HealthRows, joins
 from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading, Source, StrictError, numbered_from
 from tipforce.host.decoding.sample_merger import OpenRows, SampleMerger, renumbered
-from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, flag, in_order
+from tipforce.host.decoding.sample_rule import GAP_FRAMES, GAP_NS
+from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, in_order
 from tipforce.host.decoding.services import BusEvent, BusEvents
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
 
-if TYPE_CHECKING:
-    from tipforce.host.decoding.decoded_part import Ends
-
+_STEP_FRAMES = 2048  # by which a head grows
+_HEAD_NS, _HEAD_FRAMES = 5 * GAP_NS, 5 * GAP_FRAMES  # in either a row of a few PDOs ends, and the wait for the next
+_IN_MEMORY_BYTES = 100_000_000
+"""Of the rows of one part; more are kept in a temporary file."""
 Tap = Callable[[FrameArray, Sequence[str]], None]
 """Takes FRAME (n,) and the interfaces by number."""
+Headers = list[tuple[tuple[Column, ...], tuple[str, ...]]]
+"""Headers and channels of tables, each time they change."""
 
 
 @dataclass(slots=True)
@@ -61,6 +76,19 @@ class State:
     """CRC-32 by channel and node-id."""
 
 
+@dataclass(slots=True)
+class Passed:
+    """What a part of a recording leaves: the ``state`` behind it, and what else is told of it."""
+
+    state: State
+    notes: Notes
+    services: list[FrameArray]
+    """All frames that ``BusEvents`` looks at; channels are numbered as in ``notes.channels``."""
+    columns: Headers
+    """Of a part that was decoded apart, one element: all of them, in order."""
+    apart: bool = False
+
+
 class Recording:
     """Tables of a recording, from consecutive logs or from parts that were decoded separately."""
 
@@ -73,13 +101,15 @@ class Recording:
         self._merger = SampleMerger(reading.decoder, self.channels, reading.wanted, follows=bool(reading.layouts.eds))
         if state is not None:
             self._set(state)
+            self.told.bus.states = {(channel, node): code for channel, node, code in state.nmt}
+            self.told.bus.calibrations = {(channel, node): crc for channel, node, crc in state.calibrations}
 
-    def resume(self, state: State, notes: Notes, services: Iterable[FrameArray]) -> None:
-        """Take over from a recording that began with this one's state and read the next part with these services."""
-        self._take_notes(notes)
-        for frames in services:
-            self.told.bus.add(frames, notes.channels)
-        self._set(state)
+    def resume(self, passed: Passed) -> None:
+        """Take over from a recording that began with this one's state and read the next part."""
+        self._take_notes(passed.notes)
+        self._set(passed.state)
+        for frames in passed.services:
+            self.told.bus.add(frames, passed.notes.channels)
         if joins(self.reading.signals):
             self.told.unseen = self._health.unseen
 
@@ -92,11 +122,7 @@ class Recording:
         self._counters, self._health = Counters(state.counters), HealthRows(self.reading.signals, state.health)
         for key in state.sampled:
             self._health.sampled[key] = self.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
-        bus = self.told.bus
-        bus.states = {(channel, node): code for channel, node, code in state.nmt}
-        bus.calibrations = {(channel, node): crc for channel, node, crc in state.calibrations}
-        self.told.tally, merger.tally = Tally(), Tally()
-        self.told.tally.set_rows(state.tally, state.short)
+        self.told.tally, merger.tally = Tally.of_rows(state.tally, state.short), Tally()
 
     def state(self) -> State:
         """Return what the next part of the recording depends on."""
@@ -139,65 +165,37 @@ class Recording:
 
     def finish(self) -> Iterator[Table]:
         """Yield the rows that are still open: the recording ends."""
-        table = self._merger.finish()
-        if table is not None:
+        for table in self._merger.finish():
             yield from self._finished(table)
         self._take_tally()
         if joins(self.reading.signals):
             self.told.unseen = self._health.unseen
 
-    def follow(self, ends: Ends, *, last: bool = False) -> tuple[Column, ...] | None:
-        """Take a part that was decoded apart as the next one; return the columns of all its rows, in order.
+    def tables_of_part(self, part: DecodedPart) -> Iterator[Table] | None:
+        """Return the tables of the next part, which was decoded apart.
 
-        None, without a change, for a part that must be decoded after the ones in front: by ``tables_of_piece`` of a
-        recording with the present ``state``. ``last``: the recording ends with this part.
+        None, after which this recording is of no use, where it must be decoded after the parts in front.
         """
-        rows = self._head(ends)
-        if rows is None:
+        if part.behind_head is None:
             return None
-        numbers, told = self.numbers_of(ends.channels), self._health.told
-        self._counters.skip(*ends.counters, numbers)
-        self._health.skip(ends.health, ends.sampled, numbers, self.channels)
-        self._take_tally()
-        self.told.tally.append(ends.tally)
-        self._take_notes(ends.notes)
-        for frames in ends.services:
-            self.told.bus.add(frames, ends.channels)
-        self._merger.timed = self._merger.timed and ends.notes.timed
-        self._merger.resume(ends.tail.renumbered(numbers))
-        rows += self.finish() if last else ()
-        columns = {column.name: column for column in ends.columns if column.name not in (EMCY, STATE)}
+        before, numbers = self._merger.timed or not part.notes.goes_on, self.numbers_of(part.notes.channels)
+        self._merger.timed = before and part.head_timed
+        rows = [*self._merger.tables(renumbered(np.concatenate(part.head), numbers))]
+        if not self._merger.open.equals(part.behind_head.renumbered(numbers)):
+            return None
+        return self._behind_head(rows, part, numbers, before)
+
+    def _behind_head(
+        self, rows: Iterable[Table], part: DecodedPart, numbers: Sequence[int], before: bool
+    ) -> Iterator[Table]:  # fmt: skip
         for table in rows:
-            columns = {column.name: column for column in table.columns} | columns
-        seen = [change.seen_ever for change in ends.health.values()]
-        seen += [told.get(with_channel(key, numbers), (0, 0))[1] for key in ends.keys]
-        for name, bit in NAMES.items():
-            if any(bits >> bit & 1 for bits in seen) and (self.reading.signals is None or name in self.reading.signals):
-                columns.setdefault(name, flag(name))
-        return in_order(columns.values(), self.reading.signals)
-
-    def rows_of_part(self, ends: Ends, kept: Iterable[Table], *, last: bool = False) -> Iterator[Table]:
-        """Yield all rows of the next part, which ``follow`` took elsewhere; ``kept``: those behind its head."""
-        yield from self._head(ends) or ()
-        numbers, timed = self.numbers_of(ends.channels), self._merger.timed
-        for table in kept:
-            yield from self._finished(table.renumbered(numbers, tuple(self.channels), timed))
-        self._merger.resume(ends.tail.renumbered(numbers))
-        if last:
-            yield from self.finish()
-
-    def _head(self, ends: Ends) -> list[Table] | None:
-        """Decode the head of a part; None, without a change, if what follows is not what the part has decoded."""
-        if ends.head is None:
-            return None
-        before, numbers = self.state(), self.numbers_of(ends.channels)
-        self._merger.timed = ends.timed and (self._merger.timed or not ends.notes.goes_on)
-        tables = self._merger.tables(renumbered(ends.head, numbers))
-        rows = [row for table in tables for row in self._finished(table)]
-        if self._merger.open.equals(ends.behind_head.renumbered(numbers)):
-            return rows
-        self._set(before)
-        return None
+            yield from self._finished(table)
+        for table in part.kept:
+            yield from self._finished(table.renumbered(numbers, tuple(self.channels), self._merger.timed))
+        self._merger.timed = before and part.notes.timed
+        self._merger.resume(part.tail.renumbered(numbers))
+        self._merger.tally.append(part.tally)
+        self._take_notes(part.notes)
 
     def _finished(self, table: Table) -> Iterator[Table]:
         joined = self._health.joined(self._counters.unwrapped(table))
@@ -220,3 +218,108 @@ class Recording:
         if len(self.channels) > MAX_CHANNELS:
             raise InputError(f"the logs have more than {MAX_CHANNELS} interfaces; decode one at a time, with --jobs 1")
         return [self.channels.index(name) for name in names]
+
+
+def noting(tables: Iterable[Table], columns: Headers) -> Iterator[Table]:
+    """Yield tables; append their columns and channels each time they change."""
+    for table in tables:
+        if not columns or columns[-1] != (table.columns, table.channels):
+            columns.append((table.columns, table.channels))
+        yield table
+
+
+class DecodedPart:
+    """A part that is decoded before the ``State`` of the recording in front of it is known."""
+
+    def __init__(self, piece: Piece, reading: Reading) -> None:
+        """Read and decode it. Raises InputError for a log that can't be read, StrictError for a bad line."""
+        self._piece, self._reading = piece, reading
+        source = Source(piece, reading)
+        merger = SampleMerger(reading.decoder, source.channels, reading.wanted)
+        self.notes, self.services, self.kept = source.notes, list[FrameArray](), _Kept()
+        self.head: list[FrameArray] = []
+        self.behind_head: OpenRows | None = None
+        """None for a part that is too short: it must be decoded after the others."""
+        self.head_timed = True
+        for block in source:
+            self.services.append(services(block))
+            merger.channels, merger.timed = source.channels, source.log.timed
+            rest = block
+            while self.behind_head is None and len(rest):
+                self.head.append(rest[:_STEP_FRAMES])
+                rest = rest[_STEP_FRAMES:]
+                for _ in merger.tables(self.head[-1]):
+                    pass
+                if _is_long(self.head) and merger.sync.settled:
+                    self.behind_head, self.head_timed, merger.tally = merger.open, merger.timed, Tally()
+            for table in merger.tables(rest) if len(rest) else ():
+                self.kept.add(table)
+        self.tail, self.tally = merger.open, merger.tally
+
+    def follow(self, before: State, *, last: bool) -> Passed:
+        """Return what the part leaves after ``before``; ``last``: the recording ends with it."""
+        columns: Headers = []
+        recording, tables, apart = self._completed(before, last)
+        for _ in noting(tables, columns):
+            pass
+        if apart and columns:
+            of_all = {column.name: column for of_table, _ in columns for column in of_table}
+            columns = [(in_order(of_all.values(), self._reading.signals), columns[-1][1])]
+        return Passed(recording.state(), self.notes, self.services, columns, apart)
+
+    def rows(self, before: State, *, last: bool) -> Iterator[Table]:
+        """Return all rows that begin in this part, in order, with these arguments of ``follow``."""
+        return self._completed(before, last)[1]
+
+    def _completed(self, before: State, last: bool) -> tuple[Recording, Iterator[Table], bool]:
+        recording = Recording(self._reading, before)
+        tables = recording.tables_of_part(self)
+        apart = tables is not None
+        if tables is None:
+            recording = Recording(self._reading, before)
+            tables = recording.tables_of_piece(self._piece)
+        return recording, chain(tables, recording.finish() if last else ()), apart
+
+
+def _is_long(head: list[FrameArray]) -> bool:
+    """Return whether no row behind a head depends on what is in front of it."""
+    return head[-1]["t_ns"][-1] - head[0]["t_ns"][0] > _HEAD_NS or sum(map(len, head)) > _HEAD_FRAMES
+
+
+class _Kept:
+    """Tables in order: the first in memory, the others in a temporary file."""
+
+    def __init__(self) -> None:
+        self._first: list[Table] = []
+        self._bytes = 0
+        self._file: Any = None
+
+    def add(self, table: Table) -> None:
+        self._bytes += table.t_ns.nbytes + sum(column.nbytes for column in table.values.values())
+        if self._bytes < _IN_MEMORY_BYTES:
+            self._first.append(table)
+            return
+        if self._file is None:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed after the last row
+        pickle.dump(table, self._file, protocol=5)
+
+    def __iter__(self) -> Iterator[Table]:
+        yield from self._first
+        if self._file is not None:
+            self._file.seek(0)
+            with suppress(EOFError):
+                while True:
+                    yield pickle.load(self._file)
+
+    def __del__(self) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def __getstate__(self) -> list[Table]:
+        """Return all tables: a cluster moved the part to another worker."""
+        return [*self]
+
+    def __setstate__(self, state: list[Table]) -> None:
+        self.__init__()  # type: ignore[misc]
+        for table in state:
+            self.add(table)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from tipforce.arrays import occurring
 from tipforce.dictionary.signals import Message, Signal
-from tipforce.host.decoding.columns import Layout
 from tipforce.host.decoding.counters import Place, SyncModulus, Tally
 from tipforce.host.decoding.decoder import Change, Decoder, Group, Plan, slots_of
 from tipforce.host.decoding.pdo_layout import has_signal
@@ -19,6 +18,7 @@ from tipforce.host.decoding.sample_table import (
     NODE_BITS,
     BoolArray,
     Column,
+    Layout,
     Table,
     Values,
     column_of,
@@ -34,11 +34,6 @@ class OpenRows(NamedTuple):
     frames: FrameArray
     number: npt.NDArray[np.int64]
     syncs: list[tuple[int, int, int, int]]
-
-    @classmethod
-    def none(cls) -> OpenRows:
-        """Return those of a merger that has seen nothing."""
-        return cls(np.zeros(0, dtype=FRAME), np.zeros(0, dtype=np.int64), [])
 
     def renumbered(self, numbers: Sequence[int]) -> OpenRows:
         """Return them with other ``numbers`` of the channels."""
@@ -100,36 +95,30 @@ class SampleMerger:
 
     def tables(self, frames: FrameArray) -> Iterator[Table]:
         """Yield the samples that are complete now, apart where numbers of SYNCs begin or end, and layouts change."""
-        changes = self._changes(frames)
-        start = 0
-        cuts = {*self.sync.cuts(frames), *(row for row, _, _ in changes)} - {len(frames)}
-        for number, end in enumerate([*sorted(cuts), len(frames)]):
-            yield from self._part(frames[start:end], begins=number > 0)
-            here = [(decoder, change) for row, decoder, change in changes if row == end]
-            rest = self.finish() if here else None
-            if rest is not None:
-                yield rest
-            for decoder, change in here:
-                decoder.apply(change)
+        changes, start = self._changes(frames), 0
+        for end in [*sorted({*self.sync.cuts(frames), *changes} - {len(frames)}), len(frames)]:
+            if start:
+                yield from self.finish()
+            self.sync.look(frames[start:end])
+            yield from self._joined(frames[start:end])
+            if end in changes:
+                yield from self.finish()
+                for decoder, change in changes[end]:
+                    decoder.apply(change)
                 self._changed = True
             start = end
 
-    def _part(self, frames: FrameArray, *, begins: bool) -> Iterator[Table]:
-        rest = self.finish() if begins else None
-        self.sync.look(frames)
-        yield from (table for table in (rest, self.add(frames)) if table is not None)
-
-    def _changes(self, frames: FrameArray) -> list[tuple[int, Decoder, Change]]:
+    def _changes(self, frames: FrameArray) -> dict[int, list[tuple[Decoder, Change]]]:
         """Return the changes of all channels by their row."""
-        found: list[tuple[int, Decoder, Change]] = []
+        changes: dict[int, list[tuple[Decoder, Change]]] = {}
         for number in occurring(frames["channel"]) if self._follows else ():
             rows = np.flatnonzero(frames["channel"] == number)
             decoder = self._decoder(number)
-            found += [(int(rows[one.row - 1]) + 1, decoder, one) for one in decoder.changes(frames.take(rows))]
-        return found
+            for change in decoder.changes(frames.take(rows)):
+                changes.setdefault(int(rows[change.row - 1]) + 1, []).append((decoder, change))
+        return changes
 
-    def add(self, frames: FrameArray, *, last: bool = False) -> Table | None:
-        """Return the samples that are complete now; with ``last`` all of them. None if there are none."""
+    def _joined(self, frames: FrameArray, *, last: bool = False) -> Iterator[Table]:
         block = (
             np.concatenate((self._held.view(_PLAIN), frames.view(_PLAIN))).view(FRAME) if len(self._held) else frames
         )
@@ -141,11 +130,12 @@ class SampleMerger:
         for slot, count in joined.short:
             place = self._place(slot)
             self.tally.short[place] = self.tally.short.get(place, 0) + count
-        return self._table(block, slots, joined) if len(joined.first) else None
+        if len(joined.first):
+            yield self._table(block, slots, joined)
 
-    def finish(self) -> Table | None:
-        """Return the remaining samples."""
-        return self.add(np.zeros(0, dtype=FRAME), last=True)
+    def finish(self) -> Iterator[Table]:
+        """Yield the remaining samples."""
+        return self._joined(np.zeros(0, dtype=FRAME), last=True)
 
     @property
     def open(self) -> OpenRows:
@@ -165,7 +155,7 @@ class SampleMerger:
     def _slots_of(self, block: FrameArray) -> npt.NDArray[np.uint32]:
         """Return the slot of each frame, after those of new channels and changed layouts were made."""
         channels = occurring(block["channel"])
-        if self._changed or not self._slots.has(channels):
+        if self._changed or not {*channels} <= self._slots.plans.keys():
             self._changed = False
             plans = {
                 number: self._decoder(number).plan(self._wanted) for number in sorted({*self._decoders, *channels})
@@ -206,7 +196,7 @@ class SampleMerger:
         spans = {group: slice(low, high) for group, low, high in joined.spans}
         for number, counts in self._in_turn(joined.counts):
             for count in counts:
-                self.tally.add(self._place(count.slot), count, int(layouts["modulus"][count.slot]))
+                self.tally.add(self._place(count.slot), *count[1:], int(layouts["modulus"][count.slot]))
             group, span = self._slots.groups[number], spans.get(number, slice(0, 0))
             for signal in group.signals if not group.columns else ():
                 column = column_of(signal)
@@ -232,18 +222,20 @@ class _Values:
 
     def __init__(self, rows: int) -> None:
         self._rows = rows
-        self._present: dict[str, BoolArray] = {}
+        self._present: dict[str, BoolArray] = {}  # of the columns that lack values
         self.found: dict[str, Values] = {}
-        self.whole: set[str] = set()
+
+    @property
+    def whole(self) -> frozenset[str]:
         """Names of the columns that have a value in each row."""
+        return frozenset(self.found.keys() - self._present.keys())
 
     def add(self, column: Column, where: npt.NDArray[np.int64] | None, what: Values) -> None:
-        """Add the values of a signal in the rows ``where``, each of which occurs once; None: in all."""
+        """Add the values of a signal, whose column is not whole, in different rows ``where``; None: in all."""
         name = column.name
         if where is None and name not in self.found:
             kind = missing_of(column, 0).dtype
             self.found[name] = what.view(kind) if what.dtype == np.bool_ else what.astype(kind, copy=False)
-            self.whole.add(name)
             return
         values = self.found.setdefault(name, missing_of(column, self._rows))
         there = self._present.setdefault(name, np.zeros(self._rows, dtype=np.bool_))
@@ -252,12 +244,12 @@ class _Values:
         values[where[new]] = what[new]
         there[where] = True
         if there.all():
-            self.whole.add(name)
+            del self._present[name]
 
     @property
     def absent(self) -> dict[str, BoolArray]:
         """By name, where no message had the column."""
-        return {name: ~there for name, there in self._present.items() if name not in self.whole}
+        return {name: ~there for name, there in self._present.items()}
 
 
 class _Group:
@@ -271,13 +263,12 @@ class _Group:
         """By signal, from the first table on."""
         self._layouts: dict[frozenset[str], Layout] = {}
 
-    def layout(self, without: Set[str]) -> Layout:
+    def layout(self, without: frozenset[str]) -> Layout:
         """Return the layout of its signals that have none of these columns."""
-        key = frozenset(without)
-        if key not in self._layouts:
+        if without not in self._layouts:
             wanted = [signal for signal in self.signals if self.columns[signal.name].name not in without]
-            self._layouts[key] = Layout(wanted, wide=True)
-        return self._layouts[key]
+            self._layouts[without] = Layout(wanted, wide=True)
+        return self._layouts[without]
 
 
 class _Slots:
@@ -285,7 +276,7 @@ class _Slots:
 
     def __init__(self, plans: Mapping[int, Plan], *, with_counter_alone: bool = True) -> None:
         """``with_counter_alone``: use messages too that have no other signal."""
-        self._plans, self._bases = plans, dict[int, int]()
+        self.plans, self._bases = plans, dict[int, int]()
         self._moduli: dict[int, int] = {}
         self.places: list[tuple[int, int, str]] = [(0, 0, "")]
         self.layouts = np.zeros(1, dtype=SLOT)
@@ -307,18 +298,13 @@ class _Slots:
         self.layouts["group"][1:] = [number_of[id(group.message)] for group in of_slots]
 
     def set_moduli(self, moduli: Mapping[int, int]) -> None:
-        """Set the moduli of the counters, by channel."""
         if moduli != self._moduli:
             self._moduli = dict(moduli)
             self.layouts["modulus"] = [self._moduli.get(channel, SAMPLES) for channel, _, _ in self.places]
 
-    def has(self, channels: Iterable[int]) -> bool:
-        """Return whether the channels are among these."""
-        return all(channel in self._plans for channel in channels)
-
     def of(self, channel: int, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint32]:
         """Return the slot of each identifier (k,) of a channel."""
-        slots = slots_of(self._plans[channel], can_id)
+        slots = slots_of(self.plans[channel], can_id)
         if self._bases[channel]:
             slots[slots > 0] += np.uint32(self._bases[channel])
         return slots

@@ -9,7 +9,6 @@ how frames are cut into calls.
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from collections.abc import Iterable
 from itertools import accumulate, pairwise
@@ -20,9 +19,8 @@ import numpy.typing as npt
 
 from tipforce.core import core
 from tipforce.dictionary.signals import Message, Signal
-from tipforce.host.decoding.columns import is_plain
-from tipforce.host.decoding.sample_table import NO_COUNTER
-from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.decoding.sample_table import NO_COUNTER, is_plain
+from tipforce.host.frames.frame_array import FIELDS, FrameArray
 
 COUNTER = "counter"
 SAMPLES = 256
@@ -44,7 +42,6 @@ order in which a node sends its PDOs; ``length``: the least of a frame in bytes;
 0 if it is left out; ``key``: channel and node."""
 
 _MOST_COUNTER_BITS = 15
-_FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
 Ints = npt.NDArray[np.int64]
 
 
@@ -185,7 +182,7 @@ def join_here(
     short: Counter[int] = Counter()
     now_ns = 0
     for index, (slot, (t_ns, _, length, word)) in enumerate(
-        zip(slots.tolist(), _FIELDS.iter_unpack(frames.tobytes()), strict=True)
+        zip(slots.tolist(), FIELDS.iter_unpack(frames.tobytes()), strict=True)
     ):
         sender, _, shift, mask, message, least, cyclic, used, _, _ = of_slot[slot]
         if slot and length < least:

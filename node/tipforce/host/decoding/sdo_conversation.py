@@ -111,8 +111,6 @@ class SdoConversation:
             return self._block_download_response(data)
         return self._block_upload_response(data) if command == 6 else f"SDO response {data.hex(' ').upper()}"
 
-    # --- expedited and segmented --------------------------------------------------------------------------------
-
     def _start(self, data: bytes) -> None:
         index, sub = struct.unpack_from("<HB", data, 1)
         self._place = index, sub
@@ -147,17 +145,17 @@ class SdoConversation:
         self._place = index, sub
         return f"SDO abort by the {side} {self._name()}: 0x{code:08X}, {abort_text(code)}"
 
-    # --- block --------------------------------------------------------------------------------------------------
-
     def _block_download(self, data: bytes) -> str:
         if data[0] & 1:
-            unused = data[0] >> 2 & 7
-            content = bytes(self._data[: len(self._data) - unused] if unused else self._data)
+            content = self._block_content(data)
             self._sent = *self._place, content
             return f"SDO block write {self._name()} = {self._value(content)}"
         self._start(data)
-        size = f", {struct.unpack_from('<I', data, 4)[0]} bytes" if data[0] & 2 else ""
-        return f"SDO block write {self._name()}{size}"
+        return f"SDO block write {self._name()}{_size(data)}"
+
+    def _block_content(self, data: bytes) -> bytes:
+        unused = data[0] >> 2 & 7
+        return bytes(self._data[: len(self._data) - unused] if unused else self._data)
 
     def _block_download_response(self, data: bytes) -> str:
         kind = data[0] & 3
@@ -194,11 +192,8 @@ class SdoConversation:
 
     def _block_upload_response(self, data: bytes) -> str:
         if data[0] & 1:
-            unused = data[0] >> 2 & 7
-            content = bytes(self._data[: len(self._data) - unused] if unused else self._data)
-            return f"SDO block read {self._name()} = {self._value(content)}"
-        size = f", {struct.unpack_from('<I', data, 4)[0]} bytes" if data[0] & 2 else ""
-        return f"SDO block {self._name()}{size}"
+            return f"SDO block read {self._name()} = {self._value(self._block_content(data))}"
+        return f"SDO block {self._name()}{_size(data)}"
 
     def _block_segment(self, data: bytes) -> str:
         number, ended = data[0] & 0x7F, bool(data[0] & 0x80)
@@ -214,19 +209,14 @@ class SdoConversation:
             self._ended = False
         self._segments = bytearray()
 
-    # --- text ---------------------------------------------------------------------------------------------------
-
-    def _found(self) -> Entry[Any] | None:
-        return self._describe(self._node_id, *self._place)
-
     def _name(self) -> str:
         index, sub = self._place
-        found = self._found()
+        found = self._describe(self._node_id, *self._place)
         place = f"0x{index:04X}:{sub:02X}"
         return place if found is None or found.name == place else f"{found.name} ({place})"
 
     def _value(self, content: bytes, *, exact: bool = True) -> str:
-        found = self._found()
+        found = self._describe(self._node_id, *self._place)
         if found is not None:
             size = types.data_type(found.type).size
             data = content[:size] if not exact and size is not None else content
@@ -242,3 +232,7 @@ class SdoConversation:
 
 def _expedited(data: bytes) -> bytes:
     return data[4 : 8 - (data[0] >> 2 & 3) if data[0] & 1 else 8]
+
+
+def _size(data: bytes) -> str:
+    return f", {struct.unpack_from('<I', data, 4)[0]} bytes" if data[0] & 2 else ""

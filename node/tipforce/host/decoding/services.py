@@ -186,51 +186,40 @@ def _time(data: bytes) -> tuple[str, int, str] | None:
 def _lss(can_id: int, data: bytes) -> tuple[str, int, str] | None:
     if len(data) != 8:
         return None
-    requested = can_id == codes.LSS_REQUEST_COB_ID
-    service = data[0]
-    if codes.LSS_SELECT_FIRST <= service < codes.LSS_SELECTED or service in range(
-        codes.LSS_IDENTIFY_FIRST, codes.LSS_IDENTIFY_LAST + 1
-    ):
-        return "LSS", 0, f"LSS {_lss_condition(service, int.from_bytes(data[1:5], 'little'))}"
-    return "LSS", 0, f"LSS {_lss_request(data) if requested else _lss_response(data)}"
+    service, number = data[0], int.from_bytes(data[1:5], "little")
+    if codes.LSS_SELECT_FIRST <= service <= codes.LSS_SELECT_LAST:
+        text = f"select {LSS_PARTS[service - codes.LSS_SELECT_FIRST]} {number}"
+    elif codes.LSS_IDENTIFY_FIRST <= service <= codes.LSS_IDENTIFY_LAST:
+        k = service - codes.LSS_IDENTIFY_FIRST
+        part = LSS_PARTS[k] if k < 2 else f"{LSS_PARTS[k // 2 + 1]} {'up to' if k % 2 else 'from'}"
+        text = f"identify {part} {number}"
+    elif codes.LSS_INQUIRE_FIRST <= service < codes.LSS_INQUIRE_NODE_ID:
+        value = "" if can_id == codes.LSS_REQUEST_COB_ID else f" = {number}"
+        text = f"inquire {LSS_PARTS[service - codes.LSS_INQUIRE_FIRST]}{value}"
+    else:
+        text = LSS_SERVICES.get(service, f"service 0x{service:02X}")
+        text += _lss_request(data, number) if can_id == codes.LSS_REQUEST_COB_ID else _lss_response(data)
+    return "LSS", 0, f"LSS {text}"
 
 
-def _lss_condition(service: int, number: int) -> str:
-    """Return the text of a part of the identity that must match."""
-    if service <= codes.LSS_SELECT_LAST:
-        return f"select {LSS_PARTS[service - codes.LSS_SELECT_FIRST]} {number}"
-    k = service - codes.LSS_IDENTIFY_FIRST
-    part = LSS_PARTS[k] if k < 2 else f"{LSS_PARTS[k // 2 + 1]} {'up to' if k % 2 else 'from'}"
-    return f"identify {part} {number}"
-
-
-def _lss_request(data: bytes) -> str:
-    service = data[0]
-    what = _lss_service(service)
-    if service == codes.LSS_SWITCH_GLOBAL:
-        return f"{what} {'configuration' if data[1] else 'waiting'}"
-    if service == codes.LSS_FASTSCAN:
-        number = int.from_bytes(data[1:5], "little")
-        step = f"{LSS_PARTS[data[6] & 3]} 0x{number:08X}, bit {data[5]}"
-        return f"{what} {'start' if data[5] == codes.LSS_START_FASTSCAN else step}"
-    if service == codes.LSS_NODE_ID:
-        return f"{what} {data[1]}"
-    return f"{what} number {data[2]}" if service == codes.LSS_BIT_TIMING else what
+def _lss_request(data: bytes, number: int) -> str:
+    match data[0]:
+        case codes.LSS_SWITCH_GLOBAL:
+            return " configuration" if data[1] else " waiting"
+        case codes.LSS_FASTSCAN if data[5] == codes.LSS_START_FASTSCAN:
+            return " start"
+        case codes.LSS_FASTSCAN:
+            return f" {LSS_PARTS[data[6] & 3]} 0x{number:08X}, bit {data[5]}"
+        case codes.LSS_NODE_ID:
+            return f" {data[1]}"
+        case codes.LSS_BIT_TIMING:
+            return f" number {data[2]}"
+    return ""
 
 
 def _lss_response(data: bytes) -> str:
-    service = data[0]
-    what = _lss_service(service)
-    if codes.LSS_INQUIRE_FIRST <= service < codes.LSS_INQUIRE_NODE_ID:
-        return f"{what} = {int.from_bytes(data[1:5], 'little')}"
-    if service == codes.LSS_INQUIRE_NODE_ID:
-        return f"{what} = {data[1]}"
-    if service in (codes.LSS_NODE_ID, codes.LSS_BIT_TIMING, codes.LSS_STORE):
-        return f"{what}: {_LSS_ERRORS.get(data[1], f'error {data[1]}')}"
-    return what
-
-
-def _lss_service(service: int) -> str:
-    if codes.LSS_INQUIRE_FIRST <= service < codes.LSS_INQUIRE_NODE_ID:
-        return f"inquire {LSS_PARTS[service - codes.LSS_INQUIRE_FIRST]}"
-    return LSS_SERVICES.get(service, f"service 0x{service:02X}")
+    if data[0] == codes.LSS_INQUIRE_NODE_ID:
+        return f" = {data[1]}"
+    if data[0] in (codes.LSS_NODE_ID, codes.LSS_BIT_TIMING, codes.LSS_STORE):
+        return f": {_LSS_ERRORS.get(data[1], f'error {data[1]}')}"
+    return ""

@@ -41,6 +41,8 @@ MAX_CHANNELS = 256
 
 PACK_FRAME = struct.Struct("<qIBBBx8s").pack
 """Return one FRAME as bytes."""
+FIELDS = struct.Struct("<qIB3xQ")
+"""Of FRAME: t_ns, can_id, length, and the data as a little-endian number."""
 
 FrameArray = npt.NDArray[np.void]
 RawFrame = tuple[int, int, bytes]  # t_ns, can_id with SocketCAN's flags, data
@@ -123,11 +125,6 @@ class FrameBuffer:
                     break
             taken, self._frames = self._frames, []
         return frame_array(taken)
-
-    def can_ids(self) -> list[int]:
-        """Return the identifiers of the received frames, which stay in the buffer."""
-        with self._arrived:
-            return [can_id for _, can_id, _ in self._frames]
 
     def take_all(self) -> FrameArray:
         """Remove and return the received frames."""
