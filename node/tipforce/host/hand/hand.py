@@ -159,7 +159,7 @@ class Hand:
         # While no SYNC comes: number it where all nodes can take the numbers; learn what each finger's values mean.
         self._each(self._recovery.prepare)
         for node_id, state in self._supervisor.states.items():
-            if state >= 0 and (state != OPERATIONAL or node_id not in self._recovery.meaning):
+            if state >= 0 and (state != OPERATIONAL or not self._collector.trust.known(node_id)):
                 self._queue.need([node_id])
         self._start_sync()
 
