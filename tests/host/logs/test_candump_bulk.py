@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from canopen_device.core.codes import EXTENDED_FLAG
 from host.logs.bulk_support import in_bulk, line_by_line
 from tipforce.core import core
-from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.logs.candump import CandumpBlock, CandumpParser
 from tipforce.host.logs.candump_format import TIMESTAMPS, CandumpFormat
 
@@ -122,8 +122,7 @@ def block_of_traffic(count: int = 500) -> CandumpBlock:
     frames["data"] = random.integers(0, 256, (count, 8)) * (np.arange(8) < frames["length"][:, None])
     frames["channel"] = random.integers(0, 2, count)
     frames["flags"] = random.integers(0, 2, count)
-    sent = frames["flags"] == SENT
-    return CandumpBlock(frames, frames["channel"].astype(np.uint16), ("can0", "vcan12"), sent)
+    return CandumpBlock(frames, ("can0", "vcan12"))
 
 
 FORMATS = [

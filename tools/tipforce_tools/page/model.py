@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.frames.frame_array import SENT, FrameArray
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce.samples.columns import Block
@@ -188,8 +188,7 @@ class Model:
                 last = int(np.searchsorted(frames["t_ns"], moment, side="right"))
                 # -tz counts from the first frame
                 shown = np.append(frames[:1], frames[max(0, last - SHOWN_FRAMES) : last])
-                block = CandumpBlock(shown, shown["channel"].astype(np.uint16), names, shown["flags"] & SENT != 0)
-                lines = CandumpFormat("z").lines(block)[1:]
+                lines = CandumpFormat("z").lines(CandumpBlock(shown, names))[1:]
             times_ms = moment / 1e6, start / 1e6, end / 1e6
             return Picture(
                 *times_ms, round(rate_hz, 2), period_ns(past.t_ns) / 1e6, self.generation, self.error, self.nmt,

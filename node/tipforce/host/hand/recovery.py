@@ -50,8 +50,8 @@ _SIDE_BY_SIDE = 8
 class Recovery:
     """Set fingers up as in the hand file. ``connection`` returns the present one.
 
-    ``overflow`` is the value of 1019h that the SYNC asks for; None: it is left as it is. ``Trust`` knows what each finger
-    sends, also while it boots, and shows values while that holds.
+    ``overflow`` is the value of 1019h that the SYNC asks for; None: it is left as it is. ``Trust`` knows what each
+    finger sends, also while it boots, and shows values while that holds.
     """
 
     def __init__(
