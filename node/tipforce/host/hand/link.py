@@ -11,11 +11,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import accumulate, cycle, pairwise
+from itertools import cycle, pairwise
 from statistics import median
 from typing import Any
 
 import can
+import numpy as np
 
 from canopen_device.core.codes import FUNCTION_MASK, HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from tipforce.dictionary import objects
@@ -145,10 +146,6 @@ class ThreadSync:
     def __init__(self, send: Callable[[bytes], None], period_s: float, data: Sequence[bytes] = (b"",)) -> None:
         self._send, self._period_s, self._data = send, period_s, cycle(data)
         self._stopped = threading.Event()
-        self.error: Exception | None = None
-        """The error that ended it."""
-        self.skipped = 0
-        """SYNCs that were omitted because their time had passed."""
         self._thread = threading.Thread(target=self._run, name="SYNC", daemon=True)
         self._thread.start()
 
@@ -163,15 +160,11 @@ class ThreadSync:
         while not self._stopped.is_set():
             try:
                 self._send(next(self._data))
-            except EnvironmentLackError as error:
-                self.error = error
+            except EnvironmentLackError:  # the receiver raises it, too
                 return
             due_s += self._period_s
             # More than half a period late: omitted, because two SYNCs close together leave no time for the first.
-            behind = int((time.monotonic() - due_s) / self._period_s + 0.5)
-            if behind > 0:
-                self.skipped += behind
-                due_s += behind * self._period_s
+            due_s += max(int((time.monotonic() - due_s) / self._period_s + 0.5), 0) * self._period_s
             # A wait on the event would wake later than a sleep; stop() takes at most a period.
             time.sleep(max(due_s - time.monotonic(), 0.0))
 
@@ -251,10 +244,9 @@ class Jitter:
         """Return the results so far; percentiles to a microsecond, rounded up."""
         if not self._periods:
             return JitterFigures(0, *[float("nan")] * 4)
-        percentiles_us = []
-        for share in (0.50, 0.99):
-            least = share * self._periods  # before the histogram, which another thread may extend
-            place = next(place for place, count in enumerate(accumulate(self._histogram)) if count >= least)
-            percentiles_us.append(min((place + 1) * _BIN_NS, self._largest_ns) / 1e3)
-        p50, p99 = percentiles_us
+        least = [
+            share * self._periods for share in (0.50, 0.99)
+        ]  # before the histogram, which another thread may extend
+        bins = 1 + np.searchsorted(np.cumsum(self._histogram), least)
+        p50, p99 = (np.minimum(bins * _BIN_NS, self._largest_ns) / 1e3).tolist()
         return JitterFigures(self._periods, self._sum_ns / self._periods / 1e3, p50, p99, self._largest_ns / 1e3)
