@@ -90,6 +90,10 @@ class Line:
         self.devices[serial], self.sources[serial] = node, source
         self._step(serial, [])
 
+    def switch_off(self, serial: int) -> None:
+        """Cut its power."""
+        del self.devices[serial], self._due_us[serial]
+
     def now_s(self) -> float:
         """The simulated time."""
         return 1e-6 * self.now_us
@@ -125,7 +129,7 @@ class Line:
         while True:
             next_us = min([self._next_look_us, *self._due_us.values(), *[one[0] for one in self._queue[:1]]])
             if next_us > until_us:
-                self.now_us = until_us
+                self.now_us = max(self.now_us, until_us)  # a job may have taken longer
                 return
             self.now_us = max(self.now_us, next_us)
             if self._queue and self._queue[0][0] <= self.now_us:
