@@ -108,7 +108,7 @@ def test_a_change_while_the_hand_restores_is_undone_too(tmp_path: Path, monkeypa
             while others:
                 others.pop()(hand.master)
 
-        monkeypatch.setattr("tipforce.host.hand.recovery.write_back", and_again)
+        monkeypatch.setattr("tipforce.host.hand.meaning.write_back", and_again)
         offset(hand.master)
         assert "tpdo2.mapping:1" in told(hand, "restored")
         hand.line.run(0.3)

@@ -16,23 +16,10 @@ from tipforce.dictionary.service_texts import NMT_STATES
 from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.device_objects import Place
+from tipforce.host.hand import meaning
 from tipforce.host.hand.bring_up import FingerReport, assign, select, set_up, wanted_settings
 from tipforce.host.hand.events import Event, Kind, Supervisor
 from tipforce.host.hand.file import HandFile
-from tipforce.host.hand.meaning import (
-    Changes,
-    Meaning,
-    as_wanted,
-    differences,
-    in_words,
-    needed,
-    numbers,
-    of_values,
-    only_tare,
-    read_meaning,
-    set_overflow,
-    write_back,
-)
 from tipforce.host.hand.rows import Collector
 from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
@@ -92,7 +79,7 @@ class Recovery:
     def restore(self, node_id: int) -> None:
         """Set 1019h as it was before the hand. Raises as SdoChannel."""
         if node_id in self._overflow_before:
-            set_overflow(self._connection().sdo(node_id), self._overflow_before[node_id])
+            meaning.set_overflow(self._connection().sdo(node_id), self._overflow_before[node_id])
 
     def tare(self, node_id: int) -> str:
         """Tare a finger by the hand itself; return the tare as text. Raises as SdoChannel."""
@@ -104,7 +91,7 @@ class Recovery:
             F1, F2, F3 = client.tare_state().force_newtons
             if known:
                 present = self._read(node_id)
-                if only_tare(differences(known, present)):  # else another's is to be decided on
+                if meaning.only_tare(meaning.differences(known, present)):  # else another's is to be decided on
                     known = present
         finally:
             if known:
@@ -161,7 +148,7 @@ class Recovery:
 
     def _number(self, client: FingertipClient) -> None:
         if self.overflow is not None:
-            before = set_overflow(client.sdo, self.overflow)
+            before = meaning.set_overflow(client.sdo, self.overflow)
             self._overflow_before.setdefault(client.node_id, before)
 
     def _learn(self, node_id: int, *, set_up_now: bool = False) -> bool:
@@ -173,41 +160,41 @@ class Recovery:
         plan, known = self._plans[node_id], self._trust.known(node_id)
         later: set[Place] = set()
         if set_up_now and known:
-            wanted = numbers(self._wanted[node_id])
-            part = self._read(node_id, of_values(plan.gauges) - wanted.keys())
+            wanted = meaning.numbers(self._wanted[node_id])
+            part = self._read(node_id, meaning.of_values(plan.gauges) - wanted.keys())
             later = known.keys() - part.keys() - wanted.keys()
-            present: Meaning = {**known, **wanted, **part}
+            present: meaning.Meaning = {**known, **wanted, **part}
         else:
             present = self._read(node_id)
-        if not as_wanted(present, self._wanted[node_id], self._file.calibration(plan)):
+        if not meaning.as_wanted(present, self._wanted[node_id], self._file.calibration(plan)):
             return False
-        if changes := differences(known, present):  # lost at the reset, or stored by another before it
+        if changes := meaning.differences(known, present):  # lost at the reset, or stored by another before it
             return self._decide(node_id, present, changes)
         self._show(node_id, present, later)
         return True
 
-    def _read(self, node_id: int, places: Collection[Place] | None = None) -> Meaning:
-        return read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges, places)
+    def _read(self, node_id: int, places: Collection[Place] | None = None) -> meaning.Meaning:
+        return meaning.read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges, places)
 
-    def _show(self, node_id: int, meaning: Meaning, later: Collection[Place] = ()) -> None:
-        self._trust.learn(node_id, meaning, later)
+    def _show(self, node_id: int, known: meaning.Meaning, later: Collection[Place] = ()) -> None:
+        self._trust.learn(node_id, known, later)
         self._collector.expect(node_id, True)
 
     def _verify(self, node_id: int) -> bool:
         """Read what may be another's; the collector compares it. If it differs, read all and decide."""
         if self._trust.changed(node_id):
             present = self._read(node_id)
-            return self._decide(node_id, present, differences(self._trust.known(node_id), present))
+            return self._decide(node_id, present, meaning.differences(self._trust.known(node_id), present))
         sdo = self._connection().sdo(node_id)
         for place in self._trust.unsure(node_id):
             sdo.upload(*place)
         return True
 
-    def _decide(self, node_id: int, present: Meaning, changes: Changes) -> bool:
+    def _decide(self, node_id: int, present: meaning.Meaning, changes: meaning.Changes) -> bool:
         """Decide by ``foreign_changes`` on what differs from before."""
         policy, known, plan = self._file.hand.foreign_changes, self._trust.known(node_id), self._plans[node_id]
-        text = in_words(changes, plan.gauges)
-        unusable = needed(changes, self._wanted[node_id])
+        text = meaning.in_words(changes, plan.gauges)
+        unusable = meaning.needed(changes, self._wanted[node_id])
         if not changes or (policy == "accept" and not unusable):
             self._say(node_id, "accepted", f"by another master: {text}" if changes else "all settings are as before")
             self._show(node_id, present)
@@ -215,9 +202,9 @@ class Recovery:
         if policy == "restore":
             try:
                 client = FingertipClient(self._connection().sdo(node_id))
-                write_back(client, plan.gauges, known, changes, self._file.calibration(plan))
+                meaning.write_back(client, plan.gauges, known, changes, self._file.calibration(plan))
                 present = self._read(node_id)
-                if differences(known, present):
+                if meaning.differences(known, present):
                     return False  # changed again meanwhile
                 self._show(node_id, present)
                 self._say(node_id, "restored", f"another master had changed {text}")
