@@ -75,8 +75,6 @@ def change_as_another_master(channel: str, node_id: int, what: str, when: Synchr
             sdo.write(objects.TPDO2_COB_ID, cob_id)
         elif what == "health":
             sdo.write(objects.TPDO4_COB_ID, sdo.read(objects.TPDO4_COB_ID) | codes.COB_ID_INVALID)
-        elif what == "preop":
-            bus.nmt("preop", node_id)
         else:
             raise ValueError(what)
 
