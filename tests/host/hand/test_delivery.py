@@ -20,12 +20,17 @@ def block(first: int, count: int = 1) -> Rows:
     return Rows(first, [(first + k, 0, [0], [0], [1]) for k in range(count)], (1,), ())
 
 
+def whole(rows: Rows) -> tuple[Rows]:
+    """Blocks as they are."""
+    return (rows,)
+
+
 def test_two_consumers_get_all_from_when_they_asked() -> None:
     delivery = Delivery()
     delivery.put(block(0))
-    first = delivery.rows()
+    first = delivery.rows(whole)
     delivery.put(block(1))
-    second = delivery.rows()
+    second = delivery.rows(whole)
     delivery.put(block(2))
     delivery.close()
     assert [rows.first for rows in first] == [1, 2]
@@ -35,7 +40,7 @@ def test_two_consumers_get_all_from_when_they_asked() -> None:
 def test_a_consumer_waits_and_gives_up_after_its_time() -> None:
     delivery = Delivery()
     found: list[int] = []
-    thread = threading.Thread(target=lambda: found.extend(rows.first for rows in delivery.rows()))
+    thread = threading.Thread(target=lambda: found.extend(rows.first for rows in delivery.rows(whole)))
     thread.start()
     while not delivery._streams:
         pass
@@ -44,13 +49,13 @@ def test_a_consumer_waits_and_gives_up_after_its_time() -> None:
     delivery.close()
     thread.join(10)
     assert found == list(range(50))
-    assert list(Delivery().rows(0.01)) == []
+    assert list(Delivery().rows(whole, 0.01)) == []
 
 
 def test_a_slow_consumer_loses_the_oldest_and_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_ROWS", 10)
     delivery = Delivery()
-    rows = delivery.rows()
+    rows = delivery.rows(whole)
     for k in range(5):
         delivery.put(block(4 * k, 4))
     assert delivery.overrun == 12
@@ -64,7 +69,7 @@ def test_asyncio() -> None:
 
     async def consume() -> list[int]:
         found = []
-        async for rows in delivery.rows():
+        async for rows in delivery.rows(whole):
             found.append(rows.first)
             if len(found) == 20:
                 delivery.close()
@@ -82,7 +87,7 @@ def test_asyncio() -> None:
 
 def test_a_failure_of_the_producer_reaches_everyone() -> None:
     delivery = Delivery()
-    rows = delivery.rows()
+    rows = delivery.rows(whole)
     delivery.put(block(0))
     delivery.close(RuntimeError("the thread has ended"))
     assert next(rows).first == 0
