@@ -97,9 +97,7 @@ def write_log(path: Path, frames: FrameArray) -> None:
     """The frames as candump -L writes them."""
     writer = CandumpWriter(path)
     for start in range(0, len(frames), _CHUNK):
-        part = frames[start : start + _CHUNK]
-        interface, sent = np.zeros(len(part), np.uint16), np.zeros(len(part), np.bool_)
-        writer.write(CandumpBlock(part, interface, (CHANNEL,), sent))
+        writer.write(CandumpBlock(frames[start : start + _CHUNK], (CHANNEL,)))
     writer.close()
 
 

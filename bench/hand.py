@@ -39,7 +39,7 @@ from tipforce.host.hand import hand as hand_module
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand, Statistics
 from tipforce.host.hand.link import Link
-from tipforce.host.hand.rows import Collector, HandRows, rows_one_by_one
+from tipforce.host.hand.rows import Collector, rows_one_by_one
 from tipforce.host.live.receive import SocketReceiver
 from tipforce.samples.record import RowContacts
 from tipforce.scene import beam_calibration
@@ -188,7 +188,8 @@ def running_rows(rows: int, receives: bool = True) -> int:
     link = SocketPair(rows)
     plans = tuple(FingerPlan(node_id=k + 1, name=name) for k, name in enumerate(FINGERS))
     hand = Hand(HandFile(finger=plans, hand=HandPlan(sync_hz=1000.0), bus={}, folder="."), cast("Link", link))
-    made = HandRows(hand.blocks(0.0), RowContacts(hand.node_ids, FINGERS, [CALIBRATION] * len(FINGERS)))
+    contacts = RowContacts(hand.node_ids, FINGERS, [CALIBRATION] * len(FINGERS))
+    made = hand._delivery.rows(partial(rows_one_by_one, contacts=contacts), 0.0)
     hand._probe_s, newtons, count = inf, 0.0, 0  # no finger is lost
     clock = SimpleNamespace(
         monotonic=lambda: 1e-3 * count, time_ns=time.time_ns

@@ -22,16 +22,7 @@ from typing import Any, NamedTuple
 
 import can
 import numpy as np
-from bench.loopback import (
-    CanopenHost,
-    bound_receiver,
-    connected_pair,
-    contact_frames,
-    python_can_bus,
-    running_numbers,
-    sending,
-    struct_contact,
-)
+from bench import loopback
 from bench.measure import Meter, arguments, background, cpu_us, in_turns, machine, table, write_page
 
 from tipforce.arrays import FloatArray, IntArray
@@ -49,7 +40,7 @@ _SILENCE_S = 5.0
 
 def ways(receiver_socket: socket.socket) -> dict[str, Callable[[], int]]:
     """The ways to receive FRAMES frames that wait in the socket's buffer; each returns how many it took."""
-    bus, host, decoder = python_can_bus(receiver_socket), CanopenHost(), Decoder(node_ids=range(1, 6))
+    bus, host, decoder = loopback.python_can_bus(receiver_socket), loopback.CanopenHost(), Decoder(node_ids=range(1, 6))
 
     def in_batches(batch: int, decodes: bool) -> Callable[[], int]:
         receiver = SocketReceiver(receiver_socket, "loopback", tick_s=0, capacity=batch)
@@ -85,15 +76,15 @@ def ways(receiver_socket: socket.socket) -> dict[str, Callable[[], int]]:
         **decoding,
         "tipforce, receive alone, batches of 256": in_batches(256, False),
         "python-can, bus.recv alone": partial(one_by_one, lambda _message: None),
-        "python-can, bus.recv and struct": partial(one_by_one, struct_contact),
+        "python-can, bus.recv and struct": partial(one_by_one, loopback.struct_contact),
         "canopen, PDO callback with three .raw": by_canopen,
     }
 
 
 def costs(rounds: int) -> dict[str, list[float]]:
     """Microseconds per frame, one figure for each round and way; CPU time of the process."""
-    receiver, sender = connected_pair()
-    frames = contact_frames(0, FRAMES)
+    receiver, sender = loopback.connected_pair()
+    frames = loopback.contact_frames(0, FRAMES)
 
     def turn(take: Callable[[], int]) -> float:
         for frame in frames:
@@ -164,27 +155,27 @@ def compute(stop: threading.Event) -> None:
 
 def run_load(rate_hz: int, seconds: float, *, busy: bool = False) -> Load:
     """Receive and decode everything that a process sends at ``rate_hz`` for ``seconds``."""
-    receiver_socket, decoder = bound_receiver(), Decoder(node_ids=range(1, 6))
+    receiver_socket, decoder = loopback.bound_receiver(), Decoder(node_ids=range(1, 6))
     with SocketReceiver(receiver_socket, "loopback") as receiver:
 
         def take(timeout_s: float) -> tuple[Any, Any]:
             frames = receiver.receive(timeout_s)
             decoder.decode(frames)
-            return running_numbers(frames), frames["t_ns"]
+            return loopback.running_numbers(frames), frames["t_ns"]
 
         return _run(take, receiver_socket, rate_hz, seconds, busy, lambda: receiver.dropped)
 
 
 def run_struct(rate_hz: int, seconds: float, *, busy: bool = False) -> Load:
     """The same with python-can's ``recv`` and struct: what a user writes by hand."""
-    receiver_socket = bound_receiver()
-    bus = python_can_bus(receiver_socket)
+    receiver_socket = loopback.bound_receiver()
+    bus = loopback.python_can_bus(receiver_socket)
 
     def take(timeout_s: float) -> tuple[Any, Any]:
         message = bus.recv(timeout_s)
         if message is None:
             return (), ()
-        struct_contact(message)
+        loopback.struct_contact(message)
         return (int.from_bytes(message.data[:4], "little"),), (round(message.timestamp * 1e9),)
 
     with receiver_socket:
@@ -195,7 +186,7 @@ def _run(
     take: Take, receiver: socket.socket, rate_hz: int, seconds: float, busy: bool, dropped: Callable[[], int]
 ) -> Load:
     total, count, batches = round(rate_hz * seconds), 0, list[tuple[Any, Any, int]]()
-    with background(compute) if busy else nullcontext(), sending(receiver, rate_hz, seconds):
+    with background(compute) if busy else nullcontext(), loopback.sending(receiver, rate_hz, seconds):
         numbers, stamps_ns = take(30.0)
         meter = Meter()
         while len(numbers):
@@ -216,8 +207,8 @@ def log_shares(rate_hz: int, seconds: float) -> dict[str, tuple[float, int]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.log"
         for name, logger in (("tipforce log", _our_logger), ("python-can's logger", _their_logger)):
-            receiver = bound_receiver()
-            with receiver, sending(receiver, rate_hz, seconds):
+            receiver = loopback.bound_receiver()
+            with receiver, loopback.sending(receiver, rate_hz, seconds):
                 share = logger(receiver, path, seconds - 0.5)
             shares[name] = share, path.read_bytes().count(b"\n")
             path.unlink()
@@ -239,7 +230,7 @@ def _our_logger(receiver_socket: socket.socket, path: Path, seconds: float) -> f
 
 
 def _their_logger(receiver_socket: socket.socket, path: Path, seconds: float) -> float:
-    bus, logger = python_can_bus(receiver_socket), can.Logger(path)
+    bus, logger = loopback.python_can_bus(receiver_socket), can.Logger(path)
     assert bus.recv(30.0) is not None
     meter = Meter()
     notifier = can.Notifier(bus, [logger])

@@ -11,39 +11,33 @@ import gc
 import math
 import random
 import struct
-import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass, field
-from pathlib import Path
 
-import can
 import numpy as np
-from bench.hand import NOISE_MICROSTRAIN, brought_up
 from bench.measure import arguments, resident_bytes
 
-from canopen_device.core import communication
+from canopen_device.core import codes, communication
 from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
 from canopen_device.core.node import Device
-from canopen_device.running import loop
-from canopen_device.running.ports import PythonCanPort
-from canopen_device.running.store import FileStore
+from canopen_device.running.store import MemoryStore
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.events import Supervisor
-from tipforce.host.hand.file import HandPlan
 from tipforce.host.hand.rows import Collector
 from tipforce.host.network.faulty_bus import Babbler, Faults, Injector
 from tipforce.samples.record import Rows
 from tipforce.samples.sync_numbers import LARGEST
+from tipforce.scene.delivered import beam_calibration, commit_calibration, download
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
-FINGERS, SEED = 5, 20261121
+FINGERS, SEED, NOISE_MICROSTRAIN = 5, 20261121, 0.5
 PERIOD_S, PARTS = 0.01, 4  # a SYNC every 10 ms; between two of them the host looks four times
 FAULTS = Faults(drop=0.003, duplicate=0.003, reorder=0.003, delay=0.01, delay_s=0.025)
-HEARTBEAT_TIMEOUT_S = 0.25
+HEARTBEAT_MS, HEARTBEAT_TIMEOUT_S = 100, 0.25
 WAIT_S = 5 * PERIOD_S
 RECOVERY_S = 2.0  # after the last trouble every finger must be there again
 _NMT_START, _PRE_OPERATIONAL = 1, 127
@@ -53,18 +47,25 @@ _CONTACT = 0x280
 class Finger:
     """One node; power and converter can fail until a stated time."""
 
-    def __init__(self, node_id: int, blobs: dict[str, bytes], seed: int) -> None:
+    def __init__(self, node_id: int, seed: int) -> None:
         self.node_id = node_id
         self.last_contact = b""
-        self._blobs, self._seed = blobs, seed
+        self._seed, self._store = seed, MemoryStore()
         self._random = random.Random(seed)
         self.off_until_s = self._broken_until_s = -1.0
         self._booted_s = 0.0
         self._device = self._power()
+        self._device.step(0)
+        commit_calibration(self._device, beam_calibration(pull=True, noise_microstrain=NOISE_MICROSTRAIN))
+        download(self._device, communication.PRODUCER_HEARTBEAT, 0, struct.pack("<H", HEARTBEAT_MS))
+        download(self._device, communication.STORE_PARAMETERS, 1, struct.pack("<I", codes.SIGNATURE_SAVE))
+        self._device = self._power()
 
     def _power(self) -> Device:
         self.source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist(), NOISE_MICROSTRAIN, seed=self._seed)
-        return fingertip_node(self.node_id, self.source, serial=self.node_id, load=self._blobs.get)
+        return fingertip_node(
+            self.node_id, self.source, serial=self.node_id, save=self._store.save, load=self._store.load
+        )
 
     def break_source(self, fault: int, until_s: float) -> None:
         """A fault of 2200h."""
@@ -97,28 +98,6 @@ class Finger:
         return answers
 
 
-def stored_fingers(count: int, seed: int) -> list[Finger]:
-    """Bring ``count`` nodes up on an in-process bus as a hand does, and keep what they stored."""
-    channel = f"soak-{seed}-{count}"
-    with tempfile.TemporaryDirectory() as folder:
-        stores = {n: FileStore(Path(folder) / f"{n}.json") for n in range(1, count + 1)}
-        rows = strain_matrix(FABRICATED, "I").tolist()
-        devices = [
-            fingertip_node(n, SimulatedSource(rows), serial=n, save=store.save, load=store.load)
-            for n, store in stores.items()
-        ]
-        plan, network = HandPlan(heartbeat_ms=100, store=True), {"interface": "virtual", "channel": channel}
-        with (
-            can.Bus(interface="virtual", channel=channel) as bus,
-            loop.running(devices, PythonCanPort(bus)),
-            brought_up(Path(folder), dict.fromkeys(stores, ""), plan, network),
-        ):
-            pass
-        groups = ("communication", "application", "calibration", "lss")
-        blobs = {n: {g: blob for g in groups if (blob := s.load(g)) is not None} for n, s in stores.items()}
-    return [Finger(n, blobs[n], seed + n) for n in blobs]
-
-
 @dataclass
 class Outcome:
     """What a soak saw."""
@@ -135,9 +114,9 @@ class Outcome:
 class Soak:
     """One run, all of it from ``seed``."""
 
-    def __init__(self, fingers: list[Finger], seed: int) -> None:
-        self.fingers, self.outcome = fingers, Outcome()
-        ids = [finger.node_id for finger in fingers]
+    def __init__(self, fingers: int, seed: int) -> None:
+        ids = range(1, fingers + 1)
+        self.fingers, self.outcome = [Finger(n, seed + n) for n in ids], Outcome()
         self._random = random.Random(seed)
         self._to_host = Injector(FAULTS, seed + 1)
         # A node may miss a frame; it cannot get one later than the others do, on one and the same wire.
@@ -281,7 +260,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=3600.0, help="simulated (default %(default)g)")
     args = parser.parse_args()
     started_s = time.monotonic()
-    outcome = Soak(stored_fingers(FINGERS, SEED), SEED).run(args.seconds)
+    outcome = Soak(FINGERS, SEED).run(args.seconds)
     elapsed_s = time.monotonic() - started_s
     print(f"{args.seconds:g} s simulated in {elapsed_s:.0f} s, {outcome.rows} rows, {outcome.checked} values checked")
     for name, count in sorted(outcome.counts.items()):

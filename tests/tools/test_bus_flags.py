@@ -247,7 +247,8 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         sleep(1.0)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tipforce_tools.page.serving.time", SimpleNamespace(sleep=serve))
+    clock = SimpleNamespace(sleep=serve, monotonic=time.monotonic)
+    monkeypatch.setattr("tipforce_tools.page.server.time", clock)
 
 
 @pytest.fixture(scope="module", params=SITUATIONS)

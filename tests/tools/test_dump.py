@@ -19,7 +19,7 @@ import can
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.live import receive, recvmmsg
+from tipforce.host.live import receive
 from tipforce.host.live.receiver import Selection
 from tipforce.host.live.targets import Target
 from tipforce_tools.cli.listening import open_targets
@@ -317,7 +317,7 @@ def buses(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, socket.socket]]
         sender.close()
 
 
-@pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
+@pytest.mark.skipif(not receive.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
 def test_socketcan_frames(buses: dict[str, socket.socket], capsys: pytest.CaptureFixture[str]) -> None:
     def send() -> None:
         while len(buses) < 2:
@@ -342,20 +342,20 @@ def test_socketcan_frames(buses: dict[str, socket.socket], capsys: pytest.Captur
     )
 
 
-@pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
+@pytest.mark.skipif(not receive.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
 def test_an_interface_that_goes_down(
     buses: dict[str, socket.socket], monkeypatch: pytest.MonkeyPatch, printed: Printed
 ) -> None:
     down = [OSError(errno.ENETDOWN, "Network is down")]
-    read = recvmmsg.DatagramBatch.read
+    read = receive.SocketReceiver._read
 
-    def fail_once(batch: recvmmsg.DatagramBatch) -> int:
+    def fail_once(batch: receive.SocketReceiver) -> int:
         if down:
             raise down.pop()
         buses["vcan0"].send(struct.pack("=IB3x8s", 0x123, 0, b""))
         return read(batch)
 
-    monkeypatch.setattr(recvmmsg.DatagramBatch, "read", fail_once)
+    monkeypatch.setattr(receive.SocketReceiver, "_read", fail_once)
     out, err = printed(0, ["dump", "-D", "-n", "1", "vcan0"])
     assert out == "  vcan0  123   [0] \n"
     assert "vcan0: interface down" in err
@@ -363,7 +363,7 @@ def test_an_interface_that_goes_down(
     assert "vcan0: interface down" in printed(2, ["dump", "-n", "1", "vcan0"]).err
 
 
-@pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
+@pytest.mark.skipif(not receive.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
 def test_a_bus_that_can_not_be_opened_closes_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[socket.socket] = []
 

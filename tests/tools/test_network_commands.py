@@ -5,6 +5,7 @@ import re
 import threading
 import tomllib
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,6 @@ from canopen_device.core.node import Device
 from canopen_device.running.store import FileStore
 from device.tiny import service_dictionary
 from host.bus_with_nodes import apply_load, beam_calibration, connected, finger, new_channel, running
-from host.hand.test_hand import Fingers
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
@@ -277,18 +277,19 @@ calibration = "cal.toml"
 
 
 @pytest.fixture
-def hand(tmp_path: Path) -> Iterator[tuple[Fingers, Path]]:
-    fingers = Fingers(new_channel(), tmp_path)
-    for serial in (1, 2):
-        fingers.switch_on(serial, serial)
+def hand(tmp_path: Path) -> Iterator[tuple[ExitStack, Path]]:
+    """The power of finger 2, and the hand's file."""
+    channel, path = new_channel(), tmp_path / "hand.toml"
     write_calibration(tmp_path / "cal.toml", beam_calibration())
-    path = tmp_path / "hand.toml"
-    path.write_text(HAND.format(channel=fingers.channel))
-    yield fingers, path
-    fingers.close()
+    path.write_text(HAND.format(channel=channel))
+    with running([finger(1, serial=1)], channel), ExitStack() as power:
+        power.enter_context(running([finger(2, serial=2)], channel))
+        with connected(channel=channel) as (connection, _):
+            apply_load(connection, 1, 2.0, 0.0, 0.0)
+        yield power, path
 
 
-def test_check_needs_no_bus(hand: tuple[Fingers, Path], printed: Printed) -> None:
+def test_check_needs_no_bus(hand: tuple[ExitStack, Path], printed: Printed) -> None:
     out, err = printed(0, ["hand", "check", str(hand[1])])
     assert "thumb" in out
     assert "cal.toml 0x" in out
@@ -300,18 +301,18 @@ def test_check_needs_no_bus(hand: tuple[Fingers, Path], printed: Printed) -> Non
     assert "what fits under 80 %" in err
 
 
-def test_up_reports_each_finger(hand: tuple[Fingers, Path], printed: Printed) -> None:
-    fingers, path = hand
+def test_up_reports_each_finger(hand: tuple[ExitStack, Path], printed: Printed) -> None:
+    power, path = hand
     out, err = printed(0, ["hand", "up", str(path)])
     assert out == "thumb (1): up\nindex (2): up\n"
     assert "2 of 2 fingers up" in err
-    fingers.switch_off(2)
+    power.close()
     records = [json.loads(line) for line in printed(1, ["hand", "up", str(path), "--json"]).out.splitlines()]
     assert [record["failed"] for record in records] == [None, "find"]
     assert "does not respond to LSS" in records[1]["error"]
 
 
-def test_run_prints_rows_and_counts(hand: tuple[Fingers, Path], printed: Printed) -> None:
+def test_run_prints_rows_and_counts(hand: tuple[ExitStack, Path], printed: Printed) -> None:
     out, err = printed(0, ["hand", "run", str(hand[1]), "--seconds", "0.5", "--json"])
     lines = [json.loads(line) for line in out.splitlines()]
     rows = [line for line in lines if "row" in line]
@@ -326,7 +327,7 @@ def test_run_prints_rows_and_counts(hand: tuple[Fingers, Path], printed: Printed
 
 
 def test_an_uncalibrated_finger_is_named_and_its_rows_say_why(
-    hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str], printed: Printed
+    hand: tuple[ExitStack, Path], capsys: pytest.CaptureFixture[str], printed: Printed
 ) -> None:
     path = hand[1]
     path.write_text(path.read_text().replace('calibration = "cal.toml"', "", 1))

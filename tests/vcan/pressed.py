@@ -9,32 +9,21 @@ import fcntl
 import gc
 import socket
 import struct
-import time
-from contextlib import suppress
-from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from canopen_device.core import codes
 from canopen_device.running import loop
 from canopen_device.running.ports import SocketCanPort
-from tipforce.dictionary import objects
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from multiprocessing.sharedctypes import Synchronized
-
 FIRST_NEWTONS, NEWTONS_PER_S = 1.0, 1.0
 RISE_NS = 8_000_000_000  # then it begins anew: at 1 + 8 N no gauge is near its end
 NMT, SYNC, LSS = 0x000, 0x080, 0x7E5
 _EXTENDED = 0x80000000
-_TRIES = 10
 _TIMESTAMP_NS = 0x8907  # SIOCGSTAMPNS of asm-generic/sockios.h
 _TIMESPEC = struct.Struct("=qq")
 
@@ -46,49 +35,6 @@ def force_newtons(sync_ns: npt.ArrayLike, node_id: int) -> npt.NDArray[np.float6
     """
     rising_s = 1e-9 * (np.asarray(sync_ns, dtype=np.int64) % RISE_NS)
     return np.asarray(FIRST_NEWTONS + 0.2 * node_id + NEWTONS_PER_S * rising_s, dtype=np.float64)
-
-
-def change_as_another_master(channel: str, node_id: int, what: str, when: Synchronized[float]) -> None:
-    """A process: another master that changes a finger; ``when`` gets the time (ns since 1970) after which it holds."""
-    from tipforce.errors import RefusedError
-    from tipforce.host.network.bus import Bus
-    from tipforce.host.network.finger import FingertipClient
-
-    with Bus.open(channel, "socketcan", timeout_s=5.0) as bus:  # of a machine that does more
-        client, sdo = FingertipClient(bus.sdo(node_id)), bus.sdo(node_id)
-        when.value = time.time_ns()
-        if what == "tare":
-            client.tare()
-        elif what == "offset":
-            sdo.write(objects.PROCESS_OFFSET[2], 50.0)
-        elif what == "calibration":
-            calibration = client.calibration()
-            assert calibration is not None
-            with suppress(RefusedError):  # the hand may undo it before it was read back
-                _persist(lambda: client.apply_calibration(replace(calibration, C=1.5 * calibration.C), store=False))
-        elif what == "mapping":
-            cob_id = sdo.read(objects.TPDO2_COB_ID)
-            sdo.write(objects.TPDO2_COB_ID, cob_id | codes.COB_ID_INVALID)
-            sdo.write(objects.TPDO2_MAPPED, 0)
-            sdo.write(objects.TPDO2_MAPPING[1], sdo.read(objects.TPDO2_MAPPING[2]))
-            sdo.write(objects.TPDO2_MAPPED, 5)
-            sdo.write(objects.TPDO2_COB_ID, cob_id)
-        elif what == "health":
-            sdo.write(objects.TPDO4_COB_ID, sdo.read(objects.TPDO4_COB_ID) | codes.COB_ID_INVALID)
-        elif what == "preop":
-            bus.nmt("preop", node_id)
-        else:
-            raise ValueError(what)
-
-
-def _persist(change: Callable[[], object]) -> None:
-    """Repeat a change until the node takes it: a node has one SDO server, which the hand uses too."""
-    from tipforce.errors import SdoAbortError
-
-    for _ in range(_TRIES):
-        with suppress(SdoAbortError):
-            change()
-            return
 
 
 def _filters(node_id: int) -> bytes:

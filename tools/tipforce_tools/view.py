@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import bus_flags, common
-from tipforce_tools.page.serving import add_page_arguments, page_guard, serve
+from tipforce_tools.page.guard import add_page_arguments, page_guard
 
 if TYPE_CHECKING:
     from tipforce_tools.page.sources import Source
@@ -50,13 +50,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until Ctrl-C or SIGTERM; return 0. Raises InputError and EnvironmentLackError."""
+    from tipforce_tools.page.server import serve_page
+
     guard = page_guard(args)
     path = common.scene_or_file(args.source) if args.source else None
     for flag, value in (("--from", args.start_s), ("--to", args.end_s)):
         if value is not None and not 0.0 <= value <= _MOST_SECONDS:
             raise InputError(f"{flag} {value:g}: allowed is 0 to {_MOST_SECONDS:g} s from the beginning")
     with contextlib.closing(_source(args, path)) as source:
-        return serve(args, source, guard)
+        return serve_page(args, source, guard)
 
 
 def _source(args: argparse.Namespace, path: Path | None) -> Source:

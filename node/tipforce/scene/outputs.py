@@ -65,11 +65,10 @@ class Recording:
         if self._log is not None:
             from tipforce.host.frames.frame_block import CandumpBlock
 
-            interface, sent = np.zeros(len(frames), np.uint16), np.zeros(len(frames), np.bool_)
             dated = frames.copy()
             dated["t_ns"] += self.start_ns
             try:
-                block = CandumpBlock(dated, interface, (self._interface,), sent)
+                block = CandumpBlock(dated, (self._interface,))
                 self._file.write("\n".join([*self._format.lines(block), ""]))
             except OSError as error:
                 raise self._log.failed(error) from error

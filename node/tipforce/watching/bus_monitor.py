@@ -9,17 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from canopen_device.core.codes import (
-    EMCY_BASE,
-    ERROR_FLAG,
-    EXTENDED_FLAG,
-    FUNCTION_MASK,
-    HEARTBEAT_BASE,
-    INITIALISING,
-    NODE_ID_MASK,
-    REMOTE_FLAG,
-    SYNC_COB_ID,
-)
+from canopen_device.core import codes
 from tipforce.arrays import IntArray, occurring
 from tipforce.dictionary.service_texts import EMCY_CODES, NMT_STATES, state_text
 from tipforce.dictionary.table import FAULT_BITS, STATUS_BITS
@@ -172,16 +162,16 @@ class BusMonitor:
     def feed(self, frames: FrameArray) -> None:
         """Process a FRAME array (k,) in the order of arrival."""
         can_id = frames["can_id"]
-        error = (can_id & np.uint32(ERROR_FLAG)) != 0
+        error = (can_id & np.uint32(codes.ERROR_FLAG)) != 0
         self._errors += int(error.sum())
         kind = kinds(frames)
         self._traffic.add(frames["t_ns"][~error], np.ones_like(kind), LEAST_BITS[kind], MOST_BITS[kind])
         for duplicate in self._duplicates.add(frames):
             if duplicate.node_id in self._watched:  # also one without heartbeats
                 self._nodes.setdefault(duplicate.node_id, _Node())
-        data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
-        self._sync.add(frames["t_ns"][data & (can_id == SYNC_COB_ID)])
-        self._take_services(frames.compress(data & ((can_id & NODE_ID_MASK) != 0)))
+        data = (can_id & np.uint32(codes.EXTENDED_FLAG | codes.REMOTE_FLAG | codes.ERROR_FLAG)) == 0
+        self._sync.add(frames["t_ns"][data & (can_id == codes.SYNC_COB_ID)])
+        self._take_services(frames.compress(data & ((can_id & codes.NODE_ID_MASK) != 0)))
         for part in self._modulus.parts(frames):
             decoded = self._decoder.decode(part)
             for (node_id, name), samples in decoded.items():
@@ -197,13 +187,14 @@ class BusMonitor:
 
     def _take_services(self, frames: FrameArray) -> None:
         """Process heartbeats and EMCY, of which there are few."""
-        function = frames["can_id"] & FUNCTION_MASK
-        for frame in frames[((function == HEARTBEAT_BASE) | (function == EMCY_BASE)) & (frames["length"] > 0)]:
-            node_id = int(frame["can_id"]) & NODE_ID_MASK
+        function = frames["can_id"] & codes.FUNCTION_MASK
+        is_service = (function == codes.HEARTBEAT_BASE) | (function == codes.EMCY_BASE)
+        for frame in frames[is_service & (frames["length"] > 0)]:
+            node_id = int(frame["can_id"]) & codes.NODE_ID_MASK
             if node_id not in self._watched:
                 continue
             node, t_ns = self._nodes[node_id], int(frame["t_ns"])
-            if int(frame["can_id"]) & FUNCTION_MASK == HEARTBEAT_BASE:
+            if int(frame["can_id"]) & codes.FUNCTION_MASK == codes.HEARTBEAT_BASE:
                 node.nmt = int(frame["data"][0]) & 0x7F
                 node.heartbeats.add(np.array([t_ns]))
             elif frame["length"] >= 3:
@@ -292,9 +283,9 @@ class _Node:
         last_ns = self.heartbeats.last_ns
         if self.nmt is None or last_ns is None:
             return "", False
-        if self.nmt == INITIALISING:
+        if self.nmt == codes.INITIALISING:
             later = (self.samples.last_ns or last_ns) > last_ns or now_ns - last_ns > STALE_NS
-            return f"{NMT_STATES[INITIALISING]}{', no heartbeat' if later else ''}", False
+            return f"{NMT_STATES[codes.INITIALISING]}{', no heartbeat' if later else ''}", False
         periods = self.heartbeats.periods()
         limit_ns = 3e6 * periods.p50_ms if periods else 3e9
         return state_text(self.nmt), now_ns - last_ns > max(limit_ns, STALE_NS)

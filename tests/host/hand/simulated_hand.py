@@ -17,6 +17,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import can
+import canopen
 import numpy as np
 import pytest
 
@@ -35,6 +37,7 @@ from tipforce.host.hand.hand import Hand
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssMaster
+from tipforce.host.network.nmt import Heartbeats
 from tipforce.host.network.sdo import Exchange, Request, SdoChannel
 from tipforce.samples.reasons import PRESENT
 from tipforce.samples.record import Rows
@@ -89,6 +92,10 @@ class Line:
         self.devices[serial], self.sources[serial] = node, source
         self._step(serial, [])
 
+    def switch_off(self, serial: int) -> None:
+        """Cut its power."""
+        del self.devices[serial], self._due_us[serial]
+
     def now_s(self) -> float:
         """The simulated time."""
         return 1e-6 * self.now_us
@@ -124,7 +131,7 @@ class Line:
         while True:
             next_us = min([self._next_look_us, *self._due_us.values(), *[one[0] for one in self._queue[:1]]])
             if next_us > until_us:
-                self.now_us = until_us
+                self.now_us = max(self.now_us, until_us)  # a job may have taken longer
                 return
             self.now_us = max(self.now_us, next_us)
             if self._queue and self._queue[0][0] <= self.now_us:
@@ -146,53 +153,6 @@ class Line:
     def run(self, seconds: float) -> None:
         """Let time pass from here on."""
         self.advance(self.now_us + round(1e6 * seconds))
-
-
-class _Network:
-    """What SdoChannel and LssMaster need of a canopen.Network."""
-
-    notifier = None
-
-    def __init__(self, line: Line, echo: bool) -> None:
-        self._line, self._echo = line, echo
-        self._callbacks: dict[int, list[Callable[..., None]]] = {}
-        line.ears.append(self._hear)
-
-    def subscribe(self, can_id: int, callback: Callable[..., None]) -> None:
-        self._callbacks.setdefault(can_id, []).append(callback)
-
-    def unsubscribe(self, can_id: int, callback: Callable[..., None]) -> None:
-        self._callbacks[can_id].remove(callback)
-
-    def send_message(self, can_id: int, data: bytes) -> None:
-        self._line.put(can_id, bytes(data), seen=self._echo)
-
-    def _hear(self, can_id: int, data: bytes) -> None:
-        for callback in self._callbacks.get(can_id, []):
-            callback(can_id, bytearray(data), 0.0)
-
-
-class _Heartbeats:
-    def __init__(self, line: Line) -> None:
-        self._line, self._last = line, dict[int, tuple[float, int]]()
-        line.ears.append(self._hear)
-
-    def _hear(self, can_id: int, data: bytes) -> None:
-        if 0x700 < can_id < 0x780 and len(data) == 1:
-            self._last[can_id - 0x700] = self._line.now_s(), data[0]
-
-    def state(self, node_id: int) -> int | None:
-        return self._last[node_id][1] if node_id in self._last else None
-
-    def wait(self, node_id: int, wanted: int, since_s: float, timeout_s: float) -> bool:
-        until_s = self._line.now_s() + timeout_s
-        while True:
-            heard_s, state = self._last.get(node_id, (-1.0, -1))
-            if heard_s >= since_s and state == wanted:
-                return True
-            if self._line.now_s() >= until_s:
-                return False
-            self._line.run(1e-3)
 
 
 class Channel(SdoChannel):
@@ -218,10 +178,23 @@ class Connection(Bus):
     """A host on the line."""
 
     def __init__(self, line: Line, echo: bool = True) -> None:
+        def send(message: can.Message) -> None:
+            line.put(message.arbitration_id, bytes(message.data), seen=echo)
+
         self._line, self._sdo = line, dict[int, Channel]()
-        self.network: Any = _Network(line, echo)
-        self.heartbeats: Any = _Heartbeats(line)
-        self.duplicates = DuplicateNodes()
+        self.network = canopen.Network(SimpleNamespace(send=send))  # type: ignore[arg-type]
+        self.heartbeats, self.duplicates = Heartbeats(), DuplicateNodes()
+        self.heartbeats._arrived.wait = self._let_time_pass  # type: ignore[method-assign, assignment]
+        line.ears.append(self._hear)
+
+    def _let_time_pass(self, _timeout_s: float | None = None) -> bool:
+        self._line.run(1e-3)
+        return True
+
+    def _hear(self, can_id: int, data: bytes) -> None:
+        self.network.notify(can_id, bytearray(data), 0.0)
+        if can_id > 0x700:
+            self.heartbeats.on_message_received(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
     def sdo(self, node_id: int) -> SdoChannel:
         if node_id not in self._sdo:
@@ -279,12 +252,8 @@ class SimulatedHand:
         self.rows: list[Rows] = []
         self.shown = self.wrong = 0
         self.wrongs: list[str] = []
-        self._free: dict[int, float] = {}  # by node-id: from then on another meaning was accepted
-        hand.on_event(self._event)
+        hand.on_event(self.events.append)
         hand.on_rows(self._check)
-
-    def _event(self, event: Event) -> None:
-        self.events.append(event)
 
     def kinds(self, node_id: int) -> list[str]:
         """What happened to a finger."""
@@ -366,8 +335,7 @@ def simulated_hand(
         line.run(0.01)
         for n in NODE_IDS:
             FingertipClient(link.connection.sdo(n)).apply_calibration(beam_calibration(), store=True)
-        reports, _ = _brought_up(hand)
-        assert reports == ["finger 1: up", "finger 2: up"]
+        _bring_up(hand)
         hand.start()
         seen = SimulatedHand(line, hand)
         line.run(0.3)
@@ -375,13 +343,11 @@ def simulated_hand(
         line.look = lambda: None
 
 
-def _brought_up(hand: Hand) -> tuple[list[str], None]:
+def _bring_up(hand: Hand) -> None:
     """As ``Hand.bring_up``, without the search for nodes."""
-    reports = []
     for plan in hand.file.finger:
         report = bring_up_module.FingerReport(plan)
         wanted = bring_up_module.wanted_settings(hand.file, plan)
         bring_up_module.set_up(hand.connection, hand.file, report, wanted, lambda _event: None)
-        reports.append(str(report))
+        assert report.ok, report
     hand._nodes = set(hand.node_ids)
-    return reports, None

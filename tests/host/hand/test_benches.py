@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bench.hand import HEADER, measure, row
-from bench.soak import Soak, stored_fingers
+from bench.soak import Soak
 
 
 def test_rows_over_loopback_sockets() -> None:
@@ -20,7 +20,7 @@ def test_rows_over_loopback_sockets() -> None:
 
 
 def test_trouble_breaks_nothing() -> None:
-    outcome = Soak(stored_fingers(3, 7), seed=7).run(15.0)
+    outcome = Soak(3, seed=7).run(15.0)
     assert outcome.breaks == []
     assert outcome.checked > 2000
     assert outcome.counts["boot_up"] > 0

@@ -14,26 +14,19 @@ import msgspec
 import pytest
 
 from canopen_device.core.node import Device
-from canopen_device.running.store import FileStore
-from host.bus_with_nodes import FaultyBus, beam_calibration, connected, new_channel, running
+from host.bus_with_nodes import FaultyBus, beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
-from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, read_hand
 from tipforce.host.network import find
 from tipforce.host.network.bus import Bus
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.strain import strain_matrix
-from tipforce.sources.simulated import SimulatedSource
 
 
 def node(node_id: int, serial: int, folder: Path) -> Device:
     """A fingertip that can store; 255 is one without a node-id."""
-    files = FileStore(folder / f"node-{serial}.json")
-    source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
-    return fingertip_node(node_id, source, serial=serial, save=files.save, load=files.load)
+    return finger(node_id, store=folder / f"node-{serial}.json", serial=serial)
 
 
 def plan(*fingers: tuple[int, int], folder: Path, store: bool = False) -> HandFile:

@@ -108,7 +108,7 @@ def test_a_change_while_the_hand_restores_is_undone_too(tmp_path: Path, monkeypa
             while others:
                 others.pop()(hand.master)
 
-        monkeypatch.setattr("tipforce.host.hand.recovery.write_back", and_again)
+        monkeypatch.setattr("tipforce.host.hand.meaning.write_back", and_again)
         offset(hand.master)
         assert "tpdo2.mapping:1" in told(hand, "restored")
         hand.line.run(0.3)
@@ -223,3 +223,48 @@ def test_without_numbers_the_rows_say_so(tmp_path: Path) -> None:
         rows = hand.hand.rows(5.0)
         hand.line.run(0.1)
         assert next(rows).pairing == "assumed"
+
+
+@pytest.mark.parametrize("forgets", [False, True])
+def test_a_finger_that_loses_power_is_set_up_again(tmp_path: Path, forgets: bool) -> None:
+    """Also one that comes back without its node-id and its calibration; it never shows what it sent last."""
+    with simulated_hand(folder=tmp_path) as hand:
+        hand.line.switch_off(2)
+        hand.line.run(1.0)
+        assert (hand.kinds(2), hand.hand.state(2)) == (["heartbeat_lost"], "silent")
+        assert hand.is_shown(1)
+        assert all(rows.reason[:, 1].all() and np.isnan(rows.columns["P"][:, 1]).all() for rows in hand.rows)
+        if forgets:
+            hand.line.stores[2].clear()
+        hand.line.switch_on(2, 255 if forgets else 2)
+        hand.line.run(5.0)
+        steps = ["boot_up", *(["assigned"] if forgets else []), "calibrated", "started"]
+        assert [kind for kind in hand.kinds(2) if kind in (*steps, "failed", "refused")] == steps
+        assert hand.is_shown(1)
+        assert hand.is_shown(2)
+        assert hand.hand.settled()
+        assert not hand.wrongs
+
+
+def test_a_front_end_fault_is_an_event_and_no_number() -> None:
+    with simulated_hand() as hand:
+        hand.line.sources[2].fault = 4  # silent converter
+        told(hand, "emcy")
+        hand.rows.clear()
+        hand.line.run(0.1)
+        assert all(np.isnan(rows.columns["P"][:, 1]).all() for rows in hand.rows)
+        hand.line.sources[2].fault = 0
+        told(hand, "emcy_reset")
+        hand.line.run(0.1)
+        assert not np.isnan(hand.rows[-1].columns["P"]).any()
+
+
+def test_a_stopped_hand_sends_nothing_more() -> None:
+    with simulated_hand() as hand:
+        hand.line.look = lambda: None  # its thread has ended
+        hand.hand.stop()
+        hand.line.run(0.01)
+        sent: list[int] = []
+        hand.line.ears.append(lambda can_id, _data: sent.append(can_id))
+        hand.line.run(0.3)
+        assert {can_id for can_id in sent if can_id < 0x700} == set()

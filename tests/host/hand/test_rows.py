@@ -87,12 +87,52 @@ def test_a_row_is_out_as_soon_as_it_is_whole() -> None:
     assert (tally.rows, tally.missing.tolist(), tally.late.tolist()) == (3, [0, 0], [0, 0])
 
 
-def test_a_late_answer_is_in_its_own_row() -> None:
-    stream = Stream(1, 2)
-    assert stream.add(sync(1), answer(1, 1, 100), sync(2), answer(1, 2, 110)) == []
-    found = stream.add(answer(2, 1, 200), answer(2, 2, 210))
-    assert found == [[0.1, 0.2], [0.11, 0.21]]
-    assert stream.collector.tally.delayed.tolist() == [0, 1]
+def unnumbered(*counters: int | None, P_mN: int = 1000) -> list[tuple[int, bytes]]:
+    """SYNCs without numbers, and the answers of finger 1 with these counters; None: there is none."""
+    return [frame for c in counters for frame in ([SYNC] if c is None else [SYNC, answer(1, c, P_mN)])]
+
+
+CASES: dict[str, tuple[list[tuple[int, bytes]], list[list[int]], dict[str, list[int]]]] = {
+    "a late answer is in its own row": (
+        [sync(1), answer(1, 1), sync(2), answer(1, 2), answer(2, 1), answer(2, 2)],
+        [[PRESENT, PRESENT], [PRESENT, PRESENT]], {"delayed": [0, 1], "late": [0, 0]},
+    ),
+    "a lost answer is not waited for": (
+        [sync(1), answer(1, 1), sync(2), answer(1, 2), answer(2, 2)],
+        [[PRESENT, NO_RESPONSE], [PRESENT, PRESENT]], {"missing": [0, 1]},
+    ),
+    "two values of one number are both doubtful": (
+        [sync(1), answer(1, 1), answer(1, 1), answer(1, 1, 101), answer(2, 1)], [[DOUBTFUL, PRESENT]], {"late": [0, 0]},
+    ),
+    "a duplicate is not": (
+        [sync(2), answer(1, 2), answer(1, 2), answer(2, 2), answer(2, 2)], [[PRESENT, PRESENT]], {"late": [0, 0]},
+    ),
+    "an answer before its SYNC is not its answer": (
+        [sync(1), answer(1, 1), answer(1, 2, 20), sync(2)], [[PRESENT], [DOUBTFUL]], {},
+    ),
+    "one conversion for two SYNCs is repeated": (
+        [sync(1), answer(1, 1), sync(2), answer(1, 2, -0x8000, stale=True)], [[PRESENT], [PRESENT]], {"repeated": [1]},
+    ),
+    "without numbers a late duplicate is not the next answer": (
+        unnumbered(1, 2, 2), [[PRESENT], [PRESENT], [DOUBTFUL]], {},
+    ),
+    "without numbers a missing answer is no counter 0, and of three equal ones two are duplicates": (
+        [*unnumbered(254, 255, None, 0, 1, 1, 1), SYNC],
+        [[PRESENT], [PRESENT], [NO_RESPONSE], [PRESENT], [PRESENT], [DOUBTFUL], [DOUBTFUL]], {},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("cut", [1, 20])
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_in_a_row(case: str, cut: int) -> None:
+    frames, reasons, tally = CASES[case]
+    stream = Stream(*range(1, len(reasons[0]) + 1))
+    for place in range(0, len(frames), cut):
+        stream.add(*frames[place : place + cut])
+    assert stream.reasons[: len(reasons)] == reasons
+    assert set(stream.numbered) == {not case.startswith("without")}
+    assert {name: getattr(stream.collector.tally, name).tolist() for name in tally} == tally
 
 
 def test_a_finger_that_does_not_answer_is_missing_in_time() -> None:
@@ -110,14 +150,6 @@ def test_a_finger_that_does_not_answer_is_missing_in_time() -> None:
     assert stream.collector.tally.late.tolist() == [0, 1]
 
 
-def test_a_lost_answer_is_not_waited_for() -> None:
-    stream = Stream(1, 2)
-    assert stream.add(sync(1), answer(1, 1)) == []
-    found = stream.add(sync(2), answer(1, 2), answer(2, 2))
-    assert np.isnan(found[0][1])
-    assert found[1] == [1.0, 1.0]
-
-
 def test_no_row_waits_for_a_finger_that_is_not_operational() -> None:
     stream = Stream(1, 2)
     stream.collector.expect(2, False)
@@ -125,16 +157,6 @@ def test_no_row_waits_for_a_finger_that_is_not_operational() -> None:
     assert np.isnan(row[1])
     stream.collector.expect(2, True)
     assert stream.add(sync(2), answer(1, 2)) == []
-
-
-def test_two_values_of_one_number_are_both_doubtful_and_a_duplicate_is_not() -> None:
-    stream = Stream(1, 2)
-    stream.add(sync(1), answer(1, 1, 100), answer(1, 1, 100), answer(1, 1, 101))
-    stream.add(answer(2, 1))
-    assert stream.reasons == [[DOUBTFUL, PRESENT]]
-    stream.add(sync(2), answer(1, 2), answer(1, 2), answer(2, 2), answer(2, 2))
-    assert stream.reasons[1] == [PRESENT, PRESENT]
-    assert stream.collector.tally.late.tolist() == [0, 0]
 
 
 def test_a_babbler_whose_number_comes_is_not_shown() -> None:
@@ -157,28 +179,6 @@ def test_a_sync_that_was_not_received_has_its_row_too() -> None:
     assert stream.add(sync(4), answer(1, 3, 30), answer(1, 4, 40)) == [[0.02], [0.03], [0.04]]
     assert stream.collector.tally.unreceived == 2
     assert stream.collector.tally.doubtful.tolist() == [0]
-
-
-def test_an_answer_before_its_sync_is_not_its_answer() -> None:
-    stream = Stream(1)
-    stream.add(sync(1), answer(1, 1), answer(1, 2, 20))
-    stream.add(sync(2))
-    assert stream.reasons[1:] == [[DOUBTFUL]]
-
-
-def test_one_conversion_for_two_syncs_is_counted_as_repeated() -> None:
-    stream = Stream(1)
-    stream.add(sync(1), answer(1, 1), sync(2), answer(1, 2, -0x8000, stale=True))
-    assert stream.collector.tally.repeated.tolist() == [1]
-    assert stream.reasons == [[PRESENT], [PRESENT]]
-
-
-def test_a_block_of_many_syncs_is_one_block_of_rows() -> None:
-    stream = Stream(1)
-    frames = []
-    for k in range(700):
-        frames += [sync(k % 240 + 1), answer(1, k % 240 + 1, k)]
-    assert stream.add(*frames) == [[k / 1000] for k in range(700)]
 
 
 def test_random_sequences_of_faults() -> None:
@@ -242,13 +242,6 @@ def test_the_count_of_a_foreign_producer_is_learnt() -> None:
 # --- without numbers
 
 
-def test_without_numbers_the_pairing_is_assumed() -> None:
-    stream = Stream(1, 2)
-    assert stream.add(SYNC, answer(1, 5, 100), answer(2, 5, 200)) == []  # nothing is known of before: until the next
-    assert stream.add(SYNC, answer(1, 6, 110), answer(2, 6, 210)) == [[0.1, 0.2], [0.11, 0.21]]
-    assert stream.numbered == [False, False]
-
-
 def test_without_numbers_an_answer_after_the_next_sync_is_missing() -> None:
     stream = Stream(1, 2)
     stream.add(SYNC, answer(1, 1, 100), answer(2, 1, 200))
@@ -259,13 +252,6 @@ def test_without_numbers_an_answer_after_the_next_sync_is_missing() -> None:
     assert stream.add(answer(2, 2, 210), answer(1, 3, 120)) == []  # late, or that of this SYNC: the next SYNC tells
     stream.add(answer(2, 3, 220), SYNC)
     assert stream.reasons[-1] == [PRESENT, DOUBTFUL]
-
-
-def test_without_numbers_a_late_duplicate_is_not_the_next_answer() -> None:
-    stream = Stream(1)
-    stream.add(SYNC, answer(1, 1), SYNC, answer(1, 2, 20))
-    stream.add(SYNC, answer(1, 2, 20))
-    assert stream.reasons[-1] == [DOUBTFUL]
 
 
 def test_pdos_of_two_samples_are_mixed_and_not_shown() -> None:
@@ -319,13 +305,6 @@ def test_answers_before_the_verification_are_not_shown_when_they_are_processed_a
     assert stream.reasons == [[PRESENT], [CHANGED], [CHANGED], [CHANGED], [PRESENT]]
 
 
-def test_values_after_a_boot_up_are_not_shown() -> None:
-    stream = Stream(1)
-    stream.collector.trust.learn(1, {COUNTER: 3})
-    stream.add(health(1, 3), sync(1), answer(1, 1), (0x701, b"\0"), sync(2), answer(1, 2))
-    assert stream.reasons == [[PRESENT], [CHANGED]]
-
-
 OFFSET = (0x6124, 2)
 DOWNLOAD, DONE, VALUE = "23246102 0000a040", "60246102 00000000", "43246102 0000a040"
 OTHER = "43246102 0000b040"
@@ -344,6 +323,7 @@ KNOWN = {OFFSET: 0x40A00000, COUNTER: 3}
         ([(0x601, DOWNLOAD), (0x581, DONE), (0x581, VALUE), (0x581, READ.hex() + "03000000")], PRESENT),
         ([(0x601, DOWNLOAD), (0x581, DONE), (0x581, OTHER), (0x581, READ.hex() + "03000000")], CHANGED),
         ([(0x601, "c2246102 04000000"), (0x581, "a4246102 7f000000"), (0x601, "81000000a0400000")], CHANGED),
+        ([(0x701, "00")], CHANGED),  # it booted
         ([(0x000, "0101")], CHANGED),
         ([(0x000, "0102")], PRESENT),
         ([(0x7E5, "1105000000000000")], CHANGED),
@@ -443,26 +423,6 @@ def test_faults_have_the_same_rows_however_the_stream_is_cut(
         counts = [count.tolist() for count in (tally.missing, tally.doubtful, tally.late, tally.repeated)]
         results.append((repr(stream.rows), stream.reasons, stream.numbered, counts))
     assert results[0] == results[1] == results[2]
-
-
-@pytest.mark.parametrize("cut", [1, 20])
-def test_without_numbers_a_lost_answer_has_no_counter(cut: int) -> None:
-    """A missing answer is no counter 0, and of three equal ones two are duplicates."""
-    frames = [
-        SYNC,
-        answer(1, 254),
-        SYNC,
-        answer(1, 255),
-        SYNC,
-        *(one for k in (0, 1, 1, 1) for one in (SYNC, answer(1, k))),
-    ]
-    stream = Stream(1)
-    for place in range(0, len(frames), cut):
-        stream.add(*frames[place : place + cut])
-    stream.add(SYNC)
-    assert [reason for (reason,) in stream.reasons[:7]] == [
-        PRESENT, PRESENT, NO_RESPONSE, PRESENT, PRESENT, DOUBTFUL, DOUBTFUL
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("own", [True, False])

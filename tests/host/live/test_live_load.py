@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from bench import live
 
-from tipforce.host.live import recvmmsg
+from tipforce.host.live import receive
 
-pytestmark = pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
+pytestmark = pytest.mark.skipif(not receive.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
 
 
 @pytest.mark.parametrize("busy", [False, True])

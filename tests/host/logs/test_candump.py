@@ -29,10 +29,9 @@ ROWS = st.lists(st.tuples(st.one_of(DATA_FRAMES, REMOTE_FRAMES), st.sampled_from
 
 def block_of(rows: list[tuple[RawFrame, str]]) -> CandumpBlock:
     names = tuple(dict.fromkeys(name for _, name in rows))
-    interface = np.array([names.index(name) for _, name in rows], dtype=np.uint16)
-    return CandumpBlock(
-        frame_array([frame for frame, _ in rows]), interface, names, np.zeros(len(rows), dtype=np.bool_)
-    )
+    frames = frame_array([frame for frame, _ in rows])
+    frames["channel"] = [names.index(name) for _, name in rows]
+    return CandumpBlock(frames, names)
 
 
 @settings(derandomize=True, max_examples=200, deadline=None)
@@ -43,7 +42,7 @@ def test_what_is_written_reads_back(rows: list[tuple[RawFrame, str]], log: bool,
     back = parser.parse(CandumpFormat(timestamps, log=log, extra=extra).lines(block))
     for field in ("can_id", "length", "data"):
         np.testing.assert_array_equal(back.frames[field], block.frames[field])
-    assert [back.names[k] for k in back.interface] == [name for _, name in rows]
+    assert [back.names[k] for k in back.frames["channel"]] == [name for _, name in rows]
     assert back.timed == (bool(timestamps) or log or not rows)
     np.testing.assert_array_equal(back.frames["t_ns"], block.frames["t_ns"] if back.timed else 0)
 

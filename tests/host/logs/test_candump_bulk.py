@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from canopen_device.core.codes import EXTENDED_FLAG
 from tipforce.core import core
-from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
@@ -170,8 +170,7 @@ def block_of_traffic(count: int = 500) -> CandumpBlock:
     frames["data"] = random.integers(0, 256, (count, 8)) * (np.arange(8) < frames["length"][:, None])
     frames["channel"] = random.integers(0, 2, count)
     frames["flags"] = random.integers(0, 2, count)
-    sent = frames["flags"] == SENT
-    return CandumpBlock(frames, frames["channel"].astype(np.uint16), ("can0", "vcan12"), sent)
+    return CandumpBlock(frames, ("can0", "vcan12"))
 
 
 FORMATS = [

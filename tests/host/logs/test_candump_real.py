@@ -199,7 +199,7 @@ def test_every_screen_format_reads_as_the_log_does(text: str) -> None:
     for field in ("can_id", "length", "data"):
         np.testing.assert_array_equal(block.frames[field], log.frames[field])
     assert block.names == ("vcan0",)
-    assert block.sent.all() == (text is EXTRA)
+    assert block.frames["flags"].all() == (text is EXTRA)
     assert block.timed == (text is FROM_ZERO)
 
 

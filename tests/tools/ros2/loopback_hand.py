@@ -1,6 +1,6 @@
 """A process of test_loopback: a simulated hand and `tipforce ros2` on its bus; commands come on stdin.
 
-load NODE P PHI THETA | fault NODE NAME | frames FILE | end
+fault NODE NAME | end
 """
 
 from __future__ import annotations
@@ -32,9 +32,7 @@ def run(folder: Path) -> int:
 def _obey(bus: tipforce.SimulatedBus) -> None:
     for line in sys.stdin:
         what, *rest = line.split()
-        if what == "load":
-            bus.apply_load(int(rest[0]), *(float(value) for value in rest[1:]))
-        elif what == "fault":
+        if what == "fault":
             bus.inject_fault(int(rest[0]), rest[1])
         elif what == "end":
             signal.raise_signal(signal.SIGTERM)  # SIGINT is ignored in what a shell runs in the background

@@ -314,24 +314,6 @@ def test_without_a_calibration_only_health_tells() -> None:
     assert np.isnan(found.u[0, 1]).all()
 
 
-def test_gauges_alone_give_the_contact_by_the_calibration() -> None:
-    calibration = beam_calibration(pull=False)
-    F = force_vector(2.0, np.radians(-80.0), np.radians(95.0))
-    strain = np.linalg.solve(calibration.C, F) * 1e6
-    columns = {f"SG{k + 1}": np.array([[strain[k]]]) for k in range(3)}
-    found = rows(columns).block([calibration], 3)
-    assert found.contact[0, 0] == pytest.approx([2.0, -80.0, 95.0], rel=1e-5)
-    assert found.gauges[0, 0] == pytest.approx(strain, rel=1e-5)
-    assert np.isnan(rows(columns).block([None], 3).contact).all()
-
-
-def test_forces_alone_give_the_contact() -> None:
-    F = force_vector(2.0, np.radians(-80.0), np.radians(95.0))
-    columns = {f"F{k + 1}": np.array([[F[k]]]) for k in range(3)}
-    found = rows(columns).block([None], 3)
-    assert found.contact[0, 0] == pytest.approx([2.0, -80.0, 95.0], rel=1e-5)
-
-
 def test_the_drawing_has_the_strain_of_the_beams() -> None:
     """At the gauges of case I the ends of the faces strain as Table 1 says."""
     (finger,) = fingers(1)
@@ -346,3 +328,16 @@ def test_the_drawing_has_the_strain_of_the_beams() -> None:
     assert [gauge["name"] for gauge in drawn["gauges"]] == ["K_H", "S_H", "U"]
     for gauge in drawn["gauges"]:
         assert np.hypot(*np.subtract(gauge["to"], gauge["from"])) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("sent", ["SG", "F"])
+def test_gauges_or_forces_alone_give_the_contact(sent: str) -> None:
+    calibration = beam_calibration(pull=False)
+    F = force_vector(2.0, np.radians(-80.0), np.radians(95.0))
+    strain = np.linalg.solve(calibration.C, F) * 1e6
+    values = rows({f"{sent}{k + 1}": np.array([[value]]) for k, value in enumerate(strain if sent == "SG" else F)})
+    found = values.block([calibration if sent == "SG" else None], 3)
+    assert found.contact[0, 0] == pytest.approx([2.0, -80.0, 95.0], rel=1e-5)
+    if sent == "SG":
+        assert found.gauges[0, 0] == pytest.approx(strain, rel=1e-5)
+        assert np.isnan(values.block([None], 3).contact).all()

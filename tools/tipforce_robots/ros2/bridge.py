@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from tipforce.output_file import Kind
     from tipforce.watching.feeds import Feed
     from tipforce.watching.watcher import Finger
-    from tipforce_robots.ros2.dds import RosDomain, RosSubscription
+    from tipforce_robots.ros2.dds import RosDomain
 
 PERIOD_NS = 1_000_000_000
 _TAKE_S = 0.02
@@ -182,7 +182,7 @@ class Bridge:
         self._period_rows = self._overrun = 0
         self.rows = 0
         self.tips: dict[int, PublishedTip] = {}
-        self._tares: list[tuple[PublishedTip, RosSubscription]] = []
+        self._tares: list[tuple[PublishedTip, Callable[[], int]]] = []
 
     @property
     def wrenches(self) -> int:
@@ -199,7 +199,7 @@ class Bridge:
         for block in blocks:
             self._publish(block)
         status = [self._of_event(event) for event in events]
-        status += [self._tare(tip) for tip, asked in self._tares if asked.take()]
+        status += [self._tare(tip) for tip, asked in self._tares if asked()]
         if status:
             self._send(now_ns, status)
         if now_ns >= self._due_ns or now_ns < self._due_ns - PERIOD_NS:

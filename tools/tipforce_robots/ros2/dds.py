@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.metadata import version
 from typing import Any, Literal
@@ -66,9 +66,11 @@ class RosDomain:
         """Return a publisher of ``kind`` on the ROS topic ``topic``, an absolute name."""
         return RosPublisher(self._participant, topic, kind, profile)
 
-    def subscription(self, topic: str, kind: str) -> RosSubscription:
-        """Return a reliable subscription of ``kind``."""
-        return RosSubscription(self._participant, topic, kind)
+    def subscription(self, topic: str, kind: str) -> Callable[[], int]:
+        """Return a function that returns how many messages of ``kind`` have arrived since its last call."""
+        dds_topic: Any = Topic(self._participant, f"rt{topic}", idl_type(kind))
+        reader: Any = DataReader(self._participant, dds_topic, quality("events"))
+        return lambda: sum(bool(sample.sample_info.valid_data) for sample in reader.take(N=100))
 
 
 class RosPublisher:
@@ -94,18 +96,6 @@ class RosPublisher:
     def readers(self) -> int:
         """Number of matched subscriptions."""
         return len(self._writer.get_matched_subscriptions())
-
-
-class RosSubscription:
-    """Counts messages whose content does not matter."""
-
-    def __init__(self, participant: Any, topic: str, kind: str) -> None:
-        dds_topic: Any = Topic(participant, f"rt{topic}", idl_type(kind))
-        self._reader: Any = DataReader(participant, dds_topic, quality("events"))
-
-    def take(self) -> int:
-        """Return how many messages have arrived since the last call."""
-        return sum(bool(sample.sample_info.valid_data) for sample in self._reader.take(N=100))
 
 
 def domain_id(given: int | None, environment: Mapping[str, str] = os.environ) -> int:

@@ -70,9 +70,10 @@ class Hints:
         from tipforce.arrays import occurring
         from tipforce.watching.findings import Observed
 
-        for number in occurring(block.interface):
+        channel = block.frames["channel"]
+        for number in occurring(channel):
             seen = self.seen.setdefault(block.names[number], Observed())
-            seen.take(block.frames[block.interface == number])
+            seen.take(block.frames[channel == number])
         if time.monotonic() >= self._due_s:
             self._due_s = time.monotonic() + _HINT_S
             for finding in self.findings():

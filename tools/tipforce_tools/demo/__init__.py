@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 from tipforce_tools.cli import common
-from tipforce_tools.page.serving import add_page_arguments, page_guard, serve
+from tipforce_tools.page.guard import add_page_arguments, page_guard
 
 if TYPE_CHECKING:
     from tipforce_tools.demo.job import Result
@@ -34,12 +34,13 @@ def run(args: argparse.Namespace) -> int:
     if args.view:  # the scene of a hand, in a loop. Its time is simulated: no row is missing
         from tipforce.shipped_files import file_or_shipped
         from tipforce.watching.watcher import finger_maker
+        from tipforce_tools.page.server import serve_page
         from tipforce_tools.page.sources import scene_source
 
         guard = page_guard(args)
         source = scene_source(file_or_shipped("hand", "scenes"), finger_maker())
         source.loops = True
-        return serve(args, source, guard)
+        return serve_page(args, source, guard)
     from tipforce.sensor.structure.layouts import CASES
     from tipforce.sensor.structure.published import GROOVES_DEG
     from tipforce_tools.demo.job import run_demo

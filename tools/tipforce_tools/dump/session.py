@@ -95,10 +95,10 @@ class Session:
                     self.tally.add_samples(samples, self._modulus.modulus)
         services: Iterable[Service] = ()
         if self.services is not None:
-            services = self.services.describe(block.frames, block.interface)
-            for number in () if self._live else set(block.interface.tolist()):  # live the hints say it
+            services = self.services.describe(block.frames, block.frames["channel"])
+            for number in () if self._live else set(block.frames["channel"].tolist()):  # live the hints say it
                 watch = self._duplicates.setdefault(number, DuplicateNodes())
-                for duplicate in watch.add(block.frames[block.interface == number]):
+                for duplicate in watch.add(block.frames[block.frames["channel"] == number]):
                     common.note(f"tipforce dump: {duplicate}")
         text = self._text(block, decoded if self._args.decode else {}, services)
         if text:
@@ -213,9 +213,9 @@ def json_text(block: CandumpBlock, decoded: Decoded, services: Iterable[Service]
 
     frames = block.frames
     data = frames["data"].tobytes()
-    columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length"))
+    columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length", "channel"))
     records = []
-    for row, (t_ns, can_id, length, interface) in enumerate(zip(*columns, block.interface.tolist(), strict=True)):
+    for row, (t_ns, can_id, length, interface) in enumerate(zip(*columns, strict=True)):
         records.append(record(t_ns, interface, can_id, data[8 * row : 8 * row + length]))
         if can_id & ERROR_FLAG:
             records[-1]["error"] = True

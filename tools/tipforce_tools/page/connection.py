@@ -14,7 +14,6 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
 from tipforce.errors import InputError, RefusedError, TipforceError
-from tipforce_tools.page.history import Charted
 from tipforce_tools.page.messages import (
     MAX_BINS,
     MAX_EVENTS,
@@ -24,7 +23,7 @@ from tipforce_tools.page.messages import (
     envelope_message,
     largest_strain_per_newton,
 )
-from tipforce_tools.page.model import Model
+from tipforce_tools.page.model import Charted, Model
 from tipforce_tools.page.sources import Source
 
 Milliseconds = Annotated[float, msgspec.Meta(ge=0.0, le=9e12)]
@@ -110,7 +109,7 @@ def answer(request: AnyRequest, source: Source, read_only: str) -> Any:
             first, last = _ns(request.start) // width_ns, _ns(request.end) // width_ns
             if not 0 <= last - first <= MAX_BINS:
                 raise InputError(f"start, end, bin: {last - first} bins, allowed are 0 to {MAX_BINS}")
-            return envelope_message(model.envelope(first, last, width_ns, request.what))
+            return envelope_message(model, first, last, width_ns, request.what)
         case Tare():
             if source.no_tare or read_only:
                 raise RefusedError(source.no_tare or read_only)

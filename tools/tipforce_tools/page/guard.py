@@ -1,4 +1,4 @@
-"""Access rules of the page's server. Pure: from headers to a refusal or None.
+"""The flags of the page's server, and its access rules: from headers to a refusal or None.
 
 - Host must name this server: another name that resolves to 127.0.0.1 (DNS rebinding) is refused.
 - Origin, if a browser sends it, must be this page: browsers send it with every WebSocket handshake.
@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import argparse
 import hmac
 import ipaddress
 import secrets
@@ -22,6 +23,7 @@ Refusal = tuple[HTTPStatus, str]
 LOOPBACK_NAMES = ("127.0.0.1", "[::1]", "localhost")
 COOKIE = "tipforce_access"
 LEAST_TOKEN = 16
+DEFAULT_PORT = 8404
 
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data: blob:; "
@@ -103,3 +105,22 @@ def host_names(host: str) -> tuple[str, ...]:
             f"--host {host}: pass the address or host name that browsers will use, so that Host can be checked"
         )
     return tuple(dict.fromkeys((shown, *LOOPBACK_NAMES))) if is_loopback(host) else (shown,)
+
+
+def add_page_arguments(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Add the flags of the page's server; return their group."""
+    group = parser.add_argument_group("page")
+    port, host = "default %(default)s; 0: any free port", "address to serve on, default loopback; others need --token"
+    group.add_argument("--port", type=int, default=DEFAULT_PORT, metavar="N", help=port)
+    group.add_argument("--host", default="", metavar="ADDRESS", help=host)
+    group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
+    group.add_argument("--open", action="store_true", help="open the page in the browser")
+    return group
+
+
+def page_guard(args: argparse.Namespace) -> Guard:
+    """Return the access rules of the page, before anything is opened. Raises InputError."""
+    if not 0 <= args.port <= 65535:
+        raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
+    host, may_write = args.host or "127.0.0.1", getattr(args, "allow_writes", False)
+    return Guard(access_token=access_token(host, args.token), hosts=host_names(host), allow_writes=may_write)

@@ -16,8 +16,7 @@ from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_name, place, strain_row
 from tipforce.watching.watcher import Finger
-from tipforce_tools.page.history import Charted, Envelope
-from tipforce_tools.page.model import Model, Picture
+from tipforce_tools.page.model import Charted, Model, Picture
 
 MAX_BINS = 1500
 """Limit per message: a browser that reconnects late gets the newest ones."""
@@ -67,7 +66,7 @@ class Cursor:
         first = max(self._bin, last - MAX_BINS + 1)
         # The last bin is not complete: it is sent again.
         self._bin = last
-        picture.bins = envelope_message(model.envelope(first, last, self._bin_ns, self._what))
+        picture.bins = envelope_message(model, first, last, self._bin_ns, self._what)
         live = model.live and now_ns >= model.span_ns()[1]
         picture.events = model.events(self._event, None if live else now_ns)[-MAX_EVENTS:] or None
         if picture.events:
@@ -76,12 +75,11 @@ class Cursor:
         return picture
 
 
-def envelope_message(envelope: Envelope) -> dict[str, Any]:
+def envelope_message(model: Model, first: int, last: int, width_ns: int, what: Charted) -> dict[str, Any]:
     """Encode bins, each with k x (3 q + 1) numbers: low, high and u of q quantities, and the number of unknown rows."""
-    parts = [np.round(array.astype(np.float64), _BIN_DIGITS) for array in (envelope.low, envelope.high, envelope.u)]
-    unknown = envelope.unknown[..., np.newaxis].astype(np.float64)
-    table = np.concatenate([*parts, unknown], axis=-1)
-    return {"i": envelope.index.tolist(), "v": table.reshape(len(table), table.shape[1] * table.shape[2]).tolist()}
+    index, values = model.envelope(first, last, width_ns, what)
+    rows = np.round(values, _BIN_DIGITS).reshape(len(values), values.shape[1] * values.shape[2])
+    return {"i": index.tolist(), "v": rows.tolist()}
 
 
 def csv_chunks(model: Model) -> Iterator[bytes]:

@@ -7,10 +7,12 @@ dropped. Many requests or pings of one page cannot either: beyond its budget its
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import contextlib
 import logging
 import socket
+import sys
 import threading
 import time
 from functools import partial
@@ -26,6 +28,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 
 from tipforce.errors import EnvironmentLackError
+from tipforce_tools.cli import common
 from tipforce_tools.page.connection import Page, Pulse
 from tipforce_tools.page.guard import COOKIE, SECURITY_HEADERS, Guard
 from tipforce_tools.page.sources import Source
@@ -222,3 +225,27 @@ class ViewServer:
                 _LOG.exception("the page's source failed")
                 return
             self.loop.call_soon_threadsafe(self._pulse.beat)
+
+
+def serve_page(args: argparse.Namespace, source: Source, guard: Guard) -> int:
+    """Serve the page of a source until Ctrl-C or SIGTERM."""
+    from tipforce_tools.cli.main import terminate_as_interrupt
+
+    server = ViewServer(source, guard, (args.host,) if args.host else ("127.0.0.1", "::1"), args.port)
+    terminate_as_interrupt()
+    server.start()
+    try:
+        common.print_record({"url": server.url}, server.url)
+        sys.stdout.flush()
+        access = "read and tare" if guard.allow_writes and not source.no_tare else "read-only"
+        common.note(f"{source.title}: {access}; Ctrl-C ends it")
+        if args.open:
+            import webbrowser
+
+            webbrowser.open(server.url)
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        server.close()

@@ -25,8 +25,7 @@ from tipforce.samples.reasons import Status
 from tipforce.watching.feeds import Counters, Feed
 from tipforce.watching.findings import not_calibrated
 from tipforce.watching.watcher import Finger, FingerMaker, Watcher, with_layout
-from tipforce_tools.page.history import MAX_BYTES, row_bytes
-from tipforce_tools.page.model import Model
+from tipforce_tools.page.model import MAX_BYTES, Model, row_bytes
 
 LOG_BYTES = 8 * MAX_BYTES
 """Memory limit of a log's rows; of a longer log the user must choose a part."""

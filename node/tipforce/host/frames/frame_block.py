@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_array import SENT, FrameArray
 
 BIT_RATE_SWITCH, ERROR_STATE = 0x01, 0x02
 """Bits of ``flags``: CANFD_BRS and CANFD_ESI of linux/can.h."""
@@ -33,15 +33,13 @@ class FdFrame(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandumpBlock:
-    """Frames from text: ``frames`` FRAME (n,); ``interface`` (n,) indexes ``names``; ``sent`` (n,): TX in -x.
+    """Frames from text: ``frames`` FRAME (n,), whose ``channel`` indexes ``names``.
 
     ``timed`` is False for a line without timestamp; its ``t_ns`` is 0. ``fd``: the CAN FD frames, in order.
     """
 
     frames: FrameArray
-    interface: npt.NDArray[np.uint16]
     names: tuple[str, ...]
-    sent: npt.NDArray[np.bool_]
     timed: bool = True
     fd: tuple[FdFrame, ...] = ()
 
@@ -59,7 +57,7 @@ class CandumpBlock:
             fd_rows = np.ones(len(self.fd), dtype=np.bool_)
         row_now = np.concatenate(([0], np.cumsum(rows))).tolist()
         fd = tuple(one._replace(row=row_now[one.row]) for one, kept in zip(self.fd, fd_rows, strict=True) if kept)
-        return CandumpBlock(self.frames[rows], self.interface[rows], self.names, self.sent[rows], self.timed, fd)
+        return CandumpBlock(self.frames[rows], self.names, self.timed, fd)
 
     def between(self, start: int, end: int) -> CandumpBlock:
         """Return the block with its classic frames ``start`` to ``end``, and the FD frames among and behind them."""
@@ -78,12 +76,13 @@ class CandumpBlock:
         """Yield classic frames as (t_ns, can_id, length, data, interface, sent), and CAN FD frames in their places."""
         frames, fd = self.frames, deque(self.fd)
         data = frames["data"].tobytes()
-        columns = (frames["t_ns"], frames["can_id"], frames["length"], self.interface, self.sent)
+        sent = frames["flags"] & SENT != 0
+        columns = (frames["t_ns"], frames["can_id"], frames["length"], frames["channel"], sent)
         rows = zip(*(column.tolist() for column in columns), strict=True)
-        for row, (t_ns, can_id, length, interface, sent) in enumerate(rows):
+        for row, (t_ns, can_id, length, interface, is_sent) in enumerate(rows):
             while fd and fd[0].row <= row:
                 yield fd.popleft()
-            yield t_ns, can_id, length, data[8 * row : 8 * row + length], interface, sent
+            yield t_ns, can_id, length, data[8 * row : 8 * row + length], interface, is_sent
         yield from fd
 
     def positions(self) -> npt.NDArray[np.intp]:

@@ -64,9 +64,7 @@ class FingerReport:
         return f"{self.plan.label}: " + (up if self.ok else f"failed at {self.failed}: {self.error}")
 
 
-def bring_up(
-    connection: Bus, hand: HandFile, on_event: OnEvent = lambda _event: None
-) -> tuple[list[FingerReport], set[int]]:
+def bring_up(connection: Bus, hand: HandFile, on_event: OnEvent) -> tuple[list[FingerReport], set[int]]:
     """Bring all fingers up; return a report for each, in file order, and the node-ids of all nodes on the bus.
 
     Raises InputError for an invalid file.
@@ -152,9 +150,7 @@ def set_up(
     report.seconds += time.monotonic() - started_s
 
 
-def assign(
-    connection: Bus, absent: Sequence[FingerReport], store: bool, on_event: OnEvent = lambda _event: None
-) -> None:
+def assign(connection: Bus, absent: Sequence[FingerReport], store: bool, on_event: OnEvent) -> None:
     """Assign node-ids by LSS: to the serial in the file, otherwise to unconfigured nodes in their order."""
     with LssMaster(connection) as master:
         for report in sorted(absent, key=lambda r: not r.plan.serial):

@@ -1,25 +1,4 @@
-"""A hand as a TOML file: its bus, its fingers, their settings and PDOs, and the SYNC rate.
-
-[bus]
-interface = "socketcan"      # python-can's names; default: python-can's own configuration
-channel = "can0"
-
-[hand]
-sync_hz = 500
-pdos = ["contact"]
-heartbeat_ms = 100
-numbered_sync = "auto"       # true, false; "auto": where every node on the bus can take the numbers
-foreign_changes = "refuse"   # "accept", "restore": a change of a finger that another master made
-wait_ms = 50                 # a row waits this long for a late finger
-config = "finger.toml"       # settings of all fingers (tipforce config save)
-
-[[finger]]
-name = "thumb"
-node_id = 1
-serial = 1005                # 1018h:4, for LSS
-calibration = "thumb.toml"   # tipforce calibrate fit -o
-layout = "I"
-"""
+"""A hand as a TOML file (docs/hand.md): its bus, its fingers, their settings and PDOs, and the SYNC rate."""
 
 from __future__ import annotations
 

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from tipforce.host.hand.events import BabbleWatch, Event, Supervisor, waited_s
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
 from tipforce.host.hand.link import Jitter, JitterFigures, Link, open_link, wanted_overflow
 from tipforce.host.hand.recovery import LOST, Recovery, RecoveryQueue
-from tipforce.host.hand.rows import Collector, Delivery, HandRows, RowStream
+from tipforce.host.hand.rows import Collector, Delivery, HandRow, HandRows, rows_one_by_one
 from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
@@ -159,11 +160,11 @@ class Hand:
         # While no SYNC comes: number it where all nodes can take the numbers; learn what each finger's values mean.
         self._each(self._recovery.prepare)
         for node_id, state in self._supervisor.states.items():
-            if state >= 0 and (state != OPERATIONAL or node_id not in self._recovery.meaning):
+            if state >= 0 and (state != OPERATIONAL or not self._collector.trust.known(node_id)):
                 self._queue.need([node_id])
         self._start_sync()
 
-    def rows(self, timeout_s: float | None = None) -> HandRows:
+    def rows(self, timeout_s: float | None = None) -> HandRows[HandRow]:
         """Return rows as they are completed, each with a Contact by name of finger; for ``for`` and ``async for``.
 
         They end when the hand stops, or after ``timeout_s`` without a row (None: never; not with ``async for``).
@@ -171,7 +172,8 @@ class Hand:
         for place, finger in enumerate(self.file.finger):
             self._calibrations[place] = self.calibration(finger)
         names = [finger.name for finger in self.file.finger]
-        return HandRows(self._delivery.rows(timeout_s), RowContacts(self.node_ids, names, self._calibrations))
+        made = RowContacts(self.node_ids, names, self._calibrations)
+        return self._delivery.rows(partial(rows_one_by_one, contacts=made), timeout_s)
 
     def calibration(self, finger: FingerPlan) -> Calibration | None:
         """Return the calibration for the uncertainties: the file's, else the node's own; None if it is unknown."""
@@ -181,9 +183,9 @@ class Hand:
                 calibration = FingertipClient(self._link.connection.sdo(finger.node_id)).calibration()
         return calibration
 
-    def blocks(self, timeout_s: float | None = None) -> RowStream:
+    def blocks(self, timeout_s: float | None = None) -> HandRows[Rows]:
         """Return blocks of rows as arrays, as they come; for ``for`` and ``async for``. They end as ``rows``."""
-        return self._delivery.rows(timeout_s)
+        return self._delivery.rows(lambda rows: (rows,), timeout_s)
 
     def on_rows(self, callback: Callable[[Rows], None]) -> None:
         """Register a callback for each block of rows. It runs in the receiving thread and must return quickly."""

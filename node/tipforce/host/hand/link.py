@@ -145,10 +145,6 @@ class ThreadSync:
     def __init__(self, send: Callable[[bytes], None], period_s: float, data: Sequence[bytes] = (b"",)) -> None:
         self._send, self._period_s, self._data = send, period_s, cycle(data)
         self._stopped = threading.Event()
-        self.error: Exception | None = None
-        """The error that ended it."""
-        self.skipped = 0
-        """SYNCs that were omitted because their time had passed."""
         self._thread = threading.Thread(target=self._run, name="SYNC", daemon=True)
         self._thread.start()
 
@@ -163,15 +159,11 @@ class ThreadSync:
         while not self._stopped.is_set():
             try:
                 self._send(next(self._data))
-            except EnvironmentLackError as error:
-                self.error = error
+            except EnvironmentLackError:  # the receiver raises it, too
                 return
             due_s += self._period_s
             # More than half a period late: omitted, because two SYNCs close together leave no time for the first.
-            behind = int((time.monotonic() - due_s) / self._period_s + 0.5)
-            if behind > 0:
-                self.skipped += behind
-                due_s += behind * self._period_s
+            due_s += max(int((time.monotonic() - due_s) / self._period_s + 0.5), 0) * self._period_s
             # A wait on the event would wake later than a sleep; stop() takes at most a period.
             time.sleep(max(due_s - time.monotonic(), 0.0))
 

@@ -5,8 +5,7 @@ Every setting of the dictionary is watched; a new object is, too, without a word
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -28,25 +27,12 @@ _NO_EFFECT = (communication.VERIFY_CONFIGURATION,)  # the date of a configuratio
 _TARE = {entry.key for entry in COMMANDED[1:]}
 _CALIBRATION = objects.CALIBRATION_ACTIVE_CRC.key
 _INTERRUPTS = range(indices.INTERRUPT_DELTA & 0xFFF, (indices.INTERRUPT_HYSTERESIS & 0xFFF) + 1)
-_LAST_PDO = communication.LAST_TPDO
 _TRIES = 5
 
-
-Difference = tuple[Entry[Value], bytes, bytes]
-"""Entry, value before and after as the wire carries them."""
-
-
-@dataclass(frozen=True, slots=True)
-class Meaning:
-    """``values`` (bytes of the wire) hold while 2126h is ``counter``."""
-
-    counter: int
-    values: dict[Place, tuple[Entry[Value], bytes]]
-
-    def numbers(self) -> dict[Place, int]:
-        """Return the values as ``Trust`` compares them; 2126h included."""
-        numbers = {place: int.from_bytes(data, "little") for place, (_, data) in self.values.items()}
-        return numbers | {COUNTER: self.counter}
+Meaning = Mapping[Place, int]
+"""Objects as the wire carries them, little-endian; they hold while 2126h is that among them."""
+Changes = dict[Place, tuple[int, int | None]]
+"""Values before and after; None: there is none."""
 
 
 @lru_cache
@@ -72,7 +58,8 @@ def of_values(gauges: int) -> frozenset[Place]:
         for place, entry in entries(gauges).items()
         if entry.flags & table.COUNTED and entry.index >= indices.FIELD_VALUE and entry.index & 0xFFF not in _INTERRUPTS
     }
-    cob_ids = {place for place in watched(gauges) if place[1] == 1 and communication.RPDO <= place[0] <= _LAST_PDO}
+    pdos = range(communication.RPDO, communication.LAST_TPDO + 1)
+    cob_ids = {(index, sub) for index, sub in watched(gauges) if sub == 1 and index in pdos}
     read = (*COMMANDED, objects.IDENTITY_SERIAL)
     return frozenset(profile | cob_ids | {entry.key for entry in read}) & watched(gauges).keys()
 
@@ -83,81 +70,87 @@ def read_meaning(sdo: SdoChannel, gauges: int, places: Collection[Place] | None 
     Raises as SdoChannel, and RefusedError for a finger that is changed again and again.
     """
     for _ in range(_TRIES):
-        counter = sdo.read(objects.CONFIGURATION_COUNTER)
-        values: dict[Place, tuple[Entry[Value], bytes]] = {}
-        for place, entry in watched(gauges).items():
-            index, sub = place
+        meaning = {COUNTER: sdo.read(objects.CONFIGURATION_COUNTER)}
+        for index, sub in watched(gauges):
             # The number of mapped objects of a PDO comes before its mapping: the rest of it is not used.
-            unused = is_mapping(index) and sub > 0 and (index, 0) in values and sub > values[index, 0][1][0]
-            if unused or (places is not None and place not in places):
+            unused = is_mapping(index) and sub > meaning.get((index, 0), sub)
+            if unused or (places is not None and (index, sub) not in places):
                 continue
             try:
-                values[place] = entry, sdo.upload(*place)
+                meaning[index, sub] = int.from_bytes(sdo.upload(index, sub), "little")
             except SdoAbortError as error:
                 if error.code != codes.NO_OBJECT:
                     raise
-        if sdo.read(objects.CONFIGURATION_COUNTER) == counter:
-            return Meaning(counter, values)
+        if sdo.read(objects.CONFIGURATION_COUNTER) == meaning[COUNTER]:
+            return meaning
     raise RefusedError(f"node {sdo.node_id}: its configuration changes while it is read; stop the other master")
+
+
+def numbers(wanted: Configuration) -> dict[Place, int]:
+    """Return settings as the wire carries them."""
+    return {place: int.from_bytes(entry.encode(value), "little") for place, (entry, value) in wanted.items()}
 
 
 def as_wanted(present: Meaning, wanted: Configuration, calibration: Calibration | None) -> bool:
     """Return whether the settings read are those ``wanted``, and the calibration is this one (None: any)."""
-    return _has(present, calibration) and all(
-        place not in present.values or entry.encode(value) == present.values[place][1]
-        for place, (entry, value) in wanted.items()
-    )
+    settings = numbers(wanted).items()
+    return _has(present, calibration) and all(present.get(place, number) == number for place, number in settings)
 
 
-def differences(before: Meaning, after: Meaning) -> list[Difference]:
-    """Return the entries whose values differ, and their values."""
-    both = [(entry, data, after.values.get(place, (entry, b""))[1]) for place, (entry, data) in before.values.items()]
-    return [(entry, old, new) for entry, old, new in both if old != new]
+def differences(before: Meaning, after: Meaning) -> Changes:
+    """Return what differs, besides 2126h."""
+    return {
+        place: (value, after.get(place)) for place, value in before.items()
+        if place != COUNTER and value != after.get(place)
+    }  # fmt: skip
 
 
-def in_words(changes: list[Difference]) -> str:
+def in_words(changes: Changes, gauges: int) -> str:
     """Return differences as text: name, value before and after."""
-    shown = [
-        f"{entry.name} {types.format_value(entry.type, entry.decode(old))} -> "
-        + (types.format_value(entry.type, entry.decode(new)) if new else "none")
-        for entry, old, new in changes
-    ]
+    shown = []
+    for place, values in changes.items():
+        entry = watched(gauges)[place]
+        old, new = ("none" if n is None else types.format_value(entry.type, _value(entry, n)) for n in values)
+        shown.append(f"{entry.name} {old} -> {new}")
     return ", ".join(shown[:3]) + (f" and {len(shown) - 3} more" if len(shown) > 3 else "")
 
 
-def only_tare(changes: list[Difference]) -> bool:
+def _value(entry: Entry[Value], number: int) -> Value:
+    return entry.decode(number.to_bytes(types.data_type(entry.type).size or 0, "little"))
+
+
+def only_tare(changes: Changes) -> bool:
     """Return whether nothing but the tare is another."""
-    return all(entry.key in _TARE for entry, _, _ in changes)
+    return changes.keys() <= _TARE
 
 
-def needed(changes: list[Difference], wanted: Configuration) -> bool:
+def needed(changes: Changes, wanted: Configuration) -> bool:
     """Return whether the communication of the finger is not that of the hand, which cannot use another."""
-    communicated = [entry for entry, _, _ in changes if entry.index <= communication.LAST]
-    return any(entry.key in wanted or entry.index == communication.SYNC_OVERFLOW for entry in communicated)
+    communicated = {(index, sub) for index, sub in changes if index <= communication.LAST}
+    return bool(communicated & (wanted.keys() | {objects.SYNC_COUNTER_OVERFLOW.key}))
 
 
 def write_back(
-    client: FingertipClient, before: Meaning, changes: list[Difference], calibration: Calibration | None
+    client: FingertipClient, gauges: int, before: Meaning, changes: Changes, calibration: Calibration | None
 ) -> None:
     """Undo the changes. Raises RefusedError for what cannot be written: see there."""
-    places = {entry.key for entry, _, _ in changes}
-    if SERIAL in places:
+    if SERIAL in changes:
         raise RefusedError(f"node {client.node_id}: it is another finger")
-    if _CALIBRATION in places:
+    if _CALIBRATION in changes:
         if calibration is None or not _has(before, calibration):
             raise RefusedError(f"node {client.node_id}: another calibration, and the hand file names none to restore")
         client.apply_calibration(calibration, store=False)
-    if _TARE & places:
-        if any(any(before.values[place][1]) for place in _TARE):
+    if _TARE & changes.keys():
+        if any(before[place] for place in _TARE):
             raise RefusedError(f"node {client.node_id}: its tare before cannot be set again; tare it by the hand")
         client.clear_tare()
-    objects_changed = {_with_mapping(index) for index, _ in places}
+    objects_changed = {_with_mapping(index) for index, _ in changes}
     rest = {
-        place: (entry, entry.decode(data))
-        for place, (entry, data) in before.values.items()
-        if entry.access == "rw" and _with_mapping(entry.index) in objects_changed
+        place: (entry, _value(entry, before[place]))
+        for place, entry in sorted(watched(gauges).items())
+        if place in before and entry.access == "rw" and _with_mapping(entry.index) in objects_changed
     }
-    apply_differences(client.sdo, dict(sorted(rest.items())))
+    apply_differences(client.sdo, rest)
 
 
 def _with_mapping(index: int) -> int:
@@ -166,8 +159,7 @@ def _with_mapping(index: int) -> int:
 
 
 def _has(present: Meaning, calibration: Calibration | None) -> bool:
-    entry, data = present.values[_CALIBRATION]
-    return calibration is None or entry.decode(data) == calibration.crc32()
+    return calibration is None or present[_CALIBRATION] == calibration.crc32()
 
 
 def set_overflow(sdo: SdoChannel, value: int) -> int:

@@ -16,23 +16,12 @@ from tipforce.dictionary.service_texts import NMT_STATES
 from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.device_objects import Place
+from tipforce.host.hand import meaning
 from tipforce.host.hand.bring_up import FingerReport, assign, select, set_up, wanted_settings
 from tipforce.host.hand.events import Event, Kind, Supervisor
 from tipforce.host.hand.file import HandFile
-from tipforce.host.hand.meaning import (
-    Difference,
-    Meaning,
-    as_wanted,
-    differences,
-    in_words,
-    needed,
-    of_values,
-    only_tare,
-    read_meaning,
-    set_overflow,
-    write_back,
-)
 from tipforce.host.hand.rows import Collector
+from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssMaster
@@ -48,8 +37,8 @@ _SIDE_BY_SIDE = 8
 class Recovery:
     """Set fingers up as in the hand file. ``connection`` returns the present one.
 
-    ``overflow`` is the value of 1019h that the SYNC asks for; None: it is left as it is. ``meaning`` holds what each
-    finger is known to send, also while it boots; ``Trust`` shows values while that holds.
+    ``overflow`` is the value of 1019h that the SYNC asks for; None: it is left as it is. ``Trust`` knows what each
+    finger sends, also while it boots, and shows values while that holds.
     """
 
     def __init__(
@@ -65,7 +54,6 @@ class Recovery:
         self._boots: Counter[int] = Counter()
         self._set_up: dict[int, int] = {}  # after so many boot-ups
         self.overflow: int | None = None
-        self.meaning: dict[int, Meaning] = {}
 
     def recover(self, node_id: int) -> bool:
         """Set one finger up as in the file, or those without a node-id; return True when nothing is left to do."""
@@ -91,23 +79,22 @@ class Recovery:
     def restore(self, node_id: int) -> None:
         """Set 1019h as it was before the hand. Raises as SdoChannel."""
         if node_id in self._overflow_before:
-            set_overflow(self._connection().sdo(node_id), self._overflow_before[node_id])
+            meaning.set_overflow(self._connection().sdo(node_id), self._overflow_before[node_id])
 
     def tare(self, node_id: int) -> str:
         """Tare a finger by the hand itself; return the tare as text. Raises as SdoChannel."""
         client = FingertipClient(self._connection().sdo(node_id))
-        before = self.meaning.get(node_id)
+        known = self._trust.known(node_id)
         self._trust.hide(node_id)  # what changes now is not another's doing
-        known = before
         try:
             client.tare()
             F1, F2, F3 = client.tare_state().force_newtons
-            if before is not None:
+            if known:
                 present = self._read(node_id)
-                if only_tare(differences(before, present)):  # else another's is to be decided on
+                if meaning.only_tare(meaning.differences(known, present)):  # else another's is to be decided on
                     known = present
         finally:
-            if known is not None:
+            if known:
                 self._show(node_id, known)
         return f"tare: F1 {F1:+.3f} N, F2 {F2:+.3f} N, F3 {F3:+.3f} N are subtracted"
 
@@ -130,7 +117,7 @@ class Recovery:
 
     def _recover_finger(self, node_id: int) -> bool:
         connection, state = self._connection(), self._supervisor.states[node_id]
-        if node_id in self.meaning and not self._has_booted(node_id):
+        if self._trust.known(node_id) and not self._has_booted(node_id):
             if state == OPERATIONAL or state < 0:  # a silent one is tried while it may only have lost its heartbeat
                 return self._verify(node_id)
             # Its health PDO, which it sends at the start, says whether something was changed.
@@ -151,14 +138,17 @@ class Recovery:
     def _has_booted(self, node_id: int) -> bool:
         """Return whether a finger booted, also where it was silent and the boot-up was lost: 2126h began again."""
         if node_id in self._silent:
-            if self._connection().sdo(node_id).read(objects.CONFIGURATION_COUNTER) < self.meaning[node_id].counter:
+            if (
+                self._connection().sdo(node_id).read(objects.CONFIGURATION_COUNTER)
+                < self._trust.known(node_id)[COUNTER]
+            ):
                 self._boots[node_id] += 1
             self._silent.discard(node_id)
         return self._boots[node_id] > self._set_up.get(node_id, 0)
 
     def _number(self, client: FingertipClient) -> None:
         if self.overflow is not None:
-            before = set_overflow(client.sdo, self.overflow)
+            before = meaning.set_overflow(client.sdo, self.overflow)
             self._overflow_before.setdefault(client.node_id, before)
 
     def _learn(self, node_id: int, *, set_up_now: bool = False) -> bool:
@@ -167,45 +157,44 @@ class Recovery:
         ``set_up_now``: the settings of the hand file have just been compared. What has no part in the values is taken
         to be as before, until it is read while they are shown.
         """
-        plan, known = self._plans[node_id], self.meaning.get(node_id)
+        plan, known = self._plans[node_id], self._trust.known(node_id)
         later: set[Place] = set()
-        if set_up_now and known is not None:
-            wanted = {place: (entry, entry.encode(value)) for place, (entry, value) in self._wanted[node_id].items()}
-            part = self._read(node_id, of_values(plan.gauges) - wanted.keys())
-            later = known.values.keys() - part.values.keys() - wanted.keys()
-            present = Meaning(part.counter, {**known.values, **wanted, **part.values})
+        if set_up_now and known:
+            wanted = meaning.numbers(self._wanted[node_id])
+            part = self._read(node_id, meaning.of_values(plan.gauges) - wanted.keys())
+            later = known.keys() - part.keys() - wanted.keys()
+            present: meaning.Meaning = {**known, **wanted, **part}
         else:
             present = self._read(node_id)
-        if not as_wanted(present, self._wanted[node_id], self._file.calibration(plan)):
+        if not meaning.as_wanted(present, self._wanted[node_id], self._file.calibration(plan)):
             return False
-        changes = differences(present if known is None else known, present)
-        if changes:  # lost at the reset, or stored by another before it
+        if changes := meaning.differences(known, present):  # lost at the reset, or stored by another before it
             return self._decide(node_id, present, changes)
         self._show(node_id, present, later)
         return True
 
-    def _read(self, node_id: int, places: Collection[Place] | None = None) -> Meaning:
-        return read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges, places)
+    def _read(self, node_id: int, places: Collection[Place] | None = None) -> meaning.Meaning:
+        return meaning.read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges, places)
 
-    def _show(self, node_id: int, meaning: Meaning, later: Collection[Place] = ()) -> None:
-        self.meaning[node_id] = meaning
-        self._trust.learn(node_id, meaning.numbers(), later)
+    def _show(self, node_id: int, known: meaning.Meaning, later: Collection[Place] = ()) -> None:
+        self._trust.learn(node_id, known, later)
         self._collector.expect(node_id, True)
 
     def _verify(self, node_id: int) -> bool:
         """Read what may be another's; the collector compares it. If it differs, read all and decide."""
         if self._trust.changed(node_id):
             present = self._read(node_id)
-            return self._decide(node_id, present, differences(self.meaning[node_id], present))
+            return self._decide(node_id, present, meaning.differences(self._trust.known(node_id), present))
         sdo = self._connection().sdo(node_id)
         for place in self._trust.unsure(node_id):
             sdo.upload(*place)
         return True
 
-    def _decide(self, node_id: int, present: Meaning, changes: list[Difference]) -> bool:
+    def _decide(self, node_id: int, present: meaning.Meaning, changes: meaning.Changes) -> bool:
         """Decide by ``foreign_changes`` on what differs from before."""
-        policy, known, text = self._file.hand.foreign_changes, self.meaning[node_id], in_words(changes)
-        unusable = needed(changes, self._wanted[node_id])
+        policy, known, plan = self._file.hand.foreign_changes, self._trust.known(node_id), self._plans[node_id]
+        text = meaning.in_words(changes, plan.gauges)
+        unusable = meaning.needed(changes, self._wanted[node_id])
         if not changes or (policy == "accept" and not unusable):
             self._say(node_id, "accepted", f"by another master: {text}" if changes else "all settings are as before")
             self._show(node_id, present)
@@ -213,18 +202,18 @@ class Recovery:
         if policy == "restore":
             try:
                 client = FingertipClient(self._connection().sdo(node_id))
-                write_back(client, known, changes, self._file.calibration(self._plans[node_id]))
+                meaning.write_back(client, plan.gauges, known, changes, self._file.calibration(plan))
                 present = self._read(node_id)
-                if differences(known, present):
+                if meaning.differences(known, present):
                     return False  # changed again meanwhile
                 self._show(node_id, present)
                 self._say(node_id, "restored", f"another master had changed {text}")
                 return True
             except RefusedError as error:
                 text = f"{text}; {error}"
-        if unusable and not all(is_mapping(entry.index) for entry, _, _ in changes):
+        if unusable and not all(is_mapping(index) for index, _ in changes):
             self._collector.expect(node_id, False)  # its PDO may be off: no row waits for it
-        self._trust.refuse(node_id, [entry.key for entry, _, _ in changes])
+        self._trust.refuse(node_id, changes)
         self._say(node_id, "refused", f"another master changed {text}; its values stay unknown until that is undone")
         return True
 
@@ -246,7 +235,7 @@ class Recovery:
         if absent:
             assign(self._connection(), [FingerReport(plan) for plan in absent], self._file.hand.store, self._on_event)
         for plan in lost:
-            if plan not in absent and plan.node_id in self.meaning:
+            if plan not in absent and self._trust.known(plan.node_id):
                 with suppress(NoResponseError):
                     self._connection().sdo(plan.node_id).read(objects.CONFIGURATION_COUNTER)
                     if self._supervisor.states[plan.node_id] < 0:  # it responds, and has not booted

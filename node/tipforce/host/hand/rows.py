@@ -7,7 +7,7 @@ import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 from tipforce.dictionary.signals import tpdo_messages
@@ -107,26 +107,6 @@ class HandRow(Mapping[str, Contact]):
         return " | ".join(f"{contact.name}: {contact}" for contact in self.contacts)
 
 
-class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
-    """Rows from its creation on; see ``Hand.rows``."""
-
-    def __init__(self, blocks: RowStream, contacts: RowContacts) -> None:
-        self._blocks, self._contacts = blocks, contacts
-        self._waiting: deque[HandRow] = deque()
-
-    def __next__(self) -> HandRow:
-        """Return the next row. Raises StopIteration when the hand has stopped, or the error that ended it."""
-        while not self._waiting:
-            self._waiting += rows_one_by_one(next(self._blocks), self._contacts)
-        return self._waiting.popleft()
-
-    async def __anext__(self) -> HandRow:
-        """Return the next row; the event loop runs meanwhile."""
-        while not self._waiting:
-            self._waiting += rows_one_by_one(await anext(self._blocks), self._contacts)
-        return self._waiting.popleft()
-
-
 def rows_one_by_one(rows: Rows, contacts: RowContacts) -> list[HandRow]:
     """Return each row of a block; what is read of one is made when it is first read."""
     number, one_by_one = rows.first, []
@@ -146,15 +126,17 @@ MAX_ROWS, MAX_EVENTS = 100_000, 10_000
 _STEP_S = 0.2  # a wait without end could not be interrupted on Windows
 
 
-class RowStream(Iterator[Rows], AsyncIterator[Rows]):
-    """Blocks of rows for one consumer, from its creation on; the oldest are dropped beyond MAX_ROWS.
+class HandRows(Iterator[T], AsyncIterator[T]):
+    """Rows for one consumer, from its creation on, as ``convert`` makes them of each block; see ``Hand.rows``.
 
-    It ends with the delivery, or after ``timeout_s`` without rows (None: never; not with ``async for``).
+    The oldest are dropped beyond MAX_ROWS. They end with the delivery, or after ``timeout_s`` without rows (None:
+    never; not with ``async for``).
     """
 
-    def __init__(self, delivery: Delivery, timeout_s: float | None) -> None:
-        self._delivery, self._timeout_s = delivery, timeout_s
+    def __init__(self, delivery: Delivery, timeout_s: float | None, convert: Callable[[Rows], Iterable[T]]) -> None:
+        self._delivery, self._timeout_s, self._convert = delivery, timeout_s, convert
         self._blocks: deque[Rows] = deque()
+        self._converted: deque[T] = deque()
         self._waiting = 0
         self.wake: Callable[[], object] = lambda: None
         """Called after each change, with the lock of the delivery."""
@@ -174,8 +156,13 @@ class RowStream(Iterator[Rows], AsyncIterator[Rows]):
         self._waiting -= len(rows)
         return rows
 
-    def __next__(self) -> Rows:
-        """Return the next block. Raises StopIteration, or the error that ended the delivery."""
+    def __next__(self) -> T:
+        """Return the next of them. Raises StopIteration, or the error that ended the delivery."""
+        if not self._converted:
+            self._converted += self._convert(self._wait())
+        return self._converted.popleft()
+
+    def _wait(self) -> Rows:
         end_s = None if self._timeout_s is None else time.monotonic() + self._timeout_s
         with self._delivery.changed:
             while not self._blocks and not self._delivery.closed:
@@ -187,18 +174,21 @@ class RowStream(Iterator[Rows], AsyncIterator[Rows]):
                 return self._take()
         raise self._delivery.end(self) or StopIteration
 
-    async def __anext__(self) -> Rows:
-        """Return the next block; the event loop runs meanwhile."""
+    async def __anext__(self) -> T:
+        """Return the next of them; the event loop runs meanwhile."""
         loop, ready = asyncio.get_running_loop(), asyncio.Event()
         self.wake = lambda: loop.is_closed() or loop.call_soon_threadsafe(ready.set)
-        while True:
+        while not self._converted:
             ready.clear()
             with self._delivery.changed:
-                if self._blocks:
-                    return self._take()
-                if self._delivery.closed:
+                rows = self._take() if self._blocks else None
+                if rows is None and self._delivery.closed:
                     raise self._delivery.end(self) or StopAsyncIteration
-            await ready.wait()
+            if rows is None:
+                await ready.wait()
+            else:
+                self._converted += self._convert(rows)
+        return self._converted.popleft()
 
 
 class Delivery:
@@ -213,18 +203,18 @@ class Delivery:
         """The error that ended the delivery."""
         self.overrun = 0
         """Rows dropped because consumers were too slow."""
-        self._streams: weakref.WeakSet[RowStream] = weakref.WeakSet()
+        self._streams: weakref.WeakSet[HandRows[Any]] = weakref.WeakSet()
         self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._failed: list[Callable[..., None]] = []
 
-    def rows(self, timeout_s: float | None = None) -> RowStream:
-        """Return blocks of rows from now on."""
-        stream = RowStream(self, timeout_s)
+    def rows(self, convert: Callable[[Rows], Iterable[T]], timeout_s: float | None = None) -> HandRows[T]:
+        """Return what ``convert`` makes of each block from now on."""
+        stream = HandRows(self, timeout_s, convert)
         with self.changed:
             self._streams.add(stream)
         return stream
 
-    def end(self, stream: RowStream) -> BaseException | None:
+    def end(self, stream: HandRows[Any]) -> BaseException | None:
         """Deliver no more to a stream; return the error that ended the delivery."""
         with self.changed:
             self._streams.discard(stream)

@@ -114,6 +114,10 @@ class Trust:
             self._at(node_id).hidden = True
             self._judge()
 
+    def known(self, node_id: int) -> Mapping[Place, int]:
+        """Return what a finger is known to send; nothing before ``learn``."""
+        return self._at(node_id).known
+
     def learn(self, node_id: int, known: Mapping[Place, int], later: Collection[Place] = ()) -> None:
         """Show values while each object is seen as in ``known``, in frames that may still wait to be processed.
 

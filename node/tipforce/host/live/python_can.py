@@ -29,15 +29,6 @@ class PythonCanReceiver(Receiver):
         self._channel = "" if channel == "any" else channel
         self._names: dict[str, int] = {}
 
-    @property
-    def dropped(self) -> int:
-        """0: python-can does not report dropped frames."""
-        return 0
-
-    def fileno(self) -> int:
-        """Return -1: many interfaces of python-can buffer frames outside the file descriptor."""
-        return -1
-
     def close(self) -> None:
         """Shut the bus down."""
         self._switch_interval.close()
@@ -80,15 +71,14 @@ def message_block(messages: Iterable[can.Message], names: dict[str, int], channe
         else:
             classic.append(message)
     frames: FrameArray = np.zeros(len(classic), dtype=FRAME)
-    number = np.array([interface(message) for message in classic], dtype=np.uint16)
-    sent_here = np.array([not message.is_rx for message in classic], dtype=np.bool_)
     frames["t_ns"] = [round(message.timestamp * 1e9) for message in classic]
     frames["can_id"] = [raw_can_id(message) for message in classic]
     frames["length"] = [min(message.dlc, 8) for message in classic]
-    frames["channel"], frames["flags"] = number, sent_here * SENT
+    frames["channel"] = [interface(message) for message in classic]
+    frames["flags"] = [0 if message.is_rx else SENT for message in classic]
     data = b"".join(bytes(message.data)[:8].ljust(8, b"\0") for message in classic)
     frames["data"] = np.frombuffer(data, dtype=np.uint8).reshape(-1, 8)
-    return CandumpBlock(frames, number, tuple(names), sent_here, fd=tuple(fd))
+    return CandumpBlock(frames, tuple(names), fd=tuple(fd))
 
 
 def message(t_ns: int, can_id: int, length: int, data: bytes, channel: str, sent: bool, **flags: bool) -> can.Message:

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, Self
+from typing import ClassVar, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ import numpy.typing as npt
 from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
 
 TICK_S = 0.001
 """The minimum time between two batches: it delays faster frames, which are returned together, at most this much."""
@@ -70,12 +70,13 @@ class InterfaceDownError(EnvironmentLackError):
     """The interface went down during reception; the receiver continues when it is up again."""
 
 
-class Receiver(Protocol):
+class Receiver:
     """A receiver on a bus. A context manager; ``names`` are the interfaces of the received frames."""
 
     @property
     def dropped(self) -> int:
         """Frames that the kernel dropped because they were not read in time, as far as it is known."""
+        return 0
 
     def receive(self, timeout_s: float | None = None) -> FrameArray:
         """Return the classic frames received, FRAME (n,), as soon as there is one; n is 0 after ``timeout_s``.
@@ -87,12 +88,15 @@ class Receiver(Protocol):
 
     def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
         """Return the same frames with interface names and CAN FD frames."""
+        raise NotImplementedError
 
     def fileno(self) -> int:
-        """Return a file descriptor to wait on; -1 if there is none."""
+        """Return a file descriptor to wait on; -1 if there is none: python-can buffers frames outside of one."""
+        return -1
 
     def close(self) -> None:
         """Stop receiving."""
+        raise NotImplementedError
 
     def __enter__(self) -> Self:
         return self
@@ -218,21 +222,15 @@ class ReceiverGroup(Receiver):
 def merged(blocks: Sequence[CandumpBlock], names: dict[str, int]) -> CandumpBlock:
     """Return the frames of several blocks in the order of their time stamps; new names are added to ``names``."""
     if not blocks:
-        empty = np.zeros(0, dtype=np.uint16)
-        return CandumpBlock(np.zeros(0, dtype=FRAME), empty, tuple(names), empty.astype(np.bool_))
-    number = [np.array([names.setdefault(name, len(names)) for name in block.names], np.uint16) for block in blocks]
-    frames: FrameArray = np.concatenate([block.frames for block in blocks])
-    order = np.argsort(frames["t_ns"], kind="stable")
-    interface = np.concatenate([table[block.interface] for table, block in zip(number, blocks, strict=True)])[order]
-    sent = np.concatenate([block.sent for block in blocks])[order]
-    frames = frames[order]
-    frames["channel"] = interface
-    fd = [
-        frame._replace(interface=int(table[frame.interface]))
-        for table, block in zip(number, blocks, strict=True)
-        for frame in block.fd
-    ]
+        return CandumpBlock(np.zeros(0, dtype=FRAME), tuple(names))
+    fd: list[FdFrame] = []
+    for block in blocks:
+        number = np.array([names.setdefault(name, len(names)) for name in block.names], np.uint8)
+        block.frames["channel"] = number[block.frames["channel"]]
+        fd += [frame._replace(interface=int(number[frame.interface])) for frame in block.fd]
     fd.sort(key=lambda frame: frame.t_ns)
+    frames: FrameArray = np.concatenate([block.frames for block in blocks])
+    frames = frames[np.argsort(frames["t_ns"], kind="stable")]
     rows = np.searchsorted(frames["t_ns"], [frame.t_ns for frame in fd]).tolist()
     placed = tuple(frame._replace(row=row) for frame, row in zip(fd, rows, strict=True))
-    return CandumpBlock(frames, interface, tuple(names), sent, fd=placed)
+    return CandumpBlock(frames, tuple(names), fd=placed)

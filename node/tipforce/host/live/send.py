@@ -7,7 +7,7 @@ import socket
 import struct
 import time
 from collections.abc import Mapping
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from canopen_device.can_frame import CAN_FRAME
 from tipforce.errors import EnvironmentLackError
@@ -21,30 +21,6 @@ _GIVE_UP_S = 5.0
 
 class NotCarriedError(Exception):
     """The bus does not carry frames of this kind."""
-
-
-class Sender(Protocol):
-    """A sender on a bus. A context manager."""
-
-    def send(self, can_id: int, length: int, data: bytes) -> None:
-        """Send a classic frame, ``can_id`` with SocketCAN's flags.
-
-        Raises NotCarriedError for a kind that the bus does not carry, EnvironmentLackError if the bus fails.
-        """
-
-    def send_fd(self, frame: FdFrame) -> None:
-        """Send a CAN FD frame. Raises as ``send`` does."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *_: object) -> None: ...
-
-
-def open_sender(options: Mapping[str, Any]) -> Sender:
-    """Return a sender on the bus given by ``options`` (keywords of ``can.Bus``). Raises EnvironmentLackError."""
-    if options.get("interface") == "socketcan" and options.get("channel") and hasattr(socket, "AF_CAN"):
-        return SocketCanSender(str(options["channel"]))
-    return PythonCanSender(options)
 
 
 class SocketCanSender:
@@ -72,11 +48,11 @@ class SocketCanSender:
         self._socket.close()
 
     def send(self, can_id: int, length: int, data: bytes) -> None:
-        """See Sender."""
+        """Send a classic frame, ``can_id`` with SocketCAN's flags. Raises EnvironmentLackError if the bus fails."""
         self._send(CAN_FRAME.pack(can_id, length, data))
 
     def send_fd(self, frame: FdFrame) -> None:
-        """See Sender."""
+        """Send a CAN FD frame. Raises NotCarriedError where the bus carries none, and as ``send``."""
         try:
             self._send(_FD_FRAME.pack(frame.can_id, len(frame.data), frame.flags, frame.data))
         except EnvironmentLackError as error:
@@ -124,7 +100,7 @@ class PythonCanSender:
         self._bus.shutdown()
 
     def send(self, can_id: int, length: int, data: bytes) -> None:
-        """See Sender."""
+        """See SocketCanSender."""
         import can
 
         from tipforce.host.live.python_can import message
@@ -135,7 +111,7 @@ class PythonCanSender:
             raise EnvironmentLackError(f"{self._name}: a frame was not sent: {error}") from error
 
     def send_fd(self, frame: FdFrame) -> None:
-        """See Sender."""
+        """See SocketCanSender."""
         import can
 
         from tipforce.host.live.python_can import fd_message
@@ -144,3 +120,14 @@ class PythonCanSender:
             self._bus.send(fd_message(frame, ""))
         except (can.CanError, ValueError) as error:
             raise NotCarriedError(f"{self._name} carries no CAN FD frames (try --fd): {error}") from None
+
+
+Sender = SocketCanSender | PythonCanSender
+"""A context manager."""
+
+
+def open_sender(options: Mapping[str, Any]) -> Sender:
+    """Return a sender on the bus given by ``options`` (keywords of ``can.Bus``). Raises EnvironmentLackError."""
+    if options.get("interface") == "socketcan" and options.get("channel") and hasattr(socket, "AF_CAN"):
+        return SocketCanSender(str(options["channel"]))
+    return PythonCanSender(options)

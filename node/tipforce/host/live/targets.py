@@ -58,7 +58,7 @@ def select(block: CandumpBlock, targets: Sequence[Target]) -> CandumpBlock:
     names = block.names
     fd_id = np.array([frame.can_id for frame in block.fd], dtype=np.uint32)
     fd_interface = np.array([frame.interface for frame in block.fd], dtype=np.intp)
-    rows = _wanted(names, block.frames["can_id"].astype(np.uint32), block.interface.astype(np.intp), targets)
+    rows = _wanted(names, block.frames["can_id"].astype(np.uint32), block.frames["channel"].astype(np.intp), targets)
     fd_rows = _wanted(names, fd_id, fd_interface, targets)
     return block.take(rows, fd_rows)
 

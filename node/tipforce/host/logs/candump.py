@@ -238,7 +238,7 @@ def text_blocks(read: Callable[[int], bytes | None], parser: CandumpParser) -> I
 
 def _block(frames: bytes | bytearray, names: tuple[str, ...], timed: bool, fd: tuple[FdFrame, ...]) -> CandumpBlock:
     array: FrameArray = np.frombuffer(frames, dtype=FRAME)
-    return CandumpBlock(array, array["channel"].astype(np.uint16), names, array["flags"] & SENT != 0, timed, fd)
+    return CandumpBlock(array, names, timed, fd)
 
 
 def _identifier(text: str) -> int:
