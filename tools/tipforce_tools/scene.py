@@ -47,16 +47,20 @@ def run(args: argparse.Namespace) -> int:
     scene = read_scene(path)
     if args.explain:
         return _explain(path, scene, args.scene, args.cost)
-    from tipforce.scene.run import Options, run_scene
+    from msgspec.structs import replace
+
+    from tipforce.scene.run import run_scene
     from tipforce.scene.schema import Bus
 
+    outputs = scene.outputs if args.log is None else replace(scene.outputs, log=args.log)
+    seed = scene.seed if args.seed is None else args.seed
     bus = bus_flags.bus_options(args)
-    options = Options(args.duration, args.seed, args.log, Bus(**bus) if bus else None, args.realtime)
+    scene = replace(scene, seed=seed, outputs=outputs, bus=Bus(**bus) if bus else scene.bus)
     if bus_load(scene)[0] > 1.0:
         common.note(f"{path}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load")
     started_s = time.monotonic()
-    with common.progress("simulated seconds", options.duration_s or scene.duration_s, absolute=True) as advance:
-        outcome = run_scene(scene, path.parent, options, advance)
+    with common.progress("simulated seconds", args.duration or scene.duration_s, absolute=True) as advance:
+        outcome = run_scene(scene, path.parent, args.duration, realtime=args.realtime, advance=advance)
     if common.OUTPUT.json:
         _print_outcome(outcome)
     else:

@@ -23,7 +23,7 @@ from tipforce.host.frames.frame_array import FrameBuffer
 from tipforce.host.network.open_bus import open_bus
 from tipforce.scene import schema
 from tipforce.scene.build import Finger, fault_events, sync_times
-from tipforce.scene.outputs import Recording
+from tipforce.scene.results import Recording
 
 _LOG = logging.getLogger(__name__)
 _AFTER_ERROR_S = 0.05
