@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import NoReturn
 
 from canopen_device.visible_text import visible
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import common
 
 Actions = Mapping[str, tuple[str, str]]
 """name -> (place, one line of help). A place is a module with add_arguments(parser) and run(args) -> exit code, or
@@ -109,6 +109,8 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 def shared_help() -> str:
     """Return the help of the flags that commands share: `tipforce --help-bus`."""
+    from tipforce_tools.cli import bus_flags
+
     parser = argparse.ArgumentParser("tipforce COMMAND", add_help=False)
     bus_flags.add_sdo_arguments(parser)
     common.add_confirm_argument(parser)

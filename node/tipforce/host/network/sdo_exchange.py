@@ -13,7 +13,6 @@ import can
 
 from canopen_device.core import codes
 from canopen_device.core.sdo_client import BlockDownload, BlockUpload, Transfer
-from tipforce.dictionary.service_texts import abort_text
 from tipforce.errors import EnvironmentLackError, NoResponseError, SdoAbortError
 
 if TYPE_CHECKING:
@@ -121,6 +120,8 @@ class Exchange:
             self._attempts -= 1
             self._step(None)
         elif code is not None:
+            from tipforce.dictionary.service_texts import abort_text
+
             raise SdoAbortError(f"{self._place}: abort 0x{code:08X}, {abort_text(code)}", code)
         elif transfer.failure is None:
             self.done.set_result(transfer.data)
