@@ -80,6 +80,7 @@ def run(args: argparse.Namespace) -> int:
     from canopen_device.running.store import FileStore
     from tipforce.dictionary.eds import eds_text
     from tipforce.fingertip.node import fingertip_node
+    from tipforce.host.network.open_bus import open_port
     from tipforce.sources.layout_file import read_layout
     from tipforce_tools.cli import service
 
@@ -91,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     eds = eds_text(len(gauges), simulated=args.source == "sim", converter=source.converter).encode()
     device = fingertip_node(args.node_id, source, len(gauges), args.serial or args.node_id, save, load, eds)
     with contextlib.closing(source):  # stop a started capture in every case
-        port, place = service.open_port(args)
+        port, place = open_port(**bus_flags.find_bus(args))
         if args.priority is not None:
             service.set_priority(args.priority)
             gc.freeze()  # keep present objects out of later collections

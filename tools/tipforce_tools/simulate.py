@@ -35,13 +35,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the devices until Ctrl-C or SIGTERM; return 0."""
-    from tipforce_tools.cli.service import open_port, serve
+    from tipforce.host.network.open_bus import open_port
+    from tipforce_tools.cli.service import serve
 
     devices = _devices(args)
     for device in devices:
         for warning in device.description.warnings:
             common.note(f"warning: {warning}")
-    port, place = open_port(args)
+    port, place = open_port(**bus_flags.find_bus(args))
     shown = ", ".join(f"{common.shown_id(device.node_id)} {device.description.product_name}" for device in devices)
     serve(f"node {shown}", f"on {place}", devices, [device.core for device in devices], port)
     return 0

@@ -6,21 +6,18 @@ The host has its own connection, so the frames that it records were really on th
 from __future__ import annotations
 
 import logging
-import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from functools import partial
-from typing import Any
 
 import can
 
 from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
 from canopen_device.running import loop
-from canopen_device.running.ports import PythonCanPort, SocketCanPort
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FrameBuffer
-from tipforce.host.network.open_bus import open_bus
+from tipforce.host.network.open_bus import open_bus, open_port
 from tipforce.scene import schema
 from tipforce.scene.build import Finger, fault_events, sync_times
 from tipforce.scene.results import Recording
@@ -137,7 +134,9 @@ def run_on_bus(
     options = {"interface": bus.interface, "channel": bus.channel, "bitrate": bus.bitrate}
     with ExitStack() as opened:
         host = opened.enter_context(open_bus(**options))
-        port = _NodesPort(_port(options, opened))
+        nodes_port, _ = open_port(**options)
+        opened.callback(nodes_port.close)
+        port = _NodesPort(nodes_port)
         heard = _Heard()
         master = _Master(host, heard)
         opened.callback(master.record, recording)  # after the reception; also after an error or Ctrl-C
@@ -159,18 +158,6 @@ def run_on_bus(
             _wait_until(start_s + duration_s)
             heard.settle(lambda: port.answered >= master.syncs)
     master.check()
-
-
-def _port(options: dict[str, Any], opened: ExitStack) -> loop.Port:
-    """Return the nodes' own connection: the kernel's sockets for SocketCAN, python-can for every other interface."""
-    if sys.platform == "linux" and options["interface"] == "socketcan" and options["channel"]:
-        try:
-            return SocketCanPort(options["channel"])
-        except OSError as error:
-            raise EnvironmentLackError(
-                f"interface socketcan, channel {options['channel']}: {error.strerror}; `ip -br link` lists interfaces"
-            ) from error
-    return PythonCanPort(opened.enter_context(open_bus(**options)))
 
 
 def _acts(

@@ -1,22 +1,20 @@
-"""Support for long-running services: their bus, real-time scheduling, locked memory, sd_notify, journal levels."""
+"""Support for long-running services: real-time scheduling, locked memory, sd_notify, journal levels."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import ctypes
 import logging
 import os
 import signal
 import socket
-import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from canopen_device.running import loop
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import StopSignals
 
 if TYPE_CHECKING:
@@ -118,24 +116,6 @@ def mark_levels_for_journal() -> None:
     if device and (device, inode) == (str(status.st_dev), str(status.st_ino)):
         for handler in logging.getLogger().handlers:
             handler.setFormatter(_JournalFormatter("%(name)s: %(message)s"))
-
-
-def open_port(args: argparse.Namespace) -> tuple[Port, str]:
-    """Return the port and its name: kernel sockets for SocketCAN, python-can for every other interface."""
-    from canopen_device.running.ports import PythonCanPort, SocketCanPort
-    from tipforce.host.network.open_bus import open_bus
-
-    options = bus_flags.find_bus(args)
-    if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:
-        try:
-            return SocketCanPort(options["channel"]), options["channel"]
-        except OSError as error:
-            raise EnvironmentLackError(
-                f"interface socketcan, channel {options['channel']}: {error.strerror}; `ip -br link` lists interfaces; "
-                "`tipforce vcan -- ...` provides vcan"
-            ) from error
-    bus = open_bus(**options)
-    return PythonCanPort(bus), str(bus.channel_info)
 
 
 def serve(who: str, what: str, devices: Sequence[Runnable], nodes: Sequence[Device], port: Port) -> None:
