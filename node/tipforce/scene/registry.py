@@ -177,7 +177,13 @@ def _frame_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterato
     sent = f"nodes.pdos: {', '.join(pdos)}" if pdos else ""
     slit = f"slit.gap_mm = {gap_mm:g}" if gap_mm else ""
     logs = ("tipforce.host.logs.candump", "tipforce.host.logs.candump_format")
-    yield _part("bus", named, "no [bus]: simulated time, no bus at all", "tipforce.scene.realtime")
+    yield _part(
+        "bus",
+        named,
+        "no [bus]: simulated time, no bus at all",
+        "tipforce.scene.realtime",
+        "canopen_device.running.ports",
+    )
     yield _part("recording", "every frame, for the parts below", "", "tipforce.scene.results")
     yield _part("decoder", sent, "no nodes.pdos", "tipforce.host.decoding.decoder")
     yield _part("slit", slit, "no [slit]: not checked", "tipforce.sensor.structure.plane_frame")

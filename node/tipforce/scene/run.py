@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
 from tipforce.errors import InputError
 from tipforce.scene import schema
-from tipforce.scene.build import Finger, build, fault_events, sync_times
+from tipforce.scene.build import Finger, actions, build
 from tipforce.scene.registry import built_parts
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def run_scene(
         frames = recording.frames()
     built = built_parts(scene, *(("bus",) if on_bus else ()))
     messages = results.decode(fingers, frames) if "decoder" in built else {}
-    syncs = [t_us / 1e6 for t_us in sync_times(scene, duration_s)]
+    syncs = [t_us / 1e6 for t_us, fault in actions(scene, fingers, duration_s) if fault is None]
     contacts = {finger.node_id: results.contact_of(finger, messages, scene.slit) for finger in fingers}
     emcys = {finger.node_id: results.emcy_of(finger.node_id, frames) for finger in fingers}
     if files.table is not None:
@@ -96,16 +96,14 @@ def simulate(
     """
     end_us = round(1e6 * duration_s)
     hand = _Hand(fingers, emit, end_us)
-    events = [event for event in fault_events(scene, fingers)[::-1] if event[0] <= end_us]
-    for number, t_us in enumerate(sync_times(scene, duration_s)):
-        while events and events[-1][0] <= t_us:
-            hand.inject(*events.pop())
+    for number, (t_us, fault) in enumerate(actions(scene, fingers, duration_s)):
         hand.expire(t_us)
-        hand.say(t_us, SYNC_COB_ID, b"")
+        if fault is None:
+            hand.say(t_us, SYNC_COB_ID, b"")
+        else:
+            fault.inject(t_us)
         if number % 1024 == 0:
             advance(t_us)
-    for event in reversed(events):
-        hand.inject(*event)
     hand.expire(end_us + 1)
     advance(end_us)
 
@@ -131,10 +129,6 @@ class _Hand:
         """Step each node with a timer due before a time, in the order of the due times."""
         while (t_us := min(self._due)) < until_us:
             self._step(self._due.index(t_us), t_us, ())
-
-    def inject(self, at_us: int, finger: Finger, fault: int, gauge: int, magnitude: float) -> None:
-        self.expire(at_us)
-        finger.source.set_fault(fault, gauge, magnitude, at_us)
 
     def _step(self, place: int, t_us: int, frames: Sequence[Frame]) -> None:
         sent, self._due[place] = self._fingers[place].device.step(t_us, frames)
