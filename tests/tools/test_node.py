@@ -56,13 +56,6 @@ def test_flags(devices: list[Device], tmp_path: Path, capsys: pytest.CaptureFixt
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_layout_file_with_more_gauges(devices: list[Device], tmp_path: Path) -> None:
-    path = tmp_path / "four.toml"
-    path.write_text('points = ["K_H", "S_H", "U", "L"]\n')
-    assert run_node("--layout", str(path), "--offset", "1,2,3,4") == 0
-    assert devices[0].od.get(0x1018, 2) == 0x54500104
-
-
 POINTS = 'points = ["K_H", "S_H", "U"]\n'
 BRIDGE = f"""{POINTS}[bridge]
 kind = "full"

@@ -88,15 +88,6 @@ def test_stored_calibration_is_active_again_after_a_kill(host: Bus, tmp_path: Pa
         assert client.verify_calibration(stored) == []
 
 
-def test_node_without_a_store_refuses_to_store(host: Bus, tmp_path: Path) -> None:
-    client = FingertipClient(host.sdo(NODE_ID))
-    with running_node(tmp_path):
-        client.apply_calibration(case_calibration("I", pull=True), store=False)
-        with pytest.raises(SdoAbortError) as refused:
-            client.store(calibration=True)
-        assert refused.value.code == 0x06060000
-
-
 def test_kill_during_a_store_leaves_the_old_or_the_new_calibration(host: Bus, tmp_path: Path) -> None:
     store = ("--store", str(tmp_path / "store.json"))
     client = FingertipClient(host.sdo(NODE_ID))
