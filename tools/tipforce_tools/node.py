@@ -32,7 +32,6 @@ it: its last frame is a heartbeat with the state STOPPED (7xx#04).
 """
 
 KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
-_ENDS_16, _ENDS_24 = (-0x8000, 0x7FFF), (-0x800000, 0x7FFFFF)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,14 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", default="I", metavar="I|II|III|FILE", help="gauge layout (default %(default)s)")
     parser.add_argument("--store", metavar="FILE", help="of stored parameters; without it 1010h refuses")
     parser.add_argument("--serial", type=common.unsigned32, default=0, metavar="N", help="1018h:4 (default: node-id)")
-    _add_source_arguments(parser)
-    group = parser.add_argument_group("operation")
-    group.add_argument("--priority", type=int, metavar="N", help="SCHED_FIFO, 1 to 99 (80 is usual)")
-    group.add_argument("--lock-memory", action="store_true", help="lock the process in memory (mlockall)")
-    bus_flags.add_bus_arguments(parser)
-
-
-def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("Industrial I/O source")
     what = "poll: on demand; buffer: by a trigger (default %(default)s)"
     group.add_argument("--capture", choices=("auto", "poll", "buffer"), default="auto", help=what)
@@ -73,6 +64,10 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--seed", type=common.whole_number, default=0, help="of the noise (default %(default)s)")
     what = "as before its first calibration; otherwise a node that has stored none has that of beam theory, in the "
     group.add_argument("--uncalibrated", action="store_true", help=f"{what}sense (push or pull) of --load")
+    group = parser.add_argument_group("operation")
+    group.add_argument("--priority", type=int, metavar="N", help="SCHED_FIFO, 1 to 99 (80 is usual)")
+    group.add_argument("--lock-memory", action="store_true", help="lock the process in memory (mlockall)")
+    bus_flags.add_bus_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:

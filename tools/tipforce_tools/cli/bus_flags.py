@@ -123,12 +123,10 @@ def add_bus_flags(parser: argparse.ArgumentParser) -> None:
         group.add_argument(flag, action=_PythonCanAction, nargs="+", default=unset, metavar=metavar, help=text)
 
 
-_BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
-
-
 def bus_options(args: argparse.Namespace) -> dict[str, Any]:
     """Return the bus flags that the command line contains, as keywords of ``can.Bus``. Raises InputError."""
-    options = {name: getattr(args, name) for name in _BUS_FLAGS if hasattr(args, name)}
+    names = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
+    options = {name: getattr(args, name) for name in names if hasattr(args, name)}
     for name in ("bitrate", "data_bitrate"):
         if options.get(name, 1) <= 0:
             raise InputError(f"--{name.replace('_', '-')} {options[name]}: allowed is a rate over 0 bit/s")

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from canopen_device.core.node import Device
     from canopen_device.running.loop import Port, Runnable
 
-_LOG = logging.getLogger(__name__)
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h
 _SYSLOG = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
 
