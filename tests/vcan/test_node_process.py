@@ -24,7 +24,6 @@ from vcan.support import (
     SDO_REQUEST,
     WAIT_S,
     Command,
-    Launch,
     RawBus,
     answers_a_sync,
     running_node,
@@ -62,13 +61,6 @@ def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(
         assert "Traceback" not in node.stderr
         assert node.stdout == ""
     bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x04"))
-
-
-def test_interface_that_does_not_exist_is_said_at_once(launch: Launch) -> None:
-    node = launch("node", "--node-id", "5", "-i", "socketcan", "-c", "nosuchbus0")
-    assert node.wait() == 2
-    assert "nosuchbus0" in node.stderr
-    assert "Traceback" not in node.stderr
 
 
 # What it keeps
