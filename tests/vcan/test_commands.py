@@ -16,8 +16,8 @@ ID = str(NODE_ID)
 def run(launch: Launch) -> Callable[..., Command]:
     """Run a command on the bus to its end, and hold it to its exit code."""
 
-    def to_the_end(*words: str, code: int = 0, fresh: bool = False) -> Command:
-        command = launch(*words, *BUS, fresh=fresh)
+    def to_the_end(*words: str, code: int = 0) -> Command:
+        command = launch(*words, *BUS)
         assert command.wait() == code, command.stderr
         assert "Traceback" not in command.stderr
         return command
@@ -26,8 +26,7 @@ def run(launch: Launch) -> Callable[..., Command]:
 
 
 def test_sdo_reads_and_writes_by_numbers_and_by_name(run: Callable[..., Command]) -> None:
-    # The first one as from a shell: a fresh interpreter.
-    assert run("sdo", "read", ID, "0x1018", "4", "u32", fresh=True).stdout == f"{NODE_ID}\n"
+    assert run("sdo", "read", ID, "0x1018", "4", "u32").stdout == f"{NODE_ID}\n"
     assert run("sdo", "write", ID, "0x1017", "0", "u16", "500").stdout == ""
     record = json.loads(run("sdo", "read", ID, "heartbeat.producer_ms", "--json").stdout)
     assert (record["index"], record["value"]) == ("0x1017", 500)

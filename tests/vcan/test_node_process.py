@@ -48,13 +48,11 @@ def active_crc(connection: Bus) -> int:
 # Its end
 
 
-@pytest.mark.parametrize(("number", "fresh"), [(signal.SIGTERM, False), (signal.SIGINT, True)])
-def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(
-    bus: RawBus, tmp_path: Path, number: int, fresh: bool
-) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(bus: RawBus, tmp_path: Path, number: int) -> None:
     """Its last frame says that it stopped."""
     before = receivers("vcan0")
-    with running_node(tmp_path, fresh=fresh) as node:
+    with running_node(tmp_path) as node:
         assert receivers("vcan0") == before + 1
         assert node.end(number) == 0
         assert receivers("vcan0") == before

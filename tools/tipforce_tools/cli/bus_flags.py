@@ -1,10 +1,8 @@
 """The bus of a command line: python-can's flags, and the bus that they, a file or the environment name.
 
-Python-can is not imported for the flags alone: it adds a fifth of a second to each `--help`.
-
-The flags accept the same values as those of ``can.cli.add_bus_arguments`` (the tests compare them). Values that need
-more than a conversion are parsed by python-can, imported at that point. The help texts are shorter than python-can's,
-which fill two screens for every command that uses a bus.
+Python-can is not imported for the flags alone: it adds a fifth of a second to each `--help`. The flags accept the
+values of ``can.cli.add_bus_arguments`` (the tests compare them), with shorter help texts; values that need more than a
+conversion are parsed by python-can.
 """
 
 from __future__ import annotations

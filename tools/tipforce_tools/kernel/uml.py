@@ -65,11 +65,7 @@ def write_lists(folder: Path, **lists: Sequence[str | bytes]) -> None:
 def run_in_uml(
     command: Sequence[str], interfaces: Sequence[str], memory: str, timeout_s: float | None, writable: bool
 ) -> int:
-    """Boot, run the command, halt; return the command's exit code.
-
-    130 after SIGINT or SIGTERM, 1 after the timeout (with a message on stderr). Raises EnvironmentLackError if
-    User-mode Linux is missing or does not boot.
-    """
+    """Boot, run the command, halt; return as `run_here` does. Raises EnvironmentLackError if it does not boot."""
     require_parts()
     terminal = _on_terminal()
     terminate_as_interrupt()
@@ -129,15 +125,22 @@ class _Machine:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
-        # kill is asynchronous, and zombies do not count
-        begin, stats = time.monotonic(), Path("/proc").glob
-        while time.monotonic() - begin < _KILL_LIMIT_S and any(
-            _group_of_live(path) == self.process.pid for path in stats("[0-9]*/stat")
-        ):
+        end_s = time.monotonic() + _KILL_LIMIT_S
+        while time.monotonic() < end_s and self._lives():  # kill is asynchronous
             time.sleep(0.005)
         self.selector.close()
         for fd in (*self.reading, self.ours):
             os.close(fd)
+
+    def _lives(self) -> bool:
+        """Return whether a process of the group is left that is no zombie."""
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(OSError, ValueError):
+                # proc(5): after the name in brackets come state, parent, group
+                state, _, group = stat.read_text(errors="replace").rpartition(")")[2].split()[:3]
+                if state not in "ZX" and int(group) == self.process.pid:
+                    return True
+        return False
 
     def follow(self, timeout_s: float | None) -> int:
         """Copy the output until the machine has halted; return the command's exit code."""
@@ -191,15 +194,6 @@ class _Machine:
     def _failure(self, what: str) -> EnvironmentLackError:
         log = (self.folder / "log").read_text(errors="replace").splitlines()[-15:]
         return EnvironmentLackError("\n".join([f"{what}; its last messages were:", *(f"  {line}" for line in log)]))
-
-
-def _group_of_live(stat: Path) -> int | None:
-    try:
-        # proc(5): after the name in brackets come state, parent, group
-        state, _, group = stat.read_text(errors="replace").rpartition(")")[2].split()[:3]
-    except (OSError, ValueError):
-        return None
-    return None if state in "ZX" else int(group)
 
 
 def _on_terminal() -> bool:
