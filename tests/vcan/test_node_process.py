@@ -64,20 +64,6 @@ def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(bus: RawBus, tmp_pa
 # What it keeps
 
 
-def test_stored_calibration_is_active_again_after_a_kill(host: Bus, tmp_path: Path) -> None:
-    store = ("--store", str(tmp_path / "store.json"))
-    client = FingertipClient(host.sdo(NODE_ID))
-    stored, unstored = case_calibration("I", pull=True), case_calibration("II", pull=True)
-    with running_node(tmp_path, *store) as node:
-        generation = client.apply_calibration(stored)
-        assert client.apply_calibration(unstored, store=False) == generation + 1
-        assert node.end(signal.SIGKILL) == -signal.SIGKILL
-    with running_node(tmp_path, *store):
-        assert active_crc(host) == stored.crc32()
-        assert host.sdo(NODE_ID).read(od.CALIBRATION_GENERATION) == generation
-        assert client.verify_calibration(stored) == []
-
-
 def test_kill_during_a_store_leaves_the_old_or_the_new_calibration(host: Bus, tmp_path: Path) -> None:
     store = ("--store", str(tmp_path / "store.json"))
     client = FingertipClient(host.sdo(NODE_ID))
