@@ -12,7 +12,6 @@ from msgspec.structs import replace
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, write_calibration
 from tipforce.host.logs.candump import CandumpParser
-from tipforce.scene.loads import load_of
 from tipforce.scene.reader import read_scene
 from tipforce.scene.registry import bus_load, identifiers
 from tipforce.scene.run import Outcome, run_scene
@@ -86,7 +85,7 @@ def test_errors_are_what_the_frames_say_against_the_load(tmp_path: Path) -> None
     scene = replace(read_scene(SCENES / "grasp.toml"), expect=())
     outcome = run(scene, log=path)
     for finger in outcome.fingers:
-        load = load_of(scene, finger.node_id)
+        load = scene.load(finger.node_id)
         assert load is not None
         errors: list[list[float]] = [[], [], []]
         known = [0, 0, 0]

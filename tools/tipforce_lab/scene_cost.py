@@ -20,7 +20,6 @@ import msgspec
 from msgspec.structs import replace
 
 from tipforce.scene import schema
-from tipforce.scene.loads import load_of
 from tipforce.scene.reader import read_scene
 from tipforce.scene.registry import parts
 from tipforce.scene.run import Outcome, run_scene
@@ -93,7 +92,7 @@ def _nodes(scene: schema.Scene, **changes: object) -> schema.Scene:
 def _stand_still(scene: schema.Scene) -> schema.Scene:
     loads = []
     for node_id in scene.node_ids:
-        load = load_of(scene, node_id)
+        load = scene.load(node_id)
         if load is not None:
             _, P, phi, theta = max(load.knots, key=lambda knot: knot[1])
             loads.append(schema.Static(nodes=(node_id,), P_N=P, phi_deg=phi, theta_deg=theta))

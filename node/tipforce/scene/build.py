@@ -20,8 +20,8 @@ from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.scene import schema
 from tipforce.scene.delivered import commit_calibration, download, structure_calibration
-from tipforce.scene.loads import LoadHistory, Triple, load_of
 from tipforce.scene.registry import Pdo, chosen_parts, node_pdos
+from tipforce.scene.schema import Triple
 from tipforce.sensor.structure.layouts import layout
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 
@@ -60,7 +60,7 @@ class Finger:
     gauges: int
     device: Device
     source: SimulatedSource
-    load: LoadHistory | None
+    load: schema.LoadHistory | None
     pdos: tuple[Pdo, ...]
     calibration: Calibration | None
     group: schema.Nodes
@@ -107,7 +107,7 @@ def build(scene: schema.Scene, folder: Path) -> list[Finger]:
 def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path) -> Finger:
     chosen = chosen_parts(scene, node_id)
     gauges = len(layout(group.layout))
-    load, clock = load_of(scene, node_id), Clock()
+    load, clock = scene.load(node_id), Clock()
     source = _source(scene, group, node_id, load, clock, chosen)
     calibration = None
     if "calibration file" in chosen:
@@ -133,7 +133,7 @@ def _source(
     scene: schema.Scene,
     group: schema.Nodes,
     node_id: int,
-    load: LoadHistory | None,
+    load: schema.LoadHistory | None,
     clock: Clock,
     chosen: frozenset[str],
 ) -> SimulatedSource:

@@ -13,7 +13,6 @@ from canopen_device.toml_table import convert, read_table
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.errors import InputError
 from tipforce.scene import schema
-from tipforce.scene.loads import load_history
 from tipforce.scene.registry import SYNCHRONOUS
 from tipforce.sensor.structure.layouts import layout
 
@@ -78,7 +77,7 @@ def _check_loads(scene: schema.Scene, place: str) -> None:
                 raise InputError(f"{at}.at_s is {times}: allowed are one or more times at least {lasts_s:g} s apart")
         for node_id in load.nodes or scene.node_ids:
             try:
-                acts = load_history(load, node_id) is not None
+                acts = load.history(node_id) is not None
             except InputError as error:
                 raise InputError(f"{at}: {error}") from None
             if acts and node_id in loaded:

@@ -17,7 +17,6 @@ from canopen_device.can_frame import least_bits, most_bits
 from canopen_device.core.codes import HEARTBEAT_BASE, NMT_COB_ID, SYNC_COB_ID
 from tipforce.dictionary import indices, table
 from tipforce.scene import schema
-from tipforce.scene.loads import LoadHistory, load_of
 from tipforce.sensor.structure.layouts import layout
 
 PDO_NAMES = {"gauges": "Gauges", "contact": "Contact", "force": "Force", "health": "Health"}
@@ -73,7 +72,7 @@ def parts(scene: schema.Scene, node_id: int | None = None) -> list[Part]:
     """Return every possible part of the scene, or of one node in it, built or not, in signal order."""
     node_ids = scene.node_ids if node_id is None else (node_id,)
     groups = scene.nodes if node_id is None else (scene.group(node_id),)
-    loads = [load_of(scene, each) for each in node_ids]
+    loads = [scene.load(each) for each in node_ids]
     return [*_load_parts(scene, loads), *_electronics(scene), *_node_parts(scene, groups), *_frame_parts(scene, groups)]
 
 
@@ -121,7 +120,7 @@ def _listed(name: str, key: str, items: Sequence[object]) -> Part:
     return _part(name, f"{key}: {len(items)}" if items else "", f"no {key}")
 
 
-def _load_parts(scene: schema.Scene, loads: Sequence[LoadHistory | None]) -> Iterator[Part]:
+def _load_parts(scene: schema.Scene, loads: Sequence[schema.LoadHistory | None]) -> Iterator[Part]:
     loaded = any(load is not None for load in loads)
     moving = any(load is not None and not load.constant for load in loads)
     swinging = scene.dynamics is not None and loaded

@@ -21,7 +21,6 @@ from tipforce.output_file import CANDUMP_LOG, CSV, FIGURES, NewFile, new_file, s
 from tipforce.samples.reasons import CAUSES
 from tipforce.scene import schema
 from tipforce.scene.build import Finger
-from tipforce.scene.loads import UNLOADED, LoadHistory
 from tipforce.scene.registry import PDO_NAMES
 
 if TYPE_CHECKING:
@@ -195,9 +194,9 @@ def contact_of(
     return Contact(t_s, estimated, applied, flags, None if slit is None else _slit_closed(slit, applied))
 
 
-def applied_at(load: LoadHistory | None, t_s: FloatArray) -> FloatArray:
+def applied_at(load: schema.LoadHistory | None, t_s: FloatArray) -> FloatArray:
     """Return LoadHistory.at for many times: (k, 3)."""
-    knots = np.array([(0.0, *UNLOADED)] if load is None else load.knots)
+    knots = np.array([(0.0, *schema.UNLOADED)] if load is None else load.knots)
     return np.stack([np.interp(t_s, knots[:, 0], column) for column in knots[:, 1:].T], axis=-1)
 
 
