@@ -33,8 +33,8 @@ def _check_nodes(scene: schema.Scene, place: str) -> None:
     twice = sorted({node_id for node_id in ids if ids.count(node_id) > 1})
     if twice:
         raise InputError(f"{place}: nodes: node-id {twice[0]} is given more than once")
-    if not 1 <= len(ids) <= schema.MAX_NODES:
-        raise InputError(f"{place}: nodes: {len(ids)} node-ids: allowed are 1 to {schema.MAX_NODES}")
+    if not 1 <= len(ids) <= 32:
+        raise InputError(f"{place}: nodes: {len(ids)} node-ids: allowed are 1 to 32")
     for number, group in enumerate(scene.nodes, 1):
         at = f"{place}: nodes[{number}]"
         if group.names and len(group.names) != len(group.ids):

@@ -19,7 +19,6 @@ from tipforce.dictionary import indices, table
 from tipforce.scene import schema
 from tipforce.sensor.structure.layouts import layout
 
-PDO_NAMES = {"gauges": "Gauges", "contact": "Contact", "force": "Force", "health": "Health"}
 SYNCHRONOUS = ("gauges", "contact", "force")
 _STATUS = (indices.STATUS, 0)
 _OWN = ("tipforce", "canopen_device")
@@ -212,7 +211,7 @@ class Pdo:
 
 def node_pdos(group: schema.Nodes, node_id: int) -> tuple[Pdo, ...]:
     """Return the TPDOs that a node sends, in order."""
-    wanted = {PDO_NAMES[name] for name in group.pdos}
+    wanted = {name.capitalize() for name in group.pdos}
     sent = []
     for number, name, base, _enabled, transmission, event_ms, mapped in table.tpdos(len(layout(group.layout))):
         if name in wanted:

@@ -21,7 +21,6 @@ from tipforce.output_file import CANDUMP_LOG, CSV, FIGURES, NewFile, new_file, s
 from tipforce.samples.reasons import CAUSES
 from tipforce.scene import schema
 from tipforce.scene.build import Finger
-from tipforce.scene.registry import PDO_NAMES
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.decoder import Samples
@@ -184,7 +183,7 @@ def contact_of(
     finger: Finger, messages: dict[tuple[int, str], Samples], slit: schema.Slit | None = None
 ) -> Contact | None:
     """Return the contact PDOs of a finger with the load; None if there are none."""
-    samples = messages.get((finger.node_id, PDO_NAMES["contact"]))
+    samples = messages.get((finger.node_id, "Contact"))
     if samples is None:
         return None
     t_s: FloatArray = samples.t_ns / 1e9
@@ -212,7 +211,7 @@ def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: Emc
     counts, nan = dict(Counter(code for _, code in emcy)), float("nan")
     unknown = (nan,) * 3
     if contact is None or not len(contact.t_s):
-        sent = any(pdo.name == PDO_NAMES["contact"] for pdo in finger.pdos)
+        sent = any(pdo.name == "Contact" for pdo in finger.pdos)
         why = {"no frame" if sent else "contact PDO not sent": syncs}
         return FingerResult(finger.node_id, syncs, 0, (0, 0, 0), unknown, unknown, unknown, unknown, None, why, counts)
     error = contact.error

@@ -14,8 +14,6 @@ from msgspec import Meta
 from tipforce.errors import InputError
 from tipforce.sources.simulated import force_of
 
-MAX_NODES = 32
-
 Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
 NodeId = Annotated[int, Meta(ge=1, le=127)]

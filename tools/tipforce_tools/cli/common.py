@@ -39,18 +39,16 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
 class Output:
     """How a command prints: the values of its output flags. One for the process, as its streams are."""
 
-    json: bool
-    quiet: bool
-    verbose: bool
-    color: Literal["auto", "always", "never"]
+    json = quiet = verbose = False
+    color: Literal["auto", "always", "never"] = "auto"
 
     def set_up(self, args: argparse.Namespace) -> None:
         """Follow the flags; a command without them prints as by default, and sets up no logging.
 
         Warnings of tipforce are logged to stderr: all messages with -v, only errors with -q; of libraries only with -v.
         """
-        for name, default in (("json", False), ("quiet", False), ("verbose", False), ("color", "auto")):
-            setattr(self, name, getattr(args, name, default))
+        for name in ("json", "quiet", "verbose", "color"):
+            setattr(self, name, getattr(args, name, getattr(Output, name)))
         if not hasattr(args, "verbose"):
             return
         import logging
@@ -64,7 +62,6 @@ class Output:
 
 
 OUTPUT = Output()
-OUTPUT.set_up(argparse.Namespace())
 
 
 class VisibleStream:

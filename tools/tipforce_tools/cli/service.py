@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from canopen_device.core.node import Device
     from canopen_device.running.loop import Port, Runnable
 
+_NOT_PERMITTED = (
+    "{}; run as root, or set {} in the unit, or add `USER - {}` to /etc/security/limits.conf and log in again"
+)
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h
 _SYSLOG = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
 
@@ -37,10 +40,8 @@ def set_priority(priority: int) -> None:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError as error:
-        raise EnvironmentLackError(
-            f"--priority {priority}: not permitted; run as root, or set LimitRTPRIO={priority} in the unit, "
-            f"or add `USER - rtprio {priority}` to /etc/security/limits.conf and log in again"
-        ) from error
+        flag, limits = f"--priority {priority}: not permitted", (f"LimitRTPRIO={priority}", f"rtprio {priority}")
+        raise EnvironmentLackError(_NOT_PERMITTED.format(flag, *limits)) from error
     except OSError as error:
         raise EnvironmentLackError(f"--priority {priority}: {error.strerror}") from error
 
@@ -54,10 +55,10 @@ def lock_memory() -> None:
         number = ctypes.get_errno()
         error = OSError(number, os.strerror(number))  # becomes a PermissionError for EPERM
         reason = "not permitted" if isinstance(error, PermissionError) else os.strerror(number)
-        raise EnvironmentLackError(
-            f"--lock-memory: {reason}; run as root, or set LimitMEMLOCK=infinity in the unit, "
-            "or add `USER - memlock unlimited` to /etc/security/limits.conf and log in again"
-        ) from (error if isinstance(error, PermissionError) else PermissionError(number, reason))
+        text = _NOT_PERMITTED.format(f"--lock-memory: {reason}", "LimitMEMLOCK=infinity", "memlock unlimited")
+        raise EnvironmentLackError(text) from (
+            error if isinstance(error, PermissionError) else PermissionError(number, reason)
+        )
 
 
 class Notifier:
