@@ -71,7 +71,7 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
         "hand": ("network.hand", "check, commission and run a hand defined in TOML"),
         "view": ("view", "serve a web page with the force on each fingertip"),
         "ros2": ("ros2", "publish forces and contacts as ROS 2 topics, without ROS"),
-        "node": ("node", "run one fingertip node on a CAN bus"),
+        "node": ("node:node", "run one fingertip node on a CAN bus"),
     },
     "logs": {
         "dump": ("dump", "print frames as candump does, with --decode their meaning"),
@@ -82,7 +82,7 @@ GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
         "plot": ("plot", "plot the contact, gauges and faults of a log"),
     },
     "develop": {
-        "simulate": ("simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
+        "simulate": ("node:simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
         "conformance": ("conformance", "test a CANopen device against the CiA standards, by clause"),
         "export": ("export", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
         "design": (_DESIGN, "recompute the paper's tables, sweep and optimise the structure"),
