@@ -204,7 +204,7 @@ class Steps:
     def __init__(self, args: Namespace) -> None:
         """Raises InputError."""
         names = log_choice.names_of(args.signals)
-        self.layouts, calibrations = log_choice.calibrated(args, log_choice.layouts(args))
+        self.layouts, calibrations = log_choice.layouts(args)
         self._contact = self._resampler = None
         if calibrations:
             from tipforce.host.decoding import contact_columns
