@@ -8,7 +8,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -170,10 +169,13 @@ def _swinging(dynamics: schema.Dynamics, following: Callable[[int], Triple], clo
 
     Steps of ``step_us`` from the start; a conversion between two steps gets the force of the earlier one.
     """
+    from tipforce.sensor.dynamics.first_order_hold import node_coefficients
+    from tipforce.sensor.dynamics.model import modes
+    from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sources.dynamic_load import DynamicForces, DynamicLoad
 
-    coefficients = _coefficients(dynamics.damping_ratio, dynamics.step_us)
-    forces = DynamicForces(DynamicLoad(coefficients), following, dynamics.step_us)
+    coefficients = node_coefficients(modes(FABRICATED, dynamics.damping_ratio), 1e-6 * dynamics.step_us)
+    forces = DynamicForces(DynamicLoad(cast("Coefficients", coefficients)), following, dynamics.step_us)
     begun = False
 
     def force(now_us: int) -> Triple:
@@ -184,16 +186,6 @@ def _swinging(dynamics: schema.Dynamics, following: Callable[[int], Triple], clo
         return forces(now_us)
 
     return force
-
-
-@lru_cache(maxsize=8)
-def _coefficients(damping_ratio: float, step_us: int) -> Coefficients:
-    """Return the coefficients, cached because the fingers of one scene are identical."""
-    from tipforce.sensor.dynamics.first_order_hold import node_coefficients
-    from tipforce.sensor.dynamics.model import modes
-    from tipforce.sensor.structure.geometry import FABRICATED
-
-    return cast("Coefficients", node_coefficients(modes(FABRICATED, damping_ratio), 1e-6 * step_us))
 
 
 def _front_end(given: schema.FrontEnd | None, one_over_f: float | None, seed: int) -> FrontEnd:
