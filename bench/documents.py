@@ -45,7 +45,6 @@ _MEANINGS = {
     12: "a device refused",
     130: "interrupted (Ctrl-C)",
 }
-_COMMON = actions.SHARED
 
 
 def page() -> str:
@@ -55,7 +54,7 @@ def page() -> str:
     shared = argparse.ArgumentParser(add_help=False)
     bus_flags.add_sdo_arguments(shared)
     common.add_confirm_argument(shared)
-    for title, name in _COMMON.items():
+    for title, name in actions.SHARED.items():
         parts += [f"\n**{name[0].upper()}{name[1:]} flags**\n", _table(_groups(shared)[title])]
     for name in COMMANDS:
         parser = command_parser(name)
@@ -70,13 +69,14 @@ def page() -> str:
 
 def _section(path: str, parser: argparse.ArgumentParser, shared: Mapping[str, list[argparse.Action]]) -> Iterator[str]:
     groups = _groups(parser)
-    whole = [title for title in _COMMON if _dests(groups.get(title, [])) == _dests(shared[title])]
+    dests = {title: [action.dest for action in flags] for title, flags in groups.items()}
+    whole = [title for title in actions.SHARED if dests.get(title) == [action.dest for action in shared[title]]]
     own = [action for title, flags in groups.items() if title not in whole for action in flags]
     summary = " ".join((parser.description or "").split())
     yield f"\n## tipforce {path}\n\n{_escaped(summary)}\n"
     yield _table(own)
     if whole:
-        yield f"\nAlso the [common flags](#common-flags): {', '.join(_COMMON[title] for title in whole)}.\n"
+        yield f"\nAlso the [common flags](#common-flags): {', '.join(actions.SHARED[title] for title in whole)}.\n"
 
 
 def _groups(parser: argparse.ArgumentParser) -> dict[str, list[argparse.Action]]:
@@ -85,10 +85,6 @@ def _groups(parser: argparse.ArgumentParser) -> dict[str, list[argparse.Action]]
         kept = [action for action in group._group_actions if action.help != argparse.SUPPRESS and action.dest != "help"]
         flags.setdefault(group.title or "", []).extend(kept)
     return flags
-
-
-def _dests(flags: list[argparse.Action]) -> list[str]:
-    return [action.dest for action in flags]
 
 
 def _table(flags: list[argparse.Action]) -> str:

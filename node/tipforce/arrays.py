@@ -31,7 +31,9 @@ def floats(name: str, values: npt.ArrayLike) -> FloatArray:
     """
     try:
         given = np.ma.asarray(values) if isinstance(values, list | tuple | np.ma.MaskedArray) else np.asarray(values)
-        if given.dtype.kind not in "iuf" and not (given.dtype.kind == "O" and all(map(_is_real, given.flat))):
+        real, truth = numbers.Real | Decimal, bool | np.bool_
+        objects = given.flat if given.dtype.kind == "O" else [None]  # Decimal, Fraction
+        if given.dtype.kind not in "iuf" and not all(isinstance(x, real) and not isinstance(x, truth) for x in objects):
             raise TypeError
         if np.ma.is_masked(given):
             count = np.count_nonzero(np.ma.getmaskarray(given))
@@ -41,7 +43,3 @@ def floats(name: str, values: npt.ArrayLike) -> FloatArray:
         shown = " ".join(repr(values).split())
         shown = shown if len(shown) <= _SHOWN else shown[:_SHOWN] + "..."
         raise InputError(f"{name}: {shown} is no array of numbers") from None
-
-
-def _is_real(value: object) -> bool:
-    return isinstance(value, numbers.Real | Decimal) and not isinstance(value, bool | np.bool_)

@@ -16,11 +16,6 @@ def shipped_folder(kind: str) -> Path:
     return installed if installed.is_dir() else Path(__file__).parents[2] / _IN_CLONE.get(kind, kind)
 
 
-def shipped_names(kind: str) -> list[str]:
-    """Return the names of the files of a kind, without suffix, sorted."""
-    return sorted(path.stem for path in shipped_folder(kind).glob(f"*{SUFFIXES[kind]}"))
-
-
 def file_or_shipped(text: str, kind: str) -> Path:
     """Return the path ``text``, or the file of that name that ships with tipforce.
 
@@ -32,4 +27,5 @@ def file_or_shipped(text: str, kind: str) -> Path:
     shipped = shipped_folder(kind) / f"{path.stem}{suffix}"
     if shipped.is_file():
         return shipped
-    raise InputError(f"{text}: no such file; by name ship {', '.join(shipped_names(kind))}")
+    names = sorted(path.stem for path in shipped.parent.glob(f"*{suffix}"))
+    raise InputError(f"{text}: no such file; by name ship {', '.join(names)}")

@@ -230,14 +230,6 @@ def test_a_network_that_is_not_connected_is_refused() -> None:
         tipforce.open(canopen.Network())
 
 
-def test_an_uncalibrated_finger_says_so() -> None:
-    with tipforce.simulated_finger(7, load=LOAD, calibrated=False) as bus:
-        contact = bus.finger(7).read()
-    assert contact.reason == "not calibrated"
-    assert math.isnan(contact.P_newtons)
-    assert not contact.ok
-
-
 def test_a_finger_that_sends_no_contact_says_what_to_enable(bus: tipforce.SimulatedBus) -> None:
     sdo = bus.finger(5).sdo
     sdo["tpdo1.cob_id"] = 0xC0000185

@@ -1,7 +1,6 @@
 """The front doors: public names, lazy and typed; hands row by row, logs as arrays, calibrations, estimates."""
 
 import ast
-import asyncio
 import compileall
 import importlib
 import itertools
@@ -31,7 +30,7 @@ ROBOTS = ["tipforce_robots.mujoco", "tipforce_robots.learning"]
 PACKAGES = ["tipforce", *(f"tipforce.{part}" for part in PARTS), *DEVICE, *ROBOTS]
 OWN = ("tipforce", "canopen_device")
 TOOLS = ["tipforce_lab", "tipforce_lab.fem"]  # an extra of its own
-DOCUMENTS = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md")])
+DOCUMENTS = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/examples/*.py")])
 
 
 def python(code: str, *flags: str) -> str:
@@ -115,17 +114,18 @@ def is_public(name: str) -> bool:
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.stem)
 def test_documents_import_public_names_only(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    lines = [
-        m[1]
-        for m in re.finditer(r"^\s*(?:>>> |\.\.\. )?((?:from|import) (?:tipforce|canopen_device)\S*.*)$", text, re.M)
-    ]
-    private = {name for line in lines for name in imports(ast.parse(line.split("#")[0])) if not is_public(name)}
+    lines = (
+        [text]
+        if path.suffix == ".py"
+        else [
+            m[1]
+            for m in re.finditer(
+                r"^\s*(?:>>> |\.\.\. )?((?:from|import) (?:tipforce|canopen_device)\S*.*)$", text, re.M
+            )
+        ]
+    )
+    private = {name for line in lines for name in imports(ast.parse(line)) if not is_public(name)}
     assert not private
-
-
-@pytest.mark.parametrize("path", sorted(ROOT.glob("docs/examples/*.py")), ids=lambda path: path.stem)
-def test_examples_import_public_names_only(path: Path) -> None:
-    assert not {name for name in imports(ast.parse(path.read_text(encoding="utf-8"))) if not is_public(name)}
 
 
 NAMES = {"thumb": 1, "index": 2, "middle": 3}
@@ -157,20 +157,6 @@ def test_rows_by_the_name_of_a_finger() -> None:
         assert any("front-end fault" in row["index"].reason for row in itertools.islice(hand.rows(5.0), 200))
     with pytest.raises(tipforce.EnvironmentLackError):
         bus.sync()
-
-
-def test_rows_by_async_for() -> None:
-    async def some(hand: tipforce.Hand) -> list[float]:
-        found = []
-        async for row in hand.rows():
-            if not np.isnan(row["thumb"].P_newtons):  # a busy machine may miss a SYNC
-                found.append(row["thumb"].P_newtons)
-            if len(found) == 3:
-                break
-        return found
-
-    with tipforce.simulated_hand(1, {1: (2.0, 90.0, 45.0)}) as bus, tipforce.Hand.open({"thumb": 1}, bus=bus) as hand:
-        assert np.allclose(asyncio.run(some(hand)), 2.0, atol=0.1)
 
 
 def test_a_hand_with_a_finger_that_is_not_there() -> None:
@@ -241,12 +227,6 @@ def test_a_log_of_gauges_is_estimated_by_the_calibration(tmp_path: Path) -> None
     assert abs(found.theta_deg[0] - 45.0) < 0.5
     assert np.isnan(found.P_newtons[1])
     assert found.microstrain.shape == (2, 3)
-
-
-def test_a_file_without_a_frame_is_no_log(tmp_path: Path) -> None:
-    (tmp_path / "run.log").write_text("these are words\n")
-    with pytest.raises(tipforce.InputError, match=r"run\.log: no frames in it; is it a log\? line 1"):
-        tipforce.read_log(tmp_path / "run.log")
 
 
 def test_a_simulated_hand_names_what_is_wrong() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tipforce.scene.reader import read_scene
-from tipforce.scene.run import Options, run_scene
+from tipforce.scene.run import run_scene
 
 CALLS = {"contact": 0, "force": 0}
 
@@ -35,7 +35,7 @@ def count_calls() -> None:
 def main(path: str, duration: str) -> None:
     """One scene, for a duration in seconds or, with "", its own."""
     count_calls()
-    outcome = run_scene(read_scene(path), Path(path).parent, Options(duration_s=float(duration) if duration else None))
+    outcome = run_scene(read_scene(path), Path(path).parent, float(duration) if duration else None)
     told = {
         "modules": sorted(name for name in sys.modules if name.startswith(("tipforce", "canopen_device"))),
         "packages": sorted({name.partition(".")[0] for name in sys.modules}),

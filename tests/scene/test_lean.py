@@ -11,14 +11,15 @@ from typing import Any
 import can
 import pytest
 from can.interfaces.virtual import VirtualBus
+from msgspec.structs import replace
 
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.network.open_bus import open_bus
 from tipforce.scene import realtime
 from tipforce.scene.reader import read_scene
 from tipforce.scene.registry import identifiers, parts
-from tipforce.scene.run import Options, Outcome, run_scene
-from tipforce.scene.schema import Bus, Scene
+from tipforce.scene.run import Outcome, run_scene
+from tipforce.scene.schema import Bus, Outputs, Scene
 
 ROOT = Path(__file__).parents[2]
 PATHS = sorted((ROOT / "scenes").glob("*.toml"))
@@ -130,7 +131,7 @@ def test_full_names_every_part_but_the_bus_and_static_the_fewest() -> None:
 def test_a_hand_on_a_bus(bus: Bus | None, tmp_path: Path) -> None:
     path = tmp_path / "run.log"
     scene = read_scene(SCENES / "grasp.toml")
-    outcome = run_scene(scene, SCENES, Options(duration_s=0.45, bus=bus, realtime=True, log=str(path)))
+    outcome = run_scene(replace(scene, bus=bus, outputs=Outputs(log=str(path))), SCENES, 0.45, realtime=True)
     assert "bus" in outcome.built
     expected = {0x000, 0x080, *range(0x181, 0x186), *range(0x281, 0x286), *range(0x701, 0x706)}
     assert set(outcome.frames_by_id) == expected
@@ -145,7 +146,7 @@ def test_a_hand_on_a_bus(bus: Bus | None, tmp_path: Path) -> None:
 
 
 def test_faults_come_on_a_bus_too() -> None:
-    outcome = run_scene(read_scene(SCENES / "dying-gauge.toml"), SCENES, Options(duration_s=1.7, realtime=True))
+    outcome = run_scene(read_scene(SCENES / "dying-gauge.toml"), SCENES, 1.7, realtime=True)
     assert [list(finger.emcy) for finger in outcome.fingers] == [["5030", "5010"]] * 2
 
 
@@ -175,7 +176,8 @@ def run_with_outage(monkeypatch: pytest.MonkeyPatch, path: Path, down: Callable[
         return bus
 
     monkeypatch.setattr(realtime, "open_bus", opened)
-    return run_scene(read_scene(SCENES / "grasp.toml"), SCENES, Options(duration_s=0.6, realtime=True, log=str(path)))
+    scene = replace(read_scene(SCENES / "grasp.toml"), outputs=Outputs(log=str(path)))
+    return run_scene(scene, SCENES, 0.6, realtime=True)
 
 
 def test_a_bus_that_comes_back_is_recorded_on(
@@ -202,4 +204,4 @@ def test_a_bus_that_is_not_there() -> None:
     scene = read_scene(SCENES / "static.toml")
     bus = Bus(interface="socketcan", channel="nosuchcan9")
     with pytest.raises(EnvironmentLackError, match="nosuchcan9"):
-        run_scene(scene, SCENES, Options(bus=bus))
+        run_scene(replace(scene, bus=bus), SCENES)

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 
 from tipforce.errors import InputError
 from tipforce.scene import schema
-from tipforce.scene.loads import LoadHistory, load_history
 from tipforce.scene.reader import read_scene
 from tipforce.scene.results import applied_at
-from tipforce.scene.schema import Scene
+from tipforce.scene.schema import LoadHistory, Scene
 from tipforce.sensor.calibration.simulation import paper_grooves
 from tipforce.sensor.contact.estimate import force_vector
 
@@ -161,7 +160,7 @@ def test_the_force_is_equation_16() -> None:
 
 
 def test_the_grooves_are_the_papers() -> None:
-    load = load_history(schema.Grooves(P_N=4.4, dwell_s=0.1, change_s=0.03), 1)
+    load = schema.Grooves(P_N=4.4, dwell_s=0.1, change_s=0.03).history(1)
     assert load is not None
     grooves = paper_grooves()
     found = [load.at(0.01 + 0.13 * k + 0.05) for k in range(19)]
@@ -179,17 +178,17 @@ def test_a_grasp_gives_each_finger_its_own() -> None:
         schema.Finger(node=2, P_N=1.0, phi_deg=-80, theta_deg=90, delay_s=0.1),
     )
     grasp = schema.Grasp(fingers=fingers, start_s=0.5, close_s=0.2, hold_s=1.0, open_s=0.4)
-    one, two = (load_history(grasp, node_id) for node_id in (1, 2))
+    one, two = (grasp.history(node_id) for node_id in (1, 2))
     assert one is not None
     assert two is not None
-    assert load_history(grasp, 3) is None
+    assert grasp.history(3) is None
     assert [one.at(t)[0] for t in (0.5, 0.7, 1.7, 2.1)] == pytest.approx([0.0, 2.0, 2.0, 0.0])
     assert one.at(0.6) == pytest.approx((1.0, -90.0, 80.0))
     assert two.at(0.7) == pytest.approx((0.5, -80.0, 90.0))
 
 
 def test_taps_rise_and_fall() -> None:
-    load = load_history(schema.Tap(P_N=5.0, at_s=(0.2, 0.1), phi_deg=0, theta_deg=0, rise_ms=1, fall_ms=3), 1)
+    load = schema.Tap(P_N=5.0, at_s=(0.2, 0.1), phi_deg=0, theta_deg=0, rise_ms=1, fall_ms=3).history(1)
     assert load is not None
     assert [load.at(t)[0] for t in (0.05, 0.1, 0.1005, 0.101, 0.1025, 0.104, 0.15, 0.201, 0.3)] == pytest.approx(
         [0.0, 0.0, 2.5, 5.0, 2.5, 0.0, 0.0, 5.0, 0.0]

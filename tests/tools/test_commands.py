@@ -7,7 +7,6 @@ import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -208,11 +207,3 @@ def test_export_is_the_committed_file(export: Tipforce, tmp_path: Path, kind: st
     assert (code, out) == (0, "")
     assert err == f"{tmp_path / 'file'}: {len(expected.splitlines())} lines\n"
     assert (tmp_path / "file").read_bytes() == expected
-
-
-def test_a_bus_that_may_not_be_opened_is_9(printed: Printed, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(**_options: Any) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr("can.Bus", refuse)
-    assert "Permission denied" in printed(9, ["scan", "-i", "slcan", "-c", "somewhere"]).err

@@ -52,12 +52,6 @@ def test_what_is_written_reads_back(tmp_path: Path, geometry: Geometry, gauges: 
     assert [isinstance(gauge, str) for gauge in found] == [isinstance(gauge, str) for gauge in gauges]
 
 
-def test_the_old_form_is_read_as_before(tmp_path: Path) -> None:
-    path = tmp_path / "layout.toml"
-    path.write_text('points = ["K_H", "S_H", "U"]\n')
-    assert read_layout(str(path)) == (FABRICATED, ("K_H", "S_H", "U"))
-
-
 def test_the_examples_of_the_documentation(tmp_path: Path) -> None:
     blocks = [block for block in (layout_file.__doc__ or "").split("\n\n") if block.startswith("    ")]
     texts = [blocks[0], "\n\n".join(blocks[1:])]

@@ -102,8 +102,8 @@ def run_command(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[argparse
 
     def run(body: Callable[[argparse.Namespace], int]) -> int:
         probe = SimpleNamespace(add_arguments=lambda parser: parser.add_argument("values", nargs="*"), run=body)
-        monkeypatch.setitem(sys.modules, "tipforce_probe", probe)
-        monkeypatch.setitem(COMMANDS, "probe", ("tipforce_probe", "a test's own"))
+        monkeypatch.setitem(sys.modules, "tipforce_tools.probe", probe)
+        monkeypatch.setitem(COMMANDS, "probe", ("probe", "a test's own"))
         return main(["probe", "-1.5e-3", "-1,0,0", "-.5"])
 
     return run

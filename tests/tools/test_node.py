@@ -5,6 +5,7 @@ import errno
 import re
 import sys
 import types
+from collections.abc import Callable
 from pathlib import Path
 
 import can
@@ -56,13 +57,6 @@ def test_flags(devices: list[Device], tmp_path: Path, capsys: pytest.CaptureFixt
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_layout_file_with_more_gauges(devices: list[Device], tmp_path: Path) -> None:
-    path = tmp_path / "four.toml"
-    path.write_text('points = ["K_H", "S_H", "U", "L"]\n')
-    assert run_node("--layout", str(path), "--offset", "1,2,3,4") == 0
-    assert devices[0].od.get(0x1018, 2) == 0x54500104
-
-
 POINTS = 'points = ["K_H", "S_H", "U"]\n'
 BRIDGE = f"""{POINTS}[bridge]
 kind = "full"
@@ -106,6 +100,21 @@ def layout(folder: Path, text: str) -> Path:
     path = folder / "finger.toml"
     path.write_text(text)
     return path
+
+
+Refused = Callable[..., str]
+
+
+@pytest.fixture
+def refused(devices: list[Device], capsys: pytest.CaptureFixture[str]) -> Refused:
+    """Run a node with a layout and words that must be refused before it runs; what is said."""
+
+    def run(layout: object, *words: object) -> str:
+        before = len(devices)
+        assert (run_node("-q", "--layout", layout, *words), len(devices)) == (2, before)
+        return capsys.readouterr().err
+
+    return run
 
 
 # Industrial I/O
@@ -170,12 +179,13 @@ def test_a_supply_that_is_measured(tree: Tree, devices: list[Device]) -> None:
 
 
 def test_without_a_scale_the_table_must_state_volts_per_count(
-    tree: Tree, devices: list[Device], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tree: Tree, devices: list[Device], monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1})
     path = layout(tree.folder, BRIDGE)
-    assert run_node("-q", "--layout", path, "--source", "iio:a") == 2
-    assert "device0/voltage0: the driver states no scale; state the converter's step" in capsys.readouterr().err
+    assert "device0/voltage0: the driver states no scale; state the converter's step" in refused(
+        path, "--source", "iio:a"
+    )
 
     def refuse(_path: Path, _channel: str, name: str) -> float | None:
         if name == "scale":
@@ -183,8 +193,7 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
         return None
 
     monkeypatch.setattr(iio_sysfs, "attribute", refuse)
-    assert run_node("-q", "--layout", path, "--source", "iio:a") == 2
-    said = capsys.readouterr().err
+    said = refused(path, "--source", "iio:a")
     assert "does not state its scale (Invalid argument: no regulator)" in said
     assert "[bridge] volts_per_count" in said
     path.write_text(BRIDGE + "volts_per_count = 0.001\n")
@@ -193,33 +202,23 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
 
 
 @pytest.mark.parametrize(("words", "text", "message"), WRONG)
-def test_what_does_not_fit_is_said(
-    tree: Tree, devices: list[Device], words: str, text: str, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_does_not_fit_is_said(tree: Tree, refused: Refused, words: str, text: str, message: str) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1}, in_voltage_scale="1")
     tree.add(1, "b", {"voltage": 1}, bits="le:u8/8>>0", in_voltage_scale="1")
     tree.add(2, "c", {"voltage": 1}, bits="", in_voltage_scale="1")
     tree.add(3, "d", {}, bits="")
-    assert run_node("-q", "--layout", layout(tree.folder, text), "--source", words) == 2
-    assert message in capsys.readouterr().err
-    assert not devices
+    assert message in refused(layout(tree.folder, text), "--source", words)
 
 
-def test_capture_by_a_trigger_that_is_not_there(
-    tree: Tree, devices: list[Device], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_capture_by_a_trigger_that_is_not_there(tree: Tree, devices: list[Device], refused: Refused) -> None:
     tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1}, in_voltage_scale="1")
     path = layout(tree.folder, BRIDGE)
-    assert run_node("-q", "--layout", path, "--source", "iio:a", "--trigger", "t0") == 2
-    assert "--trigger t0: no such trigger; there are none" in capsys.readouterr().err
-    assert run_node("-q", "--layout", path, "--source", "iio:a", "--capture", "buffer") == 2
-    assert "modprobe iio-trig-hrtimer" in capsys.readouterr().err
-    assert not devices
+    assert "--trigger t0: no such trigger; there are none" in refused(path, "--source", "iio:a", "--trigger", "t0")
+    assert "modprobe iio-trig-hrtimer" in refused(path, "--source", "iio:a", "--capture", "buffer")
     tree.add_trigger(0, "adc-dev0")
     assert run_node("-q", "--layout", path, "--source", "iio:a") == 0, "a trigger, but no buffer: polled, and said"
     assert source_of(devices[0]).read(0) is not None
-    assert run_node("-q", "--layout", path, "--source", "iio:a", "--capture", "buffer") == 2
-    assert "buffered capture cannot be set up" in capsys.readouterr().err
+    assert "buffered capture cannot be set up" in refused(path, "--source", "iio:a", "--capture", "buffer")
 
 
 def test_the_bridge_table_is_the_node_s_alone(tmp_path: Path) -> None:
@@ -235,7 +234,7 @@ class _Attribute:
 
 
 def test_a_remote_board_by_a_stand_in_for_pylibiio(
-    tree: Tree, devices: list[Device], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tree: Tree, devices: list[Device], monkeypatch: pytest.MonkeyPatch, refused: Refused
 ) -> None:
     """pylibiio itself needs libiio and a board with iiod: here its classes are played by a few lines."""
     up = [True]
@@ -265,11 +264,9 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
 
     path = layout(tree.folder, BRIDGE + "count_range = [0, 4095]\n")
     monkeypatch.setitem(sys.modules, "iio", None)
-    assert run_node("-q", "--layout", path, "--source", "iio:ip:board/adc") == 2
-    assert "pip install 'tipforce[iio]'" in capsys.readouterr().err
+    assert "pip install 'tipforce[iio]'" in refused(path, "--source", "iio:ip:board/adc")
     monkeypatch.setitem(sys.modules, "iio", types.SimpleNamespace(Context=Context))
-    assert run_node("-q", "--layout", path, "--source", "iio:ip:board/dac") == 2
-    assert "no such device; allowed: adc" in capsys.readouterr().err
+    assert "no such device; allowed: adc" in refused(path, "--source", "iio:ip:board/dac")
     assert run_node("-q", "--layout", path, "--source", "iio:ip:board/adc") == 0
     source = source_of(devices[0])
     assert isinstance(source, IioSource)
@@ -290,8 +287,7 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
     assert reading is not None
     assert (reading.counts, source.faults) == ((0, 11, 20), 0)
     up[0] = False
-    assert run_node("-q", "--layout", path, "--source", "iio:ip:board/adc") == 2
-    assert "check that iiod runs there: `iio_info -u ip:board`" in capsys.readouterr().err
+    assert "check that iiod runs there: `iio_info -u ip:board`" in refused(path, "--source", "iio:ip:board/adc")
 
 
 def _gone(_self: object) -> str:
@@ -355,7 +351,7 @@ def test_a_recording_in_csv(tmp_path: Path, devices: list[Device]) -> None:
     assert reading.counts == (2662, -5120, 7680)
 
 
-def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], refused: Refused) -> None:
     path = tmp_path / "log.txt"
     lines = (
         "(1.000000) can0 185#0A00ECFF1E000201",  # 1.0, -2.0, 3.0 microstrain, calibrated
@@ -365,8 +361,7 @@ def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], capsys: p
         "(1.004000) can0 186#0100010001000201",
     )
     path.write_text("\n".join(lines) + "\n")
-    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}") == 2
-    assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in capsys.readouterr().err
+    assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in refused("I", "--source", f"replay:{path}")
     assert run_node("-q", "--layout", "I", "--source", f"replay:{path}@5") == 0
     source = source_of(devices[0])
     found = [source.read(now_us) for now_us in (0, 1500, 3500)]
@@ -387,13 +382,10 @@ def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], capsys: p
     ],
 )
 def test_a_recording_that_is_wrong(
-    tmp_path: Path, devices: list[Device], text: str | None, flags: str, message: str,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    tmp_path: Path, refused: Refused, text: str | None, flags: str, message: str
+) -> None:
     path = tmp_path / "recording"
     if text is not None:
         path.write_text(text)
     suffix, words = (flags, []) if flags.startswith("@") else ("", flags.split())
-    assert run_node("-q", "--layout", "I", "--source", f"replay:{path}{suffix}", *words) == 2
-    assert message in capsys.readouterr().err
-    assert not devices
+    assert message in refused("I", "--source", f"replay:{path}{suffix}", *words)

@@ -54,11 +54,6 @@ def test_an_expectation_that_fails_is_exit_code_1(printed: Printed, tmp_path: Pa
     assert "FAIL: 4 of 5" in out
 
 
-def test_a_shorter_run_judges_less(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", str(SCENES / "static.toml"), "--duration", "0.1", "--seed", "4"]) == 0
-    assert capsys.readouterr().out.count("not judged") == 6  # five lines, and the last one
-
-
 def test_a_bus_that_cannot_carry_it_is_told(printed: Printed, tmp_path: Path) -> None:
     text = (SCENES / "static.toml").read_text().replace("sync_hz", "bit_rate = 50000\nsync_hz")
     (tmp_path / "scene.toml").write_text(text)

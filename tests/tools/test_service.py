@@ -249,7 +249,7 @@ def test_the_unit_starts_a_command_line_that_the_node_takes() -> None:
     from tipforce_tools import node
 
     parser = argparse.ArgumentParser()
-    node.add_arguments(parser)
+    node.add_node_arguments(parser)
     args = parser.parse_args([word for word in words[at + 2 :] if not word.startswith("$")])
     assert (args.node_id, args.store, args.lock_memory) == (5, "/var/lib/tipforce/node-5.json", True)
     assert lines["LimitRTPRIO"] == str(args.priority)

@@ -262,14 +262,14 @@ def test_all_that_is_missing_is_named_at_once_also_the_modules(monkeypatch: pyte
 @needs_bash
 def test_the_environment_comes_through_the_file_unchanged(tmp_path: Path) -> None:
     items = [b"PLAIN=1", b"EMPTY=", b"LINES=a\nb\n", b"BYTES=\xff\xfe", b"BASH_FUNC_f%%=() { echo; }", "ÄÖ=ß".encode()]
-    uml.write_list(tmp_path / "environment", items)
+    uml.write_lists(tmp_path, environment=items)
     # The very words of init.sh, followed by a dump.
     read = next(line.strip() for line in SCRIPT.splitlines() if "mapfile" in line and "environment" in line)
     dump = "printf '%s\\0' \"${environment[@]}\""
     result = subprocess.run(["bash", "-c", f"exchange={tmp_path}; {read}; {dump}"], capture_output=True, check=True)
     assert result.stdout.split(b"\0")[:-1] == items
     with pytest.raises(InputError, match="NUL"):
-        uml.write_list(tmp_path / "command", ["a\0b"])
+        uml.write_lists(tmp_path, command=["a\0b"])
 
 
 @needs_bash

@@ -30,10 +30,8 @@ def amx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     source = Path(__file__).with_name("larger_xstate.c")
     subprocess.run(["gcc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
 
-    def both(folder: Path) -> dict[str, str]:
-        return {"LD_PRELOAD": f"{uml.build_whole_xstate(folder)}:{library}"}
-
-    monkeypatch.setattr(uml, "preloading", both)
+    ours = uml.preloading(tmp_path)["LD_PRELOAD"]
+    monkeypatch.setattr(uml, "preloading", lambda _folder: {"LD_PRELOAD": f"{ours}:{library}"})
     return str(library)
 
 

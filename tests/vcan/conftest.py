@@ -39,8 +39,8 @@ def launch(tmp_path: Path) -> Iterator[Launch]:
     """Starts `tipforce` commands; those that still run when the test ends are ended."""
     started: list[Command] = []
 
-    def start(*words: str, fresh: bool = False) -> Command:
-        started.append(Command(words, tmp_path, fresh=fresh))
+    def start(*words: str) -> Command:
+        started.append(Command(words, tmp_path))
         return started[-1]
 
     yield start

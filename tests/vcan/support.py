@@ -14,7 +14,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Protocol, Self
 
@@ -29,7 +28,7 @@ _FRAME = struct.Struct("=IB3x8s")  # struct can_frame, linux/can.h
 _numbers = itertools.count()
 
 # In User-mode Linux a command of `tipforce` takes 3 s, nearly all of it for its imports. So they are imported once, in
-# a server that forks a process for each command; some tests start a fresh interpreter all the same.
+# a server that forks a process for each command; test_readme.py starts fresh interpreters.
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(
     [
@@ -120,27 +119,20 @@ def is_boot_up(node_id: int) -> Callable[[Frame], bool]:
 class Command:
     """One `tipforce` command in a process of its own; its stdout and stderr go to files."""
 
-    def __init__(self, words: Sequence[str], folder: Path, *, fresh: bool = False) -> None:
+    def __init__(self, words: Sequence[str], folder: Path) -> None:
         number = next(_numbers)
         self.words = tuple(words)
         self._outputs = [folder / f"{number}.{stream}" for stream in ("stdout", "stderr")]
         for path in self._outputs:
             path.touch()
-        self._popen: subprocess.Popen[bytes] | None = None
-        self._forked: ForkServerProcess | None = None
-        if fresh:
-            with contextlib.ExitStack() as opened:
-                out, err = (opened.enter_context(path.open("wb")) for path in self._outputs)
-                self._popen = subprocess.Popen(tipforce(*words), stdin=subprocess.DEVNULL, stdout=out, stderr=err)
-        else:
-            self._forked = _context.Process(target=_run_here, args=(self.words, [str(p) for p in self._outputs]))
-            self._forked.start()
+        self._process = _context.Process(target=_run_here, args=(self.words, [str(p) for p in self._outputs]))
+        self._process.start()
+        self._closed = False
 
     @property
     def pid(self) -> int:
-        pid = self._popen.pid if self._popen else self._forked.pid if self._forked else None
-        assert pid is not None
-        return pid
+        assert self._process.pid is not None
+        return self._process.pid
 
     @property
     def stdout(self) -> str:
@@ -152,17 +144,12 @@ class Command:
 
     @property
     def ended(self) -> bool:
-        return (self._popen.poll() if self._popen else self._forked.exitcode if self._forked else 0) is not None
+        return self._closed or self._process.exitcode is not None
 
     def wait(self, timeout_s: float = WAIT_S) -> int:
         """Its exit code, or minus the number of the signal that ended it. Raises AssertionError after the time."""
-        code: int | None = None
-        if self._popen is not None:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                code = self._popen.wait(timeout_s)
-        elif self._forked is not None:
-            self._forked.join(timeout_s)
-            code = self._forked.exitcode
+        self._process.join(timeout_s)
+        code = self._process.exitcode
         assert code is not None, f"tipforce {' '.join(self.words)} still runs after {timeout_s:g} s\n{self.stderr}"
         return code
 
@@ -176,16 +163,16 @@ class Command:
     def close(self) -> None:
         if not self.ended:
             self.end(signal.SIGKILL)
-        if self._forked is not None:
-            self._forked.close()
-            self._forked = None
+        if not self._closed:
+            self._process.close()
+            self._closed = True
 
 
 class Launch(Protocol):
     """The fixture that starts commands."""
 
-    def __call__(self, *words: str, fresh: bool = False) -> Command:
-        """Start `tipforce WORDS`; ``fresh`` by a new interpreter."""
+    def __call__(self, *words: str) -> Command:
+        """Start `tipforce WORDS`."""
 
 
 def tipforce(*words: str) -> list[str]:
@@ -206,13 +193,11 @@ def _run_here(words: Sequence[str], outputs: Sequence[str]) -> None:
 
 
 @contextlib.contextmanager
-def running_node(
-    folder: Path, *flags: str, node_id: int = NODE_ID, channel: str = "vcan0", fresh: bool = False
-) -> Iterator[Command]:
+def running_node(folder: Path, *flags: str, node_id: int = NODE_ID, channel: str = "vcan0") -> Iterator[Command]:
     """A node that has sent its boot-up message, ended by SIGTERM unless the test ended it."""
     words = ["node", "--node-id", str(node_id), "-i", "socketcan", "-c", channel, "--layout", "I", *flags]
     with RawBus(channel) as bus:
-        command = Command(words, folder, fresh=fresh)
+        command = Command(words, folder)
         try:
             bus.until(is_boot_up(node_id))
         except TimeoutError:

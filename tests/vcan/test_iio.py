@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from tipforce.fingertip.application import FROZEN_READINGS
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
@@ -56,10 +55,9 @@ EMCY = 0x080 + NODE_ID
 GAUGES, CONTACT = 0x180 + NODE_ID, 0x280 + NODE_ID
 HEARTBEAT_MS, LIMIT_MS = 20, 100
 CONVERSION_S = 500e-6  # the default of 6114h
-SYNC_MS = 2.5  # SYNCs slower than 320 Hz need longer than 100 ms to tell a gauge that stands still
 SATURATED, STALE, FAULT = 1 << 2, 1 << 3, 1 << 7
 UNKNOWN = -0x8000
-NO_DATA, FROZEN = 8, 9
+NO_DATA = 8
 Z = 6.0  # bound of an error in standard uncertainties
 STRAIN = strain_matrix(FABRICATED, "I")
 RECORDING = Path(__file__).with_name("recorded_load.csv")
@@ -94,7 +92,6 @@ class Rig:
         self.adcs, self.bus = adcs, bus
         self._chance = np.random.default_rng(8)
         self.still: set[int] = set()
-        self.ended: dict[int, int] = {}
         self.load = (0.0, 0.0, 0.0)
 
     def move(self) -> None:
@@ -103,7 +100,7 @@ class Rig:
         exact = ZERO + PER_MICROSTRAIN * 1e6 * STRAIN @ force + self._chance.normal(0.0, NOISE_COUNTS, 3)
         for k, address in enumerate(ADDRESSES):
             if k not in self.still:
-                self.adcs.set(address, self.ended.get(k, round(exact[k])))
+                self.adcs.set(address, round(exact[k]))
 
     def sample(self) -> Pdos:
         """New registers, a SYNC, and what the node sends to it; all frames that came before its last PDO."""
@@ -245,42 +242,6 @@ def test_without_sync_a_pulled_device_is_told_all_the_same(rig: Rig) -> None:
     rig.adcs.plug_in(ADDRESSES[1])
     frames = rig.bus.until(lambda frame: frame[0] == EMCY)
     assert frames[-1][1][:2] == b"\0\0"
-
-
-@pytest.mark.parametrize("gauge", [1])
-def test_a_gauge_that_stands_still_is_frozen(rig: Rig, gauge: int) -> None:
-    assert FROZEN_READINGS * SYNC_MS <= LIMIT_MS
-    rig.load = (3.0, 90.0, 30.0)
-    rig.sample()
-    rig.still = {gauge}
-    shown = []
-    while not (found := rig.sample()).status & FAULT:
-        shown.append((found.counter, found.gauges[gauge]))
-        assert len(shown) <= 10 * FROZEN_READINGS, "no gauge is told to be frozen"
-    assert len(set(shown)) == len(shown), "each SYNC has a reading of its own"
-    assert {value for _, value in shown} == {shown[0][1]}
-    # The sample before was the first of the equal readings; these and the one with the fault repeat it.
-    assert len(shown) + 1 == FROZEN_READINGS
-    assert found.contact == (UNKNOWN,) * 3
-    assert tells(found.before + rig.sample().before, 0x5030, False, FROZEN)  # it follows the PDOs
-    rig.still = set()
-    rig.until(0x5030, True, FROZEN)
-    assert not rig.sample().status & FAULT
-
-
-@pytest.mark.parametrize(("gauge", "end", "shown"), [(0, COUNTS - 1, 32767), (2, 0, -32767)])
-def test_a_gauge_at_its_end_is_saturated(rig: Rig, gauge: int, end: int, shown: int) -> None:
-    rig.load = (3.0, 90.0, 30.0)
-    rig.sample()
-    rig.ended = {gauge: end}
-    found, syncs = rig.until(0x5010, False, gauge + 1)
-    assert syncs <= 2
-    assert found.status & SATURATED
-    assert found.gauges[gauge] == shown
-    assert found.contact == (UNKNOWN,) * 3
-    rig.ended = {}
-    rig.until(0x5010, True, gauge + 1)
-    assert not rig.sample().status & SATURATED
 
 
 def test_the_log_says_each_outage_once(rig: Rig, iio_node: Command) -> None:

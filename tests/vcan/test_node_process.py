@@ -24,7 +24,6 @@ from vcan.support import (
     SDO_REQUEST,
     WAIT_S,
     Command,
-    Launch,
     RawBus,
     answers_a_sync,
     running_node,
@@ -49,13 +48,11 @@ def active_crc(connection: Bus) -> int:
 # Its end
 
 
-@pytest.mark.parametrize(("number", "fresh"), [(signal.SIGTERM, False), (signal.SIGINT, True)])
-def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(
-    bus: RawBus, tmp_path: Path, number: int, fresh: bool
-) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(bus: RawBus, tmp_path: Path, number: int) -> None:
     """Its last frame says that it stopped."""
     before = receivers("vcan0")
-    with running_node(tmp_path, fresh=fresh) as node:
+    with running_node(tmp_path) as node:
         assert receivers("vcan0") == before + 1
         assert node.end(number) == 0
         assert receivers("vcan0") == before
@@ -64,37 +61,7 @@ def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(
     bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x04"))
 
 
-def test_interface_that_does_not_exist_is_said_at_once(launch: Launch) -> None:
-    node = launch("node", "--node-id", "5", "-i", "socketcan", "-c", "nosuchbus0")
-    assert node.wait() == 2
-    assert "nosuchbus0" in node.stderr
-    assert "Traceback" not in node.stderr
-
-
 # What it keeps
-
-
-def test_stored_calibration_is_active_again_after_a_kill(host: Bus, tmp_path: Path) -> None:
-    store = ("--store", str(tmp_path / "store.json"))
-    client = FingertipClient(host.sdo(NODE_ID))
-    stored, unstored = case_calibration("I", pull=True), case_calibration("II", pull=True)
-    with running_node(tmp_path, *store) as node:
-        generation = client.apply_calibration(stored)
-        assert client.apply_calibration(unstored, store=False) == generation + 1
-        assert node.end(signal.SIGKILL) == -signal.SIGKILL
-    with running_node(tmp_path, *store):
-        assert active_crc(host) == stored.crc32()
-        assert host.sdo(NODE_ID).read(od.CALIBRATION_GENERATION) == generation
-        assert client.verify_calibration(stored) == []
-
-
-def test_node_without_a_store_refuses_to_store(host: Bus, tmp_path: Path) -> None:
-    client = FingertipClient(host.sdo(NODE_ID))
-    with running_node(tmp_path):
-        client.apply_calibration(case_calibration("I", pull=True), store=False)
-        with pytest.raises(SdoAbortError) as refused:
-            client.store(calibration=True)
-        assert refused.value.code == 0x06060000
 
 
 def test_kill_during_a_store_leaves_the_old_or_the_new_calibration(host: Bus, tmp_path: Path) -> None:

@@ -20,10 +20,9 @@ import msgspec
 from msgspec.structs import replace
 
 from tipforce.scene import schema
-from tipforce.scene.loads import load_of
 from tipforce.scene.reader import read_scene
 from tipforce.scene.registry import parts
-from tipforce.scene.run import Options, Outcome, run_scene
+from tipforce.scene.run import Outcome, run_scene
 from tipforce.shipped_files import shipped_folder
 from tipforce_lab.report.study import Effort, Point, Series, Study, quartiles
 
@@ -93,7 +92,7 @@ def _nodes(scene: schema.Scene, **changes: object) -> schema.Scene:
 def _stand_still(scene: schema.Scene) -> schema.Scene:
     loads = []
     for node_id in scene.node_ids:
-        load = load_of(scene, node_id)
+        load = scene.load(node_id)
         if load is not None:
             _, P, phi, theta = max(load.knots, key=lambda knot: knot[1])
             loads.append(schema.Static(nodes=(node_id,), P_N=P, phi_deg=phi, theta_deg=theta))
@@ -179,9 +178,8 @@ def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int)
 
 
 def _timed(scene: schema.Scene, path: Path, syncs: int) -> tuple[float, Outcome]:
-    options = Options(duration_s=syncs / (scene.sync_hz or 100.0))
     started_ns = time.process_time_ns()
-    outcome = run_scene(scene, path.parent, options)
+    outcome = run_scene(scene, path.parent, syncs / (scene.sync_hz or 100.0))
     return 1e-9 * (time.process_time_ns() - started_ns), outcome
 
 
@@ -197,9 +195,9 @@ import sys
 from pathlib import Path
 import msgspec
 from tipforce.scene.schema import Scene
-from tipforce.scene.run import Options, Outcome, run_scene
+from tipforce.scene.run import Outcome, run_scene
 scene = msgspec.json.decode(sys.argv[1], type=Scene)
-run_scene(scene, Path(sys.argv[2]), Options(duration_s=1.5 / (scene.sync_hz or 1.0)))
+run_scene(scene, Path(sys.argv[2]), 1.5 / (scene.sync_hz or 1.0))
 """
 
 

@@ -1,6 +1,7 @@
-"""`tipforce node`: one fingertip node on a bus; its gauges are simulated, Linux converters, or a recording.
+"""`tipforce node` and `simulate`: devices that run on a bus until a signal.
 
-A simulated finger is calibrated as a delivered one.
+The gauges of a node are simulated, Linux converters, or a recording; a simulated finger is calibrated as a delivered
+one. Simulated devices come from their EDS or DCF, or from a machine in TOML.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from tipforce_tools.cli import bus_flags, common
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from canopen_device.machine.device import SimulatedDevice
     from canopen_device.running.store import FileStore
     from tipforce.fingertip.source import Source
     from tipforce.sensor.structure.geometry import Geometry
     from tipforce.sensor.structure.strain import Gauge
 
-EPILOG = """\
+_NODE = """\
 examples:
   tipforce node --node-id 5 -i socketcan -c vcan0 --layout I --load 4.4,90,45 --store node-5.json
   tipforce node --node-id 5 -i socketcan -c can0 --layout finger.toml --source iio:device0/voltage0,0-0051,0-0052
@@ -31,26 +33,26 @@ The node waits for NMT start (cansend vcan0 000#0105), unless 1F80h makes it sta
 it: its last frame is a heartbeat with the state STOPPED (7xx#04).
 """
 
+_SIMULATE = """\
+  tipforce simulate cia402 --node-id 5 -i socketcan -c vcan0          the drive that tipforce ships
+  tipforce simulate drive.eds io.eds --node-id 5,10 --set 10:0x6000:01=0x0F -i socketcan -c vcan0
+  tipforce simulate press.toml -i socketcan -c vcan0                  a machine: values, signals, faults, applications
+
+Where an EDS leaves CiA 306 or contradicts itself, a warning names the line and how it is read. docs/simulate.md
+describes the TOML file and applications in Python.
+"""
+
 KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
-_ENDS_16, _ENDS_24 = (-0x8000, 0x7FFF), (-0x800000, 0x7FFFFF)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
+def add_node_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce node`."""
-    parser.epilog = EPILOG
+    parser.epilog = _NODE
     parser.add_argument("--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     parser.add_argument("--source", default="sim", metavar="SOURCE", help=f"{KINDS} (default %(default)s)")
     parser.add_argument("--layout", default="I", metavar="I|II|III|FILE", help="gauge layout (default %(default)s)")
     parser.add_argument("--store", metavar="FILE", help="of stored parameters; without it 1010h refuses")
     parser.add_argument("--serial", type=common.unsigned32, default=0, metavar="N", help="1018h:4 (default: node-id)")
-    _add_source_arguments(parser)
-    group = parser.add_argument_group("operation")
-    group.add_argument("--priority", type=int, metavar="N", help="SCHED_FIFO, 1 to 99 (80 is usual)")
-    group.add_argument("--lock-memory", action="store_true", help="lock the process in memory (mlockall)")
-    bus_flags.add_bus_arguments(parser)
-
-
-def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("Industrial I/O source")
     what = "poll: on demand; buffer: by a trigger (default %(default)s)"
     group.add_argument("--capture", choices=("auto", "poll", "buffer"), default="auto", help=what)
@@ -73,13 +75,18 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--seed", type=common.whole_number, default=0, help="of the noise (default %(default)s)")
     what = "as before its first calibration; otherwise a node that has stored none has that of beam theory, in the "
     group.add_argument("--uncalibrated", action="store_true", help=f"{what}sense (push or pull) of --load")
+    group = parser.add_argument_group("operation")
+    group.add_argument("--priority", type=int, metavar="N", help="SCHED_FIFO, 1 to 99 (80 is usual)")
+    group.add_argument("--lock-memory", action="store_true", help="lock the process in memory (mlockall)")
+    bus_flags.add_bus_arguments(parser)
 
 
-def run(args: argparse.Namespace) -> int:
+def run_node(args: argparse.Namespace) -> int:
     """Run the node until Ctrl-C or SIGTERM; return 0."""
     from canopen_device.running.store import FileStore
     from tipforce.dictionary.eds import eds_text
     from tipforce.fingertip.node import fingertip_node
+    from tipforce.host.network.open_bus import open_port
     from tipforce.sources.layout_file import read_layout
     from tipforce_tools.cli import service
 
@@ -91,7 +98,7 @@ def run(args: argparse.Namespace) -> int:
     eds = eds_text(len(gauges), simulated=args.source == "sim", converter=source.converter).encode()
     device = fingertip_node(args.node_id, source, len(gauges), args.serial or args.node_id, save, load, eds)
     with contextlib.closing(source):  # stop a started capture in every case
-        port, place = service.open_port(args)
+        port, place = open_port(**bus_flags.find_bus(args))
         if args.priority is not None:
             service.set_priority(args.priority)
             gc.freeze()  # keep present objects out of later collections
@@ -175,3 +182,74 @@ def _numbers(flag: str, text: str, count: int) -> Sequence[float]:
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise InputError(f"{flag} {text!r}: expected {count} numbers separated by commas")
     return numbers
+
+
+# --- simulate ---------------------------------------------------------------------------------------------------------
+
+
+def add_simulate_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce simulate`."""
+    parser.epilog = _SIMULATE
+    parser.add_argument("files", nargs="+", metavar="FILE", help="EDS, DCF or XDD files, cia402, or one TOML file")
+    parser.add_argument("--node-id", type=common.node_ids, metavar="IDS", help="5, or 1,2,5-9: one for each file")
+    parser.add_argument("--application", default="", metavar="NAME", help="cia402, or FILE:CLASS")
+    parser.add_argument("--store", metavar="FILE", default="", help="file of stored parameters, for one node")
+    metavar = "[ID:]OBJECT=VALUE"
+    parser.add_argument("--set", action="append", default=[], metavar=metavar, dest="values", help="initial value")
+    bus_flags.add_bus_arguments(parser)
+
+
+def run_simulate(args: argparse.Namespace) -> int:
+    """Run the devices until Ctrl-C or SIGTERM; return 0."""
+    from tipforce.host.network.open_bus import open_port
+    from tipforce_tools.cli.service import serve
+
+    devices = _devices(args)
+    for device in devices:
+        for warning in device.description.warnings:
+            common.note(f"warning: {warning}")
+    port, place = open_port(**bus_flags.find_bus(args))
+    shown = ", ".join(f"{common.shown_id(device.node_id)} {device.description.product_name}" for device in devices)
+    serve(f"node {shown}", f"on {place}", devices, [device.core for device in devices], port)
+    return 0
+
+
+def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:
+    from canopen_device.machine.file import check_node_ids, read_machine
+    from canopen_device.machine.running import made_device
+
+    if any(file.endswith(".toml") for file in args.files):
+        if len(args.files) > 1 or args.node_id or args.values or args.application or args.store:
+            raise InputError("a machine in TOML stands alone: its devices have their node-ids, values and applications")
+        return read_machine(args.files[0])
+    files, ids = args.files, args.node_id
+    if ids is None:  # a DCF names its own
+        pairs: list[tuple[str, int | None]] = [(file, None) for file in files]
+    else:  # one file may have many node-ids
+        files = files * len(ids) if len(files) == 1 else files
+        if len(files) != len(ids):
+            raise InputError(f"--node-id: {len(ids)} for {len(files)} files; give one for each")
+        pairs = list(zip(files, ids, strict=True))
+    if args.store and len(pairs) > 1:
+        raise InputError("--store: one file belongs to one node; use a TOML file for several")
+    values = _values(args.values, [node_id for _, node_id in pairs])
+    made = [made_device(file, each, args.application, values.get(each), store=args.store) for file, each in pairs]
+    check_node_ids(made)
+    return made
+
+
+def _values(given: list[str], node_ids: list[int | None]) -> dict[int | None, dict[str, str]]:
+    """Return the values of --set by node-id."""
+    by_node: dict[int | None, dict[str, str]] = {}
+    for text in given:
+        place, equal, value = text.partition("=")
+        head, colon, rest = place.partition(":")
+        own = head.isdigit() and bool(colon)
+        if not equal or not (rest if own else place):
+            raise InputError(f"--set {text!r}: the form is OBJECT=VALUE, or ID:OBJECT=VALUE")
+        if own and int(head) not in node_ids:
+            raise InputError(f"--set {text!r}: no node {head} here")
+        if not own and len(node_ids) > 1:
+            raise InputError(f"--set {text!r}: several nodes; write ID:OBJECT=VALUE")
+        by_node.setdefault(int(head) if own else node_ids[0], {})[rest if own else place] = value
+    return by_node

@@ -7,7 +7,6 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from tipforce_tools.cli import bus_flags, common
-from tipforce_tools.cli.bus_flags import add_bus_name_arguments
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -15,9 +14,6 @@ if TYPE_CHECKING:
     from tipforce.scene.results import Check
     from tipforce.scene.run import Outcome
     from tipforce.scene.schema import Scene
-
-_KEYS = ("P_N", "phi_deg", "theta_deg")
-_DIGITS = (3, 2, 2)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--explain", action="store_true", help="run nothing: list what is built and left out, and why")
     parser.add_argument("--cost", action="store_true", help="--explain: also measure each part's run and import time")
     parser.add_argument("--realtime", action="store_true", help="without -i and -c: on a bus inside this process")
-    add_bus_name_arguments(parser)
+    bus_flags.add_bus_name_arguments(parser)
     common.add_output_arguments(parser)
 
 
@@ -47,16 +43,20 @@ def run(args: argparse.Namespace) -> int:
     scene = read_scene(path)
     if args.explain:
         return _explain(path, scene, args.scene, args.cost)
-    from tipforce.scene.run import Options, run_scene
+    from msgspec.structs import replace
+
+    from tipforce.scene.run import run_scene
     from tipforce.scene.schema import Bus
 
+    outputs = scene.outputs if args.log is None else replace(scene.outputs, log=args.log)
+    seed = scene.seed if args.seed is None else args.seed
     bus = bus_flags.bus_options(args)
-    options = Options(args.duration, args.seed, args.log, Bus(**bus) if bus else None, args.realtime)
+    scene = replace(scene, seed=seed, outputs=outputs, bus=Bus(**bus) if bus else scene.bus)
     if bus_load(scene)[0] > 1.0:
         common.note(f"{path}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load")
     started_s = time.monotonic()
-    with common.progress("simulated seconds", options.duration_s or scene.duration_s, absolute=True) as advance:
-        outcome = run_scene(scene, path.parent, options, advance)
+    with common.progress("simulated seconds", args.duration or scene.duration_s, absolute=True) as advance:
+        outcome = run_scene(scene, path.parent, args.duration, realtime=args.realtime, advance=advance)
     if common.OUTPUT.json:
         _print_outcome(outcome)
     else:
@@ -75,29 +75,30 @@ def _print_fingers(title: str, outcome: Outcome) -> None:
     for finger in outcome.fingers:
         columns = (finger.applied_end, finger.estimated_end, finger.rms_error, finger.max_error)
         values = [
-            "\n".join(f"{value:.{digits}f}".replace("nan", "-") for value, digits in zip(triple, _DIGITS, strict=True))
+            "\n".join(
+                f"{value:.{digits}f}".replace("nan", "-") for value, digits in zip(triple, (3, 2, 2), strict=True)
+            )
             for triple in columns
         ]
-        samples = f"{finger.samples}\nof {finger.syncs}"
-        node, symbols = common.shown_id(finger.node_id), "P N\nphi deg\ntheta deg"
         closed = {"slit closed: not linear": finger.slit_closed} if finger.slit_closed else {}
-        rows.append([node, samples, symbols, *values, _counts(finger.missing | closed), _counts(finger.emcy)])
+        counts = (
+            "\n".join(f"{count} {name}" for name, count in named.items()) or "-"
+            for named in (finger.missing | closed, finger.emcy)
+        )
+        samples = f"{finger.samples}\nof {finger.syncs}"
+        rows.append([common.shown_id(finger.node_id), samples, "P N\nphi deg\ntheta deg", *values, *counts])
     title = f"{title}: at the end, and errors over all samples with a known value"
     headings = (">node", ">samples", "", ">applied", ">estimated", ">RMS error", ">max error", "missing", "EMCY")
     common.print_rows(title, headings, rows, lines=True)
 
 
-def _counts(counts: dict[str, int]) -> str:
-    return "\n".join(f"{count} {name}" for name, count in counts.items()) or "-"
-
-
 def _print_checks(outcome: Outcome) -> None:
     """Print a row for each expectation and verdict, with its nodes; then the verdict of all."""
-    if not outcome.checks:
-        return
     rows: dict[tuple[str, str], list[Check]] = {}
     for check in outcome.checks:
         rows.setdefault((_verdict(check), check.expected), []).append(check)
+    if not rows:
+        return
     cells = [
         (*key, ",".join(str(check.node_id) for check in alike), ", ".join(dict.fromkeys(each.found for each in alike)))
         for key, alike in rows.items()
@@ -118,7 +119,7 @@ def _print_outcome(outcome: Outcome) -> None:
     for finger in outcome.fingers:
         values: dict[str, object] = {"node": finger.node_id, "syncs": finger.syncs, "samples": finger.samples}
         for name in ("applied_end", "estimated_end", "rms_error", "max_error", "known"):
-            for key, value in zip(_KEYS, getattr(finger, name), strict=True):
+            for key, value in zip(("P_N", "phi_deg", "theta_deg"), getattr(finger, name), strict=True):
                 values[f"{name.removesuffix('_end')}_{key}"] = value
         common.print_json({**values, "slit_closed": finger.slit_closed, "missing": finger.missing, "emcy": finger.emcy})
     for check in outcome.checks:
@@ -134,9 +135,6 @@ def _print_outcome(outcome: Outcome) -> None:
 
 
 # --- run --explain ----------------------------------------------------------------------------------------------------
-
-_SHOWN_MODULES = 8
-_COSTS = ("us_per_sample", "ms_per_run", "import_ms")
 
 
 def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
@@ -156,7 +154,7 @@ def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
     ]  # fmt: skip
     if with_cost:
         rows.append({"part": "all", "built": True, "why": "", "modules": [], "on_demand": [], **costs["all"]})
-    sent = []
+    sent: list[dict[str, Any]] = []
     for each in identifiers(scene):
         least, most = (each.rate_hz * bits / scene.bit_rate for bits in each.bits)
         sent.append(
@@ -164,13 +162,16 @@ def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
              "data_bytes": each.data_bytes, "load": least, "load_at_most": most}
         )  # fmt: skip
     low, high = bus_load(scene)
-    load = {"bit_rate": scene.bit_rate, "bus_load": low, "bus_load_at_most": high}
     if common.OUTPUT.json:
-        for record in [*rows, *sent, load]:
+        for record in [*rows, *sent, {"bit_rate": scene.bit_rate, "bus_load": low, "bus_load_at_most": high}]:
             common.print_json(record)
         return 0
     _print_parts(rows, f"{name}: parts", with_cost)
-    _print_identifiers(sent)
+    cells = []
+    for record in sent:
+        hz, load = (f"{record['rate_hz']:g} Hz", f"{100 * record['load']:.2f} %") if record["rate_hz"] else ("once", "")
+        cells.append([record["cob_id"], record["what"], hz, f"{record['data_bytes']} bytes", load])
+    common.print_rows("COB-IDs sent (EMCY only on an error)", ("COB-ID", "", ">rate", ">data", ">load"), cells)
     fits = "" if high <= 1.0 else " (with the most stuff bits it does not fit)" if low <= 1.0 else " (it does not fit)"
     shown = f"{100 * low:.1f} % without stuff bits, {100 * high:.1f} % with the most stuff bits{fits}"
     print(f"bus load at {scene.bit_rate} bit/s: {shown}")
@@ -178,13 +179,13 @@ def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
 
 
 def _print_parts(rows: list[dict[str, Any]], title: str, with_cost: bool) -> None:
-    costs = ("us per sample", "ms per run", "import ms") if with_cost else ()
+    costs = ("us_per_sample", "ms_per_run", "import_ms") if with_cost else ()
     cells = []
     for row in rows:
-        spent = ("" if row.get(key) is None else f"{row[key]:.1f}" for key in (_COSTS if with_cost else ()))
+        spent = ("" if row.get(key) is None else f"{row[key]:.1f}" for key in costs)
         loads = _short(row["modules"]) if row["built"] else ""
         cells.append([row["part"], "built" if row["built"] else "left out", row["why"], *spent, loads])
-    headings = ("part", "", "why", *(f">{name}" for name in costs), "loads")
+    headings = ("part", "", "why", *(f">{key.replace('_', ' ')}" for key in costs), "loads")
     common.print_rows(title, headings, cells, [None if row["built"] else "dim" for row in rows])
 
 
@@ -197,17 +198,7 @@ def _short(modules: list[str]) -> str:
             packages.setdefault(name, [])
         elif package:
             packages.setdefault(package, []).append(last)
-    lines = []
-    for package, names in packages.items():
-        shown = f"{len(names)} modules" if len(names) > _SHOWN_MODULES else " ".join(names)
-        lines.append(f"{package}: {shown}" if names else package)
-    return "; ".join(lines)
-
-
-def _print_identifiers(sent: list[dict[str, Any]]) -> None:
-    rows = []
-    for each in sent:
-        rate, load = (f"{each['rate_hz']:g} Hz", f"{100 * each['load']:.2f} %") if each["rate_hz"] else ("once", "")
-        rows.append([each["cob_id"], each["what"], rate, f"{each['data_bytes']} bytes", load])
-    headings = ("COB-ID", "", ">rate", ">data", ">load")
-    common.print_rows("COB-IDs sent (EMCY only on an error)", headings, rows)
+    shown = {
+        package: f"{len(names)} modules" if len(names) > 8 else " ".join(names) for package, names in packages.items()
+    }
+    return "; ".join(f"{package}: {names}" if names else package for package, names in shown.items())

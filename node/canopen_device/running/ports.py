@@ -203,6 +203,10 @@ class PythonCanPort:
         elif what == "bus-restart":
             _LOG.warning("the controller is bus-off: restart it, or enable the restart in its driver")
 
+    def close(self) -> None:
+        """Close the bus."""
+        self._bus.shutdown()
+
     def _fail(self, what: str, error: can.CanError) -> None:
         if not self._failing:
             self._failing = True

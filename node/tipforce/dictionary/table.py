@@ -69,6 +69,7 @@ MIN_GAUGES, MAX_GAUGES = 3, 8
 NOT_NEGATIVE = (0x211201, 0x211202, 0x211205, 0x211300, 0x211600)
 IN_ORDER = ((0x211002, 0x211003), (0x211005, 0x211004), (0x211203, 0x211204))
 NORM_MIN, NORM_MAX = 10.0, 1e7
+SAMPLES = 256  # modulus of the counter of samples 2121h: where SYNCs have no numbers
 CUSTOM_LAYOUT = 255  # 2102h:4, besides 1, 2, 3 for cases I, II, III
 
 # Status byte 2120h, bit 0 first: the names are those of the DBC's single-bit signals.

@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from tipforce.scene.reader import read_scene as read_scene
     from tipforce.scene.registry import Part as Part
     from tipforce.scene.registry import parts as parts
-    from tipforce.scene.run import Options as Options
     from tipforce.scene.run import Outcome as Outcome
     from tipforce.scene.run import run_scene as run_scene
     from tipforce.scene.schema import Scene as Scene

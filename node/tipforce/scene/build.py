@@ -8,9 +8,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from canopen_device.core import codes, communication
 from canopen_device.core.node import Device
@@ -20,8 +19,8 @@ from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.scene import schema
 from tipforce.scene.delivered import commit_calibration, download, structure_calibration
-from tipforce.scene.loads import LoadHistory, Triple, load_of
 from tipforce.scene.registry import Pdo, chosen_parts, node_pdos
+from tipforce.scene.schema import Triple
 from tipforce.sensor.structure.layouts import layout
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 
@@ -60,7 +59,7 @@ class Finger:
     gauges: int
     device: Device
     source: SimulatedSource
-    load: LoadHistory | None
+    load: schema.LoadHistory | None
     pdos: tuple[Pdo, ...]
     calibration: Calibration | None
     group: schema.Nodes
@@ -107,7 +106,7 @@ def build(scene: schema.Scene, folder: Path) -> list[Finger]:
 def _finger(scene: schema.Scene, group: schema.Nodes, node_id: int, folder: Path) -> Finger:
     chosen = chosen_parts(scene, node_id)
     gauges = len(layout(group.layout))
-    load, clock = load_of(scene, node_id), Clock()
+    load, clock = scene.load(node_id), Clock()
     source = _source(scene, group, node_id, load, clock, chosen)
     calibration = None
     if "calibration file" in chosen:
@@ -133,7 +132,7 @@ def _source(
     scene: schema.Scene,
     group: schema.Nodes,
     node_id: int,
-    load: LoadHistory | None,
+    load: schema.LoadHistory | None,
     clock: Clock,
     chosen: frozenset[str],
 ) -> SimulatedSource:
@@ -170,10 +169,13 @@ def _swinging(dynamics: schema.Dynamics, following: Callable[[int], Triple], clo
 
     Steps of ``step_us`` from the start; a conversion between two steps gets the force of the earlier one.
     """
+    from tipforce.sensor.dynamics.first_order_hold import node_coefficients
+    from tipforce.sensor.dynamics.model import modes
+    from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sources.dynamic_load import DynamicForces, DynamicLoad
 
-    coefficients = _coefficients(dynamics.damping_ratio, dynamics.step_us)
-    forces = DynamicForces(DynamicLoad(coefficients), following, dynamics.step_us)
+    coefficients = node_coefficients(modes(FABRICATED, dynamics.damping_ratio), 1e-6 * dynamics.step_us)
+    forces = DynamicForces(DynamicLoad(cast("Coefficients", coefficients)), following, dynamics.step_us)
     begun = False
 
     def force(now_us: int) -> Triple:
@@ -184,16 +186,6 @@ def _swinging(dynamics: schema.Dynamics, following: Callable[[int], Triple], clo
         return forces(now_us)
 
     return force
-
-
-@lru_cache(maxsize=8)
-def _coefficients(damping_ratio: float, step_us: int) -> Coefficients:
-    """Return the coefficients, cached because the fingers of one scene are identical."""
-    from tipforce.sensor.dynamics.first_order_hold import node_coefficients
-    from tipforce.sensor.dynamics.model import modes
-    from tipforce.sensor.structure.geometry import FABRICATED
-
-    return cast("Coefficients", node_coefficients(modes(FABRICATED, damping_ratio), 1e-6 * step_us))
 
 
 def _front_end(given: schema.FrontEnd | None, one_over_f: float | None, seed: int) -> FrontEnd:
@@ -210,23 +202,35 @@ def _front_end(given: schema.FrontEnd | None, one_over_f: float | None, seed: in
         raise InputError(f"[front_end] {error}") from None
 
 
-def sync_times(scene: schema.Scene, duration_s: float) -> list[int]:
-    """Return the times of all SYNCs, microseconds: the first one period after the start."""
-    if scene.sync_hz is None:
-        return []
-    count = int(duration_s * scene.sync_hz + 1e-9)
-    return [round(1e6 * k / scene.sync_hz) for k in range(1, count + 1)]
+class Fault(NamedTuple):
+    """What is written to object 2200h of a finger; kind 0 ends a fault."""
+
+    finger: Finger
+    kind: int
+    gauge: int
+    magnitude: float
+
+    def inject(self, now_us: int) -> None:
+        """Begin it, or end it, in the finger's source."""
+        self.finger.source.set_fault(self.kind, self.gauge, self.magnitude, now_us)
 
 
-def fault_events(scene: schema.Scene, fingers: Sequence[Finger]) -> list[tuple[int, Finger, int, int, float]]:
-    """Return (t_us, finger, 2200h:1, gauge, magnitude) in the order of time; a fault of 0 ends one."""
+def actions(scene: schema.Scene, fingers: Sequence[Finger], duration_s: float) -> list[tuple[int, Fault | None]]:
+    """Return (t_us, fault, or None for a SYNC) in order; a fault precedes the SYNC of its time, an end a beginning.
+
+    The first SYNC is one period after the start.
+    """
     by_id = {finger.node_id: finger for finger in fingers}
-    events = []
+    faults = []
     for fault in scene.faults:
         for finger in (by_id[node_id] for node_id in fault.nodes):
-            at_us = round(1e6 * fault.at_s)
-            events.append((at_us, finger, FAULTS[fault.kind], fault.gauge, fault.microstrain_per_s))
+            begun = Fault(finger, FAULTS[fault.kind], fault.gauge, fault.microstrain_per_s)
+            faults.append((round(1e6 * fault.at_s), begun))
             if fault.until_s is not None:
-                events.append((round(1e6 * fault.until_s), finger, 0, fault.gauge, 0.0))
-    # At equal times the end of a fault comes first: another fault may start then.
-    return sorted(events, key=lambda event: (event[0], event[2] != 0))
+                faults.append((round(1e6 * fault.until_s), Fault(finger, 0, fault.gauge, 0.0)))
+    faults.sort(key=lambda event: (event[0], event[1].kind != 0))
+    sync_hz = scene.sync_hz or 1.0
+    count = int(duration_s * sync_hz + 1e-9) if scene.sync_hz else 0
+    events: list[tuple[int, Fault | None]] = [event for event in faults if event[0] <= round(1e6 * duration_s)]
+    events += [(round(1e6 * k / sync_hz), None) for k in range(1, count + 1)]
+    return sorted(events, key=lambda event: event[0])

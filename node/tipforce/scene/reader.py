@@ -13,7 +13,6 @@ from canopen_device.toml_table import convert, read_table
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.errors import InputError
 from tipforce.scene import schema
-from tipforce.scene.loads import load_history
 from tipforce.scene.registry import SYNCHRONOUS
 from tipforce.sensor.structure.layouts import layout
 
@@ -34,8 +33,8 @@ def _check_nodes(scene: schema.Scene, place: str) -> None:
     twice = sorted({node_id for node_id in ids if ids.count(node_id) > 1})
     if twice:
         raise InputError(f"{place}: nodes: node-id {twice[0]} is given more than once")
-    if not 1 <= len(ids) <= schema.MAX_NODES:
-        raise InputError(f"{place}: nodes: {len(ids)} node-ids: allowed are 1 to {schema.MAX_NODES}")
+    if not 1 <= len(ids) <= 32:
+        raise InputError(f"{place}: nodes: {len(ids)} node-ids: allowed are 1 to 32")
     for number, group in enumerate(scene.nodes, 1):
         at = f"{place}: nodes[{number}]"
         if group.names and len(group.names) != len(group.ids):
@@ -78,7 +77,7 @@ def _check_loads(scene: schema.Scene, place: str) -> None:
                 raise InputError(f"{at}.at_s is {times}: allowed are one or more times at least {lasts_s:g} s apart")
         for node_id in load.nodes or scene.node_ids:
             try:
-                acts = load_history(load, node_id) is not None
+                acts = load.history(node_id) is not None
             except InputError as error:
                 raise InputError(f"{at}: {error}") from None
             if acts and node_id in loaded:

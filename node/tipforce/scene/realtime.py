@@ -6,24 +6,20 @@ The host has its own connection, so the frames that it records were really on th
 from __future__ import annotations
 
 import logging
-import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from functools import partial
-from typing import Any
 
 import can
 
 from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
 from canopen_device.running import loop
-from canopen_device.running.ports import PythonCanPort, SocketCanPort
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FrameBuffer
-from tipforce.host.network.open_bus import open_bus
+from tipforce.host.network.open_bus import open_bus, open_port
 from tipforce.scene import schema
-from tipforce.scene.build import Finger, fault_events, sync_times
-from tipforce.scene.outputs import Recording
+from tipforce.scene.build import Finger, actions
+from tipforce.scene.results import Recording
 
 _LOG = logging.getLogger(__name__)
 _AFTER_ERROR_S = 0.05
@@ -137,7 +133,9 @@ def run_on_bus(
     options = {"interface": bus.interface, "channel": bus.channel, "bitrate": bus.bitrate}
     with ExitStack() as opened:
         host = opened.enter_context(open_bus(**options))
-        port = _NodesPort(_port(options, opened))
+        nodes_port, _ = open_port(**options)
+        opened.callback(nodes_port.close)
+        port = _NodesPort(nodes_port)
         heard = _Heard()
         master = _Master(host, heard)
         opened.callback(master.record, recording)  # after the reception; also after an error or Ctrl-C
@@ -152,39 +150,16 @@ def run_on_bus(
             for finger in fingers:
                 finger.clock.start_us = clock_us - clock_us % finger.group.sample_period_us
             master.say(NMT_COB_ID, b"\x01\x00")
-            for t_us, act in _acts(scene, fingers, duration_s, master.say):
+            for t_us, fault in actions(scene, fingers, duration_s):
                 _wait_until(start_s + 1e-6 * t_us)
-                act()
+                if fault is None:
+                    master.say(SYNC_COB_ID, b"")
+                else:
+                    fault.inject(loop.now_us())
                 advance(1e-6 * t_us)
             _wait_until(start_s + duration_s)
             heard.settle(lambda: port.answered >= master.syncs)
     master.check()
-
-
-def _port(options: dict[str, Any], opened: ExitStack) -> loop.Port:
-    """Return the nodes' own connection: the kernel's sockets for SocketCAN, python-can for every other interface."""
-    if sys.platform == "linux" and options["interface"] == "socketcan" and options["channel"]:
-        try:
-            return SocketCanPort(options["channel"])
-        except OSError as error:
-            raise EnvironmentLackError(
-                f"interface socketcan, channel {options['channel']}: {error.strerror}; `ip -br link` lists interfaces"
-            ) from error
-    return PythonCanPort(opened.enter_context(open_bus(**options)))
-
-
-def _acts(
-    scene: schema.Scene, fingers: Sequence[Finger], duration_s: float, say: Callable[[int, bytes], None]
-) -> list[tuple[int, Callable[[], None]]]:
-    """Return (t_us, action) in order; a fault precedes the SYNC of the same time."""
-
-    def inject(finger: Finger, fault: int, gauge: int, magnitude: float) -> None:
-        finger.source.set_fault(fault, gauge, magnitude, loop.now_us())
-
-    events = [event for event in fault_events(scene, fingers) if event[0] <= 1e6 * duration_s]
-    acts = [(event[0], partial(inject, *event[1:])) for event in events]
-    acts += [(t_us, partial(say, SYNC_COB_ID, b"")) for t_us in sync_times(scene, duration_s)]
-    return sorted(acts, key=lambda act: act[0])
 
 
 def _wait_until(monotonic_s: float) -> None:

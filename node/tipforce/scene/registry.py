@@ -17,10 +17,8 @@ from canopen_device.can_frame import least_bits, most_bits
 from canopen_device.core.codes import HEARTBEAT_BASE, NMT_COB_ID, SYNC_COB_ID
 from tipforce.dictionary import indices, table
 from tipforce.scene import schema
-from tipforce.scene.loads import LoadHistory, load_of
 from tipforce.sensor.structure.layouts import layout
 
-PDO_NAMES = {"gauges": "Gauges", "contact": "Contact", "force": "Force", "health": "Health"}
 SYNCHRONOUS = ("gauges", "contact", "force")
 _STATUS = (indices.STATUS, 0)
 _OWN = ("tipforce", "canopen_device")
@@ -73,7 +71,7 @@ def parts(scene: schema.Scene, node_id: int | None = None) -> list[Part]:
     """Return every possible part of the scene, or of one node in it, built or not, in signal order."""
     node_ids = scene.node_ids if node_id is None else (node_id,)
     groups = scene.nodes if node_id is None else (scene.group(node_id),)
-    loads = [load_of(scene, each) for each in node_ids]
+    loads = [scene.load(each) for each in node_ids]
     return [*_load_parts(scene, loads), *_electronics(scene), *_node_parts(scene, groups), *_frame_parts(scene, groups)]
 
 
@@ -121,7 +119,7 @@ def _listed(name: str, key: str, items: Sequence[object]) -> Part:
     return _part(name, f"{key}: {len(items)}" if items else "", f"no {key}")
 
 
-def _load_parts(scene: schema.Scene, loads: Sequence[LoadHistory | None]) -> Iterator[Part]:
+def _load_parts(scene: schema.Scene, loads: Sequence[schema.LoadHistory | None]) -> Iterator[Part]:
     loaded = any(load is not None for load in loads)
     moving = any(load is not None and not load.constant for load in loads)
     swinging = scene.dynamics is not None and loaded
@@ -177,8 +175,14 @@ def _frame_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterato
     sent = f"nodes.pdos: {', '.join(pdos)}" if pdos else ""
     slit = f"slit.gap_mm = {gap_mm:g}" if gap_mm else ""
     logs = ("tipforce.host.logs.candump", "tipforce.host.logs.candump_format")
-    yield _part("bus", named, "no [bus]: simulated time, no bus at all", "tipforce.scene.realtime")
-    yield _part("recording", "every frame, for the parts below", "", "tipforce.scene.outputs", "tipforce.scene.results")
+    yield _part(
+        "bus",
+        named,
+        "no [bus]: simulated time, no bus at all",
+        "tipforce.scene.realtime",
+        "canopen_device.running.ports",
+    )
+    yield _part("recording", "every frame, for the parts below", "", "tipforce.scene.results")
     yield _part("decoder", sent, "no nodes.pdos", "tipforce.host.decoding.decoder")
     yield _part("slit", slit, "no [slit]: not checked", "tipforce.sensor.structure.plane_frame")
     yield _listed("expectations", "[[expect]]", scene.expect)
@@ -207,7 +211,7 @@ class Pdo:
 
 def node_pdos(group: schema.Nodes, node_id: int) -> tuple[Pdo, ...]:
     """Return the TPDOs that a node sends, in order."""
-    wanted = {PDO_NAMES[name] for name in group.pdos}
+    wanted = {name.capitalize() for name in group.pdos}
     sent = []
     for number, name, base, _enabled, transmission, event_ms, mapped in table.tpdos(len(layout(group.layout))):
         if name in wanted:

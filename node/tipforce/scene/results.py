@@ -1,34 +1,109 @@
-"""Evaluate the frames of a run, finger by finger; compare them with the applied load and with the expectations."""
+"""What a run keeps and says: every frame; by finger the contact against the applied load; a table, a plot, checks."""
 
 from __future__ import annotations
 
+import csv
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeVar
+from io import TextIOBase
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from canopen_device.core.codes import EMCY_BASE
 from tipforce.arrays import BoolArray, FloatArray
+from tipforce.errors import EnvironmentLackError, WriteError
+from tipforce.host.frames.frame_array import FRAME, FrameArray, RawFrame, frame_array
+from tipforce.output_file import CANDUMP_LOG, CSV, FIGURES, NewFile, new_file, save_figure
 from tipforce.samples.reasons import CAUSES
 from tipforce.scene import schema
 from tipforce.scene.build import Finger
-from tipforce.scene.loads import UNLOADED, LoadHistory
-from tipforce.scene.registry import PDO_NAMES
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.decoder import Samples
-    from tipforce.host.frames.frame_array import FrameArray
 
+BLOCK_FRAMES = 16_384
 Emcy = Sequence[tuple[float, str]]  # (t_s, error code)
-_Number = TypeVar("_Number", int, float)
 QUANTITIES = ("P", "phi", "theta")
-_NO_PDO = "contact PDO not sent"
 # Why P is unknown, and why an angle is while P is not: the first that holds counts.
 _P_CAUSES = {"fault": "fault", "stale": "stale", "saturated": "saturated", "uncalibrated": "not calibrated"}
 _ANGLE_CAUSES = {"no_contact": "no contact", "misses_tip": "misses_tip", "theta_unresolved": "theta_unresolved"}
+
+
+class Recording:
+    """Record frames in the order of their times. With ``log`` each is also written to that file. A context manager.
+
+    Raises InputError for an unusable path of the log, WriteError when it cannot be written; then an old log stays.
+    """
+
+    def __init__(self, log: str | Path | None = None, interface: str = "sim0", start_ns: int = 0) -> None:
+        """``start_ns``: time 0 in the log, nanoseconds of the epoch."""
+        self.start_ns = start_ns
+        self.counts: dict[int, int] = {}
+        """Frames by COB-ID."""
+        self._rows: list[RawFrame] = []
+        self._blocks: list[FrameArray] = []
+        self._interface = interface
+        self._log: NewFile | None = None
+        if log is not None:
+            from tipforce.host.logs.candump_format import CandumpFormat
+
+            self._format, self._log = CandumpFormat(log=True), NewFile(log, CANDUMP_LOG)
+            self._file: TextIOBase = self._log.partial.open("w", encoding="ascii", newline="\n")
+
+    def add(self, t_us: int, can_id: int, data: bytes) -> None:
+        """Record one frame."""
+        self._rows.append((1000 * t_us, can_id, data))
+        self.counts[can_id] = self.counts.get(can_id, 0) + 1
+        if len(self._rows) >= BLOCK_FRAMES:
+            self._flush()
+
+    def frames(self) -> FrameArray:
+        """Return all frames so far, FRAME array (n,)."""
+        self._flush()
+        self._blocks = [np.concatenate(self._blocks)] if self._blocks else [np.zeros(0, dtype=FRAME)]
+        return self._blocks[0]
+
+    def _flush(self) -> None:
+        if not self._rows:
+            return
+        frames = frame_array(self._rows)
+        self._rows.clear()
+        self._blocks.append(frames)
+        if self._log is not None:
+            from tipforce.host.frames.frame_block import CandumpBlock
+
+            dated = frames.copy()
+            dated["t_ns"] += self.start_ns
+            try:
+                block = CandumpBlock(dated, (self._interface,))
+                self._file.write("\n".join([*self._format.lines(block), ""]))
+            except OSError as error:
+                raise self._log.failed(error) from error
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        # Nothing received is lost.
+        complete = kind is None or issubclass(kind, (KeyboardInterrupt, EnvironmentLackError))
+        try:
+            if complete:
+                self._flush()
+        except WriteError:
+            complete = False
+            raise
+        finally:
+            if self._log is not None:
+                try:
+                    self._file.close()
+                except OSError as error:
+                    self._log.drop()
+                    raise self._log.failed(error) from error
+                self._log.keep() if complete else self._log.drop()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,14 +145,14 @@ class FingerResult:
     syncs: int
     samples: int
     """Contact PDOs that were decoded."""
-    known: tuple[int, int, int]
+    known: tuple[int, ...]
     """Number of these with known P, phi, theta."""
-    applied_end: tuple[float, float, float]
+    applied_end: tuple[float, ...]
     """At the last contact PDO; the angles are NaN without a force."""
-    estimated_end: tuple[float, float, float]
-    rms_error: tuple[float, float, float]
+    estimated_end: tuple[float, ...]
+    rms_error: tuple[float, ...]
     """Over the samples where each is known, angles only under a force: without a force there is no direction."""
-    max_error: tuple[float, float, float]
+    max_error: tuple[float, ...]
     """Largest absolute value."""
     slit_closed: int | None = None
     """Samples under a load that closes the slit; None if the scene has no [slit]."""
@@ -107,19 +182,19 @@ def contact_of(
     finger: Finger, messages: dict[tuple[int, str], Samples], slit: schema.Slit | None = None
 ) -> Contact | None:
     """Return the contact PDOs of a finger with the load; None if there are none."""
-    samples = messages.get((finger.node_id, PDO_NAMES["contact"]))
+    samples = messages.get((finger.node_id, "Contact"))
     if samples is None:
         return None
     t_s: FloatArray = samples.t_ns / 1e9
     estimated = np.stack([samples.columns[name] for name in QUANTITIES], axis=-1)
     flags = {name: column for name, column in samples.columns.items() if column.dtype == np.bool_}
     applied = applied_at(finger.load, t_s)
-    return Contact(t_s, estimated, applied, flags, None if slit is None else slit_closed(slit, applied))
+    return Contact(t_s, estimated, applied, flags, None if slit is None else _slit_closed(slit, applied))
 
 
-def applied_at(load: LoadHistory | None, t_s: FloatArray) -> FloatArray:
+def applied_at(load: schema.LoadHistory | None, t_s: FloatArray) -> FloatArray:
     """Return LoadHistory.at for many times: (k, 3)."""
-    knots = np.array([(0.0, *UNLOADED)] if load is None else load.knots)
+    knots = np.array([(0.0, *schema.UNLOADED)] if load is None else load.knots)
     return np.stack([np.interp(t_s, knots[:, 0], column) for column in knots[:, 1:].T], axis=-1)
 
 
@@ -130,23 +205,22 @@ def emcy_of(node_id: int, frames: FrameArray) -> list[tuple[float, str]]:
     return [(t / 1e9, f"{code:04X}") for t, code in zip(own["t_ns"].tolist(), codes.tolist(), strict=True) if code]
 
 
-def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: list[tuple[float, str]]) -> FingerResult:
+def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: Emcy) -> FingerResult:
     """Return the results of one finger."""
-    counts = dict(Counter(code for _, code in emcy))
-    nothing = (float("nan"),) * 3
+    counts, nan = dict(Counter(code for _, code in emcy)), float("nan")
+    unknown = (nan,) * 3
     if contact is None or not len(contact.t_s):
-        sent = any(pdo.name == PDO_NAMES["contact"] for pdo in finger.pdos)
-        why = {"no frame": syncs} if sent else {_NO_PDO: syncs}
-        return FingerResult(finger.node_id, syncs, 0, (0, 0, 0), nothing, nothing, nothing, nothing, None, why, counts)
+        sent = any(pdo.name == "Contact" for pdo in finger.pdos)
+        why = {"no frame" if sent else "contact PDO not sent": syncs}
+        return FingerResult(finger.node_id, syncs, 0, (0, 0, 0), unknown, unknown, unknown, unknown, None, why, counts)
     error = contact.error
     columns = [error[np.isfinite(error[:, k]), k] for k in range(3)]
     P_newtons, *angles = contact.applied[-1].tolist()
     return FingerResult(
-        finger.node_id, syncs, len(contact.t_s), _triple(np.isfinite(contact.estimated).sum(axis=0).tolist()),
-        _triple([P_newtons, *(angles if P_newtons else (float("nan"),) * 2)]),
-        _triple(contact.estimated[-1].tolist()),
-        _triple([float(np.sqrt(np.mean(c * c))) if len(c) else float("nan") for c in columns]),
-        _triple([float(np.max(np.abs(c))) if len(c) else float("nan") for c in columns]),
+        finger.node_id, syncs, len(contact.t_s), tuple(np.isfinite(contact.estimated).sum(axis=0).tolist()),
+        (P_newtons, *(angles if P_newtons else (nan, nan))), tuple(contact.estimated[-1].tolist()),
+        tuple(float(np.sqrt(np.mean(c * c))) if len(c) else nan for c in columns),
+        tuple(float(np.max(np.abs(c))) if len(c) else nan for c in columns),
         None if contact.slit_closed is None else int(contact.slit_closed.sum()), _missing(contact, syncs), counts,
     )  # fmt: skip
 
@@ -168,26 +242,69 @@ def _missing(contact: Contact, syncs: int) -> dict[str, int]:
     return {name: count for name, count in counts.items() if count > 0}
 
 
-def _triple(values: Sequence[_Number]) -> tuple[_Number, _Number, _Number]:
-    a, b, c = values
-    return a, b, c
-
-
-def slit_closed(slit: schema.Slit, applied: FloatArray) -> BoolArray:
-    """Return whether a static load would close the slit, (k,): the simulated gauges stay linear, real ones do not.
-
-    applied: (k, 3), P newtons, phi and theta degrees.
-    """
+def _slit_closed(slit: schema.Slit, applied: FloatArray) -> BoolArray:
+    """Return whether static loads (k, 3) would close the slit, (k,): simulated gauges stay linear, real ones do not."""
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sensor.structure.plane_frame import closing_load
 
     directions, which = np.unique(applied[:, 1:], axis=0, return_inverse=True)
-    limits = [
-        closing_load(FABRICATED, math.radians(theta), math.radians(phi), 1e-3 * slit.gap_mm)
-        for phi, theta in directions.tolist()
-    ]
+    radians = np.radians(directions).tolist()
+    limits = [closing_load(FABRICATED, theta, phi, 1e-3 * slit.gap_mm) for phi, theta in radians]
     closed: BoolArray = applied[:, 0] >= np.array(limits)[which.reshape(-1)]
     return closed
+
+
+def write_table(path: str, messages: Mapping[tuple[int, str], Samples]) -> None:
+    """Write columns t_s, node, message, then the signals; a cell is empty if a PDO has no such signal or no value.
+
+    Rows are in the order of the frames. Raises InputError for an unusable path, WriteError if writing fails.
+    """
+    names = list(dict.fromkeys(name for samples in messages.values() for name in samples.columns))
+    rows: list[tuple[int, int, list[object]]] = []
+    for (node_id, message), samples in messages.items():
+        columns = [[""] * len(samples.t_ns) for _ in names]
+        scales = {signal.name: signal.scale for signal in samples.message.signals}
+        for name, column in samples.columns.items():
+            if column.dtype.kind == "f":
+                digits = len(f"{scales[name]:.9f}".rstrip("0").partition(".")[2]) if name in scales else 0
+                shown = ["" if np.isnan(value) else f"{value:.{digits}f}" for value in column]
+            else:
+                shown = [str(int(value)) for value in column]
+            columns[names.index(name)] = shown
+        for t_ns, row, *cells in zip(samples.t_ns.tolist(), samples.row.tolist(), *columns, strict=True):
+            rows.append((row, node_id, [f"{1e-9 * t_ns:.6f}", node_id, message, *cells]))
+    rows.sort(key=lambda entry: entry[:2])
+    with new_file(path, CSV) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["t_s", "node", "message", *names])
+        writer.writerows(cells for _, _, cells in rows)
+
+
+def write_plot(path: str, title: str, contacts: Mapping[int, Contact | None]) -> None:
+    """Plot one row of P, phi, theta per finger. Raises EnvironmentLackError without matplotlib, InputError for a file
+    that cannot be written."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise EnvironmentLackError("plot: matplotlib is not installed: pip install 'tipforce[plot]'") from None
+    figure = Figure(figsize=(13.0, 2.2 * len(contacts) + 1.0), layout="constrained")
+    axes = figure.subplots(len(contacts), 3, sharex=True, squeeze=False)
+    for row, (node_id, contact) in zip(axes, contacts.items(), strict=True):
+        for k, (axis, label) in enumerate(zip(row, ("P (N)", "phi (degree)", "theta (degree)"), strict=True)):
+            if contact is not None:
+                applied = contact.applied[:, k].copy()
+                if k:
+                    applied[contact.applied[:, 0] <= 0.0] = float("nan")  # a direction without a force has no meaning
+                axis.plot(contact.t_s, applied, color="0.6", linewidth=3.0, label="applied")
+                axis.plot(contact.t_s, contact.estimated[:, k], color="C0", linewidth=0.8, label="estimated")
+            axis.set_ylabel(label)
+            axis.grid(alpha=0.3)
+        row[0].set_title(f"node {node_id}", loc="left", fontsize=10)
+    axes[0][0].legend(loc="best", fontsize=8)
+    for axis in axes[-1]:
+        axis.set_xlabel("t (s)")
+    figure.suptitle(title)
+    save_figure(figure, path, FIGURES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,20 +374,16 @@ def _checks(
 
 def _errors(expect: schema.Expect, contact: Contact | None) -> Iterator[tuple[str, str, bool]]:
     """Yield the bounds of errors. A bound without a known sample fails."""
-    error = None if contact is None else contact.error
-    limits = (
-        ("largest", (expect.P_error_N, expect.phi_error_deg, expect.theta_error_deg)),
-        ("RMS", (expect.P_rms_N, expect.phi_rms_deg, expect.theta_rms_deg)),
-    )
-    for word, triple in limits:
-        for k, limit in enumerate(triple):
-            if limit is None:
-                continue
-            unit = "N" if k == 0 else "deg"
-            column = np.zeros(0) if error is None else error[np.isfinite(error[:, k]), k]
-            text = f"{word} error of {QUANTITIES[k]} at most {limit:g} {unit}"
-            if not len(column):
-                yield text, "no sample with a known value", False
-                continue
-            size = float(np.max(np.abs(column)) if word == "largest" else np.sqrt(np.mean(column * column)))
-            yield text, f"{size:.4g} {unit}", size <= limit
+    error = np.zeros((0, 3)) if contact is None else contact.error
+    largest = (expect.P_error_N, expect.phi_error_deg, expect.theta_error_deg)
+    for place, limit in enumerate((*largest, expect.P_rms_N, expect.phi_rms_deg, expect.theta_rms_deg)):
+        if limit is None:
+            continue
+        k, unit = place % 3, "deg" if place % 3 else "N"
+        column = error[np.isfinite(error[:, k]), k]
+        text = f"{'largest' if place < 3 else 'RMS'} error of {QUANTITIES[k]} at most {limit:g} {unit}"
+        if not len(column):
+            yield text, "no sample with a known value", False
+            continue
+        size = float(np.max(np.abs(column)) if place < 3 else np.sqrt(np.mean(column * column)))
+        yield text, f"{size:.4g} {unit}", size <= limit

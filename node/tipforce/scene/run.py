@@ -7,32 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msgspec.structs import replace
-
 from canopen_device.core.codes import NMT_COB_ID, SYNC_COB_ID
 from tipforce.errors import InputError
 from tipforce.scene import schema
-from tipforce.scene.build import Finger, build, fault_events, sync_times
+from tipforce.scene.build import Finger, actions, build
 from tipforce.scene.registry import built_parts
 
 if TYPE_CHECKING:
-    from tipforce.host.frames.frame_array import FrameArray
     from tipforce.scene.results import Check, FingerResult
 
     Frame = tuple[int, bytes]
     Emit = Callable[[int, int, bytes], None]  # t_us, can_id, data
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """Changes to a scene from the command line; None keeps the value of the file."""
-
-    duration_s: float | None = None
-    seed: int | None = None
-    log: str | None = None
-    bus: schema.Bus | None = None
-    realtime: bool = False
-    """Real time without a named bus: nodes and host on a python-can bus inside this process."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,42 +40,29 @@ class Outcome:
         return all(check.ok is not False for check in self.checks)
 
 
-def with_options(scene: schema.Scene, options: Options) -> tuple[schema.Scene, float]:
-    """Return the scene to run, and for how long. The scene keeps its own duration, which its expectations need.
-
-    Raises InputError for values that are not allowed.
-    """
-    duration_s = scene.duration_s if options.duration_s is None else options.duration_s
-    if not 0.0 < duration_s <= 86_400.0:
-        raise InputError(f"--duration {duration_s:g}: allowed are more than 0 and at most 86400 s")
-    if options.seed is not None:
-        if options.seed < 0:
-            raise InputError(f"--seed {options.seed}: allowed is 0 or more")
-        scene = replace(scene, seed=options.seed)
-    if options.log is not None:
-        scene = replace(scene, outputs=replace(scene.outputs, log=options.log))
-    if options.bus is not None:
-        scene = replace(scene, bus=options.bus)
-    return scene, duration_s
-
-
 def run_scene(
     scene: schema.Scene,
     folder: Path,
-    options: Options = Options(),
+    duration_s: float | None = None,
+    *,
+    realtime: bool = False,
     advance: Callable[[float], None] = lambda _t_s: None,
 ) -> Outcome:
     """Run a scene whose calibration files are relative to ``folder``; ``advance`` is called with the time now and then.
 
-    Raises InputError for files that cannot be read or written, EnvironmentLackError for a bus that cannot be opened.
+    ``duration_s``: instead of the scene's, which its expectations need. ``realtime``: without a named bus nodes and
+    host are on one inside this process. Raises InputError for a duration that is not allowed and for files that cannot
+    be read or written, EnvironmentLackError for a bus that cannot be opened.
     """
-    from tipforce.scene.outputs import Recording
+    from tipforce.scene import results
 
-    scene, duration_s = with_options(scene, options)
-    fingers = build(scene, folder)
-    on_bus = scene.bus is not None or options.realtime
+    duration_s = scene.duration_s if duration_s is None else duration_s
+    if not 0.0 < duration_s <= 86_400.0:
+        raise InputError(f"--duration {duration_s:g}: allowed are more than 0 and at most 86400 s")
+    fingers, files = build(scene, folder), scene.outputs
+    on_bus = scene.bus is not None or realtime
     name = "sim0" if scene.bus is None else scene.bus.channel or scene.bus.interface or "can"
-    with Recording(scene.outputs.log, name, round(scene.start.timestamp()) * 1_000_000_000) as recording:
+    with results.Recording(files.log, name, round(scene.start.timestamp()) * 1_000_000_000) as recording:
         if on_bus:
             from tipforce.scene.realtime import run_on_bus
 
@@ -99,34 +71,20 @@ def run_scene(
             simulate(scene, fingers, duration_s, recording.add, lambda t_us: advance(1e-6 * t_us))
         frames = recording.frames()
     built = built_parts(scene, *(("bus",) if on_bus else ()))
-    return _account(scene, fingers, duration_s, frames, recording.counts, built)
-
-
-def _account(
-    scene: schema.Scene,
-    fingers: Sequence[Finger],
-    duration_s: float,
-    frames: FrameArray,
-    frames_by_id: dict[int, int],
-    built: tuple[str, ...],
-) -> Outcome:
-    """Decode the frames, check the expectations, write the table and the plot."""
-    from tipforce.scene import outputs, results
-
     messages = results.decode(fingers, frames) if "decoder" in built else {}
-    syncs = [t_us / 1e6 for t_us in sync_times(scene, duration_s)]
+    syncs = [t_us / 1e6 for t_us, fault in actions(scene, fingers, duration_s) if fault is None]
     contacts = {finger.node_id: results.contact_of(finger, messages, scene.slit) for finger in fingers}
     emcys = {finger.node_id: results.emcy_of(finger.node_id, frames) for finger in fingers}
-    checks = results.judge(scene, duration_s, syncs, contacts, emcys)
-    if scene.outputs.table is not None:
-        outputs.write_table(scene.outputs.table, messages)
-    if scene.outputs.plot is not None:
-        outputs.write_plot(scene.outputs.plot, scene.title or "scene", list(contacts), contacts)
+    if files.table is not None:
+        results.write_table(files.table, messages)
+    if files.plot is not None:
+        results.write_plot(files.plot, scene.title or "scene", contacts)
     finger_results = tuple(
         results.finger_result(finger, len(syncs), contacts[finger.node_id], emcys[finger.node_id]) for finger in fingers
     )
-    files = tuple(path for path in (scene.outputs.log, scene.outputs.table, scene.outputs.plot) if path is not None)
-    return Outcome(finger_results, tuple(checks), built, frames_by_id, files, duration_s, len(syncs))
+    checks = tuple(results.judge(scene, duration_s, syncs, contacts, emcys))
+    written = tuple(path for path in (files.log, files.table, files.plot) if path is not None)
+    return Outcome(finger_results, checks, built, recording.counts, written, duration_s, len(syncs))
 
 
 def simulate(
@@ -138,16 +96,14 @@ def simulate(
     """
     end_us = round(1e6 * duration_s)
     hand = _Hand(fingers, emit, end_us)
-    events = [event for event in fault_events(scene, fingers)[::-1] if event[0] <= end_us]
-    for number, t_us in enumerate(sync_times(scene, duration_s)):
-        while events and events[-1][0] <= t_us:
-            hand.inject(*events.pop())
+    for number, (t_us, fault) in enumerate(actions(scene, fingers, duration_s)):
         hand.expire(t_us)
-        hand.say(t_us, SYNC_COB_ID, b"")
+        if fault is None:
+            hand.say(t_us, SYNC_COB_ID, b"")
+        else:
+            fault.inject(t_us)
         if number % 1024 == 0:
             advance(t_us)
-    for event in reversed(events):
-        hand.inject(*event)
     hand.expire(end_us + 1)
     advance(end_us)
 
@@ -173,10 +129,6 @@ class _Hand:
         """Step each node with a timer due before a time, in the order of the due times."""
         while (t_us := min(self._due)) < until_us:
             self._step(self._due.index(t_us), t_us, ())
-
-    def inject(self, at_us: int, finger: Finger, fault: int, gauge: int, magnitude: float) -> None:
-        self.expire(at_us)
-        finger.source.set_fault(fault, gauge, magnitude, at_us)
 
     def _step(self, place: int, t_us: int, frames: Sequence[Frame]) -> None:
         sent, self._due[place] = self._fingers[place].device.step(t_us, frames)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import bisect
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
-MAX_NODES = 32
+from tipforce.errors import InputError
+from tipforce.sources.simulated import force_of
 
 Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
@@ -50,9 +54,59 @@ class Nodes(_Table, frozen=True, kw_only=True):
     """Reading of each gauge without load; a "model" calibration includes it."""
 
 
+Triple = tuple[float, float, float]  # P newtons, phi and theta degrees
+Knot = tuple[float, float, float, float]  # t seconds, P, phi, theta
+UNLOADED: Triple = (0.0, 0.0, 0.0)
+
+
+class LoadHistory:
+    """P, phi and theta of one finger, linear between its knots, constant before the first and after the last.
+
+    Two knots at one time make a step: the later one applies from that time on.
+    """
+
+    __slots__ = ("_times", "knots")
+
+    def __init__(self, knots: Sequence[Knot]) -> None:
+        self.knots = tuple(knots)
+        self._times = [knot[0] for knot in self.knots]
+
+    @property
+    def constant(self) -> bool:
+        """True if the load is constant over time."""
+        return all(knot[1:] == self.knots[0][1:] for knot in self.knots)
+
+    def at(self, t_s: float) -> Triple:
+        """Return (P newtons, phi degree, theta degree) at a time."""
+        after = bisect.bisect_right(self._times, t_s)
+        if after == 0 or after == len(self.knots):
+            _, P, phi, theta = self.knots[max(after - 1, 0)]
+            return P, phi, theta
+        before, behind = self.knots[after - 1], self.knots[after]
+        part = (t_s - before[0]) / (behind[0] - before[0])
+        P, phi, theta = (a + part * (b - a) for a, b in zip(before[1:], behind[1:], strict=True))
+        return P, phi, theta
+
+    def force(self, t_s: float) -> Triple:
+        """Return (F1, F2, F3) in newtons, equation (16)."""
+        return force_of(self.at(t_s))
+
+
 class _Load(_Table, frozen=True, kw_only=True, tag_field="kind"):
     nodes: NodeIds = ()
     """Loaded nodes; without it all of them."""
+
+    def history(self, node_id: int) -> LoadHistory | None:
+        """Return the load of a node, None for a finger that a grasp does not use. Raises InputError."""
+        knots = self._knots(node_id)
+        return LoadHistory(knots) if knots else None
+
+    def _knots(self, node_id: int) -> list[Knot]:
+        raise NotImplementedError
+
+
+def _along(direction: Static | Ramp | Tap | Finger, magnitudes: Iterable[tuple[float, float]]) -> list[Knot]:
+    return [(t, P, direction.phi_deg, direction.theta_deg) for t, P in magnitudes]
 
 
 class Static(_Load, frozen=True, kw_only=True, tag="static"):
@@ -61,6 +115,9 @@ class Static(_Load, frozen=True, kw_only=True, tag="static"):
     P_N: NotNegative
     phi_deg: Angle
     theta_deg: Angle
+
+    def _knots(self, _node_id: int) -> list[Knot]:
+        return _along(self, [(0.0, self.P_N)])
 
 
 class History(_Load, frozen=True, kw_only=True, tag="history"):
@@ -71,6 +128,17 @@ class History(_Load, frozen=True, kw_only=True, tag="history"):
     phi_deg: tuple[float, ...] | Angle
     theta_deg: tuple[float, ...] | Angle
 
+    def _knots(self, _node_id: int) -> list[Knot]:
+        count = len(self.t_s)
+        given = {"P_N": self.P_N, "phi_deg": self.phi_deg, "theta_deg": self.theta_deg}
+        columns = {name: value if isinstance(value, tuple) else (value,) * count for name, value in given.items()}
+        for name, column in columns.items():
+            if len(column) != count or not count:
+                raise InputError(f"{name} has {len(column)} values: allowed are {count} (as t_s) or one number")
+        if any(later < earlier for earlier, later in pairwise(self.t_s)):
+            raise InputError(f"t_s = {list(self.t_s)}: allowed are non-decreasing times")
+        return list(zip(self.t_s, *columns.values(), strict=True))
+
 
 class Grooves(_Load, frozen=True, kw_only=True, tag="grooves"):
     """The paper's rig (section 4.1): a rope with a weight in 19 grooves, one after the other, with tares in between."""
@@ -79,6 +147,19 @@ class Grooves(_Load, frozen=True, kw_only=True, tag="grooves"):
     dwell_s: Positive = 0.1
     change_s: Positive = 0.05
     """Total time for unloading, moving the rope and loading."""
+
+    def _knots(self, _node_id: int) -> list[Knot]:
+        from tipforce.sensor.structure.published import GROOVES_DEG
+
+        knots: list[Knot] = []
+        t, third = 0.0, self.change_s / 3.0
+        for phi, theta in GROOVES_DEG:
+            # Unloaded for the middle third of a change: a tare reading between two grooves.
+            knots += [(t, 0.0, phi, theta), (t + third, self.P_N, phi, theta)]
+            t += third + self.dwell_s
+            knots += [(t, self.P_N, phi, theta), (t + third, 0.0, phi, theta)]
+            t += 2.0 * third
+        return knots
 
 
 class Ramp(_Load, frozen=True, kw_only=True, tag="ramp"):
@@ -91,6 +172,9 @@ class Ramp(_Load, frozen=True, kw_only=True, tag="ramp"):
     from_N: NotNegative = 0.0
     start_s: NotNegative = 0.0
 
+    def _knots(self, _node_id: int) -> list[Knot]:
+        return _along(self, [(self.start_s, self.from_N), (self.end_s, self.to_N)])
+
 
 class Tap(_Load, frozen=True, kw_only=True, tag="tap"):
     """Short pushes: up to P in rise_ms, back to zero in fall_ms, from each of the times at_s."""
@@ -101,6 +185,13 @@ class Tap(_Load, frozen=True, kw_only=True, tag="tap"):
     theta_deg: Angle
     rise_ms: Positive = 1.0
     fall_ms: Positive = 1.0
+
+    def _knots(self, _node_id: int) -> list[Knot]:
+        rise_s, fall_s = 1e-3 * self.rise_ms, 1e-3 * self.fall_ms
+        magnitudes: list[tuple[float, float]] = []
+        for t in sorted(self.at_s):
+            magnitudes += [(t, 0.0), (t + rise_s, self.P_N), (t + rise_s + fall_s, 0.0)]
+        return _along(self, magnitudes)
 
 
 class Finger(_Table, frozen=True, kw_only=True):
@@ -121,6 +212,16 @@ class Grasp(_Load, frozen=True, kw_only=True, tag="grasp"):
     close_s: Positive = 0.2
     hold_s: NotNegative = 1.0
     open_s: Positive = 0.2
+
+    def _knots(self, node_id: int) -> list[Knot]:
+        for finger in self.fingers:
+            if finger.node == node_id:
+                begin = self.start_s + finger.delay_s
+                closed = begin + self.close_s
+                opening = closed + self.hold_s
+                magnitudes = [(closed, finger.P_N), (opening, finger.P_N), (opening + self.open_s, 0.0)]
+                return _along(finger, [(begin, 0.0), *magnitudes])
+        return []
 
 
 Load = Static | History | Grooves | Ramp | Tap | Grasp
@@ -250,3 +351,8 @@ class Scene(_Table, frozen=True, kw_only=True):
     def group(self, node_id: int) -> Nodes:
         """Return the [[nodes]] table of a node."""
         return next(group for group in self.nodes if node_id in group.ids)
+
+    def load(self, node_id: int) -> LoadHistory | None:
+        """Return the load of a node, None if the scene names none."""
+        histories = (load.history(node_id) for load in self.loads if not load.nodes or node_id in load.nodes)
+        return next((history for history in histories if history is not None), None)

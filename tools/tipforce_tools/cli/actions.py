@@ -11,17 +11,17 @@ from collections.abc import Callable, Mapping
 from typing import NoReturn
 
 from canopen_device.visible_text import visible
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import common
 
 Actions = Mapping[str, tuple[str, str]]
-"""name -> (place, one line of help). A place is a module with add_arguments(parser) and run(args) -> exit code, or
-``module:word``, a module of several commands: add_word_arguments and run_word."""
+"""name -> (place, one line of help). A place is a module below tipforce_tools with add_arguments(parser) and run(args)
+-> exit code, or ``module:word``, a module of several commands: add_word_arguments and run_word."""
 
 
 def functions(place: str) -> tuple[Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int]]:
     """Import the module of a place; return the function that adds its flags, and the one that runs it."""
     name, _, word = place.partition(":")
-    module = importlib.import_module(name)
+    module = importlib.import_module(f"tipforce_tools.{name}")
     added, run = (f"add_{word}_arguments", f"run_{word}") if word else ("add_arguments", "run")
     return getattr(module, added), getattr(module, run)
 
@@ -109,6 +109,8 @@ class _Formatter(argparse.RawDescriptionHelpFormatter):
 
 def shared_help() -> str:
     """Return the help of the flags that commands share: `tipforce --help-bus`."""
+    from tipforce_tools.cli import bus_flags
+
     parser = argparse.ArgumentParser("tipforce COMMAND", add_help=False)
     bus_flags.add_sdo_arguments(parser)
     common.add_confirm_argument(parser)

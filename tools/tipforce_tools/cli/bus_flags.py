@@ -1,10 +1,8 @@
 """The bus of a command line: python-can's flags, and the bus that they, a file or the environment name.
 
-Python-can is not imported for the flags alone: it adds a fifth of a second to each `--help`.
-
-The flags accept the same values as those of ``can.cli.add_bus_arguments`` (the tests compare them). Values that need
-more than a conversion are parsed by python-can, imported at that point. The help texts are shorter than python-can's,
-which fill two screens for every command that uses a bus.
+Python-can is not imported for the flags alone: it adds a fifth of a second to each `--help`. The flags accept the
+values of ``can.cli.add_bus_arguments`` (the tests compare them), with shorter help texts; values that need more than a
+conversion are parsed by python-can.
 """
 
 from __future__ import annotations
@@ -123,12 +121,10 @@ def add_bus_flags(parser: argparse.ArgumentParser) -> None:
         group.add_argument(flag, action=_PythonCanAction, nargs="+", default=unset, metavar=metavar, help=text)
 
 
-_BUS_FLAGS = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
-
-
 def bus_options(args: argparse.Namespace) -> dict[str, Any]:
     """Return the bus flags that the command line contains, as keywords of ``can.Bus``. Raises InputError."""
-    options = {name: getattr(args, name) for name in _BUS_FLAGS if hasattr(args, name)}
+    names = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing")
+    options = {name: getattr(args, name) for name in names if hasattr(args, name)}
     for name in ("bitrate", "data_bitrate"):
         if options.get(name, 1) <= 0:
             raise InputError(f"--{name.replace('_', '-')} {options[name]}: allowed is a rate over 0 bit/s")

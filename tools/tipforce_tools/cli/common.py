@@ -1,4 +1,4 @@
-"""Shared by the commands: common flags, also of logs, numbers and node-ids, and the printing of records."""
+"""Shared by the commands: standard streams, common flags, also of logs, numbers and node-ids, printing of records."""
 
 from __future__ import annotations
 
@@ -15,11 +15,10 @@ from contextlib import contextmanager
 from functools import partial
 from itertools import repeat
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TextIO, cast
 
 from canopen_device.visible_text import visible_lines
 from tipforce.errors import InputError
-from tipforce_tools.cli.output import terminal, visible_streams
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,18 +39,16 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
 class Output:
     """How a command prints: the values of its output flags. One for the process, as its streams are."""
 
-    json: bool
-    quiet: bool
-    verbose: bool
-    color: Literal["auto", "always", "never"]
+    json = quiet = verbose = False
+    color: Literal["auto", "always", "never"] = "auto"
 
     def set_up(self, args: argparse.Namespace) -> None:
         """Follow the flags; a command without them prints as by default, and sets up no logging.
 
         Warnings of tipforce are logged to stderr: all messages with -v, only errors with -q; of libraries only with -v.
         """
-        for name, default in (("json", False), ("quiet", False), ("verbose", False), ("color", "auto")):
-            setattr(self, name, getattr(args, name, default))
+        for name in ("json", "quiet", "verbose", "color"):
+            setattr(self, name, getattr(args, name, getattr(Output, name)))
         if not hasattr(args, "verbose"):
             return
         import logging
@@ -65,43 +62,67 @@ class Output:
 
 
 OUTPUT = Output()
-OUTPUT.set_up(argparse.Namespace())
 
 
-def number(text: str) -> float:
+class VisibleStream:
+    """A text stream that shows control characters as escapes; all else is that of the stream below.
+
+    Every text of a command passes here. Data in bytes (CSV, Parquet) goes to its ``buffer`` as it is, and colours go to
+    the stream below.
+    """
+
+    def __init__(self, below: TextIO) -> None:
+        self.below = below
+
+    def write(self, text: str) -> int:
+        """Write, and return the number of characters of ``text``."""
+        self.below.write(visible_lines(text))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write each line."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.below, name)
+
+
+@contextmanager
+def visible_streams() -> Iterator[None]:
+    """Escape what the block writes to stdout and stderr."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (cast("TextIO", VisibleStream(stream)) for stream in before)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+def terminal(stream: TextIO) -> TextIO:
+    """Return the stream below, for the control sequences of a command's own: colours, a progress bar."""
+    while isinstance(stream, VisibleStream):
+        stream = stream.below
+    return stream
+
+
+def number(text: str, read: Callable[[str], Any] = float) -> Any:
     """Return the number of a flag whose limits are checked later; NaN, which fails every limit, if it is not one."""
     try:
-        return float(text)
+        return read(text)
     except ValueError:
         return math.nan
 
 
-def _whole(text: str, low: int, high: float, allowed: str, base: int = 0) -> int:
-    """Parse a whole number within limits; base 0 takes `0x0A`, too. Raises ArgumentTypeError that says ``allowed``."""
-    try:
-        value = int(text, base)
-    except ValueError:
-        value = low - 1
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are {allowed}")
-    return value
-
-
-count = partial(_whole, low=1, high=math.inf, allowed="whole numbers from 1", base=10)
-"""Parse a count for argparse: a whole number of at least 1."""
-whole_number = partial(_whole, low=0, high=math.inf, allowed="whole numbers from 0", base=10)
-"""Parse a whole number from 0 for argparse: a seed of random numbers, a number of retries."""
-unsigned32 = partial(_whole, low=0, high=0xFFFFFFFF, allowed="0 to 0xFFFFFFFF")
-"""Parse an UNSIGNED32, `10` or `0x0A`, for argparse."""
-
-
-def number_that(accepted: Callable[[float], bool], allowed: str) -> Callable[[str], float]:
+def number_that(
+    accepted: Callable[[float], bool], allowed: str, read: Callable[[str], Any] = float, what: str = ""
+) -> Callable[[str], Any]:
     """Return a parser for argparse of a number that is ``accepted``; ``allowed`` says what is: `are 0 to 9`."""
 
-    def parse(text: str) -> float:
-        value = number(text)
+    def parse(text: str) -> Any:
+        value = number(text, read)
         if not accepted(value):
-            raise argparse.ArgumentTypeError(f"{text!r}: allowed {allowed}")
+            raise argparse.ArgumentTypeError(f"{what}{text!r}: allowed {allowed}")
         return value
 
     return parse
@@ -112,10 +133,13 @@ def number_within(low: float, high: float, allowed: str, *, over: bool = False) 
     return number_that(lambda value: low < value <= high or (value == low and not over), allowed)
 
 
+_any_base = partial(int, base=0)
+count = number_that(lambda value: value >= 1, "are whole numbers from 1", int)
+whole_number = number_that(lambda value: value >= 0, "are whole numbers from 0", int)
+unsigned32 = number_that(lambda value: 0 <= value <= 0xFFFFFFFF, "are 0 to 0xFFFFFFFF", _any_base)
+node_id = number_that(lambda value: 1 <= value <= 127, "are 1 to 127 (10 or 0x0A)", _any_base, "node-id ")
 seconds = number_that(lambda value: 0 < value < math.inf, "are seconds, more than 0")
-"""Parse a time in seconds for argparse: more than 0."""
-timeout = number_within(0.0, threading.TIMEOUT_MAX, "is a time over 0 s", over=True)
-"""Parse a time that a thread can wait for."""
+timeout = number_within(0.0, threading.TIMEOUT_MAX, "is a time over 0 s", over=True)  # for which a thread can wait
 MOST = sys.float_info.max
 """The largest finite number."""
 
@@ -162,14 +186,6 @@ def scene_or_file(text: str) -> Path:
     path = file_or_shipped(text, "scenes")
     InputFile().check(str(path))
     return path
-
-
-def node_id(text: str) -> int:
-    """Parse a node-id, `10` or `0x0A`, for argparse."""
-    try:
-        return _whole(text, 1, 127, "1 to 127 (10 or 0x0A)")
-    except argparse.ArgumentTypeError as error:
-        raise argparse.ArgumentTypeError(f"node-id {error}") from None
 
 
 def node_ids(text: str) -> list[int]:
@@ -265,7 +281,7 @@ def progress(
 def console(*, stderr: bool = False) -> Console:
     """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width.
 
-    It is on the stream below: its colours pass, every text is escaped, and none is markup.
+    It is on the stream below VisibleStream: its colours pass, every text is escaped, and none is markup.
     """
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment

@@ -75,27 +75,35 @@ def when(flag: str, text: str | None) -> When | None:
     return When(int(moment.replace(microsecond=0).timestamp()) * 1_000_000_000 + moment.microsecond * 1000, False)
 
 
-def layouts(args: Namespace) -> Layouts:
-    """Return the layouts that --gauges, --nodes, --dcf, --dbc and --ask select. Raises InputError."""
+def layouts(args: Namespace) -> tuple[Layouts, Mapping[int | None, Calibration]]:
+    """Return the layouts that --gauges, --nodes, --dcf, --dbc, --eds and --ask select, and the calibrations.
+
+    Without those flags the layouts are of nodes with the gauges of --calibration. Raises InputError.
+    """
     if args.dbc and (args.dcf or args.ask):
         raise InputError("--dbc: defines all layouts; leave out --dcf and --ask")
+    if args.eds and (args.dbc or args.dcf or args.ask or args.gauges):
+        raise InputError("--eds: defines all layouts; leave out --dbc, --dcf, --ask and --gauges")
     nodes = None if args.nodes is None else tuple(args.nodes)
-    if args.eds:
-        if args.dbc or args.dcf or args.ask or args.gauges:
-            raise InputError("--eds: defines all layouts; leave out --dbc, --dcf, --ask and --gauges")
-        return Layouts(nodes=nodes, eds=eds_files(args.eds))
     dbc = str(file_or_shipped(args.dbc, "dbc")) if args.dbc else None
-    found = Layouts(args.gauges or 3, nodes, dbc)
+    chosen = Layouts(nodes=nodes, eds=eds_files(args.eds)) if args.eds else Layouts(args.gauges or 3, nodes, dbc)
     if args.dcf:
-        found = with_layouts(found, [dcf_layout(path) for path in args.dcf])
+        chosen = with_layouts(chosen, [dcf_layout(path) for path in args.dcf])
     if args.ask:
         from tipforce.host.network.bus import Bus
 
         with Bus(bus_flags.open_bus(args)) as bus:
-            found = with_layouts(found, [node_layout(bus.sdo(node)) for node in args.ask])
-    if args.gauges and found.gauges != args.gauges:
-        raise InputError(f"--gauges {args.gauges}: the layouts are of nodes with {found.gauges}")
-    return found
+            chosen = with_layouts(chosen, [node_layout(bus.sdo(node)) for node in args.ask])
+    if args.gauges and chosen.gauges != args.gauges:
+        raise InputError(f"--gauges {args.gauges}: the layouts are of nodes with {chosen.gauges}")
+    if not args.calibration:
+        return chosen, {}
+    from tipforce.host.decoding.contact_columns import gauges_of, read_calibrations
+
+    calibrations = read_calibrations(args.calibration)
+    if not (args.gauges or args.dcf or args.ask):
+        chosen = replace(chosen, gauges=gauges_of(calibrations))
+    return chosen, calibrations
 
 
 def names_of(text: str | None) -> tuple[str, ...] | None:
@@ -127,14 +135,3 @@ def checked_signals(chosen: Layouts, names: tuple[str, ...] | None) -> tuple[str
     """Return the signals of the names. Raises InputError, also for incompatible layouts."""
     decoder = chosen.decoder()
     return None if names is None else signals_named(decoder, names)
-
-
-def calibrated(args: Namespace, chosen: Layouts) -> tuple[Layouts, Mapping[int | None, Calibration]]:
-    """Return the calibrations of --calibration, and the layouts of nodes with their gauges. Raises InputError."""
-    if not args.calibration:
-        return chosen, {}
-    from tipforce.host.decoding.contact_columns import gauges_of, read_calibrations
-
-    calibrations = read_calibrations(args.calibration)
-    told = args.gauges or args.dcf or args.ask
-    return chosen if told else replace(chosen, gauges=gauges_of(calibrations)), calibrations

@@ -19,81 +19,75 @@ from tipforce.errors import (
     TipforceError,
     WriteError,
 )
-from tipforce_tools.cli.output import visible_streams
+from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce_tools.cli.actions import Actions, CommandParser
 
 _CALIBRATE = {
-    "fit": ("tipforce_tools.calibrate.fit:fit", "fit a calibration to readings under known loads"),
-    "apply": ("tipforce_tools.calibrate.fit:apply", "write a calibration file to a node, verify and store it"),
-    "guide": ("tipforce_tools.calibrate.guide", "calibrate a node weight by weight and store the result; resumable"),
-    "verify": ("tipforce_tools.calibrate.fit:verify", "compare a calibration file with that of a node"),
-    "budget": ("tipforce_tools.calibrate.budget", "compute the error budget of P, phi and theta by cause"),
+    "fit": ("calibrate.fit:fit", "fit a calibration to readings under known loads"),
+    "apply": ("calibrate.fit:apply", "write a calibration file to a node, verify and store it"),
+    "guide": ("calibrate.guide", "calibrate a node weight by weight and store the result; resumable"),
+    "verify": ("calibrate.fit:verify", "compare a calibration file with that of a node"),
+    "budget": ("calibrate.budget", "compute the error budget of P, phi and theta by cause"),
 }
 _DATASET = {
-    "show": ("tipforce_tools.dataset:show", "print what a dataset holds"),
-    "verify": ("tipforce_tools.dataset:verify", "compare the SHA-256 of each file"),
-    "compact": ("tipforce_tools.dataset:compact", "join the files of a day; all get the same columns"),
-    "sql": ("tipforce_tools.dataset.sql", "query a dataset with DuckDB"),
+    "show": ("dataset:show", "print what a dataset holds"),
+    "verify": ("dataset:verify", "compare the SHA-256 of each file"),
+    "compact": ("dataset:compact", "join the files of a day; all get the same columns"),
+    "sql": ("dataset.sql", "query a dataset with DuckDB"),
 }
 _DESIGN = {
-    "table": (
-        "tipforce_tools.design.tables:table",
-        "recompute the paper's tables and figures, beside the printed values",
-    ),
-    "sweep": (
-        "tipforce_tools.design.tables:sweep",
-        "compute condition number and noise over a dimension or a gauge shift",
-    ),
-    "optimise": ("tipforce_tools.design.optimise", "search better dimensions and gauge positions"),
+    "table": ("design.tables:table", "recompute the paper's tables and figures, beside the printed values"),
+    "sweep": ("design.tables:sweep", "compute condition number and noise over a dimension or a gauge shift"),
+    "optimise": ("design.optimise", "search better dimensions and gauge positions"),
 }
 _FIRMWARE = {
-    "show": ("tipforce_tools.network.nodes:firmware_show", "print the program of each node, and why an update failed"),
-    "install": ("tipforce_tools.network.nodes:firmware_install", "install a program on nodes with program slots"),
+    "show": ("network.nodes:firmware_show", "print the program of each node, and why an update failed"),
+    "install": ("network.nodes:firmware_install", "install a program on nodes with program slots"),
 }
 
-# group -> name -> (place, or the actions with a place each: ``actions.Actions``; one line of help)
+# group -> name -> (place below tipforce_tools, or the actions with a place each: ``actions.Actions``; help in a line)
 GROUPS: dict[str, dict[str, tuple[str | Actions, str]]] = {
     "try": {
-        "demo": ("tipforce_tools.demo", "calibrate, load and compare simulated nodes; needs no hardware"),
-        "run": ("tipforce_tools.scene", "run a scene: nodes, loads, faults and a recording in TOML"),
-        "vcan": ("tipforce_tools.vcan", "run a command where vcan interfaces exist"),
+        "demo": ("demo", "calibrate, load and compare simulated nodes; needs no hardware"),
+        "run": ("scene", "run a scene: nodes, loads, faults and a recording in TOML"),
+        "vcan": ("vcan", "run a command where vcan interfaces exist"),
     },
     "bus": {
-        "scan": ("tipforce_tools.network.nodes:scan", "list the nodes on the bus"),
-        "read": ("tipforce_tools.network.nodes:read", "read the contact of fingers, with its uncertainty"),
-        "monitor": ("tipforce_tools.monitor", "show a live table of the nodes on a bus or in a log"),
-        "sdo": ("tipforce_tools.network.sdo", "read or write one object of a node, or read all objects"),
-        "nmt": ("tipforce_tools.network.nodes:nmt", "start, stop or reset nodes, and wait for their heartbeats"),
-        "lss": ("tipforce_tools.network.nodes:lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
-        "config": ("tipforce_tools.network.config", "show, apply, compare or save the settings of a node"),
-        "tare": ("tipforce_tools.network.nodes:tare", "set the present force as zero, show the tare, or clear it"),
+        "scan": ("network.nodes:scan", "list the nodes on the bus"),
+        "read": ("network.nodes:read", "read the contact of fingers, with its uncertainty"),
+        "monitor": ("monitor", "show a live table of the nodes on a bus or in a log"),
+        "sdo": ("network.sdo", "read or write one object of a node, or read all objects"),
+        "nmt": ("network.nodes:nmt", "start, stop or reset nodes, and wait for their heartbeats"),
+        "lss": ("network.nodes:lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
+        "config": ("network.config", "show, apply, compare or save the settings of a node"),
+        "tare": ("network.nodes:tare", "set the present force as zero, show the tare, or clear it"),
         "firmware": (_FIRMWARE, "show or install the program of nodes with program slots"),
     },
     "finger and hand": {
         "calibrate": (_CALIBRATE, "fit a calibration, write it to a node, verify it, budget its error"),
-        "estimate": ("tipforce_tools.estimate", "compute contact from gauge readings, with its uncertainty"),
-        "hand": ("tipforce_tools.network.hand", "check, commission and run a hand defined in TOML"),
-        "view": ("tipforce_tools.view", "serve a web page with the force on each fingertip"),
-        "ros2": ("tipforce_tools.ros2", "publish forces and contacts as ROS 2 topics, without ROS"),
-        "node": ("tipforce_tools.node", "run one fingertip node on a CAN bus"),
+        "estimate": ("estimate", "compute contact from gauge readings, with its uncertainty"),
+        "hand": ("network.hand", "check, commission and run a hand defined in TOML"),
+        "view": ("view", "serve a web page with the force on each fingertip"),
+        "ros2": ("ros2", "publish forces and contacts as ROS 2 topics, without ROS"),
+        "node": ("node:node", "run one fingertip node on a CAN bus"),
     },
     "logs": {
-        "dump": ("tipforce_tools.dump", "print frames as candump does, with --decode their meaning"),
-        "log": ("tipforce_tools.log", "record frames to a file that canplayer and Wireshark read"),
-        "replay": ("tipforce_tools.replay", "send the frames of a log with their recorded timing"),
-        "decode": ("tipforce_tools.decode", "convert logs to contact: CSV, JSON lines, Parquet, MCAP"),
+        "dump": ("dump", "print frames as candump does, with --decode their meaning"),
+        "log": ("log", "record frames to a file that canplayer and Wireshark read"),
+        "replay": ("replay", "send the frames of a log with their recorded timing"),
+        "decode": ("decode", "convert logs to contact: CSV, JSON lines, Parquet, MCAP"),
         "dataset": (_DATASET, "show, verify, compact and query a dataset of `tipforce decode`"),
-        "plot": ("tipforce_tools.plot", "plot the contact, gauges and faults of a log"),
+        "plot": ("plot", "plot the contact, gauges and faults of a log"),
     },
     "develop": {
-        "simulate": ("tipforce_tools.simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
-        "conformance": ("tipforce_tools.conformance", "test a CANopen device against the CiA standards, by clause"),
-        "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
+        "simulate": ("node:simulate", "simulate CANopen devices from their EDS, or a machine in TOML"),
+        "conformance": ("conformance", "test a CANopen device against the CiA standards, by clause"),
+        "export": ("export", "write EDS, DBC, DCF, or C for firmware, from the dictionary"),
         "design": (_DESIGN, "recompute the paper's tables, sweep and optimise the structure"),
-        "report": ("tipforce_tools.report", "measure error against run time, and check extreme cases"),
-        "doctor": ("tipforce_tools.doctor", "find what this machine and its bus lack"),
+        "report": ("report", "measure error against run time, and check extreme cases"),
+        "doctor": ("doctor", "find what this machine and its bus lack"),
     },
 }
 COMMANDS = {name: entry for commands in GROUPS.values() for name, entry in commands.items()}
@@ -129,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if getattr(sys, name) is None:
             number = os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY)
             setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
-    with visible_streams():
+    with common.visible_streams():
         try:
             code = _answer(words)
             sys.stdout.flush()
@@ -184,7 +178,6 @@ def _run(name: str, words: list[str]) -> int:
         near = difflib.get_close_matches(name, [*COMMANDS, *TOP_FLAGS], 3, cutoff=0.7)
         hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
-    from tipforce_tools.cli import common
     from tipforce_tools.cli.actions import check_files, functions, parser_of
 
     place, parser = COMMANDS[name][0], command_parser(name)

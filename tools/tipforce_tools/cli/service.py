@@ -1,29 +1,29 @@
-"""Support for long-running services: their bus, real-time scheduling, locked memory, sd_notify, journal levels."""
+"""Support for long-running services: real-time scheduling, locked memory, sd_notify, journal levels."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import ctypes
 import logging
 import os
 import signal
 import socket
-import sys
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from canopen_device.running import loop
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.cli import bus_flags, common
+from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import StopSignals
 
 if TYPE_CHECKING:
     from canopen_device.core.node import Device
     from canopen_device.running.loop import Port, Runnable
 
-_LOG = logging.getLogger(__name__)
+_NOT_PERMITTED = (
+    "{}; run as root, or set {} in the unit, or add `USER - {}` to /etc/security/limits.conf and log in again"
+)
 _MCL_CURRENT, _MCL_FUTURE = 1, 2  # sys/mman.h
 _SYSLOG = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3, logging.CRITICAL: 2}
 
@@ -40,10 +40,8 @@ def set_priority(priority: int) -> None:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError as error:
-        raise EnvironmentLackError(
-            f"--priority {priority}: not permitted; run as root, or set LimitRTPRIO={priority} in the unit, "
-            f"or add `USER - rtprio {priority}` to /etc/security/limits.conf and log in again"
-        ) from error
+        flag, limits = f"--priority {priority}: not permitted", (f"LimitRTPRIO={priority}", f"rtprio {priority}")
+        raise EnvironmentLackError(_NOT_PERMITTED.format(flag, *limits)) from error
     except OSError as error:
         raise EnvironmentLackError(f"--priority {priority}: {error.strerror}") from error
 
@@ -57,10 +55,10 @@ def lock_memory() -> None:
         number = ctypes.get_errno()
         error = OSError(number, os.strerror(number))  # becomes a PermissionError for EPERM
         reason = "not permitted" if isinstance(error, PermissionError) else os.strerror(number)
-        raise EnvironmentLackError(
-            f"--lock-memory: {reason}; run as root, or set LimitMEMLOCK=infinity in the unit, "
-            "or add `USER - memlock unlimited` to /etc/security/limits.conf and log in again"
-        ) from (error if isinstance(error, PermissionError) else PermissionError(number, reason))
+        text = _NOT_PERMITTED.format(f"--lock-memory: {reason}", "LimitMEMLOCK=infinity", "memlock unlimited")
+        raise EnvironmentLackError(text) from (
+            error if isinstance(error, PermissionError) else PermissionError(number, reason)
+        )
 
 
 class Notifier:
@@ -118,24 +116,6 @@ def mark_levels_for_journal() -> None:
     if device and (device, inode) == (str(status.st_dev), str(status.st_ino)):
         for handler in logging.getLogger().handlers:
             handler.setFormatter(_JournalFormatter("%(name)s: %(message)s"))
-
-
-def open_port(args: argparse.Namespace) -> tuple[Port, str]:
-    """Return the port and its name: kernel sockets for SocketCAN, python-can for every other interface."""
-    from canopen_device.running.ports import PythonCanPort, SocketCanPort
-    from tipforce.host.network.open_bus import open_bus
-
-    options = bus_flags.find_bus(args)
-    if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:
-        try:
-            return SocketCanPort(options["channel"]), options["channel"]
-        except OSError as error:
-            raise EnvironmentLackError(
-                f"interface socketcan, channel {options['channel']}: {error.strerror}; `ip -br link` lists interfaces; "
-                "`tipforce vcan -- ...` provides vcan"
-            ) from error
-    bus = open_bus(**options)
-    return PythonCanPort(bus), str(bus.channel_info)
 
 
 def serve(who: str, what: str, devices: Sequence[Runnable], nodes: Sequence[Device], port: Port) -> None:

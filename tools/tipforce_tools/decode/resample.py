@@ -206,7 +206,7 @@ def steps_of(args: Namespace) -> tuple[Layouts, tuple[str, ...] | None, Step, St
     A step that is not asked for returns the tables as they are.
     """
     names = log_choice.names_of(args.signals)
-    layouts, calibrations = log_choice.calibrated(args, log_choice.layouts(args))
+    layouts, calibrations = log_choice.layouts(args)
     contact: Step = _same
     if calibrations:
         from tipforce.host.decoding import contact_columns

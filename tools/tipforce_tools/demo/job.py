@@ -22,10 +22,10 @@ from canopen_device.running.ports import PythonCanPort
 from canopen_device.running.store import MemoryStore
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import objects as od
+from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import RefusedError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.scene.delivered import structure_calibration
@@ -124,14 +124,13 @@ def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callab
                 C = calibration.C.copy()
                 C[0, 0] *= SPOILED_FACTOR if spoil else 1.0
                 _calibrate(connection, node_id, replace(calibration, C=C), say)
-            hand = PolledHand(connection, list(calibrations), messages=("Gauges", "Contact"))
-            hand.start()
+            connection.nmt("start")
             for phi, theta in GROOVES_DEG:
                 opposite = phi + 180.0 if phi <= 0.0 else phi - 180.0
                 applied = np.array([WEIGHT_NEWTONS, phi if pull else opposite, theta])
-                yield from _one_load(hand, calibrations, applied, z)
+                yield from _one_load(connection, calibrations, applied, z)
                 advance()
-            hand.stop()
+            connection.nmt("preop")
 
 
 @contextlib.contextmanager
@@ -166,25 +165,34 @@ def _calibrate(connection: Bus, node_id: int, calibration: Calibration, say: Cal
     say(prefix + f"after a reset the stored calibration is active (CRC-32 0x{calibration.crc32():08X})")
 
 
-def _one_load(
-    hand: PolledHand, calibrations: dict[int, Calibration], applied: FloatArray, z: float
-) -> Iterator[Result]:
+def _one_load(connection: Bus, calibrations: dict[int, Calibration], applied: FloatArray, z: float) -> Iterator[Result]:
     """Apply a load to every node, send one SYNC, compare the responses."""
-    for finger in hand.fingers.values():
-        sdo = finger.sdo
+    for node_id in calibrations:
         for entry, value in zip((od.SIMULATION_P, od.SIMULATION_PHI, od.SIMULATION_THETA), applied, strict=True):
-            sdo.write(entry, float(value))
+            connection.sdo(node_id).write(entry, float(value))
     time.sleep(0.002)  # a conversion under the new load
-    sample = hand.sample(timeout_s=1.0)
-    for k, (node_id, calibration) in enumerate(calibrations.items()):
-        gauges = sample.messages[node_id, "Gauges"].columns
-        estimated = np.array([sample.P_newtons[k], sample.phi_deg[k], sample.theta_deg[k]])
-        strain = np.array([gauges[f"SG{k}"][-1] for k in (1, 2, 3)]) * 1e-6
+    connection.buffer.clear()
+    connection.sync()
+    gauges, contact = (next(pdo for pdo in tpdo_messages() if pdo.name == name) for name in ("Gauges", "Contact"))
+    frames = connection.wait_for({pdo.cob_id_base + node_id for pdo in (gauges, contact) for node_id in calibrations})
+    data = {int(frame["can_id"]): bytes(frame["data"]) for frame in frames}
+    for node_id, calibration in calibrations.items():
+        strain = 1e-6 * _quantities(gauges, data[gauges.cob_id_base + node_id])
+        estimated = _quantities(contact, data[contact.cob_id_base + node_id])
         _, own = contact_model.estimate(calibration.C, strain, calibration.offset_strain, pull=calibration.pull)
         host = np.array([own.P_newtons, np.degrees(own.phi_rad), np.degrees(own.theta_rad)], dtype=np.float64)
         u, bound, host_bound = bounds(calibration, applied, z)
         sense = "pull" if calibration.pull else "push"
         yield Result(CASES[node_id - 1], sense, applied, estimated, host.ravel(), u, bound, host_bound)
+
+
+def _quantities(pdo: Message, data: bytes) -> FloatArray:
+    """Return the three quantities with which a PDO begins; NaN for one that the node marks unknown."""
+    values = []
+    for signal in pdo.signals[:3]:
+        raw = int.from_bytes(data[signal.start_bit // 8 :][: signal.bits // 8], "little", signed=signal.signed)
+        values.append(np.nan if raw == signal.unknown else raw * signal.scale)
+    return np.array(values)
 
 
 def _difference(a: FloatArray, b: FloatArray) -> FloatArray:

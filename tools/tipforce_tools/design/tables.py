@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 TABLES = ("1", "2", "3", "comparators", "fig6", "fig9", "off-axis", "materials", "scaling")
 DIMENSIONS = ("a", "d", "r", "h1", "h2", "width")
-DEFAULT_SHIFT_MM = 5.0
 _NOTES = [
     "noise gain: sqrt(trace(C C^T)), newtons of noise in F per microstrain of equal noise on every gauge. largest "
     "strain: of the gauges, over all contacts, per newton."
@@ -118,7 +117,7 @@ def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence
         nominal_mm = 1e3 * getattr(geometry, f"{args.what}_m")
         first, last = 0.5 * nominal_mm, 1.5 * nominal_mm
     elif args.what in (*names, "all"):
-        nominal_mm, first, last = 0.0, 0.0, DEFAULT_SHIFT_MM
+        nominal_mm, first, last = 0.0, 0.0, 5.0
     else:
         raise InputError(f"sweep {args.what!r}: allowed are {', '.join((*DIMENSIONS, *names, 'all'))}")
     first, last = (default if value is None else value for value, default in ((args.start, first), (args.stop, last)))

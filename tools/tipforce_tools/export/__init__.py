@@ -24,7 +24,6 @@ FORMATS = {
     "c": "C99 sources of the dictionary and the estimator, in one folder",
     "mjcf": "body of the fingertip for MuJoCo: outline, mass, tip site, beams as springs",
 }
-_NO_PROGRAMS = "the exported C has no program slots, and other formats list no objects"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.output_file import DBC, EDS, MJCF, XDD, new_file
 
     if args.programs and args.format not in ("eds", "dcf", "xdd"):
-        raise InputError(f"export {args.format}: --programs is for eds, dcf and xdd; {_NO_PROGRAMS}")
+        others = "the exported C has no program slots, and other formats list no objects"
+        raise InputError(f"export {args.format}: --programs is for eds, dcf and xdd; {others}")
     if args.programs and args.eds:
         raise InputError("--programs: the objects are those of the file of --eds; leave one out")
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16

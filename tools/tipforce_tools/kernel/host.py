@@ -26,10 +26,6 @@ ELSEWHERE = (
     "-i udp_multicast -c 239.74.163.2; vcan works on any machine whose kernel has it (`sudo modprobe vcan`)"
 )
 
-NOT_FOUND = 127  # what a shell reports for a command that it cannot find
-KEPT = "--rw: files that you write are kept"
-LOST = "files that you write are lost on exit (--rw keeps them)"
-
 # program (or file) -> the Debian package that contains it
 _PROGRAMS = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod", "setsid": "util-linux"}
 _MACHINES = ("x86_64", "i686", "i586", "i386")  # Debian builds the package for these

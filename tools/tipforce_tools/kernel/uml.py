@@ -50,36 +50,33 @@ exec 9<&- "$@"
 """
 
 
-def write_list(path: Path, items: Sequence[str | bytes]) -> None:
-    """Write `items` NUL-terminated, as `init.sh` reads them. Raises InputError for an item that holds a NUL."""
-    encoded = [os.fsencode(item) for item in items]
-    if any(b"\0" in item for item in encoded):
-        raise InputError("an argument or a variable contains a NUL byte, which exec does not allow")
-    path.write_bytes(b"".join(item + b"\0" for item in encoded))
+def write_lists(folder: Path, **lists: Sequence[str | bytes]) -> None:
+    """Write each list, NUL-terminated as `init.sh` reads it, to the file of its name; also the environment.
 
-
-def _write_lists(folder: Path, settings: Sequence[str], command: Sequence[str]) -> None:
-    environment = [name + b"=" + value for name, value in os.environb.items()]
-    for name, items in (("settings", settings), ("command", command), ("environment", environment)):
-        write_list(folder / name, items)
+    Raises InputError for an item that holds a NUL.
+    """
+    for name, items in {"environment": [b"=".join(pair) for pair in os.environb.items()], **lists}.items():
+        encoded = [os.fsencode(item) for item in items]
+        if any(b"\0" in item for item in encoded):
+            raise InputError("an argument or a variable contains a NUL byte, which exec does not allow")
+        (folder / name).write_bytes(b"".join(item + b"\0" for item in encoded))
 
 
 def run_in_uml(
     command: Sequence[str], interfaces: Sequence[str], memory: str, timeout_s: float | None, writable: bool
 ) -> int:
-    """Boot, run the command, halt; return the command's exit code.
-
-    130 after SIGINT or SIGTERM, 1 after the timeout (with a message on stderr). Raises EnvironmentLackError if
-    User-mode Linux is missing or does not boot.
-    """
+    """Boot, run the command, halt; return as `run_here` does. Raises EnvironmentLackError if it does not boot."""
     require_parts()
     terminal = _on_terminal()
     terminate_as_interrupt()
     with tempfile.TemporaryDirectory(prefix=PREFIX, dir=short_temporary_folder()) as name, _terminal_kept(terminal):
-        folder = Path(name)
-        _write_request(folder, command, interfaces, writable, terminal)
+        folder, access = Path(name), "write" if writable else "layer"
+        settings = [os.getcwd(), access, "terminal" if terminal else "pipes", _terminal_size(), os.uname().nodename]
+        write_lists(folder, settings=[*settings, *interfaces], command=command)
+        (folder / "init.sh").write_bytes(files("tipforce_tools.kernel").joinpath("init.sh").read_bytes())
+        (folder / "init.sh").chmod(0o700)
         try:
-            with contextlib.closing(_Machine(folder, memory, terminal)) as machine:
+            with contextlib.closing(_Machine(folder, memory, terminal, writable)) as machine:
                 return machine.follow(timeout_s)
         except KeyboardInterrupt:
             return host.INTERRUPTED
@@ -90,11 +87,11 @@ def run_in_uml(
 class _Machine:
     """A running linux.uml: its process group, and the pipes that carry the command's output."""
 
-    def __init__(self, folder: Path, memory: str, terminal: bool) -> None:
+    def __init__(self, folder: Path, memory: str, terminal: bool, writable: bool) -> None:
         self.folder = folder
         kernel = [
             find_program("linux.uml") or "linux.uml", f"mem={memory}", f"uml_dir={folder}/", "umid=machine",
-            "rootfstype=hostfs", "root=/dev/root", "rw" if (folder / "writable").exists() else "ro",
+            "rootfstype=hostfs", "root=/dev/root", "rw" if writable else "ro",
             f"init={folder}/init.sh", "con=null", "con0=null,fd:1", "quiet",
         ]  # fmt: skip
         self.selector = selectors.DefaultSelector()
@@ -128,15 +125,22 @@ class _Machine:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
-        # kill is asynchronous, and zombies do not count
-        begin, stats = time.monotonic(), Path("/proc").glob
-        while time.monotonic() - begin < _KILL_LIMIT_S and any(
-            _group_of_live(path) == self.process.pid for path in stats("[0-9]*/stat")
-        ):
+        end_s = time.monotonic() + _KILL_LIMIT_S
+        while time.monotonic() < end_s and self._lives():  # kill is asynchronous
             time.sleep(0.005)
         self.selector.close()
         for fd in (*self.reading, self.ours):
             os.close(fd)
+
+    def _lives(self) -> bool:
+        """Return whether a process of the group is left that is no zombie."""
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            with contextlib.suppress(OSError, ValueError):
+                # proc(5): after the name in brackets come state, parent, group
+                state, _, group = stat.read_text(errors="replace").rpartition(")")[2].split()[:3]
+                if state not in "ZX" and int(group) == self.process.pid:
+                    return True
+        return False
 
     def follow(self, timeout_s: float | None) -> int:
         """Copy the output until the machine has halted; return the command's exit code."""
@@ -192,28 +196,6 @@ class _Machine:
         return EnvironmentLackError("\n".join([f"{what}; its last messages were:", *(f"  {line}" for line in log)]))
 
 
-def _group_of_live(stat: Path) -> int | None:
-    try:
-        # proc(5): after the name in brackets come state, parent, group
-        state, _, group = stat.read_text(errors="replace").rpartition(")")[2].split()[:3]
-    except (OSError, ValueError):
-        return None
-    return None if state in "ZX" else int(group)
-
-
-def _write_request(
-    folder: Path, command: Sequence[str], interfaces: Sequence[str], writable: bool, terminal: bool
-) -> None:
-    access = "write" if writable else "layer"
-    if writable:
-        (folder / "writable").touch()
-    settings = [os.getcwd(), access, "terminal" if terminal else "pipes", _terminal_size(), os.uname().nodename]
-    _write_lists(folder, [*settings, *interfaces], command)
-    script = folder / "init.sh"
-    script.write_bytes(files("tipforce_tools.kernel").joinpath("init.sh").read_bytes())
-    script.chmod(0o700)
-
-
 def _on_terminal() -> bool:
     return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
 
@@ -257,56 +239,36 @@ def _terminal_kept(terminal: bool) -> Iterator[None]:
         termios.tcsetattr(0, termios.TCSADRAIN, before)
 
 
-# --- a processor with AMX -------------------------------------------------------------------------------------------
-# linux.uml crashes at boot on it, unless a library is preloaded (whole_xstate.c). It is built for each run on every
-# processor, so that the code needed by a few is tested on all.
+def preloading(folder: Path, cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
+    """Return the variable that preloads whole_xstate.c, built in `folder`; without a compiler nothing, and say so.
 
-
-def needs_whole_xstate(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
-    """Return whether the floating-point state of this processor is larger than linux.uml expects."""
-    try:
-        return "amx_tile" in cpuinfo.read_text().split()
-    except OSError:
-        return False
-
-
-def build_whole_xstate(folder: Path) -> Path:
-    """Compile the library into `folder`. Raises EnvironmentLackError, in one line, if no compiler works."""
-    compiler = next(filter(None, map(shutil.which, _COMPILERS)), None)
-    what = "User-mode Linux on a processor with AMX needs a C compiler"
-    if compiler is None:
-        raise EnvironmentLackError(f"{what}, and none is installed: {_INSTALL}")
-    library = folder / "whole_xstate.so"
-    with as_file(files("tipforce_tools.kernel").joinpath("whole_xstate.c")) as source:
-        words = [compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(source)]
-        built = subprocess.run(words, capture_output=True, check=False, env={**os.environ, "LC_ALL": "C"})
-    if built.returncode:
+    Without it linux.uml crashes at boot on a processor with AMX; built for all, the code of a few is tested on all.
+    Raises EnvironmentLackError, in one line, where the processor needs it and no compiler works.
+    """
+    lack, library = "none is installed", folder / "whole_xstate.so"
+    if compiler := next(filter(None, map(shutil.which, _COMPILERS)), None):
+        with as_file(files("tipforce_tools.kernel").joinpath("whole_xstate.c")) as source:
+            words = [compiler, "-O2", "-shared", "-fPIC", "-o", str(library), str(source)]
+            built = subprocess.run(words, capture_output=True, check=False, env={**os.environ, "LC_ALL": "C"})
+        if not built.returncode:
+            return {"LD_PRELOAD": str(library)}
         said = built.stderr.decode(errors="replace").strip().splitlines() or ["nothing"]
-        raise EnvironmentLackError(f"{what}, and {compiler} failed ({said[0]}): {_INSTALL}")
-    return library
-
-
-def preloading(folder: Path) -> dict[str, str]:
-    """Return the variable that preloads whole_xstate.c; without a compiler nothing, or an error where it is needed."""
-    try:
-        return {"LD_PRELOAD": str(build_whole_xstate(folder))}
-    except EnvironmentLackError as error:
-        if needs_whole_xstate():
-            raise
-        print(f"tipforce vcan: {error}; this processor does not need it", file=sys.stderr)
-        return {}
+        lack = f"{compiler} failed ({said[0]})"
+    text = f"User-mode Linux on a processor with AMX needs a C compiler, and {lack}: {_INSTALL}"
+    if cpuinfo.exists() and "amx_tile" in cpuinfo.read_text().split():
+        raise EnvironmentLackError(text)
+    print(f"tipforce vcan: {text}; this processor does not need it", file=sys.stderr)
+    return {}
 
 
 def run_with_vcan(
     command: Sequence[str], *, interfaces: Sequence[str] = ("vcan0", "vcan1"), memory: str = "2G",
     timeout_s: float | None = None, place: str = "auto", writable: bool = False, announced: bool = False,
 ) -> int:  # fmt: skip
-    """Run `command` where all `interfaces` are vcan buses and up; return the command's own exit code.
+    """Run `command` where all `interfaces` are vcan buses and up; return its exit code, or that of `run_here`.
 
-    Directory and environment are the caller's. Besides the command's own codes: 127 if it is not found, 126 if it
-    cannot be started, 128 + n if signal n ended it, 130 after SIGINT or SIGTERM to this process, 1 (with a message
-    on stderr) after `timeout_s`. `memory` and `writable` (let the command write the caller's files) apply to
-    User-mode Linux only. `announced`: first print on stderr where the command runs. Raises InputError for an
+    Directory and environment are the caller's. `memory` and `writable` (let the command write the caller's files)
+    apply to User-mode Linux only. `announced`: first print on stderr where the command runs. Raises InputError for an
     unusable argument and EnvironmentLackError if the machine cannot provide vcan; its text names what to install.
     """
     for name in interfaces:
@@ -317,17 +279,20 @@ def run_with_vcan(
     memory_bytes(memory)
     if shutil.which(command[0]) is None:
         print(f"tipforce vcan: {visible(command[0])}: command not found", file=sys.stderr)
-        return host.NOT_FOUND
+        return 127  # as a shell reports it
     # Flush, so that earlier output precedes that of the command.
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     chosen = host.choose(interfaces, place)
     if announced:
-        exit_words = "`exit` ends the shell"
+        kernel, ends = "this kernel", "`exit` ends the shell"
         if chosen == "uml":
-            exit_words = f"you are root; {host.KEPT if writable else host.LOST}"
-        kernel = "User-mode Linux" if chosen == "uml" else "this kernel"
-        print(f"tipforce vcan: {kernel}, with {', '.join(interfaces)}; {exit_words}", file=sys.stderr, flush=True)
+            kept, lost = (
+                "--rw: files that you write are kept",
+                "files that you write are lost on exit (--rw keeps them)",
+            )
+            kernel, ends = "User-mode Linux", f"you are root; {kept if writable else lost}"
+        print(f"tipforce vcan: {kernel}, with {', '.join(interfaces)}; {ends}", file=sys.stderr, flush=True)
     if chosen == "uml":
         return run_in_uml(command, interfaces, memory, timeout_s, writable)
     return host.run_here(host.namespace_command(interfaces, command) if chosen == "namespace" else command, timeout_s)
@@ -361,7 +326,8 @@ def _in_machine(folder: Path, command: Sequence[str], timeout_s: float | None) -
     """Leave the request in the folder, where the machine looks for it; copy the output until it has a status."""
     terminal = _on_terminal()
     place = Path(tempfile.mkdtemp(prefix="attach-", dir=folder))
-    _write_lists(place, [os.getcwd(), _terminal_size(), _console(folder) if terminal else ""], command)
+    settings = [os.getcwd(), _terminal_size(), _console(folder) if terminal else ""]
+    write_lists(place, settings=settings, command=command)
     end_s = time.monotonic() + (timeout_s or float("inf"))
     with (place / "stdout").open("w+b") as out, (place / "stderr").open("w+b") as err, _terminal_kept(terminal):
         (place / "ready").touch()

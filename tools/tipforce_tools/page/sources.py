@@ -216,10 +216,10 @@ def scene_source(path: Path, make_finger: FingerMaker, start_s: float = 0.0, end
     """
     from tipforce.scene.build import build
     from tipforce.scene.reader import read_scene
-    from tipforce.scene.run import Options, run_scene
+    from tipforce.scene.run import run_scene
     from tipforce.scene.schema import Outputs
 
-    scene = replace(read_scene(path), outputs=Outputs(), expect=(), bus=None)
+    scene = replace(read_scene(path), expect=(), bus=None)
     built = {finger.node_id: finger for finger in build(scene, path.parent)}
 
     def make(node_id: int) -> Finger | None:
@@ -232,7 +232,7 @@ def scene_source(path: Path, make_finger: FingerMaker, start_s: float = 0.0, end
 
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "scene.log"
-        run_scene(scene, path.parent, Options(log=str(log)))
+        run_scene(replace(scene, outputs=Outputs(log=str(log))), path.parent)
         try:
             source = LogSource(log, make, max(finger.gauges for finger in built.values()), start_s, end_s)
         except InputError as error:

@@ -62,7 +62,7 @@ def plot(args: Namespace) -> int:
     names = log_choice.logs(args.logs)
     check_output(path, figure_kind(path, FIGURES), names)
     plt = _import_matplotlib()
-    layouts, calibrations = log_choice.calibrated(args, log_choice.layouts(args))
+    layouts, calibrations = log_choice.layouts(args)
     contact, computed = None, frozenset[str]()
     if calibrations:  # the contact is estimated from gauges
         from tipforce.host.decoding.contact_columns import COLUMNS, ContactColumns

@@ -19,7 +19,6 @@ import numpy as np
 from canopen_device.core import codes, communication
 from canopen_device.core.emcy import COB_ID_COLLISION
 from tipforce.dictionary import table
-from tipforce.host.decoding.sample_rule import SAMPLES
 from tipforce.host.frames.frame_array import FrameArray
 
 if TYPE_CHECKING:
@@ -250,7 +249,7 @@ class DuplicateNodes:
 
     def sample(self, node_id: int, name: str, counter: int, data: bytes, modulus: int, t_ns: int) -> None:
         """Process a sample that is not stale: the PDO ``name`` with its counter and data."""
-        if counter or modulus == SAMPLES:  # else that of no SYNC
+        if counter or modulus == table.SAMPLES:  # else that of no SYNC
             with self._lock:
                 node = self._nodes.setdefault(node_id, _Node())
                 if node.sample(name, counter, data, modulus):

@@ -18,13 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.core import core
+from tipforce.dictionary import table
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.decoding.sample_table import NO_COUNTER, is_plain
 from tipforce.host.frames.frame_array import FIELDS, FrameArray
 
 COUNTER = "counter"
-SAMPLES = 256
-"""Modulus of a counter of samples: where SYNCs have no numbers."""
+SAMPLES = table.SAMPLES
 LAST_CYCLIC_TYPE = 240
 """CiA 301, table 72: up to this type a PDO follows SYNC."""
 GAP_NS = 200_000_000

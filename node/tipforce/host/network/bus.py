@@ -18,7 +18,6 @@ from canopen_device.core import codes
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
 from tipforce.host.network.nmt import NMT_COMMANDS, Heartbeats
-from tipforce.host.network.open_bus import open_bus
 from tipforce.host.network.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel, checked_time
 
 if TYPE_CHECKING:
@@ -109,6 +108,8 @@ class Bus:
         if channel is not None and interface is None and sys.platform == "linux":
             own = can.rc.get("interface") or os.environ.get("CAN_INTERFACE")  # python-can's configuration
             interface = None if own or can.util.load_file_config().get("interface") else "socketcan"
+        from tipforce.host.network.open_bus import open_bus
+
         opened = open_bus(channel=channel, interface=interface, **bus_options)
         try:
             return cls(opened, timeout_s, retries)

@@ -12,7 +12,6 @@ import can
 from canopen_device.can_frame import raw_can_id
 from canopen_device.core import codes
 from canopen_device.core.codes import HEARTBEAT_BASE, NODE_ID_MASK
-from tipforce.dictionary.service_texts import state_text
 from tipforce.errors import NoResponseError
 from tipforce.host.decoding.duplicates import DuplicateNodes
 
@@ -99,6 +98,8 @@ def command_and_wait(
     boot meanwhile. Raises NotReachedError naming the nodes whose heartbeat did not report it in time: they are off, or
     their heartbeat (1017h) is slower or 0.
     """
+    from tipforce.dictionary.service_texts import state_text
+
     since_s = time.monotonic()
     wanted, reached = NMT_COMMANDS[command][1], dict[int, str]()
     again_s = timeout_s if command.startswith("reset") else _AGAIN_S

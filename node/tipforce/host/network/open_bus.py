@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+import sys
+from typing import TYPE_CHECKING, Any
 
 import can
 
 from canopen_device.running import open_bus as devices_bus
+from tipforce.errors import EnvironmentLackError
+
+if TYPE_CHECKING:
+    from canopen_device.running.ports import PythonCanPort, SocketCanPort
 
 
 def open_bus(**options: Any) -> can.BusABC:
@@ -18,3 +23,20 @@ def open_bus(**options: Any) -> can.BusABC:
         "check -i and -c (`ip -br link` lists interfaces), run on a kernel with vcan: `tipforce vcan -- ...`, "
         "or use -i udp_multicast",
     )
+
+
+def open_port(**options: Any) -> tuple[SocketCanPort | PythonCanPort, str]:
+    """Return a port for nodes, and its name: kernel sockets for SocketCAN, python-can for every other interface."""
+    from canopen_device.running.ports import PythonCanPort, SocketCanPort
+
+    channel = options.get("channel")
+    if sys.platform == "linux" and options.get("interface") == "socketcan" and channel:
+        try:
+            return SocketCanPort(channel), channel
+        except OSError as error:
+            raise EnvironmentLackError(
+                f"interface socketcan, channel {channel}: {error.strerror}; `ip -br link` lists interfaces; "
+                "`tipforce vcan -- ...` provides vcan"
+            ) from error
+    bus = open_bus(**options)
+    return PythonCanPort(bus), str(bus.channel_info)

@@ -23,7 +23,6 @@ from canopen_device.core.sdo_client import SWITCH_BYTES, BlockDownload, BlockUpl
 from canopen_device.types import Value
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry, gauges_of, resolve
-from tipforce.dictionary.service_texts import abort_text
 from tipforce.dictionary.table import MIN_GAUGES
 from tipforce.errors import DuplicateNodeError, EnvironmentLackError, InputError, NoResponseError, SdoAbortError
 from tipforce.host.decoding.duplicates import PRODUCT, SERIAL, DuplicateNodes
@@ -332,6 +331,8 @@ class Exchange:
             self._attempts -= 1
             self._step(None)
         elif code is not None:
+            from tipforce.dictionary.service_texts import abort_text
+
             raise SdoAbortError(f"{self._place}: abort 0x{code:08X}, {abort_text(code)}", code)
         elif transfer.failure is None:
             self.done.set_result(transfer.data)

@@ -28,7 +28,6 @@ from tipforce.host.decoding.sample_table import Table, computed, flag
 from tipforce.samples.reasons import Status
 from tipforce.scene import schema
 from tipforce.scene.build import build
-from tipforce.scene.loads import load_of
 from tipforce.scene.results import applied_at
 from tipforce.scene.run import simulate
 from tipforce.sensor.calibration.simulation import paper_grooves
@@ -242,7 +241,7 @@ def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list
     recorded = np.array(rows)
     status, faults = recorded[:, 3:5].astype(np.int64).T
     samples = _Samples(recorded[:, 0], recorded[:, 1:3], status, faults, recorded[:, 6:], recorded[:, 5])
-    true = applied_at(load_of(scene, NODE_ID), samples.t_s)[:, 0]
+    true = applied_at(scene.load(NODE_ID), samples.t_s)[:, 0]
     counts = []
     for P, u, ok in _shown(samples, calibration):
         wrong = ok & ~(np.abs(P - true) <= TOO_FAR * u)
