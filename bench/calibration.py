@@ -20,7 +20,7 @@ from bench.measure import arguments, in_processes, table
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration, linear_fit
-from tipforce.sensor.calibration.regressors import direction_scatter, grooves
+from tipforce.sensor.calibration.regressors import OffsetBasis, direction_scatter, grooves
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate, unseen_forces
 from tipforce.sensor.calibration.solve import Problem, Scatter, solve
 from tipforce.sensor.contact.estimate import force_vector
@@ -111,9 +111,9 @@ def oracle(sim: Simulated) -> FloatArray:
     Sigma = (sim.faults.noise_strain / unit) ** 2 * np.eye(n)
     known = Problem(
         V=(sim.strain - sim.true_offset_strain) / unit, g=force_vector(*load), D=direction_scatter(*load, 1.0, 1.0),
-        groove=grooves(sim.phi_rad, sim.theta_rad), weight=np.ones(len(sim.strain)), Sigma=Sigma,
+        basis=OffsetBasis.of(np.zeros((len(sim.strain), 0))), weight=np.ones(len(sim.strain)), Sigma=Sigma,
+        groove=grooves(sim.phi_rad, sim.theta_rad), prior_mean=np.zeros((n, 3)), prior_information=np.zeros(n),
         observed=(np.abs(sim.strain) < limit) & ~sim.true_outlier[:, np.newaxis],
-        prior_mean=np.zeros((n, 3)), prior_information=np.zeros(n), kinks=np.zeros(3, dtype=np.bool_),
         scatter=Scatter(sim.faults.groove_scatter_rad**2, sim.faults.hang_scatter_rad**2),
     )  # fmt: skip
     A = solve(known, "none", 1.0).coefficients * unit

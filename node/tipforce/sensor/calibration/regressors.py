@@ -43,6 +43,15 @@ class OffsetBasis(NamedTuple):
             return ("offset", "drift")[:count]
         return (*("offset", "drift")[: count - 1], "temperature")
 
+    @property
+    def to_reference(self) -> FloatArray:
+        """L, (3 or 4, 3 + q): from a gauge's unknowns to its row of A and its offset at the last row."""
+        q = len(self.reference)
+        L = np.zeros((4 if q else 3, 3 + q))
+        L[:3, :3] = np.eye(3)
+        L[3:, 3:] = self.reference
+        return L
+
     def with_temperature(self, change_K: FloatArray) -> OffsetBasis:
         """The same with a column of temperature, (m,), against the reference. Raises InputError for a constant one."""
         span = float(np.abs(change_K).max())
@@ -151,19 +160,9 @@ def _off_line(t: FloatArray, V: FloatArray, at: IntArray, one: int, other: int) 
     return np.abs(V[at] - (1.0 - share) * V[first] - share * V[second])
 
 
-def reference_map(basis: OffsetBasis) -> FloatArray:
-    """Return L, (3 or 4, 3 + q): from a gauge's unknowns to its row of A and its offset at the last row."""
-    q = basis.columns.shape[1]
-    L = np.zeros((4 if q else 3, 3 + q))
-    L[:3, :3] = np.eye(3)
-    if q:
-        L[3, 3:] = basis.reference
-    return L
-
-
 def at_reference(basis: OffsetBasis, coefficients: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return rows of A with the offset at the last row, (n, 3 or 4), and their covariance, of a gauge's unknowns."""
-    L = reference_map(basis)
+    L = basis.to_reference
     return coefficients @ L.T, np.einsum("ip,kplq,jq->kilj", L, covariance, L)
 
 

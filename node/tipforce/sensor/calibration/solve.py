@@ -13,6 +13,7 @@ import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
+from tipforce.sensor.calibration.regressors import OffsetBasis
 
 NOISE_FLOOR = 1e-7
 """Smallest standard deviation of the gauges, as a fraction of the readings: keeps exact data invertible."""
@@ -31,7 +32,8 @@ class Problem(NamedTuple):
     V: FloatArray
     """(m, n)."""
     g: FloatArray
-    """(m, p): F1, F2, F3, then the columns of the offset."""
+    """(m, p): F1, F2, F3, then the columns of the basis."""
+    basis: OffsetBasis
     D: FloatArray
     """(m, 3, 2): D D^T is the covariance of F from the stated scatter of load directions."""
     groove: IntArray
@@ -46,10 +48,17 @@ class Problem(NamedTuple):
     """(n, 3)."""
     prior_information: FloatArray
     """(n,): one over the variance of each entry of a row of A; zero without a prior."""
-    kinks: BoolArray
-    """(p,): coefficients around zero, of a variance that is estimated for each gauge: the restlessness of its drift."""
     scatter: Scatter | None = None
     """Where it is known; None to estimate it."""
+    strain: float = 1.0
+    """The unit of V."""
+    newtons: float = 1.0
+    """The unit of F: any size of load then fits equally well."""
+
+    @property
+    def kinks(self) -> BoolArray:
+        """(p,): coefficients around zero, their variance, the restlessness of the drift, estimated for each gauge."""
+        return np.concatenate((np.zeros(3, dtype=np.bool_), self.basis.kinks))
 
 
 class Solution(NamedTuple):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import Model, Readings
 from tipforce.sensor.calibration.distributions import f_quantile, t_quantile, variance_factors
-from tipforce.sensor.calibration.regressors import OffsetBasis, at_reference, reference_map
+from tipforce.sensor.calibration.regressors import at_reference
 from tipforce.sensor.calibration.result import Fit, LoadResidual
 from tipforce.sensor.calibration.solve import Problem, Solution
 from tipforce.sensor.contact.estimate import force_vector
@@ -21,19 +19,6 @@ from tipforce.sensor.structure.strain import condition_number, row_equilibrated_
 
 HOLD_OUT_CAP = 8.0
 """Squared distance per gauge beyond which a row counts no more against a model."""
-
-
-class Scales(NamedTuple):
-    """Units in which readings and loads are near one: any size of load then fits equally well."""
-
-    strain: float
-    newtons: float
-
-    @classmethod
-    def of(cls, strain: FloatArray, P_newtons: FloatArray) -> Scales:
-        """Root mean square readings and loads."""
-        typical = float(np.sqrt(np.mean(np.square(P_newtons[P_newtons > 0.0]))))
-        return cls(float(np.sqrt(np.mean(np.square(strain)))) or 1.0, typical)
 
 
 def matrix_uncertainty(A: FloatArray, C: FloatArray, Sigma: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -54,8 +39,6 @@ def matrix_uncertainty(A: FloatArray, C: FloatArray, Sigma: FloatArray, covarian
 def result(
     readings: Readings,
     model: Model,
-    scales: Scales,
-    basis: OffsetBasis,
     problem: Problem,
     solution: Solution,
     singular: FloatArray,
@@ -64,29 +47,27 @@ def result(
     near_limit: BoolArray,
 ) -> Fit:
     """Return the Fit in SI units. Left out were rows, ``outlier`` (m,), and readings, (m, n)."""
-    L = reference_map(basis)
-    rows, solved = at_reference(basis, solution.coefficients, solution.covariance)
-    rows = rows * scales.strain
-    A = rows[:, :3] / scales.newtons
-    n = A.shape[0]
-    unit = np.array([1.0 / scales.newtons] * 3 + [1.0] * (len(L) - 3)) * scales.strain
+    rows, solved = at_reference(problem.basis, solution.coefficients, solution.covariance)
+    rows = rows * problem.strain
+    A, (n, q) = rows[:, :3] / problem.newtons, rows.shape
+    unit = np.array([1.0 / problem.newtons] * 3 + [1.0] * (q - 3)) * problem.strain
     covariance = np.zeros((n, 4, n, 4))
-    covariance[:, : len(L), :, : len(L)] = solved * unit[:, np.newaxis, np.newaxis] * unit
-    Sigma = solution.Sigma * scales.strain**2
+    covariance[:, :q, :, :q] = solved * unit[:, np.newaxis, np.newaxis] * unit
+    Sigma = solution.Sigma * problem.strain**2
     # By the covariance that the record holds: from the two a node with more than three gauges gets A back.
     C = weighted_inverse(A, Sigma)
-    residual = solution.unexplained * scales.strain
+    residual = solution.unexplained * problem.strain
     noise_dof = solution.dof if model.noise_strain is None else float("inf")
     sigma0, loaded, unloaded = _sizes(problem, solution, readings.P_newtons > 0.0)
     return Fit(
         C=C,
         A=A,
-        offset_strain=rows[:, 3] if len(L) == 4 else np.zeros(n),
+        offset_strain=rows[:, 3] if q == 4 else np.zeros(n),
         C_uncertainty=matrix_uncertainty(A, C, Sigma, covariance[:, :3, :, :3]),
         coverage_factor=t_quantile(0.975, noise_dof),
         noise_covariance_strain2=Sigma,
         residual_covariance_strain2=_residual_covariance(problem, residual, solution.dof),
-        N=_normal_matrix(problem, solution, L, scales.newtons),
+        N=_normal_matrix(problem, solution),
         parameter_covariance=covariance,
         sigma0=sigma0,
         sigma0_loaded=loaded,
@@ -97,7 +78,7 @@ def result(
         row_equilibrated_condition_number=row_equilibrated_condition_number(A),
         design_singular_values=singular,
         residual_strain=residual,
-        offset_at_rows_strain=problem.g[:, 3:] @ solution.coefficients[:, 3:].T * scales.strain,
+        offset_at_rows_strain=problem.g[:, 3:] @ solution.coefficients[:, 3:].T * problem.strain,
         distance=np.sqrt(np.maximum(solution.distance, 0.0)),
         leverage=solution.leverage,
         used=problem.observed,
@@ -148,11 +129,11 @@ def _residual_covariance(problem: Problem, residual: FloatArray, dof: float) -> 
     return S
 
 
-def _normal_matrix(problem: Problem, solution: Solution, L: FloatArray, newtons: float) -> FloatArray:
+def _normal_matrix(problem: Problem, solution: Solution) -> FloatArray:
     """N for A and the offset at the last row, in newtons: the other coefficients of a drift are eliminated."""
-    used = problem.observed.any(axis=1)
+    used, L = problem.observed.any(axis=1), problem.basis.to_reference
     g = problem.g[used] * np.sqrt(problem.weight[used])[:, np.newaxis]
-    unit = np.array([newtons] * 3 + [1.0] * (len(L) - 3))
+    unit = np.array([problem.newtons] * 3 + [1.0] * (len(L) - 3))
     # Kinks are held towards zero; in units of noise, as the sum is, differently for each gauge: their mean.
     held = float(np.mean(np.diag(solution.Sigma) / solution.kink_variance))
     information = g.T @ g + held * np.diag(problem.kinks.astype(np.float64))

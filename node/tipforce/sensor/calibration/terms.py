@@ -32,25 +32,18 @@ class Nonlinearity:
 
 
 def nonlinearity(
-    problem: Problem,
-    solution: Solution,
-    C: FloatArray,
-    sigma0: float,
-    scale_strain: float,
-    scale_newtons: float,
-    largest_newtons: float,
+    problem: Problem, solution: Solution, C: FloatArray, sigma0: float, largest_newtons: float
 ) -> Nonlinearity | None:
     """Return the test of a quadratic term; None where the rows do not determine one.
 
-    C: (3, n) newtons per unit strain; the scales are those of the problem. Residuals larger than the model expects
-    (sigma0 above 1) widen the intervals.
+    C: (3, n) newtons per unit strain. Residuals larger than the model expects (sigma0 above 1) widen the intervals.
     """
     n, A = problem.V.shape[1], solution.coefficients[:, :3]
-    strain = problem.g[:, :3] @ A.T
+    elastic = problem.g[:, :3] @ A.T
     trials: list[tuple[float, bool, Extra]] = []
     for odd in (False, True):
         try:
-            term = extra(problem, solution, _square(strain, odd)[:, :, np.newaxis] * np.eye(n))
+            term = extra(problem, solution, _square(elastic, odd)[:, :, np.newaxis] * np.eye(n))
             term = term._replace(covariance=term.covariance * max(1.0, sigma0 if np.isfinite(sigma0) else 1.0) ** 2)
             size = float(term.value @ np.linalg.solve(term.covariance, term.value))
         except np.linalg.LinAlgError:
@@ -64,11 +57,11 @@ def nonlinearity(
     significant = size > n * f_quantile(1.0 - 0.5 * FALSE_ALARM, n, 1e6 if stated else dof)
     u = np.sqrt(np.diagonal(term.covariance))
     factor = t_quantile(0.975, np.inf if stated else dof)
-    relative = 0.0
+    relative, strain = 0.0, problem.strain
     if significant:
-        scaled_C = C * scale_strain / scale_newtons
-        relative = _relative_error(term, scaled_C, odd, largest_newtons / scale_newtons)
-    return Nonlinearity(term.value / scale_strain, factor * u / scale_strain, odd, bool(significant), relative)
+        scaled_C = C * strain / problem.newtons
+        relative = _relative_error(term, scaled_C, odd, largest_newtons / problem.newtons)
+    return Nonlinearity(term.value / strain, factor * u / strain, odd, bool(significant), relative)
 
 
 def _square(strain: FloatArray, odd: bool) -> FloatArray:
@@ -136,17 +129,13 @@ def gain_of(problem: Problem, solution: Solution, change_K: FloatArray) -> tuple
     return float(gain[0]), float(u[0])
 
 
-def offsets_of(
-    problem: Problem, solution: Solution, change_K: FloatArray, fitted_span_K: float, strain: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return (offset per kelvin, standard uncertainty), (n,) each, strain: of the fit, or as a further column.
-
-    fitted_span_K: kelvins per unit of the fit's last column; 0 where it has no column of temperature.
-    """
-    if not fitted_span_K:
+def offsets_of(problem: Problem, solution: Solution, change_K: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (offset per kelvin, standard uncertainty), (n,) each, strain: of the fit, or as a further column."""
+    span_K, strain = problem.basis.temperature_span_K, problem.strain
+    if not span_K:
         return per_kelvin(problem, solution, change_K, np.eye(problem.V.shape[1])[np.newaxis], strain)
     variance = np.einsum("kpkp->kp", solution.covariance)[:, -1]
-    return solution.coefficients[:, -1] * strain / fitted_span_K, np.sqrt(variance) * strain / fitted_span_K
+    return solution.coefficients[:, -1] * strain / span_K, np.sqrt(variance) * strain / span_K
 
 
 def factor(dof: float, chance: float = 0.05) -> float:

@@ -103,9 +103,8 @@ def modes(
     """Return the modes of one body: 3 if joint and beams are massless, else 6.
 
     damping_ratio: one for all modes or one for each, lowest first. tip: half_cylinder(geometry) if None. joint: a
-    rigid block at the origin. beam_density_kg_m3: of the beams, 0 neglects their mass. Raises InputError for a body
-    whose stiffness or frequencies floating point cannot represent, a joint without mass with massless beams, or damping
-    ratios out of range or in wrong number.
+    rigid block at the origin. beam_density_kg_m3: 0 neglects the mass of the beams. Raises InputError for a body beyond
+    floating point, or damping ratios out of range or in wrong number.
     """
     if not 0.0 <= beam_density_kg_m3 < math.inf:
         raise InputError(f"beam_density_kg_m3 = {beam_density_kg_m3!r}: allowed is 0 (neglected) or more, finite")
@@ -130,9 +129,7 @@ def modes(
 
 
 def compliances(frame: Frame) -> tuple[FloatArray, FloatArray]:
-    """Return the compliance (3, 3), m/N in the coordinates y, of the arms and of the vertical beam: their sum is the
-    tip's against the fixture.
-    """
+    """Return the compliances (3, 3), m/N in the coordinates y, of the arms and of the vertical beam."""
     r = frame.geometry.r_m
     order = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, r], [1.0, 0.0, 0.0]])  # y from (u, v, rotation)
     arms, vertical = order @ frame.tip_motion(), order @ frame.joint_motion()
@@ -170,8 +167,7 @@ def _damping(damping_ratio: float | Sequence[float], n: int) -> FloatArray:
 def beam_mass_matrix(geometry: Geometry, density_kg_m3: float, model: FrameModel) -> FloatArray:
     """Return the mass matrix (6, 6), kg, for (motion of the joint, motion of the tip relative to it), each as y.
 
-    Beams deform as their end loads bend them (Hermite's cubic along, linear stretch); shear, root compliance, rotatory
-    inertia and the beams' own inner modes are neglected.
+    Consistent masses of Hermite's cubic and linear stretch: shear, roots and rotatory inertia are neglected.
     """
     g = geometry
     inner = 0.5 * g.h2_m if model.finite_joint else 0.0
@@ -218,10 +214,9 @@ _SWEEPS = 60
 def jacobi(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (values (n,), vectors (n, n) as columns), largest value first, by Jacobi's rotations.
 
-    Unlike numpy.linalg.eigh, whose errors are a fraction of the largest eigenvalue, the relative error of each
-    eigenvalue is rounding times the condition number of the matrix with its diagonal scaled to 1 (Demmel and Veselic
-    1992): a thin beam's stiffness beside a thick one's keeps its digits. A rotation is skipped only where the entry is
-    small against the geometric mean of its two diagonal entries.
+    Unlike those of numpy.linalg.eigh, small eigenvalues keep their digits (Demmel and Veselic 1992): a thin beam's
+    stiffness beside a thick one's. A rotation is skipped only where the entry is small against the geometric mean of
+    its two diagonal entries.
     """
     A, Q = matrix.copy(), np.eye(len(matrix))
     pairs = [(i, j) for i in range(len(A)) for j in range(i + 1, len(A))]
