@@ -8,7 +8,7 @@ the strain at its middle, exactly; one of 1 mm that begins at a corner reads 0.5
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -92,8 +92,8 @@ def position_matrix(geometry: Geometry, positions: Sequence[GaugePosition]) -> F
     return np.array([strain_row(geometry, *position) for position in positions], dtype=np.float64).reshape(-1, 3)
 
 
-def shifted(geometry: Geometry, gauge: str | GaugePosition, shift_m: float) -> GaugePosition:
-    """Return the position shift_m inward of a gauge: along its beam, away from the nearer end.
+def shifted(geometry: Geometry, gauge: str | GaugePosition, shift_m: Any) -> GaugePosition:
+    """Return the position shift_m (or an array of such) inward of a gauge: along its beam, away from the nearer end.
 
     Raises InputError for an unknown point; strain_row() rejects a shift beyond the beam.
     """
