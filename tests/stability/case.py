@@ -3,6 +3,8 @@
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import FunctionType, ModuleType
+from typing import cast
 
 from tipforce.errors import InputError
 from tipforce_lab.report.study import Outcome
@@ -27,16 +29,28 @@ class Observed:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """An extreme case. ``check`` runs it and tests ``claim``; it must be able to fail."""
+    """An extreme case: a function of an area whose docstring is "the extreme input -> outcome: the claim"."""
 
     key: str
-    """"area.what", unique: "contact.denormal_load"."""
+    """"area.what", the name of the function: "contact.denormal_load"."""
     situation: str
-    """The extreme input, with its numbers."""
     outcome: Outcome
     claim: str
-    """The claim, one sentence that ``check`` tests."""
     check: Callable[[], Observed]
+    """Runs the case and tests the claim; it must be able to fail."""
+
+
+def cases_of(area: ModuleType) -> list[Case]:
+    """Return the cases of a module, its public functions, in their order."""
+    found = []
+    for name, check in vars(area).items():
+        if isinstance(check, FunctionType) and check.__module__ == area.__name__ and not name.startswith("_"):
+            situation, _, rest = " ".join((check.__doc__ or "").split()).partition(" -> ")
+            outcome, _, claim = rest.partition(": ")
+            what = name.removeprefix("front_end_")
+            key = f"front_end.{what}" if what != name else name.replace("_", ".", 1)
+            found.append(Case(key, situation, cast("Outcome", outcome), claim, check))
+    return found
 
 
 def refusal(act: Callable[[], object]) -> str:

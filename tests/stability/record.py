@@ -4,7 +4,7 @@ import importlib
 import json
 from pathlib import Path
 
-from stability.case import Case, Observed, plain
+from stability.case import Case, Observed, cases_of, plain
 
 AREAS = (
     "contact", "uncertainty", "layout", "gauges", "filters", "calibration", "fit", "wire", "clock", "dynamics",
@@ -16,7 +16,7 @@ RECORD = Path(__file__).parents[2] / "tools" / "tipforce_lab" / "report" / "case
 
 def cases() -> list[Case]:
     """Return all cases by area."""
-    return [case for area in AREAS for case in importlib.import_module(f"stability.{area}").cases()]
+    return [case for area in AREAS for case in cases_of(importlib.import_module(f"stability.{area}"))]
 
 
 def recorded(case: Case, observed: Observed) -> dict[str, object]:

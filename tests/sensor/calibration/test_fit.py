@@ -19,7 +19,7 @@ from tipforce.sensor.calibration.fit import (
     linear_fit,
 )
 from tipforce.sensor.calibration.result import DIGITS, matrix_to_digits, rounded, to_digits
-from tipforce.sensor.calibration.simulation import Faults, simulate
+from tipforce.sensor.calibration.simulation import simulate
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import POINTS, layout
@@ -96,17 +96,6 @@ def test_a_node_finds_the_structure_again_from_matrix_and_covariance() -> None:
     fit = fit_calibration(readings(simulated(3, gauges=layout(["K_H", "S_H", "U", "T", "L"]))), PLAIN)
     C, Sigma = fit.C, fit.noise_covariance_strain2
     np.testing.assert_allclose(Sigma @ C.T @ np.linalg.inv(C @ Sigma @ C.T), fit.A, rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize(("newtons", "strain"), [(1e-3, 1.0), (1e3, 1.0), (1.0, 1e-3), (1e6, 1e3)])
-def test_units_do_not_matter(newtons: float, strain: float) -> None:
-    sim = simulated(4, Faults())
-    model = Model(drift="tare", phi_scatter_rad=0.01, theta_scatter_rad=0.01, saturation_strain=np.inf)
-    fit = fit_calibration(readings(sim), model)
-    scaled = fit_calibration(readings(sim, strain=sim.strain * strain, P_newtons=sim.P_newtons * newtons), model)
-    np.testing.assert_allclose(scaled.C, fit.C * newtons / strain, rtol=1e-6)
-    np.testing.assert_allclose(scaled.C_uncertainty, fit.C_uncertainty * newtons / strain, rtol=1e-6)
-    assert scaled.outliers == fit.outliers
 
 
 def test_weight_is_a_number_of_readings() -> None:
