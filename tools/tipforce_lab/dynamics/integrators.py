@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.first_order_hold import State, hold
+from tipforce.sensor.dynamics.first_order_hold import State, holds
 from tipforce.sensor.dynamics.model import HIGHEST_DAMPING_RATIO, Modes
 from tipforce_lab.dynamics.impact import Assembly, Striker
 
@@ -95,9 +95,9 @@ def generalised_alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, rho_
 
 
 def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: str, rtol: float) -> FloatArray:
-    """Integrate by scipy's solve_ivp with relative tolerance ``rtol``; absolute: rtol times the state of 1 N.
+    """Integrate by scipy's solve_ivp, relative to the state of 1 N. A run that scipy abandons is NaN from there on.
 
-    Raises InputError for another method than SCIPY_METHODS. A run that scipy abandons is NaN from there on.
+    Raises InputError for another method than SCIPY_METHODS.
     """
     if method not in SCIPY_METHODS:
         raise InputError(f"method = {method!r}: allowed is {', '.join(SCIPY_METHODS)}")
@@ -120,10 +120,9 @@ def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: s
 
 
 def rk4_stability_limit(damping_ratio: float) -> float:
-    """Return the largest omega h at which RK4 does not amplify a mode, from |R(z)| = 1, R its stability polynomial.
+    """Return the largest omega h at which RK4 does not amplify a mode: |R(z)| = 1 for its stability polynomial R.
 
-    Undamped 2 sqrt(2); the mode's z = omega h (-zeta +- i sqrt(1 - zeta^2)), or its faster real one above 1. Raises
-    InputError for a damping ratio outside 0 to 1e6.
+    Undamped 2 sqrt(2). Raises InputError for a damping ratio outside 0 to 1e6.
     """
     if not 0.0 <= damping_ratio <= HIGHEST_DAMPING_RATIO:
         raise InputError(f"damping_ratio = {damping_ratio!r}: allowed is 0 to {HIGHEST_DAMPING_RATIO:g}")
@@ -200,15 +199,10 @@ def _times(times_s: npt.ArrayLike) -> FloatArray:
 
 def free(modes: Modes, start: State, times_s: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return modal positions and velocities (m, n) at times (m,) after a start, without load."""
-    rows = []
-    for time_s in np.asarray(times_s, dtype=np.float64):
-        c = np.array(
-            [hold(float(w * time_s), float(d)) for w, d in zip(modes.omega_rad_s, modes.damping_ratio, strict=True)]
-        )
-        rows.append((c[:, 0] * start.position + c[:, 1] * start.velocity,
-                     c[:, 2] * start.position + c[:, 3] * start.velocity))  # fmt: skip
-    both = np.array(rows).reshape(-1, 2, len(modes.omega_rad_s))
-    return both[:, 0], both[:, 1]
+    held = [holds(modes, float(time_s)) for time_s in np.asarray(times_s, dtype=np.float64)]
+    p11, p12, p21, p22 = np.array(held).reshape(-1, len(modes.omega_rad_s), 8)[..., :4].transpose(2, 0, 1)
+    z, w = start
+    return p11 * z + p12 * w, p21 * z + p22 * w
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,10 +250,7 @@ def _forced(modes: Modes, wave: Wave, times_s: FloatArray) -> tuple[FloatArray, 
 
 
 def quasi_static_error(modes: Modes, frequency_hz: npt.ArrayLike) -> FloatArray:
-    """Return the largest error of the elastic force relative to a sinusoidal load, (...).
-
-    Largest over all directions of F: a 2-norm.
-    """
+    """Return the largest error, over all directions of F, of the elastic force relative to a sinusoidal load, (...)."""
     ratio = np.asarray(frequency_hz, dtype=np.float64)[..., np.newaxis] / modes.frequency_hz
     # gain - 1 without the difference of two numbers near 1.
     squared = ratio * ratio - 2j * modes.damping_ratio * ratio

@@ -48,8 +48,7 @@ class Touch(NamedTuple):
     peak_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Switched:
+class Switched(NamedTuple):
     """Matrices of the system above, N states and n contacts."""
 
     A: FloatArray
@@ -156,7 +155,7 @@ class March:
         self._fresh, self._disturbed_s = (contact,), self.time_s
 
     def finish(self) -> tuple[Touch, ...]:
-        """Return all contacts by start; one that is still closed ends at inf."""
+        """Return all contacts by start."""
         return tuple(sorted([*self.touches, *self._begun.values()], key=lambda touch: touch.begin_s))
 
     def _regime(self) -> _Regime:
@@ -229,7 +228,7 @@ def _moved(A: FloatArray, state: FloatArray, tau: float) -> FloatArray:
 
 
 def _root(A: FloatArray, state: FloatArray, row: FloatArray, low: float, high: float) -> float:
-    """Find where row X(tau) rises through 0 in (low, high]: Newton's steps, with bisection as the safeguard."""
+    """Find where row X(tau) rises through 0 in (low, high], by Newton's steps and bisection."""
     slope, size = row @ A, np.abs(row)
     tau = 0.5 * (low + high)
     for _ in range(100):
@@ -252,8 +251,6 @@ def _root(A: FloatArray, state: FloatArray, row: FloatArray, low: float, high: f
 
 STOP_STIFFNESS = 1e7
 """N/m of the contact alone, assumed; the arm behind it is softer (in the fabricated body 2.4e6 N/m)."""
-
-
 CLOSE_ENOUGH, SMALLEST_CLOSURE = 0.02, 0.02
 """By what share the stop's points may close later than the whole slit, for loads that close it by at least so much of
 what the worst one does: the others (beyond 750 N in the fabricated body) bend it elsewhere first."""
