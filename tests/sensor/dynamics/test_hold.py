@@ -283,6 +283,8 @@ def test_runs_out_of_range_are_refused() -> None:
         impact(BODY, Striker(0.01, 0.3, 1e6, 1.5), 1.0, slit=stop)
     with pytest.raises(InputError, match="rigid ground"):
         impact(None, striker, 1.0, slit=stop)
+    with pytest.raises(InputError, match="stop on rigid ground"):
+        impact(None, Striker(math.inf, 0.3, 1e6, 1.5), 1.0)
     with pytest.raises(InputError, match="gap_m"):
         slit_stop(FABRICATED, BODY, gap_m=0.0)
     with pytest.raises(InputError, match="rise strictly"):

@@ -166,6 +166,8 @@ def impact(
     if striker.exponent != 1.0:
         if slit is not None:
             raise InputError("a Hertzian contact and a slit in one run: allowed is a linear contact with a slit")
+        if modes is None and math.isinf(striker.mass_kg):
+            raise InputError("a stop on rigid ground, where neither yields: allowed is a body of finite mass")
         return _HertzRun(modes, striker, t, until_s).impact()
     assembly = Assembly(modes, striker, slit)
     march, samples = March(assembly.system, assembly.start()), list[_Sample]()
