@@ -18,25 +18,25 @@ import numpy as np
 from bench.measure import arguments, table
 
 from tipforce.arrays import FloatArray
-from tipforce_lab.design.merit import LoadSet
-from tipforce_lab.design.search import OBJECTIVES, Design, Limits, Objective, problem_of, score, search
+from tipforce_lab.design.merit import Limits
+from tipforce_lab.design.search import OBJECTIVES, Design, Objective, problem_of, score, search
 
 STARTS = (1, 2, 4, 8, 16)
 REFERENCE_STARTS, SEEDS = 32, 6
-LIMITS, LOADS = Limits(), LoadSet()
+LIMITS = Limits()
 _PENALTY = 1e3
 
 
 def value(design: Design, objective: Objective) -> float:
     """The logarithm of what the search minimised."""
     problem = problem_of(design, LIMITS)
-    return score(objective, LOADS)(problem.rows(problem.point(design)[np.newaxis])[0])[0]
+    return score(objective, LIMITS.loads)(problem.rows(problem.point(design)[np.newaxis])[0])[0]
 
 
 def multi_start(gauges: int, objective: Objective, starts: int, seeds: int) -> tuple[FloatArray, float]:
     """(logarithms of the objective by seed, mean seconds)."""
     begin = time.perf_counter()
-    designs = [search(gauges, objective, LIMITS, LOADS, starts=starts, seed=1 + seed)[0] for seed in range(seeds)]
+    designs = [search(gauges, objective, LIMITS, starts=starts, seed=1 + seed)[0] for seed in range(seeds)]
     seconds = (time.perf_counter() - begin) / seeds
     return np.array([value(design, objective) for design in designs]), seconds
 
@@ -45,7 +45,7 @@ def evolution(reference: Design, objective: Objective) -> tuple[float, float]:
     """(logarithm of the objective, seconds) by differential evolution on the reference's configuration."""
     from scipy.optimize import differential_evolution
 
-    problem, part = problem_of(reference, LIMITS), score(objective, LOADS)
+    problem, part = problem_of(reference, LIMITS), score(objective, LIMITS.loads)
     free = problem.bounds[:, 1] > problem.bounds[:, 0]
     base = problem.bounds[:, 0].copy()
     bounds = problem.bounds.copy()
@@ -71,7 +71,7 @@ def main() -> int:
     missed, rows = 0.0, []
     arguments(__doc__).parse_args()
     for gauges, objective in itertools.product((3, 4, 5), OBJECTIVES):
-        reference = search(gauges, objective, LIMITS, LOADS, starts=REFERENCE_STARTS)[0]
+        reference = search(gauges, objective, LIMITS, starts=REFERENCE_STARTS)[0]
         runs = {f"{n} starts": multi_start(gauges, objective, n, SEEDS) for n in STARTS}
         if gauges == 3:
             best, seconds = evolution(reference, objective)

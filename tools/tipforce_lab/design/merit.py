@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame, slit_closure, worst_stress
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, PAPER_SLIT_M, Frame, slit_closure, worst_stress
+from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
 from tipforce.sensor.structure.strain import Gauge, condition_number, gauge_matrix, noise_gain, nominal_position
 
-PAPER_LOAD_NEWTONS = 4.4
 _FRICTION = 0.5
 _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as many change u by less than 1e-3
 
@@ -32,7 +32,7 @@ class LoadSet:
     Raises InputError for a load out of range.
     """
 
-    load_newtons: float = PAPER_LOAD_NEWTONS
+    load_newtons: float = CALIBRATION_WEIGHT_NEWTONS
 
     def __post_init__(self) -> None:
         if not 0.0 < self.load_newtons < math.inf:
@@ -60,6 +60,48 @@ class LoadSet:
         slope_P = np.tan(delta)[:, np.newaxis] * gradient_P / self.load_newtons
         gradients = (gradient_P, gradient_phi, gradient_phi - slope_2 + slope_P)
         return np.stack([j.T @ j / len(phi) for j in gradients])
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of a structure, lengths in metres; the defaults are the paper's fabricated body and its stress.
+
+    Raises InputError for a value out of range, naming it.
+    """
+
+    envelope_x_m: float = 2.0 * FABRICATED.r_m
+    """Across: 2 r."""
+    envelope_y_m: float = FABRICATED.r_m + 0.5 * FABRICATED.h1_m + FABRICATED.d_m
+    """From the fixture to the top of the tip: d + h1 / 2 + r."""
+    width_m: float = FABRICATED.width_m
+    radius_m: float | None = None
+    """Of the tip, if given; None: free."""
+    min_thickness_m: float = 0.2e-3
+    """Of either beam. The paper names no limit; its thinner beam has 0.4 mm."""
+    slenderness: float = 10.0
+    """Least length over thickness of each beam (of an arm between joint and tip): the validity of beam theory."""
+    gauge_length_m: float = 1e-3
+    slit_m: float = PAPER_SLIT_M
+    """The load must not close it."""
+    loads: LoadSet = LoadSet()
+    max_stress_pascals: float | None = None
+    """Anywhere on the beams at the load, at the worst angle; None: that of the paper's body."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            free = field.name == "loads" or value is None or (value == 0.0 and field.name == "slenderness")
+            if not (free or 0.0 < value < math.inf):
+                raise InputError(f"limit {field.name} = {value!r}: allowed is a positive finite number in SI units")
+        if self.radius_m is not None and self.radius_m > 0.5 * self.envelope_x_m:
+            raise InputError(f"limit radius_m = {self.radius_m!r}: allowed is half of envelope_x_m at most")
+
+    @property
+    def stress_pascals(self) -> float:
+        """max_stress_pascals, or its default."""
+        if self.max_stress_pascals is None:
+            return worst_stress(FABRICATED, self.loads.load_newtons)
+        return self.max_stress_pascals
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,29 +180,22 @@ class Assessment:
 
 
 def assess(
-    name: str,
-    geometry: Geometry,
-    gauges: Sequence[Gauge],
-    *,
-    loads: LoadSet,
-    noise_microstrain: float,
-    gauge_length_m: float,
-    slit_m: float,
+    name: str, geometry: Geometry, gauges: Sequence[Gauge], limits: Limits, noise_microstrain: float
 ) -> Assessment:
-    """Return the figures of one structure, stresses at loads.load_newtons.
+    """Return the figures of one structure under the loads of the limits, with their gauge length and slit.
 
     Points of Table 1 are read at the point itself: a gauge there would reach beyond the beam. Raises InputError
     for gauges that are not usable.
     """
-    A = gauge_matrix(geometry, gauges)
-    length_m = 0.0 if any(isinstance(gauge, str) for gauge in gauges) else gauge_length_m
+    A, loads = gauge_matrix(geometry, gauges), limits.loads
+    length_m = 0.0 if any(isinstance(gauge, str) for gauge in gauges) else limits.gauge_length_m
     block = replace(ELASTIC_ROOTS, finite_joint=True)
     matrices = [Frame(geometry, model).strain_matrix(gauges, length_m) for model in (ELASTIC_ROOTS, block)]
     theory, frame, finite = (merit(matrix, noise_microstrain, loads) for matrix in (A, *matrices))
     return Assessment(
         name, geometry, tuple(gauges), theory, frame, finite,
         worst_stress(geometry, loads.load_newtons), worst_strain(A, loads.load_newtons),
-        slit_m / slit_closure(geometry, 1.0),
+        limits.slit_m / slit_closure(geometry, 1.0),
     )  # fmt: skip
 
 

@@ -15,8 +15,8 @@ from tipforce.sensor.contact.redundancy import detectable_strain, parity, weight
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.strain import gauge_matrix, gauge_name
-from tipforce_lab.design.merit import FIGURES, Assessment, LoadSet, Merit, assess, glued, pareto
-from tipforce_lab.design.search import TRADE_OFF_STEPS, Limits, Objective, configurations, search, trade_off
+from tipforce_lab.design.merit import FIGURES, Assessment, Limits, Merit, assess, glued, pareto
+from tipforce_lab.design.search import TRADE_OFF_STEPS, Objective, configurations, search, trade_off
 
 _FROM = 4  # configurations from which the path to the minimum condition number starts
 
@@ -44,7 +44,6 @@ def optimise(
     objective: Objective,
     gauges: int,
     limits: Limits,
-    loads: LoadSet,
     noise_microstrain: float,
     *,
     starts: int,
@@ -53,16 +52,12 @@ def optimise(
 ) -> Outcome:
     """Optimise the objective and the condition number, follow the path between them, and assess all designs."""
     axis: Objective = "theta" if objective == "condition" else objective
-    best = search(gauges, axis, limits, loads, starts=starts, seed=seed, done=done)
-    least = search(gauges, "condition", limits, loads, starts=starts, seed=seed, done=done)[0]
-    between = trade_off(best[0], best[1:_FROM], least, axis, loads, limits, done)
-    judge = partial(
-        assess, loads=loads, noise_microstrain=noise_microstrain,
-        gauge_length_m=limits.gauge_length_m, slit_m=limits.slit_m,
-    )  # fmt: skip
-    first = judge("best", best[0].geometry, best[0].gauges)
-    condition_only = judge("condition", least.geometry, least.gauges)
-    others = [judge("", design.geometry, design.gauges) for design in (*best[1:], *between)]
+    best = search(gauges, axis, limits, starts=starts, seed=seed, done=done)
+    least = search(gauges, "condition", limits, starts=starts, seed=seed, done=done)[0]
+    between = trade_off(best[0], best[1:_FROM], least, axis, limits, done)
+    judge = partial(assess, limits=limits, noise_microstrain=noise_microstrain)
+    first, condition_only = judge("best", *best[0]), judge("condition", *least)
+    others = [judge("", *design) for design in (*best[1:], *between)]
     front = pareto([first, *others, condition_only], (FIGURES[axis], FIGURES["condition"]))
     front = [entry if entry.name else replace(entry, name=f"{k}") for k, entry in enumerate(front, 1)]
     if condition_only not in front:

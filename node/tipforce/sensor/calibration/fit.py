@@ -1,9 +1,8 @@
 """Calibration: from readings under known loads to C, its offsets and its uncertainty.
 
-The gauges are the noisy side and the loads are known, so V = A F + b is fitted and then inverted (the paper
-fits F = C V). Loads whose direction is uncertain weigh less, tares carry the offset through its drift, rows
-that disagree are named and left out, saturated readings too, and what the rows cannot show is refused by name.
-``best_fit`` chooses the drift, and whether offsets follow temperature, by what predicts left-out rows best.
+The gauges are the noisy side, so V = A F + b is fitted and then inverted (the paper fits F = C V). Loads of uncertain
+direction weigh less, tares carry the offset through its drift, rows that disagree and saturated readings are left out,
+and what the rows cannot show is refused by name.
 """
 
 from __future__ import annotations
@@ -17,14 +16,13 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
-from tipforce.sensor.calibration import regressors, terms
+from tipforce.sensor.calibration import regressors, statistics
 from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
 from tipforce.sensor.calibration.distributions import f_quantile
 from tipforce.sensor.calibration.outliers import outlying, rejections, suspects
 from tipforce.sensor.calibration.regressors import OffsetBasis
-from tipforce.sensor.calibration.result import Fit, LoadResidual, covariance_of_estimate, kronecker
+from tipforce.sensor.calibration.result import Fit, LoadResidual, Temperature, covariance_of_estimate, kronecker
 from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
-from tipforce.sensor.calibration.statistics import result
 from tipforce.sensor.contact.estimate import force_vector
 
 __all__ = [
@@ -42,9 +40,8 @@ MAX_GAIN_PASSES = 4
 def fit_calibration(readings: Readings, model: Model | None = None) -> Fit:
     """Return the calibration that the readings support.
 
-    Raises InputError where shapes or values are not usable (naming the row), where the rows cannot show an
-    offset or a direction of load (naming it, and what to add), and where nothing is left to estimate the
-    noise from.
+    Raises InputError for shapes and values (naming the row), where the rows cannot show an offset or a direction of
+    load (naming it, and what to add), and where nothing is left to estimate the noise from.
     """
     model = model or Model()
     readings = checked(readings, model)
@@ -66,20 +63,20 @@ def _with_gain(readings: Readings, model: Model) -> Fit:
     low, high, n = float(T.min()), float(T.max()), readings.strain.shape[1]
     if not change.any():
         unknown = np.full(n, np.nan)
-        none = terms.Temperature(low, low, high, np.zeros(n), unknown, False, 0.0, float("nan"), False)
+        none = Temperature(low, low, high, np.zeros(n), unknown, False, 0.0, float("nan"), False)
         return replace(fit, temperature=none)
     fitted_gain = False
     for _ in range(MAX_GAIN_PASSES):
-        more, u = terms.gain_of(problem, solution, change)
-        significant = abs(gain + more) > u * terms.factor(fit.dof, terms.CHANCE)
+        more, u = statistics.gain_of(problem, solution, change)
+        significant = abs(gain + more) > u * statistics.factor(fit.dof, statistics.CHANCE)
         if not significant or abs(more) < 0.01 * u:
             break
         gain, fitted_gain = gain + more, True
         fit, problem, solution = _fitted(readings, model, gain)
-    offsets, u_offsets = terms.offsets_of(problem, solution, change)
-    k = terms.factor(fit.dof)
-    shown = terms.Temperature(
-        terms.reference_temperature_degC(T), low, high, offsets, k * u_offsets, model.temperature,
+    offsets, u_offsets = statistics.offsets_of(problem, solution, change)
+    k = statistics.factor(fit.dof)
+    shown = Temperature(
+        statistics.reference_temperature_degC(T), low, high, offsets, k * u_offsets, model.temperature,
         gain if fitted_gain else more, k * u, fitted_gain,
     )  # fmt: skip
     return replace(fit, temperature=shown)
@@ -119,21 +116,20 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> tuple[Fit, P
             settled = True
             break
     assert solution is not None
-    fit = result(readings, model, problem, solution, singular, outlier, saturated, near)
+    fit = statistics.result(readings, model, problem, solution, singular, outlier, saturated, near)
     largest = float(readings.P_newtons.max())
-    straight = terms.nonlinearity(problem, solution, fit.C, fit.sigma0, largest)
+    straight = statistics.nonlinearity(problem, solution, fit.C, fit.sigma0, largest)
     if straight is not None and not straight.significant and outlier.any():
         # A fault that grows with the load is first thrown out as outliers: those rows have a say, too.
-        other = terms.nonlinearity(problem._replace(observed=counted), solution, fit.C, fit.sigma0, largest)
+        other = statistics.nonlinearity(problem._replace(observed=counted), solution, fit.C, fit.sigma0, largest)
         straight = other if other is not None and rejections(fit, readings) else straight
     return replace(fit, nonlinearity=straight, converged=solution.converged and settled), problem, solution
 
 
 def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
-    """Return the paper's fit, for comparison: C (3, n) with least squares of F = C V, no offset, every row alike.
+    """Return the paper's fit, for comparison: C (3, n) by least squares of F = C V. strain: (m, n); F: (m, 3).
 
-    strain: (m, n); F: (m, 3). Raises InputError for other shapes, numbers that are not finite, or readings of rank
-    below 3.
+    Raises InputError for other shapes, numbers that are not finite, or readings of rank below 3.
     """
     V, F = floats("strain", strain), floats("F", F_newtons)
     if V.ndim != 2 or F.shape != (V.shape[0], 3) or not np.isfinite(V).all() or not np.isfinite(F).all():
@@ -175,7 +171,7 @@ def _with_offset(problem: Problem, readings: Readings, model: Model, keep: BoolA
 
 def _change_K(readings: Readings) -> FloatArray:
     T = readings.temperature_degC
-    return np.zeros(len(readings.P_newtons)) if T is None else T - terms.reference_temperature_degC(T)
+    return np.zeros(len(readings.P_newtons)) if T is None else T - statistics.reference_temperature_degC(T)
 
 
 def _problem(readings: Readings, model: Model, gain_per_K: float) -> Problem:
@@ -215,9 +211,8 @@ def best_fit(
 ) -> tuple[Fit, Model, dict[str, float]]:
     """Return the fit of the drift that the hold-out score prefers, its model, and the scores by name.
 
-    Candidates are ``drifts``, by default no drift, linear where the rows have times, tare where unloaded readings at
-    two times allow it; each also with a temperature coefficient of the offsets where temperatures change. Raises
-    InputError as fit_calibration() does where the first candidate cannot be fitted.
+    ``drifts``: by default those that the times of the rows allow; each also with a temperature coefficient of the
+    offsets where temperatures change. Raises InputError as fit_calibration() does if the first cannot be fitted.
     """
     fits: dict[str, tuple[Fit, Model]] = {}
     refused: InputError | None = None

@@ -97,8 +97,7 @@ def offset_basis(
 ) -> OffsetBasis:
     """Return the basis of the offset for m rows; ``usable`` rows only give tares.
 
-    Raises InputError where a drift is asked for and the rows have no times, all one time, or tares at fewer
-    than two times.
+    Raises InputError for a drift where the rows have no times, all one time, or tares at fewer than two times.
     """
     m = unloaded.size
     if not offset:
@@ -127,10 +126,9 @@ def offset_basis(
 
 
 def bad_tares(strain: FloatArray, t_s: FloatArray, unloaded: BoolArray, usable: BoolArray) -> BoolArray:
-    """Return which tares jump out of the line through their neighbours, (m,): no drift is that quick.
+    """Return which tares jump out of the line through their neighbours, (m,), the worst first: no drift is that quick.
 
-    A tare alone at its time defines the offset there, so that no residual can accuse it: it is judged by the
-    tares around it, the worst first.
+    A tare alone at its time defines the offset there, so that no residual can accuse it.
     """
     usable = usable.copy()
     bad = np.zeros(usable.size, dtype=np.bool_)
@@ -176,8 +174,8 @@ FORCES = ("F1", "F2", "F3")
 def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_newtons: float) -> FloatArray:
     """Check that the rows determine every unknown of every gauge; return the singular values of the design.
 
-    g: (m, p), forces in units of ``unit_newtons``, then the offset's columns, each near one. observed: (m, n).
-    names: p of them. Raises InputError naming each direction that no row sees, and which row would.
+    g: (m, p), forces in ``unit_newtons``, then the offset's columns. observed: (m, n). names: of the p columns. Raises
+    InputError naming each direction that no row sees, and which row would.
     """
     singular = np.zeros(0)
     for k in range(observed.shape[1]):
@@ -199,9 +197,8 @@ def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_
 def require_clear(coefficients: FloatArray, covariance: FloatArray, names: Sequence[str], unit_newtons: float) -> None:
     """Check that noise hides no direction of load or offset.
 
-    coefficients: (n, 3 or 4), scaled as the design, the offset last. covariance: (n, q, n, q). Raises
-    InputError naming the direction whose uncertainty is above LARGEST_SHARE of the strongest gauge's signal,
-    or the force that the gauges together do not tell from zero.
+    coefficients: (n, 3 or 4), scaled as the design, the offset last. covariance: (n, q, n, q). Raises InputError naming
+    the direction that is too uncertain, or the force that the gauges together do not tell from zero.
     """
     n, q = coefficients.shape
     signal = np.linalg.norm(coefficients[:, :3], axis=1).max()

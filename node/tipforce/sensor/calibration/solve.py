@@ -1,8 +1,8 @@
 """Generalised least squares for V = A F + b with noise that differs from row to row, its variances estimated (REML).
 
-The direction of a load strays in two ways: by an angle common to all rows of a groove (a random effect) and by one of
-its own in every row. How much of each, in units of the stated scatter, is estimated with the gauge noise. The rows are
-whitened, the groove's effect is taken off by a square root of its marginal covariance, and the rest is solved by QR.
+The direction of a load strays by an angle common to all rows of a groove (a random effect) and by one of each row; how
+much, in units of the stated scatter, is estimated with the gauge noise. The rows are whitened, the groove's effect is
+taken off by a square root of its marginal covariance, and the rest is solved by QR.
 """
 
 from __future__ import annotations
@@ -180,10 +180,9 @@ TOLERANCE = 1e-5
 
 
 def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None) -> Solution:
-    """Return the fit. loss: "huber", "soft_l1" or "none", with its corner at the distance ``cut``.
+    """Return the fit. loss: "huber", "soft_l1" or "none", its corner at the distance ``cut``; start: to begin from.
 
-    start: a solution of nearly the same problem, to begin from. Raises InputError where the noise is to be
-    estimated and nothing is left to estimate it from.
+    Raises InputError where the noise is to be estimated and nothing is left to estimate it from.
     """
     A, Sigma = _start(problem) if start is None else (start.coefficients[:, :3], start.Sigma)
     restless = np.full(len(A), START_RESTLESS**2) if start is None else start.kink_variance

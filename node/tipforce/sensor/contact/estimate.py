@@ -21,9 +21,8 @@ from tipforce.sensor.contact import scalar
 def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: npt.ArrayLike) -> FloatArray:
     """Return F = (P sin(phi), P sin(phi - theta), P cos(phi)) in newtons, shape (..., 3): equation (16).
 
-    The three arguments broadcast against each other to the shape (...). phi is the direction of the force on
-    the tip, theta the angle of the contact on it, both from the x-axis. Raises InputError where the shapes do
-    not broadcast.
+    phi is the direction of the force on the tip, theta the angle of the contact on it, both from the x-axis. Raises
+    InputError where the shapes of the three do not broadcast.
     """
     P, phi, theta = floats("P", P_newtons), floats("phi", phi_rad), floats("theta", theta_rad)
     try:
@@ -40,9 +39,8 @@ def force_from_strain(
 ) -> FloatArray:
     """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) with offset and tare.
 
-    C: (3, n), newtons per unit strain. strain: (..., n). offset_strain: (n,) or a scalar. tare_newtons: (3,)
-    or a scalar. NaN or infinity in a strain makes that row NaN or infinite, no other. Raises InputError where
-    the shapes do not fit.
+    C: (3, n), newtons per unit strain. strain: (..., n). offset_strain: (n,), tare_newtons: (3,), or scalars. NaN or
+    infinity makes its row NaN or infinite, no other. Raises InputError where the shapes do not fit.
     """
     matrix, V = floats("C", C), floats("strain", strain)
     offset, tare = floats("offset_strain", offset_strain), floats("tare", tare_newtons)
@@ -245,9 +243,8 @@ def status_columns(
 def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
     """Return the contacts of forces F of shape (..., 3), newtons: the inverse of equation (16).
 
-    pull: True for a load that pulls at the surface (a rope), False for one that pushes (a contact). Loads
-    from 1e-300 to 1e300 N keep full precision. P = (hypot + |F2|) / 2 where the line of action misses the
-    tip. Raises InputError where the last axis is not 3; numbers that are not finite give NaN, never an error.
+    pull: the load pulls at the surface (a rope), else it pushes (a contact). As scalar.contact(). Raises InputError
+    where the last axis is not 3; numbers that are not finite give NaN, never an error.
     """
     return contact_columns(_forces(F_newtons), 1.0 if pull else -1.0)
 
@@ -262,9 +259,7 @@ def estimate(
 ) -> tuple[FloatArray, Contact]:
     """Return (F, contacts) of gauge readings: force_from_strain(), then contacts().
 
-    C: (3, n) newtons per unit strain; strain: (..., n); offset_strain: (n,); tare_newtons: (3,). F: (..., 3)
-    newtons. Raises InputError where the shapes do not fit. For forces alone, force_from_strain() avoids the
-    computation of angles.
+    F: (..., 3) newtons. Raises InputError where the shapes do not fit.
     """
     F = force_from_strain(C, strain, offset_strain, tare_newtons)
     return F, contacts(F, pull=pull)
@@ -273,9 +268,8 @@ def estimate(
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
     """Return the standard uncertainties of P, phi, theta: shape (..., 3), in newtons, radians, radians.
 
-    F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. First order, but for the near-tangent
-    correction that scalar.uncertainty() describes. F1 = F3 = 0: u_P for the worst direction, the angles NaN.
-    Numbers that are not finite, and variances below zero, give NaN. Raises InputError for other shapes.
+    F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. As scalar.uncertainty(). Numbers that are not
+    finite, and variances below zero, give NaN. Raises InputError for other shapes.
     """
     u = deviation_columns(_forces(F_newtons), _covariances(covariance_F, F_newtons), 1.0 if pull else -1.0)
     return np.stack(u[:3], axis=-1)

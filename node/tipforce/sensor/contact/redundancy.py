@@ -58,8 +58,7 @@ class Faults:
 def weighted_inverse(A: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> FloatArray:
     """Return C = (A^T Q A)^-1 A^T Q, (3, n), for A (n, 3), strain per newton, and the gauges' covariance (n, n).
 
-    Of all C with C A = I it has the smallest noise. Raises InputError where the shapes do not fit, A has no rank
-    3, or the covariance is not positive definite.
+    Raises InputError where the shapes do not fit, A has no rank 3, or the covariance is not positive definite.
     """
     matrix = np.asarray(A, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[1] != 3 or matrix.shape[0] < 3:
@@ -74,9 +73,8 @@ def weighted_inverse(A: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
 def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> FloatArray:
     """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: the structure as a calibration describes it.
 
-    It inverts weighted_inverse() exactly; for a C that was not weighted by this covariance, as a plain
-    pseudo-inverse with unequal gauges, it gives some A with C A = I but not the true one. C: (3, n). Raises
-    InputError where the shapes do not fit, C has no rank 3, or the covariance is not positive definite.
+    It inverts weighted_inverse(); for a C (3, n) weighted otherwise it gives some A with C A = I, not the true one.
+    Raises InputError where the shapes do not fit, C has no rank 3, or the covariance is not positive definite.
     """
     matrix, covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
     _root(covariance, matrix.shape[1])
@@ -126,11 +124,10 @@ def detect(
 ) -> Faults:
     """Return the fault decisions for readings of shape (..., n), strain with the offsets subtracted.
 
-    A reading is faulty if chi-square exceeds the threshold of false_alarm_rate; a gauge is a candidate if the
-    residual of its best-fitting fault (n - 4 degrees of freedom) is below that of exclusion_rate, so the true one
-    is missed at that rate. Isolated is the only candidate. variance_factor, (...): ratio of the residuals' variance
-    to that of the gauges' noise; a calibrated C adds 1 + G^T N^-1 G. Raises InputError for other shapes, and
-    for rates outside (0, 1).
+    A reading is faulty if chi-square exceeds the threshold of false_alarm_rate; a gauge is a candidate if the residual
+    of its best-fitting fault (n - 4 degrees of freedom) is below that of exclusion_rate. variance_factor, (...): ratio
+    of the residuals' variance to that of the gauges' noise; a calibrated C adds 1 + G^T N^-1 G. Raises InputError for
+    other shapes, and for rates outside (0, 1).
     """
     for name, rate in (("false_alarm_rate", false_alarm_rate), ("exclusion_rate", exclusion_rate)):
         if not 0.0 < rate < 1.0:
