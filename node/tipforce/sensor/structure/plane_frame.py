@@ -47,7 +47,7 @@ POISSON_RATIO = 0.29
 
 @dataclass(frozen=True, slots=True)
 class FrameModel:
-    """Assumptions on the beams, their roots and the joint. Raises InputError for a root out of range."""
+    """Assumptions on the beams, their roots and the joint."""
 
     shear: bool = False
     """True: Timoshenko beams, with shear deformation. False: Euler-Bernoulli."""
@@ -57,10 +57,6 @@ class FrameModel:
     finite_joint: bool = False
     """True: the joint is a rigid block h2 wide, the arms start at its sides. False: they meet at its middle,
     as in Table 1. In both the vertical beam starts h1 / 2 below the middle."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.root_rotation < math.inf:
-            raise InputError(f"root_rotation = {self.root_rotation!r}: allowed is 0 (rigid) or more, finite")
 
 
 EULER_BERNOULLI = FrameModel()
@@ -116,8 +112,6 @@ class Frame:
         The points K_H and S_H are where their arms start. Raises InputError for an unknown gauge, one off its beam, or
         one whose length reaches beyond it.
         """
-        if not 0.0 <= gauge_length_m < math.inf:
-            raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
         return np.array([self._row(gauge, gauge_length_m) for gauge in gauges], dtype=np.float64).reshape(-1, 3)
 
     def tip_motion(self) -> FloatArray:
@@ -160,7 +154,7 @@ class Frame:
         if gauge in POINTS:
             s = element.length if s > 0.5 * element.length else 0.0
         half, slack = 0.5 * gauge_length_m, 1e-6 * element.length  # tolerance for an optimiser at a limit
-        if s - half < -slack or s + half > element.length + slack:
+        if not -slack <= s - half <= s + half <= element.length + slack:
             raise InputError(
                 f"gauge of length {gauge_length_m!r} m at {spot.position_m!r} m on the {spot.side} of beam {spot.beam}"
                 f": allowed is a gauge that lies between the beam's ends, {element.length!r} m apart"
