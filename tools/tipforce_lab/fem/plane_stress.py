@@ -306,7 +306,7 @@ class Limit(NamedTuple):
 
     value: float
     error: float
-    """1.25 times the finest value's distance from its limit (Roache's grid convergence index), the order at most 3, that
+    """1.25 times the finest value's distance from its limit (Roache's grid convergence index), the order at most 3, as
     of P2; without an observable order, the larger of the last two changes."""
     order: float
     """NaN: the differences do not decrease with one sign, and the value is the finest one."""

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,13 +52,8 @@ class Task:
     reference: str
     reference_error: float
 
-    @property
-    def times_s(self) -> FloatArray:
-        """The samples, (_SAMPLES + 1,)."""
-        return self.times(1)
-
-    def times(self, substeps: int) -> FloatArray:
-        """Return the ends of the steps of a fixed step."""
+    def times(self, substeps: int = 1) -> FloatArray:
+        """Return the ends of the steps of a fixed step, (_SAMPLES substeps + 1,)."""
         return np.linspace(0.0, self.duration_s, _SAMPLES * substeps + 1)
 
 
@@ -116,8 +112,8 @@ def checked(task: Task, striker: Striker | None = None) -> FloatArray:
     """Return the reference of a task, computed independently. Raises ImportError without scipy."""
     body = checked_body(FABRICATED, _DAMPING, beams_with_mass=len(task.problem.modes.omega_rad_s) > 3)
     if isinstance(task.load, Wave):
-        return checked_motion(body, task.load, task.times_s)
-    return checked_impact(body, striker or _STRIKER, task.times_s)
+        return checked_motion(body, task.load, task.times())
+    return checked_impact(body, striker or _STRIKER, task.times())
 
 
 def relative(computed: FloatArray, wanted: FloatArray) -> float:
@@ -140,9 +136,7 @@ class _Job:
 def _study(task: Task, effort: Effort) -> Study:
     jobs, steps = _exact(task, effort), _SUBSTEPS[effort.quick]
     for name, method in _FIXED.items():
-        for n in steps:
-            run = partial(_fixed, task, method, n)
-            jobs.append(_job(task, name, _setting(task, n), run))
+        jobs += [_job(task, name, _setting(task, n), partial(_fixed, task, method, n)) for n in steps]
     left_out, check, difference = {}, "", None
     try:
         difference = relative(checked(task), task.wanted)
@@ -169,7 +163,7 @@ def _exact(task: Task, effort: Effort) -> list[_Job]:
         return [
             _job(task, "held step (exact)", _setting(task, n), partial(_held, task, n)) for n in _SUBSTEPS[effort.quick]
         ]
-    run = partial(impact, task.problem.modes, _STRIKER, task.duration_s, task.times_s)
+    run = partial(impact, task.problem.modes, _STRIKER, task.duration_s, task.times())
     job = _job(task, "events (exact)", "the reference", lambda: run().elastic_newtons)
     return [replace(job, error=max(job.error, task.reference_error))]
 
@@ -193,7 +187,7 @@ def _adaptive(task: Task, effort: Effort, name: str) -> list[_Job]:
     jobs = []
     for rtol in _TOLERANCES[effort.quick]:
         started = time.process_time()
-        run = partial(integrators.scipy_method, task.problem, task.load, task.times_s, name, rtol)
+        run = partial(integrators.scipy_method, task.problem, task.load, task.times(), name, rtol)
         jobs.append(_job(task, name, f"rtol {rtol:g}", run))
         if time.process_time() - started > (0.05 if effort.quick else 0.5):
             break  # the next tolerance takes several times as long
@@ -231,8 +225,7 @@ _CHECK = "scipy: mass and stiffness matrices, eigh, expm of the motion together 
 _CHECK_OF_IMPACT = "scipy: mass and stiffness matrices, eigh, DOP853 (rtol 1e-13) from contact to contact"
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedBody:
+class CheckedBody(NamedTuple):
     """M y'' + D y' + K y = load F; elastic force = output y."""
 
     rate: FloatArray
