@@ -91,13 +91,6 @@ def test_uncertainty_of_the_matrix_is_its_derivative_for_more_gauges_than_forces
     np.testing.assert_allclose(fit.C_uncertainty, np.sqrt(variance), rtol=1e-4)
 
 
-def test_a_node_finds_the_structure_again_from_matrix_and_covariance() -> None:
-    # A = Sigma C^T (C Sigma C^T)^-1 holds only if C was weighed by the Sigma of the record.
-    fit = fit_calibration(readings(simulated(3, gauges=layout(["K_H", "S_H", "U", "T", "L"]))), PLAIN)
-    C, Sigma = fit.C, fit.noise_covariance_strain2
-    np.testing.assert_allclose(Sigma @ C.T @ np.linalg.inv(C @ Sigma @ C.T), fit.A, rtol=1e-6, atol=1e-9)
-
-
 def test_weight_is_a_number_of_readings() -> None:
     sim = simulated(5)
     thrice = np.where(np.arange(77) % 2 == 0, 3.0, 1.0)
