@@ -219,9 +219,7 @@ def status_columns(
     was_present: bool,
     counts: BoolArray | bool = True,
 ) -> IntArray:
-    """Return bits 0, 4, 5, 6 of samples in time order: scalar.status_bits() for each; resolved: theta is, by its
-    uncertainty. A sample that does not count leaves contact as it was.
-    """
+    """Return scalar.status_bits() of samples in time order; one that does not count leaves contact as it was."""
     on, off, theta_min_deg, theta_max_deg = limits
     P, theta = contact.P_newtons, contact.theta_rad
     loaded = off <= P
@@ -363,27 +361,21 @@ def _arc(x: FloatArray, cosine: FloatArray, step: FloatArray) -> FloatArray:
 
 
 CURVATURE_LIMIT = 0.25
-"""Largest curvature() with which first order holds.
-
-For theta: |F2| / P is at least two standard uncertainties below 1. bench/coverage.py measures its coverage.
-"""
+"""Largest curvature() with which first order holds; bench/coverage.py measures its coverage."""
 
 
 def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArray:
     """Return the change of the first-order slopes of P, phi, theta over one standard uncertainty: (..., 3).
 
-    F: (..., 3) newtons; covariance_F: (3, 3) or (..., 3, 3), N^2. Three fractions of the slope itself, with x =
-    F2 / P = sin(delta) and u(x) its standard uncertainty:
+    F: (..., 3) newtons; covariance_F: (3, 3) or (..., 3, 3), N^2. Fractions of the slope, with x = F2 / P = sin(delta)
+    and u(x) its standard uncertainty:
 
-    - P: u_t^2 / (P u(P)), u_t the uncertainty of the force across its own direction: twice the bias of P over
-      u(P) (s / P for isotropic noise s, whose bias is s^2 / 2P). Or theta's first where that is larger: where the
-      line of action may miss by noise, P is projected, and u(P) then is larger than its spread;
+    - P: u_t^2 / (P u(P)), u_t the uncertainty of the force across its own direction: twice the bias of P over u(P).
+      Or u(x) / cos^2(delta) if larger: where the line of action may miss by noise, P is projected;
     - phi: u(P) / P, because a force that is too small has too large an angular error;
-    - theta: u(x) / cos^2(delta), as asin'' / asin' = x / cos^2 with x = 1, or that of phi if it is larger. It
-      grows without bound towards a tangential contact, and is infinite where the line of action misses.
+    - theta: u(x) / cos^2(delta), or that of phi if it is larger; infinite where the line of action misses.
 
-    The load sense has no effect. F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises
-    InputError for other shapes.
+    F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises InputError for other shapes.
     """
     F = _forces(F_newtons)
     u = deviation_columns(F, _covariances(covariance_F, F_newtons), 1.0)
@@ -395,10 +387,9 @@ def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArr
 def first_order_holds(
     F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, limit: float = CURVATURE_LIMIT
 ) -> BoolArray:
-    """Return whether the standard uncertainties of P, phi, theta can be trusted: shape (..., 3), in this order.
+    """Return whether the standard uncertainties of P, phi, theta can be trusted, (..., 3): curvature() at most limit.
 
-    True where curvature() is at most limit; False for unknown values. For theta that is u(F2 / P) <= limit
-    cos^2(delta). Raises InputError for other shapes, and for a limit that is not positive.
+    False for unknown values. Raises InputError for other shapes, and for a limit that is not positive.
     """
     if not limit > 0.0:
         raise InputError(f"limit = {limit!r}: allowed is a positive number")

@@ -2,12 +2,9 @@
 
 V = A F + e with the covariance Sigma of e; C = (A^T Q A)^-1 A^T Q, Q = Sigma^-1, is the weighted inverse. n - 3
 combinations W of the gauges do not depend on the force (parity directions); chi-square is |W V|^2. A fault of a gauge
-moves W V along its column of W. Two gauges with parallel columns cannot be distinguished; that is so exactly if the
-other n - 2 gauges have no rank 3, whatever their noise. With four gauges there is one direction and no fault can be
-isolated, unless only one gauge is visible: it then responds to no force at all. A gauge is invisible if the others have
-no rank 3: its fault looks like a force.
-
-scalar_redundancy.py has the directions, the force without a gauge, and the same decisions for one sample.
+moves W V along its column of W. Two gauges with parallel columns cannot be distinguished: exactly if the other n - 2
+have no rank 3. So four gauges isolate no fault, unless only one is visible, which then responds to no force at all. A
+gauge is invisible if the others have no rank 3: its fault looks like a force.
 """
 
 from __future__ import annotations
