@@ -14,26 +14,13 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.dynamics.model import half_cylinder, modes
+from tipforce.sensor.structure import strain
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, Layout
 from tipforce.sensor.structure.plane_frame import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
-from tipforce.sensor.structure.strain import (
-    calibration_matrix,
-    condition_number,
-    noise_gain,
-    shifted_matrix,
-    strain_matrix,
-)
-from tipforce_lab.design.tables import (
-    MICRO,
-    MM,
-    Record,
-    Section,
-    condition_at_length,
-    condition_numbers_by_unit,
-    moment_units,
-)
+from tipforce_lab.design import tables
+from tipforce_lab.design.tables import MICRO, MM, Record, Section
 
 COMPARATORS = (("[5]", 6, 4.2), ("[11]", 3, 20.05))
 """Reference, axes and printed condition number of the sensors that the paper compares with (section 1)."""
@@ -55,14 +42,14 @@ def lengths_of_condition(geometry: Geometry, gauges: Layout, condition: float) -
     The logarithm of the length is halved between the best length and 1e-6 and 1e6 of it.
     """
     best = best_length(geometry, gauges)
-    if condition < condition_at_length(geometry, gauges, best):
+    if condition < tables.condition_at_length(geometry, gauges, best):
         return ()
     lengths = []
     for end in (-6.0, 6.0):
         near, far = 0.0, end
         for _ in range(60):
             middle = 0.5 * (near + far)
-            below = condition_at_length(geometry, gauges, best * 10.0**middle) < condition
+            below = tables.condition_at_length(geometry, gauges, best * 10.0**middle) < condition
             near, far = (middle, far) if below else (near, middle)
         lengths.append(best * 10.0**near)
     return tuple(lengths)
@@ -73,7 +60,7 @@ def best_length(geometry: Geometry, gauges: Layout) -> float:
     low, high = -2.0, 2.0
     for _ in range(6):
         steps: FloatArray = np.linspace(low, high, 41)
-        values = [condition_at_length(geometry, gauges, geometry.r_m * 10.0**step) for step in steps.tolist()]
+        values = [tables.condition_at_length(geometry, gauges, geometry.r_m * 10.0**step) for step in steps.tolist()]
         at, width = int(np.argmin(values)), steps[1] - steps[0]
         low, high = float(steps[at] - width), float(steps[at] + width)
     return float(geometry.r_m * 10.0 ** (0.5 * (low + high)))
@@ -104,7 +91,7 @@ def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record
     directions that reach the yield stress, or close a slit of PAPER_SLIT_M. Raises InputError for an unusable layout.
     """
     body = replace(geometry, youngs_modulus_pascals=material.youngs_modulus_pascals)
-    stress, noise = worst_stress(body, 1.0), noise_gain(calibration_matrix(body, gauges))
+    stress, noise = worst_stress(body, 1.0), strain.noise_gain(strain.calibration_matrix(body, gauges))
     moving = modes(body, 0.0, half_cylinder(body, material.density_kg_m3))
     yield_newtons, slit_newtons = material.yield_pascals / stress, PAPER_SLIT_M / slit_closure(body, 1.0)
     largest = min(yield_newtons, slit_newtons)
@@ -126,14 +113,14 @@ def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: boo
     if not keep_thickness:
         body = replace(body, h1_m=scale * g.h1_m, h2_m=scale * g.h2_m)
     half = 0.5 * GAUGE_LENGTH_M
-    matrix = strain_matrix(body, gauges)
+    matrix = strain.strain_matrix(body, gauges)
     off = [half] * (len(matrix) - 1) + [half + 0.2e-3]
     return {
         "beams": "kept" if keep_thickness else "scaled", "r_mm": body.r_m * MM,
         "h_mm": [body.h1_m * MM, body.h2_m * MM], "slenderness": body.a_m / body.h1_m,
-        **figures_of(body, STEEL_4340, gauges), "condition": condition_number(matrix),
-        "condition_of_gauges": condition_number(shifted_matrix(body, gauges, half)),
-        "condition_of_shift": condition_number(shifted_matrix(body, gauges, off)),
+        **figures_of(body, STEEL_4340, gauges), "condition": strain.condition_number(matrix),
+        "condition_of_gauges": strain.condition_number(strain.shifted_matrix(body, gauges, half)),
+        "condition_of_shift": strain.condition_number(strain.shifted_matrix(body, gauges, off)),
     }  # fmt: skip
 
 
@@ -142,15 +129,15 @@ SCALES = (1.0, 0.75, 0.5, 1.0 / 3.0, 0.25)
 
 def comparators_section(geometry: Geometry) -> Section:
     """Return the condition numbers of the cases and of [5] and [11], with moments as M / r, in N mm and in N m."""
-    units = moment_units(geometry)
+    units = tables.moment_units(geometry)
     records: list[Record] = []
     for case in CASES:
         best = best_length(geometry, case)
         equal = [lengths_of_condition(geometry, case, condition) for _, _, condition in COMPARATORS]
         records.append({
             "sensor": f"case {case}", "axes": 3, "printed": None,
-            **{f"in {unit}": value for unit, value in condition_numbers_by_unit(geometry, case).items()},
-            "smallest": condition_at_length(geometry, case, best), "smallest_at_mm": best * MM,
+            **{f"in {unit}": value for unit, value in tables.condition_numbers_by_unit(geometry, case).items()},
+            "smallest": tables.condition_at_length(geometry, case, best), "smallest_at_mm": best * MM,
             "equal_at_mm": [[length * MM for length in lengths] for lengths in equal],
         })  # fmt: skip
     for reference, axes, condition in COMPARATORS:

@@ -17,19 +17,10 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.structure import strain
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES
-from tipforce.sensor.structure.strain import (
-    calibration_matrix,
-    condition_number,
-    noise_gain,
-    row_equilibrated_condition_number,
-    shifted_matrix,
-    strain_matrix,
-    stress_coefficients,
-    thin_limit_matrix,
-)
 
 Record = dict[str, Any]
 MM, MICRO = 1e3, 1e6
@@ -109,8 +100,8 @@ class Table3Row(NamedTuple):
 
 def table_1(geometry: Geometry) -> list[Table1Row]:
     """Return Table 1 for all eight gauge points. Raises InputError for beams too thin for floating point."""
-    strains = strain_matrix(geometry, POINTS).tolist()
-    stresses = stress_coefficients(geometry)
+    strains = strain.strain_matrix(geometry, POINTS).tolist()
+    stresses = strain.stress_coefficients(geometry)
     return [
         Table1Row(point, SYMBOLS[point], stresses[point], (row[0], row[1], row[2]))
         for point, row in zip(POINTS, strains, strict=True)
@@ -144,7 +135,7 @@ def table_2(geometry: Geometry) -> list[Table2Row]:
     """Return the largest stress at every gauge point, thin limit and actual. Raises InputError as table_1()."""
     unit = geometry.h1_m**2 / geometry.a_m
     rows = []
-    for point, thin, row in zip(POINTS, thin_limit_matrix(POINTS).tolist(), table_1(geometry), strict=True):
+    for point, thin, row in zip(POINTS, strain.thin_limit_matrix(POINTS).tolist(), table_1(geometry), strict=True):
         sign = -unit if point in VERTICAL_POINTS else unit
         g1, g2, g3 = row.per_metre
         rows.append(Table2Row(
@@ -157,10 +148,11 @@ def table_2(geometry: Geometry) -> list[Table2Row]:
 
 def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
     """Return the theory of one layout. Raises InputError for an unusable layout or one of rank below 3."""
-    matrix = strain_matrix(geometry, gauges)
+    matrix = strain.strain_matrix(geometry, gauges)
     return Table3Row(
-        condition_number(thin_limit_matrix(gauges)), condition_number(matrix),
-        row_equilibrated_condition_number(matrix), noise_gain(calibration_matrix(geometry, gauges)),
+        strain.condition_number(strain.thin_limit_matrix(gauges)), strain.condition_number(matrix),
+        strain.row_equilibrated_condition_number(matrix),
+        strain.noise_gain(strain.calibration_matrix(geometry, gauges)),
     )  # fmt: skip
 
 
@@ -180,16 +172,18 @@ def moment_units(geometry: Geometry) -> dict[str, float]:
 
 def condition_at_length(geometry: Geometry, gauges: Layout, length_m: float) -> float:
     """Return the condition number with F2 as the force M / length."""
-    return condition_number(strain_matrix(geometry, gauges) * np.array([1.0, length_m / geometry.r_m, 1.0]))
+    return strain.condition_number(
+        strain.strain_matrix(geometry, gauges) * np.array([1.0, length_m / geometry.r_m, 1.0])
+    )
 
 
 def figures(matrix: FloatArray) -> Record:
     """Return the figures of merit of a strain matrix (n, 3); infinite if it cannot separate the three forces."""
     separates = int(np.linalg.matrix_rank(matrix)) == 3
     return {
-        "condition": condition_number(matrix) if separates else inf,
-        "row_equilibrated": row_equilibrated_condition_number(matrix) if separates else inf,
-        "noise_gain_N_per_ue": noise_gain(np.linalg.pinv(matrix)) / MICRO if separates else inf,
+        "condition": strain.condition_number(matrix) if separates else inf,
+        "row_equilibrated": strain.row_equilibrated_condition_number(matrix) if separates else inf,
+        "noise_gain_N_per_ue": strain.noise_gain(np.linalg.pinv(matrix)) / MICRO if separates else inf,
     }
 
 
@@ -208,9 +202,9 @@ def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
             continue
         case = names.get(frozenset(chosen), "")
         points = LAYOUTS[case] if case else chosen
-        thin = condition_number(thin_limit_matrix(points))
+        thin = strain.condition_number(strain.thin_limit_matrix(points))
         by_mirror[pair] = {
-            "case": case, "gauges": points, "mirror": mirror(points), **figures(strain_matrix(geometry, points)),
+            "case": case, "gauges": points, "mirror": mirror(points), **figures(strain.strain_matrix(geometry, points)),
             "thin": thin if thin < 1e12 else inf,  # singular: rounding makes it barely regular
         }  # fmt: skip
     return sorted(by_mirror.values(), key=lambda row: (round(row[by], 9), row["condition"]))
@@ -245,7 +239,7 @@ def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
     centre = np.asarray(matrix, dtype=np.float64)
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=centre.size))).reshape(-1, *centre.shape)
     conditions = np.linalg.cond(centre + HALF_DIGIT * signs)
-    return RoundingRange(condition_number(centre), float(conditions.min()), float(conditions.max()))
+    return RoundingRange(strain.condition_number(centre), float(conditions.min()), float(conditions.max()))
 
 
 def shared_gauge_disagreement() -> dict[str, float]:
@@ -271,7 +265,7 @@ def nearest_common_shifts(
     """
     grid = np.linspace(0.0, 6e-3, steps)
     points = ("K_H", "S_H", "L", "R", "U")
-    rows = shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
+    rows = strain.shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
     chosen, miss = nearest_common({point: rows[:, k] for k, point in enumerate(points)}, conditions)
     return {point: float(grid[at]) for point, at in chosen.items()}, miss
 
