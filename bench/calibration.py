@@ -19,7 +19,7 @@ import numpy as np
 from bench.measure import arguments, in_processes, table
 
 from tipforce.arrays import FloatArray
-from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration, linear_fit
+from tipforce.sensor.calibration.fit import Fit, Model, Readings, covariance_of_estimate, fit_calibration, linear_fit
 from tipforce.sensor.calibration.regressors import OffsetBasis, direction_scatter, grooves
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate, unseen_forces
 from tipforce.sensor.calibration.solve import Problem, Scatter, solve
@@ -164,7 +164,8 @@ def _covered(condition: str, seed: int) -> tuple[FloatArray, FloatArray, bool]:
     truth = np.linalg.inv(sim.true_A)
     V = DIRECTIONS @ sim.true_A.T + sim.true_offset_strain[-1]
     error = (V - fit.offset_strain) @ fit.C.T - DIRECTIONS
-    spread = np.sqrt(np.diagonal(fit.covariance_F(DIRECTIONS, noise=False), axis1=1, axis2=2))
+    covariances = covariance_of_estimate(fit.C, np.zeros(fit.A.shape[:1] * 2), fit.parameter_covariance, DIRECTIONS)
+    spread = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     falsely = bool(set(fit.outliers) - set(np.flatnonzero(sim.true_outlier)))
     held = (lower <= truth) & (truth <= upper)
     return held.ravel(), np.abs(error).ravel() <= fit.coverage_factor * spread.ravel(), falsely

@@ -285,8 +285,6 @@ def test_runs_out_of_range_are_refused() -> None:
         impact(None, striker, 1.0, slit=stop)
     with pytest.raises(InputError, match="stop on rigid ground"):
         impact(None, Striker(math.inf, 0.3, 1e6, 1.5), 1.0)
-    with pytest.raises(InputError, match="gap_m"):
-        slit_stop(FABRICATED, BODY, gap_m=0.0)
     with pytest.raises(InputError, match="rise strictly"):
         overload(BODY, stop, [0.0, 0.0], np.zeros((2, 3)))
     with pytest.raises(InputError, match="finite"):

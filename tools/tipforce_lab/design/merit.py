@@ -74,12 +74,8 @@ class Limits:
     envelope_y_m: float = FABRICATED.r_m + 0.5 * FABRICATED.h1_m + FABRICATED.d_m
     """From the fixture to the top of the tip: d + h1 / 2 + r."""
     width_m: float = FABRICATED.width_m
-    radius_m: float | None = None
-    """Of the tip, if given; None: free."""
     min_thickness_m: float = 0.2e-3
     """Of either beam. The paper names no limit; its thinner beam has 0.4 mm."""
-    slenderness: float = 10.0
-    """Least length over thickness of each beam (of an arm between joint and tip): the validity of beam theory."""
     gauge_length_m: float = 1e-3
     slit_m: float = PAPER_SLIT_M
     """The load must not close it."""
@@ -90,11 +86,8 @@ class Limits:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            free = field.name == "loads" or value is None or (value == 0.0 and field.name == "slenderness")
-            if not (free or 0.0 < value < math.inf):
+            if not (field.name == "loads" or value is None or 0.0 < value < math.inf):
                 raise InputError(f"limit {field.name} = {value!r}: allowed is a positive finite number in SI units")
-        if self.radius_m is not None and self.radius_m > 0.5 * self.envelope_x_m:
-            raise InputError(f"limit radius_m = {self.radius_m!r}: allowed is half of envelope_x_m at most")
 
     @property
     def stress_pascals(self) -> float:

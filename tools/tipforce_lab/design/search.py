@@ -27,6 +27,8 @@ _DIMENSIONS = 6  # a, d, r, h1, h2, width; then the positions of the gauges
 _SCALE = np.array([15.0, 15.0, 15.0, 0.4, 0.65, 10.0])
 _PLACE_SCALE = 15.0
 _MODULUS = FABRICATED.youngs_modulus_pascals * 1e-6  # N/mm^2
+SLENDERNESS = 10.0
+"""Least length over thickness of each beam (of an arm between joint and tip): the validity of beam theory."""
 
 
 class Design(NamedTuple):
@@ -70,9 +72,8 @@ class Problem:
         self._gap_slopes, self._gap_least = self._gaps()
         reach, height = 0.5 * limits.envelope_x_m / UNIT_M, limits.envelope_y_m / UNIT_M
         thin, b, longest = limits.min_thickness_m / UNIT_M, limits.width_m / UNIT_M, max(reach, height)
-        radius = (1e-3 * reach, reach) if limits.radius_m is None else (limits.radius_m / UNIT_M,) * 2
         dimensions = [
-            (1e-3 * reach, reach), (1e-3 * height, height), radius,
+            (1e-3 * reach, reach), (1e-3 * height, height), (1e-3 * reach, reach),
             (thin, max(thin, longest)), (thin, max(thin, longest)), (b, b),
         ]  # fmt: skip
         self.bounds = np.array(dimensions + [(0.0, longest)] * len(self.slots))
@@ -101,7 +102,7 @@ class Problem:
         columns = [np.log(self._stress * b / (load * stress)) for stress in (horizontal, vertical)]
         columns.append(np.log(limits.slit_m / UNIT_M / closure))
         rooms = (limits.envelope_y_m / UNIT_M - r - d - 0.5 * h1, r - a,
-                 a - 0.5 * h2 - limits.slenderness * h1, d - limits.slenderness * h2)  # fmt: skip
+                 a - 0.5 * h2 - SLENDERNESS * h1, d - SLENDERNESS * h2)  # fmt: skip
         columns += [room / _PLACE_SCALE for room in rooms]
         gaps: AnyArray = (x @ self._gap_slopes - self._gap_least) / _PLACE_SCALE
         return np.concatenate((np.stack(columns, axis=-1), gaps), axis=-1)
@@ -125,8 +126,6 @@ class Problem:
         limits = self.limits
         height, least, b = (size / UNIT_M for size in (limits.envelope_y_m, limits.min_thickness_m, limits.width_m))
         r = rng.uniform(0.5, 1.0) * min(0.5 * limits.envelope_x_m / UNIT_M, 0.8 * height)
-        if limits.radius_m is not None:
-            r = limits.radius_m / UNIT_M
         a = rng.uniform(0.4, 1.0) * r
         d = rng.uniform(0.5, 1.0) * (height - r)
         strength = self._stress * b / limits.loads.load_newtons

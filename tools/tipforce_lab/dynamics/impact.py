@@ -38,9 +38,7 @@ class Striker:
     """Of the contact: N/m for exponent 1, N/m^1.5 for 1.5 (Hertz)."""
     exponent: float = 1.0
     theta_rad: float = 0.5 * math.pi
-    """Place on the tip."""
-    phi_rad: float | None = None
-    """Direction of the contact force on the tip; None is a push along the inward normal, theta + pi."""
+    """Place on the tip, where it pushes along the inward normal: phi is theta + pi."""
 
     def __post_init__(self) -> None:
         if not self.mass_kg > 0.0:
@@ -50,13 +48,13 @@ class Striker:
                 raise InputError(f"{name} = {value!r}: allowed is a positive finite number")
         if self.exponent not in (1.0, 1.5):
             raise InputError(f"contact exponent = {self.exponent!r}: allowed is 1 (linear) or 1.5 (Hertz)")
-        if not math.isfinite(self.theta_rad) or not (self.phi_rad is None or math.isfinite(self.phi_rad)):
-            raise InputError("theta_rad and phi_rad: allowed are finite angles")
+        if not math.isfinite(self.theta_rad):
+            raise InputError(f"theta_rad = {self.theta_rad!r}: allowed is a finite angle")
 
     @property
     def direction(self) -> FloatArray:
         """F per newton of contact force, (3,)."""
-        phi = self.theta_rad + math.pi if self.phi_rad is None else self.phi_rad
+        phi = self.theta_rad + math.pi
         return np.array([math.sin(phi), math.sin(phi - self.theta_rad), math.cos(phi)])
 
 

@@ -274,10 +274,8 @@ class SlitStop(NamedTuple):
     """(k,): place along the arm, 0 at the joint."""
 
 
-def slit_stop(geometry: Geometry, modes: Modes, gap_m: float = PAPER_SLIT_M) -> SlitStop:
-    """Return the stop for the modes of the same geometry. Raises InputError for a gap that is not positive, finite."""
-    if not 0.0 < gap_m < math.inf:
-        raise InputError(f"gap_m = {gap_m!r}: allowed is a positive finite number")
+def slit_stop(geometry: Geometry, modes: Modes) -> SlitStop:
+    """Return the stop for the modes of the same geometry and the paper's slit."""
     g, frame = geometry, Frame(geometry, EULER_BERNOULLI)
     xi = contact_fractions(frame)
     s = frame.slit_closure(xi).reshape(-1, 3)
@@ -289,12 +287,12 @@ def slit_stop(geometry: Geometry, modes: Modes, gap_m: float = PAPER_SLIT_M) -> 
     places = np.tile(xi, 2)
     if len(modes.omega_rad_s) > 3:
         # The joint's motion is a state: a stop force acts on the tip's motion relative to it, nothing in between.
-        return SlitStop(s, gap_m, own, np.zeros((3, len(s))), np.zeros((3, len(s))), places)
+        return SlitStop(s, PAPER_SLIT_M, own, np.zeros((3, len(s))), np.zeros((3, len(s))), places)
     arms, vertical = compliances(frame)
     arm_stiffness, stiffness_of_both = np.linalg.inv(arms), np.linalg.inv(arms + vertical)
     behind = s @ (arm_stiffness - stiffness_of_both) @ s.T
     return SlitStop(
-        s, gap_m, own + 0.5 * (behind + behind.T),
+        s, PAPER_SLIT_M, own + 0.5 * (behind + behind.T),
         (stiffness_of_both - arm_stiffness) @ s.T, stiffness_of_both @ s.T, places,
     )  # fmt: skip
 

@@ -306,7 +306,7 @@ def redundancy_limit(
     return limit / wider
 
 
-def overload_newtons(geometry: Geometry, yield_pascals: float | None = None, gap_m: float = PAPER_SLIT_M) -> float:
+def overload_newtons(geometry: Geometry, yield_pascals: float | None = None) -> float:
     """Return the smallest load, over all contacts and directions, that closes the slit or reaches the yield stress."""
-    slit = gap_m / slit_closure(geometry, 1.0)
+    slit = PAPER_SLIT_M / slit_closure(geometry, 1.0)
     return slit if yield_pascals is None else min(slit, yield_pascals / worst_stress(geometry, 1.0))

@@ -247,22 +247,6 @@ def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
     return contact_columns(_forces(F_newtons), 1.0 if pull else -1.0)
 
 
-def estimate(
-    C: npt.ArrayLike,
-    strain: npt.ArrayLike,
-    offset_strain: npt.ArrayLike = 0.0,
-    tare_newtons: npt.ArrayLike = 0.0,
-    *,
-    pull: bool,
-) -> tuple[FloatArray, Contact]:
-    """Return (F, contacts) of gauge readings: force_from_strain(), then contacts().
-
-    F: (..., 3) newtons. Raises InputError where the shapes do not fit.
-    """
-    F = force_from_strain(C, strain, offset_strain, tare_newtons)
-    return F, contacts(F, pull=pull)
-
-
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
     """Return the standard uncertainties of P, phi, theta: shape (..., 3), in newtons, radians, radians.
 
@@ -384,14 +368,10 @@ def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArr
     return np.where(np.isfinite(u.P)[..., np.newaxis], np.where(directed, ratios, np.inf), np.nan)
 
 
-def first_order_holds(
-    F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, limit: float = CURVATURE_LIMIT
-) -> BoolArray:
-    """Return whether the standard uncertainties of P, phi, theta can be trusted, (..., 3): curvature() at most limit.
+def first_order_holds(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> BoolArray:
+    """Return whether the standard uncertainties of P, phi, theta can be trusted, (..., 3): curvature() at most a limit.
 
-    False for unknown values. Raises InputError for other shapes, and for a limit that is not positive.
+    False for unknown values. Raises InputError for other shapes.
     """
-    if not limit > 0.0:
-        raise InputError(f"limit = {limit!r}: allowed is a positive number")
     with np.errstate(invalid="ignore"):
-        return np.asarray(curvature(F_newtons, covariance_F) <= limit)
+        return np.asarray(curvature(F_newtons, covariance_F) <= CURVATURE_LIMIT)

@@ -32,11 +32,6 @@ class Parity:
     visible: FloatArray
     """(n,), chi-square per squared unit fault of each gauge; zero: its fault is invisible."""
 
-    @property
-    def degrees(self) -> int:
-        """Parity directions, n - 3."""
-        return len(self.W)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Faults:
@@ -106,9 +101,10 @@ def detectable_strain(
 
     limit: the threshold (2116h), where it is not that of the rate.
     """
-    threshold = scalar_redundancy.chi_square_threshold(false_alarm_rate, model.degrees) if limit is None else limit
+    degrees = len(model.W)
+    threshold = scalar_redundancy.chi_square_threshold(false_alarm_rate, degrees) if limit is None else limit
     with np.errstate(divide="ignore"):
-        return np.sqrt((threshold - model.degrees) / model.visible)
+        return np.sqrt((threshold - degrees) / model.visible)
 
 
 def detect(

@@ -20,7 +20,7 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame, FrameModel
+from tipforce.sensor.structure.plane_frame import Frame
 
 STEEL_DENSITY = 7850.0
 """kg/m3, assumed: the paper does not state it."""
@@ -98,7 +98,6 @@ def modes(
     tip: RigidBody | None = None,
     joint: RigidBody | None = None,
     beam_density_kg_m3: float = 0.0,
-    model: FrameModel = EULER_BERNOULLI,
 ) -> Modes:
     """Return the modes of one body: 3 if joint and beams are massless, else 6.
 
@@ -108,7 +107,7 @@ def modes(
     """
     if not 0.0 <= beam_density_kg_m3 < math.inf:
         raise InputError(f"beam_density_kg_m3 = {beam_density_kg_m3!r}: allowed is 0 (neglected) or more, finite")
-    frame, r = Frame(geometry, model), geometry.r_m
+    frame, r = Frame(geometry), geometry.r_m
     tip_mass = (tip or half_cylinder(geometry)).matrix(r)
     arms, vertical = compliances(frame)
     if joint is None and beam_density_kg_m3 == 0.0:
@@ -120,7 +119,7 @@ def modes(
     if joint is not None:
         mass[:3, :3] += joint.matrix(r)
     if beam_density_kg_m3 > 0.0:
-        mass += beam_mass_matrix(geometry, beam_density_kg_m3, model)
+        mass += beam_mass_matrix(geometry, beam_density_kg_m3)
     zero = np.zeros((3, 3))
     omega, L, Q = _eigen(mass, np.block([[vertical, zero], [zero, arms]]), geometry)
     shapes = np.linalg.solve(L.T, Q)
@@ -164,17 +163,16 @@ def _damping(damping_ratio: float | Sequence[float], n: int) -> FloatArray:
     return np.broadcast_to(zeta, (n,)).copy()
 
 
-def beam_mass_matrix(geometry: Geometry, density_kg_m3: float, model: FrameModel) -> FloatArray:
+def beam_mass_matrix(geometry: Geometry, density_kg_m3: float) -> FloatArray:
     """Return the mass matrix (6, 6), kg, for (motion of the joint, motion of the tip relative to it), each as y.
 
     Consistent masses of Hermite's cubic and linear stretch: shear, roots and rotatory inertia are neglected.
     """
     g = geometry
-    inner = 0.5 * g.h2_m if model.finite_joint else 0.0
     total = np.zeros((6, 6))
     for sign in (-1.0, 1.0):
-        local = _local_mass(g.a_m - inner, g.h1_m * g.width_m * density_kg_m3)
-        near = _end(g, (sign * inner, 0.0), (sign, 0.0))
+        local = _local_mass(g.a_m, g.h1_m * g.width_m * density_kg_m3)
+        near = _end(g, (0.0, 0.0), (sign, 0.0))
         far = _end(g, (sign * g.a_m, 0.0), (sign, 0.0))
         ends = np.block([[near, np.zeros((3, 3))], [far, far]])
         total += ends.T @ local @ ends

@@ -24,7 +24,7 @@ from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import EnvironmentLackError
 from tipforce.fingertip.calibration import Active
 from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.estimate import estimate as estimate_in_bulk
+from tipforce.sensor.contact.estimate import contacts, force_from_strain
 from tipforce_lab.report.study import Effort, Timing, quartiles
 
 COUNT_BITS = 24
@@ -188,7 +188,7 @@ def bulk_float64(given: Contacts) -> Method:
     """``sensor.contact.estimate``."""
 
     def work() -> Estimate:
-        _, contact = estimate_in_bulk(given.C, given.counts * (LSB_MICROSTRAIN * 1e-6), pull=False)
+        contact = contacts(force_from_strain(given.C, given.counts * (LSB_MICROSTRAIN * 1e-6)), pull=False)
         return contact.P_newtons, np.degrees(contact.theta_rad)
 
     return work

@@ -15,7 +15,7 @@ from tipforce.arrays import FloatArray
 from tipforce.sensor.dynamics.first_order_hold import respond
 from tipforce.sensor.dynamics.model import STEEL_DENSITY, beam_mass_matrix, compliances, half_cylinder, modes
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame
+from tipforce.sensor.structure.plane_frame import Frame
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Striker, impact
 from tipforce_lab.dynamics.integrators import Load, Problem, Wave, no_load
@@ -240,10 +240,10 @@ def checked_body(geometry: Geometry, damping_ratio: float, beams_with_mass: bool
     """Return the tip on its beams; with mass in the beams the joint's motion is a second set of unknowns."""
     from scipy import linalg
 
-    arms, vertical = compliances(Frame(geometry, EULER_BERNOULLI))
+    arms, vertical = compliances(Frame(geometry))
     tip = half_cylinder(geometry).matrix(geometry.r_m)
     if beams_with_mass:
-        M = np.kron(np.ones((2, 2)), tip) + beam_mass_matrix(geometry, STEEL_DENSITY, EULER_BERNOULLI)
+        M = np.kron(np.ones((2, 2)), tip) + beam_mass_matrix(geometry, STEEL_DENSITY)
         K = linalg.block_diag(linalg.inv(vertical), linalg.inv(arms))
         load, output = np.vstack([np.eye(3), np.eye(3)]), np.hstack([np.zeros((3, 3)), linalg.inv(arms)])
     else:
