@@ -71,10 +71,7 @@ def test_what_the_gauges_miss_by_frequency() -> None:
 
 @pytest.mark.parametrize(
     ("change", "says"),
-    [
-        ({"damping_ratio": [0.1, 0.2]}, "3 modes"),
-        ({"beam_density_kg_m3": math.inf}, "beam_density_kg_m3"),
-    ],
+    [({"damping_ratio": [0.1, 0.2]}, "3 modes"), ({"beam_density_kg_m3": math.inf}, "beam_density_kg_m3")],
 )
 def test_modes_that_cannot_be_are_refused(change: dict[str, float], says: str) -> None:
     with pytest.raises(InputError, match=says):

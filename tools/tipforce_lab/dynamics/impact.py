@@ -145,11 +145,7 @@ class Impact(NamedTuple):
 
 
 def impact(
-    modes: Modes | None,
-    striker: Striker,
-    until_s: float,
-    times_s: npt.ArrayLike = (),
-    slit: SlitStop | None = None,
+    modes: Modes | None, striker: Striker, until_s: float, times_s: npt.ArrayLike = (), slit: SlitStop | None = None
 ) -> Impact:
     """Return the course of an impact that starts at 0, structure at rest.
 
