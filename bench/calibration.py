@@ -85,7 +85,6 @@ class Coverage(NamedTuple):
 
 
 def simulated(seed: int, faults: Faults) -> tuple[str, Simulated]:
-    """The calibration of a seed; the case goes round with it."""
     case = CASES[seed % 3]
     return case, simulate(case, np.random.default_rng(seed), faults)
 
@@ -172,7 +171,6 @@ def _covered(condition: str, seed: int) -> tuple[FloatArray, FloatArray, bool]:
 
 
 def comparison_rows(comparisons: list[Comparison]) -> list[list[str]]:
-    """One row a calibration, and all together; newtons become millinewtons."""
     rows = []
     for result in comparisons:
         errors = [f"{1e3 * result.errors[name]:.1f}" for name in ERRORS]
@@ -182,13 +180,7 @@ def comparison_rows(comparisons: list[Comparison]) -> list[list[str]]:
     return rows
 
 
-def coverage_rows(results: list[Coverage]) -> list[list[str]]:
-    """One row a condition, per cent."""
-    return [[result.condition, *(f"{percent:.1f}" for percent in result[1:])] for result in results]
-
-
 def main() -> int:
-    """Run the study; 1 where it is out of its bounds."""
     args = arguments(__doc__, "--quick").parse_args()
     faults, drift = CONDITIONS["everything"]
     comparisons = [compare(seed, faults, drift) for seed in range(SEEDS)]
@@ -198,7 +190,8 @@ def main() -> int:
     matrix_ratio = pooled(comparisons, "fit_matrix") / pooled(comparisons, "oracle_matrix")
     print(table(["seed", "case", *ERRORS.values(), "outliers"], comparison_rows(comparisons)))
     print(f"\nRMS force error in mN; fit / knows = {ratio:.3f}, C only {matrix_ratio:.3f} (allowed {ALLOWED_RATIO})\n")
-    print(table(["fault", "C", "worst entry of C", "force", "false alarms"], coverage_rows(coverages)))
+    rows = [[result.condition, *(f"{percent:.1f}" for percent in result[1:])] for result in coverages]
+    print(table(["fault", "C", "worst entry of C", "force", "false alarms"], rows))
     print(f"\nper cent of {simulations} simulations that the 95 % intervals hold")
     low, high = ALLOWED_PERCENT
     good = max(ratio, matrix_ratio) <= ALLOWED_RATIO and all(low <= result.matrix <= high for result in coverages)

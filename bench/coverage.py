@@ -229,7 +229,6 @@ def leverage_ratio(N: FloatArray, F: FloatArray) -> FloatArray:
 
 
 def study(trials: int = FULL_TRIALS, seed: int = SEED) -> list[Cell]:
-    """All cells; the same seed gives the same numbers."""
     rng = np.random.default_rng(seed)
     return [*known_matrix(rng, trials), *calibrated_matrix(rng, trials)]
 
@@ -254,7 +253,6 @@ def covered(cells: list[Cell]) -> str:
 
 
 def by_snr(cells: list[Cell], shown: Callable[[list[Cell]], str]) -> str:
-    """A row per SNR, a column per delta."""
     return table(["SNR", *(f"delta {delta}" for delta in DELTAS_DEG)], [
         [str(snr), *(shown([c for c in cells if (c.snr, c.delta_deg) == (snr, delta)]) for delta in DELTAS_DEG)]
         for snr in SNRS
@@ -281,7 +279,6 @@ _ONE = {
 
 
 def report(cells: list[Cell], one: list[dict[str, float | str]], trials: int) -> str:
-    """All tables with their captions."""
     parts = []
     for scenario in dict.fromkeys(c.scenario for c in cells):
         here = [c for c in cells if c.scenario == scenario]
