@@ -17,7 +17,7 @@ from tipforce.sensor.structure.plane_frame import worst_stress
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
 from tipforce_lab.design import tables
 from tipforce_lab.design.merit import LoadSet, merit, worst_strain
-from tipforce_lab.design.paper_figures import simulate_groove_errors
+from tipforce_lab.design.sections import simulate_groove_errors
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 THETA, PHI = np.meshgrid(np.radians(np.arange(0.0, 180.5, 0.5)), np.radians(np.arange(-179.5, 180.5, 0.5)))

@@ -12,7 +12,7 @@ from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure import strain
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, layout, layout_code, mirror
-from tipforce_lab.design.paper_figures import condition_against_shift, most_influential, shift_to_reach, slopes_per_mm
+from tipforce_lab.design.sections import condition_against_shift, most_influential, shift_to_reach, slopes_per_mm
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 """All dimensions different, so that no symbol can stand in for another."""

@@ -8,17 +8,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
+from tipforce.sensor.calibration.statistics import FALSE_ALARM_RATE
+from tipforce.sensor.contact.redundancy import detectable_strain, parity, weighted_inverse
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, PAPER_SLIT_M, Frame, slit_closure, worst_stress
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
-from tipforce.sensor.structure.strain import Gauge, condition_number, gauge_matrix, noise_gain, nominal_position
+from tipforce.sensor.structure.strain import (
+    Gauge,
+    condition_number,
+    gauge_matrix,
+    gauge_name,
+    noise_gain,
+    nominal_position,
+)
 
 _FRICTION = 0.5
 _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as many change u by less than 1e-3
@@ -228,3 +237,23 @@ def pareto(entries: Sequence[Assessment], figures: Sequence[Callable[[Assessment
         if not any(all(o <= v * 1.01 for o, v in zip(other, values, strict=True)) for other in others):
             kept.append(entry)
     return kept
+
+
+def detectable_microstrain(entry: Assessment, noise_microstrain: float) -> list[float]:
+    """The smallest fault of each gauge that a sample shows, microstrain, with C known; none for three gauges."""
+    if len(entry.gauges) < 4 or not noise_microstrain > 0.0:
+        return []
+    A, Sigma = gauge_matrix(entry.geometry, entry.gauges), np.eye(len(entry.gauges)) * noise_microstrain**2 * 1e-12
+    strain = detectable_strain(parity(weighted_inverse(A, Sigma), Sigma), FALSE_ALARM_RATE)
+    return [1e6 * smallest for smallest in strain.tolist()]
+
+
+def record(entry: Assessment, noise_microstrain: float) -> dict[str, object]:
+    """Return the JSON record of a structure: dimensions, gauges, figures of merit by each model, limits."""
+    figures: dict[str, object] = {"name": entry.name, **asdict(entry.geometry)}
+    figures["gauges"] = [gauge_name(gauge) for gauge in entry.gauges]
+    for prefix, merit in (("", entry.theory), ("frame_", entry.frame), ("finite_joint_", entry.frame_finite_joint)):
+        figures |= {f"{prefix}{field.name}": getattr(merit, field.name) for field in fields(Merit)}
+    for name in ("worst_stress_pascals", "worst_strain", "slit_load_newtons", "disagreement", "agrees"):
+        figures[name] = getattr(entry, name)
+    return figures | {"detectable_microstrain": detectable_microstrain(entry, noise_microstrain)}

@@ -11,6 +11,8 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -18,9 +20,10 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.plane_frame import AnyArray, slit_compliance
 from tipforce.sensor.structure.strain import GaugePosition
-from tipforce_lab.design.merit import Limits, LoadSet
+from tipforce_lab.design.merit import FIGURES, Assessment, Limits, LoadSet, assess, glued, pareto
 
 UNIT_M = 1e-3  # the search uses millimetres and microstrain
 _DIMENSIONS = 6  # a, d, r, h1, h2, width; then the positions of the gauges
@@ -338,3 +341,56 @@ def _below(part: Score, ceiling: float) -> Score:
 def problem_of(design: Design, limits: Limits) -> Problem:
     """Return the configuration of a design."""
     return Problem([gauge._replace(position_m=0.0) for gauge in design.gauges], limits)
+
+
+_FROM = 4  # configurations from which the path to the minimum condition number starts
+
+
+class Outcome(NamedTuple):
+    """Result of one run."""
+
+    paper: list[Assessment]
+    """Cases I to III of the paper, then case I with gauges of the stated length."""
+    front: list[Assessment]
+    """Pareto-optimal designs in objective and condition number, and always condition_only."""
+    best: Assessment
+    """The best design by the objective."""
+    condition_only: Assessment
+    """The design with the minimum condition number, and among such designs the minimum noise."""
+
+
+def steps(gauges: int, starts: int) -> int:
+    """Return how often ``optimise`` calls ``done``."""
+    searches = len(configurations(gauges)) * max(starts, 0)
+    return 2 * searches + (_FROM + 1) * len(TRADE_OFF_STEPS)
+
+
+def optimise(
+    objective: Objective,
+    gauges: int,
+    limits: Limits,
+    noise_microstrain: float,
+    *,
+    starts: int,
+    seed: int,
+    done: Callable[[], None] = lambda: None,
+) -> Outcome:
+    """Optimise the objective and the condition number, follow the path between them, and assess all designs."""
+    axis: Objective = "theta" if objective == "condition" else objective
+    best = search(gauges, axis, limits, starts=starts, seed=seed, done=done)
+    least = search(gauges, "condition", limits, starts=starts, seed=seed, done=done)[0]
+    between = trade_off(best[0], best[1:_FROM], least, axis, limits, done)
+    judge = partial(assess, limits=limits, noise_microstrain=noise_microstrain)
+    first, condition_only = judge("best", *best[0]), judge("condition", *least)
+    others = [judge("", *design) for design in (*best[1:], *between)]
+    front = pareto([first, *others, condition_only], (FIGURES[axis], FIGURES["condition"]))
+    front = [entry if entry.name else replace(entry, name=f"{k}") for k, entry in enumerate(front, 1)]
+    if condition_only not in front:
+        front.append(condition_only)
+    paper = [judge(case, FABRICATED, LAYOUTS[case]) for case in CASES]
+    try:
+        real = glued(FABRICATED, LAYOUTS["I"], limits.gauge_length_m)
+        paper.append(judge("I glued", FABRICATED, real))
+    except InputError:  # gauges of this length do not fit on the paper's body
+        pass
+    return Outcome(paper, front, condition_only if objective == "condition" else first, condition_only)

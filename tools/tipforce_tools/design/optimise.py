@@ -10,7 +10,7 @@ from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce_lab.design.merit import Assessment, Limits, Merit
-    from tipforce_lab.design.optimum import Outcome
+    from tipforce_lab.design.search import Outcome
 
 _LENGTHS = ("a", "d", "r", "h1", "h2", "width")
 
@@ -56,7 +56,8 @@ def run(args: argparse.Namespace) -> int:
     """Search, print, write; return 0, or 1 if the frame does not confirm the best design."""
     from tipforce.output_file import LAYOUT, check_output
     from tipforce.sources.layout_file import write_layout
-    from tipforce_lab.design.optimum import optimise, record, steps
+    from tipforce_lab.design.merit import record
+    from tipforce_lab.design.search import optimise, steps
 
     if args.output:
         check_output(args.output, LAYOUT)
@@ -153,8 +154,7 @@ def _figures(merit: Merit) -> tuple[str, str, str]:
 
 
 def _sentences(outcome: Outcome, gauges: int, noise_microstrain: float) -> list[str]:
-    from tipforce_lab.design.merit import AGREEMENT
-    from tipforce_lab.design.optimum import detectable_microstrain
+    from tipforce_lab.design.merit import AGREEMENT, detectable_microstrain
 
     best, first, least = outcome.best, outcome.paper[0], outcome.condition_only
     lines = [
