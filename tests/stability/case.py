@@ -1,8 +1,11 @@
-"""One extreme case: input, claim and observation."""
+"""Extreme cases: input, claim and observation; run as a program it writes the record that `tipforce report` shows."""
 
+import importlib
+import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import cast
 
@@ -74,3 +77,27 @@ def shortened(text: str, length: int = 120) -> str:
     if len(text) <= length:
         return text
     return text[: text.rindex(" ", 0, length)].rstrip(" ,;:(") + " ..."
+
+
+AREAS = (
+    "contact", "uncertainty", "layout", "gauges", "filters", "calibration", "fit", "wire", "clock", "dynamics",
+    "impact",
+)  # fmt: skip
+"""Modules of this folder, in the order of the report."""
+RECORD = Path(__file__).parents[2] / "tools" / "tipforce_lab" / "report" / "cases.jsonl"
+
+
+def cases() -> list[Case]:
+    """Return all cases by area."""
+    return [case for area in AREAS for case in cases_of(importlib.import_module(f"stability.{area}"))]
+
+
+def recorded(case: Case, observed: Observed) -> dict[str, object]:
+    """Return the record of one case, as ``tipforce_lab.report.study.Case`` reads it."""
+    names = ("key", "situation", "outcome", "claim")
+    held = bool(observed.held)  # numpy's bool is not a bool of JSON
+    return {name: getattr(case, name) for name in names} | {"held": held, "figures": plain(observed.figures)}
+
+
+if __name__ == "__main__":
+    RECORD.write_text("".join(json.dumps(recorded(case, case.check())) + "\n" for case in cases()), encoding="utf-8")

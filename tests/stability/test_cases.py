@@ -10,8 +10,7 @@ import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.core.storage import Storage
-from stability.case import Case, plain, shortened
-from stability.record import cases, recorded
+from stability.case import Case, cases, plain, recorded, shortened
 from tipforce.fingertip import calibration, filters
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.channels import Channels
