@@ -135,10 +135,9 @@ def pad_loads(P_newtons: float, theta_min_deg: float, theta_max_deg: float, *, p
 
 
 def budget(sensor: Sensor, loads: Loads, causes: Causes) -> Budget:
-    """Return the budget of some loads.
+    """Return the budget of some loads, C fitted to the paper's grooves, one reading each and as many unloaded.
 
-    C was fitted to the paper's grooves, one reading each and as many unloaded. Repetitions lower the calibration's
-    noise, not its angles, as a groove keeps its angle. Raises InputError where the shapes do not fit.
+    Raises InputError where the shapes do not fit.
     """
     n = sensor.C.shape[1] if sensor.C.ndim == 2 else 0
     if sensor.C.shape != (3, n) or sensor.A.shape != (n, 3) or sensor.covariance_strain2.shape != (n, n):

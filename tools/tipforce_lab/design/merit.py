@@ -35,9 +35,8 @@ _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as
 
 @dataclass(frozen=True, slots=True)
 class LoadSet:
-    """The loads over which uncertainties are averaged: contacts on the pad, pushes within the friction cone.
+    """The loads over which uncertainties are averaged: uniform over the pad and the angles of the friction cone.
 
-    Uniform in theta from 0 to 180 degrees, and in the angle between push and inward normal up to atan(_FRICTION).
     Raises InputError for a load out of range.
     """
 
@@ -55,9 +54,8 @@ class LoadSet:
         return theta + math.pi + cone, theta
 
     def weights(self) -> FloatArray:
-        """Return W_P, W_phi, W_theta, shape (3, 3, 3): means of j j^T, j the gradient of P, phi or theta by F.
-
-        First order: the mean variance of the quantity is tr(W C Sigma_V C^T). Units 1, (rad/N)^2, (rad/N)^2.
+        """Return W_P, W_phi, W_theta, shape (3, 3, 3), units 1, (rad/N)^2, (rad/N)^2: means of j j^T, j the gradient of
+        P, phi or theta by F. First order: the mean variance of the quantity is tr(W C Sigma_V C^T).
         """
         phi, theta = self.angles()
         s, c, zero = np.sin(phi), np.cos(phi), np.zeros_like(phi)

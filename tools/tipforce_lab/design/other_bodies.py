@@ -29,8 +29,7 @@ COMPARATORS = (("[5]", 6, 4.2), ("[11]", 3, 20.05))
 def condition_range(condition: float, from_length_m: float, to_length_m: float) -> tuple[float, float]:
     """Return the condition numbers possible on another scale for a matrix of which only the number is known.
 
-    Its moment columns change by the factor f = to / from. A diagonal matrix of condition number max(f, 1 / f) changes
-    the condition number by no more than that factor, up or down, and no condition number is below 1.
+    Its moment columns change by f = to / from, and so the number by at most max(f, 1 / f), up or down.
     """
     factor = max(to_length_m / from_length_m, from_length_m / to_length_m)
     return max(1.0, condition / factor), condition * factor
@@ -105,8 +104,7 @@ def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record
 def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: bool) -> Record:
     """Return the record of a body with lengths and width times ``scale``; thicknesses as well, or kept.
 
-    Stress per newton grows as 1 / scale^2 in the first case, and is the same in the second (a / (b h^2)). Condition
-    numbers of gauges at their points, of those of GAUGE_LENGTH_M that begin there, and with the last 0.2 mm inward.
+    Condition numbers of gauges at their points, of GAUGE_LENGTH_M that begin there, and with the last 0.2 mm inward.
     """
     g = geometry
     body = replace(g, a_m=scale * g.a_m, d_m=scale * g.d_m, r_m=scale * g.r_m, width_m=scale * g.width_m)

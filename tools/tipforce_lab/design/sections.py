@@ -52,10 +52,8 @@ def most_influential(geometry: Geometry, gauges: Layout, shift_m: float) -> int:
 def shift_to_reach(
     geometry: Geometry, gauges: Layout, condition: float, moving: tuple[str, ...], others_m: float = 0.0
 ) -> float:
-    """Return the smallest inward shift of the gauges at `moving` that gives the layout a condition number.
-
-    The other gauges stay others_m off their points. NaN if no shift up to 5 mm does. Raises InputError for a point
-    that is not in the layout.
+    """Return the smallest inward shift of the gauges at `moving`, the others others_m off their points, that gives the
+    layout a condition number; NaN if none up to 5 mm does. Raises InputError for a point that is not in the layout.
     """
     points = layout(gauges)
     for point in moving:

@@ -111,8 +111,7 @@ def table_1(geometry: Geometry) -> list[Table1Row]:
 def maximum_over_contacts(g: tuple[float, float, float]) -> Maximum:
     """Return the largest reading over theta in [0, 180] and all phi, in closed form.
 
-    For fixed theta the reading is a sine of phi with the squared amplitude g1^2 + g2^2 + g3^2 + 2 g2 (g1
-    cos(theta) - g3 sin(theta)): a cosine of theta, largest at one angle, or at an end of the range.
+    The squared amplitude over phi, g1^2 + g2^2 + g3^2 + 2 g2 (g1 cos(theta) - g3 sin(theta)), is a cosine of theta.
     """
     g1, g2, g3 = g
     if g2 == 0.0 or hypot(g1, g3) < 1e-12 * abs(g2):
@@ -159,8 +158,7 @@ def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
 def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, float]:
     """Return the condition number with F2 as the force M / r (the paper's), and with the moment in N mm and N m.
 
-    A number in the unit M / u is F2 r / u, so its column of the strain matrix shrinks by r / u. Raises InputError
-    for an unusable layout.
+    Raises InputError for an unusable layout.
     """
     return {unit: condition_at_length(geometry, gauges, u) for unit, u in moment_units(geometry).items()}
 
@@ -222,10 +220,9 @@ def ties(rows: list[Record], by: str) -> list[list[Record]]:
 
 
 class RoundingRange(NamedTuple):
-    """Range of the condition numbers of matrices that print as the given one."""
+    """Condition number of the printed entries themselves, and its range for matrices that print as they do."""
 
     printed: float
-    """Of the printed entries themselves."""
     low: float
     high: float
 
@@ -233,8 +230,7 @@ class RoundingRange(NamedTuple):
 def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
     """Return the range of condition numbers over all matrices (3, 3) whose entries round to the given ones.
 
-    All 512 corners of the box of entries. The condition number is smooth here and the box small (curvature adds
-    under 1e-4), so its extremes are at corners.
+    Of the 512 corners of the box of entries, which is small: curvature adds under 1e-4.
     """
     centre = np.asarray(matrix, dtype=np.float64)
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=centre.size))).reshape(-1, *centre.shape)

@@ -1,12 +1,10 @@
 """Impact of a body on the tip, or of the finger on a stop: contact force, contact times, and the gauges' readings.
 
 Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: scipy's DOP853 in contact, matrix
-exponentials in free flight; the end of contact and the peak are events on its dense output.
-Contact starts at time 0 and may open and close again, because the tip vibrates. The contact itself is lossless.
+exponentials in free flight. Contact starts at time 0, may open and close again, and is lossless.
 
-States: a = omega q and q' of every mode (mass-normalised), overlap and speed of the body, the load and its rate, and a
-constant. They are scaled so that energy is half the sum of their squares: without damping and load the matrix is
-skew-symmetric, and its exponential keeps lengths.
+States: omega q and q' of every mode (mass-normalised), overlap and speed of the body, the load and its rate, and a
+constant, scaled so that energy is half the sum of their squares: without damping and load the matrix is skew-symmetric.
 """
 
 from __future__ import annotations

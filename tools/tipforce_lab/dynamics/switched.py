@@ -7,14 +7,11 @@ one linear system, whose state after any time is a matrix exponential. An event 
 of the pressure of a closed one. Steps are short relative to the fastest oscillation and to the time since the last
 disturbance (a fast decay matters only then), and turning points between steps are checked, so that a graze is found.
 
-The slit between tip and horizontal beam as a stop: an overload closes it, and the structure is stiffer from there.
-
-The figure of the cross-section is not in the paper's text. Assumed: the slit, 0.25 mm wide as the cut, runs along the
-upper face of the horizontal beam. How far it has closed is a cubic along each arm, so where a load closes it first is
-where that cubic is largest. The stop has as many contact points on each arm as bring the load of first contact, in
-every direction, within two per cent of that. The tip is rigid; the arm yields where it is pressed, as a beam with
-held ends; each contact has a stiffness of its own. The force between tip and arm is an inner one: fixture and vertical
-beam feel the applied force alone, the gauges of the arms do not.
+The slit between tip and horizontal beam (its place: plane_frame.py) as a stop: an overload closes it, and the
+structure is stiffer from there. How far it has closed is a cubic along each arm. The stop has as many contact points on
+each arm as bring the load of first contact, in every direction, within two per cent of the true one. The tip is rigid;
+the arm yields where it is pressed, as a beam with held ends. The force between tip and arm is an inner one: fixture and
+vertical beam feel the applied force alone, the gauges of the arms do not.
 """
 
 from __future__ import annotations

@@ -275,12 +275,10 @@ def redundancy_limit(
 ) -> float:
     """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges.
 
-    Of chi-square by the record's noise, which is wider than Sigma by variance_factors().
-
-    A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom;
-    parameter_covariance: (n, 4, n, 4). Chi-square is weighed by Sigma alone: what the calibration itself may
-    contradict, at the worst load up to ``largest_newtons``, and that Sigma is an estimate (Hotelling) widen it.
-    Raises InputError for a covariance that is not positive definite, or with no more than n - 2 degrees of freedom.
+    A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom (Hotelling);
+    parameter_covariance: (n, 4, n, 4), by what the calibration itself may contradict at the worst load up to
+    ``largest_newtons``. Of chi-square by the record's noise, wider than Sigma by variance_factors(). Raises InputError
+    for a covariance that is not positive definite, or with no more than n - 2 degrees of freedom.
     """
     n = len(A)
     if n == 3:

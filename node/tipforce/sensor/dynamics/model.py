@@ -1,9 +1,8 @@
 """The tip on its beams as an oscillator: masses, modes, and the transfer from force to gauge readings.
 
-Bodies: the tip is rigid, a half cylinder of steel, joined to the outer beam ends by rigid massless legs; the fixture
-does not move. Joint and beams are massless by default: then the same force F passes both beams,
-three modes remain, and all gauges measure one elastic force. A joint or beams with mass have six modes, the
-joint's far above the others, and the gauges of the arms and of the vertical beam measure different forces.
+The tip is rigid, a half cylinder of steel, joined to the outer beam ends by rigid massless legs; the fixture does not
+move. Joint and beams are massless by default: then three modes remain, and all gauges measure one elastic force. With
+mass there are six, the joint's far above, and the gauges of arms and vertical beam measure different forces.
 
 Coordinates are y = (v, r rotation, u): the displacements conjugate to F = (F1, F2, F3), in metres. Small motions; no
 gravity; damping is an assumed ratio per mode, which the paper did not measure.

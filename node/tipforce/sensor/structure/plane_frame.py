@@ -5,10 +5,9 @@ stiffness matrix: the vertical beam (fixture to joint) and the two arms of the h
 that carries load at its ends only is exact with one element. Signs: x to the right, y away from the fixture, angles
 counter-clockwise; tension is positive.
 
-The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint, not of each
-relative to the ground. Rigid motion does not load an element, so nothing is lost; but a thin beam's tiny axial
-stiffness term is then never added to another beam's bending term 1e14 times smaller, and a body of 1 nm thickness is
-solved to rounding, where absolute unknowns lose all digits of the sum. Diagonal scaling does the rest.
+The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint: then no stiffness
+is added to one of another beam 1e14 times smaller, and with diagonal scaling a body of 1 nm thickness is solved to
+rounding.
 
 In the limit EULER_BERNOULLI (rigid roots, rigid joint without width) the frame equals Table 1 of the paper to
 rounding, its lever h1 / 2 included.
