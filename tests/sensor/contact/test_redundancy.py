@@ -106,24 +106,6 @@ def test_chi_square_threshold(degrees: int, rate: float) -> None:
     assert scalar_redundancy.chi_square_threshold(rate, 0) == 0.0
 
 
-def test_five_gauges_isolate_all_but_the_pair_of_the_vertical_beam() -> None:
-    rng = np.random.default_rng(3)
-    A, covariance = structure(5), SIGMA**2 * np.eye(5)
-    model = parity(weighted_inverse(A, covariance), covariance)
-    assert alike(model, smallest_sine=0.05) == [(2, 4)]  # without both, only the axial strain tells F3
-    clean = force_vector(2.0, 1.0, 1.3) @ A.T
-    for k in range(5):
-        V = clean + SIGMA * rng.normal(size=(2000, 5))
-        V[:, k] += 40.0 * SIGMA
-        faults = detect(model, V)
-        assert np.mean(faults.candidates[:, k]) > 0.99
-        if k in (2, 4):
-            assert np.mean(faults.isolated == UNCLEAR) > 0.99
-            assert np.mean(faults.candidates[:, 6 - k]) > 0.98
-        else:
-            assert np.mean(faults.isolated == k) > 0.98
-
-
 def test_six_gauges_three_a_beam_isolate_every_one() -> None:
     rng = np.random.default_rng(4)
     A, covariance = structure(6), SIGMA**2 * np.eye(6)

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import (
-    CURVATURE_LIMIT,
     contacts,
     curvature,
     first_order_holds,
@@ -171,14 +170,6 @@ def test_curvature_is_the_change_of_the_slope() -> None:
     np.testing.assert_allclose(curvature(force_vector(2.0, 1.0, 1.0), K), s / 2.0, rtol=1e-9)
     # P's own: 2 * bias / u(P), for noise across the force alone and beside it.
     assert curvature([0.0, 0.0, 2.0], np.diag([0.04, 0.0, 1e-4]))[0] == pytest.approx(0.04 / (2.0 * 0.01))
-
-
-def test_criterion_for_theta_is_u_of_F2_over_P_against_cosine_squared() -> None:
-    s = 0.01
-    for delta_deg in np.arange(0.0, 90.0, 0.5):
-        sine = np.sin(np.radians(delta_deg))
-        holds = first_order_holds(force_vector(1.0, 0.3, 0.3 - np.radians(delta_deg)), s * s * np.eye(3))
-        assert holds[2] == (s * sqrt(1.0 + sine * sine) <= CURVATURE_LIMIT * (1.0 - sine * sine))
 
 
 def test_edges() -> None:

@@ -117,15 +117,6 @@ def test_smooth_loads_converge_with_order_2_to_the_closed_solution() -> None:
     assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.02)
 
 
-def test_a_jump_of_the_load_is_a_step_of_no_time() -> None:
-    body = BODY.with_damping(0.02)
-    jump = respond(body, np.outer([0.0, 1.0], F), 0.0)
-    assert (jump.elastic_newtons == 0.0).all()
-    found = respond(body, np.outer([1.0, 1.0], F), 1e-3, jump.end).elastic_newtons[1]
-    wanted = integrators.closed_form(body, integrators.Wave(F, 1.0, 0.0, 0.0, 0.0), [1e-3])[0]
-    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-14)
-
-
 def test_one_sample_and_bad_input() -> None:
     assert respond(BODY, [[1.0, 2.0, 3.0]], 1e-3).elastic_newtons.tolist() == [[0.0, 0.0, 0.0]]
     assert at_rest(STIFF).position.shape == (6,)

@@ -9,7 +9,6 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.first_order_hold import respond
 from tipforce.sensor.dynamics.model import RigidBody, half_cylinder, modes
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce_lab.dynamics import integrators
@@ -114,16 +113,6 @@ def test_each_has_its_order(name: str, method: Fixed, order: float) -> None:
     assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([order, order], abs=0.15), name
 
 
-@pytest.mark.parametrize("method", integrators.SCIPY_METHODS)
-def test_scipy_methods_come_as_near_as_they_are_told(method: str) -> None:
-    t = np.linspace(0.0, 0.04, 41)
-    wanted = integrators.closed_form(BODY, BELL, t)
-    rough, fine = (integrators.scipy_method(integrators.Problem(BODY), BELL, t, method, rtol) for rtol in (1e-5, 1e-9))
-    errors = [np.abs(run - wanted).max() for run in (rough, fine)]
-    assert errors[1] < 1e-5
-    assert errors[1] < 1e-2 * errors[0]
-
-
 def test_the_known_limits_of_rk4() -> None:
     assert integrators.rk4_stability_limit(0.0) == pytest.approx(2.0 * math.sqrt(2.0), rel=1e-12)
     assert integrators.rk4_stability_limit(1.0) == pytest.approx(2.785293563405282, rel=1e-9)
@@ -153,10 +142,3 @@ def test_all_come_to_the_exact_impact(name: str) -> None:
     else:
         found = integrators.scipy_method(problem, integrators.no_load, t[::400], name, 1e-8)
     assert np.abs(found - wanted).max() < 1e-5 * np.abs(wanted).max()
-
-
-def test_the_closed_solutions_agree_with_each_other() -> None:
-    t = np.linspace(0.0, 0.05, 5001)
-    pulse = np.outer(np.where(t <= 0.01, np.sin(math.pi * t / 0.01), 0.0), F)
-    found = integrators.closed_form(BODY, integrators.Wave(F, 0.0, 0.0, 1.0, 50.0, 0.01), t)
-    np.testing.assert_allclose(respond(BODY, pulse, 1e-5).elastic_newtons, found, rtol=0.0, atol=5e-6)
