@@ -256,15 +256,10 @@ def integrator_rk4_unstable() -> Observed:
     for factor in (0.99, 1.01, 100.0):
         t = np.arange(8001 if factor < 2 else 200) * limit * factor
         with np.errstate(over="ignore", invalid="ignore"):
-            end = integrators.runge_kutta_4(problem, _impulse(limit), t)[-1]
+            end = integrators.runge_kutta_4(problem, lambda time_s: np.array([1.0, 0.0, 1.0]) * (time_s < limit), t)[-1]
         sizes.append(float(np.abs(end).max()))
     held = sizes[0] < 10.0 and all(not size < 1e10 for size in sizes[1:])
     return Observed(held, f"end at 0.99, 1.01 and 100 times the limit: {', '.join(f'{size:.2g}' for size in sizes)} N")
-
-
-def _impulse(until_s: float) -> integrators.Load:
-    """Return 1 N along F1 and F3 until a time, then 0."""
-    return lambda time_s: np.array([1.0, 0.0, 1.0]) * (time_s < until_s)
 
 
 def integrator_implicit_long_steps() -> Observed:

@@ -91,19 +91,14 @@ def layout_impossible() -> Observed:
     return Observed(count == named == 42, f"{named} of {count} refused by name")
 
 
-def _twisted(e: float) -> tuple[list[list[float]], Fraction]:
-    """Return [[1, 1, 0], [1, 1 + e, 0], [0, 0, 1]] and its exact s1^2 + s2^2 of rows 0, 1."""
-    trace = 2 + (1 + Fraction(e)) ** 2 + 1  # of A A^T without the 1 of the last row: s1^2 + s2^2
-    return [[1.0, 1.0, 0.0], [1.0, 1.0 + e, 0.0], [0.0, 0.0, 1.0]], trace
-
-
 def layout_condition_1e14() -> Observed:
     """condition numbers known exactly, from 10 to 1e14 -> bounded: both algorithms, numpy's and the node's, are off by
     at most 8 x 2^-52 x the condition number"""
     worst = 0.0
     for power in range(3, 47):
         e = 2.0**-power
-        rows, trace = _twisted(e)
+        rows = [[1.0, 1.0, 0.0], [1.0, 1.0 + e, 0.0], [0.0, 0.0, 1.0]]
+        trace = 2 + (1 + Fraction(e)) ** 2 + 1  # of A A^T without the 1 of the last row: s1^2 + s2^2
         # s1 s2 = e and s1^2 + s2^2 = trace: s1^2 = (trace + sqrt(trace^2 - 4 e^2)) / 2, no cancellation.
         largest_squared = (float(trace) + math.sqrt(float(trace**2 - 4 * Fraction(e) ** 2))) / 2.0
         exact = largest_squared / e

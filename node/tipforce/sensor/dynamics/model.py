@@ -130,7 +130,7 @@ def compliances(frame: Frame) -> tuple[FloatArray, FloatArray]:
     """Return the compliances (3, 3), m/N in the coordinates y, of the arms and of the vertical beam."""
     r = frame.geometry.r_m
     order = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, r], [1.0, 0.0, 0.0]])  # y from (u, v, rotation)
-    arms, vertical = order @ frame.tip_motion(), order @ frame.joint_motion()
+    arms, vertical = (order @ motion for motion in frame.motions())
     return 0.5 * (arms + arms.T), 0.5 * (vertical + vertical.T)
 
 

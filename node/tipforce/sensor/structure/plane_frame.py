@@ -113,13 +113,11 @@ class Frame:
         """
         return np.array([self._row(gauge, gauge_length_m) for gauge in gauges], dtype=np.float64).reshape(-1, 3)
 
-    def tip_motion(self) -> FloatArray:
-        """Return the motion of the tip relative to the joint per newton of F: (3, 3), rows u_m, v_m, rotation_rad."""
-        return self._tip / self._scale
-
-    def joint_motion(self) -> FloatArray:
-        """Return the motion of the joint relative to the fixture per newton of F: (3, 3), rows as tip_motion()."""
-        return self._joint / self._scale
+    def motions(self) -> tuple[FloatArray, FloatArray]:
+        """Return the motion of the tip relative to the joint, and of that relative to the fixture, per newton of F:
+        (3, 3), rows u_m, v_m, rotation_rad.
+        """
+        return self._tip / self._scale, self._joint / self._scale
 
     def slit_closure(self, fractions: npt.ArrayLike) -> FloatArray:
         """Return the decrease of the slit width between tip and horizontal beam, m per newton of F, (2, m, 3).
