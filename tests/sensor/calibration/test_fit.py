@@ -10,6 +10,7 @@ from bench.calibration import CONDITIONS, SEEDS, compare, coverage, pooled
 from sensor.calibration.made import CLEAN, readings, simulated
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import (
+    Fit,
     Model,
     Readings,
     beam_prior,
@@ -19,7 +20,7 @@ from tipforce.sensor.calibration.fit import (
     linear_fit,
 )
 from tipforce.sensor.calibration.result import DIGITS, matrix_to_digits, rounded, to_digits
-from tipforce.sensor.calibration.simulation import simulate
+from tipforce.sensor.calibration.simulation import Simulated, simulate
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import POINTS, layout
@@ -149,12 +150,17 @@ def test_saturated_readings_are_left_out_with_those_that_noise_kept_below_the_li
     assert np.abs(blind.A - sim.true_A).max() > np.abs(fit.A - sim.true_A).max()
 
 
+def offsets(fit: Fit, sim: Simulated) -> FloatArray:
+    """The fitted offset with its drift at each row: what force and residual leave of the readings."""
+    return sim.strain - force_vector(sim.P_newtons, sim.phi_rad, sim.theta_rad) @ fit.A.T - fit.residual_strain
+
+
 @pytest.mark.parametrize(("drift", "warm_up"), [("tare", 0.5), ("tare", 0.0), ("linear", 0.0)])
 def test_drift_is_followed(drift: str, warm_up: float) -> None:
     sim = simulated(9, replace(CLEAN, drift_strain=40e-6, warm_up=warm_up))
     fit = fit_calibration(readings(sim), Model(drift=drift))  # type: ignore[arg-type]
-    assert np.abs(fit.offset_at_rows_strain - sim.true_offset_strain).max() < 2e-6
-    np.testing.assert_allclose(fit.offset_strain, fit.offset_at_rows_strain[-1], atol=1e-15)
+    assert np.abs(offsets(fit, sim) - sim.true_offset_strain).max() < 2e-6
+    np.testing.assert_allclose(fit.offset_strain, offsets(fit, sim)[-1], atol=1e-15)
     blind = fit_calibration(readings(sim), PLAIN)
     assert blind.sigma0 == pytest.approx(1.0, abs=0.02)
     assert np.diag(blind.noise_covariance_strain2).max() > 10 * np.diag(fit.noise_covariance_strain2).max()
@@ -166,7 +172,7 @@ def test_a_restless_drift_is_interpolated_between_the_tares() -> None:
     tares = np.arange(0, 77, 4)
     wander = np.stack([np.interp(np.arange(77), tares, one) for one in walk.T], axis=-1)
     fit = fit_calibration(readings(sim, strain=sim.strain + wander), Model(drift="tare"))
-    assert np.abs(fit.offset_at_rows_strain - sim.true_offset_strain - wander).max() < 4e-6
+    assert np.abs(offsets(fit, sim) - sim.true_offset_strain).max() < 4e-6
     assert fit.outliers == ()
 
 

@@ -21,7 +21,7 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.sensor.structure.plane_frame import POISSON_RATIO
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_name, place
-from tipforce_lab.fem.mesh import STATED, Outline, Resolution, Triangles, triangulate
+from tipforce_lab.fem.mesh import STATED, Outline, Resolution, triangulate
 
 Plane = Literal["stress", "strain"]
 
@@ -64,7 +64,6 @@ class Solution:
     """Displacements for F1 = 1, F2 = 1 and F3 = 1 newton."""
 
     model: Model
-    triangles: Triangles
     faces: tuple[FloatArray, FloatArray, FloatArray]
     """Sides of the boundary: their first ends, middles and second ends, each (2, m) in m."""
     face_motion: tuple[FloatArray, FloatArray, FloatArray]
@@ -110,7 +109,7 @@ def solve(model: Model) -> Solution:
     places = (mesh.p[:, ends[0]], mesh.p[:, ends].mean(axis=1), mesh.p[:, ends[1]])
     nodes = (basis.nodal_dofs[:, ends[0]], basis.facet_dofs[:, sides], basis.nodal_dofs[:, ends[1]])
     moved = (motion[nodes[0]], motion[nodes[1]], motion[nodes[2]])
-    return Solution(model, triangles, places, moved, _resultant(basis, clamped, forces), len(free))
+    return Solution(model, places, moved, _resultant(basis, clamped, forces), len(free))
 
 
 def _stiffness(basis: Any, model: Model) -> Any:

@@ -101,7 +101,7 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> tuple[Fit, P
         if problem.prior_information.any():
             g = np.concatenate((g, np.eye(3, g.shape[1])))
             observed = np.concatenate((observed, np.ones((3, n), dtype=np.bool_)))
-        singular = regressors.require_seen(g, observed, (*regressors.FORCES, *problem.basis.names), problem.newtons)
+        regressors.require_seen(g, observed, (*regressors.FORCES, *problem.basis.names), problem.newtons)
         solution = solve(problem, model.loss, corner, solution)
         at_reference = regressors.at_reference(problem.basis, solution.coefficients, solution.covariance)
         regressors.require_clear(*at_reference, (*regressors.FORCES, "offset"), problem.newtons)
@@ -116,7 +116,7 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> tuple[Fit, P
             settled = True
             break
     assert solution is not None
-    fit = statistics.result(readings, model, problem, solution, singular, outlier, saturated, near)
+    fit = statistics.result(readings, model, problem, solution, outlier, saturated, near)
     largest = float(readings.P_newtons.max())
     straight = statistics.nonlinearity(problem, solution, fit.C, fit.sigma0, largest)
     if straight is not None and not straight.significant and outlier.any():

@@ -171,13 +171,12 @@ LARGEST_SHARE = 0.25
 FORCES = ("F1", "F2", "F3")
 
 
-def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_newtons: float) -> FloatArray:
-    """Check that the rows determine every unknown of every gauge; return the singular values of the design.
+def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_newtons: float) -> None:
+    """Check that the rows determine every unknown of every gauge.
 
     g: (m, p), forces in ``unit_newtons``, then the offset's columns. observed: (m, n). names: of the p columns. Raises
     InputError naming each direction that no row sees, and which row would.
     """
-    singular = np.zeros(0)
     for k in range(observed.shape[1]):
         design = g[observed[:, k]]
         padded = np.vstack((design, np.zeros((design.shape[1], design.shape[1]))))
@@ -190,8 +189,6 @@ def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_
                 f"the data{gauge} cannot show {len(places)} of the {len(names)} unknowns of a gauge "
                 f"({len(design)} rows; singular values {_numbers(values)}): " + "; ".join(places)
             )
-        singular = values if k == 0 else singular
-    return singular
 
 
 def require_clear(coefficients: FloatArray, covariance: FloatArray, names: Sequence[str], unit_newtons: float) -> None:

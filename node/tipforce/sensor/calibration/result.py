@@ -104,12 +104,8 @@ class Fit:
     """Degrees of freedom that the gauge noise is known with: dof, or infinite where it was stated."""
     condition_number: float
     row_equilibrated_condition_number: float
-    design_singular_values: FloatArray
-    """Of (F / typical load, offset columns), as the identifiability check saw them."""
     residual_strain: FloatArray
     """Reading less fit, (m, n), of every row, used or not."""
-    offset_at_rows_strain: FloatArray
-    """The fitted offset with its drift at each row, (m, n)."""
     distance: FloatArray
     """(m,): Mahalanobis distance of each row from the fit without it."""
     leverage: FloatArray

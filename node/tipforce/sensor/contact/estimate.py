@@ -247,6 +247,14 @@ def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
     return contact_columns(_forces(F_newtons), 1.0 if pull else -1.0)
 
 
+def estimate(
+    C: npt.ArrayLike, strain: npt.ArrayLike, offset_strain: npt.ArrayLike = 0.0, *, pull: bool
+) -> tuple[FloatArray, Contact]:
+    """Return (F, contacts) of gauge readings: force_from_strain(), then contacts()."""
+    F = force_from_strain(C, strain, offset_strain)
+    return F, contacts(F, pull=pull)
+
+
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
     """Return the standard uncertainties of P, phi, theta: shape (..., 3), in newtons, radians, radians.
 
