@@ -90,7 +90,7 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> tuple[Fit, P
     corner = sqrt(n * f_quantile(0.99, n, 1e6))  # where the robust loss bends: the 99 % point of good rows
     saturated = np.abs(V) >= limit
     near, robust = np.zeros_like(saturated), model.loss != "none"
-    outlier = _suspected(readings, model, whole._replace(observed=~saturated))
+    outlier = _suspected(readings, model, _problem(readings, model, 0.0)._replace(observed=~saturated))
     solution: Solution | None = None
     settled = False
     for count in range(MAX_PASSES):
