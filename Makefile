@@ -43,7 +43,7 @@ lint-imports:
 	.venv/bin/lint-imports --no-logo
 
 report: bootstrap-report ## run the extreme cases, write build/report/index.html: error against run time; ten minutes
-	PYTHONPATH=tests $(PYTHON) -m stability.record
+	PYTHONPATH=tests $(PYTHON) -m stability.case
 	.venv/bin/tipforce report -o build/report
 
 docs: bootstrap-docs ## build the documentation site: build/site/index.html

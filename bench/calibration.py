@@ -19,8 +19,8 @@ import numpy as np
 from bench.measure import arguments, in_processes, table
 
 from tipforce.arrays import FloatArray
-from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration, linear_fit
-from tipforce.sensor.calibration.regressors import direction_scatter, grooves
+from tipforce.sensor.calibration.fit import Fit, Model, Readings, covariance_of_estimate, fit_calibration, linear_fit
+from tipforce.sensor.calibration.regressors import OffsetBasis, direction_scatter, grooves
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate, unseen_forces
 from tipforce.sensor.calibration.solve import Problem, Scatter, solve
 from tipforce.sensor.contact.estimate import force_vector
@@ -85,7 +85,6 @@ class Coverage(NamedTuple):
 
 
 def simulated(seed: int, faults: Faults) -> tuple[str, Simulated]:
-    """The calibration of a seed; the case goes round with it."""
     case = CASES[seed % 3]
     return case, simulate(case, np.random.default_rng(seed), faults)
 
@@ -111,9 +110,9 @@ def oracle(sim: Simulated) -> FloatArray:
     Sigma = (sim.faults.noise_strain / unit) ** 2 * np.eye(n)
     known = Problem(
         V=(sim.strain - sim.true_offset_strain) / unit, g=force_vector(*load), D=direction_scatter(*load, 1.0, 1.0),
-        groove=grooves(sim.phi_rad, sim.theta_rad), weight=np.ones(len(sim.strain)), Sigma=Sigma,
+        basis=OffsetBasis.of(np.zeros((len(sim.strain), 0))), weight=np.ones(len(sim.strain)), Sigma=Sigma,
+        groove=grooves(sim.phi_rad, sim.theta_rad), prior_mean=np.zeros((n, 3)), prior_information=np.zeros(n),
         observed=(np.abs(sim.strain) < limit) & ~sim.true_outlier[:, np.newaxis],
-        prior_mean=np.zeros((n, 3)), prior_information=np.zeros(n), kinks=np.zeros(3, dtype=np.bool_),
         scatter=Scatter(sim.faults.groove_scatter_rad**2, sim.faults.hang_scatter_rad**2),
     )  # fmt: skip
     A = solve(known, "none", 1.0).coefficients * unit
@@ -164,14 +163,14 @@ def _covered(condition: str, seed: int) -> tuple[FloatArray, FloatArray, bool]:
     truth = np.linalg.inv(sim.true_A)
     V = DIRECTIONS @ sim.true_A.T + sim.true_offset_strain[-1]
     error = (V - fit.offset_strain) @ fit.C.T - DIRECTIONS
-    spread = np.sqrt(np.diagonal(fit.covariance_F(DIRECTIONS, noise=False), axis1=1, axis2=2))
+    covariances = covariance_of_estimate(fit.C, np.zeros(fit.A.shape[:1] * 2), fit.parameter_covariance, DIRECTIONS)
+    spread = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     falsely = bool(set(fit.outliers) - set(np.flatnonzero(sim.true_outlier)))
     held = (lower <= truth) & (truth <= upper)
     return held.ravel(), np.abs(error).ravel() <= fit.coverage_factor * spread.ravel(), falsely
 
 
 def comparison_rows(comparisons: list[Comparison]) -> list[list[str]]:
-    """One row a calibration, and all together; newtons become millinewtons."""
     rows = []
     for result in comparisons:
         errors = [f"{1e3 * result.errors[name]:.1f}" for name in ERRORS]
@@ -181,13 +180,7 @@ def comparison_rows(comparisons: list[Comparison]) -> list[list[str]]:
     return rows
 
 
-def coverage_rows(results: list[Coverage]) -> list[list[str]]:
-    """One row a condition, per cent."""
-    return [[result.condition, *(f"{percent:.1f}" for percent in result[1:])] for result in results]
-
-
 def main() -> int:
-    """Run the study; 1 where it is out of its bounds."""
     args = arguments(__doc__, "--quick").parse_args()
     faults, drift = CONDITIONS["everything"]
     comparisons = [compare(seed, faults, drift) for seed in range(SEEDS)]
@@ -197,7 +190,8 @@ def main() -> int:
     matrix_ratio = pooled(comparisons, "fit_matrix") / pooled(comparisons, "oracle_matrix")
     print(table(["seed", "case", *ERRORS.values(), "outliers"], comparison_rows(comparisons)))
     print(f"\nRMS force error in mN; fit / knows = {ratio:.3f}, C only {matrix_ratio:.3f} (allowed {ALLOWED_RATIO})\n")
-    print(table(["fault", "C", "worst entry of C", "force", "false alarms"], coverage_rows(coverages)))
+    rows = [[result.condition, *(f"{percent:.1f}" for percent in result[1:])] for result in coverages]
+    print(table(["fault", "C", "worst entry of C", "force", "false alarms"], rows))
     print(f"\nper cent of {simulations} simulations that the 95 % intervals hold")
     low, high = ALLOWED_PERCENT
     good = max(ratio, matrix_ratio) <= ALLOWED_RATIO and all(low <= result.matrix <= high for result in coverages)

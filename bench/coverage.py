@@ -16,19 +16,7 @@ from bench.measure import arguments, table
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.output_file import save_figure
 from tipforce.sensor.calibration.simulation import paper_grooves
-from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.estimate import (
-    Contact,
-    contacts,
-    covariances,
-    first_order_holds,
-    force_vector,
-    forces,
-    is_resolved,
-    miss_deviation,
-    standard_uncertainties,
-    status_columns,
-)
+from tipforce.sensor.contact import estimate, scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, noise_gain, strain_matrix
 from tipforce_lab.design.error_budget import pad_loads
@@ -88,7 +76,7 @@ def grooves(largest_theta_deg: float) -> FloatArray:
     """The pulls of the paper's grooves up to a contact angle: F of shape (m, 3), newtons."""
     paper = paper_grooves()
     inside = np.degrees(paper.theta_rad) <= largest_theta_deg + 1e-9
-    return force_vector(P_NEWTONS, paper.phi_rad[inside], paper.theta_rad[inside])
+    return estimate.force_vector(P_NEWTONS, paper.phi_rad[inside], paper.theta_rad[inside])
 
 
 def fits(rng: np.random.Generator, loads: FloatArray, A: FloatArray, sigma: float, trials: int) -> Fits:
@@ -115,7 +103,7 @@ def true_load(delta_deg: float, pull: bool) -> tuple[FloatArray, float, float]:
     """(F, phi, theta): a pull at THETA_DEG leaning delta towards the x-axis, or the push opposite to it."""
     theta = np.radians(THETA_DEG)
     phi = theta - np.radians(delta_deg) - (0.0 if pull else np.pi)
-    return force_vector(P_NEWTONS, phi, theta), float(phi), float(theta)
+    return estimate.force_vector(P_NEWTONS, phi, theta), float(phi), float(theta)
 
 
 def cell(
@@ -123,31 +111,32 @@ def cell(
 ) -> Cell:
     """Count one cell. F: (trials, 3) estimates; covariance: theirs; typical: (3, 3), for the true load."""
     true_F, phi, theta = true_load(names[3], pull)
-    estimated, u = contacts(F, pull=pull), standard_uncertainties(F, covariance, pull=pull)
+    estimated, u = estimate.contacts(F, pull=pull), estimate.standard_uncertainties(F, covariance, pull=pull)
     off = estimated.phi_rad - phi, estimated.theta_rad - theta
     errors = estimated.P_newtons - P_NEWTONS, *(np.remainder(turn + np.pi, 2.0 * np.pi) - np.pi for turn in off)
     inside = np.abs(np.stack(errors, axis=-1)) <= k * u
-    flagged = ~first_order_holds(F, covariance)[:, 2]
+    flagged = ~estimate.first_order_holds(F, covariance)[:, 2]
     bits = status(estimated, u, miss_uncertainties(F, covariance), (0.0, 0.0, -180.0, 180.0))
     flagged_by_status = bits & (scalar.THETA_UNRESOLVED | scalar.MISSES_TIP) != 0
     silent = ~inside[:, 2] & ~flagged & ~flagged_by_status
-    u_P, u_phi, _ = standard_uncertainties(true_F, typical, pull=pull)
+    u_P, u_phi, _ = estimate.standard_uncertainties(true_F, typical, pull=pull)
     bias, error = 0.5 * P_NEWTONS * u_phi**2, u_P / sqrt(len(F))
     counted = [100.0 * float(np.mean(rows)) for rows in (flagged, flagged_by_status, silent)]
+    holds = tuple(estimate.first_order_holds(true_F, typical).tolist())
     return Cell(
-        *names, tuple((100.0 * np.mean(inside, axis=0)).tolist()), tuple(first_order_holds(true_F, typical).tolist()),
-        counted[0], counted[1], counted[2], float(np.mean(errors[0]) / bias) if bias > 5.0 * error else float("nan"),
+        *names, tuple((100.0 * np.mean(inside, axis=0)).tolist()), holds, counted[0], counted[1], counted[2],
+        float(np.mean(errors[0]) / bias) if bias > 5.0 * error else float("nan"),
     )  # fmt: skip
 
 
 def miss_uncertainties(F: FloatArray, covariance: FloatArray) -> FloatArray:
     """Standard uncertainty of |F2| - hypot(F1, F3), newtons (...), of F (..., 3), covariance (3, 3) or (..., 3, 3)."""
     elements = [covariance[..., i, j] for i in range(3) for j in range(i, 3)]
-    return miss_deviation(forces(*np.moveaxis(F, -1, 0)), covariances(elements))
+    return estimate.miss_deviation(estimate.forces(*np.moveaxis(F, -1, 0)), estimate.covariances(elements))
 
 
 def status(
-    contact: Contact,
+    contact: estimate.Contact,
     u: FloatArray,
     u_miss_newtons: FloatArray | float,
     limits: tuple[float, float, float, float],
@@ -155,8 +144,8 @@ def status(
 ) -> IntArray:
     """Bits 0, 4, 5, 6 of contacts (n,) in time order, by their standard uncertainties u (n, 3) or (3,)."""
     least = scalar.MISS_COVERAGE_FACTOR * u_miss_newtons + scalar.MISS_FLOOR * contact.P_newtons
-    resolved = is_resolved(u[..., 0], u[..., 2])
-    return status_columns(contact, resolved, contact.miss_newtons > least, limits, was_present)
+    resolved = estimate.is_resolved(u[..., 0], u[..., 2])
+    return estimate.status_columns(contact, resolved, contact.miss_newtons > least, limits, was_present)
 
 
 def known_matrix(rng: np.random.Generator, trials: int) -> Iterator[Cell]:
@@ -240,7 +229,6 @@ def leverage_ratio(N: FloatArray, F: FloatArray) -> FloatArray:
 
 
 def study(trials: int = FULL_TRIALS, seed: int = SEED) -> list[Cell]:
-    """All cells; the same seed gives the same numbers."""
     rng = np.random.default_rng(seed)
     return [*known_matrix(rng, trials), *calibrated_matrix(rng, trials)]
 
@@ -265,7 +253,6 @@ def covered(cells: list[Cell]) -> str:
 
 
 def by_snr(cells: list[Cell], shown: Callable[[list[Cell]], str]) -> str:
-    """A row per SNR, a column per delta."""
     return table(["SNR", *(f"delta {delta}" for delta in DELTAS_DEG)], [
         [str(snr), *(shown([c for c in cells if (c.snr, c.delta_deg) == (snr, delta)]) for delta in DELTAS_DEG)]
         for snr in SNRS
@@ -292,7 +279,6 @@ _ONE = {
 
 
 def report(cells: list[Cell], one: list[dict[str, float | str]], trials: int) -> str:
-    """All tables with their captions."""
     parts = []
     for scenario in dict.fromkeys(c.scenario for c in cells):
         here = [c for c in cells if c.scenario == scenario]

@@ -79,7 +79,6 @@ def readings(rng: np.random.Generator, A: FloatArray, kind: str, size: float, ga
 
 
 def rates(positions: dict[str, GaugePosition], trials: int) -> list[Rate]:
-    """All rates of a layout."""
     rng = np.random.default_rng(SEED)
     A = position_matrix(FABRICATED, list(positions.values()))
     covariance = SIGMA**2 * np.eye(len(A))
@@ -195,7 +194,6 @@ def layout_table(positions: dict[str, GaugePosition]) -> str:
 
 
 def rate_table(results: list[Rate], kind: str) -> str:
-    """Detected / isolated / wrongly isolated per gauge and size."""
     here = [rate for rate in results if rate.kind == kind]
     names = list(dict.fromkeys(rate.gauge for rate in here))
     rows = []
@@ -209,7 +207,6 @@ def rate_table(results: list[Rate], kind: str) -> str:
 def report(
     results: dict[int, list[Rate]], alarms: dict[str, float], weighed: dict[str, tuple[float, float]], trials: int
 ) -> str:
-    """All tables with their captions."""
     among = min(rate.among for rate in results[5] if rate.detected > 50.0)
     rows = [[name, f"{alarm:.2f}", f"{error:.4f}"] for name, (alarm, error) in weighed.items()]
     return "\n\n".join([

@@ -43,8 +43,6 @@ ORANGE, BLUE, GREY = "#d55e00", "#0072b2", "#666666"
 
 
 class Level(NamedTuple):
-    """One mesh of a series."""
-
     cells: int
     unknowns: int
     seconds: float
@@ -56,8 +54,6 @@ class Level(NamedTuple):
 
 
 class Convergence(NamedTuple):
-    """A series of meshes with one grading."""
-
     grading: float
     levels: tuple[Level, ...]
 
@@ -162,7 +158,6 @@ def _body(**change: float) -> Model:
 
 
 def outer_gauges(position_m: float) -> dict[str, GaugePosition]:
-    """L and R at one distance from the middle."""
     return {"L": GaugePosition("H", "left", position_m), "R": GaugePosition("H", "right", position_m)}
 
 
@@ -259,7 +254,6 @@ def best_for_measured(solution: Solution, steps: int) -> Miss:
 
 
 def variant_table(variants: Variants) -> str:
-    """What, and three condition numbers."""
     rows = [[what, *(f"{value:.3f}" for value in conditions)] for what, conditions in variants.items()]
     return table(["", "I", "II", "III"], rows)
 

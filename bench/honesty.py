@@ -106,7 +106,6 @@ class Cell:
     """Of the faulty gauges' own noise, the least that showed in the residuals of a finger."""
 
     def add(self, other: Cell) -> None:
-        """Add the counts of another finger."""
         for name, count in other.counts.items():
             self.counts[name] += count
         self.refused += other.refused
@@ -119,7 +118,6 @@ class Cell:
 
     @property
     def wrong_per_10000(self) -> float:
-        """Of the rows that say ok."""
         return 1e4 * self.ratio("wrong", "ok") if self.counts["ok"] else 0.0
 
     @property
@@ -325,7 +323,6 @@ def cannot_tell(cell: Cell, out: list[str]) -> str | None:
 
 
 def row_of(cell: Cell) -> list[str]:
-    """One line of the table."""
     rig = f"{cell.rig.grooves} x {cell.rig.weights} x {cell.rig.repeats}"
     rig += " off by 0.5" if cell.rig.groove_error_rad else ""
     return [
@@ -357,7 +354,6 @@ def drifts(calibrations: int, jobs: int) -> list[list[str]]:
 
 
 def main() -> int:
-    """Run the study; 1 where a cell is out of its bounds."""
     parser = arguments(__doc__)
     parser.add_argument("--calibrations", type=int, default=FULL, metavar="N")
     parser.add_argument("--part", choices=PARTS, help="one table only")

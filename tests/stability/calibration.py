@@ -9,7 +9,7 @@ import numpy as np
 from canopen_device.core import codes, communication
 from canopen_device.testing import MemoryStore
 from fingertip import finger as rig
-from stability.case import Case, Observed
+from stability.case import Observed
 from tipforce.dictionary import indices, table, table_objects
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sensor.contact import scalar
@@ -18,48 +18,15 @@ from tipforce.sources.simulated import SimulatedSource
 _GROUP = 4
 
 
-def cases() -> list[Case]:
-    return [
-        Case("calibration.staged_not_finite", "NaN or an infinity staged by SDO in every REAL32 of the record",
-             "refused", "staging is accepted, commit refuses with 06090030h, the active record stays", _not_finite),
-        Case("calibration.condition", "C with condition numbers from 10 to 1e14, and singular; limit 1e4", "refused",
-             "up to the limit commit accepts, above it refuses with 06090031h and nothing changes", _condition),
-        Case("calibration.impossible_noise", "2106h: a negative variance; correlations of 5; three of -0.9", "refused",
-             "commit refuses with 06090030h: else u would be 0 and theta would count as resolved", _impossible),
-        Case("calibration.possible_noise", "2106h: all 0; fully correlated; variances 1e-30 to 1e-6 in one record",
-             "pass", "commit accepts each: REAL32's rounding does not count as impossible", _possible),
-        Case("calibration.flipped_in_transit", "each of the 1264 bits of a record flipped in transit, CRC as sent",
-             "refused", "commit refuses every one with 06040043h; the active CRC stays", _flipped_in_transit),
-        Case("calibration.flipped_in_store", "each bit of a stored calibration flipped before the start", "flagged",
-             "the node starts uncalibrated (bit 1 clear, P unknown) with EMCY 6320h, for every one", _flipped_in_store),
-        Case("calibration.cut_store", "a stored calibration of every length from 0 to one byte short", "flagged",
-             "the node starts uncalibrated and never with a part", _cut_store),
-        Case("calibration.huge", "C of 3.4e38 N per strain, the largest REAL32", "refused",
-             "commit refuses with 06090031h; the active calibration stays",
-             lambda: _sized(3.4e38, codes.TOO_HIGH)),
-        Case("calibration.tiny", "C of 1e-44 N per strain, a denormal REAL32", "refused",
-             "commit refuses with 06090032h; the active calibration stays",
-             lambda: _sized(1e-44, codes.TOO_LOW)),
-        Case("calibration.tare_huge", "a tare at 32 N, then 0.5 N less; with offsets of 3000 microstrain",
-             "bounded", "the rest is right within one count (1 mN); F is computed in double precision", _tare_huge),
-        Case("calibration.tare_saturated", "a tare while a gauge is saturated, or while the sample is stale", "refused",
-             "08000022h, and the previous tare stays", _tare_saturated),
-        Case("calibration.scaling_points_equal", "6120h = 6122h: both scaling points at one field value", "refused",
-             "06090030h in each of the three forms, and the scaling stays", _points_equal),
-        Case("calibration.scaling_denormal", "6122h = 1.4e-45 counts with 6120h = 0: a gain of 2e48", "flagged",
-             "the gauge is outside its span: 7130h at its limit, 6150h 03h, P unknown", _denormal),
-        Case("calibration.locked", "staged writes and commit with the write lock 2105h:2 set", "refused",
-             "08000022h for each, the record and its CRC stay", _locked),
-    ]  # fmt: skip
-
-
 def _refused(finger: rig.Finger, record: bytes, code: int) -> bool:
     """Check that a record is refused at commit with a code, and the active one is unchanged."""
     before = finger.calibration()
     return finger.stage(record) == 0 and finger.commit() == code and finger.calibration() == before
 
 
-def _not_finite() -> Observed:
+def calibration_staged_not_finite() -> Observed:
+    """NaN or an infinity staged by SDO in every REAL32 of the record -> refused: staging is accepted, commit refuses
+    with 06090030h, the active record stays"""
     finger = rig.finger(load=rig.PUSH)
     shown, count, held = finger.sync(), 0, True
     for index, sub, kind in table_objects.staged(3):
@@ -84,7 +51,9 @@ def _conditioned(kappa: float) -> list[list[float]]:
     return C
 
 
-def _condition() -> Observed:
+def calibration_condition() -> Observed:
+    """C with condition numbers from 10 to 1e14, and singular; limit 1e4 -> refused: up to the limit commit accepts,
+    above it refuses with 06090031h and nothing changes"""
     verdicts = []
     for kappa in (10.0, 1e3, 9.9e3, 1.01e4, 1e6):
         finger = rig.finger()
@@ -102,7 +71,9 @@ def _condition() -> Observed:
     return Observed(held, f"10, 1e3, 9.9e3, 1.01e4, 1e6: accepted {verdicts}; 1e6, 7e13, infinity: refused {exact}")
 
 
-def _impossible() -> Observed:
+def calibration_impossible_noise() -> Observed:
+    """2106h: a negative variance; correlations of 5; three of -0.9 -> refused: commit refuses with 06090030h: else u
+    would be 0 and theta would count as resolved"""
     c = 1e-14
     triples = {
         "negative": (-c, 0, 0, c, 0, c),
@@ -122,7 +93,9 @@ def _impossible() -> Observed:
     )
 
 
-def _possible() -> Observed:
+def calibration_possible_noise() -> Observed:
+    """2106h: all 0; fully correlated; variances 1e-30 to 1e-6 in one record -> pass: commit accepts each: REAL32's
+    rounding does not count as impossible"""
     rng = np.random.default_rng(11)
     records = [(0.0,) * 6, (1e-14,) * 6, (1e-30, 0, 0, 1e-14, 0, 1e-6), (1e-38, 0, 0, 1e-14, 0, 1e30)]
     records += [(2e-14, -2e-14, 1e-14, 2e-14, -1e-14, 5e-15), (1e-14, -1e-14, 0, 1e-14, 0, 1e-14)]
@@ -144,7 +117,9 @@ def _flipped(data: bytes) -> Iterable[bytes]:
         yield bytes(spoilt)
 
 
-def _flipped_in_transit() -> Observed:
+def calibration_flipped_in_transit() -> Observed:
+    """each of the 1264 bits of a record flipped in transit, CRC as sent -> refused: commit refuses every one with
+    06040043h; the active CRC stays"""
     finger, record = rig.finger(load=rig.PUSH), rig.record(tip=(0.015, -60.0, 60.0, 0.05, 0.02, 1))
     before, crc, refused, total = finger.calibration(), binascii.crc32(record), 0, 0
     for spoilt in _flipped(record):
@@ -175,7 +150,9 @@ def _uncalibrated(finger: rig.Finger) -> bool:
     return unknown and codes == [table.EMCY_CALIBRATION_INVALID] and finger.calibration()[1] == 0
 
 
-def _flipped_in_store() -> Observed:
+def calibration_flipped_in_store() -> Observed:
+    """each bit of a stored calibration flipped before the start -> flagged: the node starts uncalibrated (bit 1 clear,
+    P unknown) with EMCY 6320h, for every one"""
     memory = _stored()
     data = memory.groups["calibration"]
     good = _started(memory).sync()
@@ -189,7 +166,9 @@ def _flipped_in_store() -> Observed:
     return Observed(held, f"{caught} of {total} noticed; whole, the node shows {good.contact[0]} mN")
 
 
-def _cut_store() -> Observed:
+def calibration_cut_store() -> Observed:
+    """a stored calibration of every length from 0 to one byte short -> flagged: the node starts uncalibrated and never
+    with a part"""
     memory = _stored()
     data, caught = memory.groups["calibration"], 0
     for length in range(1, len(data)):
@@ -201,6 +180,18 @@ def _cut_store() -> Observed:
     return Observed(held, f"{caught} of {len(data) - 1} lengths noticed; nothing stored: uncalibrated, no EMCY")
 
 
+def calibration_huge() -> Observed:
+    """C of 3.4e38 N per strain, the largest REAL32 -> refused: commit refuses with 06090031h; the active calibration
+    stays"""
+    return _sized(3.4e38, codes.TOO_HIGH)
+
+
+def calibration_tiny() -> Observed:
+    """C of 1e-44 N per strain, a denormal REAL32 -> refused: commit refuses with 06090032h; the active calibration
+    stays"""
+    return _sized(1e-44, codes.TOO_LOW)
+
+
 def _sized(newtons_per_strain: float, code: int) -> Observed:
     finger = rig.finger(load=rig.PUSH)
     before = finger.calibration()
@@ -210,7 +201,9 @@ def _sized(newtons_per_strain: float, code: int) -> Observed:
     return Observed(held, f"{abort:08X}h, active CRC {before[1]:08X}h stays")
 
 
-def _tare_huge() -> Observed:
+def calibration_tare_huge() -> Observed:
+    """a tare at 32 N, then 0.5 N less; with offsets of 3000 microstrain -> bounded: the rest is right within one count
+    (1 mN); F is computed in double precision"""
     offsets = [0.0, 0.0, 3000e-6]
     finger = rig.finger(calibrated=rig.record(offsets=offsets))
     finger.source.offset_microstrain = [1e6 * offset for offset in offsets]
@@ -226,7 +219,9 @@ def _tare_huge() -> Observed:
     return Observed(held and worst <= 1e-3, f"F off by at most {1e3 * worst:.2g} mN after tares of 45 N")
 
 
-def _tare_saturated() -> Observed:
+def calibration_tare_saturated() -> Observed:
+    """a tare while a gauge is saturated, or while the sample is stale -> refused: 08000022h, and the previous tare
+    stays"""
     finger = rig.finger(load=rig.PUSH)
     finger.sync()
     held = finger.put("I", indices.AUTOTARE, 4, table.SIGNATURE_TARA) == 0
@@ -243,7 +238,9 @@ def _tare_saturated() -> Observed:
     return Observed(held, f"saturated {saturated:08X}h, stale {stale:08X}h, tare stays {before[2]:.3f} N along F3")
 
 
-def _points_equal() -> Observed:
+def calibration_scaling_points_equal() -> Observed:
+    """6120h = 6122h: both scaling points at one field value -> refused: 06090030h in each of the three forms, and the
+    scaling stays"""
     finger = rig.finger(load=rig.PUSH)
     before, aborts = finger.sync(), []
     forms = (
@@ -258,7 +255,9 @@ def _points_equal() -> Observed:
     return Observed(held, f"{', '.join(f'{abort:08X}h' for abort in aborts)}; SG1 stays {after.gauges[0] / 10:g}")
 
 
-def _denormal() -> Observed:
+def calibration_scaling_denormal() -> Observed:
+    """6122h = 1.4e-45 counts with 6120h = 0: a gain of 2e48 -> flagged: the gauge is outside its span: 7130h at its
+    limit, 6150h 03h, P unknown"""
     finger = rig.finger(load=rig.PUSH)
     taken = finger.put("f", indices.SCALING_2_FIELD, 1, 1.4e-45) == 0
     found = finger.sync()
@@ -268,7 +267,9 @@ def _denormal() -> Observed:
     return Observed(held and all(map(math.isnan, values)), f"SG1 and P: {values}, 6150h {statuses}")
 
 
-def _locked() -> Observed:
+def calibration_locked() -> Observed:
+    """staged writes and commit with the write lock 2105h:2 set -> refused: 08000022h for each, the record and its CRC
+    stay"""
     finger = rig.finger()
     before = finger.calibration()
     finger.put("B", indices.CALIBRATION_GUARD, 2, 1)

@@ -1,8 +1,13 @@
-"""One extreme case: input, claim and observation."""
+"""Extreme cases: input, claim and observation; run as a program it writes the record that `tipforce report` shows."""
 
+import importlib
+import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import cast
 
 from tipforce.errors import InputError
 from tipforce_lab.report.study import Outcome
@@ -27,16 +32,28 @@ class Observed:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """An extreme case. ``check`` runs it and tests ``claim``; it must be able to fail."""
+    """An extreme case: a function of an area whose docstring is "the extreme input -> outcome: the claim"."""
 
     key: str
-    """"area.what", unique: "contact.denormal_load"."""
+    """"area.what", the name of the function: "contact.denormal_load"."""
     situation: str
-    """The extreme input, with its numbers."""
     outcome: Outcome
     claim: str
-    """The claim, one sentence that ``check`` tests."""
     check: Callable[[], Observed]
+    """Runs the case and tests the claim; it must be able to fail."""
+
+
+def cases_of(area: ModuleType) -> list[Case]:
+    """Return the cases of a module, its public functions, in their order."""
+    found = []
+    for name, check in vars(area).items():
+        if isinstance(check, FunctionType) and check.__module__ == area.__name__ and not name.startswith("_"):
+            situation, _, rest = " ".join((check.__doc__ or "").split()).partition(" -> ")
+            outcome, _, claim = rest.partition(": ")
+            what = name.removeprefix("front_end_")
+            key = f"front_end.{what}" if what != name else name.replace("_", ".", 1)
+            found.append(Case(key, situation, cast("Outcome", outcome), claim, check))
+    return found
 
 
 def refusal(act: Callable[[], object]) -> str:
@@ -60,3 +77,27 @@ def shortened(text: str, length: int = 120) -> str:
     if len(text) <= length:
         return text
     return text[: text.rindex(" ", 0, length)].rstrip(" ,;:(") + " ..."
+
+
+AREAS = (
+    "contact", "uncertainty", "layout", "gauges", "filters", "calibration", "fit", "wire", "clock", "dynamics",
+    "impact",
+)  # fmt: skip
+"""Modules of this folder, in the order of the report."""
+RECORD = Path(__file__).parents[2] / "tools" / "tipforce_lab" / "report" / "cases.jsonl"
+
+
+def cases() -> list[Case]:
+    """Return all cases by area."""
+    return [case for area in AREAS for case in cases_of(importlib.import_module(f"stability.{area}"))]
+
+
+def recorded(case: Case, observed: Observed) -> dict[str, object]:
+    """Return the record of one case, as ``tipforce_lab.report.study.Case`` reads it."""
+    names = ("key", "situation", "outcome", "claim")
+    held = bool(observed.held)  # numpy's bool is not a bool of JSON
+    return {name: getattr(case, name) for name in names} | {"held": held, "figures": plain(observed.figures)}
+
+
+if __name__ == "__main__":
+    RECORD.write_text("".join(json.dumps(recorded(case, case.check())) + "\n" for case in cases()), encoding="utf-8")

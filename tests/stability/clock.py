@@ -9,7 +9,7 @@ import numpy as np
 from canopen_device.core import codes, communication
 from canopen_device.core.node import Device
 from fingertip import finger as rig
-from stability.case import Case, Observed
+from stability.case import Observed
 from tipforce.dictionary import indices
 from tipforce.host.configuration.measurements import time_faults
 from tipforce.host.decoding import decoder
@@ -24,44 +24,9 @@ _NO_SYNC_US = 1_200_000  # the node latches by itself again
 _HUSHED = (rig.UNKNOWN,) * 3
 
 
-def cases() -> list[Case]:
-    return [
-        Case("clock.counter_wrap", "the 8-bit sample counter over 1000 SYNCs, 40 frames lost in 5 gaps", "pass",
-             "unwrapped it counts every sample; lost_samples() returns 40", _counter),
-        Case("clock.counter_full_turn", "255 and 256 frames lost in a row: a turn of the 8-bit counter", "bounded",
-             "NOT visible in the counter; visible in the receive times; up to 254 in a row are counted", _full_turn),
-        Case("clock.microseconds_wrap", "1013h, the 32-bit microseconds of CiA 301, written as 0xFFFFFFFF", "pass",
-             "1 us later it reads 0, after 2^32 us the same again", _high_resolution),
-        Case("clock.long_run", "the node's clock at and near 2^31, 2^32, 2^53 us (285 years)", "pass",
-             "the node responds to SYNC, the heartbeat keeps its period, nothing wraps", _long_run),
-        Case("clock.time_of_day", "TIME for 2038-01-19, 2106-02-07 and the last day of 16 bits, 2163-06-06", "pass",
-             "network time in milliseconds equals the calendar's, and continues over the wrap", _time_of_day),
-        Case("clock.time_of_day_impossible", "TIME with 86400000 ms or more after midnight, or 5 and 7 bytes",
-             "refused", "the message is discarded, the previous time continues", _impossible_time),
-        Case("clock.log_2038", "candump stamps 2^31 - 1, 2^31, 2^32 and 9223372035 s (2262)", "pass",
-             "read to the nanosecond; lines written and read again are equal", _log_2038),
-        Case("clock.log_beyond", "candump stamps of 9223372037 s, 11 digits, -1, NaN, 1e9, and dates of 9999",
-             "refused", "each is a bad line with its number and reason; the good ones around it count", _log_beyond),
-        Case("clock.log_backwards", "a log whose clock falls by 1 hour in the middle", "pass",
-             "frames keep their order and timestamps; the counter shows no loss", _log_backwards),
-        Case("clock.rows_backwards", "measurement rows with one jump back of 10 s in 100", "refused",
-             "the fewest rows that restore the order are bad, each with the reason", _rows_backwards),
-        Case("clock.live_backwards", "the node's clock falls by 10 s, with and without SYNC; then by 1 us, 1000 times",
-             "pass", "values stay live: the next read shows the new load; heartbeats continue within a period",
-             _live_backwards),
-        Case("clock.slept", "the node's process sleeps for an hour in OPERATIONAL", "pass",
-             "one heartbeat, no burst; the next read shows the present load", _slept),
-        Case("clock.sync_twice_rate", "SYNC at twice the rate of the converter (250 us against 500 us)", "flagged",
-             "every second PDO pair has bit 3, all unknown, and repeats the counter; the others are right",
-             _twice_rate),
-        Case("clock.sync_burst", "100 SYNCs within one microsecond", "flagged",
-             "one sample; 99 responses have bit 3 and its counter, none shows a value", _burst),
-        Case("clock.sample_period", "6114h = 0, 1, 99, 1000001, 2^32 - 1 us; then 1 s", "refused",
-             "06090032h or 06090031h, the period stays; at 1 s every SYNC in between has bit 3", _period),
-    ]  # fmt: skip
-
-
-def _counter() -> Observed:
+def clock_counter_wrap() -> Observed:
+    """the 8-bit sample counter over 1000 SYNCs, 40 frames lost in 5 gaps -> pass: unwrapped it counts every sample;
+    lost_samples() returns 40"""
     finger = rig.finger(load=rig.PUSH)
     counters = [finger.sync().counter for _ in range(1000)]
     kept = [c for k, c in enumerate(counters) if not any(start <= k < start + 8 for start in range(100, 1000, 200))]
@@ -71,7 +36,9 @@ def _counter() -> Observed:
     return Observed(right and lost == 40 and span == 999, f"{len(counters)} samples to {whole[-1]}, {lost} lost")
 
 
-def _full_turn() -> Observed:
+def clock_counter_full_turn() -> Observed:
+    """255 and 256 frames lost in a row: a turn of the 8-bit counter -> bounded: NOT visible in the counter; visible in
+    the receive times; up to 254 in a row are counted"""
     said, gaps = [], []
     for lost in (253, 254, 255, 256, 257):
         kept = [k for k in range(600) if not 10 <= k < 10 + lost]
@@ -83,7 +50,9 @@ def _full_turn() -> Observed:
     return Observed(held, f"lost {gaps} by the times, {said} by the counter")
 
 
-def _high_resolution() -> Observed:
+def clock_microseconds_wrap() -> Observed:
+    """1013h, the 32-bit microseconds of CiA 301, written as 0xFFFFFFFF -> pass: 1 us later it reads 0, after 2^32 us
+    the same again"""
     finger = rig.finger()
     finger.put("I", communication.HIGH_RESOLUTION_TIME, 0, 0xFFFFFFFF)
     seen = []
@@ -94,7 +63,9 @@ def _high_resolution() -> Observed:
     return Observed(seen == [0xFFFFFFFF, 0, 0xFFFFFFFE, 0xFFFFFFFF, 0], f"{[hex(value) for value in seen]}")
 
 
-def _long_run() -> Observed:
+def clock_long_run() -> Observed:
+    """the node's clock at and near 2^31, 2^32, 2^53 us (285 years) -> pass: the node responds to SYNC, the heartbeat
+    keeps its period, nothing wraps"""
     held, beats = True, []
     for turn in (2**31, 2**32, 2**53):
         finger = rig.finger(load=rig.PUSH)
@@ -121,7 +92,9 @@ def _network_ms(device: Device) -> int:
     return -1 if found is None else found
 
 
-def _time_of_day() -> Observed:
+def clock_time_of_day() -> Observed:
+    """TIME for 2038-01-19, 2106-02-07 and the last day of 16 bits, 2163-06-06 -> pass: network time in milliseconds
+    equals the calendar's, and continues over the wrap"""
     epoch, off = datetime.datetime(1970, 1, 1), []
     for when in (datetime.datetime(2038, 1, 19, 3, 14, 7), datetime.datetime(2106, 2, 7, 6, 28, 15),
                  datetime.datetime(2163, 6, 6, 23, 59, 59)):  # fmt: skip
@@ -135,7 +108,9 @@ def _time_of_day() -> Observed:
     return Observed(off == [0, 0, 0] and last == 0xFFFF, f"off by {off} ms, 2 s after each; last day is {last}")
 
 
-def _impossible_time() -> Observed:
+def clock_time_of_day_impossible() -> Observed:
+    """TIME with 86400000 ms or more after midnight, or 5 and 7 bytes -> refused: the message is discarded, the previous
+    time continues"""
     finger = rig.finger()
     never = _network_ms(finger.device)
     finger.step([(codes.TIME_COB_ID, _time(datetime.datetime(2024, 2, 29, 12)))])
@@ -149,7 +124,9 @@ def _impossible_time() -> Observed:
     )
 
 
-def _log_2038() -> Observed:
+def clock_log_2038() -> Observed:
+    """candump stamps 2^31 - 1, 2^31, 2^32 and 9223372035 s (2262) -> pass: read to the nanosecond; lines written and
+    read again are equal"""
     stamps = ["2147483647.999999", "2147483648.000000", "4294967296.000001", "9223372035.854775"]
     lines = [f"({stamp}) can0 185#0102030405060708" for stamp in stamps]
     block = CandumpParser(strict=True).parse(lines)
@@ -159,7 +136,9 @@ def _log_2038() -> Observed:
     return Observed(held, f"{len(lines)} lines, last {again[-1].split()[0]}")
 
 
-def _log_beyond() -> Observed:
+def clock_log_beyond() -> Observed:
+    """candump stamps of 9223372037 s, 11 digits, -1, NaN, 1e9, and dates of 9999 -> refused: each is a bad line with
+    its number and reason; the good ones around it count"""
     bad = ["9223372037.000000", "10000000000.000000", "-1.000000", "nan", "1e9", "9999-12-31 23:59:59.000000",
            "2147483648"]  # fmt: skip
     parser = CandumpParser()
@@ -171,7 +150,9 @@ def _log_beyond() -> Observed:
     return Observed(held and numbers == list(range(2, 2 + len(bad))), f"bad lines {numbers}: {counts}")
 
 
-def _log_backwards() -> Observed:
+def clock_log_backwards() -> Observed:
+    """a log whose clock falls by 1 hour in the middle -> pass: frames keep their order and timestamps; the counter
+    shows no loss"""
     t_ns = np.concatenate((np.arange(500), np.arange(500) - 3600 * 1000)) * 10**6 + 10**18
     counters = np.arange(1000) % 256
     rows = [(int(t), _GAUGES_COB_ID, bytes(7) + bytes((int(c),))) for t, c in zip(t_ns, counters, strict=True)]
@@ -184,7 +165,9 @@ def _log_backwards() -> Observed:
     )
 
 
-def _rows_backwards() -> Observed:
+def clock_rows_backwards() -> Observed:
+    """measurement rows with one jump back of 10 s in 100 -> refused: the fewest rows that restore the order are bad,
+    each with the reason"""
     t_s = np.arange(100.0)
     t_s[60:64] -= 10.0
     faults = time_faults(list(range(2, 102)), t_s.tolist())
@@ -193,7 +176,9 @@ def _rows_backwards() -> Observed:
     return Observed(held, f"lines {lines}: {faults[0][1]}" if faults else "nothing found")
 
 
-def _live_backwards() -> Observed:
+def clock_live_backwards() -> Observed:
+    """the node's clock falls by 10 s, with and without SYNC; then by 1 us, 1000 times -> pass: values stay live: the
+    next read shows the new load; heartbeats continue within a period"""
     finger = rig.finger(load=rig.PUSH)
     finger.put("H", communication.PRODUCER_HEARTBEAT, 0, 100)
     finger.sync()
@@ -221,7 +206,9 @@ def _live_backwards() -> Observed:
     )
 
 
-def _slept() -> Observed:
+def clock_slept() -> Observed:
+    """the node's process sleeps for an hour in OPERATIONAL -> pass: one heartbeat, no burst; the next read shows the
+    present load"""
     finger = rig.finger(load=rig.PUSH)
     finger.put("H", communication.PRODUCER_HEARTBEAT, 0, 100)
     finger.sync()
@@ -235,7 +222,9 @@ def _slept() -> Observed:
     return Observed(held, f"{len(sent)} frame sent on waking, P {P:.3f} N, next due in {again / 1000:g} ms")
 
 
-def _twice_rate() -> Observed:
+def clock_sync_twice_rate() -> Observed:
+    """SYNC at twice the rate of the converter (250 us against 500 us) -> flagged: every second PDO pair has bit 3, all
+    unknown, and repeats the counter; the others are right"""
     finger = rig.finger(load=rig.PUSH)
     finger.sync()
     found = [finger.sync(250) for _ in range(200)]
@@ -251,7 +240,9 @@ def _twice_rate() -> Observed:
     )
 
 
-def _burst() -> Observed:
+def clock_sync_burst() -> Observed:
+    """100 SYNCs within one microsecond -> flagged: one sample; 99 responses have bit 3 and its counter, none shows a
+    value"""
     finger = rig.finger(load=rig.PUSH)
     finger.sync()
     found = [finger.sync(1000 if k == 0 else 0) for k in range(100)]
@@ -261,7 +252,9 @@ def _burst() -> Observed:
     return Observed(held, f"{sum(stale)} of 100 stale, counter {found[0].counter} in all")
 
 
-def _period() -> Observed:
+def clock_sample_period() -> Observed:
+    """6114h = 0, 1, 99, 1000001, 2^32 - 1 us; then 1 s -> refused: 06090032h or 06090031h, the period stays; at 1 s
+    every SYNC in between has bit 3"""
     finger = rig.finger(load=rig.PUSH)
     aborts = [finger.put("I", indices.SAMPLE_PERIOD_US, 1, value) for value in (0, 1, 99, 1_000_001, 2**32 - 1)]
     kept = finger.get("I", indices.SAMPLE_PERIOD_US, 1)

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from fingertip import finger as rig
-from stability.case import Case, Observed
+from stability.case import Observed
 from tipforce.sensor.contact import estimate, scalar
 from tipforce.sensor.contact.estimate import force_vector
 
@@ -15,37 +15,8 @@ _SMALLEST = 5e-324
 _EPSILON = 2.0**-52
 
 
-def cases() -> list[Case]:
-    return [
-        Case("contact.no_load", "F = 0 exactly", "flagged",
-             "P is 0 and phi and theta are unknown, on the host and in the node's PDO", _no_load),
-        Case("contact.denormal_load", "|F| from 5e-324 to 1e-308 N, below what floats hold with full precision",
-             "bounded", "the angles are those of F times 2^1060, to rounding; P is off by at most one smallest float",
-             _denormal),
-        Case("contact.magnitudes", "|F| from 1e-300 to 1e300 N, 1000 of 20000 directions", "pass",
-             "P and |F2| - P equal exact arithmetic within 4 units in the last place of the larger force", _magnitudes),
-        Case("contact.overflow", "P = 2.4e308 N, beyond the largest float", "flagged",
-             "P is infinite, never a wrong number, and both angles are right", _overflow),
-        Case("contact.not_finite", "NaN or an infinity in one of F1, F2, F3, among 1000 good rows", "flagged",
-             "all five results of that row are NaN, the others change by rounding at most, no exception", _not_finite),
-        Case("contact.exactly_tangential", "|F2| = P exactly: (3, 5, 4) N times 2^-1000 to 2^1000, both signs", "pass",
-             "theta is phi -+ 90 degrees to rounding, the load counts as on the tip", _exactly_tangential),
-        Case("contact.nearly_tangential", "|F2| = P (1 - 2^-k), k to 52, force along an axis", "pass",
-             "the angle to the normal keeps all digits: P^2 - F2^2 is computed in factors", _nearly_tangential),
-        Case("contact.nearly_tangential_oblique", "|F2| = P (1 - 2^-k), k to 50, oblique force", "bounded",
-             "theta is off by at most 3e-8 radian: the root of rounding, no clamp", _oblique),
-        Case("contact.misses_tip", "line of action passes the tip: |F2| = 1.5 P, by 500 standard uncertainties",
-             "flagged", "status bit 5 is set and theta is unknown; P and phi stay", _misses),
-        Case("contact.only_F2", "F1 = F3 = 0 and F2 = 1 N: a force without direction", "flagged",
-             "P is the projection F2 / 2 and both angles are unknown", _only_F2),
-        Case("contact.angle_wrap", "phi and theta at +-180 degrees, and within 1e-13 degrees of it", "pass",
-             "angles lie in (-180, 180] and jump by one turn only; the PDO shows 180.00, never -180.00", _angle_wrap),
-        Case("contact.node_agrees", "10000 loads of any size, 1000 of them tangential within 1e-12", "pass",
-             "the node's formulas give the host's numbers, within 8 units in the last place", _node_agrees),
-    ]  # fmt: skip
-
-
-def _no_load() -> Observed:
+def contact_no_load() -> Observed:
+    """F = 0 exactly -> flagged: P is 0 and phi and theta are unknown, on the host and in the node's PDO"""
     found = estimate.contacts(np.zeros(3), pull=False)
     node = rig.finger().sync()
     angles_unknown = bool(np.isnan(found.phi_rad) and np.isnan(found.theta_rad))
@@ -53,7 +24,9 @@ def _no_load() -> Observed:
     return Observed(held, f"P = {float(found.P_newtons):g} N, phi {found.phi_rad}, node {node.contact}")
 
 
-def _denormal() -> Observed:
+def contact_denormal_load() -> Observed:
+    """|F| from 5e-324 to 1e-308 N, below what floats hold with full precision -> bounded: the angles are those of F
+    times 2^1060, to rounding; P is off by at most one smallest float"""
     rng = np.random.default_rng(1)
     F = np.round(rng.uniform(-1.0, 1.0, (2000, 3)) * 10.0 ** rng.uniform(0.0, 15.0, (2000, 1))) * _SMALLEST
     small, large = estimate.contacts(F, pull=True), estimate.contacts(np.ldexp(F, 1060), pull=True)
@@ -63,7 +36,9 @@ def _denormal() -> Observed:
     return Observed(bool(same and P_off <= 1.0), f"angles off by {worst:.1e} radian; P by {P_off:.2g} smallest floats")
 
 
-def _magnitudes() -> Observed:
+def contact_magnitudes() -> Observed:
+    """|F| from 1e-300 to 1e300 N, 1000 of 20000 directions -> pass: P and |F2| - P equal exact arithmetic within 4
+    units in the last place of the larger force"""
     rng = np.random.default_rng(2)
     F = rng.standard_normal((20000, 3)) * 10.0 ** rng.uniform(-300.0, 299.0, (20000, 1))
     found = estimate.contacts(F, pull=False)
@@ -79,7 +54,9 @@ def _magnitudes() -> Observed:
     return Observed(worst <= 4.0, f"worst error {worst:.2f} units in the last place")
 
 
-def _overflow() -> Observed:
+def contact_overflow() -> Observed:
+    """P = 2.4e308 N, beyond the largest float -> flagged: P is infinite, never a wrong number, and both angles are
+    right"""
     F = np.array([1.7e308, 1.0e308, 1.7e308])
     found, small = estimate.contacts(F, pull=True), estimate.contacts(np.ldexp(F, -600), pull=True)
     angles = float(found.phi_rad) == float(small.phi_rad) and float(found.theta_rad) == float(small.theta_rad)
@@ -87,7 +64,9 @@ def _overflow() -> Observed:
     return Observed(math.inf == P and angles, f"P = {P:g} N, angles as of F / 2^600: {angles}")
 
 
-def _not_finite() -> Observed:
+def contact_not_finite() -> Observed:
+    """NaN or an infinity in one of F1, F2, F3, among 1000 good rows -> flagged: all five results of that row are NaN,
+    the others change by rounding at most, no exception"""
     F = np.random.default_rng(3).standard_normal((1009, 3))
     good = estimate.contacts(F, pull=False)
     spoilt = F.copy()
@@ -107,7 +86,9 @@ def _not_finite() -> Observed:
     return Observed(unknown and same and node, f"unknown: {unknown}, node's formula: {node}, others unchanged: {same}")
 
 
-def _exactly_tangential() -> Observed:
+def contact_exactly_tangential() -> Observed:
+    """|F2| = P exactly: (3, 5, 4) N times 2^-1000 to 2^1000, both signs -> pass: theta is phi -+ 90 degrees to
+    rounding, the load counts as on the tip"""
     scales = np.ldexp(1.0, np.arange(-1000, 1001, 100))[:, np.newaxis]
     worst, missed = 0.0, 0.0
     for sign in (1.0, -1.0):
@@ -119,7 +100,9 @@ def _exactly_tangential() -> Observed:
     return Observed(worst <= 2.0 * _EPSILON and missed == 0.0, f"theta off by {worst:.1e} radian, miss {missed:g} N")
 
 
-def _nearly_tangential() -> Observed:
+def contact_nearly_tangential() -> Observed:
+    """|F2| = P (1 - 2^-k), k to 52, force along an axis -> pass: the angle to the normal keeps all digits: P^2 - F2^2
+    is computed in factors"""
     worst = 0.0
     for k in range(1, 53):
         F2 = 1.0 - 2.0**-k
@@ -137,7 +120,9 @@ def _cosine_error(found: estimate.Contact, F: tuple[float, float, float]) -> flo
     return max(0.0, abs(math.cos(float(found.delta_rad)) - exact) - 2.0 * _EPSILON) / max(exact, _EPSILON)
 
 
-def _oblique() -> Observed:
+def contact_nearly_tangential_oblique() -> Observed:
+    """|F2| = P (1 - 2^-k), k to 50, oblique force -> bounded: theta is off by at most 3e-8 radian: the root of
+    rounding, no clamp"""
     rng = np.random.default_rng(4)
     worst = 0.0
     for k in range(1, 51):
@@ -149,7 +134,9 @@ def _oblique() -> Observed:
     return Observed(worst <= 3e-8, f"worst error of delta {worst:.1e} radian")
 
 
-def _misses() -> Observed:
+def contact_misses_tip() -> Observed:
+    """line of action passes the tip: |F2| = 1.5 P, by 500 standard uncertainties -> flagged: status bit 5 is set and
+    theta is unknown; P and phi stay"""
     finger = rig.finger()
     finger.source.forces = lambda _now_us: (0.6, 1.5, -0.8)
     found = finger.sync()
@@ -159,7 +146,9 @@ def _misses() -> Observed:
     return Observed(held, f"status {found.status:02X}h, P {P} mN, phi {phi / 100:g} degrees, theta unknown")
 
 
-def _only_F2() -> Observed:
+def contact_only_F2() -> Observed:
+    """F1 = F3 = 0 and F2 = 1 N: a force without direction -> flagged: P is the projection F2 / 2 and both angles are
+    unknown"""
     found = estimate.contacts((0.0, 1.0, 0.0), pull=False)
     P, phi, theta, miss = scalar.contact(0.0, -1.0, 0.0, True)
     held = (float(found.P_newtons), float(found.miss_newtons), P, miss) == (0.5, 1.0, 0.5, 1.0)
@@ -167,7 +156,9 @@ def _only_F2() -> Observed:
     return Observed(held, f"P {P:g} N, miss {miss:g} N, phi {phi}, theta {theta}")
 
 
-def _angle_wrap() -> Observed:
+def contact_angle_wrap() -> Observed:
+    """phi and theta at +-180 degrees, and within 1e-13 degrees of it -> pass: angles lie in (-180, 180] and jump by one
+    turn only; the PDO shows 180.00, never -180.00"""
     beside = np.concatenate(([0.0], 10.0 ** np.arange(-15.0, 0.0)))
     turn = np.concatenate((math.pi - beside, beside - math.pi))
     phi, theta = (grid.ravel() for grid in np.meshgrid(turn, turn))
@@ -181,7 +172,9 @@ def _angle_wrap() -> Observed:
     return Observed(held, f"inside: {inside}, off by {off:.1e} radian, node shows {shown}")
 
 
-def _node_agrees() -> Observed:
+def contact_node_agrees() -> Observed:
+    """10000 loads of any size, 1000 of them tangential within 1e-12 -> pass: the node's formulas give the host's
+    numbers, within 8 units in the last place"""
     rng = np.random.default_rng(5)
     F = rng.standard_normal((10000, 3)) * 10.0 ** rng.uniform(-290.0, 290.0, (10000, 1))
     near = F[:1000]

@@ -10,7 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from stability.case import Case, Observed, refusal
+from stability.case import Observed, refusal
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics import first_order_hold as stepping
@@ -19,46 +19,6 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.plane_frame import Frame
 from tipforce.sources.dynamic_load import DynamicLoad
 from tipforce_lab.dynamics import integrators
-
-
-def cases() -> list[Case]:
-    return [
-        Case("dynamics.stiffness_ratio", "h2 / h1 from 1/316 to 1e6: omega^2 of the modes as 1 to 5e8", "pass",
-             "every 1 / omega^2 is a root of the exact characteristic polynomial of mass and compliance within 1e-10",
-             _ratio),
-        Case("dynamics.light_joint", "a joint of 1e-6 to 1e-12 of the tip's mass: 6 modes, omega^2 ratios to 1e12",
-             "refused", "up to 1e12 the static response is right within 1e-6; beyond, InputError names the limit",
-             _light_joint),
-        Case("dynamics.thickness", "h1 from 1e-6 mm to 10 mm: lowest frequencies from 4e-7 Hz to 9 kHz", "pass",
-             "the elastic force at rest equals the load within 1e-12", _thickness),
-        Case("dynamics.no_damping", "damping ratio 0, 100000 free steps of random length near one period", "bounded",
-             "energy stays within 1e-10", _no_damping),
-        Case("dynamics.overdamped", "damping ratios 1, 1 +- 1e-9, 2, 1e3 and 1e6, one step of 1 ns to 1e6 s", "pass",
-             "the step response equals the closed form in exact decay rates, within 1e-12", _overdamped),
-        Case("dynamics.damping_impossible", "damping ratios -1e-9, 2e6, NaN, infinity", "refused",
-             "InputError says what is allowed", _impossible_damping),
-        Case("dynamics.step_1ns", "10000 steps of 1 ns against one of 10 us under the same ramp", "pass",
-             "position and velocity agree within 1e-12 of the largest", _nanoseconds),
-        Case("dynamics.step_1s", "one step of 1 s (470 periods of the fastest mode) against 100000 of 10 us", "pass",
-             "the same ramp gives the same end within 1e-9 of the largest; no stability limit", _one_second),
-        Case("dynamics.steps_mixed", "steps drawn from 1 ns to 1 s in one run, load linear in between", "pass",
-             "the end equals that of exact steps of half the length within 1e-9", _mixed),
-        Case("dynamics.step_impossible", "steps of -1 ns, NaN and infinity", "refused",
-             "InputError says what is allowed; a step of 0 changes nothing", _impossible_step),
-        Case("dynamics.load_not_finite", "NaN and infinity in one sample of a load of 1000", "flagged",
-             "the elastic force is right before it and not finite from it on", _load_not_finite),
-        Case("dynamics.load_sizes", "loads of 1e-300 to 1e290 N and a denormal", "pass",
-             "the response scales with them within 1e-12; a denormal load gives no NaN", _load_sizes),
-        Case("dynamics.node", "the node's own stepping at 500 us and 1 s, damping 0 and 1e6", "pass",
-             "it equals the host's within 1e-12 of the load", _node),
-        Case("integrator.rk4_unstable", "RK4 with steps 1 % below and 1 % above its limit, undamped, 8000 steps",
-             "flagged", "below the limit it decays, above it grows past 1e10 or becomes infinite: it cannot be taken "
-             "for a result", _rk4),
-        Case("integrator.implicit_long_steps", "Newmark and generalised-alpha with steps of 1000 periods", "bounded",
-             "the response to a step load stays below twice the static one: stable, though not exact", _implicit),
-        Case("integrator.times_impossible", "times that are equal, fall, or are NaN, or a single one", "refused",
-             "InputError of every method says that times must rise strictly", _times),
-    ]  # fmt: skip
 
 
 def _polynomial(mass: FloatArray, compliance: FloatArray) -> list[Fraction]:
@@ -79,7 +39,9 @@ def _root_error(p: list[Fraction], x: float) -> float:
     return abs(float(value / slope / y))
 
 
-def _ratio() -> Observed:
+def dynamics_stiffness_ratio() -> Observed:
+    """h2 / h1 from 1/316 to 1e6: omega^2 of the modes as 1 to 5e8 -> pass: every 1 / omega^2 is a root of the exact
+    characteristic polynomial of mass and compliance within 1e-10"""
     worst, largest = 0.0, 0.0
     for power in np.arange(-2.5, 6.1, 0.5):
         geometry = replace(FABRICATED, h2_m=FABRICATED.h1_m * 10.0**power)
@@ -100,7 +62,9 @@ def _static_error(found: Modes) -> float:
                      for shape in (found.force_shape, found.vertical_force_shape)))  # fmt: skip
 
 
-def _light_joint() -> Observed:
+def dynamics_light_joint() -> Observed:
+    """a joint of 1e-6 to 1e-12 of the tip's mass: 6 modes, omega^2 ratios to 1e12 -> refused: up to 1e12 the static
+    response is right within 1e-6; beyond, InputError names the limit"""
     tip = half_cylinder(FABRICATED)
     worst, largest, refused = 0.0, 0.0, 0
     for power in range(15):
@@ -121,7 +85,9 @@ def _light_joint() -> Observed:
     )
 
 
-def _thickness() -> Observed:
+def dynamics_thickness() -> Observed:
+    """h1 from 1e-6 mm to 10 mm: lowest frequencies from 4e-7 Hz to 9 kHz -> pass: the elastic force at rest equals the
+    load within 1e-12"""
     worst, frequencies = 0.0, []
     for h1 in 10.0 ** np.arange(-9.0, -1.9, 0.5):
         found = modes(FABRICATED.thin(float(h1)))
@@ -131,7 +97,8 @@ def _thickness() -> Observed:
     return Observed(held, f"{frequencies[0]:.1e} to {frequencies[-1]:.1e} Hz, static force off by {worst:.1e}")
 
 
-def _no_damping() -> Observed:
+def dynamics_no_damping() -> Observed:
+    """damping ratio 0, 100000 free steps of random length near one period -> bounded: energy stays within 1e-10"""
     found, rng = modes(FABRICATED), np.random.default_rng(15)
     start = stepping.settled(found, [1.0, -0.5, 0.7])
     before, worst, state = stepping.energy(found, start), 0.0, start
@@ -154,7 +121,9 @@ def _step_response(x: float, zeta: float) -> float:
     return (fast * -math.expm1(-slow * x) - slow * -math.expm1(-fast * x)) / (2.0 * gamma)
 
 
-def _overdamped() -> Observed:
+def dynamics_overdamped() -> Observed:
+    """damping ratios 1, 1 +- 1e-9, 2, 1e3 and 1e6, one step of 1 ns to 1e6 s -> pass: the step response equals the
+    closed form in exact decay rates, within 1e-12"""
     worst = 0.0
     base = modes(FABRICATED)
     F = np.array([0.2, 0.3, -0.9])
@@ -171,7 +140,8 @@ def _overdamped() -> Observed:
     return Observed(worst <= 1e-12 and gap <= 1e-8, f"off by at most {worst:.1e} of the static response")
 
 
-def _impossible_damping() -> Observed:
+def dynamics_damping_impossible() -> Observed:
+    """damping ratios -1e-9, 2e6, NaN, infinity -> refused: InputError says what is allowed"""
     said = [refusal(lambda zeta=zeta: modes(FABRICATED, zeta)) for zeta in (-1e-9, 2e6, math.nan, math.inf)]  # type: ignore[misc]
     return Observed(all("allowed is 0 to 1e+06" in text for text in said), said[1])
 
@@ -188,7 +158,9 @@ def _difference(one: stepping.State, other: stepping.State) -> float:
     return float(np.abs(a - b).max() / np.abs(b).max())
 
 
-def _nanoseconds() -> Observed:
+def dynamics_step_1ns() -> Observed:
+    """10000 steps of 1 ns against one of 10 us under the same ramp -> pass: position and velocity agree within 1e-12 of
+    the largest"""
     worst = 0.0
     for zeta in (0.0, 0.02, 1.0, 1e3):
         found = modes(FABRICATED, zeta)
@@ -196,7 +168,9 @@ def _nanoseconds() -> Observed:
     return Observed(worst <= 1e-12, f"largest difference {worst:.1e}")
 
 
-def _one_second() -> Observed:
+def dynamics_step_1s() -> Observed:
+    """one step of 1 s (470 periods of the fastest mode) against 100000 of 10 us -> pass: the same ramp gives the same
+    end within 1e-9 of the largest; no stability limit"""
     worst = 0.0
     for zeta in (0.0, 0.02, 1.0, 1e3):
         found = modes(FABRICATED, zeta)
@@ -204,7 +178,9 @@ def _one_second() -> Observed:
     return Observed(worst <= 1e-9, f"largest difference {worst:.1e}")
 
 
-def _mixed() -> Observed:
+def dynamics_steps_mixed() -> Observed:
+    """steps drawn from 1 ns to 1 s in one run, load linear in between -> pass: the end equals that of exact steps of
+    half the length within 1e-9"""
     rng = np.random.default_rng(16)
     found = modes(FABRICATED, [0.0, 0.01, 2.0])
     steps, F = 10.0 ** rng.uniform(-9.0, 0.0, 60), rng.standard_normal((61, 3))
@@ -216,7 +192,8 @@ def _mixed() -> Observed:
     return Observed(off <= 1e-9, f"60 steps of {steps.min():.0e} to {steps.max():.1g} s: {off:.1e}")
 
 
-def _impossible_step() -> Observed:
+def dynamics_step_impossible() -> Observed:
+    """steps of -1 ns, NaN and infinity -> refused: InputError says what is allowed; a step of 0 changes nothing"""
     found, F = modes(FABRICATED), np.ones((2, 3))
     said = [refusal(lambda step=step: stepping.respond(found, F, step)) for step in (-1e-9, math.nan, math.inf)]  # type: ignore[misc]
     start = stepping.settled(found, [1.0, 2.0, 3.0])
@@ -224,7 +201,9 @@ def _impossible_step() -> Observed:
     return Observed(all("allowed" in text for text in said) and same == 0.0, f"{said[0]}; step 0 changes {same:g}")
 
 
-def _load_not_finite() -> Observed:
+def dynamics_load_not_finite() -> Observed:
+    """NaN and infinity in one sample of a load of 1000 -> flagged: the elastic force is right before it and not finite
+    from it on"""
     found, held = modes(FABRICATED, 0.01), True
     F = np.random.default_rng(17).standard_normal((1000, 3))
     good = stepping.respond(found, F, 1e-4).elastic_newtons
@@ -238,7 +217,9 @@ def _load_not_finite() -> Observed:
     return Observed(held, "500 samples as before, 500 not finite")
 
 
-def _load_sizes() -> Observed:
+def dynamics_load_sizes() -> Observed:
+    """loads of 1e-300 to 1e290 N and a denormal -> pass: the response scales with them within 1e-12; a denormal load
+    gives no NaN"""
     found = modes(FABRICATED, 0.01)
     F = np.random.default_rng(18).standard_normal((200, 3))
     one, worst = stepping.respond(found, F, 1e-4).elastic_newtons, 0.0
@@ -250,7 +231,9 @@ def _load_sizes() -> Observed:
     return Observed(held, f"relative difference {worst:.1e}; denormal load: at most {np.abs(tiny).max():.0e} N")
 
 
-def _node() -> Observed:
+def dynamics_node() -> Observed:
+    """the node's own stepping at 500 us and 1 s, damping 0 and 1e6 -> pass: it equals the host's within 1e-12 of the
+    load"""
     worst = 0.0
     F = np.random.default_rng(19).standard_normal((500, 3))
     for zeta in (0.0, 0.02, 1e6):
@@ -263,7 +246,9 @@ def _node() -> Observed:
     return Observed(worst <= 1e-11, f"largest difference {worst:.1e} N on loads of 1 N")
 
 
-def _rk4() -> Observed:
+def integrator_rk4_unstable() -> Observed:
+    """RK4 with steps 1 % below and 1 % above its limit, undamped, 8000 steps -> flagged: below the limit it decays,
+    above it grows past 1e10 or becomes infinite: it cannot be taken for a result"""
     found = modes(FABRICATED)
     problem = integrators.Problem(found)
     limit = integrators.rk4_stability_limit(0.0) / float(found.omega_rad_s[-1])
@@ -271,18 +256,15 @@ def _rk4() -> Observed:
     for factor in (0.99, 1.01, 100.0):
         t = np.arange(8001 if factor < 2 else 200) * limit * factor
         with np.errstate(over="ignore", invalid="ignore"):
-            end = integrators.runge_kutta_4(problem, _impulse(limit), t)[-1]
+            end = integrators.runge_kutta_4(problem, lambda time_s: np.array([1.0, 0.0, 1.0]) * (time_s < limit), t)[-1]
         sizes.append(float(np.abs(end).max()))
     held = sizes[0] < 10.0 and all(not size < 1e10 for size in sizes[1:])
     return Observed(held, f"end at 0.99, 1.01 and 100 times the limit: {', '.join(f'{size:.2g}' for size in sizes)} N")
 
 
-def _impulse(until_s: float) -> integrators.Load:
-    """Return 1 N along F1 and F3 until a time, then 0."""
-    return lambda time_s: np.array([1.0, 0.0, 1.0]) * (time_s < until_s)
-
-
-def _implicit() -> Observed:
+def integrator_implicit_long_steps() -> Observed:
+    """Newmark and generalised-alpha with steps of 1000 periods -> bounded: the response to a step load stays below
+    twice the static one: stable, though not exact"""
     found, largest = modes(FABRICATED), []
     t = np.arange(2001) * 1000.0 / float(found.frequency_hz[0])
     for method in (integrators.newmark, integrators.generalised_alpha):
@@ -293,7 +275,9 @@ def _implicit() -> Observed:
     )
 
 
-def _times() -> Observed:
+def integrator_times_impossible() -> Observed:
+    """times that are equal, fall, or are NaN, or a single one -> refused: InputError of every method says that times
+    must rise strictly"""
     problem, refused = integrators.Problem(modes(FABRICATED)), 0
     wrong = ([0.0, 1e-4, 1e-4], [0.0, 2e-4, 1e-4], [0.0, float("nan"), 1.0], [0.0])
     methods = (integrators.runge_kutta_4, integrators.newmark, integrators.generalised_alpha)

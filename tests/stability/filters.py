@@ -9,7 +9,7 @@ import numpy as np
 
 from canopen_device.core import codes
 from fingertip import finger as rig
-from stability.case import Case, Observed
+from stability.case import Observed
 from tipforce.dictionary import indices
 from tipforce.fingertip import filters
 from tipforce.sensor.contact import scalar
@@ -20,37 +20,6 @@ _MOVING, _REPEATING, _FIRST_ORDER = filters.MOVING_AVERAGE, filters.REPEATING_AV
 _HUSHED = (rig.UNKNOWN,) * 3
 
 
-def cases() -> list[Case]:
-    return [
-        Case("filter.constants", "61A1h = 0, 257 and 65535 for a moving average; unknown types 3, 99, 255", "refused",
-             "06090032h, 06090031h, 06090030h; filter and constant stay", _constants),
-        Case("filter.constant_1", "each filter type with the constant 1", "pass",
-             "every sample is that of a node without a filter", _constant_1),
-        Case("filter.first_order_65535", "the longest first-order filter, full-scale step after it has settled",
-             "bounded", "each output is within 1/256 count of (1 - 1/65535)^k in exact arithmetic", _first_order),
-        Case("filter.long_run", "a moving average of 256 over 200000 full-scale 24-bit readings of random sign",
-             "pass", "the last mean is exact: sums are integers, nothing accumulates", _long_run),
-        Case("filter.first_order_settles", "first-order filters of 2, 1000 and 65535 on a constant full-scale input",
-             "pass", "after 100000 readings the output equals the input to the last bit", _settles),
-        Case("filter.repeating_65535", "a repeating average of 65535 conversions: 6.5 s to its first output", "flagged",
-             "until then P and gauges are unknown with bit 3; then the mean is right", _repeating),
-        Case("filter.saturated", "one saturated reading inside a moving average of 256", "flagged",
-             "that SYNC has bit 2 and P unknown, and the average restarts: no value contains the reading", _saturated),
-        Case("filter.silence", "the converter stops inside a first-order filter of 1000", "flagged",
-             "every SYNC from then on has bit 3 and all unknown, after 100 ms bit 7 too", _silence),
-        Case("front_end.noise", "white noise of 1e6 microstrain, 300 times the range", "flagged",
-             "nearly every sample has a gauge at its limit: bit 2, P unknown; the others are inside the range", _noise),
-        Case("front_end.noise_impossible", "noise of 0, negative, NaN or infinite; 1/f limits that do not rise",
-             "refused", "ValueError names the argument; without noise no random numbers are drawn", _impossible),
-        Case("front_end.signal_not_finite", "strain of NaN, +-infinity and +-1e300 into 16 and 24 bits", "flagged",
-             "the converter is at a limit: saturated, never a number in between", _not_finite),
-        Case("front_end.bridge_pole", "a quarter bridge at and beyond the strain that leaves no resistance",
-             "flagged", "it shows the limit of the range, no change of sign, no division by zero", _pole),
-        Case("front_end.temperature", "tip temperatures of -400 to 400 degC, NaN and infinity", "flagged",
-             "2122h is unknown where INTEGER16 cannot hold it, else right within 0.005 degC", _temperature),
-    ]  # fmt: skip
-
-
 def _filtered(kind: int, constant: int, **arguments: object) -> rig.Finger:
     finger = rig.finger(**arguments)  # type: ignore[arg-type]
     abort = finger.put("H", indices.FILTER_CONSTANT, 1, constant) or finger.put("B", indices.FILTER_TYPE, 1, kind)
@@ -59,7 +28,9 @@ def _filtered(kind: int, constant: int, **arguments: object) -> rig.Finger:
     return finger
 
 
-def _constants() -> Observed:
+def filter_constants() -> Observed:
+    """61A1h = 0, 257 and 65535 for a moving average; unknown types 3, 99, 255 -> refused: 06090032h, 06090031h,
+    06090030h; filter and constant stay"""
     finger = _filtered(_MOVING, 8)
     aborts = [finger.put("H", indices.FILTER_CONSTANT, 1, constant) for constant in (0, 257, 65535)]
     aborts += [finger.put("B", indices.FILTER_TYPE, 1, kind) for kind in (3, 99, 255)]
@@ -70,7 +41,9 @@ def _constants() -> Observed:
     return Observed(held, f"{', '.join(f'{abort:08X}h' for abort in aborts)}; type and constant stay {kept}")
 
 
-def _constant_1() -> Observed:
+def filter_constant_1() -> Observed:
+    """each filter type with the constant 1 -> pass: every sample is that of a node without a filter"""
+
     def run(finger: rig.Finger) -> list[rig.Pdos]:
         found = []
         for k in range(50):
@@ -83,7 +56,9 @@ def _constant_1() -> Observed:
     return Observed(all(same), f"{sum(same)} of 3 types give the same 50 samples")
 
 
-def _first_order() -> Observed:
+def filter_first_order_65535() -> Observed:
+    """the longest first-order filter, full-scale step after it has settled -> bounded: each output is within 1/256
+    count of (1 - 1/65535)^k in exact arithmetic"""
     constant, worst = 65535, Fraction(0)
     running = filters.algorithm(_FIRST_ORDER, 1, constant)
     low, high = -32768, 32767
@@ -99,7 +74,9 @@ def _first_order() -> Observed:
     return Observed(worst <= Fraction(1, 256), f"worst {float(worst) * 256:.3f}/256 count, last output {exact:.3f}")
 
 
-def _long_run() -> Observed:
+def filter_long_run() -> Observed:
+    """a moving average of 256 over 200000 full-scale 24-bit readings of random sign -> pass: the last mean is exact:
+    sums are integers, nothing accumulates"""
     counts = (2**23 - 1) * np.random.default_rng(20).choice((-1, 1), 200_000)
     running = filters.algorithm(_MOVING, 1, 256)
     for count in counts.tolist():
@@ -108,7 +85,9 @@ def _long_run() -> Observed:
     return Observed(output == [exact], f"{output} counts, exact {exact:g}")
 
 
-def _settles() -> Observed:
+def filter_first_order_settles() -> Observed:
+    """first-order filters of 2, 1000 and 65535 on a constant full-scale input -> pass: after 100000 readings the output
+    equals the input to the last bit"""
     last = []
     for constant in (2, 1000, 65535):
         running = filters.algorithm(_FIRST_ORDER, 1, constant)
@@ -120,7 +99,9 @@ def _settles() -> Observed:
     return Observed(last == [32767.0] * 3, f"outputs {last}")
 
 
-def _repeating() -> Observed:
+def filter_repeating_65535() -> Observed:
+    """a repeating average of 65535 conversions: 6.5 s to its first output -> flagged: until then P and gauges are
+    unknown with bit 3; then the mean is right"""
     finger = _filtered(_REPEATING, 65535, load=rig.PUSH)
     finger.put("I", indices.SAMPLE_PERIOD_US, 1, 100)
     early = [finger.sync(50_000) for _ in range(130)]
@@ -134,7 +115,9 @@ def _repeating() -> Observed:
     )
 
 
-def _saturated() -> Observed:
+def filter_saturated() -> Observed:
+    """one saturated reading inside a moving average of 256 -> flagged: that SYNC has bit 2 and P unknown, and the
+    average restarts: no value contains the reading"""
     finger = _filtered(_MOVING, 256, load=rig.PUSH)
     for _ in range(200):
         finger.sync(rig.PERIOD_US)
@@ -147,7 +130,9 @@ def _saturated() -> Observed:
     return Observed(held and not wrong, f"status {hit.status:02X}h, P of the next 300 samples wrong in {len(wrong)}")
 
 
-def _silence() -> Observed:
+def filter_silence() -> Observed:
+    """the converter stops inside a first-order filter of 1000 -> flagged: every SYNC from then on has bit 3 and all
+    unknown, after 100 ms bit 7 too"""
     finger = _filtered(_FIRST_ORDER, 1000, load=rig.PUSH)
     for _ in range(200):
         good = finger.sync()
@@ -158,7 +143,9 @@ def _silence() -> Observed:
     return Observed(held, f"150 SYNCs unknown, status {found[0].status:02X}h, then {found[-1].status:02X}h")
 
 
-def _noise() -> Observed:
+def front_end_noise() -> Observed:
+    """white noise of 1e6 microstrain, 300 times the range -> flagged: nearly every sample has a gauge at its limit: bit
+    2, P unknown; the others are inside the range"""
     source = SimulatedSource(rig.strain_per_newton(), front_end=FrontEnd(white_noise=1e6, seed=21))
     finger = rig.finger(source=source)
     found = [finger.sync() for _ in range(400)]
@@ -176,7 +163,9 @@ def _named(act: Callable[[], object], name: str) -> bool:
     return False
 
 
-def _impossible() -> Observed:
+def front_end_noise_impossible() -> Observed:
+    """noise of 0, negative, NaN or infinite; 1/f limits that do not rise -> refused: ValueError names the argument;
+    without noise no random numbers are drawn"""
     named = []
     for value in (0.0, -1.0, math.nan, math.inf):
         named.append(_named(partial(FrontEnd, white_noise=value), "white_noise"))
@@ -189,7 +178,9 @@ def _impossible() -> Observed:
     )
 
 
-def _not_finite() -> Observed:
+def front_end_signal_not_finite() -> Observed:
+    """strain of NaN, +-infinity and +-1e300 into 16 and 24 bits -> flagged: the converter is at a limit: saturated,
+    never a number in between"""
     ends = []
     for bits in (16, 24):
         front_end = FrontEnd(bits=bits)
@@ -207,7 +198,9 @@ def _not_finite() -> Observed:
     )
 
 
-def _pole() -> Observed:
+def front_end_bridge_pole() -> Observed:
+    """a quarter bridge at and beyond the strain that leaves no resistance -> flagged: it shows the limit of the range,
+    no change of sign, no division by zero"""
     front_end = FrontEnd(bridge=Bridge("quarter", 2.0))
     pole = -1e6  # microstrain: 1 + k e / 2 = 0
     counts = [front_end.counts([pole * (1.0 + step)], 0)[0] for step in (-1e-3, -1e-12, 0.0, 1e-12, 1.0, 1e6)]
@@ -216,7 +209,9 @@ def _pole() -> Observed:
     return Observed(held, f"{len(counts)} strains at and beyond the pole: {set(counts)}; +-1000 microstrain: {gentle}")
 
 
-def _temperature() -> Observed:
+def front_end_temperature() -> Observed:
+    """tip temperatures of -400 to 400 degC, NaN and infinity -> flagged: 2122h is unknown where INTEGER16 cannot hold
+    it, else right within 0.005 degC"""
     wrong = []
     for degC in (-400.0, -327.68, -327.674, -0.001, 23.0, 327.674, 327.676, 400.0):
         found = FrontEnd(temperature=degC).temperature

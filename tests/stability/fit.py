@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from stability.case import Case, Observed, shortened
+from stability.case import Observed, shortened
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration
@@ -15,36 +15,6 @@ from tipforce.sensor.structure.strain import strain_matrix
 
 _NOISE = 3e-7
 _P = 4.4
-
-
-def cases() -> list[Case]:
-    return [
-        Case("fit.too_few_loads", "1, 2 or 3 loads and one tare: fewer than the 4 unknowns of a gauge", "refused",
-             "InputError names what the rows cannot show, or that no rows remain to estimate the noise", _few),
-        Case("fit.collinear_loads", "20 loads of 4.4 N, all with one direction and place, and 10 tares", "refused",
-             "InputError names the directions that no row determines and a load that would", _collinear),
-        Case("fit.plane_of_loads", "60 loads through the tip's centre, any direction: F2 = 0 in every row", "refused",
-             "InputError says that F2 is 0 N in every row", _plane),
-        Case("fit.no_tare", "3 loads of 4.4 N, 10 times each, with offsets, no unloaded reading", "refused",
-             "InputError says that offset and sensitivity are not distinguishable, and requests tare rows", _no_tare),
-        Case("fit.dead_gauge", "SG2 reads noise only", "refused", "InputError says SG2 responds to no load", _dead),
-        Case("fit.twin_gauges", "SG3 doubles SG1: the layout has rank 2", "refused",
-             "InputError says that the gauges together do not respond along one direction", _twins),
-        Case("fit.not_finite", "one NaN or infinity among 87 readings, or in a load", "refused",
-             "InputError names the row, and the gauge of a reading", _not_finite),
-        Case("fit.time_backwards", "row times that fall once by 1 s", "refused", "InputError names the two rows",
-             _backwards),
-        Case("fit.saturated_rows", "9 or more of 48 rows at the converter's limit", "flagged",
-             "these rows are named and left out; C equals that without them", _saturated),
-        Case("fit.outliers", "4 of 48 rows with two gauges swapped by mistake", "flagged",
-             "these rows are named and left out; C stays within 4 standard uncertainties", _outliers),
-        Case("fit.units", "loads and strains times 1e-6, 1, 1e6 and 1e12", "pass",
-             "C scales with them: equal within 1e-9", _units),
-        Case("fit.no_noise", "readings exact to rounding", "pass", "C A = I and A equals the truth within 1e-9",
-             _no_noise),
-        Case("fit.enormous_noise", "noise of 100 times the signal", "refused",
-             "InputError names the direction lost in the noise, or the gauge", _noise),
-    ]  # fmt: skip
 
 
 def _readings(
@@ -76,18 +46,24 @@ def _changed(readings: Readings, **columns: FloatArray) -> Readings:
     return Readings(**(whole | columns))
 
 
-def _few() -> Observed:
+def fit_too_few_loads() -> Observed:
+    """1, 2 or 3 loads and one tare: fewer than the 4 unknowns of a gauge -> refused: InputError names what the rows
+    cannot show, or that no rows remain to estimate the noise"""
     said = [_refusal(_readings(slice(0, 6 * k, 6), tares=1)) for k in (1, 2, 3)]
     held = all("cannot show" in text or "too little" in text or "no residuals" in text for text in said)
     return Observed(held, "; ".join(shortened(text, 60) for text in said))
 
 
-def _collinear() -> Observed:
+def fit_collinear_loads() -> Observed:
+    """20 loads of 4.4 N, all with one direction and place, and 10 tares -> refused: InputError names the directions
+    that no row determines and a load that would"""
     said = _refusal(_readings(slice(3, 4), repeats=20))
     return Observed("cannot show 2 of the 4" in said and "add a load" in said, shortened(said, 160))
 
 
-def _plane() -> Observed:
+def fit_plane_of_loads() -> Observed:
+    """60 loads through the tip's centre, any direction: F2 = 0 in every row -> refused: InputError says that F2 is 0 N
+    in every row"""
     phi = np.linspace(-3.0, 3.0, 60)
     F = force_vector(_P, phi, phi)
     strain = F @ strain_matrix(FABRICATED, "III").T + _NOISE * np.random.default_rng(13).standard_normal((60, 3))
@@ -95,26 +71,33 @@ def _plane() -> Observed:
     return Observed("F2 is 0 N in every row" in said, shortened(said, 160))
 
 
-def _no_tare() -> Observed:
+def fit_no_tare() -> Observed:
+    """3 loads of 4.4 N, 10 times each, with offsets, no unloaded reading -> refused: InputError says that offset and
+    sensitivity are not distinguishable, and requests tare rows"""
     said = _refusal(_readings(slice(5, 8), tares=0, repeats=10))
     return Observed("cannot be told from a sensitivity" in said and "tare" in said, shortened(said, 200))
 
 
-def _dead() -> Observed:
+def fit_dead_gauge() -> Observed:
+    """SG2 reads noise only -> refused: InputError says SG2 responds to no load"""
     A = strain_matrix(FABRICATED, "III")
     A[1] = 0.0
     said = _refusal(_readings(A=A))
     return Observed(said.startswith("SG2 responds to no load"), shortened(said, 120))
 
 
-def _twins() -> Observed:
+def fit_twin_gauges() -> Observed:
+    """SG3 doubles SG1: the layout has rank 2 -> refused: InputError says that the gauges together do not respond along
+    one direction"""
     A = strain_matrix(FABRICATED, "III")
     A[2] = A[0]
     said = _refusal(_readings(A=A))
     return Observed("together do not respond" in said, shortened(said, 160))
 
 
-def _not_finite() -> Observed:
+def fit_not_finite() -> Observed:
+    """one NaN or infinity among 87 readings, or in a load -> refused: InputError names the row, and the gauge of a
+    reading"""
     readings = _readings()
     said = []
     for bad in (math.nan, math.inf, -math.inf):
@@ -125,7 +108,8 @@ def _not_finite() -> Observed:
     return Observed(held, f"{said[0]}; {said[1]}")
 
 
-def _backwards() -> Observed:
+def fit_time_backwards() -> Observed:
+    """row times that fall once by 1 s -> refused: InputError names the two rows"""
     readings = _readings()
     assert readings.t_s is not None
     t = readings.t_s.copy()
@@ -134,7 +118,9 @@ def _backwards() -> Observed:
     return Observed("t_s[20]" in said and "t_s[19]" in said, said)
 
 
-def _saturated() -> Observed:
+def fit_saturated_rows() -> Observed:
+    """9 or more of 48 rows at the converter's limit -> flagged: these rows are named and left out; C equals that
+    without them"""
     readings = _readings(repeats=2)
     limit = float(np.sort(np.abs(readings.strain).max(axis=1))[-9]) * 0.999
     clipped = _changed(readings, strain=np.clip(readings.strain, -limit, limit))
@@ -155,7 +141,9 @@ def _relative(found: Fit) -> float:
     return float(np.linalg.norm(found.C - C) / np.linalg.norm(C))
 
 
-def _outliers() -> Observed:
+def fit_outliers() -> Observed:
+    """4 of 48 rows with two gauges swapped by mistake -> flagged: these rows are named and left out; C stays within 4
+    standard uncertainties"""
     readings = _readings(repeats=2)
     strain = readings.strain.copy()
     rows = [3, 15, 22, 30]
@@ -167,7 +155,8 @@ def _outliers() -> Observed:
     return Observed(held and plain > 10.0 * _relative(found), f"{told}; least squares would be off by {plain:.1%}")
 
 
-def _units() -> Observed:
+def fit_units() -> Observed:
+    """loads and strains times 1e-6, 1, 1e6 and 1e12 -> pass: C scales with them: equal within 1e-9"""
     readings = _readings()
     one, worst = fit_calibration(readings), 0.0
     for load in (1e-6, 1.0, 1e6, 1e12):
@@ -178,7 +167,8 @@ def _units() -> Observed:
     return Observed(worst <= 1e-9, f"largest relative change of C {worst:.1e}")
 
 
-def _no_noise() -> Observed:
+def fit_no_noise() -> Observed:
+    """readings exact to rounding -> pass: C A = I and A equals the truth within 1e-9"""
     found = fit_calibration(_readings(noise=0.0))
     A = strain_matrix(FABRICATED, "III")
     off = float(np.abs(found.A - A).max() / np.abs(A).max())
@@ -187,6 +177,7 @@ def _no_noise() -> Observed:
     return Observed(off <= 1e-9 and identity <= 1e-9 and finite, f"A off by {off:.1e}, C A - I {identity:.1e}")
 
 
-def _noise() -> Observed:
+def fit_enormous_noise() -> Observed:
+    """noise of 100 times the signal -> refused: InputError names the direction lost in the noise, or the gauge"""
     said = _refusal(_readings(noise=100.0 * 4.4 * float(np.abs(strain_matrix(FABRICATED, "III")).max())))
     return Observed("lost in the noise" in said or "responds to no load" in said, shortened(said, 160))

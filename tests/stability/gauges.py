@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fingertip import finger as rig
-from stability.case import Case, Observed
+from stability.case import Observed
 from tipforce.dictionary import indices, table
 from tipforce.fingertip.source import Reading, Source
 from tipforce.sensor.calibration.simulation import paper_grooves
@@ -18,38 +18,6 @@ from tipforce.sources import simulated
 
 _NOISE = 1e-13  # strain^2: three counts
 _HUSHED = (rig.UNKNOWN,) * 3
-
-
-def cases() -> list[Case]:
-    return [
-        Case("gauge.saturated", "3 gauges, SG1 at either end of its converter", "flagged",
-             "SG1 reads +-3276.7 with 6150h 03h or 05h, P and the angles are unknown, bit 2, EMCY 5010h", _saturated),
-        Case("gauge.open", "3 gauges, the wire of SG2 is broken", "flagged",
-             "everything is unknown, bit 7, 2124h bit 10, EMCY 5030h", _open),
-        Case("gauge.stuck", "SG1 reads a constant while the load doubles; noise 3 counts", "flagged",
-             "from the 33rd reading all values are unknown: bit 7, 2124h bit 9, EMCY 5030h", _stuck),
-        Case("gauge.stuck_without_noise", "SG1 reads a constant; its calibrated noise is below one count", "bounded",
-             "NOT detected by the node; F is off by SG1's column of C times the strain it misses, no more",
-             _stuck_without_noise),
-        Case("gauge.silent", "the converter delivers no more samples", "flagged",
-             "the first SYNC has bit 3 and all unknown; after 100 ms bit 7, 2124h bit 8, EMCY 5030h", _silent),
-        Case("gauge.eight_five_lost", "8 gauges, 5 of them saturated, the other 3 respond to F1, F2, F3", "pass",
-             "the force from the remaining 3 is right; bit 2 and 2124h name the lost ones", _five_lost),
-        Case("gauge.eight_no_rank", "8 gauges, 5 saturated, the other 3 respond to F1 twice and F2", "flagged",
-             "P and both angles are unknown: the rank is below 3", _no_rank),
-        Case("gauge.eight_all_lost", "all 8 gauges saturated", "flagged", "P is unknown, no exception", _all_lost),
-        Case("gauge.swapped_six", "6 gauges, each pair of them swapped, load 1 N", "flagged",
-             "host parity.detect() reports a fault in most contacts where a swap costs 5 % of the force or more, "
-             "for every pair; not in all: the difference of two readings may look like a force", _swapped_six),
-        Case("gauge.swapped_three", "3 gauges, each pair of them swapped after the calibration", "bounded",
-             "NOT detectable by node or host: every reading of 3 gauges fits some force; F is off by at most "
-             "sqrt(2) |C| times the difference of the two readings", _swapped_three),
-        Case("gauge.swapped_control_load", "3 gauges swapped, the paper's 10 grooves as control loads of 4.4 N",
-             "flagged", "every swap is detected: a control load is wrong by more than 10 standard uncertainties",
-             _swapped_control),
-        Case("gauge.drift", "SG3 drifts by 1 microstrain/s for 20 s under no load, noise 3 counts", "bounded",
-             "F is off by 0.01 N per second, as C predicts, not more; a tare removes it", _drift),
-    ]  # fmt: skip
 
 
 class Fixed(Source):
@@ -70,7 +38,9 @@ def _noisy(load: rig.Load = rig.PUSH) -> rig.Finger:
     return finger
 
 
-def _saturated() -> Observed:
+def gauge_saturated() -> Observed:
+    """3 gauges, SG1 at either end of its converter -> flagged: SG1 reads +-3276.7 with 6150h 03h or 05h, P and the
+    angles are unknown, bit 2, EMCY 5010h"""
     figures, held = [], True
     for sign, six in ((1, 3), (-1, 5)):
         finger = rig.finger(emcy=True)
@@ -84,7 +54,8 @@ def _saturated() -> Observed:
     return Observed(held, "; ".join(figures))
 
 
-def _open() -> Observed:
+def gauge_open() -> Observed:
+    """3 gauges, the wire of SG2 is broken -> flagged: everything is unknown, bit 7, 2124h bit 10, EMCY 5030h"""
     finger = rig.finger(load=rig.PUSH, emcy=True)
     finger.sync()
     finger.break_gauge(simulated.OPEN, 2)
@@ -95,7 +66,9 @@ def _open() -> Observed:
     return Observed(held, f"status {found.status:02X}h, 2124h {faults:04X}h, EMCY {_hex(codes)}")
 
 
-def _stuck() -> Observed:
+def gauge_stuck() -> Observed:
+    """SG1 reads a constant while the load doubles; noise 3 counts -> flagged: from the 33rd reading all values are
+    unknown: bit 7, 2124h bit 9, EMCY 5030h"""
     finger = _noisy()
     finger.break_gauge(simulated.STUCK, 1)
     finger.source.load = (2.0, *rig.PUSH[1:])
@@ -108,7 +81,9 @@ def _stuck() -> Observed:
     return Observed(held, f"shown for {count} readings, then status {last.status:02X}h, 2124h {faults:04X}h")
 
 
-def _stuck_without_noise() -> Observed:
+def gauge_stuck_without_noise() -> Observed:
+    """SG1 reads a constant; its calibrated noise is below one count -> bounded: NOT detected by the node; F is off by
+    SG1's column of C times the strain it misses, no more"""
     finger = rig.finger(load=rig.PUSH)
     finger.sync()
     finger.break_gauge(simulated.STUCK, 1)
@@ -123,7 +98,9 @@ def _stuck_without_noise() -> Observed:
     return Observed(held, f"no flag in 100 readings; F off by {off[0]:+.3f}, {off[1]:+.3f}, {off[2]:+.3f} N")
 
 
-def _silent() -> Observed:
+def gauge_silent() -> Observed:
+    """the converter delivers no more samples -> flagged: the first SYNC has bit 3 and all unknown; after 100 ms bit 7,
+    2124h bit 8, EMCY 5030h"""
     finger = rig.finger(load=rig.PUSH, emcy=True)
     finger.sync()
     finger.break_gauge(simulated.SILENT)
@@ -148,7 +125,9 @@ def _eight(lost: Sequence[int]) -> tuple[rig.Finger, rig.Pdos]:
     return finger, finger.sync()
 
 
-def _five_lost() -> Observed:
+def gauge_eight_five_lost() -> Observed:
+    """8 gauges, 5 of them saturated, the other 3 respond to F1, F2, F3 -> pass: the force from the remaining 3 is
+    right; bit 2 and 2124h name the lost ones"""
     worst, held = 0.0, True
     for lost in ((0, 1, 2, 3, 4), (0, 3, 4, 5, 7), (1, 2, 3, 6, 7)):
         finger, found = _eight(lost)
@@ -162,12 +141,15 @@ def _five_lost() -> Observed:
     )
 
 
-def _no_rank() -> Observed:
+def gauge_eight_no_rank() -> Observed:
+    """8 gauges, 5 saturated, the other 3 respond to F1 twice and F2 -> flagged: P and both angles are unknown: the rank
+    is below 3"""
     _, found = _eight((1, 2, 3, 4, 5))  # left: SG1 and SG7 see F1, SG8 sees F2
     return Observed(found.contact == _HUSHED and bool(found.status & scalar.SATURATED), f"status {found.status:02X}h")
 
 
-def _all_lost() -> Observed:
+def gauge_eight_all_lost() -> Observed:
+    """all 8 gauges saturated -> flagged: P is unknown, no exception"""
     finger, found = _eight(range(8))
     shown = {finger.get("h", indices.PROCESS_VALUE + table.INT16_FORM, sub) for sub in range(1, 9)}
     held = found.contact == _HUSHED and shown == {32767} and finger.get("H", indices.FAULTS) == 0xFF
@@ -185,7 +167,10 @@ def _pairs(n: int) -> list[list[int]]:
     return found
 
 
-def _swapped_six() -> Observed:
+def gauge_swapped_six() -> Observed:
+    """6 gauges, each pair of them swapped, load 1 N -> flagged: host parity.detect() reports a fault in most contacts
+    where a swap costs 5 % of the force or more, for every pair; not in all: the difference of two readings may look
+    like a force"""
     A, Sigma = strain_matrix(FABRICATED, ("L", "R", "K_H", "S_H", "T", "U")), 9e-14 * np.eye(6)
     C = redundancy.weighted_inverse(A, Sigma)
     model = redundancy.parity(C, Sigma)
@@ -206,7 +191,9 @@ def _swapped_six() -> Observed:
     return Observed(held, f"{told}; {alarms} alarms of {len(F)} unswapped")
 
 
-def _swapped_three() -> Observed:
+def gauge_swapped_three() -> Observed:
+    """3 gauges, each pair of them swapped after the calibration -> bounded: NOT detectable by node or host: every
+    reading of 3 gauges fits some force; F is off by at most sqrt(2) |C| times the difference of the two readings"""
     A = strain_matrix(FABRICATED, "III")
     C = calibration_matrix(FABRICATED, "III")
     F = np.array(rig.forces(rig.PUSH))
@@ -224,7 +211,9 @@ def _swapped_three() -> Observed:
     )
 
 
-def _swapped_control() -> Observed:
+def gauge_swapped_control_load() -> Observed:
+    """3 gauges swapped, the paper's 10 grooves as control loads of 4.4 N -> flagged: every swap is detected: a control
+    load is wrong by more than 10 standard uncertainties"""
     A, C = strain_matrix(FABRICATED, "III"), calibration_matrix(FABRICATED, "III")
     Sigma_F = 9e-14 * C @ C.T
     grooves = paper_grooves()
@@ -238,7 +227,9 @@ def _swapped_control() -> Observed:
     )
 
 
-def _drift() -> Observed:
+def gauge_drift() -> Observed:
+    """SG3 drifts by 1 microstrain/s for 20 s under no load, noise 3 counts -> bounded: F is off by 0.01 N per second,
+    as C predicts, not more; a tare removes it"""
     finger = _noisy((0.0, 0.0, 0.0))
     finger.break_gauge(simulated.DRIFT, 3, 1.0)
     worst = 0.0

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from stability.case import Case, Observed, refusal
+from stability.case import Observed, refusal
 from tipforce.sensor.dynamics.first_order_hold import energy
 from tipforce.sensor.dynamics.model import Modes, modes
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -17,36 +17,9 @@ _STIFFNESSES = (1e5, 1e6, 1e7, 1e8)
 _MASS_KG, _SPEED = 0.02, 0.1
 
 
-def cases() -> list[Case]:
-    return [
-        Case("impact.linear_rigid", "linear contact of 1e5 to 1e8 N/m on rigid ground, 1 mg to 100 kg", "pass",
-             "peak v sqrt(k m), duration pi sqrt(m / k) and rebound speed v within 1e-12", _linear_rigid),
-        Case("impact.hertz_rigid", "Hertzian contact of 1e5 to 1e8 N/m^1.5 on rigid ground, 1 g and 1 kg", "pass",
-             "peak, duration and rebound speed equal the closed form within 1e-11", _hertz_rigid),
-        Case("impact.linear_energy", "impact of 1e5 to 1e8 N/m on the undamped fingertip; it rings and is hit again",
-             "bounded", "the energy of body, structure and contact is conserved within 1e-9", lambda: _kept(1.0)),
-        Case("impact.hertz_energy", "the same with 1e5 to 1e8 N/m^1.5", "bounded", "energy is conserved within 1e-9",
-             lambda: _kept(1.5)),
-        Case("impact.contact_force", "the same linear impacts, force sampled every 10 us", "pass",
-             "the contact only pushes: no sample is below zero, and none is above zero outside its contacts", _presses),
-        Case("impact.fixed_steps", "1e8 N/m in steps of 1 us to 100 us by Newmark, against the event-accurate run",
-             "bounded", "the error of the elastic force falls from step to step, and stays above that of events",
-             _fixed_steps),
-        Case("impact.stop", "the finger drives against a stop of infinite mass at 1 mm/s to 1 m/s", "pass",
-             "peak force scales with the speed within 1e-9: the system is linear while in contact", _stop),
-        Case("impact.mass_ratio", "bodies of 1e-9 to 1e3 kg on the fingertip, 1e8 N/m", "bounded",
-             "the first peak is within 0.1 % of v sqrt(k m), m the reduced mass of body and free tip: beams are soft "
-             "compared with the contact", _light),
-        Case("impact.impossible", "mass or stiffness 0, negative or NaN; speed 0; time inf; samples out of order",
-             "refused", "InputError names the value", _impossible),
-        Case("impact.softest", "beams of 1 nm struck with 1e8 N/m, 100000 s: time scales as 1 to 1e11", "pass",
-             "one touch as on a free tip, and energy is kept within 1e-9", _softest),
-        Case("impact.slit", "ramps to 1, 10 and 1000 times the load that closes the slit", "bounded",
-             "the stop opens no deeper than its force times its compliance; below the load it never touches", _slit),
-    ]  # fmt: skip
-
-
-def _linear_rigid() -> Observed:
+def impact_linear_rigid() -> Observed:
+    """linear contact of 1e5 to 1e8 N/m on rigid ground, 1 mg to 100 kg -> pass: peak v sqrt(k m), duration pi sqrt(m /
+    k) and rebound speed v within 1e-12"""
     worst = 0.0
     for k in _STIFFNESSES:
         for m in (1e-6, 1e-3, 1.0, 100.0):
@@ -59,7 +32,9 @@ def _linear_rigid() -> Observed:
     return Observed(worst <= 1e-12, f"16 impacts, largest relative error {worst:.1e}")
 
 
-def _hertz_rigid() -> Observed:
+def impact_hertz_rigid() -> Observed:
+    """Hertzian contact of 1e5 to 1e8 N/m^1.5 on rigid ground, 1 g and 1 kg -> pass: peak, duration and rebound speed
+    equal the closed form within 1e-11"""
     worst = 0.0
     for k in _STIFFNESSES:
         for m in (1e-3, 1.0):
@@ -80,6 +55,17 @@ def _total(found: Impact, structure: Modes, striker: Striker) -> float:
     return energy(structure, found.structure) + 0.5 * striker.mass_kg * found.body_speed_m_s**2
 
 
+def impact_linear_energy() -> Observed:
+    """impact of 1e5 to 1e8 N/m on the undamped fingertip; it rings and is hit again -> bounded: the energy of body,
+    structure and contact is conserved within 1e-9"""
+    return _kept(1.0)
+
+
+def impact_hertz_energy() -> Observed:
+    """the same with 1e5 to 1e8 N/m^1.5 -> bounded: energy is conserved within 1e-9"""
+    return _kept(1.5)
+
+
 def _kept(exponent: float) -> Observed:
     structure, worst, touches = modes(FABRICATED), 0.0, 0
     for k in _STIFFNESSES:
@@ -93,7 +79,9 @@ def _kept(exponent: float) -> Observed:
     return Observed(worst <= 1e-9 and touches >= 4, f"{touches} touches, energy off by at most {worst:.1e}")
 
 
-def _presses() -> Observed:
+def impact_contact_force() -> Observed:
+    """the same linear impacts, force sampled every 10 us -> pass: the contact only pushes: no sample is below zero, and
+    none is above zero outside its contacts"""
     structure, t, least, stray, touches = modes(FABRICATED, 0.01), np.linspace(0.0, 0.02, 2001), 0.0, 0, 0
     for k in _STIFFNESSES:
         found = impact(structure, Striker(_MASS_KG, _SPEED, k), 0.02, t)
@@ -109,7 +97,9 @@ def _presses() -> Observed:
     )
 
 
-def _fixed_steps() -> Observed:
+def impact_fixed_steps() -> Observed:
+    """1e8 N/m in steps of 1 us to 100 us by Newmark, against the event-accurate run -> bounded: the error of the
+    elastic force falls from step to step, and stays above that of events"""
     structure, striker = modes(FABRICATED, 0.01), Striker(_MASS_KG, _SPEED, 1e8)
     errors = []
     for step in (1e-4, 1e-5, 1e-6):
@@ -121,7 +111,9 @@ def _fixed_steps() -> Observed:
     return Observed(held, f"relative errors at 100, 10 and 1 us: {', '.join(f'{error:.1e}' for error in errors)}")
 
 
-def _stop() -> Observed:
+def impact_stop() -> Observed:
+    """the finger drives against a stop of infinite mass at 1 mm/s to 1 m/s -> pass: peak force scales with the speed
+    within 1e-9: the system is linear while in contact"""
     structure, per_speed = modes(FABRICATED, 0.01), []
     for speed in (1e-3, 1e-2, 0.1, 1.0):
         per_speed.append(impact(structure, Striker(math.inf, speed, 1e7), 1e-3).touches[0].peak_newtons / speed)
@@ -129,7 +121,9 @@ def _stop() -> Observed:
     return Observed(spread <= 1e-9, f"peak {per_speed[0]:.4g} N per m/s, spread {spread:.1e}")
 
 
-def _light() -> Observed:
+def impact_mass_ratio() -> Observed:
+    """bodies of 1e-9 to 1e3 kg on the fingertip, 1e8 N/m -> bounded: the first peak is within 0.1 % of v sqrt(k m), m
+    the reduced mass of body and free tip: beams are soft compared with the contact"""
     structure, k, shares = modes(FABRICATED), 1e8, []
     for m in (1e-9, 1e-6, 1e-3, 1.0, 1e3):
         striker = Striker(m, _SPEED, k)
@@ -141,7 +135,9 @@ def _light() -> Observed:
     return Observed(held, f"first peaks are {min(shares):.6f} to {max(shares):.6f} of that")
 
 
-def _impossible() -> Observed:
+def impact_impossible() -> Observed:
+    """mass or stiffness 0, negative or NaN; speed 0; time inf; samples out of order -> refused: InputError names the
+    value"""
     wrong = [(0.0, 0.1, 1e6), (-1.0, 0.1, 1e6), (math.nan, 0.1, 1e6), (1.0, 0.0, 1e6), (1.0, math.inf, 1e6),
              (1.0, 0.1, 0.0), (1.0, 0.1, math.nan), (1.0, 0.1, math.inf)]  # fmt: skip
     said = [refusal(lambda values=values: Striker(*values)) for values in wrong]  # type: ignore[misc]
@@ -159,7 +155,9 @@ def _impossible() -> Observed:
     )
 
 
-def _softest() -> Observed:
+def impact_softest() -> Observed:
+    """beams of 1 nm struck with 1e8 N/m, 100000 s: time scales as 1 to 1e11 -> pass: one touch as on a free tip, and
+    energy is kept within 1e-9"""
     structure, striker = modes(FABRICATED.thin(1e-9)), Striker(1e-3, 1e-3, 1e8)
     found = impact(structure, striker, 1e5)
     along = structure.load_shape @ striker.direction
@@ -170,7 +168,9 @@ def _softest() -> Observed:
     return Observed(held, f"touch of {found.touches[0].end_s:.3g} s, energy off by {off:.1e}")
 
 
-def _slit() -> Observed:
+def impact_slit() -> Observed:
+    """ramps to 1, 10 and 1000 times the load that closes the slit -> bounded: the stop opens no deeper than its force
+    times its compliance; below the load it never touches"""
     structure = modes(FABRICATED, 0.02)
     stop = slit_stop(FABRICATED, structure)
     theta, phi = 0.5 * math.pi, 1.3 * math.pi

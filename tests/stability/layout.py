@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from stability.case import Case, Observed, refusal, shortened
+from stability.case import Observed, refusal, shortened
 from tipforce.sensor.contact import scalar_condition
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
@@ -18,37 +18,6 @@ from tipforce_lab.design.merit import LoadSet, merit
 _THICKNESSES_M = 10.0 ** np.arange(-9.0, -1.9, 0.5)
 
 
-def cases() -> list[Case]:
-    return [
-        Case("layout.thickness", "h1 from 1e-6 mm to 10 mm, h2 = 1.63 h1, all 8 gauge points", "pass",
-             "the frame, solved by stiffness, equals Table 1 within 1e-10 of each gauge's largest coefficient",
-             _thickness),
-        Case("layout.stiffness_ratio", "h2 / h1 from 1/464 to 464: bending stiffnesses to 1 : 1e8", "pass",
-             "the frame equals Table 1 within 1e-10 of each gauge's largest coefficient", _ratio),
-        Case("layout.models", "the same with shear and elastic roots, h1 from 1e-6 to 10 mm", "bounded",
-             "strains are finite and differ from beam theory by less as the beams get thinner, to 1e-5 at 1e-6 mm",
-             _models),
-        Case("layout.thin_limit", "cases I, II, III and their mirrors at h1 = 1e-6 mm, in the limit's units", "pass",
-             "their condition numbers equal those of the thin limit within 1e-5", _thin_limit),
-        Case("layout.too_thin", "h1 = 1e-160 m, 1e-300 m and 5e-324 m, or 1e200 m", "refused",
-             "InputError says too thin or too thick; no infinity or NaN comes out", _too_thin),
-        Case("layout.impossible", "0, negative, NaN, infinite or boolean dimensions in each of 7 fields", "refused",
-             "InputError names the field", _impossible),
-        Case("layout.condition_1e14", "condition numbers known exactly, from 10 to 1e14", "bounded",
-             "both algorithms, numpy's and the node's, are off by at most 8 x 2^-52 x the condition number",
-             _condition),
-        Case("layout.condition_graded", "rows that differ by up to 1e200, orthogonal and nearly so", "bounded",
-             "the node's Jacobi keeps every singular value to 1e-12", _graded),
-        Case("layout.singular", "a row of zeros, two equal rows, all zero, NaN", "flagged",
-             "the condition number is infinite or above 1e15; NaN for NaN: no limit accepts it", _singular),
-        Case("layout.rank_2", "L, R, K_H on one beam: rank 2 in the thin limit, condition to 1e14 before", "refused",
-             "calibration_matrix() refuses once rank 3 is lost to rounding; before, C A = I within 1e-16 x condition",
-             _rank_2),
-        Case("layout.merit_of_rank_2", "the design figures of a layout of rank 2", "flagged",
-             "uncertainties and condition number are infinite: it is never selected", _merit),
-    ]  # fmt: skip
-
-
 def _off(geometry: Geometry) -> float:
     """Return the largest difference of frame and Table 1, relative to each gauge's largest coefficient."""
     table = strain_matrix(geometry, POINTS)
@@ -56,12 +25,16 @@ def _off(geometry: Geometry) -> float:
     return float((np.abs(frame - table).max(axis=1) / np.abs(table).max(axis=1)).max())
 
 
-def _thickness() -> Observed:
+def layout_thickness() -> Observed:
+    """h1 from 1e-6 mm to 10 mm, h2 = 1.63 h1, all 8 gauge points -> pass: the frame, solved by stiffness, equals Table
+    1 within 1e-10 of each gauge's largest coefficient"""
     worst = max(_off(FABRICATED.thin(float(h1))) for h1 in _THICKNESSES_M)
     return Observed(worst <= 1e-10, f"largest difference {worst:.1e} over {len(_THICKNESSES_M)} thicknesses")
 
 
-def _ratio() -> Observed:
+def layout_stiffness_ratio() -> Observed:
+    """h2 / h1 from 1/464 to 464: bending stiffnesses to 1 : 1e8 -> pass: the frame equals Table 1 within 1e-10 of each
+    gauge's largest coefficient"""
     worst = 0.0
     for power in np.arange(-8.0, 8.1, 1.0):
         ratio = 10.0 ** (power / 3.0)
@@ -70,7 +43,9 @@ def _ratio() -> Observed:
     return Observed(worst <= 1e-10, f"largest difference {worst:.1e} over stiffness ratios 1e-8 to 1e8")
 
 
-def _models() -> Observed:
+def layout_models() -> Observed:
+    """the same with shear and elastic roots, h1 from 1e-6 to 10 mm -> bounded: strains are finite and differ from beam
+    theory by less as the beams get thinner, to 1e-5 at 1e-6 mm"""
     figures, held = [], True
     for name, model in (("shear", TIMOSHENKO), ("elastic roots", ELASTIC_ROOTS)):
         offs = []
@@ -85,7 +60,9 @@ def _models() -> Observed:
     return Observed(held, "; ".join(figures))
 
 
-def _thin_limit() -> Observed:
+def layout_thin_limit() -> Observed:
+    """cases I, II, III and their mirrors at h1 = 1e-6 mm, in the limit's units -> pass: their condition numbers equal
+    those of the thin limit within 1e-5"""
     worst = 0.0
     for name in LAYOUTS:
         exact = condition_number(thin_limit_matrix(name))
@@ -93,7 +70,9 @@ def _thin_limit() -> Observed:
     return Observed(worst <= 1e-5, f"{len(LAYOUTS)} layouts, largest difference {worst:.1e}")
 
 
-def _too_thin() -> Observed:
+def layout_too_thin() -> Observed:
+    """h1 = 1e-160 m, 1e-300 m and 5e-324 m, or 1e200 m -> refused: InputError says too thin or too thick; no infinity
+    or NaN comes out"""
     said = []
     for h1 in (1e-160, 1e-300, 5e-324, 1e200):
         geometry = replace(FABRICATED, h1_m=h1, h2_m=THIN_BEAM_RATIO * h1)
@@ -102,7 +81,8 @@ def _too_thin() -> Observed:
     return Observed(all("too thin" in text or "too thick" in text for text in said), shortened(said[1], 90))
 
 
-def _impossible() -> Observed:
+def layout_impossible() -> Observed:
+    """0, negative, NaN, infinite or boolean dimensions in each of 7 fields -> refused: InputError names the field"""
     count = named = 0
     for name in FABRICATED.__dataclass_fields__:
         for value in (0.0, -1e-3, math.nan, math.inf, -math.inf, True):
@@ -111,17 +91,14 @@ def _impossible() -> Observed:
     return Observed(count == named == 42, f"{named} of {count} refused by name")
 
 
-def _twisted(e: float) -> tuple[list[list[float]], Fraction]:
-    """Return [[1, 1, 0], [1, 1 + e, 0], [0, 0, 1]] and its exact s1^2 + s2^2 of rows 0, 1."""
-    trace = 2 + (1 + Fraction(e)) ** 2 + 1  # of A A^T without the 1 of the last row: s1^2 + s2^2
-    return [[1.0, 1.0, 0.0], [1.0, 1.0 + e, 0.0], [0.0, 0.0, 1.0]], trace
-
-
-def _condition() -> Observed:
+def layout_condition_1e14() -> Observed:
+    """condition numbers known exactly, from 10 to 1e14 -> bounded: both algorithms, numpy's and the node's, are off by
+    at most 8 x 2^-52 x the condition number"""
     worst = 0.0
     for power in range(3, 47):
         e = 2.0**-power
-        rows, trace = _twisted(e)
+        rows = [[1.0, 1.0, 0.0], [1.0, 1.0 + e, 0.0], [0.0, 0.0, 1.0]]
+        trace = 2 + (1 + Fraction(e)) ** 2 + 1  # of A A^T without the 1 of the last row: s1^2 + s2^2
         # s1 s2 = e and s1^2 + s2^2 = trace: s1^2 = (trace + sqrt(trace^2 - 4 e^2)) / 2, no cancellation.
         largest_squared = (float(trace) + math.sqrt(float(trace**2 - 4 * Fraction(e) ** 2))) / 2.0
         exact = largest_squared / e
@@ -130,7 +107,9 @@ def _condition() -> Observed:
     return Observed(worst <= 8.0, f"worst error {worst:.2f} x 2^-52 x condition number, up to {exact:.1e}")
 
 
-def _graded() -> Observed:
+def layout_condition_graded() -> Observed:
+    """rows that differ by up to 1e200, orthogonal and nearly so -> bounded: the node's Jacobi keeps every singular
+    value to 1e-12"""
     worst = 0.0
     for grade in (1e-14, 1e-50, 1e-150):
         rows = [[1.0, 1.0, 0.0], [grade, -grade, grade], [1.0, -1.0, 1.0]]
@@ -156,7 +135,9 @@ def _across(rows: list[list[Fraction]]) -> Fraction:
                                        Fraction(0))  # fmt: skip
 
 
-def _singular() -> Observed:
+def layout_singular() -> Observed:
+    """a row of zeros, two equal rows, all zero, NaN -> flagged: the condition number is infinite or above 1e15; NaN for
+    NaN: no limit accepts it"""
     matrices = {
         "a row of zeros": [[1.0, 2.0, 3.0], [0.0, 0.0, 0.0], [3.0, 1.0, 2.0]],
         "two equal rows": [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [3.0, 1.0, 2.0]],
@@ -167,7 +148,9 @@ def _singular() -> Observed:
     return Observed(least > 1e15 and math.isnan(nan) and not nan <= math.inf, f"least {least:.1e}; with NaN {nan}")
 
 
-def _rank_2() -> Observed:
+def layout_rank_2() -> Observed:
+    """L, R, K_H on one beam: rank 2 in the thin limit, condition to 1e14 before -> refused: calibration_matrix()
+    refuses once rank 3 is lost to rounding; before, C A = I within 1e-16 x condition"""
     gauges = ("L", "R", "K_H")
     held, refused, largest = True, 0, 0.0
     for h1 in 10.0 ** np.arange(-17.0, -2.9, 1.0):
@@ -187,7 +170,9 @@ def _rank_2() -> Observed:
     )
 
 
-def _merit() -> Observed:
+def layout_merit_of_rank_2() -> Observed:
+    """the design figures of a layout of rank 2 -> flagged: uncertainties and condition number are infinite: it is never
+    selected"""
     A = strain_matrix(FABRICATED, "III")
     A[2] = 2.0 * A[0]
     found = merit(A, 0.3, LoadSet())

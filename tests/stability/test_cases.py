@@ -10,8 +10,7 @@ import pytest
 
 from canopen_device.core.node import Device
 from canopen_device.core.storage import Storage
-from stability.case import Case, plain, shortened
-from stability.record import cases, recorded
+from stability.case import Case, cases, plain, recorded, shortened
 from tipforce.fingertip import calibration, filters
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.channels import Channels
@@ -164,8 +163,13 @@ FAULTS: tuple[tuple[str, Any, str, Any], ...] = (
     ("calibration.flipped_in_transit", calibration.Calibration, "commit", _without_crc),
     ("calibration.flipped_in_store", Storage, "read_blob",
      lambda _right: lambda self, name: (self._load(name) or b"")[4:] if self._load else b""),
+<<<<<<< HEAD
     ("fit.plane_of_loads", regressors, "require_seen", _gives(np.zeros(0))),
     ("wire.unknown", sample_table.Layout, "columns", _no_unknown),
+=======
+    ("fit.plane_of_loads", regressors, "require_seen", _gives(None)),
+    ("wire.unknown", columns.Layout, "columns", _no_unknown),
+>>>>>>> area-H
     ("wire.integer16_overflow", Channels, "_status", _silently_clamped),
     ("wire.short_pdo", decoder, "join", _any_length),
     ("clock.counter_wrap", decoder, "unwrap_counter",

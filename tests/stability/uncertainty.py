@@ -6,7 +6,7 @@ import numpy as np
 from bench.coverage import miss_uncertainties, status
 
 from fingertip import finger as rig
-from stability.case import Case, Observed
+from stability.case import Observed
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
 from tipforce.errors import InputError
@@ -17,35 +17,9 @@ _DRAWS = 40_000
 _LIMITS = (0.05, 0.02, -180.0, 180.0)
 
 
-def cases() -> list[Case]:
-    return [
-        Case("uncertainty.no_noise", "covariance of F exactly 0, load oblique, and exactly tangential", "pass",
-             "u of P, phi and theta are 0, not NaN, and theta counts as resolved", _no_noise),
-        Case("uncertainty.enormous_noise", "noise of 1e-6 to 1e6 times the load", "flagged",
-             "u_theta grows with the noise; from 30 degrees on status bit 4 is set, on host and node alike", _enormous),
-        Case("uncertainty.node_enormous_noise", "a node whose gauge noise is 100 times the load", "flagged",
-             "status bit 4 is set, theta is unknown, 2107h has u_P; 2123h is at its limit, 65.534 N", _node_enormous),
-        Case("uncertainty.scale", "F and its standard deviations times 2^-800 to 2^500: squares out of range", "pass",
-             "relative uncertainties do not change, to rounding", _scale),
-        Case("uncertainty.not_finite", "NaN or infinity in F or in its covariance", "flagged",
-             "all three uncertainties are NaN, and theta is unresolved", _not_finite),
-        Case("uncertainty.tangential", "P cos(delta) from 0 to 0.3 N at a noise of 1 mN: |F2| = P included", "bounded",
-             "u_theta is within a factor of 1.5 of a Monte Carlo of 40000 draws, where first order is infinite",
-             _tangential),
-        Case("uncertainty.tangential_flag", "the same loads, noise from 0.1 mN to 0.3 N", "flagged",
-             "where u_theta passes 30 degrees bit 4 is set; where the slope bends by a quarter first_order_holds() "
-             "says no", _tangential_flag),
-        Case("uncertainty.first_order", "1000 random loads at 1 to 20 % noise", "bounded",
-             "where first_order_holds(), u_theta is within 15 % of a Monte Carlo; elsewhere it says no", _first_order),
-        Case("uncertainty.missing_by_noise", "|F2| above P by 0 to 6 standard uncertainties", "bounded",
-             "bit 5 is set from 3 standard uncertainties on, not before: noise alone sets it at most in 0.14 %",
-             _missing),
-        Case("uncertainty.impossible_covariance", "host: a covariance with a negative variance for n > 3 gauges",
-             "refused", "InputError says that it is not positive definite", _impossible),
-    ]  # fmt: skip
-
-
-def _no_noise() -> Observed:
+def uncertainty_no_noise() -> Observed:
+    """covariance of F exactly 0, load oblique, and exactly tangential -> pass: u of P, phi and theta are 0, not NaN,
+    and theta counts as resolved"""
     F, nothing = np.array([[0.3, 0.1, -0.9], [3.0, 5.0, 4.0]]), np.zeros((3, 3))
     u = estimate.standard_uncertainties(F, nothing, pull=False)
     node = [scalar.uncertainty(a, b, c, (0.0,) * 6, False) for a, b, c in F.tolist()]
@@ -54,7 +28,9 @@ def _no_noise() -> Observed:
     return Observed(held and bits.tolist() == [1, 1], f"u {u.ravel().tolist()}, status {bits.tolist()}")
 
 
-def _enormous() -> Observed:
+def uncertainty_enormous_noise() -> Observed:
+    """noise of 1e-6 to 1e6 times the load -> flagged: u_theta grows with the noise; from 30 degrees on status bit 4 is
+    set, on host and node alike"""
     F = force_vector(1.0, math.radians(175.0), math.radians(10.0))
     noise = 10.0 ** np.arange(-6.0, 7.0, 0.5)
     u = np.array([estimate.standard_uncertainties(F, s * s * np.eye(3), pull=False) for s in noise])
@@ -73,7 +49,9 @@ def _enormous() -> Observed:
     return Observed(bool(held), f"bit 4 from {first:g} N noise on 1 N, u_theta up to {u[-1, 2]:.2g} radian")
 
 
-def _node_enormous() -> Observed:
+def uncertainty_node_enormous_noise() -> Observed:
+    """a node whose gauge noise is 100 times the load -> flagged: status bit 4 is set, theta is unknown, 2107h has u_P;
+    2123h is at its limit, 65.534 N"""
     sigma = 100.0 * 1e-4  # strain: 100 N
     variance = [sigma**2 if i == k else 0.0 for i in range(3) for k in range(i, 3)]
     finger = rig.finger(load=rig.PUSH, calibrated=rig.record(variance=variance))
@@ -83,7 +61,9 @@ def _node_enormous() -> Observed:
     return Observed(held, f"status {found.status:02X}h, u_P {u_P:g} N, 2123h at its end of {65.534} N")
 
 
-def _scale() -> Observed:
+def uncertainty_scale() -> Observed:
+    """F and its standard deviations times 2^-800 to 2^500: squares out of range -> pass: relative uncertainties do not
+    change, to rounding"""
     rng = np.random.default_rng(6)
     F, B = rng.standard_normal((200, 3)), 0.05 * rng.standard_normal((3, 3))
     one = estimate.standard_uncertainties(F, B @ B.T, pull=False)
@@ -102,7 +82,8 @@ def _times(covariance: FloatArray, power: int) -> FloatArray:
         return np.ldexp(covariance, power)
 
 
-def _not_finite() -> Observed:
+def uncertainty_not_finite() -> Observed:
+    """NaN or infinity in F or in its covariance -> flagged: all three uncertainties are NaN, and theta is unresolved"""
     good = 1e-6 * np.eye(3)
     unknown = []
     for bad in (math.nan, math.inf, -math.inf):
@@ -116,7 +97,9 @@ def _not_finite() -> Observed:
     return Observed(held, f"{sum(map(bool, unknown))} of {len(unknown)} all NaN; status {bits:02X}h")
 
 
-def _tangential() -> Observed:
+def uncertainty_tangential() -> Observed:
+    """P cos(delta) from 0 to 0.3 N at a noise of 1 mN: |F2| = P included -> bounded: u_theta is within a factor of 1.5
+    of a Monte Carlo of 40000 draws, where first order is infinite"""
     ratios = []
     for cosine in (0.0, 1e-3, 0.01, 0.03, 0.1, 0.3):
         F = np.array([0.6, math.sqrt(1.0 - cosine * cosine), 0.8])
@@ -134,7 +117,9 @@ def _spread(F: FloatArray, sigma: float, seed: int = 7) -> float:
     return float(np.sqrt(np.mean(off * off)))
 
 
-def _tangential_flag() -> Observed:
+def uncertainty_tangential_flag() -> Observed:
+    """the same loads, noise from 0.1 mN to 0.3 N -> flagged: where u_theta passes 30 degrees bit 4 is set; where the
+    slope bends by a quarter first_order_holds() says no"""
     wrong, flagged, warned = 0, 0, 0
     for cosine in (0.0, 0.01, 0.1, 0.3):
         F = np.array([[0.6, math.sqrt(1.0 - cosine * cosine), 0.8]])
@@ -152,7 +137,9 @@ def _tangential_flag() -> Observed:
     return Observed(held, f"of 20: bit 4 in {flagged}, first order refused in {warned}, {wrong} disagree")
 
 
-def _first_order() -> Observed:
+def uncertainty_first_order() -> Observed:
+    """1000 random loads at 1 to 20 % noise -> bounded: where first_order_holds(), u_theta is within 15 % of a Monte
+    Carlo; elsewhere it says no"""
     rng = np.random.default_rng(8)
     draws = rng.standard_normal((4000, 3))
     worst, holding = 0.0, 0
@@ -171,7 +158,9 @@ def _first_order() -> Observed:
     return Observed(held, f"{holding} of 1000 hold; u_theta off by at most {worst:.1%}")
 
 
-def _missing() -> Observed:
+def uncertainty_missing_by_noise() -> Observed:
+    """|F2| above P by 0 to 6 standard uncertainties -> bounded: bit 5 is set from 3 standard uncertainties on, not
+    before: noise alone sets it at most in 0.14 %"""
     bits = []
     for k in range(25):
         u = 0.01
@@ -184,7 +173,9 @@ def _missing() -> Observed:
     return Observed(held, f"first set at {0.25 * bits.index(True):g} u; tangential load at noise: {rate:.2%}")
 
 
-def _impossible() -> Observed:
+def uncertainty_impossible_covariance() -> Observed:
+    """host: a covariance with a negative variance for n > 3 gauges -> refused: InputError says that it is not positive
+    definite"""
     from tipforce.sensor.contact.redundancy import weighted_inverse
 
     A = np.array(rig.strain_per_newton(4))

@@ -8,7 +8,7 @@ import numpy as np
 
 from canopen_device.core import codes, communication, emcy
 from fingertip import finger as rig
-from stability.case import Case, Observed
+from stability.case import Observed
 from tipforce.dictionary import indices, table
 from tipforce.dictionary.entries import entries
 from tipforce.dictionary.signals import tpdo_messages
@@ -31,36 +31,9 @@ _STAGED = (
 )  # fmt: skip
 
 
-def cases() -> list[Case]:
-    return [
-        Case("wire.real32_not_finite", "NaN and both infinities by SDO to every REAL32 setting of the node", "refused",
-             "06090030h for each (staged calibration values aside), and the setting stays", _not_finite),
-        Case("wire.real32_denormal", "every power of 2 from 2^-149 to 2^-126 by SDO, and back", "pass",
-             "settings keep denormals bit for bit", _denormal),
-        Case("wire.real32_overflow", "a process value of 3.4e42: beyond REAL32, gauge offset 3.4e38 times C", "flagged",
-             "6130h is infinite, INTEGER16 and INTEGER32 are at their limits, 6150h is 03h", _overflow),
-        Case("wire.integer16_overflow", "33 to 45 N on a node with gauges of a fifth of the usual strain", "flagged",
-             "7130h reads 32767 with 6150h 03h (-32767, 05h); 9130h and 6130h still have the value", _integer16),
-        Case("wire.unknown", "-32768, -32767, 0 and 32767 in every measured signal of every TPDO", "flagged",
-             "the decoder gives NaN for -32768 and for nothing else", _unknown),
-        Case("wire.real32_nan_pdo", "a PDO with 6130h remapped, carrying quiet, signalling NaN and infinities",
-             "flagged", "NaN stays NaN, infinities stay, no warning, the counter of that PDO is right", _real32_pdo),
-        Case("wire.short_pdo", "TPDOs of every length below their mapping, down to 0 bytes", "flagged",
-             "none is decoded, each is counted as malformed; of a longer one the first bytes are decoded", _short),
-        Case("wire.short_rpdo", "a command RPDO of 0 and of 1 byte", "flagged",
-             "EMCY 8210h once, the command does not run; the next complete one runs and clears the error", _short_rpdo),
-        Case("wire.no_data", "frames of length 0 to every identifier that the node receives", "pass",
-             "no exception, no state or sample changes, the node responds to the next SYNC", _no_data),
-        Case("wire.same_cob_id", "another node sends with this node's COB-ID; one identifier given to two messages",
-             "flagged", "the node reports EMCY 8150h once; the host's decoder refuses the second one", _same_cob_id),
-        Case("wire.foreign", "29-bit, remote and error frames with the bits of a PDO identifier", "pass",
-             "the decoder ignores all of them", _foreign),
-        Case("wire.noise", "20000 frames of random identifier, length and bytes, seeded", "pass",
-             "host and node raise nothing, the calibration stays, the node responds to SYNC", _noise),
-    ]  # fmt: skip
-
-
-def _not_finite() -> Observed:
+def wire_real32_not_finite() -> Observed:
+    """NaN and both infinities by SDO to every REAL32 setting of the node -> refused: 06090030h for each (staged
+    calibration values aside), and the setting stays"""
     finger = rig.finger()
     tried = refused = 0
     for (index, sub), row in entries(3, True).items():
@@ -76,7 +49,8 @@ def _not_finite() -> Observed:
     return Observed(tried == refused and tried > 100, f"{refused} of {tried} writes refused")
 
 
-def _denormal() -> Observed:
+def wire_real32_denormal() -> Observed:
+    """every power of 2 from 2^-149 to 2^-126 by SDO, and back -> pass: settings keep denormals bit for bit"""
     finger = rig.finger()
     kept = 0
     for power in range(-149, -125):
@@ -86,7 +60,9 @@ def _denormal() -> Observed:
     return Observed(kept == 24, f"{kept} of 24 kept")
 
 
-def _overflow() -> Observed:
+def wire_real32_overflow() -> Observed:
+    """a process value of 3.4e42: beyond REAL32, gauge offset 3.4e38 times C -> flagged: 6130h is infinite, INTEGER16
+    and INTEGER32 are at their limits, 6150h is 03h"""
     finger = rig.finger()
     taken = finger.put("f", indices.SPAN_END, 1, 3.4e38) == finger.put("f", indices.PROCESS_OFFSET, 1, 3.4e38) == 0
     finger.sync()
@@ -104,7 +80,9 @@ def _overflow() -> Observed:
     return Observed(held, f"F1 in the three forms {forms[:3]}, 6150h {forms[3]:02.0f}h")
 
 
-def _integer16() -> Observed:
+def wire_integer16_overflow() -> Observed:
+    """33 to 45 N on a node with gauges of a fifth of the usual strain -> flagged: 7130h reads 32767 with 6150h 03h
+    (-32767, 05h); 9130h and 6130h still have the value"""
     finger = rig.finger(calibrated=rig.record(C=[[5e4 if i == k else 0.0 for k in range(3)] for i in range(3)]))
     held, seen = True, []
     for F1 in (32.766, 33.0, 45.0, -32.766, -33.0, -45.0):
@@ -131,7 +109,9 @@ def _frames(message_number: int, payloads: list[bytes]) -> tuple[FrameArray, str
     return frame_array((k, message.cob_id_base + rig.NODE_ID, data) for k, data in enumerate(payloads)), message.name
 
 
-def _unknown() -> Observed:
+def wire_unknown() -> Observed:
+    """-32768, -32767, 0 and 32767 in every measured signal of every TPDO -> flagged: the decoder gives NaN for -32768
+    and for nothing else"""
     checked, wrong = 0, 0
     for number, message in enumerate(tpdo_messages(3)):
         for signal in message.signals:
@@ -146,7 +126,9 @@ def _unknown() -> Observed:
     return Observed(checked >= 9 and wrong == 0, f"{checked} signals, {wrong} wrong")
 
 
-def _real32_pdo() -> Observed:
+def wire_real32_nan_pdo() -> Observed:
+    """a PDO with 6130h remapped, carrying quiet, signalling NaN and infinities -> flagged: NaN stays NaN, infinities
+    stay, no warning, the counter of that PDO is right"""
     decoder = decode.Decoder()
     decoder.remap(rig.NODE_ID, "Force", _FORCE_COB_ID, [(indices.PROCESS_VALUE, 4, 32), (indices.COUNTER, 0, 8)])
     bits = (0x7FC00000, 0x7F800001, 0xFF800001, 0x7F800000, 0xFF800000, 0x00000001, 0x3F800000)
@@ -160,7 +142,9 @@ def _real32_pdo() -> Observed:
     return Observed(held and counters == list(range(200, 207)), f"{values}")
 
 
-def _short() -> Observed:
+def wire_short_pdo() -> Observed:
+    """TPDOs of every length below their mapping, down to 0 bytes -> flagged: none is decoded, each is counted as
+    malformed; of a longer one the first bytes are decoded"""
     right, total = 0, 0
     for number, message in enumerate(tpdo_messages(3)):
         frames, name = _frames(number, [bytes(length) for length in range(message.length_bytes)])
@@ -175,7 +159,9 @@ def _short() -> Observed:
     return Observed(held, f"{right} of {total} messages; 8 bytes for a mapping of 2: P {longer.columns['P'][0]:g} N")
 
 
-def _short_rpdo() -> Observed:
+def wire_short_rpdo() -> Observed:
+    """a command RPDO of 0 and of 1 byte -> flagged: EMCY 8210h once, the command does not run; the next complete one
+    runs and clears the error"""
     finger = rig.finger(load=rig.PUSH, emcy=True)
     finger.put("I", communication.RPDO, 1, _RPDO_COB_ID)
     finger.sync()
@@ -188,7 +174,9 @@ def _short_rpdo() -> Observed:
     return Observed(held, f"EMCY {[f'{code:04X}h' for code in codes]}, tare {tare:g} N, then {after:.3f} N")
 
 
-def _no_data() -> Observed:
+def wire_no_data() -> Observed:
+    """frames of length 0 to every identifier that the node receives -> pass: no exception, no state or sample changes,
+    the node responds to the next SYNC"""
     finger = rig.finger(load=rig.PUSH, emcy=True)
     finger.put("I", communication.RPDO, 1, _RPDO_COB_ID)
     finger.put("I", communication.CONSUMER_HEARTBEAT, 1, _WATCHED << 16 | 100)
@@ -201,7 +189,9 @@ def _no_data() -> Observed:
     return Observed(held, f"{len(_IDENTIFIERS)} identifiers, answers: {[hex(can_id) for can_id, _ in answers]}")
 
 
-def _same_cob_id() -> Observed:
+def wire_same_cob_id() -> Observed:
+    """another node sends with this node's COB-ID; one identifier given to two messages -> flagged: the node reports
+    EMCY 8150h once; the host's decoder refuses the second one"""
     finger = rig.finger(emcy=True)
     for _ in range(3):
         finger.step([(_GAUGES_COB_ID, bytes(8))])
@@ -215,7 +205,8 @@ def _same_cob_id() -> Observed:
     return Observed(held, f"EMCY {codes[0]:04X}h; {said}")
 
 
-def _foreign() -> Observed:
+def wire_foreign() -> Observed:
+    """29-bit, remote and error frames with the bits of a PDO identifier -> pass: the decoder ignores all of them"""
     extended, remote = codes.EXTENDED_FLAG, codes.REMOTE_FLAG
     flags = (extended, remote, codes.ERROR_FLAG, extended | remote, 0x800, 0x10000)
     frames = frame_array((k, _GAUGES_COB_ID | flag, bytes(range(8))) for k, flag in enumerate(flags))
@@ -224,7 +215,9 @@ def _foreign() -> Observed:
     return Observed(not found and not decoder.malformed, f"{len(flags)} kinds of frame, {len(found)} decoded")
 
 
-def _noise() -> Observed:
+def wire_noise() -> Observed:
+    """20000 frames of random identifier, length and bytes, seeded -> pass: host and node raise nothing, the calibration
+    stays, the node responds to SYNC"""
     rng = np.random.default_rng(14)
     finger = rig.finger(load=rig.PUSH)
     active = finger.calibration()

@@ -5,7 +5,7 @@ from canopen_device.lazy import lazy
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tipforce_lab.design.error_budget import budget as budget
-    from tipforce_lab.design.paper_figures import shift_to_reach as shift_to_reach
+    from tipforce_lab.design.sections import shift_to_reach as shift_to_reach
     from tipforce_lab.design.tables import condition_numbers_by_unit as condition_numbers_by_unit
     from tipforce_lab.design.tables import shared_gauge_disagreement as shared_gauge_disagreement
     from tipforce_lab.design.tables import table_1 as table_1

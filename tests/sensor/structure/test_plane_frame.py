@@ -10,17 +10,9 @@ import pytest
 from numpy.polynomial import Legendre, Polynomial
 
 from tipforce.errors import InputError
+from tipforce.sensor.structure import off_axis
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
-from tipforce.sensor.structure.off_axis import (
-    PlacedGauge,
-    apparent_force,
-    off_axis_wrenches,
-    off_centre_wrenches,
-    planar_part,
-    torsion_constants,
-    wrench_strain_matrix,
-)
 from tipforce.sensor.structure.plane_frame import (
     ELASTIC_ROOTS,
     EULER_BERNOULLI,
@@ -47,8 +39,8 @@ FloatArray = npt.NDArray[np.float64]
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 """All dimensions different, so that no symbol can stand in for another."""
 ROW = {point: index for index, point in enumerate(POINTS)}
-Z_LOADS = off_axis_wrenches(FABRICATED, np.radians(np.arange(0.0, 181.0, 5.0)))
-OFF_CENTRE = off_centre_wrenches(np.radians(np.arange(0.0, 360.0, 5.0)), 1e-3)
+Z_LOADS = off_axis.off_axis_wrenches(FABRICATED, np.radians(np.arange(0.0, 181.0, 5.0)))
+OFF_CENTRE = off_axis.off_centre_wrenches(np.radians(np.arange(0.0, 360.0, 5.0)), 1e-3)
 
 
 def thin(h1_m: float) -> Geometry:
@@ -101,13 +93,6 @@ def test_shear_roots_and_joint_by_slope_deflection(geometry: Geometry, model: Fr
         np.testing.assert_allclose(found[ROW[point]], table[ROW[point]], rtol=1e-9)
 
 
-def test_soft_roots_leave_no_moment_at_the_tip() -> None:
-    soft = Frame(FABRICATED, FrameModel(root_rotation=1e9)).strain_matrix(POINTS)
-    table = strain_matrix(FABRICATED, POINTS)
-    assert abs(soft[ROW["R"], 1]) < 1e-6 * abs(table[ROW["R"], 1])
-    assert soft[ROW["S_H"], 1] == pytest.approx(table[ROW["S_H"], 1])  # half of the moment, by symmetry
-
-
 def test_what_shear_and_roots_change() -> None:
     def numbers(model: FrameModel) -> list[float]:
         return [condition_number(Frame(FABRICATED, model).strain_matrix(LAYOUTS[case])) for case in ("I", "II", "III")]
@@ -158,8 +143,8 @@ def test_the_slit_closes_as_beam_theory_says() -> None:
         (["K_H"], 1e-3, "allowed is a gauge that lies between the beam's ends"),
         ([GaugePosition("H", "left", 14.9e-3)], 1e-3, "at 0.0149 m on the left of beam H"),
         ([GaugePosition("V", "left", -1e-3)], 0.0, "allowed is a gauge that lies between"),
-        (["K_H"], -1.0, "gauge_length_m = -1.0: allowed is 0"),
-        (["K_H"], float("nan"), "gauge_length_m = nan"),
+        (["K_H"], -1.0, "gauge of length -1.0 m"),
+        (["K_H"], float("nan"), "gauge of length nan m"),
     ],
 )
 def test_gauges_that_do_not_fit(gauges: list[str | GaugePosition], length_m: float, message: str) -> None:
@@ -173,12 +158,6 @@ def test_a_gauge_inside_a_joint_of_finite_size_is_refused() -> None:
     with pytest.raises(InputError, match="between the beam's ends"):
         frame.strain_matrix([GaugePosition("H", "left", 0.1e-3)])
     assert frame.strain_matrix(["K_H"]).shape == (1, 3)
-
-
-@pytest.mark.parametrize("rotation", [-1.0, float("nan")])
-def test_roots_that_are_wrong(rotation: float) -> None:
-    with pytest.raises(InputError, match=f"root_rotation = {rotation}: allowed is 0"):
-        FrameModel(root_rotation=rotation)
 
 
 def test_bodies_that_floating_point_cannot_hold() -> None:
@@ -199,35 +178,35 @@ def test_gauge_matrix_mixes_points_and_places() -> None:
         gauge_matrix(FABRICATED, ["U", "L", GaugePosition("H", "right", float("nan"))])
 
 
-def at(*points: str, z: float = 0.0, angle: float = 0.0, geometry: Geometry = FABRICATED) -> list[PlacedGauge]:
-    return [PlacedGauge(nominal_position(geometry, point), z, angle) for point in points]
+def at(*points: str, z: float = 0.0, angle: float = 0.0, geometry: Geometry = FABRICATED) -> list[off_axis.PlacedGauge]:
+    return [off_axis.PlacedGauge(nominal_position(geometry, point), z, angle) for point in points]
 
 
 @pytest.mark.parametrize("geometry", [FABRICATED, ODD])
 @pytest.mark.parametrize("warping_held", [False, True])
 def test_planar_part_is_table_1_made_continuous(geometry: Geometry, warping_held: bool) -> None:
     between = [GaugePosition("H", "right", 4e-3, "upper"), GaugePosition("H", "left", 7e-3)]
-    placed = [PlacedGauge(place) for place in (*between, GaugePosition("V", "left", 5e-3))]
+    placed = [off_axis.PlacedGauge(place) for place in (*between, GaugePosition("V", "left", 5e-3))]
     placed += at(*POINTS, geometry=geometry)
-    found = planar_part(geometry, wrench_strain_matrix(geometry, placed, warping_held=warping_held))
+    found = off_axis.planar_part(geometry, off_axis.wrench_strain_matrix(geometry, placed, warping_held=warping_held))
     expected = position_matrix(geometry, [gauge.position for gauge in placed])
     np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max())
 
 
 def test_centred_axial_gauges_see_nothing_out_of_the_plane() -> None:
     for held in (False, True):
-        matrix = wrench_strain_matrix(FABRICATED, at(*POINTS), warping_held=held)
+        matrix = off_axis.wrench_strain_matrix(FABRICATED, at(*POINTS), warping_held=held)
         assert np.abs(matrix[:, 2:5]).max() <= 1e-15 * np.abs(matrix).max()
         for loads in (Z_LOADS, OFF_CENTRE):
-            assert apparent_force(FABRICATED, "I", loads, warping_held=held).norm_newtons < 1e-12
+            assert off_axis.apparent_force(FABRICATED, "I", loads, warping_held=held).norm_newtons < 1e-12
 
 
 def test_bending_along_z_by_hand() -> None:
     """The fixture end carries 1 N at the top of the tip with the whole lever."""
     z, E, b = 1e-3, FABRICATED.youngs_modulus_pascals, FABRICATED.width_m
-    top = off_axis_wrenches(FABRICATED, 0.5 * pi)
-    side = off_axis_wrenches(FABRICATED, 0.0)
-    U, R = wrench_strain_matrix(FABRICATED, at("U", "R", z=z))
+    top = off_axis.off_axis_wrenches(FABRICATED, 0.5 * pi)
+    side = off_axis.off_axis_wrenches(FABRICATED, 0.0)
+    U, R = off_axis.wrench_strain_matrix(FABRICATED, at("U", "R", z=z))
     lever = FABRICATED.r_m + FABRICATED.d_m + 0.5 * FABRICATED.h1_m
     assert U @ top == pytest.approx(-lever * z * 12.0 / (E * FABRICATED.h2_m * b**3), rel=1e-12)
     inertia = FABRICATED.h1_m * b**3 / 12.0
@@ -239,8 +218,8 @@ def test_mirror_symmetry_about_the_middle_plane() -> None:
     """A gauge at -z, turned the other way, reads planar loads alike and loads out of the plane with opposite sign."""
     flip = np.array([1.0, 1.0, -1.0, -1.0, -1.0, 1.0])
     for held in (False, True):
-        one = wrench_strain_matrix(ODD, at(*POINTS, z=8e-4, angle=0.1, geometry=ODD), warping_held=held)
-        other = wrench_strain_matrix(ODD, at(*POINTS, z=-8e-4, angle=-0.1, geometry=ODD), warping_held=held)
+        one = off_axis.wrench_strain_matrix(ODD, at(*POINTS, z=8e-4, angle=0.1, geometry=ODD), warping_held=held)
+        other = off_axis.wrench_strain_matrix(ODD, at(*POINTS, z=-8e-4, angle=-0.1, geometry=ODD), warping_held=held)
         np.testing.assert_allclose(one * flip, other, rtol=1e-12, atol=1e-18)
 
 
@@ -249,16 +228,16 @@ def test_mirror_symmetry_about_the_middle_plane() -> None:
     [(1.0, 0.1406, 0.2082), (2.0, 0.2287, 0.2459), (10.0, 0.3123, 0.3123), (1000.0, 0.3331, 0.3331)],
 )
 def test_torsion_constants_of_textbooks(width: float, J_factor: float, W_factor: float) -> None:
-    J, W = torsion_constants(width, 1.0)
+    J, W = off_axis.torsion_constants(width, 1.0)
     assert J / width == pytest.approx(J_factor, abs=1e-4)
     assert W / width == pytest.approx(W_factor, abs=1e-4)
     with pytest.raises(InputError, match="thickness"):
-        torsion_constants(1.0, 1.1)
+        off_axis.torsion_constants(1.0, 1.1)
 
 
 def test_misaligned_gauge_sees_the_shear_of_torsion_only_where_warping_is_free() -> None:
     free, held = (
-        apparent_force(FABRICATED, "I", Z_LOADS, misalignment_rad=radians(1.0), warping_held=held).norm_newtons
+        off_axis.apparent_force(FABRICATED, "I", Z_LOADS, misalignment_rad=radians(1.0), warping_held=held).norm_newtons
         for held in (False, True)
     )
     assert free == pytest.approx(0.0456, abs=5e-5)
@@ -267,21 +246,21 @@ def test_misaligned_gauge_sees_the_shear_of_torsion_only_where_warping_is_free()
 
 def test_offset_gauge_sees_held_warping() -> None:
     free, held = (
-        apparent_force(FABRICATED, "I", Z_LOADS, lateral_offset_m=1e-3, warping_held=held).norm_newtons
+        off_axis.apparent_force(FABRICATED, "I", Z_LOADS, lateral_offset_m=1e-3, warping_held=held).norm_newtons
         for held in (False, True)
     )
     assert free == pytest.approx(0.0300, abs=5e-5)
     assert held == pytest.approx(0.5705, abs=5e-4)
-    tenth = apparent_force(FABRICATED, "I", Z_LOADS, lateral_offset_m=1e-4, warping_held=True).norm_newtons
+    tenth = off_axis.apparent_force(FABRICATED, "I", Z_LOADS, lateral_offset_m=1e-4, warping_held=True).norm_newtons
     assert tenth == pytest.approx(0.1 * held, rel=1e-3)
 
 
 def test_free_middle_of_a_long_strip_is_st_venant() -> None:
     long = Geometry(0.5, 0.5, 0.015, 0.0004, 0.000653, 0.01, 205e9)
-    gauge = [PlacedGauge(GaugePosition("V", "right", 0.25), 1e-3, 0.05)]
-    free, held = (wrench_strain_matrix(long, gauge, warping_held=held)[0] for held in (False, True))
+    gauge = [off_axis.PlacedGauge(GaugePosition("V", "right", 0.25), 1e-3, 0.05)]
+    free, held = (off_axis.wrench_strain_matrix(long, gauge, warping_held=held)[0] for held in (False, True))
     np.testing.assert_allclose(held, free, rtol=1e-12)
-    assert np.isfinite(wrench_strain_matrix(Geometry(50.0, 50.0, 0.015, 1e-5, 1e-5, 1e-3, 205e9), gauge)).all()
+    assert np.isfinite(off_axis.wrench_strain_matrix(Geometry(50.0, 50.0, 0.015, 1e-5, 1e-5, 1e-3, 205e9), gauge)).all()
 
 
 def test_held_warping_against_a_plate() -> None:

@@ -9,22 +9,10 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.structure import strain
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, layout, layout_code, mirror
-from tipforce.sensor.structure.strain import (
-    GaugePosition,
-    calibration_matrix,
-    condition_number,
-    nominal_position,
-    row_equilibrated_condition_number,
-    shifted,
-    shifted_matrix,
-    strain_matrix,
-    strain_row,
-    stress_coefficients,
-    thin_limit_matrix,
-)
-from tipforce_lab.design.paper_figures import condition_against_shift, most_influential, shift_to_reach, slopes_per_mm
+from tipforce_lab.design.sections import condition_against_shift, most_influential, shift_to_reach, slopes_per_mm
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 """All dimensions different, so that no symbol can stand in for another."""
@@ -62,41 +50,9 @@ def test_table_1_is_equations_2_to_15(geometry: Geometry) -> None:
         P, phi, theta = rng.uniform(0.1, 10), rng.uniform(-pi, pi), rng.uniform(0, pi)
         expected = stresses_by_equations(geometry, P, phi, theta)
         F = force_vector(P, phi, theta)
-        for point, coefficients in stress_coefficients(geometry).items():
+        for point, coefficients in strain.stress_coefficients(geometry).items():
             scale = P * max(abs(g) for g in coefficients)
             assert float(np.dot(coefficients, F)) == pytest.approx(expected[point], abs=1e-12 * scale), point
-
-
-def test_tension_is_positive_on_every_gauge() -> None:
-    rows = dict(zip(POINTS, strain_matrix(FABRICATED, POINTS), strict=True))
-    straight_up = force_vector(1.0, pi / 2, pi / 2)  # a rope pulls the tip away from the fixture
-    uniform = 1.0 / (FABRICATED.h2_m * FABRICATED.width_m * FABRICATED.youngs_modulus_pascals)
-    for point in ("T", "U", "K_V", "S_V"):
-        assert rows[point] @ straight_up == pytest.approx(uniform)
-    # The ends of the horizontal beam are lifted: its lower face opens at the joint and closes at the ends.
-    assert all(rows[point] @ straight_up > 0.0 for point in ("K_H", "S_H"))
-    assert all(rows[point] @ straight_up < 0.0 for point in ("L", "R"))
-    # Pulled towards +x at the top, the body bends over to +x: the side at negative x opens.
-    sideways = force_vector(1.0, 0.0, pi / 2)
-    assert all(rows[point] @ sideways > 0.0 for point in ("T", "K_V"))
-    assert all(rows[point] @ sideways < 0.0 for point in ("U", "S_V"))
-    # Without a moment about the centre, +x stretches the right half of the horizontal beam.
-    through_centre = force_vector(1.0, 0.0, 0.0)
-    assert all(rows[point] @ through_centre > 0.0 for point in ("R", "S_H"))
-    assert all(rows[point] @ through_centre < 0.0 for point in ("L", "K_H"))
-
-
-def test_fixture_gauges_balance_the_moment_of_the_load() -> None:
-    G, rng = ODD, np.random.default_rng(2)
-    T, U = strain_matrix(G, POINTS)[[2, 3]]
-    section_modulus = G.width_m * G.h2_m**2 / 6
-    for _ in range(20):
-        P, phi, theta = rng.uniform(0.1, 10), rng.uniform(-pi, pi), rng.uniform(0, pi)
-        F = force_vector(P, phi, theta)
-        lever_x, lever_y = G.r_m * cos(theta), G.d_m + G.h1_m / 2 + G.r_m * sin(theta)
-        moment = P * cos(phi) * lever_y - P * sin(phi) * lever_x
-        half_difference = 0.5 * (T - U) @ F
-        assert half_difference * G.youngs_modulus_pascals * section_modulus == pytest.approx(moment, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -104,41 +60,38 @@ def test_fixture_gauges_balance_the_moment_of_the_load() -> None:
 )
 def test_condition_numbers_of_the_cases(case: str, fabricated: float, thin: float) -> None:
     for name in (case, case + "'"):
-        A = strain_matrix(FABRICATED, name)
-        assert condition_number(A) == pytest.approx(fabricated, abs=5e-4)
-        assert condition_number(calibration_matrix(FABRICATED, name)) == pytest.approx(condition_number(A))
-        assert condition_number(thin_limit_matrix(name)) == pytest.approx(thin, abs=5e-4)
+        A = strain.strain_matrix(FABRICATED, name)
+        assert strain.condition_number(A) == pytest.approx(fabricated, abs=5e-4)
+        assert strain.condition_number(strain.calibration_matrix(FABRICATED, name)) == pytest.approx(
+            strain.condition_number(A)
+        )
+        assert strain.condition_number(strain.thin_limit_matrix(name)) == pytest.approx(thin, abs=5e-4)
 
 
 def test_thin_limit_is_the_scaled_strain_matrix() -> None:
     G = FABRICATED.thin(1e-9)
     unit = 1.5 * G.a_m / (G.h1_m**2 * G.width_m * G.youngs_modulus_pascals)
-    np.testing.assert_allclose(strain_matrix(G, POINTS) / unit, thin_limit_matrix(POINTS), atol=1e-6)
+    np.testing.assert_allclose(strain.strain_matrix(G, POINTS) / unit, strain.thin_limit_matrix(POINTS), atol=1e-6)
 
 
 def test_mirror_keeps_condition_number_and_sign() -> None:
     flip = np.diag([1.0, -1.0, -1.0])
     for triple in [*LAYOUTS.values(), *itertools.combinations(POINTS, 3)]:
-        A, B = strain_matrix(FABRICATED, triple), strain_matrix(FABRICATED, mirror(triple))
+        A, B = strain.strain_matrix(FABRICATED, triple), strain.strain_matrix(FABRICATED, mirror(triple))
         np.testing.assert_allclose(B, A @ flip, rtol=1e-14)
 
 
 def test_calibration_matrix_inverts_for_any_number_of_gauges() -> None:
     for n in range(3, 9):
         gauges = ("K_H", "S_H", "U", "L", "R", "T", "K_V", "S_V")[:n]
-        C = calibration_matrix(FABRICATED, gauges)
+        C = strain.calibration_matrix(FABRICATED, gauges)
         assert C.shape == (3, n)
-        np.testing.assert_allclose(C @ strain_matrix(FABRICATED, gauges), np.eye(3), atol=1e-12)
-
-
-def test_figures_of_singular_matrices_are_infinite() -> None:
-    assert condition_number(np.zeros((3, 3))) == float("inf")
-    assert row_equilibrated_condition_number([[1, 0, 0], [0, 1, 0], [0, 0, 0]]) == float("inf")
+        np.testing.assert_allclose(C @ strain.strain_matrix(FABRICATED, gauges), np.eye(3), atol=1e-12)
 
 
 def test_thin_beam_ratio_equalises_the_stresses() -> None:
     assert pytest.approx(1.633, abs=5e-4) == THIN_BEAM_RATIO
-    thin = thin_limit_matrix(("K_H", "S_H", "T", "U"))
+    thin = strain.thin_limit_matrix(("K_H", "S_H", "T", "U"))
     phi, theta = np.meshgrid(np.radians(np.arange(-180, 181)), np.radians(np.arange(0, 181)))
     largest = np.abs(thin @ force_vector(1.0, phi, theta).reshape(-1, 3).T).max(axis=1)
     assert largest == pytest.approx([3.0] * 4, rel=1e-3)
@@ -185,35 +138,18 @@ def test_layout_refuses(gauges: str | tuple[str, ...], message: str) -> None:
     assert message in str(error.value)
 
 
-def test_linear_along_the_beams_and_bending_changes_sign_on_the_upper_face() -> None:
-    for beam, length in (("H", ODD.a_m), ("V", ODD.d_m)):
-        for side in ("left", "right"):
-            ends = strain_row(ODD, beam, side, [0.0, length])  # type: ignore[arg-type]
-            for part in (0.25, 0.5, 0.9):
-                between = strain_row(ODD, beam, side, part * length)  # type: ignore[arg-type]
-                np.testing.assert_allclose(between, (1.0 - part) * ends[0] + part * ends[1], rtol=1e-12, atol=1e-12)
-    lower, upper = (strain_row(ODD, "H", "right", 3e-3, face) for face in ("lower", "upper"))
-    np.testing.assert_allclose(lower[:2], -upper[:2])
-    assert lower[2] == upper[2]
-
-
-def test_moment_of_an_arm_follows_from_its_shear_force() -> None:
-    """Equilibrium of an arm under F1: its two ends share half the load, so the moment falls by F1/2 per metre."""
-    section_modulus = ODD.width_m * ODD.h1_m**2 / 6.0
-    near, far = strain_row(ODD, "H", "right", [2e-3, 9e-3])[:, 0] * ODD.youngs_modulus_pascals * section_modulus
-    assert (near - far) / 7e-3 == pytest.approx(0.5)
-
-
 def test_shifts_are_inward() -> None:
-    left = shifted(ODD, "L", 1e-3)
-    assert left == GaugePosition("H", "left", left.position_m)
+    left = strain.shifted(ODD, "L", 1e-3)
+    assert left == strain.GaugePosition("H", "left", left.position_m)
     assert left.position_m == pytest.approx(0.010)
-    assert shifted(ODD, "S_V", 1e-3) == GaugePosition("V", "right", 1e-3)
-    assert shifted(ODD, GaugePosition("V", "right", 0.016), 1e-3).position_m == pytest.approx(0.015)
-    rows = shifted_matrix(ODD, "III", [1e-3, 2e-3, 3e-3])
-    np.testing.assert_allclose(rows[2], strain_row(ODD, "V", "right", 0.014))
-    assert shifted_matrix(ODD, "III", np.zeros((4, 5, 3))).shape == (4, 5, 3, 3)
-    np.testing.assert_allclose(shifted_matrix(ODD, "III", 0.0), strain_matrix(ODD, "III"), rtol=1e-14, atol=1e-14)
+    assert strain.shifted(ODD, "S_V", 1e-3) == strain.GaugePosition("V", "right", 1e-3)
+    assert strain.shifted(ODD, strain.GaugePosition("V", "right", 0.016), 1e-3).position_m == pytest.approx(0.015)
+    rows = strain.shifted_matrix(ODD, "III", [1e-3, 2e-3, 3e-3])
+    np.testing.assert_allclose(rows[2], strain.strain_row(ODD, "V", "right", 0.014))
+    assert strain.shifted_matrix(ODD, "III", np.zeros((4, 5, 3))).shape == (4, 5, 3, 3)
+    np.testing.assert_allclose(
+        strain.shifted_matrix(ODD, "III", 0.0), strain.strain_matrix(ODD, "III"), rtol=1e-14, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize(
@@ -229,14 +165,14 @@ def test_shifts_are_inward() -> None:
 )
 def test_refuses(arguments: tuple[object, ...], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        strain_row(FABRICATED, *arguments)  # type: ignore[arg-type]
+        strain.strain_row(FABRICATED, *arguments)  # type: ignore[arg-type]
 
 
 def test_refuses_points_and_shapes() -> None:
     with pytest.raises(InputError, match="gauge point 'X'"):
-        nominal_position(FABRICATED, "X")
+        strain.nominal_position(FABRICATED, "X")
     with pytest.raises(InputError, match=r"allowed is \(..., 3\)"):
-        shifted_matrix(FABRICATED, "I", [0.0, 0.0])
+        strain.shifted_matrix(FABRICATED, "I", [0.0, 0.0])
     with pytest.raises(InputError, match="not in the layout"):
         shift_to_reach(FABRICATED, "I", 3.0, ("R",))
 
@@ -244,8 +180,8 @@ def test_refuses_points_and_shapes() -> None:
 def test_figure_6_slopes_are_derivatives() -> None:
     for case in ("I", "II", "III"):
         for index, expected in enumerate(slopes_per_mm(FABRICATED, case)):
-            ahead = condition_number(shifted_matrix(FABRICATED, case, np.eye(3)[index] * 1e-6))
-            slope = (ahead - condition_number(strain_matrix(FABRICATED, case))) / 1e-3
+            ahead = strain.condition_number(strain.shifted_matrix(FABRICATED, case, np.eye(3)[index] * 1e-6))
+            slope = (ahead - strain.condition_number(strain.strain_matrix(FABRICATED, case))) / 1e-3
             assert expected == pytest.approx(slope, rel=2e-3)
 
 
@@ -260,8 +196,8 @@ def test_sg3_matters_most_in_case_i_near_its_points_only() -> None:
 def test_all_row_shifts_every_gauge() -> None:
     found = condition_against_shift(FABRICATED, "II", [0.0, 1e-3])
     assert found.shape == (4, 2)
-    assert found[3, 1] == pytest.approx(condition_number(shifted_matrix(FABRICATED, "II", 1e-3)))
-    np.testing.assert_allclose(found[:, 0], condition_number(strain_matrix(FABRICATED, "II")))
+    assert found[3, 1] == pytest.approx(strain.condition_number(strain.shifted_matrix(FABRICATED, "II", 1e-3)))
+    np.testing.assert_allclose(found[:, 0], strain.condition_number(strain.strain_matrix(FABRICATED, "II")))
 
 
 def test_one_shift_of_the_outer_gauges_explains_the_finite_elements() -> None:
@@ -271,6 +207,6 @@ def test_one_shift_of_the_outer_gauges_explains_the_finite_elements() -> None:
     assert first == pytest.approx(0.39e-3, abs=5e-6)
     assert second == pytest.approx(1.96e-3, abs=5e-6)
     assert third == pytest.approx(2.01e-3, abs=5e-6)
-    reached = condition_number(shifted_matrix(FABRICATED, "II", [second, 0.5e-3, 0.5e-3]))
+    reached = strain.condition_number(strain.shifted_matrix(FABRICATED, "II", [second, 0.5e-3, 0.5e-3]))
     assert reached == pytest.approx(3.36, abs=1e-5)
     assert isnan(shift_to_reach(FABRICATED, "II", 3.36, ("S_H",)))

@@ -12,6 +12,7 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding import judged
+from tipforce.sensor.dynamics import first_order_hold
 from tipforce_lab.dynamics.impact import Striker
 from tipforce_lab.report.studies import decoders, fits, honesty, integrators
 from tipforce_lab.report.study import Counted, Effort, Study, Timing, timed, timed_together
@@ -256,16 +257,12 @@ def test_the_held_step_is_exact_for_a_step_and_rk4_is_shown_unstable(integrator_
 
 
 def test_the_independent_check_finds_a_wrong_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tipforce.sensor.dynamics import first_order_hold
-    from tipforce_lab.dynamics import integrators as closed_forms
-
     right = first_order_hold.hold
 
     def wrong(x: float, zeta: float) -> first_order_hold.Hold:
-        integrator_studies = right(x, zeta)
-        return integrator_studies._replace(p12=integrator_studies.p12 * (1.0 + 1e-8))
+        return right(x, zeta)._replace(p12=right(x, zeta).p12 * (1.0 + 1e-8))
 
-    monkeypatch.setattr(closed_forms, "hold", wrong)
+    monkeypatch.setattr(first_order_hold, "hold", wrong)
     task = integrators.TASKS["tap"]()
     assert integrators.relative(integrators.checked(task), task.wanted) > 1e-10
 

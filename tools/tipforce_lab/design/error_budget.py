@@ -135,10 +135,9 @@ def pad_loads(P_newtons: float, theta_min_deg: float, theta_max_deg: float, *, p
 
 
 def budget(sensor: Sensor, loads: Loads, causes: Causes) -> Budget:
-    """Return the budget of some loads.
+    """Return the budget of some loads, C fitted to the paper's grooves, one reading each and as many unloaded.
 
-    C was fitted to the paper's grooves, one reading each and as many unloaded. Repetitions lower the calibration's
-    noise, not its angles, as a groove keeps its angle. Raises InputError where the shapes do not fit.
+    Raises InputError where the shapes do not fit.
     """
     n = sensor.C.shape[1] if sensor.C.ndim == 2 else 0
     if sensor.C.shape != (3, n) or sensor.A.shape != (n, 3) or sensor.covariance_strain2.shape != (n, n):
@@ -158,8 +157,7 @@ def budget(sensor: Sensor, loads: Loads, causes: Causes) -> Budget:
 def elementary_errors(sensor: Sensor, loads: Loads, causes: Causes) -> tuple[dict[str, FloatArray], dict[str, str]]:
     """Return (cause -> errors of F, (q, m, 3) newtons, one for each of q independent standard deviations; left out).
 
-    A cause without effect has zeros: a calibration removes gauge positions, and C from theory has no
-    loads. The second gives the reason for each cause that cannot be computed.
+    Zeros for a cause without effect. The second gives the reason for each cause that cannot be computed.
     """
     C, F, n = sensor.C, loads.F, sensor.C.shape[1]
     strain = F @ sensor.A.T
@@ -220,10 +218,7 @@ def _calibration_errors(F: FloatArray, causes: Causes, noise: FloatArray) -> dic
 
 
 def gravity_residual(angle_rad: float) -> float:
-    """Return the RMS over the load of such an angle between x-loads and y-loads in the residuals of the fit.
-
-    Compare it with the resulting error of P, angle / 2 at phi = 45 degrees: the residuals hardly show it.
-    """
+    """Return the RMS over the load of such an angle between x-loads and y-loads in the residuals of the fit."""
     hung = groove_loads()
     turned = hung.turned * (angle_rad * _along_y(hung))[:, np.newaxis]
     rows = np.vstack([turned, np.zeros_like(turned)])
@@ -271,10 +266,9 @@ _BAR, _TOTAL = "#0072b2", "#222222"
 
 
 def plot(error_budget: Budget, path: str) -> None:
-    """Draw the standard uncertainty of each cause, root mean square over the loads, .png or .svg.
+    """Draw the standard uncertainty of each cause, RMS over the loads, sorted by share of the variance of P.
 
-    Sorted by share of the variance of P; one colour, so that print and any colour vision show the same. Raises
-    EnvironmentLackError without matplotlib, and InputError if the file cannot be written.
+    Raises EnvironmentLackError without matplotlib, and InputError if the file, .png or .svg, cannot be written.
     """
     *parts, total = (np.sqrt(np.mean(u**2, axis=0)) for u in (*error_budget.rows.values(), error_budget.total))
     sizes = np.array(parts)

@@ -8,31 +8,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame, slit_closure, worst_stress
-from tipforce.sensor.structure.strain import Gauge, condition_number, gauge_matrix, noise_gain, nominal_position
+from tipforce.sensor.calibration.statistics import FALSE_ALARM_RATE
+from tipforce.sensor.contact.redundancy import detectable_strain, parity, weighted_inverse
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, PAPER_SLIT_M, Frame, slit_closure, worst_stress
+from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
+from tipforce.sensor.structure.strain import (
+    Gauge,
+    condition_number,
+    gauge_matrix,
+    gauge_name,
+    noise_gain,
+    nominal_position,
+)
 
-PAPER_LOAD_NEWTONS = 4.4
 _FRICTION = 0.5
 _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as many change u by less than 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class LoadSet:
-    """The loads over which uncertainties are averaged: contacts on the pad, pushes within the friction cone.
+    """The loads over which uncertainties are averaged: uniform over the pad and the angles of the friction cone.
 
-    Uniform in theta from 0 to 180 degrees, and in the angle between push and inward normal up to atan(_FRICTION).
     Raises InputError for a load out of range.
     """
 
-    load_newtons: float = PAPER_LOAD_NEWTONS
+    load_newtons: float = CALIBRATION_WEIGHT_NEWTONS
 
     def __post_init__(self) -> None:
         if not 0.0 < self.load_newtons < math.inf:
@@ -46,9 +54,8 @@ class LoadSet:
         return theta + math.pi + cone, theta
 
     def weights(self) -> FloatArray:
-        """Return W_P, W_phi, W_theta, shape (3, 3, 3): means of j j^T, j the gradient of P, phi or theta by F.
-
-        First order: the mean variance of the quantity is tr(W C Sigma_V C^T). Units 1, (rad/N)^2, (rad/N)^2.
+        """Return W_P, W_phi, W_theta, shape (3, 3, 3), units 1, (rad/N)^2, (rad/N)^2: means of j j^T, j the gradient of
+        P, phi or theta by F. First order: the mean variance of the quantity is tr(W C Sigma_V C^T).
         """
         phi, theta = self.angles()
         s, c, zero = np.sin(phi), np.cos(phi), np.zeros_like(phi)
@@ -60,6 +67,41 @@ class LoadSet:
         slope_P = np.tan(delta)[:, np.newaxis] * gradient_P / self.load_newtons
         gradients = (gradient_P, gradient_phi, gradient_phi - slope_2 + slope_P)
         return np.stack([j.T @ j / len(phi) for j in gradients])
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of a structure, lengths in metres; the defaults are the paper's fabricated body and its stress.
+
+    Raises InputError for a value out of range, naming it.
+    """
+
+    envelope_x_m: float = 2.0 * FABRICATED.r_m
+    """Across: 2 r."""
+    envelope_y_m: float = FABRICATED.r_m + 0.5 * FABRICATED.h1_m + FABRICATED.d_m
+    """From the fixture to the top of the tip: d + h1 / 2 + r."""
+    width_m: float = FABRICATED.width_m
+    min_thickness_m: float = 0.2e-3
+    """Of either beam. The paper names no limit; its thinner beam has 0.4 mm."""
+    gauge_length_m: float = 1e-3
+    slit_m: float = PAPER_SLIT_M
+    """The load must not close it."""
+    loads: LoadSet = LoadSet()
+    max_stress_pascals: float | None = None
+    """Anywhere on the beams at the load, at the worst angle; None: that of the paper's body."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (field.name == "loads" or value is None or 0.0 < value < math.inf):
+                raise InputError(f"limit {field.name} = {value!r}: allowed is a positive finite number in SI units")
+
+    @property
+    def stress_pascals(self) -> float:
+        """max_stress_pascals, or its default."""
+        if self.max_stress_pascals is None:
+            return worst_stress(FABRICATED, self.loads.load_newtons)
+        return self.max_stress_pascals
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +122,9 @@ class Merit:
 def merit(strain_matrix: npt.ArrayLike, noise_microstrain: float, loads: LoadSet) -> Merit:
     """Return the figures of a strain matrix (n, 3), strain per newton; equal white noise on every gauge.
 
-    A matrix of rank below 3 gives infinite uncertainties. Raises InputError for a noise that is negative or not
-    finite, or another shape.
+    A matrix of rank below 3 gives infinite uncertainties. Raises InputError for a noise that is negative or not finite.
     """
     A = 1e6 * np.asarray(strain_matrix, dtype=np.float64)
-    if A.ndim != 2 or A.shape[1] != 3 or A.shape[0] < 3:
-        raise InputError(f"strain matrix of shape {A.shape}: allowed is (n, 3), n at least 3")
     if not 0.0 <= noise_microstrain < math.inf:
         raise InputError(f"noise = {noise_microstrain!r} microstrain: allowed is 0 or more, finite")
     if np.linalg.matrix_rank(A) < 3:
@@ -138,29 +177,22 @@ class Assessment:
 
 
 def assess(
-    name: str,
-    geometry: Geometry,
-    gauges: Sequence[Gauge],
-    *,
-    loads: LoadSet,
-    noise_microstrain: float,
-    gauge_length_m: float,
-    slit_m: float,
+    name: str, geometry: Geometry, gauges: Sequence[Gauge], limits: Limits, noise_microstrain: float
 ) -> Assessment:
-    """Return the figures of one structure, stresses at loads.load_newtons.
+    """Return the figures of one structure under the loads of the limits, with their gauge length and slit.
 
     Points of Table 1 are read at the point itself: a gauge there would reach beyond the beam. Raises InputError
     for gauges that are not usable.
     """
-    A = gauge_matrix(geometry, gauges)
-    length_m = 0.0 if any(isinstance(gauge, str) for gauge in gauges) else gauge_length_m
+    A, loads = gauge_matrix(geometry, gauges), limits.loads
+    length_m = 0.0 if any(isinstance(gauge, str) for gauge in gauges) else limits.gauge_length_m
     block = replace(ELASTIC_ROOTS, finite_joint=True)
     matrices = [Frame(geometry, model).strain_matrix(gauges, length_m) for model in (ELASTIC_ROOTS, block)]
     theory, frame, finite = (merit(matrix, noise_microstrain, loads) for matrix in (A, *matrices))
     return Assessment(
         name, geometry, tuple(gauges), theory, frame, finite,
         worst_stress(geometry, loads.load_newtons), worst_strain(A, loads.load_newtons),
-        slit_m / slit_closure(geometry, 1.0),
+        limits.slit_m / slit_closure(geometry, 1.0),
     )  # fmt: skip
 
 
@@ -203,3 +235,23 @@ def pareto(entries: Sequence[Assessment], figures: Sequence[Callable[[Assessment
         if not any(all(o <= v * 1.01 for o, v in zip(other, values, strict=True)) for other in others):
             kept.append(entry)
     return kept
+
+
+def detectable_microstrain(entry: Assessment, noise_microstrain: float) -> list[float]:
+    """The smallest fault of each gauge that a sample shows, microstrain, with C known; none for three gauges."""
+    if len(entry.gauges) < 4 or not noise_microstrain > 0.0:
+        return []
+    A, Sigma = gauge_matrix(entry.geometry, entry.gauges), np.eye(len(entry.gauges)) * noise_microstrain**2 * 1e-12
+    strain = detectable_strain(parity(weighted_inverse(A, Sigma), Sigma), FALSE_ALARM_RATE)
+    return [1e6 * smallest for smallest in strain.tolist()]
+
+
+def record(entry: Assessment, noise_microstrain: float) -> dict[str, object]:
+    """Return the JSON record of a structure: dimensions, gauges, figures of merit by each model, limits."""
+    figures: dict[str, object] = {"name": entry.name, **asdict(entry.geometry)}
+    figures["gauges"] = [gauge_name(gauge) for gauge in entry.gauges]
+    for prefix, merit in (("", entry.theory), ("frame_", entry.frame), ("finite_joint_", entry.frame_finite_joint)):
+        figures |= {f"{prefix}{field.name}": getattr(merit, field.name) for field in fields(Merit)}
+    for name in ("worst_stress_pascals", "worst_strain", "slit_load_newtons", "disagreement", "agrees"):
+        figures[name] = getattr(entry, name)
+    return figures | {"detectable_microstrain": detectable_microstrain(entry, noise_microstrain)}

@@ -14,26 +14,13 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.dynamics.model import half_cylinder, modes
+from tipforce.sensor.structure import strain
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, Layout
 from tipforce.sensor.structure.plane_frame import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
-from tipforce.sensor.structure.strain import (
-    calibration_matrix,
-    condition_number,
-    noise_gain,
-    shifted_matrix,
-    strain_matrix,
-)
-from tipforce_lab.design.tables import (
-    MICRO,
-    MM,
-    Record,
-    Section,
-    condition_at_length,
-    condition_numbers_by_unit,
-    moment_units,
-)
+from tipforce_lab.design import tables
+from tipforce_lab.design.tables import MICRO, MM, Record, Section
 
 COMPARATORS = (("[5]", 6, 4.2), ("[11]", 3, 20.05))
 """Reference, axes and printed condition number of the sensors that the paper compares with (section 1)."""
@@ -42,8 +29,7 @@ COMPARATORS = (("[5]", 6, 4.2), ("[11]", 3, 20.05))
 def condition_range(condition: float, from_length_m: float, to_length_m: float) -> tuple[float, float]:
     """Return the condition numbers possible on another scale for a matrix of which only the number is known.
 
-    Its moment columns change by the factor f = to / from. A diagonal matrix of condition number max(f, 1 / f) changes
-    the condition number by no more than that factor, up or down, and no condition number is below 1.
+    Its moment columns change by f = to / from, and so the number by at most max(f, 1 / f), up or down.
     """
     factor = max(to_length_m / from_length_m, from_length_m / to_length_m)
     return max(1.0, condition / factor), condition * factor
@@ -55,14 +41,14 @@ def lengths_of_condition(geometry: Geometry, gauges: Layout, condition: float) -
     The logarithm of the length is halved between the best length and 1e-6 and 1e6 of it.
     """
     best = best_length(geometry, gauges)
-    if condition < condition_at_length(geometry, gauges, best):
+    if condition < tables.condition_at_length(geometry, gauges, best):
         return ()
     lengths = []
     for end in (-6.0, 6.0):
         near, far = 0.0, end
         for _ in range(60):
             middle = 0.5 * (near + far)
-            below = condition_at_length(geometry, gauges, best * 10.0**middle) < condition
+            below = tables.condition_at_length(geometry, gauges, best * 10.0**middle) < condition
             near, far = (middle, far) if below else (near, middle)
         lengths.append(best * 10.0**near)
     return tuple(lengths)
@@ -73,7 +59,7 @@ def best_length(geometry: Geometry, gauges: Layout) -> float:
     low, high = -2.0, 2.0
     for _ in range(6):
         steps: FloatArray = np.linspace(low, high, 41)
-        values = [condition_at_length(geometry, gauges, geometry.r_m * 10.0**step) for step in steps.tolist()]
+        values = [tables.condition_at_length(geometry, gauges, geometry.r_m * 10.0**step) for step in steps.tolist()]
         at, width = int(np.argmin(values)), steps[1] - steps[0]
         low, high = float(steps[at] - width), float(steps[at] + width)
     return float(geometry.r_m * 10.0 ** (0.5 * (low + high)))
@@ -104,7 +90,7 @@ def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record
     directions that reach the yield stress, or close a slit of PAPER_SLIT_M. Raises InputError for an unusable layout.
     """
     body = replace(geometry, youngs_modulus_pascals=material.youngs_modulus_pascals)
-    stress, noise = worst_stress(body, 1.0), noise_gain(calibration_matrix(body, gauges))
+    stress, noise = worst_stress(body, 1.0), strain.noise_gain(strain.calibration_matrix(body, gauges))
     moving = modes(body, 0.0, half_cylinder(body, material.density_kg_m3))
     yield_newtons, slit_newtons = material.yield_pascals / stress, PAPER_SLIT_M / slit_closure(body, 1.0)
     largest = min(yield_newtons, slit_newtons)
@@ -118,22 +104,21 @@ def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Record
 def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: bool) -> Record:
     """Return the record of a body with lengths and width times ``scale``; thicknesses as well, or kept.
 
-    Stress per newton grows as 1 / scale^2 in the first case, and is the same in the second (a / (b h^2)). Condition
-    numbers of gauges at their points, of those of GAUGE_LENGTH_M that begin there, and with the last 0.2 mm inward.
+    Condition numbers of gauges at their points, of GAUGE_LENGTH_M that begin there, and with the last 0.2 mm inward.
     """
     g = geometry
     body = replace(g, a_m=scale * g.a_m, d_m=scale * g.d_m, r_m=scale * g.r_m, width_m=scale * g.width_m)
     if not keep_thickness:
         body = replace(body, h1_m=scale * g.h1_m, h2_m=scale * g.h2_m)
     half = 0.5 * GAUGE_LENGTH_M
-    matrix = strain_matrix(body, gauges)
+    matrix = strain.strain_matrix(body, gauges)
     off = [half] * (len(matrix) - 1) + [half + 0.2e-3]
     return {
         "beams": "kept" if keep_thickness else "scaled", "r_mm": body.r_m * MM,
         "h_mm": [body.h1_m * MM, body.h2_m * MM], "slenderness": body.a_m / body.h1_m,
-        **figures_of(body, STEEL_4340, gauges), "condition": condition_number(matrix),
-        "condition_of_gauges": condition_number(shifted_matrix(body, gauges, half)),
-        "condition_of_shift": condition_number(shifted_matrix(body, gauges, off)),
+        **figures_of(body, STEEL_4340, gauges), "condition": strain.condition_number(matrix),
+        "condition_of_gauges": strain.condition_number(strain.shifted_matrix(body, gauges, half)),
+        "condition_of_shift": strain.condition_number(strain.shifted_matrix(body, gauges, off)),
     }  # fmt: skip
 
 
@@ -142,15 +127,15 @@ SCALES = (1.0, 0.75, 0.5, 1.0 / 3.0, 0.25)
 
 def comparators_section(geometry: Geometry) -> Section:
     """Return the condition numbers of the cases and of [5] and [11], with moments as M / r, in N mm and in N m."""
-    units = moment_units(geometry)
+    units = tables.moment_units(geometry)
     records: list[Record] = []
     for case in CASES:
         best = best_length(geometry, case)
         equal = [lengths_of_condition(geometry, case, condition) for _, _, condition in COMPARATORS]
         records.append({
             "sensor": f"case {case}", "axes": 3, "printed": None,
-            **{f"in {unit}": value for unit, value in condition_numbers_by_unit(geometry, case).items()},
-            "smallest": condition_at_length(geometry, case, best), "smallest_at_mm": best * MM,
+            **{f"in {unit}": value for unit, value in tables.condition_numbers_by_unit(geometry, case).items()},
+            "smallest": tables.condition_at_length(geometry, case, best), "smallest_at_mm": best * MM,
             "equal_at_mm": [[length * MM for length in lengths] for lengths in equal],
         })  # fmt: skip
     for reference, axes, condition in COMPARATORS:

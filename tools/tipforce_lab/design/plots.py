@@ -21,7 +21,7 @@ from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches
 from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import nominal_position
-from tipforce_lab.design.paper_figures import condition_against_shift, simulate_groove_errors
+from tipforce_lab.design.sections import condition_against_shift, simulate_groove_errors
 from tipforce_lab.design.tables import MM, Section, ranked_layouts
 from tipforce_lab.plotting import new_figure, plotting
 

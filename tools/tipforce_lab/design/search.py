@@ -11,7 +11,8 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import replace
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -19,64 +20,25 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.plane_frame import PAPER_SLIT_M, AnyArray, slit_compliance, worst_stress
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS
+from tipforce.sensor.structure.plane_frame import AnyArray, slit_compliance
 from tipforce.sensor.structure.strain import GaugePosition
-from tipforce_lab.design.merit import PAPER_LOAD_NEWTONS, LoadSet
+from tipforce_lab.design.merit import FIGURES, Assessment, Limits, LoadSet, assess, glued, pareto
 
 UNIT_M = 1e-3  # the search uses millimetres and microstrain
 _DIMENSIONS = 6  # a, d, r, h1, h2, width; then the positions of the gauges
 _SCALE = np.array([15.0, 15.0, 15.0, 0.4, 0.65, 10.0])
 _PLACE_SCALE = 15.0
 _MODULUS = FABRICATED.youngs_modulus_pascals * 1e-6  # N/mm^2
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Limits of a structure, lengths in metres; the defaults are the paper's fabricated body and its stress.
-
-    Raises InputError for a value out of range, naming it.
-    """
-
-    envelope_x_m: float = 2.0 * FABRICATED.r_m
-    """Across: 2 r."""
-    envelope_y_m: float = FABRICATED.r_m + 0.5 * FABRICATED.h1_m + FABRICATED.d_m
-    """From the fixture to the top of the tip: d + h1 / 2 + r."""
-    width_m: float = FABRICATED.width_m
-    radius_m: float | None = None
-    """Of the tip, if given; None: free."""
-    min_thickness_m: float = 0.2e-3
-    """Of either beam. The paper names no limit; its thinner beam has 0.4 mm."""
-    slenderness: float = 10.0
-    """Least length over thickness of each beam (of an arm between joint and tip): the validity of beam theory."""
-    gauge_length_m: float = 1e-3
-    slit_m: float = PAPER_SLIT_M
-    """The load must not close it."""
-    load_newtons: float = PAPER_LOAD_NEWTONS
-    max_stress_pascals: float | None = None
-    """Anywhere on the beams at load_newtons, at the worst angle; None: that of the paper's body."""
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is not None and not (0.0 < value < math.inf or (value == 0.0 and field.name == "slenderness")):
-                raise InputError(f"limit {field.name} = {value!r}: allowed is a positive finite number in SI units")
-        if self.radius_m is not None and self.radius_m > 0.5 * self.envelope_x_m:
-            raise InputError(f"limit radius_m = {self.radius_m!r}: allowed is half of envelope_x_m at most")
-
-    @property
-    def stress_pascals(self) -> float:
-        """max_stress_pascals, or its default."""
-        if self.max_stress_pascals is None:
-            return worst_stress(FABRICATED, self.load_newtons)
-        return self.max_stress_pascals
+SLENDERNESS = 10.0
+"""Least length over thickness of each beam (of an arm between joint and tip): the validity of beam theory."""
 
 
 class Design(NamedTuple):
-    """A structure with its gauges, and the minimised value."""
+    """A structure with its gauges."""
 
     geometry: Geometry
     gauges: tuple[GaugePosition, ...]
-    objective: str
 
 
 _SLOTS = (
@@ -113,9 +75,8 @@ class Problem:
         self._gap_slopes, self._gap_least = self._gaps()
         reach, height = 0.5 * limits.envelope_x_m / UNIT_M, limits.envelope_y_m / UNIT_M
         thin, b, longest = limits.min_thickness_m / UNIT_M, limits.width_m / UNIT_M, max(reach, height)
-        radius = (1e-3 * reach, reach) if limits.radius_m is None else (limits.radius_m / UNIT_M,) * 2
         dimensions = [
-            (1e-3 * reach, reach), (1e-3 * height, height), radius,
+            (1e-3 * reach, reach), (1e-3 * height, height), (1e-3 * reach, reach),
             (thin, max(thin, longest)), (thin, max(thin, longest)), (b, b),
         ]  # fmt: skip
         self.bounds = np.array(dimensions + [(0.0, longest)] * len(self.slots))
@@ -137,25 +98,25 @@ class Problem:
         """Return the constraints, not negative, (m, k): stress, slit, envelope, wall, slenderness, gauge spacing."""
         limits = self.limits
         a, d, r, h1, h2, b = x[:, :_DIMENSIONS].T
-        load = limits.load_newtons
+        load = limits.loads.load_newtons
         horizontal = np.sqrt((1.5 * a / h1**2) ** 2 + (0.5 / h1) ** 2) + 3.0 * r / h1**2
         vertical = np.sqrt((6.0 * (d + 0.5 * h1) / h2**2) ** 2 + 1.0 / h2**2) + 6.0 * r / h2**2
         closure = slit_compliance(a, r, h1) * load / (b * _MODULUS)
         columns = [np.log(self._stress * b / (load * stress)) for stress in (horizontal, vertical)]
         columns.append(np.log(limits.slit_m / UNIT_M / closure))
         rooms = (limits.envelope_y_m / UNIT_M - r - d - 0.5 * h1, r - a,
-                 a - 0.5 * h2 - limits.slenderness * h1, d - limits.slenderness * h2)  # fmt: skip
+                 a - 0.5 * h2 - SLENDERNESS * h1, d - SLENDERNESS * h2)  # fmt: skip
         columns += [room / _PLACE_SCALE for room in rooms]
         gaps: AnyArray = (x @ self._gap_slopes - self._gap_least) / _PLACE_SCALE
         return np.concatenate((np.stack(columns, axis=-1), gaps), axis=-1)
 
-    def design(self, x: FloatArray, objective: str) -> Design:
+    def design(self, x: FloatArray) -> Design:
         """Return the point (6 + n,) as a design."""
         a, d, r, h1, h2, b = (float(value) for value in x[:_DIMENSIONS] * UNIT_M)
         geometry = Geometry(a, d, r, h1, h2, b, FABRICATED.youngs_modulus_pascals)
         places = zip(self.slots, x[_DIMENSIONS:], strict=True)
         gauges = (slot._replace(position_m=float(s) * UNIT_M) for slot, s in places)
-        return Design(geometry, tuple(gauges), objective)
+        return Design(geometry, tuple(gauges))
 
     def point(self, design: Design) -> FloatArray:
         """Return the variables (6 + n,) of a design of this configuration."""
@@ -168,11 +129,9 @@ class Problem:
         limits = self.limits
         height, least, b = (size / UNIT_M for size in (limits.envelope_y_m, limits.min_thickness_m, limits.width_m))
         r = rng.uniform(0.5, 1.0) * min(0.5 * limits.envelope_x_m / UNIT_M, 0.8 * height)
-        if limits.radius_m is not None:
-            r = limits.radius_m / UNIT_M
         a = rng.uniform(0.4, 1.0) * r
         d = rng.uniform(0.5, 1.0) * (height - r)
-        strength = self._stress * b / limits.load_newtons
+        strength = self._stress * b / limits.loads.load_newtons
         h1 = max(least, math.sqrt((1.5 * a + 3.0 * r) / strength)) * rng.uniform(1.0, 1.3)
         h2 = max(least, math.sqrt(6.0 * (d + r) / strength)) * rng.uniform(1.0, 1.3)
         lengths = np.where(self.horizontal, a, d)
@@ -217,8 +176,8 @@ Score = Callable[[FloatArray], tuple[float, FloatArray]]
 def score(objective: Objective, loads: LoadSet) -> Score:
     """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition.
 
-    The condition number alone does not determine the beams' thickness, since it is unchanged when all gauges read
-    less; a thousandth of the noise is added to determine it. Raises InputError for an unknown objective.
+    A thousandth of the noise is added to the condition number, which alone does not determine the beams' thickness.
+    Raises InputError for an unknown objective.
     """
     if objective not in OBJECTIVES:
         raise InputError(f"objective {objective!r} is not known: allowed are {', '.join(OBJECTIVES)}")
@@ -307,7 +266,6 @@ def search(
     gauges: int,
     objective: Objective,
     limits: Limits,
-    loads: LoadSet,
     *,
     starts: int = 4,
     seed: int = 0,
@@ -315,13 +273,12 @@ def search(
 ) -> list[Design]:
     """Return the best design of each configuration that has one within the limits, the best first.
 
-    starts: random starts per configuration; done is called after each. The same seed gives the same designs.
-    Raises InputError for values out of range or if no start ends within the limits, EnvironmentLackError
-    if scipy is missing.
+    starts: random starts per configuration; done is called after each. Raises InputError for values out of range or if
+    no start ends within the limits, EnvironmentLackError if scipy is missing.
     """
     if starts < 1:
         raise InputError(f"{starts} starts: allowed is 1 or more")
-    goal = score(objective, loads)
+    goal = score(objective, limits.loads)
     best: list[tuple[float, Design]] = []
     for number, slots in enumerate(configurations(gauges)):
         problem, rng = Problem(slots, limits), np.random.default_rng((seed, number))
@@ -332,7 +289,7 @@ def search(
             done()
         if ends:
             value, x = min(ends, key=lambda end: end[0])
-            best.append((value, problem.design(x, objective)))
+            best.append((value, problem.design(x)))
     if not best:
         raise InputError("no design found within the limits: increase envelope, stress, slit or the number of starts")
     return [design for _, design in sorted(best, key=lambda item: item[0])]
@@ -343,17 +300,15 @@ def trade_off(
     others: Sequence[Design],
     least: Design,
     objective: Objective,
-    loads: LoadSet,
     limits: Limits,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
     """Return designs between the best one for an objective and the one of the least condition number.
 
-    The condition number has a ceiling (TRADE_OFF_STEPS of the way from best to least, as a penalty). Each
-    optimum is the start of the next: downwards from best and from each of others, upwards from least. done is
-    called after each. Raises as search() does.
+    The condition number has a ceiling (TRADE_OFF_STEPS of the way from best to least, as a penalty). Each optimum is
+    the start of the next: downwards from best and others, upwards from least. Raises as search() does.
     """
-    goal, condition = score(objective, loads), score("condition", loads)
+    goal, condition = score(objective, limits.loads), score("condition", limits.loads)
     begins = [(problem_of(design, limits), design) for design in (best, *others, least)]
     highest, lowest = (
         condition(np.asarray(problem.rows(problem.point(design)[np.newaxis])[0], dtype=np.float64))[0]
@@ -368,7 +323,7 @@ def trade_off(
             done()
             if end:
                 x = end[1]
-                designs.append(problem.design(x, objective))
+                designs.append(problem.design(x))
     return designs
 
 
@@ -386,3 +341,56 @@ def _below(part: Score, ceiling: float) -> Score:
 def problem_of(design: Design, limits: Limits) -> Problem:
     """Return the configuration of a design."""
     return Problem([gauge._replace(position_m=0.0) for gauge in design.gauges], limits)
+
+
+_FROM = 4  # configurations from which the path to the minimum condition number starts
+
+
+class Outcome(NamedTuple):
+    """Result of one run."""
+
+    paper: list[Assessment]
+    """Cases I to III of the paper, then case I with gauges of the stated length."""
+    front: list[Assessment]
+    """Pareto-optimal designs in objective and condition number, and always condition_only."""
+    best: Assessment
+    """The best design by the objective."""
+    condition_only: Assessment
+    """The design with the minimum condition number, and among such designs the minimum noise."""
+
+
+def steps(gauges: int, starts: int) -> int:
+    """Return how often ``optimise`` calls ``done``."""
+    searches = len(configurations(gauges)) * max(starts, 0)
+    return 2 * searches + (_FROM + 1) * len(TRADE_OFF_STEPS)
+
+
+def optimise(
+    objective: Objective,
+    gauges: int,
+    limits: Limits,
+    noise_microstrain: float,
+    *,
+    starts: int,
+    seed: int,
+    done: Callable[[], None] = lambda: None,
+) -> Outcome:
+    """Optimise the objective and the condition number, follow the path between them, and assess all designs."""
+    axis: Objective = "theta" if objective == "condition" else objective
+    best = search(gauges, axis, limits, starts=starts, seed=seed, done=done)
+    least = search(gauges, "condition", limits, starts=starts, seed=seed, done=done)[0]
+    between = trade_off(best[0], best[1:_FROM], least, axis, limits, done)
+    judge = partial(assess, limits=limits, noise_microstrain=noise_microstrain)
+    first, condition_only = judge("best", *best[0]), judge("condition", *least)
+    others = [judge("", *design) for design in (*best[1:], *between)]
+    front = pareto([first, *others, condition_only], (FIGURES[axis], FIGURES["condition"]))
+    front = [entry if entry.name else replace(entry, name=f"{k}") for k, entry in enumerate(front, 1)]
+    if condition_only not in front:
+        front.append(condition_only)
+    paper = [judge(case, FABRICATED, LAYOUTS[case]) for case in CASES]
+    try:
+        real = glued(FABRICATED, LAYOUTS["I"], limits.gauge_length_m)
+        paper.append(judge("I glued", FABRICATED, real))
+    except InputError:  # gauges of this length do not fit on the paper's body
+        pass
+    return Outcome(paper, front, condition_only if objective == "condition" else first, condition_only)

@@ -16,21 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
-from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import force_vector
+from tipforce.sensor.structure import strain
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
 from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES
-from tipforce.sensor.structure.strain import (
-    calibration_matrix,
-    condition_number,
-    noise_gain,
-    row_equilibrated_condition_number,
-    shifted_matrix,
-    strain_matrix,
-    stress_coefficients,
-    thin_limit_matrix,
-)
 
 Record = dict[str, Any]
 MM, MICRO = 1e3, 1e6
@@ -110,8 +100,8 @@ class Table3Row(NamedTuple):
 
 def table_1(geometry: Geometry) -> list[Table1Row]:
     """Return Table 1 for all eight gauge points. Raises InputError for beams too thin for floating point."""
-    strains = strain_matrix(geometry, POINTS).tolist()
-    stresses = stress_coefficients(geometry)
+    strains = strain.strain_matrix(geometry, POINTS).tolist()
+    stresses = strain.stress_coefficients(geometry)
     return [
         Table1Row(point, SYMBOLS[point], stresses[point], (row[0], row[1], row[2]))
         for point, row in zip(POINTS, strains, strict=True)
@@ -121,8 +111,7 @@ def table_1(geometry: Geometry) -> list[Table1Row]:
 def maximum_over_contacts(g: tuple[float, float, float]) -> Maximum:
     """Return the largest reading over theta in [0, 180] and all phi, in closed form.
 
-    For fixed theta the reading is a sine of phi with the squared amplitude g1^2 + g2^2 + g3^2 + 2 g2 (g1
-    cos(theta) - g3 sin(theta)): a cosine of theta, largest at one angle, or at an end of the range.
+    The squared amplitude over phi, g1^2 + g2^2 + g3^2 + 2 g2 (g1 cos(theta) - g3 sin(theta)), is a cosine of theta.
     """
     g1, g2, g3 = g
     if g2 == 0.0 or hypot(g1, g3) < 1e-12 * abs(g2):
@@ -145,7 +134,7 @@ def table_2(geometry: Geometry) -> list[Table2Row]:
     """Return the largest stress at every gauge point, thin limit and actual. Raises InputError as table_1()."""
     unit = geometry.h1_m**2 / geometry.a_m
     rows = []
-    for point, thin, row in zip(POINTS, thin_limit_matrix(POINTS).tolist(), table_1(geometry), strict=True):
+    for point, thin, row in zip(POINTS, strain.thin_limit_matrix(POINTS).tolist(), table_1(geometry), strict=True):
         sign = -unit if point in VERTICAL_POINTS else unit
         g1, g2, g3 = row.per_metre
         rows.append(Table2Row(
@@ -158,18 +147,18 @@ def table_2(geometry: Geometry) -> list[Table2Row]:
 
 def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
     """Return the theory of one layout. Raises InputError for an unusable layout or one of rank below 3."""
-    matrix = strain_matrix(geometry, gauges)
+    matrix = strain.strain_matrix(geometry, gauges)
     return Table3Row(
-        condition_number(thin_limit_matrix(gauges)), condition_number(matrix),
-        row_equilibrated_condition_number(matrix), noise_gain(calibration_matrix(geometry, gauges)),
+        strain.condition_number(strain.thin_limit_matrix(gauges)), strain.condition_number(matrix),
+        strain.row_equilibrated_condition_number(matrix),
+        strain.noise_gain(strain.calibration_matrix(geometry, gauges)),
     )  # fmt: skip
 
 
 def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, float]:
     """Return the condition number with F2 as the force M / r (the paper's), and with the moment in N mm and N m.
 
-    A number in the unit M / u is F2 r / u, so its column of the strain matrix shrinks by r / u. Raises InputError
-    for an unusable layout.
+    Raises InputError for an unusable layout.
     """
     return {unit: condition_at_length(geometry, gauges, u) for unit, u in moment_units(geometry).items()}
 
@@ -181,31 +170,28 @@ def moment_units(geometry: Geometry) -> dict[str, float]:
 
 def condition_at_length(geometry: Geometry, gauges: Layout, length_m: float) -> float:
     """Return the condition number with F2 as the force M / length."""
-    return condition_number(strain_matrix(geometry, gauges) * np.array([1.0, length_m / geometry.r_m, 1.0]))
-
-
-FIGURES = ("condition", "thin", "row_equilibrated", "noise_gain_N_per_ue")
+    return strain.condition_number(
+        strain.strain_matrix(geometry, gauges) * np.array([1.0, length_m / geometry.r_m, 1.0])
+    )
 
 
 def figures(matrix: FloatArray) -> Record:
-    """Return FIGURES of a strain matrix (n, 3) but "thin"; infinite if it cannot separate the three forces."""
+    """Return the figures of merit of a strain matrix (n, 3); infinite if it cannot separate the three forces."""
     separates = int(np.linalg.matrix_rank(matrix)) == 3
     return {
-        "condition": condition_number(matrix) if separates else inf,
-        "row_equilibrated": row_equilibrated_condition_number(matrix) if separates else inf,
-        "noise_gain_N_per_ue": noise_gain(np.linalg.pinv(matrix)) / MICRO if separates else inf,
+        "condition": strain.condition_number(matrix) if separates else inf,
+        "row_equilibrated": strain.row_equilibrated_condition_number(matrix) if separates else inf,
+        "noise_gain_N_per_ue": strain.noise_gain(np.linalg.pinv(matrix)) / MICRO if separates else inf,
     }
 
 
 def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
     """Return the 28 mirrored pairs of layouts of three points, which share every figure, best first.
 
-    Keys: case (I, II, III, or empty), gauges, mirror, and FIGURES: condition number, that of the thin-beam limit, that
-    with every row scaled to unit length, newtons of noise per microstrain; infinite if a layout cannot separate the
-    three forces. Raises InputError for an unknown figure.
+    Keys: case (I, II, III, or empty), gauges, mirror, and what ``by`` may be: condition, thin (its limit), that with
+    every row scaled to unit length, newtons of noise per microstrain; infinite if a layout cannot separate the
+    three forces.
     """
-    if by not in FIGURES:
-        raise InputError(f"rank by {by!r}: allowed are {', '.join(FIGURES)}")
     names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
     by_mirror: dict[frozenset[frozenset[str]], Record] = {}
     for chosen in itertools.combinations(POINTS, 3):
@@ -214,9 +200,9 @@ def ranked_layouts(geometry: Geometry, by: str = "condition") -> list[Record]:
             continue
         case = names.get(frozenset(chosen), "")
         points = LAYOUTS[case] if case else chosen
-        thin = condition_number(thin_limit_matrix(points))
+        thin = strain.condition_number(strain.thin_limit_matrix(points))
         by_mirror[pair] = {
-            "case": case, "gauges": points, "mirror": mirror(points), **figures(strain_matrix(geometry, points)),
+            "case": case, "gauges": points, "mirror": mirror(points), **figures(strain.strain_matrix(geometry, points)),
             "thin": thin if thin < 1e12 else inf,  # singular: rounding makes it barely regular
         }  # fmt: skip
     return sorted(by_mirror.values(), key=lambda row: (round(row[by], 9), row["condition"]))
@@ -234,33 +220,22 @@ def ties(rows: list[Record], by: str) -> list[list[Record]]:
 
 
 class RoundingRange(NamedTuple):
-    """Range of the condition numbers of matrices that print as the given one."""
+    """Condition number of the printed entries themselves, and its range for matrices that print as they do."""
 
     printed: float
-    """Of the printed entries themselves."""
     low: float
     high: float
-
-
-class CommonShifts(NamedTuple):
-    """The gauge shifts that best fit three measured condition numbers at once."""
-
-    shifts_m: dict[str, float]
-    """Per gauge point, inward along its beam, the same in every case that uses the point."""
-    worst_miss: float
-    """Largest difference from the wanted condition numbers."""
 
 
 def rounding_range(matrix: npt.ArrayLike) -> RoundingRange:
     """Return the range of condition numbers over all matrices (3, 3) whose entries round to the given ones.
 
-    All 512 corners of the box of entries. The condition number is smooth here and the box small (curvature adds
-    under 1e-4), so its extremes are at corners.
+    Of the 512 corners of the box of entries, which is small: curvature adds under 1e-4.
     """
     centre = np.asarray(matrix, dtype=np.float64)
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=centre.size))).reshape(-1, *centre.shape)
     conditions = np.linalg.cond(centre + HALF_DIGIT * signs)
-    return RoundingRange(condition_number(centre), float(conditions.min()), float(conditions.max()))
+    return RoundingRange(strain.condition_number(centre), float(conditions.min()), float(conditions.max()))
 
 
 def shared_gauge_disagreement() -> dict[str, float]:
@@ -278,16 +253,17 @@ def shared_gauge_disagreement() -> dict[str, float]:
     return result
 
 
-def nearest_common_shifts(geometry: Geometry, conditions: dict[str, float], steps: int = 25) -> CommonShifts:
-    """Return the shifts of K, S, L, R, U, one set for all three cases, that best fit the condition numbers.
-
-    Every combination of `steps` shifts from 0 to 6 mm; the largest miss counts.
+def nearest_common_shifts(
+    geometry: Geometry, conditions: dict[str, float], steps: int = 25
+) -> tuple[dict[str, float], float]:
+    """Return (metres inward of K, S, L, R, U, one set for all three cases, that best fit the condition numbers; the
+    largest miss), of every combination of `steps` shifts from 0 to 6 mm.
     """
     grid = np.linspace(0.0, 6e-3, steps)
     points = ("K_H", "S_H", "L", "R", "U")
-    rows = shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
+    rows = strain.shifted_matrix(geometry, points, np.repeat(grid[:, np.newaxis], len(points), axis=1))
     chosen, miss = nearest_common({point: rows[:, k] for k, point in enumerate(points)}, conditions)
-    return CommonShifts({point: float(grid[at]) for point, at in chosen.items()}, miss)
+    return {point: float(grid[at]) for point, at in chosen.items()}, miss
 
 
 def nearest_common(rows: Mapping[str, FloatArray], conditions: Mapping[str, float]) -> tuple[dict[str, int], float]:

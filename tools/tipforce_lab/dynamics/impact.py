@@ -1,12 +1,10 @@
 """Impact of a body on the tip, or of the finger on a stop: contact force, contact times, and the gauges' readings.
 
 Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: scipy's DOP853 in contact, matrix
-exponentials in free flight; the end of contact and the peak are events on its dense output.
-Contact starts at time 0 and may open and close again, because the tip vibrates. The contact itself is lossless.
+exponentials in free flight. Contact starts at time 0, may open and close again, and is lossless.
 
-States: a = omega q and q' of every mode (mass-normalised), overlap and speed of the body, the load and its rate, and a
-constant. They are scaled so that energy is half the sum of their squares: without damping and load the matrix is
-skew-symmetric, and its exponential keeps lengths.
+States: omega q and q' of every mode (mass-normalised), overlap and speed of the body, the load and its rate, and a
+constant, scaled so that energy is half the sum of their squares: without damping and load the matrix is skew-symmetric.
 """
 
 from __future__ import annotations
@@ -38,9 +36,7 @@ class Striker:
     """Of the contact: N/m for exponent 1, N/m^1.5 for 1.5 (Hertz)."""
     exponent: float = 1.0
     theta_rad: float = 0.5 * math.pi
-    """Place on the tip."""
-    phi_rad: float | None = None
-    """Direction of the contact force on the tip; None is a push along the inward normal, theta + pi."""
+    """Place on the tip, where it pushes along the inward normal: phi is theta + pi."""
 
     def __post_init__(self) -> None:
         if not self.mass_kg > 0.0:
@@ -50,13 +46,13 @@ class Striker:
                 raise InputError(f"{name} = {value!r}: allowed is a positive finite number")
         if self.exponent not in (1.0, 1.5):
             raise InputError(f"contact exponent = {self.exponent!r}: allowed is 1 (linear) or 1.5 (Hertz)")
-        if not math.isfinite(self.theta_rad) or not (self.phi_rad is None or math.isfinite(self.phi_rad)):
-            raise InputError("theta_rad and phi_rad: allowed are finite angles")
+        if not math.isfinite(self.theta_rad):
+            raise InputError(f"theta_rad = {self.theta_rad!r}: allowed is a finite angle")
 
     @property
     def direction(self) -> FloatArray:
         """F per newton of contact force, (3,)."""
-        phi = self.theta_rad + math.pi if self.phi_rad is None else self.phi_rad
+        phi = self.theta_rad + math.pi
         return np.array([math.sin(phi), math.sin(phi - self.theta_rad), math.cos(phi)])
 
 
@@ -70,49 +66,52 @@ class Assembly:
         self._speed_scale = 1.0 if striker is None or heavy else math.sqrt(striker.mass_kg)
         self._gap_unit = 1.0 if slit is None else math.sqrt(float(slit.compliance[0, 0]))
         self.overlap, self.speed, self.load, self.rate, self.one = 2 * n, 2 * n + 1, 2 * n + 2, 2 * n + 5, 2 * n + 8
-        self.size = 2 * n + 9
-        A = np.zeros((self.size, self.size))
+        size = 2 * n + 9
+        A, speeds = np.zeros((size, size)), slice(n, 2 * n)
         A[self.load : self.rate, self.rate : self.one] = np.eye(3)
-        self._shape = np.zeros((0, 3)) if modes is None else modes.load_shape
         if modes is not None:
             omega = modes.omega_rad_s
-            A[:n, n : 2 * n], A[n : 2 * n, :n] = np.diag(omega), -np.diag(omega)
-            A[n : 2 * n, n : 2 * n] = -2.0 * np.diag(modes.damping_ratio * omega)
-            A[n : 2 * n, self.load : self.rate] = modes.load_shape
-        rows: list[tuple[FloatArray, FloatArray]] = []
-        if striker is not None:
-            rows.append(self._striker_rows(A, striker))
-        if slit is not None:
-            rows += self._slit_rows(slit)
-        push = np.array([row[0] for row in rows]).reshape(-1, self.size).T
-        closure = np.array([row[1] for row in rows]).reshape(-1, self.size)
+            A[:n, speeds], A[speeds, :n] = np.diag(omega), -np.diag(omega)
+            A[speeds, speeds] = -2.0 * np.diag(modes.damping_ratio * omega)
+            A[speeds, self.load : self.rate] = modes.load_shape
         body = 0 if striker is None else 1
-        compliance = np.zeros((len(rows), len(rows)))
+        count = body + (0 if slit is None else len(slit.compliance))
+        push, closure, compliance = np.zeros((size, count)), np.zeros((count, size)), np.zeros((count, count))
         if striker is not None:
-            compliance[0, 0] = 1.0 / striker.stiffness
+            root = math.sqrt(striker.stiffness)
+            along = np.zeros(0) if modes is None else modes.load_shape @ striker.direction
+            A[self.overlap, self.speed], A[self.overlap, speeds] = root / self._speed_scale, -root * along
+            push[speeds, 0], push[self.speed, 0] = along, 0.0 if heavy else -1.0 / self._speed_scale
+            closure[0, self.overlap], compliance[0, 0] = 1.0 / root, 1.0 / striker.stiffness
         if slit is not None:
+            if modes is None:
+                raise InputError("a slit on rigid ground: allowed with the modes of a structure only")
             compliance[body:, body:] = slit.compliance
+            for j, per_newton in enumerate(slit.closure_per_newton, body):
+                closure[j, :n] = per_newton @ modes.force_shape * modes.omega_rad_s
+                closure[j, self.one] = -self._gap_unit
+                push[speeds, j] = -closure[j, :n] * modes.omega_rad_s
         self.system = Switched(A, push, closure, compliance)
 
     def start(self) -> FloatArray:
         """Return the state at the moment of contact: structure at rest, no load."""
-        X = np.zeros(self.size)
+        X = np.zeros(len(self.system.A))
         if self.striker is not None:
             X[self.speed] = self.striker.speed_m_s * self._speed_scale
         if self.slit is not None:
             X[self.one] = self.slit.gap_m / self._gap_unit
         return X
 
-    def structure(self, X: FloatArray) -> State:
-        """Return the state of the modes within X."""
-        if self.modes is None:
-            return State(np.zeros(0), np.zeros(0))
-        omega = self.modes.omega_rad_s
-        return State(X[: self.n] * omega, X[self.n : 2 * self.n] * omega)
-
-    def body_speed(self, X: FloatArray) -> float:
-        """Return the speed of the body towards the tip, m/s."""
-        return float(X[self.speed]) / self._speed_scale
+    def impact(self, X: FloatArray, touches: tuple[Touch, ...], samples: list[_Sample]) -> Impact:
+        """Return the results of a run that ends in state X."""
+        omega = np.zeros(0) if self.modes is None else self.modes.omega_rad_s
+        arms, vertical, contact = (
+            np.array([sample[k] for sample in samples]).reshape(-1, width)
+            for k, width in enumerate((3, 3, len(self.system.closure)))
+        )
+        body_speed = float(X[self.speed]) / self._speed_scale if self.striker else 0.0
+        structure = State(X[: self.n] * omega, X[self.n : 2 * self.n] * omega)
+        return Impact(touches, arms, vertical, contact, body_speed, structure)
 
     def elastic(self, X: FloatArray, contact_newtons: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the elastic force (3,) in the arms and in the vertical beam."""
@@ -124,30 +123,6 @@ class Assembly:
             stops = contact_newtons[-len(self.slit.closure_per_newton) :]
             arms, vertical = arms + self.slit.arms_per_newton @ stops, vertical + self.slit.vertical_per_newton @ stops
         return arms, vertical
-
-    def _striker_rows(self, A: FloatArray, striker: Striker) -> tuple[FloatArray, FloatArray]:
-        """Set the rates of overlap and speed; return (push, closure) of the contact."""
-        n, root = self.n, math.sqrt(striker.stiffness)
-        along = self._shape @ striker.direction
-        A[self.overlap, self.speed] = root / self._speed_scale
-        A[self.overlap, n : 2 * n] = -root * along
-        push, closure = np.zeros(self.size), np.zeros(self.size)
-        push[n : 2 * n] = along
-        push[self.speed] = 0.0 if math.isinf(striker.mass_kg) else -1.0 / self._speed_scale
-        closure[self.overlap] = 1.0 / root
-        return push, closure
-
-    def _slit_rows(self, slit: SlitStop) -> list[tuple[FloatArray, FloatArray]]:
-        if self.modes is None:
-            raise InputError("a slit on rigid ground: allowed with the modes of a structure only")
-        rows = []
-        for per_newton in slit.closure_per_newton:
-            push, closure = np.zeros(self.size), np.zeros(self.size)
-            closure[: self.n] = per_newton @ self.modes.force_shape * self.modes.omega_rad_s
-            closure[self.one] = -self._gap_unit
-            push[self.n : 2 * self.n] = -closure[: self.n] * self.modes.omega_rad_s
-            rows.append((push, closure))
-        return rows
 
 
 class Impact(NamedTuple):
@@ -168,17 +143,12 @@ class Impact(NamedTuple):
 
 
 def impact(
-    modes: Modes | None,
-    striker: Striker,
-    until_s: float,
-    times_s: npt.ArrayLike = (),
-    slit: SlitStop | None = None,
+    modes: Modes | None, striker: Striker, until_s: float, times_s: npt.ArrayLike = (), slit: SlitStop | None = None
 ) -> Impact:
     """Return the course of an impact that starts at 0, structure at rest.
 
-    modes: None is rigid ground. times_s: (m,) rising, from 0 to until_s. Raises InputError for times out of range,
-    a run that needs too many steps, a Hertzian contact with a slit; EnvironmentLackError for a Hertzian contact
-    without scipy.
+    modes: None is rigid ground. times_s: (m,) rising, from 0 to until_s. Raises InputError for times out of range, too
+    many steps, a Hertzian contact with a slit; EnvironmentLackError for a Hertzian contact without scipy.
     """
     t = floats("times_s", times_s).reshape(-1)
     if not 0.0 < until_s < math.inf:
@@ -188,6 +158,8 @@ def impact(
     if striker.exponent != 1.0:
         if slit is not None:
             raise InputError("a Hertzian contact and a slit in one run: allowed is a linear contact with a slit")
+        if modes is None and math.isinf(striker.mass_kg):
+            raise InputError("a stop on rigid ground, where neither yields: allowed is a body of finite mass")
         return _HertzRun(modes, striker, t, until_s).impact()
     assembly = Assembly(modes, striker, slit)
     march, samples = March(assembly.system, assembly.start()), list[_Sample]()
@@ -196,14 +168,13 @@ def impact(
         march.advance(float(time_s))
         samples.append(_sample(assembly, march))
     march.advance(until_s)
-    return _impact(assembly, march.state, march.finish(), samples)
+    return assembly.impact(march.state, march.finish(), samples)
 
 
 def overload(modes: Modes, slit: SlitStop, times_s: npt.ArrayLike, loads_newtons: npt.ArrayLike) -> Impact:
     """Return the response of a structure with a stop to a load that is linear between its samples, (m,) and (m, 3).
 
-    The sample times are those of the load and must rise strictly. Raises InputError for times or shapes that do
-    not fit, or loads that are not finite.
+    Raises InputError for times that do not rise strictly, shapes that do not fit, or loads that are not finite.
     """
     t, F = floats("times_s", times_s), checked_loads(loads_newtons)
     if t.shape != (len(F),) or not (np.diff(t) > 0.0).all() or not np.isfinite(t).all():
@@ -219,7 +190,7 @@ def overload(modes: Modes, slit: SlitStop, times_s: npt.ArrayLike, loads_newtons
             march.state[assembly.rate : assembly.one] = (F[k + 1] - F[k]) / (t[k + 1] - t[k])
             march.disturbed()
             march.advance(float(t[k + 1]))
-    return _impact(assembly, march.state, march.finish(), samples)
+    return assembly.impact(march.state, march.finish(), samples)
 
 
 _Sample = tuple[FloatArray, FloatArray, FloatArray]
@@ -229,15 +200,6 @@ _Sample = tuple[FloatArray, FloatArray, FloatArray]
 def _sample(assembly: Assembly, march: March) -> _Sample:
     forces = march.forces_newtons
     return *assembly.elastic(march.state, forces), forces
-
-
-def _impact(assembly: Assembly, state: FloatArray, touches: tuple[Touch, ...], samples: list[_Sample]) -> Impact:
-    widths = (3, 3, len(assembly.system.closure))
-    arms, vertical, contact = (
-        np.array([sample[k] for sample in samples]).reshape(-1, width) for k, width in enumerate(widths)
-    )
-    body_speed = assembly.body_speed(state) if assembly.striker else 0.0
-    return Impact(touches, arms, vertical, contact, body_speed, assembly.structure(state))
 
 
 RELATIVE_TOLERANCE = 1e-13
@@ -267,7 +229,7 @@ class _HertzRun:
         while self.time_s < self._until_s:
             self.contact()
             self.free()
-        return _impact(self.assembly, self.state, tuple(self.touches), self.rows)
+        return self.assembly.impact(self.state, tuple(self.touches), self.rows)
 
     def contact(self) -> None:
         """Integrate from contact to separation, or to the end of the run."""

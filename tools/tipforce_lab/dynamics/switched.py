@@ -7,14 +7,11 @@ one linear system, whose state after any time is a matrix exponential. An event 
 of the pressure of a closed one. Steps are short relative to the fastest oscillation and to the time since the last
 disturbance (a fast decay matters only then), and turning points between steps are checked, so that a graze is found.
 
-The slit between tip and horizontal beam as a stop: an overload closes it, and the structure is stiffer from there.
-
-The figure of the cross-section is not in the paper's text. Assumed: the slit, 0.25 mm wide as the cut, runs along the
-upper face of the horizontal beam. How far it has closed is a cubic along each arm, so where a load closes it first is
-where that cubic is largest. The stop has as many contact points on each arm as bring the load of first contact, in
-every direction, within two per cent of that. The tip is rigid; the arm yields where it is pressed, as a beam with
-held ends; each contact has a stiffness of its own. The force between tip and arm is an inner one: fixture and vertical
-beam feel the applied force alone, the gauges of the arms do not.
+The slit between tip and horizontal beam (its place: plane_frame.py) as a stop: an overload closes it, and the
+structure is stiffer from there. How far it has closed is a cubic along each arm. The stop has as many contact points on
+each arm as bring the load of first contact, in every direction, within two per cent of the true one. The tip is rigid;
+the arm yields where it is pressed, as a beam with held ends. The force between tip and arm is an inner one: fixture and
+vertical beam feel the applied force alone, the gauges of the arms do not.
 """
 
 from __future__ import annotations
@@ -48,8 +45,7 @@ class Touch(NamedTuple):
     peak_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Switched:
+class Switched(NamedTuple):
     """Matrices of the system above, N states and n contacts."""
 
     A: FloatArray
@@ -156,7 +152,7 @@ class March:
         self._fresh, self._disturbed_s = (contact,), self.time_s
 
     def finish(self) -> tuple[Touch, ...]:
-        """Return all contacts by start; one that is still closed ends at inf."""
+        """Return all contacts by start."""
         return tuple(sorted([*self.touches, *self._begun.values()], key=lambda touch: touch.begin_s))
 
     def _regime(self) -> _Regime:
@@ -229,7 +225,7 @@ def _moved(A: FloatArray, state: FloatArray, tau: float) -> FloatArray:
 
 
 def _root(A: FloatArray, state: FloatArray, row: FloatArray, low: float, high: float) -> float:
-    """Find where row X(tau) rises through 0 in (low, high]: Newton's steps, with bisection as the safeguard."""
+    """Find where row X(tau) rises through 0 in (low, high], by Newton's steps and bisection."""
     slope, size = row @ A, np.abs(row)
     tau = 0.5 * (low + high)
     for _ in range(100):
@@ -252,8 +248,6 @@ def _root(A: FloatArray, state: FloatArray, row: FloatArray, low: float, high: f
 
 STOP_STIFFNESS = 1e7
 """N/m of the contact alone, assumed; the arm behind it is softer (in the fabricated body 2.4e6 N/m)."""
-
-
 CLOSE_ENOUGH, SMALLEST_CLOSURE = 0.02, 0.02
 """By what share the stop's points may close later than the whole slit, for loads that close it by at least so much of
 what the worst one does: the others (beyond 750 N in the fabricated body) bend it elsewhere first."""
@@ -277,10 +271,8 @@ class SlitStop(NamedTuple):
     """(k,): place along the arm, 0 at the joint."""
 
 
-def slit_stop(geometry: Geometry, modes: Modes, gap_m: float = PAPER_SLIT_M) -> SlitStop:
-    """Return the stop for the modes of the same geometry. Raises InputError for a gap that is not positive, finite."""
-    if not 0.0 < gap_m < math.inf:
-        raise InputError(f"gap_m = {gap_m!r}: allowed is a positive finite number")
+def slit_stop(geometry: Geometry, modes: Modes) -> SlitStop:
+    """Return the stop for the modes of the same geometry and the paper's slit."""
     g, frame = geometry, Frame(geometry, EULER_BERNOULLI)
     xi = contact_fractions(frame)
     s = frame.slit_closure(xi).reshape(-1, 3)
@@ -292,12 +284,12 @@ def slit_stop(geometry: Geometry, modes: Modes, gap_m: float = PAPER_SLIT_M) -> 
     places = np.tile(xi, 2)
     if len(modes.omega_rad_s) > 3:
         # The joint's motion is a state: a stop force acts on the tip's motion relative to it, nothing in between.
-        return SlitStop(s, gap_m, own, np.zeros((3, len(s))), np.zeros((3, len(s))), places)
+        return SlitStop(s, PAPER_SLIT_M, own, np.zeros((3, len(s))), np.zeros((3, len(s))), places)
     arms, vertical = compliances(frame)
     arm_stiffness, stiffness_of_both = np.linalg.inv(arms), np.linalg.inv(arms + vertical)
     behind = s @ (arm_stiffness - stiffness_of_both) @ s.T
     return SlitStop(
-        s, gap_m, own + 0.5 * (behind + behind.T),
+        s, PAPER_SLIT_M, own + 0.5 * (behind + behind.T),
         (stiffness_of_both - arm_stiffness) @ s.T, stiffness_of_both @ s.T, places,
     )  # fmt: skip
 

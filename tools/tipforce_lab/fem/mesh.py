@@ -44,7 +44,7 @@ class Corner(NamedTuple):
 
 
 class Rectangle(NamedTuple):
-    """A rectangular part of the body; the tip, bounded by an arc above, is not one."""
+    """A rectangular part of the body."""
 
     left_m: float
     right_m: float
@@ -56,9 +56,8 @@ class Rectangle(NamedTuple):
 class Outline:
     """The body's cross-section. Raises InputError, naming the field, for a body that cannot be built or meshed.
 
-    The two beams are those of ``geometry``. A slit of constant width separates the horizontal beam from the tip; at
-    its ends legs of the tip hold the beam. The lower face of the beam continues under the legs unless leg_below_m is
-    given. The tip is bounded by an arc around the origin above vertical sides.
+    A slit of constant width separates the horizontal beam from the tip, whose legs hold the beam at its ends. Above
+    vertical sides the tip is bounded by an arc around the origin.
     """
 
     geometry: Geometry = FABRICATED
@@ -171,9 +170,9 @@ STATED = Outline()
 """The default outline of documents and reports."""
 
 GRADING = 4.0
-"""Displacement goes as r^0.5445 at a corner. A gauge that ends in one reads the corner's own displacement, wrong by
-(size of the smallest cell)^0.5445, so the order is 0.5445 times the grading. 5.5 would give 3, the most that P2 can;
-up to 2e5 unknowns its wide outer rings still make condition numbers twice as wrong, strains a third less."""
+"""A gauge that ends in a corner reads its own displacement, wrong by (size of the smallest cell)^0.5445: the order is
+0.5445 times the grading. 5.5 would give 3, the most that P2 can, but up to 2e5 unknowns its wide outer rings still make
+condition numbers twice as wrong."""
 PATCH_M = 0.3e-3
 """Extent of the rings of a corner if no other dimension limits them."""
 RINGS = 2
@@ -251,10 +250,7 @@ def _joined(blocks: Sequence[FloatArray]) -> FloatArray:
 
 
 def _from_corner(corner: float, sign: float, radius: float, reach: float, n: int) -> list[FloatArray]:
-    """Return the blocks from a corner: its rings or its fillet, then the rest up to ``reach``.
-
-    The rings are the whole of a short block, such as half of the slit.
-    """
+    """Return the blocks from a corner: its rings (all of a short block) or its fillet, then the rest to ``reach``."""
     extent = radius if radius > 0.0 else PATCH_M if reach > 2.0 * PATCH_M else reach
     edge, far = corner + sign * extent, corner + sign * reach
     blocks = [np.linspace(corner, edge, RINGS * n + 1)]

@@ -21,7 +21,7 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.sensor.structure.plane_frame import POISSON_RATIO
 from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import Gauge, GaugePosition, gauge_name, place
-from tipforce_lab.fem.mesh import STATED, Outline, Resolution, Triangles, triangulate
+from tipforce_lab.fem.mesh import STATED, Outline, Resolution, triangulate
 
 Plane = Literal["stress", "strain"]
 
@@ -64,7 +64,6 @@ class Solution:
     """Displacements for F1 = 1, F2 = 1 and F3 = 1 newton."""
 
     model: Model
-    triangles: Triangles
     faces: tuple[FloatArray, FloatArray, FloatArray]
     """Sides of the boundary: their first ends, middles and second ends, each (2, m) in m."""
     face_motion: tuple[FloatArray, FloatArray, FloatArray]
@@ -110,7 +109,7 @@ def solve(model: Model) -> Solution:
     places = (mesh.p[:, ends[0]], mesh.p[:, ends].mean(axis=1), mesh.p[:, ends[1]])
     nodes = (basis.nodal_dofs[:, ends[0]], basis.facet_dofs[:, sides], basis.nodal_dofs[:, ends[1]])
     moved = (motion[nodes[0]], motion[nodes[1]], motion[nodes[2]])
-    return Solution(model, triangles, places, moved, _resultant(basis, clamped, forces), len(free))
+    return Solution(model, places, moved, _resultant(basis, clamped, forces), len(free))
 
 
 def _stiffness(basis: Any, model: Model) -> Any:
@@ -208,8 +207,7 @@ class Face(NamedTuple):
 def face(solution: Solution, gauge: GaugePosition) -> Face:
     """Return the face that a gauge is glued to, from corner (or fillet) to corner. Positions as in GaugePosition."""
     outline = solution.model.outline
-    along, level = _line(outline, gauge)
-    low, high = _span(outline, gauge)
+    along, level, low, high = _line(outline, gauge)
     starts, middles, ends = solution.faces
     across = 1 - along
     thickness = outline.geometry.h1_m if gauge.beam == "H" else outline.geometry.h2_m
@@ -229,9 +227,8 @@ def face(solution: Solution, gauge: GaugePosition) -> Face:
 def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: float = GAUGE_LENGTH_M) -> FloatArray:
     """Return the strain per newton of F, shape (n, 3), tension positive, averaged over the length of each gauge.
 
-    gauges: positions of their middles, or points of Table 1, replaced by nearest_place(). gauge_length_m: 0 for the
-    strain at the point, which converges away from corners only. Raises InputError for a gauge that reaches beyond
-    its face, into a corner or fillet.
+    gauges: positions of their middles, or points of Table 1, replaced by nearest_place(). At a point (length 0) strain
+    converges away from corners only. Raises InputError for a gauge that reaches beyond its face.
     """
     if not 0.0 <= gauge_length_m < np.inf:
         raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
@@ -240,10 +237,10 @@ def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: f
 
 
 def nearest_place(outline: Outline, point: str, gauge_length_m: float = GAUGE_LENGTH_M) -> GaugePosition:
-    """Return the nearest position of a gauge to a point of Table 1: half its length from the end of the beam, and from
-    the side of the joint, which has no width in Table 1, or from the fillet there.
+    """Return the nearest position of a gauge to a point of Table 1: half its length from the end of the beam, from the
+    side of the joint (which has no width in Table 1), from the leg at L and R, or from the fillet there.
 
-    At L and R the gauge ends at the leg, even if the face continues under it. Raises InputError for an unknown point.
+    Raises InputError for an unknown point.
     """
     spot, g = place(outline.geometry, point), outline.geometry
     fillet = outline.fillet_m
@@ -260,12 +257,11 @@ def nearest_place(outline: Outline, point: str, gauge_length_m: float = GAUGE_LE
 def _row(solution: Solution, gauge: Gauge, length_m: float) -> FloatArray:
     outline = solution.model.outline
     spot = nearest_place(outline, gauge, length_m) if isinstance(gauge, str) else gauge
-    along, _ = _line(outline, spot)
+    along, _, low, high = _line(outline, spot)
     if spot.beam == "H":
         middle = spot.position_m if spot.side == "right" else -spot.position_m
     else:
         middle = -0.5 * outline.geometry.h1_m - spot.position_m
-    low, high = _span(outline, spot)
     slack = 1e-9 * outline.geometry.a_m
     if not low - slack <= middle - 0.5 * length_m <= middle + 0.5 * length_m <= high + slack:
         raise InputError(
@@ -281,29 +277,21 @@ def _row(solution: Solution, gauge: Gauge, length_m: float) -> FloatArray:
     return result
 
 
-def _line(outline: Outline, gauge: GaugePosition) -> tuple[int, float]:
-    """Return the axis along a face, and the face's position on the other axis."""
-    g = outline.geometry
+def _line(outline: Outline, gauge: GaugePosition) -> tuple[int, float, float, float]:
+    """Return the axis along a face, its position on the other axis, and both ends of its straight part."""
     if gauge.beam not in ("H", "V") or gauge.side not in ("left", "right") or gauge.face not in ("lower", "upper"):
         raise InputError(f"gauge {gauge!r}: allowed are beam H or V, side left or right, face lower or upper")
-    if gauge.beam == "H":
-        return 0, (-0.5 if gauge.face == "lower" else 0.5) * g.h1_m
-    return 1, (-0.5 if gauge.side == "left" else 0.5) * g.h2_m
-
-
-def _span(outline: Outline, gauge: GaugePosition) -> tuple[float, float]:
-    """Return both ends of the straight part of a face, along its axis."""
     g, fillet = outline.geometry, outline.fillet_m
     if gauge.beam == "V":
         bottom = outline.foot_m + (fillet if outline.fixture_depth_m > 0.0 else 0.0)
-        return bottom, -0.5 * g.h1_m - fillet
+        return 1, (-0.5 if gauge.side == "left" else 0.5) * g.h2_m, bottom, -0.5 * g.h1_m - fillet
     if gauge.face == "upper":
         # No corner at the joint: the vertical beam is on the other face.
         end = g.a_m - outline.slit_fillet_m
-        return -end, end
+        return 0, 0.5 * g.h1_m, -end, end
     end = g.a_m if outline.leg_below_m > 0.0 else outline.half_width_m
     inner = 0.5 * g.h2_m + fillet
-    return (inner, end) if gauge.side == "right" else (-end, -inner)
+    return 0, -0.5 * g.h1_m, *((inner, end) if gauge.side == "right" else (-end, -inner))
 
 
 LEAST_ORDER, MOST_ORDER = 0.3, 3.0
@@ -317,19 +305,14 @@ class Limit(NamedTuple):
 
     value: float
     error: float
-    """An estimate: 1.25 times the finest value's distance from its limit (Roache's grid convergence index), with the
-    order limited to 3, that of P2; without an observable order, the larger of the last two changes."""
+    """1.25 times the finest value's distance from its limit (Roache's grid convergence index), the order at most 3, as
+    of P2; without an observable order, the larger of the last two changes."""
     order: float
     """NaN: the differences do not decrease with one sign, and the value is the finest one."""
 
 
 def extrapolate(values: Sequence[float]) -> Limit:
-    """Return the limit of the last three values, each on a mesh twice as fine as the one before.
-
-    Raises InputError for fewer than three or values that are not finite.
-    """
-    if len(values) < 3 or not all(math.isfinite(value) for value in values):
-        raise InputError(f"values {list(values)!r}: allowed are three or more finite numbers, n, 2 n, 4 n")
+    """Return the limit of the last three values, finite, each on a mesh twice as fine as the one before."""
     coarse, middle, fine = (float(value) for value in values[-3:])
     first, second = middle - coarse, fine - middle
     ratio = first / second if second != 0.0 else math.inf
@@ -343,11 +326,8 @@ def extrapolate(values: Sequence[float]) -> Limit:
 def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]:
     """Return the limit of the last three matrices, n, 2 n, 4 n, and its error, relative in the Frobenius norm.
 
-    One ratio for all entries: entry by entry it would divide by differences that are only rounding. Raises
-    InputError for fewer than three.
+    One ratio for all entries: entry by entry it would divide by differences that are only rounding.
     """
-    if len(values) < 3:
-        raise InputError(f"{len(values)} matrices: allowed are three or more, n, 2 n, 4 n")
     coarse, middle, fine = values[-3:]
     ratio = float(np.linalg.norm(middle - coarse) / np.linalg.norm(fine - middle))
     change = (fine - middle) / max(min(ratio, 2.0**MOST_ORDER) - 1.0, 1.0)
@@ -355,11 +335,10 @@ def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]
 
 
 def corner_exponent(material_angle_rad: float, mode: str) -> float:
-    """Return lambda, displacement ~ r^lambda, of a corner with free faces: Williams (1952).
+    """Return lambda, displacement ~ r^lambda, of a corner with free faces (Williams 1952); 270 degrees: 0.5445, 0.9085.
 
-    It is the smallest root above 1/2 of sin(lambda w) + s lambda sin(w) = 0 with s = 1 (opening) or -1 (sliding)
-    and w the angle of material. 270 degrees: 0.5445 and 0.9085. Raises InputError for an unknown mode, an angle
-    that is not above 180 and below 360 degrees, or one at which this mode is not singular.
+    The smallest root above 1/2 of sin(lambda w) + s lambda sin(w) = 0, s = 1 (opening) or -1 (sliding), w the angle of
+    material. Raises InputError for an unknown mode, or an angle at which it is not singular.
     """
     from scipy.optimize import brentq
 

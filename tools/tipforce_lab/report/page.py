@@ -38,7 +38,8 @@ def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]],
     write_file(directory / "report.jsonl", lines, JSON_LINES)
     paths = [directory / f"{study.key}.svg" for study in report.studies]
     for study, path in zip(report.studies, paths, strict=True):
-        save_plot(study, path)
+        with plotting():
+            save_figure(figure(study), path, transparent=False, facecolor=PAPER)
     return [directory / "index.html", directory / "report.jsonl", *paths]
 
 
@@ -292,12 +293,6 @@ def svg(study: Study) -> str:
                              (r"url\(#([^)]*)\)", rf"url(#{key}-\1)"), (r"\n\s*", "\n")):  # fmt: skip
         body = re.sub(pattern, renamed, body)
     return f'<svg {box[0]} role="img" aria-labelledby="{key}-title">{body}'
-
-
-def save_plot(study: Study, path: Path) -> None:
-    """Write the plot to a file, .svg or .png. Raises InputError if it cannot be written."""
-    with plotting():
-        save_figure(figure(study), path, transparent=False, facecolor=PAPER)
 
 
 def _attributes(style: re.Match[str]) -> str:

@@ -126,18 +126,14 @@ class Run:
             return work()
         except ModuleNotFoundError as error:
             name = (error.name or "").split(".")[0]
-            own = name in ("tipforce", "tipforce_lab")
             hint = (
                 f'"tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all'
                 if name in _EXTRAS
                 else '"tipforce[report]"'
             )
-            lacks = (
-                f"not part of this installation ({error.name})"
-                if own
-                else f"{name} is not installed: pip install {hint}"
-            )
-            lack = LeftOut(key, lacks, own)
+            lack = LeftOut(key, f"{name} is not installed: pip install {hint}", False)
+            if name in ("tipforce", "tipforce_lab"):
+                lack = LeftOut(key, f"not part of this installation ({error.name})", True)
         except TipforceError as error:
             lack = LeftOut(key, str(error), not isinstance(error, EnvironmentLackError))
         except Exception as error:  # a fault in one study must not end the others

@@ -129,11 +129,9 @@ def timed_together(
     at_least_s: float = 0.02,
     warm: bool = False,
 ) -> list[Timing]:
-    """Time several methods against each other: each run calls all of them in turn, so that a change of the machine's
-    speed or load meets all alike.
+    """Time several methods: each run calls all of them in turn, so that a change of the machine's load meets all alike.
 
-    One call of each goes first, untimed, unless the works are ``warm``. A run repeats a call until it has taken
-    ``at_least_s``.
+    One call of each goes first, untimed, unless the works are ``warm``; a run repeats a call for ``at_least_s``.
     """
     repeats = []
     for work in works:

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from tipforce_lab.report.run import Item, LeftOut, Report
-from tipforce_lab.report.study import Case, Counted, Grid, Need, Outcome, Study, sums_of
+from tipforce_lab.report.study import Case, Grid, Need, Outcome, Study, sums_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -133,11 +133,6 @@ def shown_reference(study: Study) -> str:
     return text
 
 
-def shown_counts(cell: Counted) -> str:
-    """Return a cell of a grid: the share that says ok, and the wrong ones among them."""
-    return f"{100.0 * cell.ok / max(cell.rows, 1):.0f} % ok, {cell.wrong} wrong"
-
-
 def headline(report: Report) -> str:
     """Return date and effort."""
     return f"{report.date}, {'quick' if report.effort.quick else 'full'} run, seed {report.effort.seed}"
@@ -234,7 +229,8 @@ def grid_table(grid: Grid) -> Table:
         cells: list[str | Cell] = [row.name]
         for count, reason, over in zip(row.cells, row.reasons, row.over, strict=True):
             kind = ("doubt" if reason else "broken") if over else "" if count.wrong else "held"
-            cells.append(Cell(shown_counts(count), kind, reason))
+            ok = f"{100.0 * count.ok / max(count.rows, 1):.0f} % ok"
+            cells.append(Cell(f"{ok}, {count.wrong} wrong", kind, reason))
         rows.append(cells)
     return Table(grid.title, dict.fromkeys((grid.corner, *grid.methods), ""), rows)
 

@@ -9,9 +9,8 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce_lab.design.merit import Assessment, LoadSet, Merit
-    from tipforce_lab.design.optimum import Outcome
-    from tipforce_lab.design.search import Limits
+    from tipforce_lab.design.merit import Assessment, Limits, Merit
+    from tipforce_lab.design.search import Outcome
 
 _LENGTHS = ("a", "d", "r", "h1", "h2", "width")
 
@@ -57,14 +56,15 @@ def run(args: argparse.Namespace) -> int:
     """Search, print, write; return 0, or 1 if the frame does not confirm the best design."""
     from tipforce.output_file import LAYOUT, check_output
     from tipforce.sources.layout_file import write_layout
-    from tipforce_lab.design.optimum import optimise, record, steps
+    from tipforce_lab.design.merit import record
+    from tipforce_lab.design.search import optimise, steps
 
     if args.output:
         check_output(args.output, LAYOUT)
-    limits, loads = _limits_and_loads(args)
+    limits = _limits(args)
     with common.progress("starts", steps(args.gauges, args.starts)) as done:
         outcome = optimise(
-            args.objective, args.gauges, limits, loads, args.noise, starts=args.starts, seed=args.seed, done=done
+            args.objective, args.gauges, limits, args.noise, starts=args.starts, seed=args.seed, done=done
         )
     entries = [*outcome.paper, *outcome.front]
     if common.OUTPUT.json:
@@ -81,26 +81,23 @@ def run(args: argparse.Namespace) -> int:
     return 0 if outcome.best.agrees else 1
 
 
-def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:
-    from tipforce_lab.design.merit import LoadSet
-    from tipforce_lab.design.search import Limits
+def _limits(args: argparse.Namespace) -> Limits:
+    from tipforce_lab.design.merit import Limits, LoadSet
 
     try:
         x_mm, y_mm = (float(part) for part in args.envelope.split(","))
     except ValueError:
         raise InputError(f"--envelope {args.envelope!r}: expected two numbers separated by a comma") from None
-    loads = LoadSet(args.load)
-    limits = Limits(
+    return Limits(
         envelope_x_m=x_mm * 1e-3,
         envelope_y_m=y_mm * 1e-3,
         width_m=args.width * 1e-3,
         min_thickness_m=args.min_h * 1e-3,
         gauge_length_m=args.gauge_length * 1e-3,
         slit_m=args.slit * 1e-3,
-        load_newtons=args.load,
+        loads=LoadSet(args.load),
         max_stress_pascals=None if args.max_stress is None else args.max_stress * 1e6,
     )
-    return limits, loads
 
 
 # --- output ---------------------------------------------------------------------------------------------------------
@@ -157,8 +154,7 @@ def _figures(merit: Merit) -> tuple[str, str, str]:
 
 
 def _sentences(outcome: Outcome, gauges: int, noise_microstrain: float) -> list[str]:
-    from tipforce_lab.design.merit import AGREEMENT
-    from tipforce_lab.design.optimum import detectable_microstrain
+    from tipforce_lab.design.merit import AGREEMENT, detectable_microstrain
 
     best, first, least = outcome.best, outcome.paper[0], outcome.condition_only
     lines = [

@@ -49,14 +49,13 @@ def run_table(args: argparse.Namespace) -> int:
     """Print the sections, each computed when it is printed, then draw; return 0."""
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce_lab.design import other_bodies as bodies
-    from tipforce_lab.design import paper_figures as figures
-    from tipforce_lab.design import table_sections as tables
+    from tipforce_lab.design import sections
 
-    figure_9 = partial(figures.figure_9_section, noise_ue=args.noise, repeats=args.repeats, seed=args.seed)
+    figure_9 = partial(sections.figure_9_section, noise_ue=args.noise, repeats=args.repeats, seed=args.seed)
     makers: dict[str, tuple[Callable[[Geometry], Section], ...]] = {
-        "1": (tables.table_1_section,), "2": (tables.table_2_section,),
-        "3": (tables.table_3_section, tables.ranking_section), "comparators": (bodies.comparators_section,),
-        "fig6": (figures.figure_6_section,), "fig9": (figure_9,), "off-axis": (figures.off_axis_section,),
+        "1": (sections.table_1_section,), "2": (sections.table_2_section,),
+        "3": (sections.table_3_section, sections.ranking_section), "comparators": (bodies.comparators_section,),
+        "fig6": (sections.figure_6_section,), "fig9": (figure_9,), "off-axis": (sections.off_axis_section,),
         "materials": (bodies.materials_section,), "scaling": (bodies.scaling_section,),
     }  # fmt: skip
     for name in TABLES if args.what == "all" else (args.what,):

@@ -1,8 +1,4 @@
-"""What goes into a calibration fit: readings under known loads, how they came about, and the checks of both.
-
-The checks name shapes and values, limits of a converter that nobody stated, angles in radians, other units,
-swapped gauges.
-"""
+"""What goes into a calibration fit: readings under known loads, how they came about, and the checks of both."""
 
 from __future__ import annotations
 
@@ -27,10 +23,8 @@ def require_no_rail(
     """Raise InputError for an extreme that looks like a converter's limit below the stated one.
 
     strain: (m, n); loads: (m, 3), P, phi, theta; saturation_strain: as of Model. lines: of a file, (m,): the text then
-    names lines and flags. An extreme is a rail where it comes in rows of different loads, or in three rows, and more
-    often than any other reading: readings that are rounded, or free of noise, repeat everywhere. Looked at are both
-    extremes of each gauge, and the largest reading of either sign of all together, for the gauges of one converter have
-    one limit.
+    names lines and flags. An extreme, of a gauge or of all gauges of the one converter, is a rail where it comes in
+    rows of different loads, or in three rows, and more often than any other reading: rounded ones repeat everywhere.
     """
     limit = np.broadcast_to(floats("rail", np.inf if saturation_strain is None else saturation_strain), strain.shape[1])
     if saturation_strain is not None and np.isinf(limit).all():
@@ -113,16 +107,15 @@ class Model:
     temperature: bool = False
     """Fit how the offsets change with temperature; needs temperatures of the rows."""
     phi_scatter_rad: float = 0.0
-    """Standard deviation of the direction of the load: an error that all rows of a groove (equal phi and theta) have
-    in common, and another of each row. Stated here is the first; the data then say how large each of the two is, and
-    the stated one counts as six observed angles."""
+    """Standard deviation of the direction of the load that all rows of a groove (equal phi and theta) have in common.
+    It counts as six observed angles: the data say how large it is, and that of each row."""
     theta_scatter_rad: float = 0.0
     """The same of the place of the load."""
     noise_strain: float | FloatArray | None = None
     """Standard deviation of a gauge reading, if it is known (scalar or (n,)); None: estimated from the residuals."""
     saturation_strain: float | FloatArray | None = None
-    """Converter limit (scalar or (n,)): readings at or beyond it, of either sign, are left out. inf: the data have
-    none. None: not known, and an extreme reading that repeats is refused."""
+    """Converter limit (scalar or (n,)): readings at or beyond it are left out. inf: there is none. None: not known, and
+    an extreme reading that repeats is refused."""
     prior: Prior | None = None
 
 
@@ -239,10 +232,7 @@ def require_degrees(readings: Readings) -> None:
 
 
 def require_size(A: FloatArray, theory: FloatArray, allowed: float, whose: str) -> None:
-    """Raise InputError where the response to a newton is not as large as theory says, with the factor it suspects.
-
-    A, theory: (n, 3), strain per newton. allowed: factor to either side.
-    """
+    """Raise InputError where A (n, 3) is more than the factor ``allowed`` off theory, with the cause it suspects."""
     size = np.linalg.norm(A, axis=1) / np.linalg.norm(theory, axis=1)
     ratio = float(np.exp(np.median(np.log(size))))
     if 1.0 / allowed <= ratio <= allowed:

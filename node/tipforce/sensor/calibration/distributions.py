@@ -15,11 +15,10 @@ _TINY = 1e-300
 def variance_factors(dof: float, spare: int) -> tuple[float, float]:
     """Return (of gauge noise, of parameters): factors with which 1.96 standard uncertainties hold 95 %.
 
-    For a noise covariance estimated with dof > spare + 1 degrees of freedom, from gauges of which ``spare`` = n - 3 are
-    redundant; 1 and 1 for infinite ones. Both have the square of Student's t with dof - spare over that of the normal
-    distribution. A matrix that weighs gauges by the estimate fits the noise that it was estimated from: the variance
-    stated is (dof - spare) / dof of the one with the true weights, and that of the force (dof - 1) / (dof - spare - 1)
-    of it (generalised least squares with an estimated covariance, Rao 1967). Raises InputError for fewer.
+    For a noise covariance estimated with dof > spare + 1 degrees of freedom, ``spare`` = n - 3; 1 and 1 for infinite
+    ones. Both have the square of Student's t with dof - spare over that of the normal distribution. Weights by the
+    estimate fit its noise: the variance stated is (dof - spare) / dof of that with the true weights, and that of the
+    force (dof - 1) / (dof - spare - 1) of it (Rao 1967). Raises InputError for fewer.
     """
     if isinf(dof):
         return 1.0, 1.0
@@ -32,13 +31,9 @@ def variance_factors(dof: float, spare: int) -> tuple[float, float]:
     return (student * dof / left * (dof - 1.0) / (left - 1.0) if spare else student), student
 
 
-@lru_cache(maxsize=256)
 def t_quantile(probability: float, dof: float) -> float:
     """Return t with P(T < t) = probability, 0.5 <= probability < 1; dof > 0 may be fractional or infinite."""
-    if isinf(dof):
-        return NormalDist().inv_cdf(probability)
-    tail = 1.0 - probability
-    return sqrt(_root(lambda square: 0.5 * _beta(dof / (dof + square), 0.5 * dof, 0.5) - tail))
+    return NormalDist().inv_cdf(probability) if isinf(dof) else sqrt(f_quantile(2.0 * probability - 1.0, 1.0, dof))
 
 
 @lru_cache(maxsize=256)  # one fit asks for the same few again and again

@@ -1,9 +1,8 @@
 """Calibration: from readings under known loads to C, its offsets and its uncertainty.
 
-The gauges are the noisy side and the loads are known, so V = A F + b is fitted and then inverted (the paper
-fits F = C V). Loads whose direction is uncertain weigh less, tares carry the offset through its drift, rows
-that disagree are named and left out, saturated readings too, and what the rows cannot show is refused by name.
-``best_fit`` chooses the drift, and whether offsets follow temperature, by what predicts left-out rows best.
+The gauges are the noisy side, so V = A F + b is fitted and then inverted (the paper fits F = C V). Loads of uncertain
+direction weigh less, tares carry the offset through its drift, rows that disagree and saturated readings are left out,
+and what the rows cannot show is refused by name.
 """
 
 from __future__ import annotations
@@ -11,21 +10,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import sqrt
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
-from tipforce.sensor.calibration import regressors, terms
+from tipforce.sensor.calibration import regressors, statistics
 from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
 from tipforce.sensor.calibration.distributions import f_quantile
 from tipforce.sensor.calibration.outliers import outlying, rejections, suspects
 from tipforce.sensor.calibration.regressors import OffsetBasis
-from tipforce.sensor.calibration.result import Fit, LoadResidual, covariance_of_estimate, kronecker
+from tipforce.sensor.calibration.result import Fit, LoadResidual, Temperature, covariance_of_estimate, kronecker
 from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
-from tipforce.sensor.calibration.statistics import Scales, result
 from tipforce.sensor.contact.estimate import force_vector
 
 __all__ = [
@@ -43,9 +40,8 @@ MAX_GAIN_PASSES = 4
 def fit_calibration(readings: Readings, model: Model | None = None) -> Fit:
     """Return the calibration that the readings support.
 
-    Raises InputError where shapes or values are not usable (naming the row), where the rows cannot show an
-    offset or a direction of load (naming it, and what to add), and where nothing is left to estimate the
-    noise from.
+    Raises InputError for shapes and values (naming the row), where the rows cannot show an offset or a direction of
+    load (naming it, and what to add), and where nothing is left to estimate the noise from.
     """
     model = model or Model()
     readings = checked(readings, model)
@@ -61,67 +57,54 @@ def fit_calibration(readings: Readings, model: Model | None = None) -> Fit:
 def _with_gain(readings: Readings, model: Model) -> Fit:
     """Fit, and fit again with a gain that depends on temperature where the rows show one."""
     change, T = _change_K(readings), readings.temperature_degC
-    gain, fitted = 0.0, _fitted(readings, model, 0.0)
+    gain, (fit, problem, solution) = 0.0, _fitted(readings, model, 0.0)
     if T is None:
-        return fitted.fit
+        return fit
     low, high, n = float(T.min()), float(T.max()), readings.strain.shape[1]
     if not change.any():
         unknown = np.full(n, np.nan)
-        none = terms.Temperature(low, low, high, np.zeros(n), unknown, False, 0.0, float("nan"), False)
-        return replace(fitted.fit, temperature=none)
+        none = Temperature(low, low, high, np.zeros(n), unknown, False, 0.0, float("nan"), False)
+        return replace(fit, temperature=none)
     fitted_gain = False
     for _ in range(MAX_GAIN_PASSES):
-        more, u = terms.gain_of(fitted.problem, fitted.solution, change)
-        significant = abs(gain + more) > u * terms.factor(fitted.fit.dof, terms.CHANCE)
+        more, u = statistics.gain_of(problem, solution, change)
+        significant = abs(gain + more) > u * statistics.factor(fit.dof, statistics.CHANCE)
         if not significant or abs(more) < 0.01 * u:
             break
         gain, fitted_gain = gain + more, True
-        fitted = _fitted(readings, model, gain)
-    offsets, u_offsets = terms.offsets_of(
-        fitted.problem, fitted.solution, change, fitted.basis.temperature_span_K, fitted.scales.strain
-    )
-    k = terms.factor(fitted.fit.dof)
-    shown = terms.Temperature(
-        terms.reference_temperature_degC(T), low, high, offsets, k * u_offsets, model.temperature,
+        fit, problem, solution = _fitted(readings, model, gain)
+    offsets, u_offsets = statistics.offsets_of(problem, solution, change)
+    k = statistics.factor(fit.dof)
+    shown = Temperature(
+        statistics.reference_temperature_degC(T), low, high, offsets, k * u_offsets, model.temperature,
         gain if fitted_gain else more, k * u, fitted_gain,
     )  # fmt: skip
-    return replace(fitted.fit, temperature=shown)
+    return replace(fit, temperature=shown)
 
 
-class _Fitted(NamedTuple):
-    """A fit with what it came from."""
-
-    fit: Fit
-    problem: Problem
-    solution: Solution
-    basis: OffsetBasis
-    scales: Scales
-
-
-def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
+def _fitted(readings: Readings, model: Model, gain_per_K: float) -> tuple[Fit, Problem, Solution]:
     """Fit, leave out what is odd or clipped, and fit again until nothing changes."""
-    scales = Scales.of(readings.strain, readings.P_newtons)
-    limit = np.inf if model.saturation_strain is None else np.asarray(model.saturation_strain) / scales.strain
-    V, n = readings.strain / scales.strain, readings.strain.shape[1]
+    whole = _problem(readings, model, gain_per_K)
+    V, n = whole.V, readings.strain.shape[1]
+    limit = np.inf if model.saturation_strain is None else np.asarray(model.saturation_strain) / whole.strain
     corner = sqrt(n * f_quantile(0.99, n, 1e6))  # where the robust loss bends: the 99 % point of good rows
     saturated = np.abs(V) >= limit
     near, robust = np.zeros_like(saturated), model.loss != "none"
-    outlier = _suspected(readings, model, scales, ~saturated)
+    outlier = _suspected(readings, model, _problem(readings, model, 0.0)._replace(observed=~saturated))
     solution: Solution | None = None
     settled = False
     for count in range(MAX_PASSES):
         counted = ~(saturated | near)
         keep = ~outlier if robust else np.ones_like(outlier)
-        basis = _basis(readings, model, keep & counted.all(axis=1))
-        problem = pick(_problem(readings, model, scales, basis, counted, gain_per_K), keep)
+        problem = pick(_with_offset(whole._replace(observed=counted), readings, model, keep), keep)
         g, observed = problem.g[:, ~problem.kinks], problem.observed
         if problem.prior_information.any():
             g = np.concatenate((g, np.eye(3, g.shape[1])))
             observed = np.concatenate((observed, np.ones((3, n), dtype=np.bool_)))
-        singular = regressors.require_seen(g, observed, (*regressors.FORCES, *basis.names), scales.newtons)
+        regressors.require_seen(g, observed, (*regressors.FORCES, *problem.basis.names), problem.newtons)
         solution = solve(problem, model.loss, corner, solution)
-        at_reference = regressors.at_reference(basis, solution.coefficients, solution.covariance)
-        regressors.require_clear(*at_reference, (*regressors.FORCES, "offset"), scales.newtons)
+        at_reference = regressors.at_reference(problem.basis, solution.coefficients, solution.covariance)
+        regressors.require_clear(*at_reference, (*regressors.FORCES, "offset"), problem.newtons)
         before, near_before = outlier, near
         outlier = outlying(problem, solution, counted)
         # A tare that is odd beside its loads yet fits between its neighbours comes and goes: it is kept.
@@ -133,23 +116,20 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
             settled = True
             break
     assert solution is not None
-    fit = result(readings, model, scales, basis, problem, solution, singular, outlier, saturated, near)
+    fit = statistics.result(readings, model, problem, solution, outlier, saturated, near)
     largest = float(readings.P_newtons.max())
-    straight = terms.nonlinearity(problem, solution, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
+    straight = statistics.nonlinearity(problem, solution, fit.C, fit.sigma0, largest)
     if straight is not None and not straight.significant and outlier.any():
         # A fault that grows with the load is first thrown out as outliers: those rows have a say, too.
-        every = problem._replace(observed=counted)
-        other = terms.nonlinearity(every, solution, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
+        other = statistics.nonlinearity(problem._replace(observed=counted), solution, fit.C, fit.sigma0, largest)
         straight = other if other is not None and rejections(fit, readings) else straight
-    fit = replace(fit, nonlinearity=straight, converged=solution.converged and settled)
-    return _Fitted(fit, problem, solution, basis, scales)
+    return replace(fit, nonlinearity=straight, converged=solution.converged and settled), problem, solution
 
 
 def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
-    """Return the paper's fit, for comparison: C (3, n) with least squares of F = C V, no offset, every row alike.
+    """Return the paper's fit, for comparison: C (3, n) by least squares of F = C V. strain: (m, n); F: (m, 3).
 
-    strain: (m, n); F: (m, 3). Raises InputError for other shapes, numbers that are not finite, or readings of rank
-    below 3.
+    Raises InputError for other shapes, numbers that are not finite, or readings of rank below 3.
     """
     V, F = floats("strain", strain), floats("F", F_newtons)
     if V.ndim != 2 or F.shape != (V.shape[0], 3) or not np.isfinite(V).all() or not np.isfinite(F).all():
@@ -162,58 +142,63 @@ def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
     return np.asarray(C.T, dtype=np.float64)
 
 
-def _suspected(readings: Readings, model: Model, scales: Scales, observed: BoolArray) -> BoolArray:
+def _suspected(readings: Readings, model: Model, problem: Problem) -> BoolArray:
     """Rows to start without, (m,)."""
-    out = np.zeros(len(observed), dtype=np.bool_)
+    out = np.zeros(len(problem.V), dtype=np.bool_)
     if model.loss == "none":
         return out
-    usable: BoolArray = np.asarray(observed.all(axis=1))
+    usable: BoolArray = np.asarray(problem.observed.all(axis=1))
     unloaded = readings.P_newtons == 0.0
     if model.drift == "tare" and readings.t_s is not None:
         out = regressors.bad_tares(readings.strain, readings.t_s, unloaded, usable)
-    basis = _basis(readings, model, usable & ~out)
-    problem = pick(_problem(readings, model, scales, basis, observed, 0.0), ~out)
+    problem = pick(_with_offset(problem, readings, model, ~out), ~out)
     if model.drift == "tare":
         # Small random subsets cannot carry a drift of many knots: the tares take it off beforehand.
         tares = np.flatnonzero(unloaded & usable & ~out)
         times = np.asarray(readings.t_s, dtype=np.float64)
         lines = [np.interp(times, times[tares], V) for V in problem.V[tares].T]
-        problem = problem._replace(V=problem.V - np.stack(lines, axis=-1), g=problem.g[:, :3], kinks=problem.kinks[:3])
+        problem = problem._replace(V=problem.V - np.stack(lines, axis=-1), g=problem.g[:, :3])
     return out | suspects(problem)
 
 
-def _basis(readings: Readings, model: Model, usable: BoolArray) -> OffsetBasis:
-    basis = regressors.offset_basis(model.drift, model.offset, readings.t_s, readings.P_newtons == 0.0, usable)
-    return basis.with_temperature(_change_K(readings)) if model.temperature else basis
+def _with_offset(problem: Problem, readings: Readings, model: Model, keep: BoolArray) -> Problem:
+    """Add the columns of the offset; complete rows of ``keep`` give tares."""
+    usable, unloaded = keep & problem.observed.all(axis=1), readings.P_newtons == 0.0
+    basis = regressors.offset_basis(model.drift, model.offset, readings.t_s, unloaded, usable)
+    basis = basis.with_temperature(_change_K(readings)) if model.temperature else basis
+    return problem._replace(g=np.concatenate((problem.g, basis.columns), axis=1), basis=basis)
 
 
 def _change_K(readings: Readings) -> FloatArray:
     T = readings.temperature_degC
-    return np.zeros(len(readings.P_newtons)) if T is None else T - terms.reference_temperature_degC(T)
+    return np.zeros(len(readings.P_newtons)) if T is None else T - statistics.reference_temperature_degC(T)
 
 
-def _problem(
-    readings: Readings, model: Model, scales: Scales, basis: OffsetBasis, observed: BoolArray, gain_per_K: float
-) -> Problem:
+def _problem(readings: Readings, model: Model, gain_per_K: float) -> Problem:
+    """The problem of all readings without an offset, in units of their root mean squares."""
     m, n = readings.strain.shape
+    newtons = float(np.sqrt(np.mean(np.square(readings.P_newtons[readings.P_newtons > 0.0]))))
+    strain = float(np.sqrt(np.mean(np.square(readings.strain)))) or 1.0
     load = readings.P_newtons * (1.0 + gain_per_K * _change_K(readings)), readings.phi_rad, readings.theta_rad
     Sigma, mean, information = None, np.zeros((n, 3)), np.zeros(n)
     if model.noise_strain is not None:
-        Sigma = np.diag(np.broadcast_to((np.asarray(model.noise_strain) / scales.strain) ** 2, n))
+        Sigma = np.diag(np.broadcast_to((np.asarray(model.noise_strain) / strain) ** 2, n))
     if model.prior is not None:
-        mean = np.asarray(model.prior.A, dtype=np.float64) * scales.newtons / scales.strain
+        mean = np.asarray(model.prior.A, dtype=np.float64) * newtons / strain
         information = 1.0 / (model.prior.relative_scatter**2 * np.mean(np.square(mean), axis=1))
     return Problem(
-        V=readings.strain / scales.strain,
-        g=np.concatenate((force_vector(*load) / scales.newtons, basis.columns), axis=1),
-        D=regressors.direction_scatter(*load, model.phi_scatter_rad, model.theta_scatter_rad) / scales.newtons,
+        V=readings.strain / strain,
+        g=force_vector(*load) / newtons,
+        basis=OffsetBasis.of(np.zeros((m, 0))),
+        D=regressors.direction_scatter(*load, model.phi_scatter_rad, model.theta_scatter_rad) / newtons,
         groove=regressors.grooves(readings.phi_rad, readings.theta_rad),
         weight=np.ones(m) if readings.weight is None else readings.weight,
-        observed=observed,
+        observed=np.ones((m, n), dtype=np.bool_),
         Sigma=Sigma,
         prior_mean=mean,
         prior_information=information,
-        kinks=np.concatenate((np.zeros(3, dtype=np.bool_), basis.kinks)),
+        strain=strain,
+        newtons=newtons,
     )
 
 
@@ -226,9 +211,8 @@ def best_fit(
 ) -> tuple[Fit, Model, dict[str, float]]:
     """Return the fit of the drift that the hold-out score prefers, its model, and the scores by name.
 
-    Candidates are ``drifts``, by default no drift, linear where the rows have times, tare where unloaded readings at
-    two times allow it; each also with a temperature coefficient of the offsets where temperatures change. Raises
-    InputError as fit_calibration() does where the first candidate cannot be fitted.
+    ``drifts``: by default those that the times of the rows allow; each also with a temperature coefficient of the
+    offsets where temperatures change. Raises InputError as fit_calibration() does if the first cannot be fitted.
     """
     fits: dict[str, tuple[Fit, Model]] = {}
     refused: InputError | None = None

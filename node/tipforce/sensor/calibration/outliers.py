@@ -22,8 +22,7 @@ TRIALS, BEST, FIRST_STEPS, LAST_STEPS = 300, 8, 2, 12
 def squared_cuts(m: int, count: int, dof: FloatArray) -> FloatArray:
     """Return the squared distance beyond which a row with ``count`` readings is an outlier, in the shape of dof.
 
-    m rows are judged together (Bonferroni), by the F distribution of the distance from a fit without the row.
-    Infinite where so few degrees of freedom are left that no row can be judged.
+    By the F distribution, m rows together (Bonferroni). Infinite for too few degrees of freedom.
     """
     able = dof > count + 1.5
     if not able.any():
@@ -59,8 +58,7 @@ def outlying(problem: Problem, solution: Solution, judged: BoolArray) -> BoolArr
 def noise_dof(problem: Problem, solution: Solution) -> FloatArray:
     """Return with how many degrees of freedom the noise of each row is known, (m,), at least 2 (Satterthwaite).
 
-    Only the gauge noise is estimated, and only by the part of each residual that neither the fit nor the
-    scatter of load directions has taken up; where the stated scatter rules, a row's noise is well known.
+    The gauge noise is estimated by what neither fit nor scatter of directions has taken up of each residual.
     """
     if problem.Sigma is not None:
         return np.full(len(solution.R), 1e6)
@@ -74,11 +72,7 @@ def noise_dof(problem: Problem, solution: Solution) -> FloatArray:
 
 
 def suspects(problem: Problem) -> BoolArray:
-    """Return which rows least trimmed squares finds too far off, (m,); none where there are too few rows to trim.
-
-    Rows with a reading left out are not judged here. The random subsets come from a fixed seed: the same data
-    give the same answer.
-    """
+    """Return which complete rows least trimmed squares finds too far off, (m,); none where too few are left to trim."""
     m, n = problem.V.shape
     none = np.zeros(m, dtype=np.bool_)
     rows = np.flatnonzero(problem.observed.all(axis=1))

@@ -43,6 +43,15 @@ class OffsetBasis(NamedTuple):
             return ("offset", "drift")[:count]
         return (*("offset", "drift")[: count - 1], "temperature")
 
+    @property
+    def to_reference(self) -> FloatArray:
+        """L, (3 or 4, 3 + q): from a gauge's unknowns to its row of A and its offset at the last row."""
+        q = len(self.reference)
+        L = np.zeros((4 if q else 3, 3 + q))
+        L[:3, :3] = np.eye(3)
+        L[3:, 3:] = self.reference
+        return L
+
     def with_temperature(self, change_K: FloatArray) -> OffsetBasis:
         """The same with a column of temperature, (m,), against the reference. Raises InputError for a constant one."""
         span = float(np.abs(change_K).max())
@@ -88,8 +97,7 @@ def offset_basis(
 ) -> OffsetBasis:
     """Return the basis of the offset for m rows; ``usable`` rows only give tares.
 
-    Raises InputError where a drift is asked for and the rows have no times, all one time, or tares at fewer
-    than two times.
+    Raises InputError for a drift where the rows have no times, all one time, or tares at fewer than two times.
     """
     m = unloaded.size
     if not offset:
@@ -118,10 +126,9 @@ def offset_basis(
 
 
 def bad_tares(strain: FloatArray, t_s: FloatArray, unloaded: BoolArray, usable: BoolArray) -> BoolArray:
-    """Return which tares jump out of the line through their neighbours, (m,): no drift is that quick.
+    """Return which tares jump out of the line through their neighbours, (m,), the worst first: no drift is that quick.
 
-    A tare alone at its time defines the offset there, so that no residual can accuse it: it is judged by the
-    tares around it, the worst first.
+    A tare alone at its time defines the offset there, so that no residual can accuse it.
     """
     usable = usable.copy()
     bad = np.zeros(usable.size, dtype=np.bool_)
@@ -151,19 +158,9 @@ def _off_line(t: FloatArray, V: FloatArray, at: IntArray, one: int, other: int) 
     return np.abs(V[at] - (1.0 - share) * V[first] - share * V[second])
 
 
-def reference_map(basis: OffsetBasis) -> FloatArray:
-    """Return L, (3 or 4, 3 + q): from a gauge's unknowns to its row of A and its offset at the last row."""
-    q = basis.columns.shape[1]
-    L = np.zeros((4 if q else 3, 3 + q))
-    L[:3, :3] = np.eye(3)
-    if q:
-        L[3, 3:] = basis.reference
-    return L
-
-
 def at_reference(basis: OffsetBasis, coefficients: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return rows of A with the offset at the last row, (n, 3 or 4), and their covariance, of a gauge's unknowns."""
-    L = reference_map(basis)
+    L = basis.to_reference
     return coefficients @ L.T, np.einsum("ip,kplq,jq->kilj", L, covariance, L)
 
 
@@ -174,13 +171,12 @@ LARGEST_SHARE = 0.25
 FORCES = ("F1", "F2", "F3")
 
 
-def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_newtons: float) -> FloatArray:
-    """Check that the rows determine every unknown of every gauge; return the singular values of the design.
+def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_newtons: float) -> None:
+    """Check that the rows determine every unknown of every gauge.
 
-    g: (m, p), forces in units of ``unit_newtons``, then the offset's columns, each near one. observed: (m, n).
-    names: p of them. Raises InputError naming each direction that no row sees, and which row would.
+    g: (m, p), forces in ``unit_newtons``, then the offset's columns. observed: (m, n). names: of the p columns. Raises
+    InputError naming each direction that no row sees, and which row would.
     """
-    singular = np.zeros(0)
     for k in range(observed.shape[1]):
         design = g[observed[:, k]]
         padded = np.vstack((design, np.zeros((design.shape[1], design.shape[1]))))
@@ -193,16 +189,13 @@ def require_seen(g: FloatArray, observed: BoolArray, names: Sequence[str], unit_
                 f"the data{gauge} cannot show {len(places)} of the {len(names)} unknowns of a gauge "
                 f"({len(design)} rows; singular values {_numbers(values)}): " + "; ".join(places)
             )
-        singular = values if k == 0 else singular
-    return singular
 
 
 def require_clear(coefficients: FloatArray, covariance: FloatArray, names: Sequence[str], unit_newtons: float) -> None:
     """Check that noise hides no direction of load or offset.
 
-    coefficients: (n, 3 or 4), scaled as the design, the offset last. covariance: (n, q, n, q). Raises
-    InputError naming the direction whose uncertainty is above LARGEST_SHARE of the strongest gauge's signal,
-    or the force that the gauges together do not tell from zero.
+    coefficients: (n, 3 or 4), scaled as the design, the offset last. covariance: (n, q, n, q). Raises InputError naming
+    the direction that is too uncertain, or the force that the gauges together do not tell from zero.
     """
     n, q = coefficients.shape
     signal = np.linalg.norm(coefficients[:, :3], axis=1).max()

@@ -1,9 +1,7 @@
 """What a calibration fit hands back: the matrix with its uncertainty, and everything that speaks for or against it.
 
-``rounded`` takes off the digits that say nothing, so that equal data give equal calibrations on every machine: the last
-bits of a solution come from the library that solved it. Nine digits are finer than the node's REAL32 (seven) and a
-ten-thousandth of what a good calibration knows (three to four). A value on the border of two roundings may still fall
-to either side: for bits that differ by 1e-15, once in a million values.
+``rounded`` takes off the digits that say nothing, so that equal data give equal calibrations on every machine but once
+in a million values. Nine digits are finer than the node's REAL32 (seven) and what a good calibration knows (four).
 """
 
 from __future__ import annotations
@@ -17,7 +15,6 @@ import numpy.typing as npt
 from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.distributions import variance_factors
-from tipforce.sensor.calibration.terms import Nonlinearity, Temperature
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +37,39 @@ class LoadResidual:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Nonlinearity:
+    """V = s + q s^2, or s + q s |s|, with s the elastic strain: whichever of the two the rows prefer."""
+
+    per_strain: FloatArray
+    """q of each gauge, (n,), 1 per unit strain: 100 is 10 % per 1000 microstrain."""
+    half_width: FloatArray
+    """Half of its 95 % interval, (n,)."""
+    odd: bool
+    """True: s |s|, equal in tension and compression; False: s^2."""
+    significant: bool
+    model_uncertainty: float
+    """Relative standard uncertainty of the force that it makes at the largest load, pulls and pushes; 0 where not
+    significant."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Temperature:
+    """Coefficients against the mean temperature of the rows: V = (1 + gain dT) A F + offset + offset_per_K dT."""
+
+    reference_degC: float
+    lowest_degC: float
+    highest_degC: float
+    offset_strain_per_K: FloatArray
+    """(n,): estimates; they count in the fit where ``offset_fitted``."""
+    offset_half_width: FloatArray
+    """Half of the 95 % intervals, (n,); NaN where the rows show nothing of it."""
+    offset_fitted: bool
+    gain_per_K: float
+    gain_half_width: float
+    gain_fitted: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Fit:
     """One calibration of n gauges from m rows: V = A F + b, and F = C (V - b)."""
 
@@ -58,11 +88,11 @@ class Fit:
     residual_covariance_strain2: FloatArray
     """S, (n, n): covariance of the residuals, with what the scatter of load directions adds."""
     N: FloatArray
-    """Sum of weight G G^T over all rows used, (4, 4), G = (F, 1); (3, 3) without offset. With a drift, what is
-    left of it for A and the offset at the last row (Schur complement): S and N^-1 then give their covariance."""
+    """Sum of weight G G^T over all rows used, (4, 4), G = (F, 1); (3, 3) without offset. With a drift its Schur
+    complement for A and the offset at the last row."""
     parameter_covariance: FloatArray
-    """Covariance of (A row, offset) of all gauges, (n, 4, n, 4); strain^2 over newtons as the entries go.
-    Equal to S (x) N^-1 where every row has the same noise, else more exact than that."""
+    """Covariance of (A row, offset) of all gauges, (n, 4, n, 4), strain^2 over newtons as the entries go: S (x) N^-1
+    where every row has the same noise."""
     sigma0: float
     """Size of the residuals in units of what the noise model expects: near 1 where it is right."""
     sigma0_loaded: float
@@ -74,12 +104,8 @@ class Fit:
     """Degrees of freedom that the gauge noise is known with: dof, or infinite where it was stated."""
     condition_number: float
     row_equilibrated_condition_number: float
-    design_singular_values: FloatArray
-    """Of (F / typical load, offset columns), as the identifiability check saw them."""
     residual_strain: FloatArray
     """Reading less fit, (m, n), of every row, used or not."""
-    offset_at_rows_strain: FloatArray
-    """The fitted offset with its drift at each row, (m, n)."""
     distance: FloatArray
     """(m,): Mahalanobis distance of each row from the fit without it."""
     leverage: FloatArray
@@ -91,8 +117,7 @@ class Fit:
     saturated: tuple[tuple[int, int], ...]
     """(row, gauge) of readings at the converter's limit, left out."""
     near_limit: tuple[tuple[int, int], ...]
-    """(row, gauge) left out as expected within 3 standard deviations of the limit: keeping only those that
-    noise held below it would bias the fit."""
+    """(row, gauge) left out as expected within 3 standard deviations of the limit: some of them would bias the fit."""
     loads: tuple[LoadResidual, ...]
     drift: str
     loss: str
@@ -101,8 +126,8 @@ class Fit:
     hang_scatter: float
     """The same of the angle errors that are new in every row."""
     hold_out_score: float
-    """Sum over the rows of the logarithm of how likely each is by the fit without it; rows that disagree count at
-    most as one at the outlier's border. Of fits to the same readings the larger is the better."""
+    """Sum over the rows of the logarithm of how likely each is by the fit without it, an outlier as one at the border.
+    Of fits to the same readings the larger is the better."""
     converged: bool = True
     """False: the steps ended before the numbers settled."""
     nonlinearity: Nonlinearity | None = None
@@ -118,17 +143,9 @@ class Fit:
 
     @property
     def record_covariances(self) -> tuple[FloatArray, FloatArray]:
-        """Noise (n, n) and parameter covariance (n, 4, n, 4) for a calibration record.
-
-        Wider than their estimates by what few degrees of freedom leave open: 1.96 standard uncertainties hold 95 %.
-        """
+        """Noise (n, n) and parameter covariance (n, 4, n, 4) for a record, wider by variance_factors()."""
         noise, parameters = variance_factors(self.noise_dof, len(self.A) - 3)
         return noise * self.noise_covariance_strain2, parameters * self.parameter_covariance
-
-    def covariance_F(self, F_newtons: npt.ArrayLike, *, offset_known: bool = False, noise: bool = True) -> FloatArray:
-        """Return the covariance of an estimate at F (..., 3): (..., 3, 3), N^2. See covariance_of_estimate()."""
-        Sigma = noise * self.noise_covariance_strain2
-        return covariance_of_estimate(self.C, Sigma, self.parameter_covariance, F_newtons, offset_known=offset_known)
 
 
 def covariance_of_estimate(
@@ -142,9 +159,8 @@ def covariance_of_estimate(
     """Return C (Sigma_V + Q(F)) C^T, the covariance of F = C (V - b), N^2: gauge noise and calibration.
 
     C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4), of Fit or kronecker().
-    F: (..., 3). Returns (..., 3, 3). Q(F)_kl = G^T cov(row k, row l) G with G = (F, 1), which is S G^T N^-1 G
-    where all rows have the same noise; offset_known: the readings were tared afresh, and the 1 drops out
-    (the tare's own noise belongs into noise_covariance). Raises InputError for other shapes.
+    F: (..., 3). Returns (..., 3, 3). Q(F)_kl = G^T cov(row k, row l) G with G = (F, 1). offset_known: after a tare the
+    1 drops out (its own noise belongs into noise_covariance). Raises InputError for other shapes.
     """
     matrix, F = floats("C", C), floats("F", F_newtons)
     n = matrix.shape[-1]

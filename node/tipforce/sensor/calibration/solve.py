@@ -1,8 +1,8 @@
 """Generalised least squares for V = A F + b with noise that differs from row to row, its variances estimated (REML).
 
-The direction of a load strays in two ways: by an angle common to all rows of a groove (a random effect) and by one of
-its own in every row. How much of each, in units of the stated scatter, is estimated with the gauge noise. The rows are
-whitened, the groove's effect is taken off by a square root of its marginal covariance, and the rest is solved by QR.
+The direction of a load strays by an angle common to all rows of a groove (a random effect) and by one of each row; how
+much, in units of the stated scatter, is estimated with the gauge noise. The rows are whitened, the groove's effect is
+taken off by a square root of its marginal covariance, and the rest is solved by QR.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
+from tipforce.sensor.calibration.regressors import OffsetBasis
 
 NOISE_FLOOR = 1e-7
 """Smallest standard deviation of the gauges, as a fraction of the readings: keeps exact data invertible."""
@@ -31,7 +32,8 @@ class Problem(NamedTuple):
     V: FloatArray
     """(m, n)."""
     g: FloatArray
-    """(m, p): F1, F2, F3, then the columns of the offset."""
+    """(m, p): F1, F2, F3, then the columns of the basis."""
+    basis: OffsetBasis
     D: FloatArray
     """(m, 3, 2): D D^T is the covariance of F from the stated scatter of load directions."""
     groove: IntArray
@@ -46,10 +48,17 @@ class Problem(NamedTuple):
     """(n, 3)."""
     prior_information: FloatArray
     """(n,): one over the variance of each entry of a row of A; zero without a prior."""
-    kinks: BoolArray
-    """(p,): coefficients around zero, of a variance that is estimated for each gauge: the restlessness of its drift."""
     scatter: Scatter | None = None
     """Where it is known; None to estimate it."""
+    strain: float = 1.0
+    """The unit of V."""
+    newtons: float = 1.0
+    """The unit of F: any size of load then fits equally well."""
+
+    @property
+    def kinks(self) -> BoolArray:
+        """(p,): coefficients around zero, their variance, the restlessness of the drift, estimated for each gauge."""
+        return np.concatenate((np.zeros(3, dtype=np.bool_), self.basis.kinks))
 
 
 class Solution(NamedTuple):
@@ -171,10 +180,9 @@ TOLERANCE = 1e-5
 
 
 def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None) -> Solution:
-    """Return the fit. loss: "huber", "soft_l1" or "none", with its corner at the distance ``cut``.
+    """Return the fit. loss: "huber", "soft_l1" or "none", its corner at the distance ``cut``; start: to begin from.
 
-    start: a solution of nearly the same problem, to begin from. Raises InputError where the noise is to be
-    estimated and nothing is left to estimate it from.
+    Raises InputError where the noise is to be estimated and nothing is left to estimate it from.
     """
     A, Sigma = _start(problem) if start is None else (start.coefficients[:, :3], start.Sigma)
     restless = np.full(len(A), START_RESTLESS**2) if start is None else start.kink_variance

@@ -1,8 +1,6 @@
-"""From the solved calibration to its result (scales undone, intervals, residuals by load), and where it is valid."""
+"""From the solved calibration to its result (intervals, residuals by load), further terms, and where it is valid."""
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -10,9 +8,9 @@ from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import Model, Readings
 from tipforce.sensor.calibration.distributions import f_quantile, t_quantile, variance_factors
-from tipforce.sensor.calibration.regressors import OffsetBasis, at_reference, reference_map
-from tipforce.sensor.calibration.result import Fit, LoadResidual
-from tipforce.sensor.calibration.solve import Problem, Solution
+from tipforce.sensor.calibration.regressors import at_reference
+from tipforce.sensor.calibration.result import Fit, LoadResidual, Nonlinearity
+from tipforce.sensor.calibration.solve import Extra, Problem, Solution, extra
 from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce.sensor.structure.geometry import Geometry
@@ -21,19 +19,6 @@ from tipforce.sensor.structure.strain import condition_number, row_equilibrated_
 
 HOLD_OUT_CAP = 8.0
 """Squared distance per gauge beyond which a row counts no more against a model."""
-
-
-class Scales(NamedTuple):
-    """Units in which readings and loads are near one: any size of load then fits equally well."""
-
-    strain: float
-    newtons: float
-
-    @classmethod
-    def of(cls, strain: FloatArray, P_newtons: FloatArray) -> Scales:
-        """Root mean square readings and loads."""
-        typical = float(np.sqrt(np.mean(np.square(P_newtons[P_newtons > 0.0]))))
-        return cls(float(np.sqrt(np.mean(np.square(strain)))) or 1.0, typical)
 
 
 def matrix_uncertainty(A: FloatArray, C: FloatArray, Sigma: FloatArray, covariance: FloatArray) -> FloatArray:
@@ -54,39 +39,34 @@ def matrix_uncertainty(A: FloatArray, C: FloatArray, Sigma: FloatArray, covarian
 def result(
     readings: Readings,
     model: Model,
-    scales: Scales,
-    basis: OffsetBasis,
     problem: Problem,
     solution: Solution,
-    singular: FloatArray,
     outlier: BoolArray,
     saturated: BoolArray,
     near_limit: BoolArray,
 ) -> Fit:
     """Return the Fit in SI units. Left out were rows, ``outlier`` (m,), and readings, (m, n)."""
-    L = reference_map(basis)
-    rows, solved = at_reference(basis, solution.coefficients, solution.covariance)
-    rows = rows * scales.strain
-    A = rows[:, :3] / scales.newtons
-    n = A.shape[0]
-    unit = np.array([1.0 / scales.newtons] * 3 + [1.0] * (len(L) - 3)) * scales.strain
+    rows, solved = at_reference(problem.basis, solution.coefficients, solution.covariance)
+    rows = rows * problem.strain
+    A, (n, q) = rows[:, :3] / problem.newtons, rows.shape
+    unit = np.array([1.0 / problem.newtons] * 3 + [1.0] * (q - 3)) * problem.strain
     covariance = np.zeros((n, 4, n, 4))
-    covariance[:, : len(L), :, : len(L)] = solved * unit[:, np.newaxis, np.newaxis] * unit
-    Sigma = solution.Sigma * scales.strain**2
+    covariance[:, :q, :, :q] = solved * unit[:, np.newaxis, np.newaxis] * unit
+    Sigma = solution.Sigma * problem.strain**2
     # By the covariance that the record holds: from the two a node with more than three gauges gets A back.
     C = weighted_inverse(A, Sigma)
-    residual = solution.unexplained * scales.strain
+    residual = solution.unexplained * problem.strain
     noise_dof = solution.dof if model.noise_strain is None else float("inf")
     sigma0, loaded, unloaded = _sizes(problem, solution, readings.P_newtons > 0.0)
     return Fit(
         C=C,
         A=A,
-        offset_strain=rows[:, 3] if len(L) == 4 else np.zeros(n),
+        offset_strain=rows[:, 3] if q == 4 else np.zeros(n),
         C_uncertainty=matrix_uncertainty(A, C, Sigma, covariance[:, :3, :, :3]),
         coverage_factor=t_quantile(0.975, noise_dof),
         noise_covariance_strain2=Sigma,
         residual_covariance_strain2=_residual_covariance(problem, residual, solution.dof),
-        N=_normal_matrix(problem, solution, L, scales.newtons),
+        N=_normal_matrix(problem, solution),
         parameter_covariance=covariance,
         sigma0=sigma0,
         sigma0_loaded=loaded,
@@ -95,9 +75,7 @@ def result(
         noise_dof=noise_dof,
         condition_number=condition_number(A),
         row_equilibrated_condition_number=row_equilibrated_condition_number(A),
-        design_singular_values=singular,
         residual_strain=residual,
-        offset_at_rows_strain=problem.g[:, 3:] @ solution.coefficients[:, 3:].T * scales.strain,
         distance=np.sqrt(np.maximum(solution.distance, 0.0)),
         leverage=solution.leverage,
         used=problem.observed,
@@ -148,11 +126,11 @@ def _residual_covariance(problem: Problem, residual: FloatArray, dof: float) -> 
     return S
 
 
-def _normal_matrix(problem: Problem, solution: Solution, L: FloatArray, newtons: float) -> FloatArray:
+def _normal_matrix(problem: Problem, solution: Solution) -> FloatArray:
     """N for A and the offset at the last row, in newtons: the other coefficients of a drift are eliminated."""
-    used = problem.observed.any(axis=1)
+    used, L = problem.observed.any(axis=1), problem.basis.to_reference
     g = problem.g[used] * np.sqrt(problem.weight[used])[:, np.newaxis]
-    unit = np.array([newtons] * 3 + [1.0] * (len(L) - 3))
+    unit = np.array([problem.newtons] * 3 + [1.0] * (len(L) - 3))
     # Kinks are held towards zero; in units of noise, as the sum is, differently for each gauge: their mean.
     held = float(np.mean(np.diag(solution.Sigma) / solution.kink_variance))
     information = g.T @ g + held * np.diag(problem.kinks.astype(np.float64))
@@ -186,6 +164,105 @@ def _by_load(
     return tuple(by_load)
 
 
+FALSE_ALARM = 0.005
+"""Chance that a straight sensor is called nonlinear."""
+
+
+def nonlinearity(
+    problem: Problem, solution: Solution, C: FloatArray, sigma0: float, largest_newtons: float
+) -> Nonlinearity | None:
+    """Return the test of a quadratic term; None where the rows do not determine one.
+
+    C: (3, n) newtons per unit strain. Residuals larger than the model expects (sigma0 above 1) widen the intervals.
+    """
+    n, A = problem.V.shape[1], solution.coefficients[:, :3]
+    elastic = problem.g[:, :3] @ A.T
+    trials: list[tuple[float, bool, Extra]] = []
+    for odd in (False, True):
+        try:
+            term = extra(problem, solution, _square(elastic, odd)[:, :, np.newaxis] * np.eye(n))
+            term = term._replace(covariance=term.covariance * max(1.0, sigma0 if np.isfinite(sigma0) else 1.0) ** 2)
+            size = float(term.value @ np.linalg.solve(term.covariance, term.value))
+        except np.linalg.LinAlgError:
+            continue
+        trials.append((size, odd, term))
+    dof = solution.dof - 1.0
+    if not trials or dof < 1.0:
+        return None
+    size, odd, term = max(trials, key=lambda trial: trial[0])
+    stated = problem.Sigma is not None
+    significant = size > n * f_quantile(1.0 - 0.5 * FALSE_ALARM, n, 1e6 if stated else dof)
+    u = np.sqrt(np.diagonal(term.covariance))
+    factor = t_quantile(0.975, np.inf if stated else dof)
+    relative, strain = 0.0, problem.strain
+    if significant:
+        scaled_C = C * strain / problem.newtons
+        relative = _relative_error(term, scaled_C, odd, largest_newtons / problem.newtons)
+    return Nonlinearity(term.value / strain, factor * u / strain, odd, bool(significant), relative)
+
+
+def _square(strain: FloatArray, odd: bool) -> FloatArray:
+    return strain * np.abs(strain) if odd else strain * strain
+
+
+def _relative_error(term: Extra, C: FloatArray, odd: bool, P: float) -> float:
+    """What the linear matrix makes of a sensor with the quadratic term: RMS of the force error over the force."""
+    theta, delta = np.meshgrid(np.radians(np.arange(0.0, 181.0, 15.0)), np.radians(np.arange(-60.0, 61.0, 15.0)))
+    phi = (theta + delta).ravel() + np.array([[0.0], [np.pi]])
+    F = force_vector(P, phi.ravel(), np.tile(theta.ravel(), 2))
+    s = F @ term.coefficients[:, :3].T
+    off = (s + term.value * _square(s, odd)) @ C.T - F
+    along = F[:, [0, 2]] / P
+    radial = np.einsum("ij,ij->i", off[:, [0, 2]], along)
+    across = off[:, 0] * along[:, 1] - off[:, 2] * along[:, 0]
+    return float(max(np.sqrt(np.mean(radial**2)), np.sqrt(np.mean(across**2)))) / P
+
+
+CHANCE = 0.005
+"""That a gain which does not depend on temperature is corrected for it."""
+
+
+def reference_temperature_degC(temperature_degC: FloatArray) -> float:
+    """Return the temperature that coefficients are counted from: the mean of the rows, to a hundredth of a degree."""
+    return round(float(np.mean(temperature_degC)), 2)
+
+
+def per_kelvin(
+    problem: Problem, solution: Solution, change_K: FloatArray, columns: FloatArray, unit: float = 1.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return (coefficients per kelvin beyond the fit's of ``columns``, (m or 1, n, k), times ``unit``; their standard
+    uncertainties), (k,) each; zeros and NaN where no row shows them.
+    """
+    span = float(np.abs(change_K).max())
+    try:
+        term = extra(problem, solution, columns * (change_K / max(span, 1e-300))[:, np.newaxis, np.newaxis])
+    except np.linalg.LinAlgError:
+        k = columns.shape[2]
+        return np.zeros(k), np.full(k, np.nan)
+    return term.value * unit / span, np.sqrt(np.diagonal(term.covariance)) * unit / span
+
+
+def gain_of(problem: Problem, solution: Solution, change_K: FloatArray) -> tuple[float, float]:
+    """Return (gain per kelvin beyond that of the problem, its standard uncertainty); NaN where no row shows it."""
+    strain = problem.g[:, :3] @ solution.coefficients[:, :3].T
+    gain, u = per_kelvin(problem, solution, change_K, strain[:, :, np.newaxis])
+    return float(gain[0]), float(u[0])
+
+
+def offsets_of(problem: Problem, solution: Solution, change_K: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (offset per kelvin, standard uncertainty), (n,) each, strain: of the fit, or as a further column."""
+    span_K, strain = problem.basis.temperature_span_K, problem.strain
+    if not span_K:
+        return per_kelvin(problem, solution, change_K, np.eye(problem.V.shape[1])[np.newaxis], strain)
+    variance = np.einsum("kpkp->kp", solution.covariance)[:, -1]
+    return solution.coefficients[:, -1] * strain / span_K, np.sqrt(variance) * strain / span_K
+
+
+def factor(dof: float, chance: float = 0.05) -> float:
+    """Return how many standard uncertainties are beyond chance, to both sides."""
+    return t_quantile(1.0 - 0.5 * chance, max(dof, 1.0))
+
+
 FALSE_ALARM_RATE = 1e-6
 """Of the redundancy check, per sample."""
 
@@ -195,12 +272,10 @@ def redundancy_limit(
 ) -> float:
     """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges.
 
-    Of chi-square by the record's noise, which is wider than Sigma by variance_factors().
-
-    A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom;
-    parameter_covariance: (n, 4, n, 4). Chi-square is weighed by Sigma alone: what the calibration itself may
-    contradict, at the worst load up to ``largest_newtons``, and that Sigma is an estimate (Hotelling) widen it.
-    Raises InputError for a covariance that is not positive definite, or with no more than n - 2 degrees of freedom.
+    A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom (Hotelling);
+    parameter_covariance: (n, 4, n, 4), by what the calibration itself may contradict at the worst load up to
+    ``largest_newtons``. Of chi-square by the record's noise, wider than Sigma by variance_factors(). Raises InputError
+    for a covariance that is not positive definite, or with no more than n - 2 degrees of freedom.
     """
     n = len(A)
     if n == 3:
@@ -226,7 +301,7 @@ def redundancy_limit(
     return limit / wider
 
 
-def overload_newtons(geometry: Geometry, yield_pascals: float | None = None, gap_m: float = PAPER_SLIT_M) -> float:
+def overload_newtons(geometry: Geometry, yield_pascals: float | None = None) -> float:
     """Return the smallest load, over all contacts and directions, that closes the slit or reaches the yield stress."""
-    slit = gap_m / slit_closure(geometry, 1.0)
+    slit = PAPER_SLIT_M / slit_closure(geometry, 1.0)
     return slit if yield_pascals is None else min(slit, yield_pascals / worst_stress(geometry, 1.0))

@@ -21,9 +21,8 @@ from tipforce.sensor.contact import scalar
 def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: npt.ArrayLike) -> FloatArray:
     """Return F = (P sin(phi), P sin(phi - theta), P cos(phi)) in newtons, shape (..., 3): equation (16).
 
-    The three arguments broadcast against each other to the shape (...). phi is the direction of the force on
-    the tip, theta the angle of the contact on it, both from the x-axis. Raises InputError where the shapes do
-    not broadcast.
+    phi is the direction of the force on the tip, theta the angle of the contact on it, both from the x-axis. Raises
+    InputError where the shapes of the three do not broadcast.
     """
     P, phi, theta = floats("P", P_newtons), floats("phi", phi_rad), floats("theta", theta_rad)
     try:
@@ -40,9 +39,8 @@ def force_from_strain(
 ) -> FloatArray:
     """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) with offset and tare.
 
-    C: (3, n), newtons per unit strain. strain: (..., n). offset_strain: (n,) or a scalar. tare_newtons: (3,)
-    or a scalar. NaN or infinity in a strain makes that row NaN or infinite, no other. Raises InputError where
-    the shapes do not fit.
+    C: (3, n), newtons per unit strain. strain: (..., n). offset_strain: (n,), tare_newtons: (3,), or scalars. NaN or
+    infinity makes its row NaN or infinite, no other. Raises InputError where the shapes do not fit.
     """
     matrix, V = floats("C", C), floats("strain", strain)
     offset, tare = floats("offset_strain", offset_strain), floats("tare", tare_newtons)
@@ -221,9 +219,7 @@ def status_columns(
     was_present: bool,
     counts: BoolArray | bool = True,
 ) -> IntArray:
-    """Return bits 0, 4, 5, 6 of samples in time order: scalar.status_bits() for each; resolved: theta is, by its
-    uncertainty. A sample that does not count leaves contact as it was.
-    """
+    """Return scalar.status_bits() of samples in time order; one that does not count leaves contact as it was."""
     on, off, theta_min_deg, theta_max_deg = limits
     P, theta = contact.P_newtons, contact.theta_rad
     loaded = off <= P
@@ -245,37 +241,25 @@ def status_columns(
 def contacts(F_newtons: npt.ArrayLike, *, pull: bool) -> Contact:
     """Return the contacts of forces F of shape (..., 3), newtons: the inverse of equation (16).
 
-    pull: True for a load that pulls at the surface (a rope), False for one that pushes (a contact). Loads
-    from 1e-300 to 1e300 N keep full precision. P = (hypot + |F2|) / 2 where the line of action misses the
-    tip. Raises InputError where the last axis is not 3; numbers that are not finite give NaN, never an error.
+    pull: the load pulls at the surface (a rope), else it pushes (a contact). As scalar.contact(). Raises InputError
+    where the last axis is not 3; numbers that are not finite give NaN, never an error.
     """
     return contact_columns(_forces(F_newtons), 1.0 if pull else -1.0)
 
 
 def estimate(
-    C: npt.ArrayLike,
-    strain: npt.ArrayLike,
-    offset_strain: npt.ArrayLike = 0.0,
-    tare_newtons: npt.ArrayLike = 0.0,
-    *,
-    pull: bool,
+    C: npt.ArrayLike, strain: npt.ArrayLike, offset_strain: npt.ArrayLike = 0.0, *, pull: bool
 ) -> tuple[FloatArray, Contact]:
-    """Return (F, contacts) of gauge readings: force_from_strain(), then contacts().
-
-    C: (3, n) newtons per unit strain; strain: (..., n); offset_strain: (n,); tare_newtons: (3,). F: (..., 3)
-    newtons. Raises InputError where the shapes do not fit. For forces alone, force_from_strain() avoids the
-    computation of angles.
-    """
-    F = force_from_strain(C, strain, offset_strain, tare_newtons)
+    """Return (F, contacts) of gauge readings: force_from_strain(), then contacts()."""
+    F = force_from_strain(C, strain, offset_strain)
     return F, contacts(F, pull=pull)
 
 
 def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, *, pull: bool) -> FloatArray:
     """Return the standard uncertainties of P, phi, theta: shape (..., 3), in newtons, radians, radians.
 
-    F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. First order, but for the near-tangent
-    correction that scalar.uncertainty() describes. F1 = F3 = 0: u_P for the worst direction, the angles NaN.
-    Numbers that are not finite, and variances below zero, give NaN. Raises InputError for other shapes.
+    F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. As scalar.uncertainty(). Numbers that are not
+    finite, and variances below zero, give NaN. Raises InputError for other shapes.
     """
     u = deviation_columns(_forces(F_newtons), _covariances(covariance_F, F_newtons), 1.0 if pull else -1.0)
     return np.stack(u[:3], axis=-1)
@@ -369,27 +353,21 @@ def _arc(x: FloatArray, cosine: FloatArray, step: FloatArray) -> FloatArray:
 
 
 CURVATURE_LIMIT = 0.25
-"""Largest curvature() with which first order holds.
-
-For theta: |F2| / P is at least two standard uncertainties below 1. bench/coverage.py measures its coverage.
-"""
+"""Largest curvature() with which first order holds; bench/coverage.py measures its coverage."""
 
 
 def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArray:
     """Return the change of the first-order slopes of P, phi, theta over one standard uncertainty: (..., 3).
 
-    F: (..., 3) newtons; covariance_F: (3, 3) or (..., 3, 3), N^2. Three fractions of the slope itself, with x =
-    F2 / P = sin(delta) and u(x) its standard uncertainty:
+    F: (..., 3) newtons; covariance_F: (3, 3) or (..., 3, 3), N^2. Fractions of the slope, with x = F2 / P = sin(delta)
+    and u(x) its standard uncertainty:
 
-    - P: u_t^2 / (P u(P)), u_t the uncertainty of the force across its own direction: twice the bias of P over
-      u(P) (s / P for isotropic noise s, whose bias is s^2 / 2P). Or theta's first where that is larger: where the
-      line of action may miss by noise, P is projected, and u(P) then is larger than its spread;
+    - P: u_t^2 / (P u(P)), u_t the uncertainty of the force across its own direction: twice the bias of P over u(P).
+      Or u(x) / cos^2(delta) if larger: where the line of action may miss by noise, P is projected;
     - phi: u(P) / P, because a force that is too small has too large an angular error;
-    - theta: u(x) / cos^2(delta), as asin'' / asin' = x / cos^2 with x = 1, or that of phi if it is larger. It
-      grows without bound towards a tangential contact, and is infinite where the line of action misses.
+    - theta: u(x) / cos^2(delta), or that of phi if it is larger; infinite where the line of action misses.
 
-    The load sense has no effect. F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises
-    InputError for other shapes.
+    F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises InputError for other shapes.
     """
     F = _forces(F_newtons)
     u = deviation_columns(F, _covariances(covariance_F, F_newtons), 1.0)
@@ -398,15 +376,10 @@ def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArr
     return np.where(np.isfinite(u.P)[..., np.newaxis], np.where(directed, ratios, np.inf), np.nan)
 
 
-def first_order_holds(
-    F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike, limit: float = CURVATURE_LIMIT
-) -> BoolArray:
-    """Return whether the standard uncertainties of P, phi, theta can be trusted: shape (..., 3), in this order.
+def first_order_holds(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> BoolArray:
+    """Return whether the standard uncertainties of P, phi, theta can be trusted, (..., 3): curvature() at most a limit.
 
-    True where curvature() is at most limit; False for unknown values. For theta that is u(F2 / P) <= limit
-    cos^2(delta). Raises InputError for other shapes, and for a limit that is not positive.
+    False for unknown values. Raises InputError for other shapes.
     """
-    if not limit > 0.0:
-        raise InputError(f"limit = {limit!r}: allowed is a positive number")
     with np.errstate(invalid="ignore"):
-        return np.asarray(curvature(F_newtons, covariance_F) <= limit)
+        return np.asarray(curvature(F_newtons, covariance_F) <= CURVATURE_LIMIT)

@@ -2,12 +2,9 @@
 
 V = A F + e with the covariance Sigma of e; C = (A^T Q A)^-1 A^T Q, Q = Sigma^-1, is the weighted inverse. n - 3
 combinations W of the gauges do not depend on the force (parity directions); chi-square is |W V|^2. A fault of a gauge
-moves W V along its column of W. Two gauges with parallel columns cannot be distinguished; that is so exactly if the
-other n - 2 gauges have no rank 3, whatever their noise. With four gauges there is one direction and no fault can be
-isolated, unless only one gauge is visible: it then responds to no force at all. A gauge is invisible if the others have
-no rank 3: its fault looks like a force.
-
-scalar_redundancy.py has the directions, the force without a gauge, and the same decisions for one sample.
+moves W V along its column of W. Two gauges with parallel columns cannot be distinguished: exactly if the other n - 2
+have no rank 3. So four gauges isolate no fault, unless only one is visible, which then responds to no force at all. A
+gauge is invisible if the others have no rank 3: its fault looks like a force.
 """
 
 from __future__ import annotations
@@ -35,11 +32,6 @@ class Parity:
     visible: FloatArray
     """(n,), chi-square per squared unit fault of each gauge; zero: its fault is invisible."""
 
-    @property
-    def degrees(self) -> int:
-        """Parity directions, n - 3."""
-        return len(self.W)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Faults:
@@ -58,8 +50,7 @@ class Faults:
 def weighted_inverse(A: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> FloatArray:
     """Return C = (A^T Q A)^-1 A^T Q, (3, n), for A (n, 3), strain per newton, and the gauges' covariance (n, n).
 
-    Of all C with C A = I it has the smallest noise. Raises InputError where the shapes do not fit, A has no rank
-    3, or the covariance is not positive definite.
+    Raises InputError where the shapes do not fit, A has no rank 3, or the covariance is not positive definite.
     """
     matrix = np.asarray(A, dtype=np.float64)
     if matrix.ndim != 2 or matrix.shape[1] != 3 or matrix.shape[0] < 3:
@@ -74,9 +65,8 @@ def weighted_inverse(A: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
 def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> FloatArray:
     """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: the structure as a calibration describes it.
 
-    It inverts weighted_inverse() exactly; for a C that was not weighted by this covariance, as a plain
-    pseudo-inverse with unequal gauges, it gives some A with C A = I but not the true one. C: (3, n). Raises
-    InputError where the shapes do not fit, C has no rank 3, or the covariance is not positive definite.
+    It inverts weighted_inverse(); for a C (3, n) weighted otherwise it gives some A with C A = I, not the true one.
+    Raises InputError where the shapes do not fit, C has no rank 3, or the covariance is not positive definite.
     """
     matrix, covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
     _root(covariance, matrix.shape[1])
@@ -111,9 +101,10 @@ def detectable_strain(
 
     limit: the threshold (2116h), where it is not that of the rate.
     """
-    threshold = scalar_redundancy.chi_square_threshold(false_alarm_rate, model.degrees) if limit is None else limit
+    degrees = len(model.W)
+    threshold = scalar_redundancy.chi_square_threshold(false_alarm_rate, degrees) if limit is None else limit
     with np.errstate(divide="ignore"):
-        return np.sqrt((threshold - model.degrees) / model.visible)
+        return np.sqrt((threshold - degrees) / model.visible)
 
 
 def detect(
@@ -126,11 +117,10 @@ def detect(
 ) -> Faults:
     """Return the fault decisions for readings of shape (..., n), strain with the offsets subtracted.
 
-    A reading is faulty if chi-square exceeds the threshold of false_alarm_rate; a gauge is a candidate if the
-    residual of its best-fitting fault (n - 4 degrees of freedom) is below that of exclusion_rate, so the true one
-    is missed at that rate. Isolated is the only candidate. variance_factor, (...): ratio of the residuals' variance
-    to that of the gauges' noise; a calibrated C adds 1 + G^T N^-1 G. Raises InputError for other shapes, and
-    for rates outside (0, 1).
+    A reading is faulty if chi-square exceeds the threshold of false_alarm_rate; a gauge is a candidate if the residual
+    of its best-fitting fault (n - 4 degrees of freedom) is below that of exclusion_rate. variance_factor, (...): ratio
+    of the residuals' variance to that of the gauges' noise; a calibrated C adds 1 + G^T N^-1 G. Raises InputError for
+    other shapes, and for rates outside (0, 1).
     """
     for name, rate in (("false_alarm_rate", false_alarm_rate), ("exclusion_rate", exclusion_rate)):
         if not 0.0 < rate < 1.0:

@@ -1,9 +1,8 @@
 """Contact of one sample: force to contact, its uncertainty and its status, for a microcontroller.
 
-Needs only the math module and the MicroPython subset. estimate.py has the same formulas for arrays, and the tests
-compare both. Forces in newtons, angles in radians unless a name says degrees. Functions here do not raise for
-bad numbers: NaN or infinity in gives NaN out. F1 = P sin(phi), F2 = P sin(phi - theta), F3 = P cos(phi):
-equation (16) of the paper.
+Needs only the math module and the MicroPython subset; estimate.py has the same formulas for arrays. Newtons, and
+radians unless a name says degrees. NaN or infinity in gives NaN out. F1 = P sin(phi), F2 = P sin(phi - theta),
+F3 = P cos(phi): equation (16) of the paper.
 """
 
 from math import asin, atan2, frexp, ldexp, pi, sqrt
@@ -47,11 +46,10 @@ PAD_SLACK_DEG = 1e-4  # rounding of theta in single precision must not push a co
 def contact(F1: float, F2: float, F3: float, pull: bool) -> tuple[float, float, float, float]:
     """Return (P, phi, theta, miss) for one force: newtons, radians, radians, newtons.
 
-    pull: True where the load pulls at the surface (a rope), False where it pushes (a contact): it selects one
-    of the two points where the line of action meets the tip. phi and theta lie in (-pi, pi]. miss is the excess of
-    |F2| over hypot(F1, F3); if it is positive the line of action misses the tip, the contact is taken
-    as tangential and P = (hypot + |F2|) / 2. No load: P = 0, phi and theta NaN. F1 = F3 = 0: phi and theta
-    NaN. Loads from 1e-300 to 1e300 N keep full precision; a P beyond the largest float is infinite.
+    pull: the load pulls at the surface (a rope), else it pushes (a contact): it selects one of the two points where
+    the line of action meets the tip. phi and theta lie in (-pi, pi]; NaN for F1 = F3 = 0. miss is the excess of |F2|
+    over hypot(F1, F3): if positive the line of action misses the tip, the contact is taken as tangential and
+    P = (hypot + |F2|) / 2. Loads from 1e-300 to 1e300 N keep full precision; beyond the largest float P is infinite.
     """
     return contact_of(scaled_force(F1, F2, F3), pull)
 
@@ -87,10 +85,9 @@ def uncertainty(
 ) -> tuple[float, float, float]:
     """Return the standard uncertainties (u_P, u_phi, u_theta) in newtons, radians, radians.
 
-    cov: the upper triangle (11, 12, 13, 22, 23, 33) of the covariance of F, N^2. First order, J cov J^T, except
-    for the angle between force and surface normal, where finite_slope() replaces 1 / |cos(delta)|: near a
-    tangential contact the first order grows without bound, while the real spread of theta stays near SNR **
-    -0.5. No load, or F1 = F3 = 0: u_P for the worst direction, the angles NaN. NaN or infinity in: all NaN.
+    cov: the upper triangle (11, 12, 13, 22, 23, 33) of the covariance of F, N^2. First order, J cov J^T, but with
+    finite_slope() in place of 1 / |cos(delta)|, which grows without bound near a tangential contact, where the real
+    spread of theta stays near SNR ** -0.5. F1 = F3 = 0: u_P for the worst direction, the angles NaN.
     """
     return deviations(scaled_force(F1, F2, F3), scaled_covariance(cov), pull)[:3]
 
@@ -147,9 +144,8 @@ def magnitude_uncertainty(
 def clearly_resolved(P: float, F2: float, cov: tuple[float, float, float, float, float, float]) -> bool:
     """Return True where a bound shows that u_theta is below THETA_RESOLVED_DEG: a sixth of the work of uncertainty().
 
-    With s^2 the trace of cov, no component of F has a standard uncertainty above s. So the step of x = |F2| / P is at
-    most sqrt(2) s / P, the slope at most that of asin at x + step, and u_theta at most s / P (1 + sqrt(2) slope).
-    False, for NaN too, says nothing.
+    With s^2 the trace of cov, the step of x = |F2| / P is at most sqrt(2) s / P, the slope at most that of asin at
+    x + step, and u_theta at most s / P (1 + sqrt(2) slope). False, for NaN too, says nothing.
     """
     trace = cov[0] + cov[3] + cov[5]
     if not (trace > SMALLEST_STEP and P > 0.0):
@@ -162,8 +158,7 @@ def clearly_resolved(P: float, F2: float, cov: tuple[float, float, float, float,
 def miss_uncertainty(F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float]) -> float:
     """Return the standard uncertainty of |F2| - hypot(F1, F3) in newtons; cov as in uncertainty().
 
-    Needed only where contact() returns a miss above zero. F1 = F3 = 0: the largest value that any direction
-    and correlation can give. NaN or infinity in: NaN.
+    Needed only for a miss above zero. F1 = F3 = 0: the largest that any direction and correlation can give.
     """
     force, covariance = scaled_force(F1, F2, F3), scaled_covariance(cov)
     if force is None or covariance is None:
@@ -177,11 +172,10 @@ def miss_uncertainty(F1: float, F2: float, F3: float, cov: tuple[float, float, f
 
 
 def finite_slope(x: float, cosine: float, step: float) -> float:
-    """Return the slope of asin at x over one standard uncertainty: root mean square of the two chords.
+    """Return the slope of asin at x over one standard uncertainty, ``step``: root mean square of the two chords.
 
-    x = |F2| / P in [0, 1], cosine = sqrt(1 - x^2), passed because it is more precise than x, step =
-    standard uncertainty of x. Far from x = 1 it is 1 / cosine; at x = 1 the outward chord is zero and it is
-    about step ** -0.5.
+    x = |F2| / P in [0, 1]; cosine = sqrt(1 - x^2) is more precise than x. Far from x = 1 it is 1 / cosine; at x = 1 the
+    outward chord is zero and it is about step ** -0.5.
     """
     if step < SMALLEST_STEP:
         return 1.0 / max(cosine, SMALLEST_COSINE)
@@ -202,11 +196,10 @@ def status_bits(
 ) -> int:
     """Return the bits CONTACT_PRESENT, THETA_UNRESOLVED, MISSES_TIP and OUTSIDE_PAD of one sample.
 
-    P, theta, miss from contact(), u_P, u_theta from uncertainty(), u_miss from miss_uncertainty(). limits:
-    (contact-on N, contact-off N, theta minimum, theta maximum in degrees) with contact-off <= contact-on and
+    limits: (contact-on N, contact-off N, theta minimum, theta maximum in degrees) with contact-off <= contact-on and
     minimum <= maximum; the pad may run across 180 degrees (150 to 210). was_present: the sample before had
-    CONTACT_PRESENT. NaN is never a contact; a NaN in theta or in any uncertainty leaves theta unresolved.
-    OUTSIDE_PAD is set only if theta is known: with a contact, theta resolved, the tip not missed.
+    CONTACT_PRESENT. NaN is never a contact; a NaN in theta or in any uncertainty leaves theta unresolved. OUTSIDE_PAD
+    is set only if theta is known: with a contact, theta resolved, the tip not missed.
     """
     on, off, theta_min_deg, theta_max_deg = limits
     bits = 0
@@ -227,8 +220,8 @@ def status_bits(
 def unknown(status: int, rank_left_is_3: bool = False) -> int:
     """Return the values that a status byte makes unknown, as bits UNKNOWN_FORCE, _PHI, _THETA and _GAUGES.
 
-    rank_left_is_3: with more than three gauges, the unsaturated ones still determine all three forces, and the
-    node used only them: SATURATED then makes no value unknown.
+    rank_left_is_3: the node used only unsaturated gauges, which determine all three forces: SATURATED then makes no
+    value unknown.
     """
     if status | OUTSIDE_PAD == _ALL_KNOWN:
         return 0

@@ -1,8 +1,7 @@
 """More than three gauges, for a microcontroller: whether and which gauges contradict, and the force from the rest.
 
-Needs the math module only and keeps to what MicroPython has; redundancy.py holds the same for arrays and explains it.
-A node computes what it needs of it when a gauge is left out. Matrices are lists of rows, noise is the upper triangle
-of the gauges' covariance by rows (object 2106h), strain^2.
+Needs only the math module and the MicroPython subset; redundancy.py has the same for arrays and explains it. Matrices
+are lists of rows, noise is the upper triangle of the gauges' covariance by rows (object 2106h), strain^2.
 
 With V = A F + e and the covariance Sigma of e, the n - 3 rows w of ``directions`` have w A = 0 and w Sigma w = 1:
 p = W V does not depend on the force. Gauges that vary more than their noise, by ``extra`` strain^2 (a model uncertainty
@@ -86,10 +85,9 @@ def leave_out(
 ) -> tuple[list[list[float]], tuple[float, float, float, float, float, float]] | None:
     """Return (matrix, covariance of F) that use all gauges but some, or None where the rest has no rank 3.
 
-    left_out: gauges from 0. The matrix is 3 rows of n with zeros for the gauges left out, newtons per unit
-    strain; the covariance is the upper triangle 11, 12, 13, 22, 23, 33, N^2, as scalar.uncertainty() takes it.
-    No rank 3: fewer than three gauges left, a singular covariance, or a condition number over the limit. C must
-    be the inverse that weighs by noise. noise all zero: equal weights, and a covariance of zero.
+    left_out: gauges from 0. The matrix is 3 rows of n with zeros for them, newtons per unit strain; the covariance as
+    scalar.uncertainty() takes it. No rank 3: fewer than three gauges left, a singular covariance, or a condition number
+    over the limit. C must weigh by noise; all zero: equal weights, and a covariance of zero.
     """
     n = len(C[0])
     kept = [k for k in range(n) if k not in left_out]
@@ -206,12 +204,11 @@ def judge(
 ) -> "tuple[float, int, list[tuple[float, float]]]":
     """Return (chi-square, bits of the gauges that may be at fault, (chi-square, visibility) of each gauge's fault).
 
-    strains: offsets taken off; what gauges that are not kept read does not matter, as long as it is finite. shown:
-    ``columns``. extra: strain^2 of each gauge beside its noise, None for none. alarm and exclusion: what chi-square
-    must exceed with as many degrees of freedom as W has rows, and with one less. Bits -1: nothing is wrong; 0: no
-    single gauge explains it; one bit: that gauge; more: they cannot be told apart. A gauge explains what its
-    best-fitting fault leaves no more than ``exclusion`` of; of that fault, the chi-square it explains and the
-    chi-square per strain^2 are returned, zeros for a gauge that is not shown. NaN in: chi-square NaN, bits 0.
+    strains: offsets taken off; those of gauges that are not kept must be finite. shown: ``columns``. extra: strain^2 of
+    each gauge beside its noise, None for none. alarm and exclusion: what chi-square must exceed with as many degrees of
+    freedom as W has rows, and with one less. Bits -1: nothing is wrong; 0: no single gauge explains it; one bit: that
+    gauge; more: they cannot be told apart. A gauge explains what its best-fitting fault leaves no more than
+    ``exclusion`` of. Zeros for a gauge that is not shown. NaN in: chi-square NaN, bits 0.
     """
     chi_square, faults = explained(W, shown, strains, extra)
     bits = 0
@@ -258,8 +255,8 @@ def doubt(
 ) -> "tuple[float, float, float, float, float, float]":
     """Return what a fault below the limit adds to the covariance of F: upper triangle, N^2.
 
-    The sum over the gauges of the square of what the best-fitting fault of each does to F, weighed by the probability
-    of that fault (Bayes: odds of NO_FAULT to 1 before the sample, likelihood exp(explained / 2)). faults: of ``judge``.
+    The squares of what each gauge's best-fitting fault does to F, by the probability of that fault (Bayes: odds of
+    NO_FAULT to 1 before the sample, likelihood exp(explained / 2)). faults: of ``judge``.
     """
     n = len(faults)
     shown: list[int] = []

@@ -49,8 +49,7 @@ class Hold(NamedTuple):
 def hold(x: float, zeta: float) -> Hold:
     """Return the coefficients for x = omega h >= 0 and the damping ratio zeta >= 0, both finite.
 
-    Relative error of the response about 1e-15, from x = 1e-150 to 1e300. For large x the phase of an undamped mode is
-    that of the rounded x, as with any formula.
+    Relative error of the response about 1e-15, from x = 1e-150 to 1e300.
     """
     if x == 0.0:
         return Hold(1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
@@ -166,10 +165,7 @@ def holds(modes: Modes, step_s: float) -> list[Hold]:
 
 
 def node_coefficients(modes: Modes, step_s: float) -> Coefficients:
-    """Return the arguments of ``tipforce.sources.dynamic_load.DynamicLoad`` for one step length: plain floats.
-
-    Raises InputError for a step out of range.
-    """
+    """Return the arguments of ``sources.dynamic_load.DynamicLoad``, plain floats. Raises InputError as holds() does."""
     shapes = zip(modes.load_shape.tolist(), holds(modes, step_s), modes.force_shape.T.tolist(), strict=True)
     return tuple(((a, b, c), held, (d, e, f)) for (a, b, c), held, (d, e, f) in shapes)
 
@@ -177,8 +173,8 @@ def node_coefficients(modes: Modes, step_s: float) -> Coefficients:
 def respond(modes: Modes, loads_newtons: npt.ArrayLike, step_s: float, start: State | None = None) -> Response:
     """Return the elastic force at every sample of a load (m, 3), ``step_s`` apart, m at least 1.
 
-    start: the state at the first sample, ``at_rest`` if None. A load that is not finite makes its modes not finite
-    from there on. Raises InputError for shapes that do not fit, or a step out of range.
+    start: the state at the first sample, ``at_rest`` if None. After a load that is not finite the force is not, either.
+    Raises InputError for shapes that do not fit, or a step out of range.
     """
     F = checked_loads(loads_newtons)
     held = np.array(holds(modes, step_s))
@@ -200,9 +196,8 @@ def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
 def _scan(held: FloatArray, drive: FloatArray, start: State) -> tuple[FloatArray, FloatArray]:
     """Return all states (m, n) of the recurrence, in blocks: about 2 sqrt(m) passes through Python instead of m.
 
-    Within a block all start from zero, all blocks at once; then the state at the end of each block is carried to the
-    next, and its free motion is added by powers of the step's matrix. The closed form at multiples of the step is not
-    used: multiples round, which thousands of radians per step would show.
+    All blocks start from zero at once; then the state at the end of each is carried to the next, its free motion added
+    by powers of the step's matrix. Multiples of the step would round, which thousands of radians per step would show.
     """
     steps, n = drive.shape[1:]
     if steps == 0:

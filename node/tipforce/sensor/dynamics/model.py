@@ -1,9 +1,8 @@
 """The tip on its beams as an oscillator: masses, modes, and the transfer from force to gauge readings.
 
-Bodies: the tip is rigid, a half cylinder of steel, joined to the outer beam ends by rigid massless legs; the fixture
-does not move. Joint and beams are massless by default: then the same force F passes both beams,
-three modes remain, and all gauges measure one elastic force. A joint or beams with mass have six modes, the
-joint's far above the others, and the gauges of the arms and of the vertical beam measure different forces.
+The tip is rigid, a half cylinder of steel, joined to the outer beam ends by rigid massless legs; the fixture does not
+move. Joint and beams are massless by default: then three modes remain, and all gauges measure one elastic force. With
+mass there are six, the joint's far above, and the gauges of arms and vertical beam measure different forces.
 
 Coordinates are y = (v, r rotation, u): the displacements conjugate to F = (F1, F2, F3), in metres. Small motions; no
 gravity; damping is an assumed ratio per mode, which the paper did not measure.
@@ -20,7 +19,7 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame, FrameModel
+from tipforce.sensor.structure.plane_frame import Frame
 
 STEEL_DENSITY = 7850.0
 """kg/m3, assumed: the paper does not state it."""
@@ -98,18 +97,16 @@ def modes(
     tip: RigidBody | None = None,
     joint: RigidBody | None = None,
     beam_density_kg_m3: float = 0.0,
-    model: FrameModel = EULER_BERNOULLI,
 ) -> Modes:
     """Return the modes of one body: 3 if joint and beams are massless, else 6.
 
     damping_ratio: one for all modes or one for each, lowest first. tip: half_cylinder(geometry) if None. joint: a
-    rigid block at the origin. beam_density_kg_m3: of the beams, 0 neglects their mass. Raises InputError for a body
-    whose stiffness or frequencies floating point cannot represent, a joint without mass with massless beams, or damping
-    ratios out of range or in wrong number.
+    rigid block at the origin. beam_density_kg_m3: 0 neglects the mass of the beams. Raises InputError for a body beyond
+    floating point, or damping ratios out of range or in wrong number.
     """
     if not 0.0 <= beam_density_kg_m3 < math.inf:
         raise InputError(f"beam_density_kg_m3 = {beam_density_kg_m3!r}: allowed is 0 (neglected) or more, finite")
-    frame, r = Frame(geometry, model), geometry.r_m
+    frame, r = Frame(geometry), geometry.r_m
     tip_mass = (tip or half_cylinder(geometry)).matrix(r)
     arms, vertical = compliances(frame)
     if joint is None and beam_density_kg_m3 == 0.0:
@@ -121,7 +118,7 @@ def modes(
     if joint is not None:
         mass[:3, :3] += joint.matrix(r)
     if beam_density_kg_m3 > 0.0:
-        mass += beam_mass_matrix(geometry, beam_density_kg_m3, model)
+        mass += beam_mass_matrix(geometry, beam_density_kg_m3)
     zero = np.zeros((3, 3))
     omega, L, Q = _eigen(mass, np.block([[vertical, zero], [zero, arms]]), geometry)
     shapes = np.linalg.solve(L.T, Q)
@@ -130,12 +127,10 @@ def modes(
 
 
 def compliances(frame: Frame) -> tuple[FloatArray, FloatArray]:
-    """Return the compliance (3, 3), m/N in the coordinates y, of the arms and of the vertical beam: their sum is the
-    tip's against the fixture.
-    """
+    """Return the compliances (3, 3), m/N in the coordinates y, of the arms and of the vertical beam."""
     r = frame.geometry.r_m
     order = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, r], [1.0, 0.0, 0.0]])  # y from (u, v, rotation)
-    arms, vertical = order @ frame.tip_motion(), order @ frame.joint_motion()
+    arms, vertical = (order @ motion for motion in frame.motions())
     return 0.5 * (arms + arms.T), 0.5 * (vertical + vertical.T)
 
 
@@ -167,18 +162,16 @@ def _damping(damping_ratio: float | Sequence[float], n: int) -> FloatArray:
     return np.broadcast_to(zeta, (n,)).copy()
 
 
-def beam_mass_matrix(geometry: Geometry, density_kg_m3: float, model: FrameModel) -> FloatArray:
+def beam_mass_matrix(geometry: Geometry, density_kg_m3: float) -> FloatArray:
     """Return the mass matrix (6, 6), kg, for (motion of the joint, motion of the tip relative to it), each as y.
 
-    Beams deform as their end loads bend them (Hermite's cubic along, linear stretch); shear, root compliance, rotatory
-    inertia and the beams' own inner modes are neglected.
+    Consistent masses of Hermite's cubic and linear stretch: shear, roots and rotatory inertia are neglected.
     """
     g = geometry
-    inner = 0.5 * g.h2_m if model.finite_joint else 0.0
     total = np.zeros((6, 6))
     for sign in (-1.0, 1.0):
-        local = _local_mass(g.a_m - inner, g.h1_m * g.width_m * density_kg_m3)
-        near = _end(g, (sign * inner, 0.0), (sign, 0.0))
+        local = _local_mass(g.a_m, g.h1_m * g.width_m * density_kg_m3)
+        near = _end(g, (0.0, 0.0), (sign, 0.0))
         far = _end(g, (sign * g.a_m, 0.0), (sign, 0.0))
         ends = np.block([[near, np.zeros((3, 3))], [far, far]])
         total += ends.T @ local @ ends
@@ -218,10 +211,9 @@ _SWEEPS = 60
 def jacobi(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (values (n,), vectors (n, n) as columns), largest value first, by Jacobi's rotations.
 
-    Unlike numpy.linalg.eigh, whose errors are a fraction of the largest eigenvalue, the relative error of each
-    eigenvalue is rounding times the condition number of the matrix with its diagonal scaled to 1 (Demmel and Veselic
-    1992): a thin beam's stiffness beside a thick one's keeps its digits. A rotation is skipped only where the entry is
-    small against the geometric mean of its two diagonal entries.
+    Unlike those of numpy.linalg.eigh, small eigenvalues keep their digits (Demmel and Veselic 1992): a thin beam's
+    stiffness beside a thick one's. A rotation is skipped only where the entry is small against the geometric mean of
+    its two diagonal entries.
     """
     A, Q = matrix.copy(), np.eye(len(matrix))
     pairs = [(i, j) for i in range(len(A)) for j in range(i + 1, len(A))]

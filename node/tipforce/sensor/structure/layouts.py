@@ -34,18 +34,13 @@ CASE_OF_CODE = {1: "I", 2: "II", 3: "III"}
 """Layout code of a calibration -> name; all others have CUSTOM_LAYOUT_CODE."""
 CASES = tuple(CASE_OF_CODE.values())
 """The cases of Table 3."""
-_CODES: dict[tuple[str, ...], int] = {LAYOUTS[name]: code for code, name in CASE_OF_CODE.items()}
 
 Layout = str | Sequence[str]
 """A name of LAYOUTS, or the gauge points themselves in the order of the gauges."""
 
 
 def layout(name_or_points: Layout) -> tuple[str, ...]:
-    """Return the gauge points of a layout, SG1 first.
-
-    name_or_points: a key of LAYOUTS, or 3 to 8 different members of POINTS. Raises InputError for an unknown
-    name or point, a point given twice, or fewer than 3 or more than 8 points.
-    """
+    """Return the gauge points of a layout, SG1 first. Raises InputError unless 3 to 8 different POINTS are named."""
     if isinstance(name_or_points, str):
         if name_or_points not in LAYOUTS:
             raise InputError(
@@ -65,17 +60,14 @@ def layout(name_or_points: Layout) -> tuple[str, ...]:
 
 
 def mirror(name_or_points: Layout) -> tuple[str, ...]:
-    """Return the layout mirrored at the y-axis, gauge by gauge.
+    """Return the layout mirrored at the y-axis, gauge by gauge. Raises InputError as layout() does.
 
-    For (F1, F2, F3) a mirrored gauge has the original's reading for (F1, -F2, -F3): tension stays positive
-    and the condition number is unchanged. Raises InputError as layout() does.
+    For (F1, F2, F3) a mirrored gauge reads what the original does for (F1, -F2, -F3): equal condition number.
     """
     return tuple(MIRROR[point] for point in layout(name_or_points))
 
 
 def layout_code(name_or_points: Layout) -> int:
-    """Return 1, 2, 3 for the cases I, II, III of Table 3 with SG1 to SG3 in its order, else 255 (custom).
-
-    Raises InputError as layout() does.
-    """
-    return _CODES.get(layout(name_or_points), CUSTOM_LAYOUT_CODE)
+    """Return 1, 2, 3 for the cases I, II, III with SG1 to SG3 in their order, else 255. Raises as layout() does."""
+    points = layout(name_or_points)
+    return next((code for code, case in CASE_OF_CODE.items() if LAYOUTS[case] == points), CUSTOM_LAYOUT_CODE)

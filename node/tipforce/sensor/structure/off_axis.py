@@ -11,8 +11,8 @@ Neglected: shear deformation, the compliance of tip and fixture, stress concentr
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from math import cos, exp, pi, sin, sqrt, tanh
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +25,7 @@ from tipforce.sensor.structure.plane_frame import POISSON_RATIO
 from tipforce.sensor.structure.strain import GaugePosition, nominal_position
 
 
-@dataclass(frozen=True, slots=True)
-class PlacedGauge:
+class PlacedGauge(NamedTuple):
     """One gauge with its placement errors."""
 
     position: GaugePosition
@@ -36,8 +35,7 @@ class PlacedGauge:
     """From the axis of the beam (x or y) towards z."""
 
 
-@dataclass(frozen=True, slots=True)
-class ApparentForce:
+class ApparentForce(NamedTuple):
     """Apparent force per newton of an unwanted load: components of F, all from the worst signs and angle."""
 
     P_newtons: float
@@ -48,20 +46,25 @@ class ApparentForce:
     """Largest |F|."""
 
 
-@dataclass(frozen=True, slots=True)
 class _Section:
     """Stiffnesses of one beam. thickness_m lies in the plane of the sensor, width along z."""
 
-    length_m: float
-    thickness_m: float
-    width_m: float
-    axial: float  # E A, newtons
-    bend_in_plane: float  # E I, N m^2
-    bend_out_of_plane: float
-    twist: float  # G J, N m^2
-    surface_shear: float  # largest shear strain on the wide face per newton metre of torque
-    lateral_shear: float  # shear strain on the centre line per newton of lateral force
-    decay_m: float  # sqrt(E Cw / G J): decay length of restrained warping; 0 if warping is free
+    def __init__(self, geometry: Geometry, length_m: float, h: float, warping_held: bool) -> None:
+        self.length_m, self.thickness_m, self.width_m = length_m, h, geometry.width_m
+        b, E = geometry.width_m, geometry.youngs_modulus_pascals
+        G = 0.5 * E / (1.0 + POISSON_RATIO)
+        J, W = torsion_constants(b, h)
+        self.axial = E * b * h  # newtons
+        self.bend_in_plane, self.bend_out_of_plane = E * b * h**3 / 12.0, E * h * b**3 / 12.0  # N m^2
+        self.twist = G * J  # N m^2
+        self.surface_shear = 1.0 / (G * W)  # largest shear strain on the wide face per newton metre of torque
+        # sqrt(E Cw / G J): decay length of restrained warping; 0 if warping is free.
+        self.decay_m = sqrt(E * (b * h) ** 3 / 144.0 / (G * J)) if warping_held else 0.0
+        self._centre_shear = 1.5 / (G * b * h)
+
+    def lateral_shear(self, z: float) -> float:
+        """Return the shear strain on the face per newton along z: a parabola over the width."""
+        return self._centre_shear * (1.0 - (2.0 * z / self.width_m) ** 2)
 
     def torsion_profile(self, s: float) -> tuple[float, float]:
         """Return (phi' G J / T, its derivative along s) at s from one end; warping is restrained at both ends."""
@@ -74,10 +77,9 @@ class _Section:
 
 
 def torsion_constants(width_m: float, thickness_m: float) -> tuple[float, float]:
-    """Return (J, W) of a rectangle, m^4 and m^3: twist per length T / (G J), largest shear stress T / W.
+    """Return (J, W) of a rectangle, m^4 and m^3 (St Venant): twist per length T / (G J), largest shear stress T / W.
 
-    St Venant's series; the largest shear is in the middle of the wide face. Raises InputError where thickness is
-    not the smaller side.
+    Raises InputError where thickness is not the smaller side.
     """
     if not 0.0 < thickness_m <= width_m:
         raise InputError(f"thickness {thickness_m!r} m of a beam {width_m!r} m wide: allowed is above 0, up to it")
@@ -96,8 +98,8 @@ def wrench_strain_matrix(geometry: Geometry, gauges: list[PlacedGauge], *, warpi
     The wrench is (Fx, Fy, Fz, Mx, My, Mz) about the middle of the horizontal beam, newtons and newton metres.
     Raises InputError for a beam that is thicker than wide.
     """
-    horizontal = _section(geometry, geometry.a_m, geometry.h1_m, warping_held)
-    vertical = _section(geometry, geometry.d_m, geometry.h2_m, warping_held)
+    horizontal = _Section(geometry, geometry.a_m, geometry.h1_m, warping_held)
+    vertical = _Section(geometry, geometry.d_m, geometry.h2_m, warping_held)
     arms = _arm_loads(horizontal)
     rows = []
     for gauge in gauges:
@@ -142,11 +144,11 @@ def apparent_force(
     warping_held: bool = False,
     inward_m: float = 0.0,
 ) -> ApparentForce:
-    """Return the force that a planar calibration computes from unwanted wrenches (m, 6).
+    """Return the force that a planar calibration computes from unwanted wrenches (m, 6): the worst of them.
 
-    Every gauge of the layout is misplaced by the two amounts, with either sign, and calibrated in the plane at
-    that place; the worst combination of signs and the worst wrench count. inward_m: distance of the gauges' middles
-    from the fixed ends. Raises InputError for an unusable layout, or wrenches of another shape.
+    Every gauge is misplaced by the two amounts, with the worst signs, and calibrated in the plane at that place.
+    inward_m: distance of the gauges' middles from the fixed ends. Raises InputError for an unusable layout, or wrenches
+    of another shape.
     """
     nominal = [nominal_position(geometry, point) for point in layout(gauges)]
     places = [place._replace(position_m=abs(place.position_m - inward_m)) for place in nominal]
@@ -162,24 +164,6 @@ def apparent_force(
         found = (np.hypot(F[:, 0], F[:, 2]).max(), np.abs(F[:, 1]).max(), np.linalg.norm(F, axis=1).max())
         worst = np.maximum(worst, found)
     return ApparentForce(*(float(value) for value in worst))
-
-
-def _section(geometry: Geometry, length_m: float, h: float, warping_held: bool) -> _Section:
-    b, E = geometry.width_m, geometry.youngs_modulus_pascals
-    G = 0.5 * E / (1.0 + POISSON_RATIO)
-    J, W = torsion_constants(b, h)
-    return _Section(
-        length_m=length_m,
-        thickness_m=h,
-        width_m=b,
-        axial=E * b * h,
-        bend_in_plane=E * b * h**3 / 12.0,
-        bend_out_of_plane=E * h * b**3 / 12.0,
-        twist=G * J,
-        surface_shear=1.0 / (G * W),
-        lateral_shear=1.5 / (G * b * h),
-        decay_m=sqrt(E * (b * h) ** 3 / 144.0 / (G * J)) if warping_held else 0.0,
-    )
 
 
 def _arm_loads(beam: _Section) -> dict[str, FloatArray]:
@@ -217,7 +201,7 @@ def _on_arm(beam: _Section, arms: dict[str, FloatArray], gauge: PlacedGauge) -> 
     straight, bent = beam.torsion_profile(s)
     strain = sign * (Fx / beam.axial + My * (z / beam.bend_out_of_plane) - Mz * (y / beam.bend_in_plane))
     strain = strain + Mx * (y * z * bent / beam.twist)
-    shear = sign * (Fz * _lateral(beam, z) + np.sign(y) * straight * beam.surface_shear * Mx)
+    shear = sign * (Fz * beam.lateral_shear(z) + np.sign(y) * straight * beam.surface_shear * Mx)
     return strain, shear
 
 
@@ -231,10 +215,5 @@ def _on_stem(geometry: Geometry, beam: _Section, gauge: PlacedGauge) -> tuple[Fl
     straight, bent = beam.torsion_profile(s)
     strain = Fy / beam.axial - Mx * (z / beam.bend_out_of_plane) + Mz * (x / beam.bend_in_plane)
     strain = strain + My * (x * z * bent / beam.twist)
-    shear = Fz * _lateral(beam, z) - np.sign(x) * straight * beam.surface_shear * My
+    shear = Fz * beam.lateral_shear(z) - np.sign(x) * straight * beam.surface_shear * My
     return strain, shear
-
-
-def _lateral(beam: _Section, z: float) -> float:
-    """Return the shear strain on the face per newton along z: a parabola over the width."""
-    return beam.lateral_shear * (1.0 - (2.0 * z / beam.width_m) ** 2)

@@ -5,10 +5,9 @@ stiffness matrix: the vertical beam (fixture to joint) and the two arms of the h
 that carries load at its ends only is exact with one element. Signs: x to the right, y away from the fixture, angles
 counter-clockwise; tension is positive.
 
-The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint, not of each
-relative to the ground. Rigid motion does not load an element, so nothing is lost; but a thin beam's tiny axial
-stiffness term is then never added to another beam's bending term 1e14 times smaller, and a body of 1 nm thickness is
-solved to rounding, where absolute unknowns lose all digits of the sum. Diagonal scaling does the rest.
+The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint: then no stiffness
+is added to one of another beam 1e14 times smaller, and with diagonal scaling a body of 1 nm thickness is solved to
+rounding.
 
 In the limit EULER_BERNOULLI (rigid roots, rigid joint without width) the frame equals Table 1 of the paper to
 rounding, its lever h1 / 2 included.
@@ -47,7 +46,7 @@ POISSON_RATIO = 0.29
 
 @dataclass(frozen=True, slots=True)
 class FrameModel:
-    """Assumptions on the beams, their roots and the joint. Raises InputError for a root out of range."""
+    """Assumptions on the beams, their roots and the joint."""
 
     shear: bool = False
     """True: Timoshenko beams, with shear deformation. False: Euler-Bernoulli."""
@@ -57,10 +56,6 @@ class FrameModel:
     finite_joint: bool = False
     """True: the joint is a rigid block h2 wide, the arms start at its sides. False: they meet at its middle,
     as in Table 1. In both the vertical beam starts h1 / 2 below the middle."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.root_rotation < math.inf:
-            raise InputError(f"root_rotation = {self.root_rotation!r}: allowed is 0 (rigid) or more, finite")
 
 
 EULER_BERNOULLI = FrameModel()
@@ -108,34 +103,28 @@ class Frame:
         # The joint carries the load of the tip: the loads of both blocks are equal.
         self._joint = _solve([self._vertical], loads)
         self._tip = _solve(list(self._arms.values()), loads)
+        self._scale = geometry.width_m * geometry.youngs_modulus_pascals
 
     def strain_matrix(self, gauges: Sequence[Gauge], gauge_length_m: float = 0.0) -> FloatArray:
-        """Return the strain per newton of F, shape (n, 3), tension positive.
+        """Return the strain per newton of F, shape (n, 3), tension positive, as the mean over gauge_length_m.
 
-        gauges: points of Table 1 or GaugePosition; a point of the arms at the joint (K_H, S_H) is where the
-        arm starts. gauge_length_m: 0 for the strain at the place itself, else the mean over that length around
-        it. Raises InputError for an unknown gauge, one off its beam, or one whose length reaches beyond it.
+        The points K_H and S_H are where their arms start. Raises InputError for an unknown gauge, one off its beam, or
+        one whose length reaches beyond it.
         """
-        if not 0.0 <= gauge_length_m < math.inf:
-            raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
         return np.array([self._row(gauge, gauge_length_m) for gauge in gauges], dtype=np.float64).reshape(-1, 3)
 
-    def tip_motion(self) -> FloatArray:
-        """Return the motion of the tip relative to the joint per newton of F: (3, 3), rows u_m, v_m, rotation_rad."""
-        return self._tip / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
-
-    def joint_motion(self) -> FloatArray:
-        """Return the motion of the joint relative to the fixture per newton of F: (3, 3), rows as tip_motion()."""
-        return self._joint / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
+    def motions(self) -> tuple[FloatArray, FloatArray]:
+        """Return the motion of the tip relative to the joint, and of that relative to the fixture, per newton of F:
+        (3, 3), rows u_m, v_m, rotation_rad.
+        """
+        return self._tip / self._scale, self._joint / self._scale
 
     def slit_closure(self, fractions: npt.ArrayLike) -> FloatArray:
         """Return the decrease of the slit width between tip and horizontal beam, m per newton of F, (2, m, 3).
 
-        fractions: (m,) places along the left and the right arm, 0 at the joint, 1 at the tip. The slit is assumed
-        to run along the upper face of the horizontal beam: the paper's figure is not in its text.
+        fractions: (m,) places along the left and the right arm, 0 at the joint, 1 at the tip.
         """
         xi = np.asarray(fractions, dtype=np.float64)[:, np.newaxis]
-        scale = self.geometry.width_m * self.geometry.youngs_modulus_pascals
         closures = []
         for element in self._arms.values():
             x = element.start[0] + xi * element.length * element.axes[0, 0]
@@ -144,7 +133,7 @@ class Frame:
             # shear and springs between the ends are neglected.
             _, w, turn = element.motion @ self._tip
             shape = w * xi**2 * (3.0 - 2.0 * xi) + turn * element.length * xi**2 * (xi - 1.0)
-            closures.append((shape * element.axes[0, 0] - tip) / scale)
+            closures.append((shape * element.axes[0, 0] - tip) / self._scale)
         return np.stack(closures)
 
     def _row(self, gauge: Gauge, gauge_length_m: float) -> FloatArray:
@@ -162,15 +151,14 @@ class Frame:
         if gauge in POINTS:
             s = element.length if s > 0.5 * element.length else 0.0
         half, slack = 0.5 * gauge_length_m, 1e-6 * element.length  # tolerance for an optimiser at a limit
-        if s - half < -slack or s + half > element.length + slack:
+        if not -slack <= s - half <= s + half <= element.length + slack:
             raise InputError(
                 f"gauge of length {gauge_length_m!r} m at {spot.position_m!r} m on the {spot.side} of beam {spot.beam}"
                 f": allowed is a gauge that lies between the beam's ends, {element.length!r} m apart"
             )
         ends = s - half, s + half  # as distances from A
-        strain = np.mean([_surface_strain(element, motion, end, outward) for end in ends], axis=0)
-        row: FloatArray = strain / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
-        return row
+        row: FloatArray = np.mean([_surface_strain(element, motion, end, outward) for end in ends], axis=0)
+        return row / self._scale
 
 
 def _solve(elements: list[_Element], loads: FloatArray) -> FloatArray:
@@ -256,10 +244,7 @@ def worst_stress(geometry: Geometry, load_newtons: float) -> float:
 
 
 def slit_closure(geometry: Geometry, load_newtons: float) -> float:
-    """Return the most by which a load narrows the slit above the horizontal beam in metres, over the same loads.
-
-    Rigid tip and joint, Euler-Bernoulli.
-    """
+    """Return the most by which a load narrows the slit in metres, over the same loads (EULER_BERNOULLI)."""
     closure = float(slit_compliance(np.asarray(geometry.a_m), np.asarray(geometry.r_m), np.asarray(geometry.h1_m)))
     return closure * load_newtons / (geometry.width_m * geometry.youngs_modulus_pascals)
 

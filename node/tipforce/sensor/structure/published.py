@@ -11,19 +11,17 @@ class PrintedMaximum(NamedTuple):
     theta_deg: float
     phi_deg: float
     maximum: float
-    general: str
-    """The column before, for any h2, as printed."""
 
 
 TABLE_2 = {
-    "L": PrintedMaximum(180.0, 90.0, 3.0, "3 a/h1^2"),
-    "R": PrintedMaximum(180.0, -90.0, 3.0, "3 a/h1^2"),
-    "T": PrintedMaximum(0.0, 90.0, 4.5, "12 a/h1^2"),
-    "U": PrintedMaximum(0.0, -90.0, 4.5, "12 a/h1^2"),
-    "K_H": PrintedMaximum(180.0, 90.0, 4.5, "4.5 a/h1^2"),
-    "S_H": PrintedMaximum(0.0, 90.0, 4.5, "4.5 a/h1^2"),
-    "K_V": PrintedMaximum(0.0, 90.0, 2.25, "6 a/h1^2"),
-    "S_V": PrintedMaximum(0.0, -90.0, 2.25, "6 a/h1^2"),
+    "L": PrintedMaximum(180.0, 90.0, 3.0),
+    "R": PrintedMaximum(180.0, -90.0, 3.0),
+    "T": PrintedMaximum(0.0, 90.0, 4.5),
+    "U": PrintedMaximum(0.0, -90.0, 4.5),
+    "K_H": PrintedMaximum(180.0, 90.0, 4.5),
+    "S_H": PrintedMaximum(0.0, 90.0, 4.5),
+    "K_V": PrintedMaximum(0.0, 90.0, 2.25),
+    "S_V": PrintedMaximum(0.0, -90.0, 2.25),
 }
 
 TABLE_3_THEORY = {"I": 2.55, "II": 2.62, "III": 2.69}

@@ -8,7 +8,7 @@ the strain at its middle, exactly; one of 1 mm that begins at a corner reads 0.5
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ import numpy.typing as npt
 from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES, POINTS, Layout, layout
+from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES, POINTS, VERTICAL_POINTS, Layout, layout
 
 Beam = Literal["H", "V"]
 Side = Literal["left", "right"]
@@ -40,19 +40,11 @@ class GaugePosition(NamedTuple):
 
 def nominal_position(geometry: Geometry, point: str) -> GaugePosition:
     """Return the position of a point of Table 1. Raises InputError for an unknown point."""
-    places: dict[str, GaugePosition] = {
-        "L": GaugePosition("H", "left", geometry.a_m),
-        "R": GaugePosition("H", "right", geometry.a_m),
-        "T": GaugePosition("V", "left", geometry.d_m),
-        "U": GaugePosition("V", "right", geometry.d_m),
-        "K_H": GaugePosition("H", "left", 0.0),
-        "S_H": GaugePosition("H", "right", 0.0),
-        "K_V": GaugePosition("V", "left", 0.0),
-        "S_V": GaugePosition("V", "right", 0.0),
-    }
-    if point not in places:
+    if point not in POINTS:
         raise InputError(f"gauge point {point!r} is not known: allowed are {', '.join(POINTS)}")
-    return places[point]
+    beam: Beam = "V" if point in VERTICAL_POINTS else "H"
+    outer = geometry.d_m if beam == "V" else geometry.a_m
+    return GaugePosition(beam, "left" if point[0] in "LTK" else "right", 0.0 if point[0] in "KS" else outer)
 
 
 def strain_row(
@@ -60,10 +52,9 @@ def strain_row(
 ) -> FloatArray:
     """Return the strain per newton of F = (F1, F2, F3), shape (..., 3), tension positive, at positions (...).
 
-    The arguments are the fields of GaugePosition. Equals Table 1 (as strain_matrix() returns it) at the eight
-    points; between them it is linear: equations (5) and (6) with the lever arm in place of d, and for the
-    horizontal beam the straight line from equation (4) to (3) and from (11) to (10). Raises InputError for an
-    unknown beam, side or face, or a position off the beam.
+    The arguments are the fields of GaugePosition. Table 1 at the eight points, linear between them: equations (5) and
+    (6) with the lever arm in place of d, and from equation (4) to (3) and from (11) to (10) on the horizontal beam.
+    Raises InputError for an unknown beam, side or face, or a position off the beam.
     """
     if beam not in ("H", "V") or side not in ("left", "right") or face not in ("lower", "upper"):
         raise InputError(
@@ -101,21 +92,21 @@ def position_matrix(geometry: Geometry, positions: Sequence[GaugePosition]) -> F
     return np.array([strain_row(geometry, *position) for position in positions], dtype=np.float64).reshape(-1, 3)
 
 
-def shifted(geometry: Geometry, gauge: str | GaugePosition, shift_m: float) -> GaugePosition:
-    """Return the position shift_m from a point of Table 1, or another position, along its beam.
+def shifted(geometry: Geometry, gauge: str | GaugePosition, shift_m: Any) -> GaugePosition:
+    """Return the position shift_m (or an array of such) inward of a gauge: along its beam, away from the nearer end.
 
-    Positive is inward: away from the nearer end of the beam. Raises InputError for an unknown point; a shift
-    beyond the beam is rejected by strain_row().
+    Raises InputError for an unknown point; strain_row() rejects a shift beyond the beam.
     """
     spot = place(geometry, gauge)
-    return spot._replace(position_m=spot.position_m + _inward(geometry, spot) * shift_m)
+    length = geometry.a_m if spot.beam == "H" else geometry.d_m
+    inward = 1.0 if spot.position_m < 0.5 * length else -1.0
+    return spot._replace(position_m=spot.position_m + inward * shift_m)
 
 
 def shifted_matrix(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) -> FloatArray:
-    """Return the strain matrices (..., n, 3) of a layout with gauges shifts_m (..., n) inward of their points.
+    """Return the strain matrices (..., n, 3) of a layout, gauges shifted() by shifts_m (..., n), or all by a scalar.
 
-    shifts_m: sign as in shifted(), one number per gauge in the last axis, or a scalar for all. Raises
-    InputError for an unusable layout, a last axis that is not n, or a gauge shifted off its beam.
+    Raises InputError for an unusable layout, a last axis that is not n, or a gauge shifted off its beam.
     """
     points = layout(gauges)
     shifts = floats("shifts_m", shifts_m)
@@ -123,16 +114,8 @@ def shifted_matrix(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) 
         shifts = np.full(len(points), float(shifts))
     if shifts.shape[-1] != len(points):
         raise InputError(f"shifts_m has the shape {shifts.shape}: allowed is (..., {len(points)}) or a scalar")
-    rows = []
-    for index, point in enumerate(points):
-        spot = nominal_position(geometry, point)
-        position_m = spot.position_m + _inward(geometry, spot) * shifts[..., index]
-        rows.append(strain_row(geometry, spot.beam, spot.side, position_m, spot.face))
-    return np.stack(rows, axis=-2)
-
-
-def _inward(geometry: Geometry, spot: GaugePosition) -> float:
-    return 1.0 if spot.position_m < 0.5 * (geometry.a_m if spot.beam == "H" else geometry.d_m) else -1.0
+    spots = (shifted(geometry, point, shifts[..., index]) for index, point in enumerate(points))
+    return np.stack([strain_row(geometry, *spot) for spot in spots], axis=-2)
 
 
 Gauge = str | GaugePosition
@@ -186,9 +169,7 @@ def gauge_name(gauge: Gauge) -> str:
 def stress_coefficients(geometry: Geometry) -> dict[str, tuple[float, float, float]]:
     """Return Table 1: per gauge point (g1, g2, g3) in Pa per newton for a beam of unit width (1 m), unit 1/m.
 
-    Signs are the paper's: the horizontal beam counts tension positive, the vertical beam compression.
-    strain_matrix() counts tension positive everywhere. A beam too thin for floating point gives infinite
-    coefficients.
+    The paper's signs: compression is positive on the vertical beam. Infinite for a beam too thin for floating point.
     """
     table = {}
     for point in POINTS:
@@ -201,11 +182,9 @@ def stress_coefficients(geometry: Geometry) -> dict[str, tuple[float, float, flo
 
 
 def strain_matrix(geometry: Geometry, gauges: Layout) -> FloatArray:
-    """Return the strain per newton of F, shape (n, 3), tension positive for every gauge.
+    """Return the strain per newton of F, shape (n, 3), tension positive for every gauge: Table 1 over width and E.
 
-    Table 1 divided by width and Young's modulus, its vertical-beam rows with the opposite sign: a gauge reads
-    tension as positive wherever it is glued. Raises InputError for an unusable layout, or a beam too thin for
-    floating point.
+    Raises InputError for an unusable layout, or a beam too thin for floating point.
     """
     return gauge_matrix(geometry, layout(gauges))
 
@@ -234,8 +213,7 @@ def thin_limit_matrix(gauges: Layout) -> FloatArray:
 def calibration_matrix(geometry: Geometry, gauges: Layout) -> FloatArray:
     """Return C of equation (1), shape (3, n), newtons per unit strain: the pseudo-inverse of strain_matrix().
 
-    Raises InputError for an unusable layout, and if the gauges cannot separate the three forces (rank
-    below 3).
+    Raises InputError for an unusable layout, and for one of rank below 3.
     """
     return pseudo_inverse(strain_matrix(geometry, gauges), layout(gauges))
 
@@ -253,9 +231,8 @@ def pseudo_inverse(matrix: FloatArray, names: Iterable[str]) -> FloatArray:
 def condition_number(matrix: npt.ArrayLike) -> float:
     """Return the 2-norm condition number of a matrix (n, 3) or (3, n); inf where it is singular.
 
-    It is the same for the strain matrix and its pseudo-inverse C. It depends on the units of F (the paper's
-    F2 is a force, not a moment) and on the scale of every row. NaN where an entry is not finite. Raises InputError for
-    another shape.
+    The same for the strain matrix and C. It depends on the units of F (the paper's F2 is a force, not a moment) and on
+    the scale of every row. NaN where an entry is not finite. Raises InputError for another shape.
     """
     entries = floats("matrix", matrix)
     if entries.ndim != 2 or 3 not in entries.shape:
@@ -267,9 +244,9 @@ def condition_number(matrix: npt.ArrayLike) -> float:
 
 
 def row_equilibrated_condition_number(matrix: npt.ArrayLike) -> float:
-    """Return the condition number of a strain matrix (n, 3) with every row (gauge) scaled to unit length.
+    """Return the condition number of a strain matrix (n, 3) with rows of unit length; inf for a zero row.
 
-    This is the figure for gauges whose noise is the same fraction of their own range. A zero row gives inf.
+    The figure for gauges whose noise is the same fraction of their own range.
     """
     rows = floats("matrix", matrix)
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
@@ -277,11 +254,7 @@ def row_equilibrated_condition_number(matrix: npt.ArrayLike) -> float:
 
 
 def noise_gain(C: npt.ArrayLike) -> float:
-    """Return sqrt(trace(C C^T)) for C (3, n): root sum square of the noise of F per equal gauge noise.
-
-    In the unit of C: newtons per unit strain. Unlike the condition number it contains the actual noise
-    of F.
-    """
+    """Return sqrt(trace(C C^T)) for C (3, n), in its unit: root sum square of the noise of F per equal gauge noise."""
     entries = floats("C", C)
     largest = float(np.abs(entries).max(initial=0.0))
     return largest * float(np.linalg.norm(entries / largest)) if 0.0 < largest < np.inf else largest

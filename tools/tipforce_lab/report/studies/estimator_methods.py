@@ -24,7 +24,7 @@ from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import EnvironmentLackError
 from tipforce.fingertip.calibration import Active
 from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.estimate import estimate as estimate_in_bulk
+from tipforce.sensor.contact.estimate import contacts, force_from_strain
 from tipforce_lab.report.study import Effort, Timing, quartiles
 
 COUNT_BITS = 24
@@ -101,7 +101,7 @@ TURN = 1 << 32
 _RATIO_BITS = 30
 
 
-def in_integers(given: Contacts, C_bits: int, reading_bits: int, sum_bits: int, arctangent: Arctangent) -> Method:
+def in_integers(C_bits: int, reading_bits: int, sum_bits: int, arctangent: Arctangent, given: Contacts) -> Method:
     """Return the computation in integers of these widths; the largest coefficient of C fills its own."""
     per_count = given.C * (LSB_MICROSTRAIN * 1e-6 * 2.0 ** (COUNT_BITS - reading_bits))
     unit_newtons = float(np.abs(per_count).max()) / ((1 << C_bits - 1) - 1)
@@ -184,20 +184,17 @@ def _shifted(value: IntArray, bits: int) -> IntArray:
     return (value + (1 << bits - 1)) >> bits if bits else value
 
 
-PULL = False
-
-
 def bulk_float64(given: Contacts) -> Method:
     """``sensor.contact.estimate``."""
 
     def work() -> Estimate:
-        _, contact = estimate_in_bulk(given.C, given.counts * (LSB_MICROSTRAIN * 1e-6), pull=PULL)
+        contact = contacts(force_from_strain(given.C, given.counts * (LSB_MICROSTRAIN * 1e-6)), pull=False)
         return contact.P_newtons, np.degrees(contact.theta_rad)
 
     return work
 
 
-def single_precision(given: Contacts, factored: bool) -> Method:
+def single_precision(factored: bool, given: Contacts) -> Method:
     """Return the bare formula in float32, without scaling and checks.
 
     factored: c^2 = (L - |F2|)(L + |F2|) + S^2, L and S the larger and smaller of |F1|, |F3|; else P^2 - F2^2.
@@ -223,7 +220,7 @@ def single_precision(given: Contacts, factored: bool) -> Method:
     return work
 
 
-def on_the_node(given: Contacts, form: str) -> Method:
+def on_the_node(form: str, given: Contacts) -> Method:
     """Return the computation of a node under CPython per sample: REAL32 C, doubles, and the object in ``form``."""
     values = [*np.float32(given.C).ravel().tolist(), *[0.0] * 3, *[0.0] * 4, *[0.0] * 6]
     active = Active(b"", [*values, 0.015, -180.0, 180.0, 0.0, 0.0, 0.0, *[0.0] * 13], 3)
@@ -233,14 +230,14 @@ def on_the_node(given: Contacts, form: str) -> Method:
         rows = []
         for row in counts:
             F1, F2, F3 = active.force(active.C, [gain * c for c in row])
-            P, _phi, theta, _miss = scalar.contact(F1, F2, F3, PULL)
+            P, _phi, theta, _miss = scalar.contact(F1, F2, F3, False)
             rows.append((P, theta * scalar.DEGREES))
-        P_column, theta_column = np.array(rows).T
+        columns = np.array(rows)
         if form == "REAL32":
-            return P_column.astype(np.float32).astype(np.float64), theta_column.astype(np.float32).astype(np.float64)
+            columns = columns.astype(np.float32).astype(np.float64)
         if form == "INTEGER16":
-            return np.rint(P_column * 1000.0) / 1000.0, np.rint(theta_column * 100.0) / 100.0
-        return P_column, theta_column
+            columns = np.rint(columns * (1000.0, 100.0)) / (1000.0, 100.0)
+        return columns[:, 0], columns[:, 1]
 
     return work
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from decimal import Decimal, localcontext
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -32,26 +33,20 @@ WRAPS, INT16, INT32 = "int16 C, 32-bit accumulator", "int16 C, 64-bit accumulato
 INT32_TABLE = "int32 C, arctangent table"
 _INSIDE = "REAL32 C"
 
-Prepare = Callable[[Contacts], methods.Method]
-
-
-def _in_integers(C: int, readings: int, sums: int, arctangent: methods.Arctangent) -> Prepare:
-    return lambda given: methods.in_integers(given, C, readings, sums, arctangent)
-
-
-_METHODS: dict[str, dict[str, Prepare]] = {
+_WIDE = partial(methods.in_integers, 32, 24, 64)
+_METHODS: dict[str, dict[str, Callable[[Contacts], methods.Method]]] = {
     FLOAT64: {"float64 C": methods.bulk_float64},
-    FLOAT32: {"float32 C": lambda given: methods.single_precision(given, True)},
-    NAIVE32: {"float32 C": lambda given: methods.single_precision(given, False)},
+    FLOAT32: {"float32 C": partial(methods.single_precision, True)},
+    NAIVE32: {"float32 C": partial(methods.single_precision, False)},
     NODE: {
-        "INTEGER16 object": lambda given: methods.on_the_node(given, "INTEGER16"),
-        "REAL32 object": lambda given: methods.on_the_node(given, "REAL32"),
-        "inside, REAL32 C": lambda given: methods.on_the_node(given, "inside"),
+        "INTEGER16 object": partial(methods.on_the_node, "INTEGER16"),
+        "REAL32 object": partial(methods.on_the_node, "REAL32"),
+        "inside, REAL32 C": partial(methods.on_the_node, "inside"),
     },
-    WRAPS: {f"{n}-bit C": _in_integers(n, 16, 32, methods.cordic(16)) for n in (8, 12, 14, 16)},
-    INT16: {f"{n}-bit C": _in_integers(n, 16, 64, methods.cordic(16)) for n in (8, 12, 16)},
-    INT32: {f"{n} iterations": _in_integers(32, 24, 64, methods.cordic(n)) for n in (8, 12, 16, 20, 28)},
-    INT32_TABLE: {f"{n} entries": _in_integers(32, 24, 64, methods.table(n)) for n in (16, 64, 256, 1024)},
+    WRAPS: {f"{n}-bit C": partial(methods.in_integers, n, 16, 32, methods.cordic(16)) for n in (8, 12, 14, 16)},
+    INT16: {f"{n}-bit C": partial(methods.in_integers, n, 16, 64, methods.cordic(16)) for n in (8, 12, 16)},
+    INT32: {f"{n} iterations": partial(_WIDE, methods.cordic(n)) for n in (8, 12, 16, 20, 28)},
+    INT32_TABLE: {f"{n} entries": partial(_WIDE, methods.table(n)) for n in (16, 64, 256, 1024)},
 }
 """Method -> setting -> its preparation. Not MicroPython, which times itself."""
 STEPS = 2 * (sum(map(len, _METHODS.values())) + 1)

@@ -12,9 +12,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 
@@ -205,20 +204,20 @@ def _scene(fault: str, gauges: int, seconds: float, rng: np.random.Generator) ->
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Samples:
+class _Samples(NamedTuple):
     """What the node had at each SYNC; k samples."""
 
     t_s: FloatArray
-    contact: FloatArray
-    """(k, 2): P and its standard uncertainty as the node computes them, newtons; NaN where it says unknown."""
+    P_newtons: FloatArray
+    """With the standard uncertainty as the node computes it; NaN where it says unknown."""
+    u_P_newtons: FloatArray
     status: IntArray
     """2120h."""
     faults: IntArray
     """2124h."""
+    temperature_degC: FloatArray
     microstrain: FloatArray
     """(k, n) as sent."""
-    temperature_degC: FloatArray
 
 
 def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list[Counted]:
@@ -238,10 +237,17 @@ def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list
                          *(round(value, 1) for value in sample.microstrains)))  # fmt: skip
 
     simulate(scene, [finger], scene.duration_s, keep, lambda _t_us: None)
+<<<<<<< HEAD
     recorded = np.array(rows)
     status, faults = recorded[:, 3:5].astype(np.int64).T
     samples = _Samples(recorded[:, 0], recorded[:, 1:3], status, faults, recorded[:, 6:], recorded[:, 5])
     true = applied_at(scene.load(NODE_ID), samples.t_s)[:, 0]
+=======
+    t_s, P_newtons, u_P, status, faults, degC, *microstrain = np.array(rows).T
+    whole = status.astype(np.int64), faults.astype(np.int64)
+    samples = _Samples(t_s, P_newtons, u_P, *whole, degC, np.stack(microstrain, axis=-1))
+    true = applied_at(load_of(scene, NODE_ID), samples.t_s)[:, 0]
+>>>>>>> area-H
     counts = []
     for P, u, ok in _shown(samples, calibration):
         wrong = ok & ~(np.abs(P - true) <= TOO_FAR * u)
@@ -251,7 +257,7 @@ def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list
 
 def _shown(samples: _Samples, calibration: Calibration) -> Iterator[tuple[FloatArray, FloatArray, BoolArray]]:
     """Yield P, u(P) and what says ok by each of METHODS."""
-    P, u = samples.contact.T
+    P, u = samples.P_newtons, samples.u_P_newtons
     alone = np.isfinite(P) & (samples.status == scalar.CONTACT_PRESENT | scalar.CALIBRATED)
     yield P, u, alone
     yield P, u, alone & (samples.faults == 0)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from tipforce.arrays import FloatArray
 from tipforce.sensor.dynamics.first_order_hold import respond
 from tipforce.sensor.dynamics.model import STEEL_DENSITY, beam_mass_matrix, compliances, half_cylinder, modes
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame
+from tipforce.sensor.structure.plane_frame import Frame
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Striker, impact
 from tipforce_lab.dynamics.integrators import Load, Problem, Wave, no_load
@@ -51,13 +52,8 @@ class Task:
     reference: str
     reference_error: float
 
-    @property
-    def times_s(self) -> FloatArray:
-        """The samples, (_SAMPLES + 1,)."""
-        return self.times(1)
-
-    def times(self, substeps: int) -> FloatArray:
-        """Return the ends of the steps of a fixed step."""
+    def times(self, substeps: int = 1) -> FloatArray:
+        """Return the ends of the steps of a fixed step, (_SAMPLES substeps + 1,)."""
         return np.linspace(0.0, self.duration_s, _SAMPLES * substeps + 1)
 
 
@@ -116,8 +112,8 @@ def checked(task: Task, striker: Striker | None = None) -> FloatArray:
     """Return the reference of a task, computed independently. Raises ImportError without scipy."""
     body = checked_body(FABRICATED, _DAMPING, beams_with_mass=len(task.problem.modes.omega_rad_s) > 3)
     if isinstance(task.load, Wave):
-        return checked_motion(body, task.load, task.times_s)
-    return checked_impact(body, striker or _STRIKER, task.times_s)
+        return checked_motion(body, task.load, task.times())
+    return checked_impact(body, striker or _STRIKER, task.times())
 
 
 def relative(computed: FloatArray, wanted: FloatArray) -> float:
@@ -140,9 +136,7 @@ class _Job:
 def _study(task: Task, effort: Effort) -> Study:
     jobs, steps = _exact(task, effort), _SUBSTEPS[effort.quick]
     for name, method in _FIXED.items():
-        for n in steps:
-            run = partial(_fixed, task, method, n)
-            jobs.append(_job(task, name, _setting(task, n), run))
+        jobs += [_job(task, name, _setting(task, n), partial(_fixed, task, method, n)) for n in steps]
     left_out, check, difference = {}, "", None
     try:
         difference = relative(checked(task), task.wanted)
@@ -169,7 +163,7 @@ def _exact(task: Task, effort: Effort) -> list[_Job]:
         return [
             _job(task, "held step (exact)", _setting(task, n), partial(_held, task, n)) for n in _SUBSTEPS[effort.quick]
         ]
-    run = partial(impact, task.problem.modes, _STRIKER, task.duration_s, task.times_s)
+    run = partial(impact, task.problem.modes, _STRIKER, task.duration_s, task.times())
     job = _job(task, "events (exact)", "the reference", lambda: run().elastic_newtons)
     return [replace(job, error=max(job.error, task.reference_error))]
 
@@ -193,7 +187,7 @@ def _adaptive(task: Task, effort: Effort, name: str) -> list[_Job]:
     jobs = []
     for rtol in _TOLERANCES[effort.quick]:
         started = time.process_time()
-        run = partial(integrators.scipy_method, task.problem, task.load, task.times_s, name, rtol)
+        run = partial(integrators.scipy_method, task.problem, task.load, task.times(), name, rtol)
         jobs.append(_job(task, name, f"rtol {rtol:g}", run))
         if time.process_time() - started > (0.05 if effort.quick else 0.5):
             break  # the next tolerance takes several times as long
@@ -231,8 +225,7 @@ _CHECK = "scipy: mass and stiffness matrices, eigh, expm of the motion together 
 _CHECK_OF_IMPACT = "scipy: mass and stiffness matrices, eigh, DOP853 (rtol 1e-13) from contact to contact"
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedBody:
+class CheckedBody(NamedTuple):
     """M y'' + D y' + K y = load F; elastic force = output y."""
 
     rate: FloatArray
@@ -247,10 +240,10 @@ def checked_body(geometry: Geometry, damping_ratio: float, beams_with_mass: bool
     """Return the tip on its beams; with mass in the beams the joint's motion is a second set of unknowns."""
     from scipy import linalg
 
-    arms, vertical = compliances(Frame(geometry, EULER_BERNOULLI))
+    arms, vertical = compliances(Frame(geometry))
     tip = half_cylinder(geometry).matrix(geometry.r_m)
     if beams_with_mass:
-        M = np.kron(np.ones((2, 2)), tip) + beam_mass_matrix(geometry, STEEL_DENSITY, EULER_BERNOULLI)
+        M = np.kron(np.ones((2, 2)), tip) + beam_mass_matrix(geometry, STEEL_DENSITY)
         K = linalg.block_diag(linalg.inv(vertical), linalg.inv(arms))
         load, output = np.vstack([np.eye(3), np.eye(3)]), np.hstack([np.zeros((3, 3)), linalg.inv(arms)])
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,16 +19,13 @@ from tipforce_lab.report.study import Effort, Need, Point, Study, Timing, series
 
 GAUGES = ("L", "R", "K_H", "S_H", "U")
 """The gauges of the three cases: the rows of the strain matrix."""
-BEAMS = 5
-"""Models without a mesh."""
-MESHES = 3
-STEPS = 1 + BEAMS + 2 * MESHES
+STEPS = 1 + 5 + 2 * 3
+"""The references, the models without a mesh, three meshes of both kinds."""
 LEFT_OUT = 'scikit-fem or scipy is missing: pip install "tipforce[fem]"'
 _UNIFORM, _GRADED = "FE, uniform meshes", "FE, graded meshes"
 
 
-@dataclass(frozen=True, slots=True)
-class _Result:
+class _Result(NamedTuple):
     setting: str
     matrix: FloatArray
     timing: Timing
