@@ -241,6 +241,7 @@ class DecodedPart:
         self.behind_head: OpenRows | None = None
         """None for a part that is too short: it must be decoded after the others."""
         self.head_timed = True
+        self._again: _Kept | None = None  # all its rows, where they were decoded after the others
         for block in source:
             self.services.append(services(block))
             merger.channels, merger.timed = source.channels, source.log.timed
@@ -252,33 +253,38 @@ class DecodedPart:
                     pass
                 if _is_long(self.head) and merger.sync.settled:
                     self.behind_head, self.head_timed, merger.tally = merger.open, merger.timed, Tally()
+                    self.head = [np.concatenate(self.head)]
             for table in merger.tables(rest) if len(rest) else ():
                 self.kept.add(table)
         self.tail, self.tally = merger.open, merger.tally
+        if self.behind_head is None:
+            self.head.clear()
 
     def follow(self, before: State, *, last: bool) -> Passed:
         """Return what the part leaves after ``before``; ``last``: the recording ends with it."""
-        columns: Headers = []
-        recording, tables, apart = self._completed(before, last)
-        for _ in noting(tables, columns):
-            pass
+        recording, columns, found = Recording(self._reading, before), Headers(), self.services
+        tables = recording.tables_of_part(self)
+        apart = tables is not None
+        if tables is None:  # a log that grows may have more now
+            recording, found, self.kept, self._again = Recording(self._reading, before), [], _Kept(), _Kept()
+            tables = recording.tables_of_piece(self._piece, tap=lambda block, _: found.append(services(block)))
+        for table in noting(chain(tables, recording.finish() if last else ()), columns):
+            if self._again is not None:
+                self._again.add(table)
         if apart and columns:
             of_all = {column.name: column for of_table, _ in columns for column in of_table}
             columns = [(in_order(of_all.values(), self._reading.signals), columns[-1][1])]
-        return Passed(recording.state(), self.notes, self.services, columns, apart)
+        return Passed(recording.state(), recording.told.notes[0], found, columns, apart)
 
     def rows(self, before: State, *, last: bool) -> Iterator[Table]:
         """Return all rows that begin in this part, in order, with these arguments of ``follow``."""
-        return self._completed(before, last)[1]
-
-    def _completed(self, before: State, last: bool) -> tuple[Recording, Iterator[Table], bool]:
-        recording = Recording(self._reading, before)
-        tables = recording.tables_of_part(self)
-        apart = tables is not None
-        if tables is None:
+        if self._again is None:
             recording = Recording(self._reading, before)
-            tables = recording.tables_of_piece(self._piece)
-        return recording, chain(tables, recording.finish() if last else ()), apart
+            tables = recording.tables_of_part(self)
+            if tables is not None:
+                return chain(tables, recording.finish() if last else ())
+            self.follow(before, last=last)  # a cluster moved the part before another copy followed
+        return iter(self._again or ())
 
 
 def _is_long(head: list[FrameArray]) -> bool:
