@@ -327,7 +327,7 @@ def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
     finger: Finger | None = None
     for table in tables_of_logs(Recording(Reading(Layouts())), [str(one)]):
         finger = finger or Finger(int(table.t_ns[0]), ("P",), ())
-        finger.add(table, np.arange(len(table)))
+        finger.add(table)
     assert finger is not None
     line = line_of(finger.traces["P"])
     known = np.isfinite(line.y[3])

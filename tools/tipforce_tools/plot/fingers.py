@@ -225,26 +225,28 @@ class Finger:
         self._computed = computed
         self._held: dict[str, tuple[int, float]] = {}
 
-    def add(self, table: Table, rows: npt.NDArray[np.intp]) -> None:
-        """Add the rows of a table that belong to this finger."""
-        t_ns = table.t_ns[rows]
+    def add(self, table: Table) -> None:
+        """Add a table of this finger alone."""
+        t_ns = table.t_ns
         columns = {column.signal: column for column in table.columns}
         flags: dict[str, tuple[BoolArray, BoolArray]] = {}
-        steady = table.cyclic[rows] & (table.counter[rows] != NO_COUNTER)
-        self.lost.add(t_ns[steady], table.counter[rows][steady])
+        steady = table.cyclic & (table.counter != NO_COUNTER)
+        self.lost.add(t_ns[steady], table.counter[steady])
         for signal, column in columns.items():
-            there = self._there(table, column, rows)
+            # The rows with the signal, known or not. A computed one needs its gauges.
+            carrier = "SG1_ue" if signal in self._computed and "SG1_ue" in table.values else column.name
+            there, values = ~table.absent.get(carrier, np.zeros(len(table), dtype=np.bool_)), table.values[column.name]
+            if column.kind == "flag":
+                there &= values >= 0
             if not there.any():
                 continue
-            values = table.values[column.name][rows]
             if column.kind == "flag":
-                is_set = values == 1
-                flags[INVERTED.get(signal, signal)] = is_set != (signal in INVERTED), there
-            elif column.kind in {"real", "integer"} and signal in self._wanted:
+                flags[INVERTED.get(signal, signal)] = (values == 1) != (signal in INVERTED), there
+            elif signal in self._wanted:
                 if signal not in self.traces:
                     self.traces[signal] = Trace(self._start_ns, angle=column.angle and not signal.startswith("u_"))
                     self.units[signal] = column.unit
-                u = self._uncertainty(table, columns, signal, rows, t_ns)
+                u = self._uncertainty(table, columns, signal)
                 self.traces[signal].add(t_ns[there], values.astype(np.float64)[there], None if u is None else u[there])
         for group in ("status", "health"):  # at different times: status with each sample, faults with TPDO4
             chosen = {name: both for name, both in flags.items() if (name in HATCHES) == (group == "status")}
@@ -253,35 +255,23 @@ class Finger:
                 collected = self.flags.setdefault(group, Flags(self._start_ns))
                 collected.add(t_ns[kept], {name: (is_set & there)[kept] for name, (is_set, there) in chosen.items()})
 
-    def _there(self, table: Table, column: Column, rows: npt.NDArray[np.intp]) -> BoolArray:
-        """Return a mask of the rows with the signal, known or not. A computed one needs its gauges."""
-        name = "SG1_ue" if column.signal in self._computed and "SG1_ue" in table.values else column.name
-        there = np.ones(len(rows), dtype=np.bool_)
-        if name in table.absent:
-            there &= ~table.absent[name][rows]
-        if column.kind == "flag":
-            there &= table.values[column.name][rows] >= 0
-        return there
-
-    def _uncertainty(
-        self, table: Table, columns: dict[str, Column], signal: str, rows: npt.NDArray[np.intp], t_ns: IntArray
-    ) -> FloatArray | None:
+    def _uncertainty(self, table: Table, columns: dict[str, Column], signal: str) -> FloatArray | None:
         """Return the standard uncertainty at each row: its own, or the last one sent while it is valid."""
         name = _UNCERTAINTY_OF.get(signal, "")
         column = columns.get(name)
         if column is None and name not in self._held:
             return None
-        own = np.full(len(rows), np.nan) if column is None else table.values[column.name][rows]
+        own = np.full(len(table), np.nan) if column is None else table.values[column.name]
         if name in self._computed:
             return own
         at_ns, value = self._held.get(name, (0, np.nan))
         known = np.flatnonzero(np.isfinite(own))
-        last = np.searchsorted(known, np.arange(len(rows)), side="right")
-        times = np.concatenate(([at_ns], t_ns[known]))[last]
+        last = np.searchsorted(known, np.arange(len(table)), side="right")
+        times = np.concatenate(([at_ns], table.t_ns[known]))[last]
         held = np.concatenate(([value], own[known]))[last]
         if len(known):
-            self._held[name] = int(t_ns[known[-1]]), float(own[known[-1]])
-        return np.where(t_ns - times <= _HELD_NS, held, np.nan)
+            self._held[name] = int(table.t_ns[known[-1]]), float(own[known[-1]])
+        return np.where(table.t_ns - times <= _HELD_NS, held, np.nan)
 
 
 HATCHES = {
@@ -314,7 +304,7 @@ class Fingers:
         for key in np.unique(table.key).tolist():
             if key not in self._by_key:
                 self._by_key[key] = Finger(self.start_ns, self._wanted, self._computed)
-            self._by_key[key].add(table, np.flatnonzero(table.key == key))
+            self._by_key[key].add(table.take(np.flatnonzero(table.key == key)))
 
     def named(self) -> list[tuple[str, Finger]]:
         """Return the fingers with titles, in the order of channels and node-ids."""
