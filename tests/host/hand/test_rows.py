@@ -69,6 +69,13 @@ class Stream:
         self.numbered += rows.numbered.tolist()
         return [[round(value, 3) for value in row] for row in column.tolist()]
 
+    def feed(self, frames: list[tuple[int, bytes]], sizes: list[int]) -> None:
+        """Add frames in parts of these sizes, and what is left at once."""
+        place = 0
+        for size in [*sizes, len(frames)]:
+            self.add(*frames[place : place + size])
+            place += size
+
 
 # --- numbered
 
@@ -128,8 +135,7 @@ CASES: dict[str, tuple[list[tuple[int, bytes]], list[list[int]], dict[str, list[
 def test_what_is_in_a_row(case: str, cut: int) -> None:
     frames, reasons, tally = CASES[case]
     stream = Stream(*range(1, len(reasons[0]) + 1))
-    for place in range(0, len(frames), cut):
-        stream.add(*frames[place : place + cut])
+    stream.feed(frames, [cut] * len(frames))
     assert stream.reasons[: len(reasons)] == reasons
     assert set(stream.numbered) == {not case.startswith("without")}
     assert {name: getattr(stream.collector.tally, name).tolist() for name in tally} == tally
@@ -368,10 +374,7 @@ def test_however_the_stream_is_cut(numbered: bool, plan: list[tuple[bool, bool, 
         frames += [sync(k) if numbered else SYNC, *(a for a in (answers[i] for i in order) if a is not None)]
         expected.append([k / 1000 if first else None, (500 + k) / 1000 if second else None])
     stream = Stream(1, 2, wait_s=1e6)
-    place = 0
-    for cut in [*cuts, len(frames)]:
-        stream.add(*frames[place : place + cut])
-        place += cut
+    stream.feed(frames, cuts)
     stream.now_s = 2e6
     stream.add()
     found = [[None if np.isnan(v) else round(v, 3) for v in row] for _, row in stream.rows]
@@ -413,10 +416,7 @@ def test_faults_have_the_same_rows_however_the_stream_is_cut(
     for sizes in ([], [1] * len(frames), cuts):
         stream = Stream(1, 2, messages=("Contact",), wait_s=1e6)
         stream.collector.expect(2, not absent)
-        place = 0
-        for size in [*sizes, len(frames)]:
-            stream.add(*frames[place : place + size])
-            place += size
+        stream.feed(frames, sizes)
         stream.now_s = 2e6
         stream.add()
         tally = stream.collector.tally
