@@ -215,15 +215,15 @@ def test_a_dcf_has_the_pdos_of_compact_pdo(tmp_path: Path) -> None:
     assert [(e.place, e.default) for e in again.entries()] == [(e.place, e.default) for e in found.entries()]
 
 
-def test_dummy_usage_decides_what_an_rpdo_may_skip(tmp_path: Path) -> None:
+@pytest.mark.parametrize("allowed", [0, 1])
+def test_dummy_usage_decides_what_an_rpdo_may_skip(tmp_path: Path, allowed: int) -> None:
     objects = text(var("2000", 5), pdo(0x1400, "$NODEID+0x200", 255, 0x00050008, 0x20000008))
-    for allowed in (0, 1):
-        found = described(tmp_path, f"[DummyUsage]\nDummy0005={allowed}\n" + objects)
-        assert len(found.warnings) == 1 - allowed
-        talk = Talk(found)
-        talk.nmt(1)
-        talk.step([(0x205, b"\x11\x22")])
-        assert talk.upload(0x2000) == (b"\x22" if allowed else b"\0")
+    found = described(tmp_path, f"[DummyUsage]\nDummy0005={allowed}\n" + objects)
+    assert len(found.warnings) == 1 - allowed
+    talk = Talk(found)
+    talk.nmt(1)
+    talk.step([(0x205, b"\x11\x22")])
+    assert talk.upload(0x2000) == (b"\x22" if allowed else b"\0")
 
 
 def test_a_dcf_names_its_node_and_starts_with_its_values(tmp_path: Path) -> None:
@@ -252,14 +252,15 @@ def test_a_dcf_names_its_node_and_starts_with_its_values(tmp_path: Path) -> None
     assert od.values[0x101700] == 0
 
 
-def test_a_dcf_reads_no_file_outside_its_folder(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["../secret", "{folder}/secret", "missing.bin"])
+def test_a_dcf_reads_no_file_outside_its_folder(tmp_path: Path, name: str) -> None:
     (tmp_path / "secret").write_bytes(b"secret")
     (tmp_path / "in").mkdir()
-    for name in ("../secret", str(tmp_path / "secret"), "missing.bin"):
-        found = described(tmp_path / "in", text(var("2001", 15, "rw", "", UploadFile=name)))
-        assert len(found.warnings) == 1
-        assert f"UploadFile={name}" in found.warnings[0]
-        assert Talk(found).upload(0x2001) == b""
+    name = name.format(folder=tmp_path)
+    found = described(tmp_path / "in", text(var("2001", 15, "rw", "", UploadFile=name)))
+    assert len(found.warnings) == 1
+    assert f"UploadFile={name}" in found.warnings[0]
+    assert Talk(found).upload(0x2001) == b""
 
 
 def test_limits_are_enforced_signed_ones_too(tmp_path: Path) -> None:
@@ -291,12 +292,11 @@ def test_type_definitions_are_no_objects_and_name_a_type(tmp_path: Path) -> None
     assert Talk(found).upload(0x2000) == b"\xff"
 
 
-def test_lss_only_where_the_file_has_it(tmp_path: Path) -> None:
-    identify = [(0x7E5, bytes((0x5E, 0, 0, 0, 0, 0, 0, 0)))]
-    for supported in (0, 1):
-        talk = Talk(described(tmp_path, text().replace("LSS_Supported=1", f"LSS_Supported={supported}")))
-        talk.step([(0x7E5, bytes((4, 1, 0, 0, 0, 0, 0, 0)))])
-        assert len(talk.step(identify)) == supported
+@pytest.mark.parametrize("supported", [0, 1])
+def test_lss_only_where_the_file_has_it(tmp_path: Path, supported: int) -> None:
+    talk = Talk(described(tmp_path, text().replace("LSS_Supported=1", f"LSS_Supported={supported}")))
+    talk.step([(0x7E5, bytes((4, 1, 0, 0, 0, 0, 0, 0)))])
+    assert len(talk.step([(0x7E5, bytes((0x5E, 0, 0, 0, 0, 0, 0, 0)))])) == supported
 
 
 def test_identity_comes_from_device_info_where_1018h_has_none(tmp_path: Path) -> None:

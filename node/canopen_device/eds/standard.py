@@ -64,9 +64,9 @@ def add_mandatory(eds: Description) -> None:
 
 # --- PDOs that an EDS only counts: CompactPDO, NrOfRXPDO and NrOfTXPDO of [DeviceInfo] (CiA 306-1) -------------
 
-COUNTS = (
-    ("NrOfRXPDO", at.RPDO, at.LAST_RPDO, codes.RPDO_BASES),
-    ("NrOfTXPDO", at.TPDO, at.LAST_TPDO, codes.TPDO_BASES),
+PDOS = (
+    ("NrOfRXPDO", at.RPDO, at.LAST_RPDO, codes.RPDO_BASES, RPDO),
+    ("NrOfTXPDO", at.TPDO, at.LAST_TPDO, codes.TPDO_BASES, TPDO),
 )
 # Bit k of CompactPDO: sub-index k + 1 of the communication parameter.
 _PARAMETERS = (
@@ -87,7 +87,7 @@ def add_compact_pdos(file: EdsFile, eds: Description) -> None:
     if not 0 <= mask <= _ALL:
         section.say("CompactPDO", f"allowed are 0x0 to 0x{_ALL:X}; read as {mask & _ALL:#x}")
         mask &= _ALL
-    for key, first, last, bases in COUNTS:
+    for key, first, last, bases, _ in PDOS:
         if not section.get(key):
             continue
         count, _, remark = values.integer(section.get(key) or "")
@@ -147,7 +147,6 @@ _WITH_NODE_ID = (
     (at.SDO_SERVER, 2, codes.SDO_RESPONSE_BASE),
 )  # fmt: skip
 _DEFAULT_DUMMIES = frozenset(range(1, 8))
-_PDOS = ((at.RPDO, at.LAST_RPDO, RPDO), (at.TPDO, at.LAST_TPDO, TPDO))
 _DIRECTIONS = {"ro": TPDO, "const": TPDO, "rwr": TPDO, "wo": RPDO, "rww": RPDO}  # CiA 306-1; rw: both
 
 
@@ -170,7 +169,7 @@ def check(file: EdsFile, eds: Description) -> None:
         eds.add(0, f"Baudrate={eds.bit_rate // 1000}: [DeviceInfo] has BaudRate_{eds.bit_rate // 1000}=0")
     for entry in eds.entries():
         entry.directions = _DIRECTIONS.get(entry.access, TPDO | RPDO) if entry.mappable else 0
-    for first, last, direction in _PDOS:
+    for _, first, last, _, direction in PDOS:
         _check_pdos(eds, first, last, direction)
 
 

@@ -12,7 +12,7 @@ from canopen_device.core import communication
 from canopen_device.core.object_dictionary import RPDO, TPDO
 from canopen_device.eds.description import DOMAIN, VAR, Description, Entry, Object
 from canopen_device.eds.sections import KEYS, MOST_LINES, EdsFile, Findings, Section, add_key, open_section
-from canopen_device.eds.standard import COUNTS
+from canopen_device.eds.standard import PDOS
 from canopen_device.errors import InputError
 from canopen_device.types import Value
 
@@ -159,7 +159,7 @@ def _value(entry: Entry, value: Value | None, node_id: int) -> str | None:
 
 def _transport(described: Description) -> list[str]:
     rates = described.bit_rates or (1_000_000,)
-    rpdos, tpdos = (sum(first <= index <= last for index in described.objects) for _, first, last, _ in COUNTS)
+    rpdos, tpdos = (sum(first <= index <= last for index in described.objects) for _, first, last, *_ in PDOS)
     features = f'granularity="8" nrOfRxPDO="{rpdos}" nrOfTxPDO="{tpdos}" bootUpSlave="true"'
     lss = str(described.lss).lower()
     return [

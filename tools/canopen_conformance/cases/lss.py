@@ -24,6 +24,7 @@ unnumbered = Service("lss_unconfigured", standard="CiA 305")
 
 IDENTITY = ((0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 MASTER, SLAVE = 0x7E5, 0x7E4
+SELECTIVE, IDENTIFY = 0x40, 0x46  # the first request of each
 UNCONFIGURED, START_SCAN = 255, 0x80
 OTHER_ID = 0x5D
 PARTS = ("vendor-ID", "product code", "revision number", "serial number")
@@ -41,14 +42,17 @@ def identity(dut: Dut) -> list[int]:
 
 
 def say_each(dut: Dut, first: int, numbers: Iterable[tuple[int, int]]) -> None:
-    """A request for each (part, number): ``first`` is 0x40, switch state selective, or 0x46, identify remote slave."""
+    """A request for each (part, number): switch state SELECTIVE, or IDENTIFY remote slave.
+
+    The parts of the second are vendor, product, revision from, to, serial number from, to.
+    """
     for part, number in numbers:
         say(dut, first + part, number=number)
 
 
 def select(dut: Dut, numbers: list[int]) -> None:
     """The four requests of "switch state selective"."""
-    say_each(dut, 0x40, enumerate(numbers))
+    say_each(dut, SELECTIVE, enumerate(numbers))
 
 
 waiting = do.run(say, 0x04, 0)  # switches all slaves to the waiting state
@@ -116,9 +120,9 @@ def selective_other(dut: Dut, part: int, _name: str) -> None:
 
 
 case("selective_incomplete 6.3.2: switch state selective without its first request: silence", IDENTITY,
-    lambda dut: say_each(dut, 0x40, list(enumerate(identity(dut)))[1:]), do.silence(SLAVE))
+    lambda dut: say_each(dut, SELECTIVE, list(enumerate(identity(dut)))[1:]), do.silence(SLAVE))
 case("selective_order 6.3.2: switch state selective in another order: silence", IDENTITY,
-    lambda dut: say_each(dut, 0x40, reversed(list(enumerate(identity(dut))))), do.silence(SLAVE))
+    lambda dut: say_each(dut, SELECTIVE, reversed(list(enumerate(identity(dut))))), do.silence(SLAVE))
 
 
 @case("6.3.2: after a wrong selection the right one selects", IDENTITY)
@@ -224,11 +228,6 @@ for service, value in ((0x11, OTHER_ID), (0x13, 0), (0x17, 0)):
         do.run(say, service, value), do.silence(SLAVE), do.reset(RESET_COMMUNICATION))
 
 
-def identify(dut: Dut, numbers: list[int]) -> None:
-    """Identify remote slave: vendor, product, revision from, to, serial from, to."""
-    say_each(dut, 0x46, enumerate(numbers))
-
-
 def ranges(own: list[int]) -> list[int]:
     """The six numbers that this device alone fits."""
     return [own[0], own[1], own[2], own[2], own[3], own[3]]
@@ -236,7 +235,7 @@ def ranges(own: list[int]) -> list[int]:
 
 @numbered("6.6.1: identify remote slave: a device in the ranges answers 4Fh", IDENTITY)
 def identified(dut: Dut) -> None:
-    identify(dut, ranges(identity(dut)))
+    say_each(dut, IDENTIFY, enumerate(ranges(identity(dut))))
     data = slave_answer(dut)
     check(data == b"\x4f" + bytes(7), "4F and zeros", data.hex(" "))
 
@@ -244,7 +243,7 @@ def identified(dut: Dut) -> None:
 @numbered("6.6.1: identify remote slave: the ends of the ranges may lie apart", IDENTITY)
 def identified_in_range(dut: Dut) -> None:
     own = identity(dut)
-    identify(dut, [own[0], own[1], 0, 0xFFFFFFFF, 0, 0xFFFFFFFF])
+    say_each(dut, IDENTIFY, enumerate([own[0], own[1], 0, 0xFFFFFFFF, 0, 0xFFFFFFFF]))
     slave_answer(dut)
 
 
@@ -257,12 +256,12 @@ def not_identified(dut: Dut, part: int, step: int, _name: str) -> None:
     numbers[part] += step
     if not 0 <= numbers[part] <= 0xFFFFFFFF:
         raise NotApplicableError("the identity lies at the end of the range")
-    identify(dut, numbers)
+    say_each(dut, IDENTIFY, enumerate(numbers))
     dut.silence(SLAVE)
 
 
 numbered("identify_order 6.6.1: identify remote slave in another order: silence", IDENTITY,
-    lambda dut: say_each(dut, 0x46, reversed(list(enumerate(ranges(identity(dut)))))), do.silence(SLAVE))
+    lambda dut: say_each(dut, IDENTIFY, reversed(list(enumerate(ranges(identity(dut)))))), do.silence(SLAVE))
 numbered("configured 6.6.3: identify non-configured remote slave: a device with a node-id is silent", (),
     do.run(say, 0x4C), do.silence(SLAVE))
 numbered("configured_fastscan 6.6.4: fastscan: a device with a node-id is silent", (),

@@ -41,16 +41,6 @@ def uncalibrated(dut: Dut) -> None:
 settle = do.sleep(NEWEST_MS)  # after it the next read takes a new sample
 
 
-def channel_holds(dut: Dut, kind: str, index: int, part: str, value: int) -> None:
-    """The sub-index of a channel of this kind reads as ``value``."""
-    dut.holds(kind, index, channel(dut, part), value)
-
-
-def counts(dut: Dut, index: int, more: int) -> None:
-    """Sub-index 0 counts the gauges and so many more channels."""
-    dut.holds("B", index, 0, gauges(dut) + more)
-
-
 for header, kind, index, values in (
     ("sensor_type 6110h: the sensor type", "H", 0x6110, (70, 10001, 10002, 10003, 10003)),
     ("unit 6131h: the unit", "I", 0x6131, (0xFA010100, 0x210000, 0x210000, 0x410000, 0x410000)),
@@ -58,14 +48,15 @@ for header, kind, index, values in (
 ):
     for part, value in zip(PARTS, values, strict=True):
         profile_404(f"{header} of a {part}", (),
-            do.run(channel_holds, kind, index, part, value))
+            do.run(lambda dut, kind, i, part, value: dut.holds(kind, i, channel(dut, part), value),
+                kind, index, part, value))
 for which, more, indices in (
     ("all channels", 6, (0x6110, 0x6112, 0x6114, 0x6130, 0x6131, 0x6132, 0x6150, 0x7130, 0x9130)),
     ("the gauges", 0, (0x6100, 0x6120, 0x6124, 0x6125, 0x61A0, 0x7100, 0x9100)),
 ):
     for index in indices:
         profile_404(f"count {index:04X}h: sub-index 0 of {index:04X}h counts {which}", (),
-            do.run(counts, index, more))
+            do.run(lambda dut, index, more: dut.holds("B", index, 0, gauges(dut) + more), index, more))
 for index, kind in (
     (0x6100, "f"), (0x6110, "H"), (0x6130, "f"), (0x6131, "I"), (0x6132, "B"), (0x6150, "B"), (0x7100, "h"),
     (0x7130, "h"), (0x9100, "i"), (0x9130, "i"),
