@@ -163,13 +163,8 @@ FAULTS: tuple[tuple[str, Any, str, Any], ...] = (
     ("calibration.flipped_in_transit", calibration.Calibration, "commit", _without_crc),
     ("calibration.flipped_in_store", Storage, "read_blob",
      lambda _right: lambda self, name: (self._load(name) or b"")[4:] if self._load else b""),
-<<<<<<< HEAD
-    ("fit.plane_of_loads", regressors, "require_seen", _gives(np.zeros(0))),
-    ("wire.unknown", sample_table.Layout, "columns", _no_unknown),
-=======
     ("fit.plane_of_loads", regressors, "require_seen", _gives(None)),
-    ("wire.unknown", columns.Layout, "columns", _no_unknown),
->>>>>>> area-H
+    ("wire.unknown", sample_table.Layout, "columns", _no_unknown),
     ("wire.integer16_overflow", Channels, "_status", _silently_clamped),
     ("wire.short_pdo", decoder, "join", _any_length),
     ("clock.counter_wrap", decoder, "unwrap_counter",

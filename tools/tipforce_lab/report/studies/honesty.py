@@ -237,17 +237,10 @@ def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list
                          *(round(value, 1) for value in sample.microstrains)))  # fmt: skip
 
     simulate(scene, [finger], scene.duration_s, keep, lambda _t_us: None)
-<<<<<<< HEAD
-    recorded = np.array(rows)
-    status, faults = recorded[:, 3:5].astype(np.int64).T
-    samples = _Samples(recorded[:, 0], recorded[:, 1:3], status, faults, recorded[:, 6:], recorded[:, 5])
-    true = applied_at(scene.load(NODE_ID), samples.t_s)[:, 0]
-=======
     t_s, P_newtons, u_P, status, faults, degC, *microstrain = np.array(rows).T
     whole = status.astype(np.int64), faults.astype(np.int64)
     samples = _Samples(t_s, P_newtons, u_P, *whole, degC, np.stack(microstrain, axis=-1))
-    true = applied_at(load_of(scene, NODE_ID), samples.t_s)[:, 0]
->>>>>>> area-H
+    true = applied_at(scene.load(NODE_ID), samples.t_s)[:, 0]
     counts = []
     for P, u, ok in _shown(samples, calibration):
         wrong = ok & ~(np.abs(P - true) <= TOO_FAR * u)
