@@ -174,7 +174,6 @@ def _frame_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterato
     named = f"[bus]: {bus.interface or bus.channel or _CONFIGURED}" if bus else ""
     sent = f"nodes.pdos: {', '.join(pdos)}" if pdos else ""
     slit = f"slit.gap_mm = {gap_mm:g}" if gap_mm else ""
-    logs = ("tipforce.host.logs.candump", "tipforce.host.logs.candump_format")
     yield _part(
         "bus",
         named,
@@ -186,7 +185,7 @@ def _frame_parts(scene: schema.Scene, groups: Sequence[schema.Nodes]) -> Iterato
     yield _part("decoder", sent, "no nodes.pdos", "tipforce.host.decoding.decoder")
     yield _part("slit", slit, "no [slit]: not checked", "tipforce.sensor.structure.plane_frame")
     yield _listed("expectations", "[[expect]]", scene.expect)
-    yield _keyed("log", "outputs.log", out.log, *logs, without=": no file")
+    yield _keyed("log", "outputs.log", out.log, "tipforce.host.logs.candump_format", without=": no file")
     yield _keyed("table", "outputs.table", out.table, without=": no file")
     yield _keyed("plot", "outputs.plot", out.plot, "matplotlib", without=": no matplotlib")
 
