@@ -30,12 +30,9 @@ _RECEIVE_CYCLE_S = 0.05  # maximum time for which close() waits for the receiver
 
 
 class Bus:
-    """One CAN bus: its fingers, SDO to its nodes, NMT, SYNC, and every received frame.
-
-    Use it as a context manager. ``bus`` is python-can's, or a connected ``canopen.Network``. If ``owned`` is False,
-    and for a network always, ``close`` leaves the bus open and removes only what this object added.
-    ``timeout_s`` and ``retries`` apply to every SDO transfer.
-    """
+    """One CAN bus: its fingers, SDO, NMT, SYNC and every received frame; a context manager. ``bus`` is python-can's, or
+    a connected ``canopen.Network``. If ``owned`` is False, and for a network always, ``close`` leaves the bus open and
+    removes only what this object added. ``timeout_s`` and ``retries`` apply to every SDO transfer."""
 
     def __init__(
         self,
@@ -98,11 +95,9 @@ class Bus:
         **bus_options: Any,
     ) -> Bus:
         """Open a bus: ``open("can0")``, ``open("can0", "socketcan")``, or an open ``can.Bus`` or ``canopen.Network``.
-
         Names are python-can's, its configuration files and environment variables included; on Linux a channel without
         an interface is SocketCAN's. An open bus or network stays open at ``close``. ``bus_options``: other keywords of
-        ``can.Bus``. Raises EnvironmentLackError if the bus cannot be opened.
-        """
+        ``can.Bus``. Raises EnvironmentLackError if the bus cannot be opened."""
         if isinstance(channel, can.BusABC | canopen.Network):
             return cls(channel, timeout_s, retries, owned=False)
         if channel is not None and interface is None and sys.platform == "linux":
@@ -119,11 +114,8 @@ class Bus:
 
     def finger(self, node_id: int, *, passive: bool = False, gauges: int = 3) -> Finger:
         """Return the finger with a node-id; the same object for the same arguments. Raises InputError outside 1..127.
-
-        ``passive``: its samples are read without sending anything, by the default PDOs of a node with ``gauges``
-        gauges. Otherwise the PDOs are read over SDO, a pre-operational node is started, and SYNCs are sent if no other
-        node sends them.
-        """
+        ``passive``: nothing is sent; the PDOs are the default ones of ``gauges`` gauges. Otherwise they are read over
+        SDO, a pre-operational node is started, and SYNCs are sent if no other node sends them."""
         from tipforce.host.network.finger import Finger
 
         sdo = self.sdo(node_id)
@@ -166,9 +158,7 @@ class Bus:
 
     def sync_due_s(self, period_s: float) -> float:
         """Return the next due time of an own SYNC (monotonic), one every ``period_s``; inf: another node sends it.
-
-        Another producer counts as silent after a second, or three of its periods.
-        """
+        Another producer counts as silent after a second, or three of its periods."""
         heard_s, other_period_s = self._foreign_sync_s
         if time.monotonic() - heard_s < max(_SYNC_SILENT_S, 3.0 * other_period_s):
             return math.inf
@@ -187,20 +177,16 @@ class Bus:
             raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
 
     def check_duplicates(self, node_ids: Iterable[int] = ()) -> None:
-        """Raise DuplicateNodeError if two nodes use one of ``node_ids``, or one with which SDO was spoken.
-
-        Waits for second responses; sends requests only where there is a suspicion.
-        """
+        """Raise DuplicateNodeError if two nodes use one of ``node_ids``, or one with which SDO was spoken. Waits for
+        second responses; sends requests only where there is a suspicion."""
         with self._lock:
             spoken = set(self._channels)
         for node_id in sorted(spoken.union(node_ids)):
             self.sdo(node_id).check_duplicates(wait=True)
 
     def wait_for(self, can_ids: set[int], timeout_s: float = 1.0) -> FrameArray:
-        """Read received frames until each of ``can_ids`` is among them; return all of them, in order.
-
-        Raises NoResponseError naming the identifiers that were not received in time.
-        """
+        """Read received frames until each of ``can_ids`` is among them; return all of them, in order. Raises
+        NoResponseError naming the identifiers that were not received in time."""
         frames = self.buffer.take(can_ids, time.monotonic() + checked_time("timeout_s", timeout_s))
         missing = can_ids - set(frames["can_id"].tolist())
         if missing:

@@ -60,9 +60,7 @@ def hand_budget(
     heartbeat_s: float = 1.0,
 ) -> Budget:
     """Return the bus load of ``nodes`` fingers whose ``pdos`` (names of ``tpdo_messages``) answer ``sync_hz`` SYNCs/s.
-
-    Health is sent by its event timer, once a second. ``heartbeat_s`` 0 means none. Raises InputError.
-    """
+    Health is sent by its event timer, once a second. ``heartbeat_s`` 0 means none. Raises InputError."""
     if not (1 <= nodes <= 127 and sync_hz > 0 and bit_rate > 0 and heartbeat_s >= 0):
         raise InputError(
             f"{nodes} nodes, {sync_hz:g} Hz, {bit_rate} bit/s, heartbeat {heartbeat_s:g} s: allowed are "

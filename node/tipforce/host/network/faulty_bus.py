@@ -2,10 +2,8 @@
 
     bus = FaultyBus(can.Bus(interface="virtual", channel="hand"), Faults(drop=0.01, delay=0.05), seed=1)
 
-Received frames are dropped, delayed, duplicated, corrupted or swapped with the next one, each with its probability;
-``bus_off`` makes sending and receiving fail as an adapter does. Random numbers depend only on the seed and on the
-frames, never on the clock, so that a run can be repeated. ``Injector`` does the same without a bus, at any time.
-"""
+Each fault of a received frame has its probability. Random numbers depend only on the seed and on the frames, never on
+the clock, so that a run can be repeated. ``Injector`` does the same without a bus, at any time."""
 
 from __future__ import annotations
 
@@ -30,11 +28,9 @@ _PROBABILITIES = ("drop", "duplicate", "corrupt", "reorder", "delay")
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Probabilities per frame, 0 to 1. ``only`` restricts them to these identifiers; empty means all.
-
-    Corrupting flips one bit of the data: a CAN controller would reject such a frame by its CRC, but a faulty adapter, a
-    gateway or a memory error would not. Set it to 0 to test only faults that CAN passes.
-    """
+    """Probabilities per frame, 0 to 1. ``only`` restricts them to these identifiers; empty means all. Corrupting flips
+    one bit of the data: a CAN controller would reject such a frame by its CRC, but a faulty adapter, a gateway or a
+    memory error would not. Set it to 0 to test only faults that CAN passes."""
 
     drop: float = 0.0
     duplicate: float = 0.0
@@ -112,11 +108,8 @@ class Injector:
 
 
 class FaultyBus(can.BusABC):
-    """A python-can bus with an Injector. It owns the bus and closes it.
-
-    ``faults`` and ``bus_off`` may be changed at any time. While ``bus_off`` is True, ``send`` and ``recv`` raise
-    can.CanOperationError, and frames that arrive meanwhile are lost.
-    """
+    """A python-can bus with an Injector; it owns the bus. ``faults`` and ``bus_off`` may be changed at any time. While
+    ``bus_off`` is True, ``send`` and ``recv`` raise can.CanOperationError, and frames that arrive are lost."""
 
     def __init__(self, bus: can.BusABC, faults: Faults, seed: int = 0, **options: Any) -> None:
         self.bus = bus
@@ -174,10 +167,7 @@ class FaultyBus(can.BusABC):
 
 
 class Babbler:
-    """A babbling node: sends ``frame`` at ``rate_hz`` on a bus, from ``next_due_s`` on.
-
-    Without a thread: call ``step`` from your own loop.
-    """
+    """A babbling node: ``step``, called from your own loop, sends ``frame`` at ``rate_hz`` from ``next_due_s`` on."""
 
     def __init__(self, frame: RawFrame, rate_hz: float = 5000.0) -> None:
         if not rate_hz > 0:

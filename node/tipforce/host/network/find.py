@@ -61,11 +61,9 @@ def find_nodes(
     wait_s: float = 1.2,
     observe: Callable[[FrameArray], object] = lambda _frames: None,
 ) -> list[FoundNode]:
-    """Request 1000h from every node-id, listen for ``wait_s`` to responses and heartbeats, then identify the nodes.
-
-    A node that only sends heartbeats (STOPPED: no SDO) is listed too. The wait ends when every node-id has sent both.
-    ``observe`` is called with the frames that arrive. Raises InputError for node-ids outside 1..127.
-    """
+    """Request 1000h from every node-id, listen for ``wait_s`` to responses and heartbeats, then identify the nodes. A
+    node that only sends heartbeats (STOPPED: no SDO) is listed too. The wait ends when every node-id has sent both.
+    ``observe`` is called with the frames that arrive. Raises InputError for node-ids outside 1..127."""
     wanted = set(node_ids)
     if not wanted <= set(range(1, 128)):
         raise InputError(f"node-ids {sorted(wanted)}: allowed are 1 to 127")
@@ -88,10 +86,8 @@ def find_nodes(
 
 
 def responding_nodes(connection: Bus) -> set[int]:
-    """Request 1000h from every node-id; return those that respond within FIND_S.
-
-    The full time, even if each has responded: a second node with the same id needs its time too.
-    """
+    """Request 1000h from every node-id; return those that respond within FIND_S. The full time, even if each has
+    responded: a second node with the same id needs its time too."""
     _request_device_types(connection, range(1, codes.NODE_ID_MASK + 1))
     time.sleep(FIND_S)
     frames = connection.buffer.take_all()

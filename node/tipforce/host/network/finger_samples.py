@@ -34,12 +34,10 @@ _SETS = (("P", "phi", "theta"), ("F1", "F2", "F3"))
 
 
 class ContactReader:
-    """Subscribe to the PDOs of one finger and convert each new sample to a Contact.
-
-    Its PDOs are read over SDO; ``passive``: they are the default ones of ``gauges`` gauges, and nothing is sent.
-    ``calibrations``, by node-id, are used for the uncertainties. Raises as SdoChannel does, and InputError for a finger
-    whose PDOs carry no contact, no force and not all gauges, each with status and counter.
-    """
+    """Subscribe to the PDOs of one finger and convert each new sample to a Contact. Its PDOs are read over SDO;
+    ``passive``: they are the default ones of ``gauges`` gauges, and nothing is sent. ``calibrations``, by node-id, are
+    used for the uncertainties. Raises as SdoChannel does, and InputError for a finger whose PDOs carry no contact, no
+    force and not all gauges, each with status and counter."""
 
     def __init__(
         self, connection: Bus, node_id: int, calibrations: Mapping[int, Calibration | None], passive: bool, gauges: int
@@ -74,11 +72,8 @@ class ContactReader:
                 self._connection.network.unsubscribe(can_id, self._on_frame)
 
     def next(self, deadline_s: float, period_s: float | None) -> Contact:
-        """Return the next new sample. ``period_s``: of own SYNCs if no other node sends them; None: send none.
-
-        Raises NoNewSampleError at ``deadline_s`` (monotonic), whose text gives the reason; DuplicateNodeError if two
-        nodes use its node-id.
-        """
+        """Return the next new sample. ``period_s``: of own SYNCs if no other node sends them; None: send none. Raises
+        NoNewSampleError at ``deadline_s`` (monotonic), with the reason; DuplicateNodeError if two nodes answer."""
         while True:
             duplicate = self._connection.duplicates.found.get(self._node_id)
             if duplicate is not None:
@@ -111,7 +106,6 @@ class ContactReader:
         return self.next(deadline_s, period_s)
 
     def _on_frame(self, can_id: int, data: bytearray, t_s: float) -> None:
-        """Store a frame; called by the receiving thread."""
         frame = int(1e9 * (t_s or time.time())), can_id, bytes(data[:8])
         if can_id in self._assembler.services:  # at once: samples that wait too long are dropped
             self._assembler.service(can_id, frame[0], frame[2])
@@ -136,7 +130,6 @@ class ContactReader:
         return None
 
     def _watch(self, t_ns: int, can_id: int, data: bytes) -> None:
-        """Look for samples of two nodes."""
         _, pdo = self._assembler.pdos.get(can_id, (0, None))
         if pdo is None or len(data) < pdo.message.length_bytes:
             return

@@ -88,12 +88,10 @@ def install(
     allow_downgrade: bool = False,
     progress: Callable[[int], None] = lambda _bytes: None,
 ) -> NodeProgram:
-    """Install an image and start it; return the program that the node has confirmed.
-
-    The node enters PRE-OPERATIONAL. ``progress`` receives the number of bytes that have arrived. Raises RefusedError
-    with the reason for a node without slots, another product, a downgrade, and for an image that the node refuses or
-    gives up; NoResponseError if the node does not return.
-    """
+    """Install an image and start it; return the program that the node has confirmed. The node enters PRE-OPERATIONAL.
+    ``progress`` receives the number of bytes sent. Raises RefusedError with the reason for a node without slots,
+    another product, a downgrade, a refused image or one that is given up; NoResponseError if the node does not
+    return."""
     sdo = bus.sdo(node_id)
     place = f"node {node_id} (0x{node_id:02X})"
     before = node_program(sdo)

@@ -1,8 +1,5 @@
-"""LSS master (CiA 305): find nodes without a node-id, assign one, store it.
-
-The ``canopen`` package has a master too; it sleeps 0.2 s in each part of an identity and waits half a second for each
-bit of a fastscan, so that a hand of five fingers would take a minute to number.
-"""
+"""LSS master (CiA 305): find nodes without a node-id, assign one, store it. That of the ``canopen`` package sleeps 0.2
+s in each part of an identity and half a second for each bit of a fastscan: a minute for five fingers."""
 
 from __future__ import annotations
 
@@ -63,11 +60,9 @@ class LssMaster:
         return self._ask(codes.LSS_IDENTIFY_UNCONFIGURED, b"", codes.LSS_UNCONFIGURED_RESPONSE) is not None
 
     def fastscan(self, known: Sequence[int] = ()) -> LssAddress | None:
-        """Find one node without a node-id, and leave it in the configuration state; None if there is none.
-
-        ``known`` starts the address, as far as it is known (vendor, product, ...): one request for each part instead
-        of one for each bit. A node that has a node-id does not respond (CiA 305, 6.7).
-        """
+        """Find one node without a node-id, and leave it in the configuration state; None if there is none. ``known``
+        starts the address, as far as it is known (vendor, product, ...): one request for each part instead of one for
+        each bit. A node that has a node-id does not respond (CiA 305, 6.7)."""
         if not self._matches(0, codes.LSS_START_FASTSCAN, 0, 0):
             return None
         parts = [0, 0, 0, 0]
@@ -79,11 +74,8 @@ class LssMaster:
         return LssAddress(*parts)
 
     def _scanned(self, sub: int) -> int | None:
-        """Return a part of the address, bit by bit; None if no node responds to what was found.
-
-        Silence is a bit of 1, and so is a response that is late: then the part is not confirmed, and is scanned again
-        with more patience.
-        """
+        """Return a part of the address, bit by bit; None if no node has it. Silence is a bit of 1, and so is a late
+        response: then the part is not confirmed, and is scanned again with more patience."""
         for timeout_s in (self._timeout_s, 4.0 * self._timeout_s):
             part = 0
             for bit in range(31, -1, -1):

@@ -1,7 +1,5 @@
 """The SDO client of the host: one channel to each node, for threads and for asyncio, with retries and a deadline.
-
-``canopen_device.core.sdo_client`` does the transfer; the thread that receives a response processes it.
-"""
+``canopen_device.core.sdo_client`` does the transfer; the thread that receives a response processes it."""
 
 from __future__ import annotations
 
@@ -63,16 +61,13 @@ def checked_time(name: str, time_s: float) -> float:
 
 
 class SdoChannel:
-    """SDO transfers with one node; any number of threads and of asyncio tasks may use it.
-
-    ``timeout_s`` bounds the wait for each response, ``retries`` is the number of further attempts after an attempt
-    without a valid response, ``deadline_s`` bounds a transfer with all its attempts. An abort by the node is a
-    response: it is never retried. Long data goes in blocks, unless the node has refused a block transfer
-    (``has_blocks``). ``clock`` returns seconds.
+    """SDO transfers with one node; any number of threads and of asyncio tasks may use it. ``timeout_s`` bounds the wait
+    for each response, ``deadline_s`` a transfer with all its attempts; ``retries`` further ones follow an attempt
+    without a valid response. An abort is a response: it is never retried. Long data goes in blocks, unless the node has
+    refused them (``has_blocks``). ``clock`` returns seconds.
 
     A transfer raises DuplicateNodeError if two nodes respond. ``duplicates`` receives the frames of the bus: after a
-    second response the channel reads the serial number until it is decided whether there are two.
-    """
+    second response the channel reads the serial number until it is decided whether there are two."""
 
     def __init__(
         self,
@@ -122,10 +117,8 @@ class SdoChannel:
         await self._transfer(Request(*entry.key, data=entry.encode(value)), blocks=False)
 
     def __getitem__(self, name: str) -> Value:
-        """Return the value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``.
-
-        Raises as ``read``, and InputError with the nearest names for a name that is not in the dictionary.
-        """
+        """Return the value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``. Raises
+        as ``read``, and InputError with the nearest names for a name that is not in the dictionary."""
         return self.read(self._entry(name))
 
     def __setitem__(self, name: str, value: Value) -> None:
@@ -145,18 +138,13 @@ class SdoChannel:
         progress: Callable[[int], None] | None = None,
         deadline_s: float = 0.0,
     ) -> None:
-        """Write bytes to an entry (an SDO download).
-
-        ``progress`` receives the number of bytes that the node has acknowledged, in the thread that receives frames;
-        ``deadline_s`` is the time for a transfer that takes longer than that of the channel.
-        """
+        """Write bytes to an entry (an SDO download). ``progress`` receives the number of bytes acknowledged, in the
+        thread that receives frames; ``deadline_s`` is the time for a transfer that takes longer than the channel's."""
         finished(self._transfer(Request(index, sub, False, data, progress, deadline_s), blocks=True))
 
     def check_duplicates(self, wait: bool = False) -> None:
         """Raise DuplicateNodeError if two nodes respond with this node-id. Without a suspicion nothing is sent.
-
-        ``wait``: for the second response to the last request.
-        """
+        ``wait``: for the second response to the last request."""
         while wait and time.monotonic() < self._ended_s + SECOND_RESPONSE_S and not self._suspected:
             time.sleep(_STEP_S)
         if not self._suspected:
@@ -210,7 +198,6 @@ class SdoChannel:
         return resolve(name, self._gauges)
 
     async def _transfer(self, request: Request, *, blocks: bool) -> bytes:
-        """Do a transfer. ``blocks``: without an event loop, this thread waits; see ``finished``."""
         await self._check(blocks)
         try:
             return await self._in_turn(request, blocks=blocks)
