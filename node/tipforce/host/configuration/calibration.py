@@ -39,12 +39,9 @@ _SUSPECTS = {
 
 
 def _row(index: int, sub: int = 0, shape: tuple[int | str, ...] = (), key: str = "") -> dict[str, Any]:
-    """What the table says of a field beside its name, type and default.
-
-    ``place`` in the dictionary: the order of a record; index 0: a node does not hold it. ``shape`` of an array: "n" is
-    the number of gauges; of a covariance of gauges a record has the upper triangle. ``key`` in a file, where it is not
-    the name of the field in microstrain.
-    """
+    """What the table says of a field beside its name, type and default. ``place`` in the dictionary: the order of a
+    record; index 0: a node does not hold it. ``shape`` of an array: "n" is the number of gauges; of a covariance of
+    gauges a record has the upper triangle. ``key`` in a file, where it is not the name of the field in microstrain."""
     return {"place": (index, sub), "shape": shape, "key": key}
 
 
@@ -104,10 +101,7 @@ class Calibration:
     contributes to the uncertainty (``covariance_of_estimate``). A node does not hold it."""
 
     def __post_init__(self) -> None:
-        """Copy the arrays: read-only, float64, of shapes that belong together.
-
-        Raises InputError naming the shape and what is allowed.
-        """
+        """Copy the arrays: read-only, float64. Raises InputError naming the shape and what is allowed."""
         n = 0
         for of in fields(self):
             value, shape = getattr(self, of.name), of.metadata["shape"]
@@ -141,14 +135,10 @@ class Calibration:
         pull: bool = False,
         **facts: Any,
     ) -> Calibration:
-        """A calibration from numbers in microstrain: F = matrix (microstrain - offset).
-
-        matrix: (3, n), newtons per microstrain; offset: (n,), microstrain, None for zero; covariance: (n, n),
-        microstrain^2, of the gauges' noise; or noise: its standard deviation, (n,) or one number for all gauges.
-        ``facts``: other fields by name (serial, date, layout_code, tip_radius_m, ...). Raises InputError for what no
-        calibration can be: shapes, numbers that are not finite, a matrix without rank 3, a covariance that is no
-        covariance, or none at all.
-        """
+        """A calibration from numbers in microstrain: F = matrix (microstrain - offset). matrix: (3, n), N per
+        microstrain; offset: (n,), None for zero; covariance: (n, n), microstrain^2, of the gauges' noise; or noise: its
+        standard deviation, (n,) or one for all. ``facts``: other fields by name (serial, date, ...). Raises InputError
+        for shapes, numbers that are not finite, a matrix without rank 3, a covariance that is none, or is missing."""
         with np.errstate(over="ignore"):  # check() refuses the infinity
             C = _array("matrix", matrix) * 1e6
         n = C.shape[-1] if C.ndim else 0
@@ -213,7 +203,6 @@ class Calibration:
         self.record()  # each value fits its field
 
     def _check_numbers(self) -> None:
-        """Finite, and of the sign and order that the node's commit wants."""
         names = {}
         for of in RECORD:
             index, sub = of.metadata["place"]
@@ -280,11 +269,9 @@ RECORD = tuple(
 
 
 def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
-    """A calibration file. Raises InputError naming the place and what is allowed.
-
-    A ``crc32`` in the file must be that of the record: a number edited by hand is noticed. Take the line out to
-    accept the edit. ``with_fit``: with the ``parameter_covariance`` of its [fit] table, where it has one.
-    """
+    """A calibration file. Raises InputError naming the place and what is allowed. A ``crc32`` in the file must be that
+    of the record: a number edited by hand is noticed. Take the line out to accept the edit. ``with_fit``: with the
+    ``parameter_covariance`` of its [fit] table, where it has one."""
     from tipforce.host.configuration.calibration_file import read_file
 
     values, crc32, fit = read_file(path, fields(Calibration))
@@ -309,10 +296,8 @@ def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
 
 
 def write_calibration(path: str | Path, calibration: Calibration, fit: dict[str, object] | None = None) -> None:
-    """Write a calibration file that reads back to the same record, with its table [fit].
-
-    Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
-    """
+    """Write a calibration file that reads back to the same record, with its table [fit]. Raises InputError for a layout
+    code or a date that the file has no words for, and when the disk refuses."""
     from tipforce.host.configuration.calibration_file import write_file
 
     write_file(path, fields(calibration), calibration, calibration.crc32(), fit)
@@ -334,13 +319,11 @@ def difference(expected: bytes, held: bytes) -> list[str]:
 
 
 def _label(of: Field[Any]) -> str:
-    """How a message names a field."""
     required = of.default is MISSING and of.default_factory is MISSING
     return "matrix" if of.name == "C" else of.name.partition("_")[0] if required else of.name
 
 
 def _from_numbers(of: Field[Any], numbers: Iterator[int | float], n: int) -> Any:
-    """A field of ``n`` gauges from the next numbers of a record."""
     shape = [n if side == "n" else int(side) for side in of.metadata["shape"]]
     if not shape:
         return bool(next(numbers)) if of.type == "bool" else next(numbers)

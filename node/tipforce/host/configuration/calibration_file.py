@@ -30,10 +30,7 @@ _WORDS: dict[str, dict[str, int | bool]] = {
 
 
 class FitTable(msgspec.Struct):
-    """What is read of the table [fit]; the other keys are for people, and those that others write are let be.
-
-    The crc32 of the file covers the node's record, not this table.
-    """
+    """The part of the table [fit] that is read; other keys are ignored. The crc32 of the file does not cover it."""
 
     residual_covariance_microstrain2: list[list[float]] | None = None
     """S, (n, n)."""
@@ -43,10 +40,8 @@ class FitTable(msgspec.Struct):
     """(4 n, 4 n): gauge by gauge (A1, A2, A3, offset). Without it S and N give it."""
 
     def parameter_covariance(self, n: int) -> FloatArray:
-        """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes.
-
-        Raises InputError for shapes that do not fit ``n`` gauges, and where it is missing.
-        """
+        """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes. Raises
+        InputError for shapes that do not fit ``n`` gauges, and where it is missing."""
         S, N, whole = (
             None if rows is None else _matrix(name, rows) for name, rows in msgspec.structs.asdict(self).items()
         )
@@ -69,10 +64,8 @@ class FitTable(msgspec.Struct):
 
 
 def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, object]:
-    """The table [fit]: how the matrix came about, and all that the covariance of an estimate needs.
-
-    ``facts`` of the data: file, rows, lines with bad rows, outliers, readings at or too near to the converter's limit.
-    """
+    """The table [fit]: how the matrix came about, and all that the covariance of an estimate needs. ``facts`` of the
+    data: file, rows, lines with bad rows, outliers, readings at or too near to the converter's limit."""
     side = 4 * len(fit.A)
     table = {
         "dof": fit.dof,
@@ -95,10 +88,8 @@ def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, 
 
 
 def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | None, FitTable | None]:
-    """What a file has of the fields, by name; its CRC-32; its [fit] table.
-
-    Raises InputError naming the key and what is allowed.
-    """
+    """The fields of a file by name; its CRC-32; its [fit] table. Raises InputError naming the key and what is
+    allowed."""
     place = f"calibration {path}"
     content: Any = convert(_file_type(fields), read_table(path, place), place, finite=False)
     try:
@@ -115,9 +106,7 @@ def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | N
 
 def write_file(path: str | Path, fields: Fields, calibration: object, crc32: int, fit: object) -> None:
     """Write a file with the fields of a calibration, the CRC-32 of its record, and its table [fit], None for none.
-
-    Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
-    """
+    Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses."""
     try:
         content = {key: _cell(of, unit, getattr(calibration, of.name)) for of, key, unit in _rows(fields)}
     except InputError as error:
@@ -133,10 +122,8 @@ def write_file(path: str | Path, fields: Fields, calibration: object, crc32: int
 
 
 def _rows(fields: Fields) -> list[tuple[Field[Any], str, float]]:
-    """The fields of a file in its order (required ones, numbers, arrays, what no node holds), keys and units.
-
-    Units are those of the names: a number in a file is the value times the unit.
-    """
+    """The fields of a file in its order (required ones, numbers, arrays, what no node holds), keys and units. Units are
+    those of the names: a number in a file is the value times the unit."""
 
     def rank(of: Field[Any]) -> int:
         required = of.type == "bool" or of.default is of.default_factory is MISSING
@@ -154,7 +141,6 @@ def _rows(fields: Fields) -> list[tuple[Field[Any], str, float]]:
 
 
 def _file_type(fields: Fields) -> type[msgspec.Struct]:
-    """The form of a file: the keys of its table [calibration] with their types, None where one may be absent."""
     keys: list[Any] = []
     for of, key, _ in _rows(fields):
         words, plain = of.name in _WORDS, int if of.type == "int" else float
@@ -170,7 +156,6 @@ def _file_type(fields: Fields) -> type[msgspec.Struct]:
 
 
 def _value(of: Field[Any], key: str, unit: float, cell: Any) -> Any:
-    """The value of a field, of what a file has."""
     if of.name in _WORDS:
         if cell not in _WORDS[of.name]:
             raise InputError(f"{key} is {cell!r}, allowed: {', '.join(_WORDS[of.name])}")
@@ -182,7 +167,6 @@ def _value(of: Field[Any], key: str, unit: float, cell: Any) -> Any:
 
 
 def _cell(of: Field[Any], unit: float, value: Any) -> Any:
-    """What a file has of the value of a field."""
     if of.name in _WORDS:
         names = {code: word for word, code in _WORDS[of.name].items()}
         if value not in names:

@@ -100,10 +100,8 @@ class Capture:
 
 
 class GaugeReader:
-    """Collect gauge readings of one node: by SYNC and a gauge PDO if one PDO carries all gauges, else by SDO reads.
-
-    ``period_s`` is the time between samples. Every method raises NoResponseError and SdoAbortError as SdoChannel does.
-    """
+    """Collect gauge readings of one node: by SYNC and a gauge PDO if one PDO carries all gauges, else by SDO reads, one
+    each ``period_s``. Every method raises NoResponseError and SdoAbortError as SdoChannel does."""
 
     def __init__(self, connection: Bus, node_id: int, gauges: int, period_s: float = 0.005) -> None:
         self._connection = connection
@@ -159,9 +157,7 @@ class GaugeReader:
 
     def capture(self, samples: int, on_progress: Callable[[int], None] = lambda _count: None) -> Capture:
         """Take ``samples`` readings; stale ones are replaced, up to a limit. on_progress: number of samples so far.
-
-        Returns all readings, valid or not; the caller decides whether to use them.
-        """
+        Returns all readings, valid or not; the caller decides whether to use them."""
         self.start()
         rows: list[Sample] = []
         silent = taken = 0
@@ -229,7 +225,6 @@ class GaugeReader:
         )
 
     def _ask(self) -> FrameArray:
-        """Send one SYNC; return the gauge PDO that follows, or nothing."""
         self._connection.buffer.clear()
         self._connection.sync()
         frames = self._connection.buffer.take({self._can_id}, time.monotonic() + _ANSWER_S)
@@ -237,7 +232,6 @@ class GaugeReader:
         return mine
 
     def _by_pdo(self) -> Sample | None:
-        """Return the sample of one SYNC, None without a response."""
         for samples in self._decoder.decode(self._ask()).values():
             gauges = [float(samples.columns[name][0]) for name in self._gauges]
             return Sample(float(samples.t_ns[0]) * 1e-9, gauges, *(samples.columns[name][0].item() for name in _FLAGS))

@@ -1,7 +1,5 @@
 """Settings of a node: read, compare and write them as TOML; apply a file (TOML or DCF) in the order of CiA 301.
-
-``tipforce calibrate`` transfers the calibration of a fingertip, protected by its CRC-32; it is none of the settings.
-"""
+``tipforce calibrate`` transfers the calibration of a fingertip, protected by its CRC-32; it is none of the settings."""
 
 from __future__ import annotations
 
@@ -28,11 +26,9 @@ from tipforce.host.network.sdo import Blocking, SdoChannel, finished
 def read_settings(
     sdo: SdoChannel, objects: DeviceObjects, advance: Callable[[], None] = lambda: None
 ) -> dict[Place, Value]:
-    """Return every setting of a node, without objects that it lacks. ``advance()`` after each read.
-
-    Raises NoResponseError; for a fingertip also SdoAbortError for any other abort. What another device does not
-    provide as its EDS has it is left out, and a text outside ASCII, which could not be written back.
-    """
+    """Return every setting of a node, without objects that it lacks. ``advance()`` after each read. Raises
+    NoResponseError; for a fingertip also SdoAbortError for any other abort. What another device does not provide as its
+    EDS has it is left out, and a text outside ASCII, which could not be written back."""
     values: dict[Place, Value] = {}
     for place, entry in objects.settings.items():
         try:
@@ -60,10 +56,8 @@ def changed_settings(settings: Mapping[Place, Value], objects: DeviceObjects) ->
 
 
 def compare(node: Mapping[Place, Value], wanted: Configuration, objects: DeviceObjects) -> list[dict[str, str | None]]:
-    """Return the differences between a node and a file, both ways: also changes missing in the file.
-
-    Each has name, entry, node and other (in the file), as text; None: that side does not contain it.
-    """
+    """Return the differences between a node and a file, both ways: also changes missing in the file. Each has name,
+    entry, node and other (in the file), as text; None: that side does not contain it."""
     differences = []
     for place in sorted({*changed_settings(node, objects), *wanted} & objects.settings.keys()):
         entry, here, there = objects.settings[place], node.get(place), wanted[place][1] if place in wanted else None
@@ -119,11 +113,9 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 def read_configuration(
     path: str | Path, node_id: int, gauges: int = 3, objects: DeviceObjects | None = None
 ) -> Configuration:
-    """Return the content of a file: a DCF or XDC by its extension, otherwise TOML with a table [objects].
-
-    ``objects`` is the dictionary of the node, by default that of a fingertip with so many gauges. Raises InputError
-    naming the file, the object, the value and what is allowed.
-    """
+    """Return the content of a file: a DCF or XDC by its extension, otherwise TOML with a table [objects]. ``objects``:
+    of the node, by default a fingertip's. Raises InputError naming the file, the object, the value and what is
+    allowed."""
     known = FingertipObjects(node_id, gauges) if objects is None else objects
     is_dcf = str(path).lower().endswith((".dcf", ".eds", ".xdc", ".xdd"))
     stated: list[tuple[str, object]]
@@ -152,7 +144,6 @@ def read_configuration(
 
 
 def _numbered(value: object, node_id: int) -> object:
-    """Return a value that depends on the node-id, for this node-id."""
     if not isinstance(value, str) or NODE_ID_MARK not in value.upper():
         return value
     match = _FOLLOWS_NODE_ID.fullmatch(value.strip())
@@ -179,7 +170,6 @@ def _single_values(name: str, value: object, objects: DeviceObjects) -> list[tup
 
 
 def _typed(entry: Entry[Value], value: object) -> Value:
-    """Convert text to a type that TOML lacks: hex bytes, "nan", "0x0A"."""
     kind = types.data_type(entry.type).python
     if isinstance(value, str) and kind is not str:
         try:
@@ -190,10 +180,8 @@ def _typed(entry: Entry[Value], value: object) -> Value:
 
 
 def apply_configuration(sdo: SdoChannel, wanted: Configuration) -> None:
-    """Write every object; PDO parameters by the procedure of 7.5.2.36. Raises NoResponseError and SdoAbortError.
-
-    If the node rejects one, the previous values are restored as far as the node accepts them.
-    """
+    """Write every object; PDO parameters by the procedure of 7.5.2.36. Raises NoResponseError and SdoAbortError. If the
+    node rejects one, the previous values are restored as far as the node accepts them."""
     finished(apply_configuration_async(Blocking(sdo), wanted))
 
 
@@ -251,7 +239,6 @@ async def _write(sdo: SdoChannel | Blocking, values: Configuration) -> None:
 
 
 def _pdos(values: Configuration) -> list[int]:
-    """Return the communication parameter index of each PDO that is changed."""
     return sorted({index & ~communication.MAPPING for index, _ in values if _is_pdo(index)})
 
 
@@ -290,7 +277,6 @@ async def verify_configuration_async(sdo: SdoChannel | Blocking, wanted: Configu
 
 
 async def _differing(sdo: SdoChannel | Blocking, wanted: Configuration) -> dict[Place, Value]:
-    """Return the node's values of the objects that differ."""
     differing: dict[Place, Value] = {}
     for place, (entry, value) in wanted.items():
         if entry.access != "wo":

@@ -33,10 +33,8 @@ class FingertipObjects:
 
     @cached_property
     def settings(self) -> Mapping[Place, Entry[Value]]:
-        """The objects stored by 1010h:2 and 1010h:3, by (index, sub). The calibration is not among them.
-
-        A default includes the node-id where the flag ``ADD_NODE_ID`` is set; a stem names the object of a list.
-        """
+        """The objects stored by 1010h:2 and 1010h:3, by (index, sub). The calibration is not among them. A default
+        includes the node-id where the flag ``ADD_NODE_ID`` is set; a stem names the object of a list."""
         settings: dict[Place, Entry[Value]] = {}
         for place, entry in entries.entries(self._gauges, True).items():
             if entry.access == "rw" and not entry.flags & _NO_SETTING:

@@ -29,10 +29,8 @@ ALLOWED_WITH_LAYOUT, ALLOWED_WITHOUT = 4.0, 30.0
 
 @dataclass(frozen=True)
 class FitRequest:
-    """What a fit is asked for: the model of the readings, and what the calibration states.
-
-    Strains in microstrain, angles in degrees, stress in MPa; None: estimated, not known, or that of the data.
-    """
+    """What a fit is asked for: the model of the readings, and what the calibration states. Strains in microstrain,
+    angles in degrees, stress in MPa; None: estimated, not known, or that of the data."""
 
     layout: str | None = None
     angle_scatter: float = 0.5
@@ -99,11 +97,8 @@ class Fitted(NamedTuple):
 
 
 def fitted(request: FitRequest, data: Measurements, note: Callable[[str], None] = lambda _text: None) -> Fitted:
-    """Fit measurements with loads; ``note`` takes a remark on the load sense.
-
-    Raises InputError for flags that are not allowed, for data that look like another unit or a converter's limit, and
-    where the rows do not determine a calibration.
-    """
+    """Fit measurements with loads; ``note`` takes a remark on the load sense. Raises InputError for flags that are not
+    allowed, data that look like another unit or a converter's limit, and rows that determine no calibration."""
     if data.P_newtons is None or data.phi_rad is None or data.theta_rad is None:
         raise InputError("the data have no loads: the columns P_N, phi_deg, theta_deg are needed")
     P = np.where(data.unloaded, 0.0, data.P_newtons)  # a tare row has no load whatever its angles say
@@ -129,7 +124,6 @@ def limit_of(fit: Fit, Sigma: FloatArray, dof: float, largest_newtons: float) ->
 
 
 def _calibration_of(request: FitRequest, data: Measurements, fit: Fit, note: Callable[[str], None]) -> Calibration:
-    """The calibration that goes into the file and to the node, with where it is valid."""
     code = CUSTOM_LAYOUT_CODE
     if request.structure is not None:
         points = [gauge for gauge in request.structure[1] if isinstance(gauge, str)]

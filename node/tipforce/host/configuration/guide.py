@@ -1,10 +1,7 @@
-"""The steps of a guided calibration, loads and unloaded readings between them, and the session of their readings.
-
-The steps are those of the paper, or of a plan file in TOML, whose keys `tipforce calibrate guide --help` describes.
-A session is a CSV of measurements, one row per step, on disk before the next step begins. Besides the columns of every
-measurement file (`tipforce calibrate fit` reads it unchanged): ``step`` (number in the plan, or extra), ``serial`` (of
-the node), ``taken`` (UTC) and ``var_j_k_ue2``, the covariance of one reading.
-"""
+"""The steps of a guided calibration, loads and unloaded readings between them, and the session of their readings. The
+steps are those of the paper, or of a plan file (`tipforce calibrate guide --help`). A session is a CSV of measurements,
+one row per step, on disk before the next step begins. It has besides the columns of every measurement file: ``step``
+(number in the plan, or extra), ``serial``, ``taken`` (UTC), ``var_j_k_ue2``, the covariance of one reading."""
 
 from __future__ import annotations
 
@@ -83,9 +80,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 def groove_plan(weights: str, grooves: str) -> tuple[Step, ...]:
     """Return steps of a rope in grooves: every weight ("4.4,2.2", newtons) in every groove ("paper", or "x30,y60").
-
-    Raises InputError for a weight or groove that is not allowed, and for loads that do not determine the matrix.
-    """
+    Raises InputError for a weight or groove that is not allowed, and for loads that do not determine the matrix."""
     places = _grooves(grooves)
     try:
         newtons = [float(word) for word in weights.split(",")]
@@ -133,7 +128,6 @@ def _step(number: int, step: _FileStep) -> Step:
 
 
 def _grooves(text: str) -> list[tuple[str, float, float]]:
-    """Return (x or y, phi, theta) of each groove, degrees."""
     if text == "paper":
         return [("y" if phi == 90.0 else "x", phi, theta) for phi, theta in GROOVES_DEG]
     found = []
@@ -179,11 +173,8 @@ class Row(NamedTuple):
 
 
 class Session:
-    """A session file of one node and one plan; created with the first row.
-
-    Raises InputError for a file that is not a session, is damaged, or belongs to another node or plan, and leaves it
-    unchanged. A last line truncated by an interruption is removed.
-    """
+    """A session file of one node and one plan; created with the first row. Raises InputError for a file that is
+    damaged, no session or another's, and leaves it unchanged. A last line truncated by an interruption is removed."""
 
     def __init__(self, path: str | Path, steps: Sequence[Step], serial: int, gauges: int, temperature: bool) -> None:
         self.path = Path(path)
@@ -275,7 +266,6 @@ class Session:
             raise InputError(f"session {self.path}: {error.strerror}") from error
 
     def _save(self, content: bytes) -> None:
-        """Replace the file, synchronously to disk."""
         if self._read() != self._content:
             raise InputError(f"session {self.path}: another program has changed it; start the same command again")
         with new_file(self.path) as partial, partial.open("wb") as file:

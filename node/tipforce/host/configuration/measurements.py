@@ -51,7 +51,6 @@ class BadRow(NamedTuple):
 
 
 def _row(text: str, places: dict[str, int], mode: int | None, count: int) -> tuple[list[float], int]:
-    """Return (values, mode) of one line with ``count`` cells; arguments as of ``_header``. Raises InputError."""
     if not text.strip():
         raise InputError("the line is empty")
     try:
@@ -72,7 +71,6 @@ def _row(text: str, places: dict[str, int], mode: int | None, count: int) -> tup
 
 
 def _value(name: str, cell: str, unloaded: bool) -> float:
-    """Return the number in a cell. Raises InputError with its fault."""
     if not cell and unloaded and name in LOAD_COLUMNS:
         return 0.0
     try:
@@ -90,10 +88,7 @@ def _value(name: str, cell: str, unloaded: bool) -> float:
 
 
 def time_faults(line: list[int], times: list[float]) -> list[BadRow]:
-    """Return the fewest rows whose removal leaves the times in order, with the reason.
-
-    One clock jump is then one bad row (or one run of rows), not all following rows.
-    """
+    """Return the fewest rows whose removal leaves the times in order: one clock jump is one run of bad rows."""
     if times == sorted(times):
         return []
     ends: list[float] = []
@@ -151,13 +146,11 @@ class Measurements:
 
 
 def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
-    """Read a CSV file of measurements; loads: the columns P_N, phi_deg, theta_deg are required.
-
-    Gauge columns SG1..SGn, SG1_ue.. (of a decoded log) or e1_ue.. in microstrain, n = 3 to 8; optional t_s,
-    temperature_degC, weight, mode (push, pull, tare). A row that cannot be used is in ``bad`` with its line and
-    reason. Raises InputError if the whole file cannot be used: not readable, empty, not UTF-8, a header with a
-    missing or duplicate column, a decoded log with estimates beside the gauges, or one of several nodes.
-    """
+    """Read a CSV file of measurements; loads: the columns P_N, phi_deg, theta_deg are required. Gauge columns SG1..SGn,
+    SG1_ue.. (of a decoded log) or e1_ue.. in microstrain, n = 3 to 8; optional t_s, temperature_degC, weight, mode
+    (push, pull, tare). A row that cannot be used is in ``bad`` with its line and reason. Raises InputError for a file
+    that is not readable, empty, not UTF-8, a header with a missing or duplicate column, a decoded log with estimates
+    beside the gauges, or one of several nodes."""
     lines = _lines(path)
     places, mode, count, ignored = _header(path, lines[0], loads)
     if not any(line.strip() for line in lines[1:]):
@@ -223,7 +216,6 @@ def _lines(path: str | Path) -> list[str]:
 
 
 def _require_one_node(path: str | Path, lines: list[str]) -> None:
-    """Raise InputError if the columns of a decoded log name more than one node (or node and channel)."""
     rows = csv.reader(lines)
     header = [name.strip() for name in next(rows)]
     if not (places := [header.index(name) for name in ("channel", "node") if name in header]):
@@ -240,7 +232,6 @@ def _require_one_node(path: str | Path, lines: list[str]) -> None:
 
 
 def _header(path: str | Path, text: str, loads: bool) -> tuple[dict[str, int], int | None, int, tuple[str, ...]]:
-    """Return places of the numeric columns (gauges first), place of the mode, number of cells, columns not read."""
     names = [name.strip().strip('"').strip() for name in text.split(",")]
     if len(names) == 1 and (";" in text or "\t" in text):
         raise InputError(f"{path}: line 1: separate columns by commas (and write decimals with a point)")
