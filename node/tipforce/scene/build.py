@@ -1,7 +1,5 @@
 """Build the nodes of a scene: each with a simulated source, its calibration and only the PDOs that the scene names.
-
-What a node gets is decided by ``parts``; modules of a part are imported where it is built.
-"""
+What a node gets is decided by ``parts``; modules of a part are imported where it is built."""
 
 from __future__ import annotations
 
@@ -95,11 +93,8 @@ class Finger:
 
 
 def build(scene: schema.Scene, folder: Path) -> list[Finger]:
-    """Return the fingers of a scene, not booted. ``folder``: the directory of relative calibration files.
-
-    Raises InputError for an invalid calibration file, for one with another number of gauges, and for a layout whose
-    gauges cannot separate the forces.
-    """
+    """Return the fingers of a scene, not booted; calibration files are relative to ``folder``. Raises InputError for
+    one that is invalid or has another number of gauges, and for a layout whose gauges cannot separate the forces."""
     return [_finger(scene, group, node_id, folder) for group in scene.nodes for node_id in group.ids]
 
 
@@ -136,7 +131,6 @@ def _source(
     clock: Clock,
     chosen: frozenset[str],
 ) -> SimulatedSource:
-    """Return the gauge source of one node. Raises InputError for a front end that is not allowed."""
     options: dict[str, Any] = {}
     seed = 256 * scene.seed + 2 * node_id
     noise = scene.noise or schema.Noise()
@@ -165,10 +159,8 @@ def _source(
 
 
 def _swinging(dynamics: schema.Dynamics, following: Callable[[int], Triple], clock: Clock) -> Callable[[int], Triple]:
-    """Return the elastic force at the time of a conversion; the tip starts in equilibrium under its load.
-
-    Steps of ``step_us`` from the start; a conversion between two steps gets the force of the earlier one.
-    """
+    """Return the elastic force at the time of a conversion; the tip starts in equilibrium under its load. Steps of
+    ``step_us`` from the start; a conversion between two steps gets the force of the earlier one."""
     from tipforce.sensor.dynamics.first_order_hold import node_coefficients
     from tipforce.sensor.dynamics.model import modes
     from tipforce.sensor.structure.geometry import FABRICATED
@@ -216,10 +208,8 @@ class Fault(NamedTuple):
 
 
 def actions(scene: schema.Scene, fingers: Sequence[Finger], duration_s: float) -> list[tuple[int, Fault | None]]:
-    """Return (t_us, fault, or None for a SYNC) in order; a fault precedes the SYNC of its time, an end a beginning.
-
-    The first SYNC is one period after the start.
-    """
+    """Return (t_us, fault, or None for a SYNC) in order; a fault precedes the SYNC of its time, an end a beginning. The
+    first SYNC is one period after the start."""
     by_id = {finger.node_id: finger for finger in fingers}
     faults = []
     for fault in scene.faults:

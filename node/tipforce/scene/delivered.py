@@ -56,10 +56,8 @@ def structure_calibration(
     offset_microstrain: Sequence[float] = (),
     **stated: Any,
 ) -> Calibration:
-    """Return the calibration of any gauges by beam theory; ``stated`` are other fields of Calibration.
-
-    Raises InputError for gauges that cannot separate the forces.
-    """
+    """Return the calibration of any gauges by beam theory; ``stated`` are other fields of Calibration. Raises
+    InputError for gauges that cannot separate the forces."""
     import numpy as np
 
     from tipforce.host.configuration.calibration import Calibration

@@ -1,7 +1,5 @@
-"""Run a scene on a python-can bus in real time: the nodes in one loop, and a host in parallel that sends the SYNC.
-
-The host has its own connection, so the frames that it records were really on the bus.
-"""
+"""Run a scene on a python-can bus in real time: the nodes in one loop, and a host in parallel that sends the SYNC. The
+host has its own connection, so the frames that it records were really on the bus."""
 
 from __future__ import annotations
 
@@ -71,8 +69,6 @@ class _NodesPort:
 
 
 class _Master:
-    """The host of a run: it sends NMT and SYNC and records what it sends and hears."""
-
     def __init__(self, bus: can.BusABC, heard: _Heard) -> None:
         self._bus, self._heard = bus, heard
         self._said: list[tuple[int, int, bytes]] = []
@@ -122,12 +118,9 @@ def run_on_bus(
     recording: Recording,
     advance: Callable[[float], None],
 ) -> None:
-    """Run the hand for ``duration_s`` of real time; a bus that goes down and comes back misses SYNCs meanwhile.
-
-    Raises EnvironmentLackError for a bus that does not open, or is down at the end; what was received is recorded then
-    too. Frames of other nodes on that bus are recorded. SYNCs that are late because the machine is busy stay late: the
-    times in the recording show it.
-    """
+    """Run the hand for ``duration_s`` of real time; a bus that goes down and comes back misses SYNCs meanwhile. SYNCs
+    that are late because the machine is busy stay late in the recording; frames of other nodes are recorded. Raises
+    EnvironmentLackError for a bus that does not open, or is down at the end; what was received is recorded then too."""
     # Without a bus python-can's inside one process; a unique name keeps two runs in one process apart.
     bus = scene.bus or schema.Bus(interface="virtual", channel=f"tipforce-run-{time.monotonic_ns()}")
     options = {"interface": bus.interface, "channel": bus.channel, "bitrate": bus.bitrate}

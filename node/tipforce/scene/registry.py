@@ -1,7 +1,5 @@
 """The parts of a scene: the key that names each, why it is left out, its modules, and the frames that a run sends.
-
-``parts`` is the one list: a run builds what it names, `tipforce run --explain` prints it, the costs are measured by it.
-"""
+``parts`` is the one list: for a run, `tipforce run --explain` and the measurement of costs."""
 
 from __future__ import annotations
 
@@ -89,10 +87,8 @@ def built_parts(scene: schema.Scene, *more: str) -> tuple[str, ...]:
 
 
 def computes(group: schema.Nodes) -> tuple[str, str]:
-    """Return why a node computes force and contact: the first reason of each, empty if it does not.
-
-    The status byte 2120h contains the contact bit, so a calibrated node that sends it must compute the contact.
-    """
+    """Return why a node computes force and contact: the first reason of each, empty if it does not. The status byte
+    2120h contains the contact bit, so a calibrated node that sends it must compute the contact."""
     if group.calibration == "none" or not group.pdos:
         return "", ""
     status = "status byte 2120h" if group.status and set(group.pdos) & set(SYNCHRONOUS) else ""
@@ -115,7 +111,6 @@ def _keyed(name: str, key: str, value: object, *modules: str, without: str = "")
 
 
 def _listed(name: str, key: str, items: Sequence[object]) -> Part:
-    """Return a part that the tables of a key name."""
     return _part(name, f"{key}: {len(items)}" if items else "", f"no {key}")
 
 
@@ -260,11 +255,9 @@ def bus_load(scene: schema.Scene) -> tuple[float, float]:
 
 
 def loaded_by(*names: str) -> tuple[str, ...]:
-    """Return the project's modules and the third-party packages that importing ``names`` loads, sorted.
-
-    Imports inside functions and under ``if TYPE_CHECKING`` are excluded: they load on demand. Third-party packages
-    are listed by their top-level name; the standard library only if ``names`` contains it.
-    """
+    """Return the project's modules and the third-party packages that importing ``names`` loads, sorted. Imports inside
+    functions and under ``if TYPE_CHECKING`` are excluded: they load on demand. Third-party packages are listed by their
+    top-level name; the standard library only if ``names`` contains it."""
     modules: set[str] = set()
     pending = list(names)
     while pending:
@@ -279,7 +272,6 @@ def loaded_by(*names: str) -> tuple[str, ...]:
 
 @cache
 def _imports(name: str) -> tuple[str, ...]:
-    """Yield the imports of one module of tipforce, its parent package included."""
     spec = find_spec(name)
     assert spec is not None, name
     assert spec.origin is not None, name

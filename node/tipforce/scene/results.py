@@ -35,9 +35,7 @@ _ANGLE_CAUSES = {"no_contact": "no contact", "misses_tip": "misses_tip", "theta_
 
 class Recording:
     """Record frames in the order of their times. With ``log`` each is also written to that file. A context manager.
-
-    Raises InputError for an unusable path of the log, WriteError when it cannot be written; then an old log stays.
-    """
+    Raises InputError for an unusable path of the log, WriteError when it cannot be written; then an old log stays."""
 
     def __init__(self, log: str | Path | None = None, interface: str = "sim0", start_ns: int = 0) -> None:
         """``start_ns``: time 0 in the log, nanoseconds of the epoch."""
@@ -255,10 +253,8 @@ def _slit_closed(slit: schema.Slit, applied: FloatArray) -> BoolArray:
 
 
 def write_table(path: str, messages: Mapping[tuple[int, str], Samples]) -> None:
-    """Write columns t_s, node, message, then the signals; a cell is empty if a PDO has no such signal or no value.
-
-    Rows are in the order of the frames. Raises InputError for an unusable path, WriteError if writing fails.
-    """
+    """Write columns t_s, node, message, then the signals; a cell is empty if a PDO has no such signal or no value. Rows
+    are in the order of the frames. Raises InputError for an unusable path, WriteError if writing fails."""
     names = list(dict.fromkeys(name for samples in messages.values() for name in samples.columns))
     rows: list[tuple[int, int, list[object]]] = []
     for (node_id, message), samples in messages.items():
@@ -345,7 +341,6 @@ def judge(
 def _checks(
     expect: schema.Expect, contact: Contact | None, syncs: int, emcy: Sequence[str]
 ) -> Iterator[tuple[str, str, bool]]:
-    """Return (what is expected, what was found, whether it holds)."""
     yield from _errors(expect, contact)
     known = 0 if contact is None else int(np.isfinite(contact.estimated[:, 0]).sum())
     share = known / syncs if syncs else 0.0

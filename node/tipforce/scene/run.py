@@ -49,11 +49,9 @@ def run_scene(
     advance: Callable[[float], None] = lambda _t_s: None,
 ) -> Outcome:
     """Run a scene whose calibration files are relative to ``folder``; ``advance`` is called with the time now and then.
-
     ``duration_s``: instead of the scene's, which its expectations need. ``realtime``: without a named bus nodes and
     host are on one inside this process. Raises InputError for a duration that is not allowed and for files that cannot
-    be read or written, EnvironmentLackError for a bus that cannot be opened.
-    """
+    be read or written, EnvironmentLackError for a bus that cannot be opened."""
     from tipforce.scene import results
 
     duration_s = scene.duration_s if duration_s is None else duration_s
@@ -90,10 +88,8 @@ def run_scene(
 def simulate(
     scene: schema.Scene, fingers: Sequence[Finger], duration_s: float, emit: Emit, advance: Callable[[int], None]
 ) -> None:
-    """Run the hand for ``duration_s``; ``emit`` gets every frame in order, ``advance`` gets the time now and then.
-
-    A frame's time is the time of its transmit request: transmission time on the bus is not simulated.
-    """
+    """Run the hand for ``duration_s``; ``emit`` gets every frame in order, ``advance`` gets the time now and then. A
+    frame's time is the time of its transmit request: transmission time on the bus is not simulated."""
     end_us = round(1e6 * duration_s)
     hand = _Hand(fingers, emit, end_us)
     for number, (t_us, fault) in enumerate(actions(scene, fingers, duration_s)):
@@ -109,8 +105,6 @@ def simulate(
 
 
 class _Hand:
-    """The booted and started nodes, and the due times of their timers."""
-
     def __init__(self, fingers: Sequence[Finger], emit: Emit, end_us: int) -> None:
         self._fingers, self._emit = fingers, emit
         self._due = [end_us + 1] * len(fingers)  # due time of each node's next timer

@@ -60,10 +60,8 @@ UNLOADED: Triple = (0.0, 0.0, 0.0)
 
 
 class LoadHistory:
-    """P, phi and theta of one finger, linear between its knots, constant before the first and after the last.
-
-    Two knots at one time make a step: the later one applies from that time on.
-    """
+    """P, phi and theta of one finger, linear between its knots, constant before the first and after the last. Two knots
+    at one time make a step: the later one applies from that time on."""
 
     __slots__ = ("_times", "knots")
 

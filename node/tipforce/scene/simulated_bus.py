@@ -36,11 +36,8 @@ _numbers = itertools.count()
 
 
 class SimulatedBus(Bus):
-    """A bus with simulated fingers. A context manager that stops them; otherwise like any bus.
-
-    ``bus_options`` are the keywords of ``can.Bus`` by which other programs of the process (on a virtual bus) or of the
-    machine (on vcan) reach the same fingers.
-    """
+    """A bus with simulated fingers; a context manager that stops them. ``bus_options``: the keywords of ``can.Bus`` by
+    which other programs of the process (on a virtual bus) or of the machine (on vcan) reach the same fingers."""
 
     def __init__(self, devices: Mapping[int, Device], sources: Mapping[int, SimulatedSource], **bus: str) -> None:
         self.bus_options: dict[str, Any] = bus or {
@@ -67,9 +64,7 @@ class SimulatedBus(Bus):
 
     def inject_fault(self, node_id: int, fault: str, gauge: int = 1, magnitude: float = 0.0) -> None:
         """Inject a fault into a gauge (from 1) of a finger from now on: stuck, open, saturated, silent, drift, or none.
-
-        ``magnitude``: microstrain per second, for a drift. Raises InputError for another fault, gauge or node-id.
-        """
+        ``magnitude``: microstrain per second, for a drift. Raises InputError for another fault, gauge or node-id."""
         source = self._source(node_id)
         if fault not in FAULTS:
             raise InputError(f"fault {fault!r}: allowed are {', '.join(FAULTS)}")
@@ -108,12 +103,10 @@ def simulated_finger(
     seed: int = 0,
     **bus: str,
 ) -> SimulatedBus:
-    """Return a bus with one simulated finger under ``load``: P in newtons, phi and theta in degrees.
-
-    ``layout``: I, II, III, or their mirrors. ``calibrated``: by beam theory. ``pull``: the load sense of the
-    calibration, by default that of ``load``. ``bus``: keywords of ``can.Bus``, by default a bus inside this
-    process. Raises InputError, and EnvironmentLackError for a bus that cannot be opened.
-    """
+    """Return a bus with one simulated finger under ``load``: P in newtons, phi and theta in degrees. ``layout``: I, II,
+    III, or their mirrors. ``calibrated``: by beam theory; ``pull``: its load sense, by default that of ``load``.
+    ``bus``: keywords of ``can.Bus``, by default a bus inside this process. Raises InputError and
+    EnvironmentLackError."""
     return simulated_hand(
         [node_id], {node_id: load}, layout=layout, calibrated=calibrated, pull=pull,
         noise_microstrain=noise_microstrain, seed=seed, **bus,
