@@ -29,10 +29,8 @@ _CHOICES = {
 
 
 def dbc_text(node_ids: Iterable[int] = range(1, 16), n: int = 3) -> str:
-    """The .dbc of these nodes, all with ``n`` gauges and the default COB-IDs; lines end with LF.
-
-    Raises InputError for a node-id outside 1..127 or given twice, and for an ``n`` outside 3..8.
-    """
+    """The .dbc of these nodes, all with ``n`` gauges and the default COB-IDs; lines end with LF. Raises InputError for
+    a node-id outside 1..127 or given twice, and for an ``n`` outside 3..8."""
     from cantools.database.can import Database, Node  # 0.3 s, and nothing else here needs it
 
     ids = list(node_ids)
@@ -83,7 +81,6 @@ def _of_node(node_id: int, name: str, n: int) -> list[Message]:
 
 
 def _number(name: str, start: int, bits: int, text: str, highest: int = 0) -> signals.Signal:
-    """A number of a service, up to ``highest`` or that of its bits."""
     return signals.Signal(name, start, bits, False, 1, "", 0, highest or (1 << bits) - 1, None, text, 0, 0)
 
 

@@ -30,10 +30,8 @@ def file_name(n: int = 3, simulated: bool = False, suffix: str = "eds", bits: in
 def eds_text(
     n: int = 3, simulated: bool = False, converter: Converter = table.CONVERTER_16, programs: bool = False
 ) -> str:
-    """The EDS of a node with ``n`` gauges; ``programs``: with program slots.
-
-    Raises InputError for an ``n`` outside 3..8.
-    """
+    """The EDS of a node with ``n`` gauges; ``programs``: with program slots. Raises InputError for ``n`` outside
+    3..8."""
     return _text(n, simulated, converter, programs, None, {})
 
 
@@ -41,10 +39,8 @@ def dcf_text(
     n: int, node_id: int, values: Values, simulated: bool = False, *, converter: Converter = table.CONVERTER_16,
     programs: bool = False,
 ) -> str:  # fmt: skip
-    """The DCF of node ``node_id`` (1..127): its EDS with a ParameterValue for each (index, sub) of ``values``.
-
-    Raises InputError for an entry that the node does not have or that is not of its type or limits.
-    """
+    """The DCF of node ``node_id`` (1..127): its EDS with a ParameterValue for each (index, sub) of ``values``. Raises
+    InputError for an entry that the node does not have or that is not of its type or limits."""
     if not 1 <= node_id <= 127:
         raise InputError(f"node-id {node_id}: allowed are 1 to 127")
     known = entries(n, simulated, programs)
@@ -104,7 +100,6 @@ def access_text(entry: Entry[Any]) -> str:
 
 
 def _text(n: int, simulated: bool, converter: Converter, programs: bool, node_id: int | None, values: Values) -> str:
-    """A DCF, or without ``node_id`` an EDS."""
     declared = objects(n, simulated, converter, programs)
     lines = _general(n, simulated, converter, node_id) + _object_lists([each.index for each in declared])
     for each in declared:
@@ -119,7 +114,6 @@ def _text(n: int, simulated: bool, converter: Converter, programs: bool, node_id
 
 
 def _general(n: int, simulated: bool, converter: Converter, node_id: int | None) -> list[str]:
-    """The sections before the objects."""
     bits, note = converter[0], ", simulated" if simulated else ""
     time, date = "12:00AM", "01-01-2025"  # the form of CiA 306-1, 4.5.2: hh:mmAM, mm-dd-yyyy
     eds, own = file_name(n, simulated, "eds", bits), file_name(n, simulated, "dcf", bits)

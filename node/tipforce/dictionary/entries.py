@@ -1,10 +1,7 @@
 """Entries of the dictionary: what to read or write, how bytes become a value, and what the table says of each.
-
-``objects`` unfolds the table's runs into an ``Entry`` for each sub-index: what every generator reads. ``resolve`` finds
-the entry that a person writes: ``calibration.matrix:3``, ``0x2103:04``, ``2103h:04``. After a dotted name the sub-index
-is decimal, because it counts; after an index it is hexadecimal, because it continues that number, as ``str(entry)``
-prints it.
-"""
+``objects`` unfolds the table's runs into an ``Entry`` for each sub-index. ``resolve`` finds what a person writes:
+``calibration.matrix:3``, ``0x2103:04``, ``2103h:04``. After a dotted name the sub-index is decimal, because it counts;
+after an index hexadecimal, because it continues that number, as ``str(entry)`` prints it."""
 
 from __future__ import annotations
 
@@ -159,9 +156,7 @@ def entries(n: int = 3, simulated: bool = False, programs: bool = False) -> Entr
 
 def resolve(text: str, n: int = 3) -> Entry[Any]:
     """The entry that ``text`` names on a node with ``n`` gauges, simulated or not, with program slots or without.
-
-    Raises InputError with the nearest names, or with the sub-indices that there are.
-    """
+    Raises InputError with the nearest names, or with the sub-indices that there are."""
     known, wanted = entries(n, True, True), text.strip()
     match = _NUMERIC.fullmatch(wanted)
     if match is None:
@@ -217,7 +212,6 @@ def _named(text: str, known: Entries, n: int) -> Entry[Any]:
 
 
 def _ranges(subs: list[int], form: str) -> str:
-    """``00-09`` or ``00-03, 05-06``."""
     parts: list[list[int]] = []
     for sub in subs:
         if parts and sub == parts[-1][1] + 1:

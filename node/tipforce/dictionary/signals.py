@@ -22,11 +22,9 @@ _UNCERTAINTIES = (("u_P", "N"), ("u_phi", "degree"), ("u_theta", "degree"))
 @dataclass(frozen=True, slots=True)
 class Signal:
     """One quantity in a message: value = raw x ``scale`` + ``offset``, in ``unit``; little-endian from ``start_bit``.
-
     Where ``big_endian`` (only in foreign messages), ``start_bit`` counts from the lowest bit of the last byte.
-    ``minimum`` and ``maximum`` are in ``unit``; ``unknown`` is the raw value that stands for no value (None:
-    there is none, or, where ``real``, it is NaN). ``index`` and ``sub`` say which object it was mapped from.
-    """
+    ``minimum`` and ``maximum`` are in ``unit``; ``unknown`` is the raw value that stands for no value (None: there is
+    none, or, where ``real``, it is NaN). ``index`` and ``sub`` say which object it was mapped from."""
 
     name: str
     start_bit: int
@@ -47,11 +45,8 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A PDO as it is by default: COB-ID is ``cob_id_base`` + node-id (0: none assigned).
-
-    ``kind`` is "tpdo" or "rpdo", ``number`` counts from 1, ``mapping`` holds (index, sub, bits),
-    ``transmission_type`` is that of CiA 301, table 72, ``event_timer_ms`` 0 is off.
-    """
+    """A PDO by default: COB-ID ``cob_id_base`` + node-id (0: none), ``kind`` "tpdo" or "rpdo", ``number`` from 1,
+    ``mapping`` of (index, sub, bits), ``transmission_type`` by CiA 301, table 72; ``event_timer_ms`` 0 is off."""
 
     kind: str
     number: int
@@ -78,10 +73,8 @@ def rpdo_messages() -> tuple[Message, ...]:
 
 
 def mapping_signals(mapping: Iterable[tuple[int, int, int]], n: int = 3) -> tuple[Signal, ...]:
-    """The signals of a PDO that maps these (index, sub, bits), in this order.
-
-    Raises InputError for an object that is not there or can't be mapped, a wrong length, more than 64 bits.
-    """
+    """The signals of a PDO that maps these (index, sub, bits), in this order. Raises InputError for an object that is
+    not there or can't be mapped, a wrong length, more than 64 bits."""
     signals: list[Signal] = []
     start = 0
     for index, sub, bits in mapping:
@@ -176,7 +169,6 @@ def _scaled(
 
 
 def _plain(entry: Entry[Any], start: int, n: int) -> Signal:
-    """A number that is just that: counters, registers, commands."""
     limits = types.data_type(entry.type).limits or (0, 0)
     name = entry.stem.replace(".", "_")
     if entry.index == indices.CHANNEL_STATUS:

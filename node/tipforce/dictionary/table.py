@@ -1,14 +1,10 @@
-"""The object dictionary of a fingertip node, once: every other form of it (EDS, DBC, docs, accessors, the
-node's own) is generated from here.
+"""The object dictionary of a fingertip node, from which every other form (EDS, DBC, docs, accessors, the node's own) is
+generated. Plain tuples in the subset that CPython and MicroPython share, because the node is built from them.
 
-Plain tuples in the subset that CPython and MicroPython share, because the node itself is built from them.
-
-An object is ``(index, object_code, name, slug, entries)``; a run of equal entries is
-``(sub, count, name, slug, type, access, flags, default, low, high, unit)``. ``name`` and ``default`` are
-tuples where the entries of one run differ. The type is the letter that ``struct`` uses, "s" a VISIBLE_STRING,
-"D" a DOMAIN. The objects themselves are in ``table_objects``; its ``objects()`` adds sub-index 0 where an object does
-not state its own.
-"""
+An object is ``(index, object_code, name, slug, entries)``; a run of equal entries is ``(sub, count, name, slug, type,
+access, flags, default, low, high, unit)``. ``name`` and ``default`` are tuples where the entries of one run differ. The
+type is the letter of ``struct``, "s" a VISIBLE_STRING, "D" a DOMAIN. ``table_objects`` has the objects; its
+``objects()`` adds sub-index 0 where an object does not state its own."""
 
 from canopen_device.core import codes, communication, object_dictionary
 from tipforce.dictionary import indices
@@ -108,10 +104,8 @@ def forms(index: int) -> "tuple[int, int, int]":
 
 
 def channels(n: int) -> "tuple[Channel, ...]":
-    """The n + 6 channels, sub-index 1 first, each in the form of ``Channel``.
-
-    ``low`` and ``high`` are the ends of what INTEGER16 can carry at that resolution, in the unit.
-    """
+    """The n + 6 channels, sub-index 1 first, each in the form of ``Channel``. ``low`` and ``high`` are the ends of what
+    INTEGER16 can carry at that resolution, in the unit."""
     gauges: tuple[Channel, ...] = tuple(
         ("SG%d" % k, "strain of gauge %d" % k, MICROSTRAIN, 1, 70, "microstrain", -3276.7, 3276.7)
         for k in range(1, n + 1)

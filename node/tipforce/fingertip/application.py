@@ -154,11 +154,9 @@ class Fingertip(Application):
                 self._latch(now_us, self._counter if by_sync else 0, not by_sync)
 
     def _latch(self, now_us: int, number: int = 0, counts: bool = True) -> None:
-        """Take the newest reading; without a new one the last sample stands, marked stale.
-
-        With 1019h the counter (2121h) is the number of the SYNC, 0 for a latch without SYNC; otherwise it counts
-        samples, and a stale one, or one between two SYNCs that shows a fault, repeats it.
-        """
+        """Take the newest reading; without a new one the last sample stands, marked stale. The counter (2121h) is with
+        1019h the number of the SYNC (0: none), else of samples; one that is stale or between two SYNCs with a fault
+        repeats it."""
         before = self.sample
         sample = self._sampled(now_us)
         if self.device.od.values.get(OVERFLOW):
@@ -173,7 +171,6 @@ class Fingertip(Application):
             self.interrupts.check()
 
     def _sampled(self, now_us: int) -> Sample:
-        """Return the sample that a latch would take now."""
         filtered = None
         if self.filtering is None:
             reading = self.source.read(now_us)
@@ -211,7 +208,6 @@ class Fingertip(Application):
         return sample
 
     def _silent(self, now_us: int) -> bool:
-        """The front end has given nothing for longer than a sample period can explain."""
         return now_us - self._read_us > max(NO_DATA_US, 2 * self.source.period_us)
 
     def watch(self, reading: "Reading", before: "Reading | None", now_us: int) -> int:

@@ -1,8 +1,5 @@
-"""The calibration of a node: one staged record that SDO writes fill, one active record that a commit replaces.
-
-docs/objects.md, manufacturer area: 2100h-2106h, 2110h-2116h, 2140h, 2141h. The active one is unpacked: what turns gauge
-strain into force, and what judges it.
-"""
+"""The calibration of a node: one staged record that SDO writes fill, one active record that a commit replaces, unpacked
+(docs/objects.md, manufacturer area: 2100h-2106h, 2110h-2116h, 2140h, 2141h)."""
 
 import binascii
 import struct
@@ -27,10 +24,8 @@ _MOST_LEFT = 12  # kept for gauges left out: memory stays bounded whatever gauge
 
 class Active:
     """One calibration, unpacked: ``C`` is three rows in N per strain, ``noise`` the covariance of the gauges.
-
-    ``forces``, ``range_degC`` and ``model`` are 2112h; ``converter`` 2113h and ``per_kelvin`` 2114h, None where all
-    are zero; ``gain_per_kelvin`` 2115h; ``redundancy`` 2116h. ``checked``: a sample has something to be judged by.
-    """
+    ``forces``, ``range_degC`` and ``model`` are 2112h; ``converter`` 2113h and ``per_kelvin`` 2114h, None where all are
+    zero; ``gain_per_kelvin`` 2115h; ``redundancy`` 2116h. ``checked``: a sample has something to be judged by."""
 
     def __init__(self, record: bytes, values: "list[float]", n: int) -> None:
         self.record = record
@@ -55,10 +50,8 @@ class Active:
 
     def without(self, lost: int) -> "tuple[Solver | None, Check | None]":
         """What solves and what judges the gauges that are left without those of mask ``lost``; None where nothing can.
-
-        A solver is (matrix, covariance of F in N^2). 2116h is for n - 3 degrees of freedom: with fewer gauges the
-        limit of the same false-alarm rate holds.
-        """
+        A solver is (matrix, covariance of F in N^2). 2116h is for n - 3 degrees of freedom: with fewer gauges the limit
+        of the same false-alarm rate holds."""
         if lost not in self.left:
             if len(self.left) >= _MOST_LEFT:
                 self.left.clear()
@@ -109,7 +102,6 @@ class Active:
 
 
 def _propagate(C: "list[list[float]]", noise: "list[float]", n: int) -> "Covariance":
-    """Upper triangle of C Sigma C^T, Sigma given as its own upper triangle by rows."""
     full = square(noise, n)
 
     def product(a: "list[float]", b: "list[float]") -> float:

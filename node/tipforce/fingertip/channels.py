@@ -39,10 +39,8 @@ _FILTER = (indices.FILTER_TYPE, indices.FILTER_CONSTANT)
 
 
 class Channels:
-    """Process values, their status, and the settings of each channel.
-
-    ``scaling`` is (gain, bias) per gauge, ``spans`` (start, end) of it; empty where no gauge can leave its span.
-    """
+    """Process values, their status, and the settings of each channel. ``scaling`` is (gain, bias) per gauge, ``spans``
+    (start, end) of it; empty where no gauge can leave its span."""
 
     def __init__(self, od: "ObjectDictionary", n: int, fingertip: "Fingertip") -> None:
         self._od = od
@@ -90,7 +88,6 @@ class Channels:
         return (sample.values if sub <= len(sample.values) else sample.find_values(sub))[sub - 1]
 
     def _overload(self, sub: int) -> int:
-        """1 or -1 for a saturated gauge whose reading is live, 0 for all else."""
         sample = self._fingertip.sample
         live = sub <= self._n and not sample.unknown_early() & scalar.UNKNOWN_GAUGES
         return sample.overloads[sub - 1] if live else 0
@@ -229,7 +226,6 @@ class Channels:
         return write
 
     def _read_view(self, index: int, sub: int) -> "Value":
-        """A setting in an integer form."""
         real, per_unit = self._real(index, sub)
         value: float = self._od.values[real << 8 | sub]  # type: ignore[assignment]
         return self._to_integer(value, per_unit, MAX_I16 if index - real == table.INT16_FORM else MAX_I32)
@@ -241,7 +237,6 @@ class Channels:
         return self._od.download(real, sub, encode("f", float(value) / per_unit))
 
     def _real(self, index: int, sub: int) -> "tuple[int, float]":
-        """Index of the REAL32 form of a setting, and the factor to its integer forms."""
         real = index & 0xFFF | indices.FIELD_VALUE & 0xF000
         return real, 1.0 if real in _FIELD_SETTINGS else self._per_unit[sub - 1]
 

@@ -1,8 +1,6 @@
-"""The filters of the gauges (61A0h, 61A1h): every conversion goes in, an average comes out at a SYNC.
-
-Loaded with the first filter that is set. One filter serves all gauges: a force from gauges with different delays would
-be wrong while it changes. Sums are integers, so nothing accumulates however long a filter runs.
-"""
+"""The filters of the gauges (61A0h, 61A1h): every conversion goes in, an average comes out at a SYNC. Loaded with the
+first filter that is set. One filter serves all gauges: a force from gauges with different delays would be wrong while
+it changes. Sums are integers, so nothing accumulates however long a filter runs."""
 
 from array import array
 
@@ -82,11 +80,9 @@ class RepeatingAverage(Average):
 
 
 class FirstOrder(Average):
-    """y += (x - y) / constant at each conversion; while fewer than ``constant`` came, the mean of them.
-
-    The state, in place of a sum, is constant * y in 1/256 count, an integer that gains x - y at each conversion. It
-    settles exactly on a constant input, and lies within 1/256 count of the real-valued filter.
-    """
+    """y += (x - y) / constant at each conversion; while fewer than ``constant`` came, the mean of them. The state, in
+    place of a sum, is constant * y in 1/256 count, an integer that gains x - y at each conversion. It settles exactly
+    on a constant input, and lies within 1/256 count of the real-valued filter."""
 
     def push(self, counts: "Sequence[int]") -> bool:
         """Take a conversion; True when there is a new output."""
@@ -115,12 +111,9 @@ def algorithm(kind: int, n: int, constant: int) -> "MovingAverage | RepeatingAve
 
 
 class Filtering:
-    """Between the source and the samples of a node: takes every conversion, and says what there is to latch.
-
-    An average never holds what may not be shown. A gauge at the converter's end, one that stands still and a fault of
-    the front end show in the sample at once, as without a filter; when one of them goes away, the filter begins anew.
-    So it does after ``GAP_US`` without a conversion.
-    """
+    """Between the source and the samples of a node: takes every conversion, and says what there is to latch. A gauge at
+    the converter's end or standing still and a fault of the front end show at once, as without a filter; when one of
+    them goes away, and after ``GAP_US`` without a conversion, the filter begins anew."""
 
     def __init__(self, fingertip: "Fingertip", kind: int, constant: int, now_us: int) -> None:
         self._fingertip = fingertip

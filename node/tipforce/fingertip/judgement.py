@@ -1,7 +1,5 @@
 """What the active calibration says of one sample: bits 12 to 15 of 2124h, gauges left out, uncertainty.
-
-docs/objects.md, 2112h to 2116h and 2124h. The host judges recorded strains in the same way (host.decoding.judged).
-"""
+docs/objects.md, 2112h to 2116h and 2124h. The host judges recorded strains in the same way (host.decoding.judged)."""
 
 from math import sqrt
 
@@ -23,8 +21,7 @@ _OVERLOAD = 1 << table.FAULT_OVERLOAD
 class Judgement:
     """One sample judged. ``bits``: of 2124h, 12 to 15; ``left_out``: the bit of the gauge that contradicts the others;
     ``solver`` and ``force``: matrix and covariance without it, and F1, F2, F3 in newtons before any tare; both None
-    where the gauges left have no rank 3, or contradict each other.
-    """
+    where the gauges left have no rank 3, or contradict each other."""
 
     __slots__ = (
         "_active", "_extra", "_faults", "_kelvin", "_known_kelvin", "_lost", "_microstrains", "bits", "force",
@@ -123,11 +120,9 @@ class Judgement:
 
 
 def difference(active: "Active", temperature_degC: float) -> "tuple[float, float, bool]":
-    """(kelvin from the reference that are compensated, kelvin of uncertainty left, bit 14); NaN: not known.
-
-    A temperature that is not known where it is needed is that of the calibrated range, which counts as uniform; one
-    outside of the range is compensated, and its distance from the range left as uncertainty.
-    """
+    """(kelvin from the reference that are compensated, kelvin of uncertainty left, bit 14); NaN: not known. A
+    temperature that is not known where it is needed is that of the calibrated range, which counts as uniform; one
+    outside of the range is compensated, and its distance from the range left as uncertainty."""
     low, high = active.range_degC
     ranged = low != 0.0 or high != 0.0
     if temperature_degC - temperature_degC == 0.0:

@@ -1,7 +1,5 @@
 """What a node reports by itself: EMCY for each fault, TPDOs on a change of 2124h and of 2126h, interrupts (CiA 404).
-
-docs/objects.md; interrupts (6133h to 6136h) send the event-driven TPDOs of channels that changed enough.
-"""
+docs/objects.md; interrupts (6133h to 6136h) send the event-driven TPDOs of channels that changed enough."""
 
 from canopen_device.core import emcy
 from canopen_device.core.codes import EVENT_DRIVEN
@@ -23,12 +21,9 @@ _INSIDE, _BELOW, _ABOVE, _UNKNOWN = 0, -1, 1, 2
 
 
 class Interrupts:
-    """Compares each latched sample with what was sent last.
-
-    A TPDO of type 254 or 255 (or 0: with a SYNC) that maps a channel is sent when the channel moved by 6133h or more
-    (0: off), left or re-entered 6134h..6135h (with hysteresis 6136h; limits at their defaults are off), or became
-    known or unknown.
-    """
+    """Compares each latched sample with what was sent last. A TPDO of type 254 or 255 (or 0: with a SYNC) that maps a
+    channel is sent when the channel moved by 6133h or more (0: off), left or re-entered 6134h..6135h (with hysteresis
+    6136h; limits at their defaults are off), or became known or unknown."""
 
     def __init__(self, device: "Device", value: "Callable[[int], float]") -> None:
         self._device = device
@@ -64,7 +59,6 @@ class Interrupts:
                     self._device.tpdos.request(number)
 
     def _zone(self, sub: int, value: float) -> int:
-        """Where a value lies; a value inside by less than the hysteresis stays where it was."""
         if value != value:  # noqa: PLR0124 (true for NaN alone)
             return _UNKNOWN
         lower, upper, hysteresis = [self._setting(index, sub) for index in _LIMITS]

@@ -25,19 +25,15 @@ _CONTRADICTION, _OVERLOAD = 1 << table.FAULT_CONTRADICTION, 1 << table.FAULT_OVE
 
 
 class Sample:
-    """A reading with the calibration, the scaling and the tare that hold for it.
-
-    ``scaling`` has (gain, bias) per gauge: microstrain = gain * counts + bias. ``was_present`` is bit 0 of the sample
-    before, for the hysteresis of contact; ``frozen`` has a bit for each gauge whose reading stands still. ``filtered``
-    is what a filter makes of the counts, in place of them; ``ends`` are the converter's ends; ``spans`` has the start
-    and the end of each gauge's span in microstrain. A sample without a reading has no values, only a status.
+    """A reading with the calibration, the scaling and the tare that hold for it; without a reading there is only a
+    status. ``scaling`` has (gain, bias) per gauge: microstrain = gain * counts + bias. ``was_present`` is bit 0 of the
+    sample before, for the hysteresis of contact; ``overloaded`` bit 15 of 2124h (force beyond the overload force),
+    ``was_overloaded`` that of the sample before. ``frozen`` has a bit for each gauge whose reading stands still.
+    ``filtered`` is what a filter makes of the counts; ``ends`` are the converter's ends; ``spans`` the start and end
+    per gauge, microstrain.
 
     A gauge that is saturated, outside its span, frozen or contradicts the others is lost. With more than three gauges
-    the others go on giving the force as long as they have rank 3 (``spared``); status bit 2 and 2124h say that a gauge
-    is missing.
-    ``overloaded`` is bit 15 of 2124h: the force is beyond the overload force; ``was_overloaded`` that of the sample
-    before, for its hysteresis.
-    """
+    the others give the force as long as they have rank 3 (``spared``); status bit 2 and 2124h show the loss."""
 
     __slots__ = (
         "_contact", "_covariance", "_early", "_force", "_uncertainty", "_unknown", "_was_present", "active",
@@ -106,7 +102,6 @@ class Sample:
         self._early = -1 if self.faults or stale or active is None or reading is None else 0
 
     def _saturated(self) -> int:
-        """Bits of the gauges at an end of their converter."""
         bits = 0
         for k in range(len(self.overloads)):
             if self.overloads[k]:
@@ -155,7 +150,6 @@ class Sample:
         return bool(self.unknown_early() & scalar.UNKNOWN_GAUGES)
 
     def _determined(self) -> bool:
-        """The gauges left give the force although status bit 2 is set."""
         return self.spared and not self.overloaded
 
     def force(self) -> "tuple[float, float, float]":
@@ -276,8 +270,6 @@ class Sample:
 
 def outside(value: float, start: float, end: float) -> int:
     """1 for a value above the end of a span, -1 below its start, else 0: all three as the REAL32 that a client reads.
-
-    Nothing checks that the start is below the end: where it is not, a value may be both, and counts as above.
-    """
+    Nothing checks that the start is below the end: where it is not, a value may be both, and counts as above."""
     shown = real32(value)
     return 1 if shown > end else -(shown < start)

@@ -12,16 +12,11 @@ Reading = namedtuple("Reading", ("counts", "faults", "temperature"))
 
 
 class Source:
-    """A gauge source, by default with a 16-bit converter of 10 counts per microstrain.
-
-    ``period_us`` is the time between its conversions, set by 6114h. ``converter`` is (bits, counts per microstrain):
-    what the node's dictionary follows (see ``dictionary.table``). A reading at ``count_max`` or ``count_min``, the
-    converter's ends, is saturated.
-
-    ``faults`` are bits of 2124h that hold now although ``read`` gave None. ``watch_us`` is how often a node looks
-    after the source by ``look`` where no SYNC takes samples; 0 for one that cannot fail by itself. ``simulated``: the
-    node has the objects 2200h and 2201h.
-    """
+    """A gauge source. ``period_us`` (6114h) is the time between its conversions. ``converter`` is (bits, counts per
+    microstrain), which the dictionary follows (``dictionary.table``). A reading at ``count_max`` or ``count_min``, the
+    converter's ends, is saturated. ``faults`` are bits of 2124h that hold although ``read`` gave None. ``watch_us``:
+    how often a node calls ``look`` where no SYNC takes samples; 0: the source cannot fail by itself. ``simulated``: the
+    node has 2200h, 2201h."""
 
     period_us = 500
     converter: "Converter" = (16, 10.0)
@@ -31,11 +26,8 @@ class Source:
     simulated = False
 
     def read(self, now_us: int) -> "Reading | None":
-        """The newest reading at ``now_us``, or None when there was none since the last call.
-
-        With a filter (61A0h) ``now_us`` may lie a little in the past, where the node makes up for conversions that
-        its loop came too late for; it never goes back.
-        """
+        """The newest reading at ``now_us``; None: none since the last call. With a filter (61A0h) ``now_us`` may lie a
+        little in the past, for conversions that the node's loop came too late for; it never goes back."""
         raise NotImplementedError
 
     def look(self, now_us: int) -> "int | None":  # noqa: ARG002
