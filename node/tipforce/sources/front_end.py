@@ -1,10 +1,7 @@
-"""Front end of a simulated node: the chain from the strain of the gauges to the counts of the converter.
-
-Bridge, amplifier, temperature, noise, conversion: only the configured parts are built. All of them work on the
-signal in microstrain referred to the gauges, so volts occur only once, as counts per microstrain.
-
-Errors here are ValueErrors that name the argument: this file keeps to the subset that MicroPython supports.
-"""
+"""Front end of a simulated node: the chain from the strain of the gauges to the counts of the converter. Bridge,
+amplifier, temperature, noise, conversion: only the configured parts are built. All of them work on the signal in
+microstrain referred to the gauges, so volts occur only once, as counts per microstrain. Errors here are ValueErrors
+that name the argument: this file keeps to the subset that MicroPython supports."""
 
 import math
 
@@ -29,7 +26,6 @@ PER_DECADE = 2  # first-order processes of OneOverFNoise: between its ends the r
 
 
 def _check(name: str, value: float, above: float = -math.inf) -> float:
-    """Return a finite number above a limit; raise ValueError otherwise."""
     if not (value > above and value - value == 0.0):
         raise ValueError("%s: %r, allowed is a finite number%s" % (
             name, value, "" if above == -math.inf else " above %g" % above))  # fmt: skip
@@ -37,12 +33,9 @@ def _check(name: str, value: float, above: float = -math.inf) -> float:
 
 
 class Bridge:
-    """A Wheatstone bridge of equal resistors: one, two or four active gauges for each channel.
-
-    The output in volts per volt of excitation, e the strain and k the gauge factor: quarter bridge
-    k e / (4 + 2 k e), half (two gauges in neighbouring arms, one in tension and one in compression) k e / 2, full k e.
-    Only the quarter bridge is nonlinear: it measures e / (1 + k e / 2).
-    """
+    """A Wheatstone bridge of equal resistors. Volts per volt of excitation, e the strain, k the gauge factor: quarter k
+    e / (4 + 2 k e), half (two gauges in neighbouring arms, one in tension, one in compression) k e / 2, full k e. Only
+    the quarter bridge is nonlinear: it measures e / (1 + k e / 2)."""
 
     def __init__(self, kind: str = QUARTER, gauge_factor: float = 2.0, excitation_volts: float = 3.3) -> None:
         if kind not in _ARMS:
@@ -184,16 +177,13 @@ class OneOverFNoise:
 
 
 class FrontEnd:
-    """Convert strain in microstrain to counts through the configured parts, in signal order.
-
-    ``bits`` is 16 or 24. ``bridge`` (a ``Bridge``) and ``gain`` with ``reference_volts`` (None: the excitation, a
-    ratiometric converter) set the counts per microstrain; without ``gain`` the full scale is 3276.8 microstrain.
-    ``temperature`` (degC, see ``Temperature``) is the value of 2122h; ``apparent_strain`` (microstrain per degC, one
-    or one per gauge) and ``gain_drift_ppm`` (per degC) need it. ``white_noise`` is in microstrain, ``one_over_f`` in
-    microstrain at 1 Hz, or (that, lowest Hz, highest Hz). Raises ValueError for arguments that are not allowed.
-
-    ``parts`` holds the parts that change the signal; ``converter`` is (bits, counts per microstrain).
-    """
+    """Convert strain in microstrain to counts (``bits`` 16 or 24) through the configured parts, in signal order.
+    ``bridge`` and ``gain`` with ``reference_volts`` (None: the excitation, a ratiometric converter) set the counts per
+    microstrain; without ``gain`` the full scale is 3276.8 microstrain. ``temperature`` (degC) is the value of 2122h;
+    ``apparent_strain`` (microstrain per degC, one or one per gauge) and ``gain_drift_ppm`` (per degC) need it.
+    ``white_noise`` is in microstrain, ``one_over_f`` in microstrain at 1 Hz, or (that, lowest Hz, highest Hz). Raises
+    ValueError for arguments that are not allowed. ``parts`` change the signal; ``converter`` is (bits, counts per
+    microstrain)."""
 
     def __init__(
         self, bits: int = 16, bridge: "Bridge | None" = None, gain: "float | None" = None,

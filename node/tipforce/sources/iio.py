@@ -1,15 +1,11 @@
-"""Gauges on Linux Industrial I/O converters as a node's source: counts, or a fault, and never a stale value.
+"""Gauges on Linux Industrial I/O converters as a node's source: counts, or a fault (2124h), and never a stale value. A
+device that is removed or does not respond, or scans that do not arrive: no data (bit 8); time stamps that do not
+increase: frozen (bit 9); a gauge that stays at an end of the range: wire break (bit 10); a supply channel outside its
+tolerance: supply (bit 11). A device that returns is opened again at the same place.
 
-Faults (2124h): a device that is removed or does not respond, or scans that do not arrive: no data (bit 8);
-time stamps that do not increase: frozen (bit 9); a gauge that stays at an end of the range: wire break (bit 10);
-a supply channel outside its tolerance: supply (bit 11). The application detects two more: a gauge at an end of the
-range is saturated; a gauge whose value is constant although its known noise is a count or more is frozen.
-A device that returns is opened again at the same place.
-
-Converters of another board are polled through libiio's network daemon (iiod), with the package ``pylibiio`` (extra
-``iio``). Every exchange is a round trip, so a reading of three channels takes milliseconds; libiio's own time-out
-bounds how long a lost connection blocks the node's loop.
-"""
+Converters of another board are polled through libiio's network daemon (iiod), with ``pylibiio`` (extra ``iio``). Every
+exchange is a round trip, so a reading of three channels takes milliseconds; libiio's own time-out bounds how long a
+lost connection blocks the node's loop."""
 
 from __future__ import annotations
 
@@ -35,12 +31,9 @@ WIRE_BREAK, SUPPLY = 1 << table.FAULT_WIRE_BREAK, 1 << table.FAULT_SUPPLY
 
 
 class IioSource(Source):
-    """The channels of one or more devices, in the order of the gauges.
-
-    ``ends`` are the lowest and the highest count, the same for all. ``supply_fault`` is called every 40 ms and returns
-    whether the bridge supply is out of tolerance. ``scan_period_us`` is the time between scans of a buffer, if
-    known. ``clock`` measures the duration of a read.
-    """
+    """The channels of one or more devices, in the order of the gauges. ``ends`` are the lowest and the highest count,
+    the same for all. ``supply_fault`` is called every 40 ms and returns whether the bridge supply is out of tolerance.
+    ``scan_period_us`` is the time between scans of a buffer, if known. ``clock`` measures the duration of a read."""
 
     watch_us = WATCH_US
 
@@ -136,7 +129,6 @@ class IioSource(Source):
         return counts
 
     def _ask(self, k: int, now_us: int) -> int:
-        """Read device ``k`` into ``_fresh``; return its fault, or 0."""
         part = self.parts[k]
         self._fresh[k] = None
         lost_until_us = self._retry_us[k]

@@ -1,9 +1,7 @@
-"""Buffered capture of Linux Industrial I/O: a trigger starts each scan; the kernel time-stamps and stores it.
-
-The sequence follows the kernel's documentation (iio/iio_devbuf, iio/iio_configfs): select the channels in
+"""Buffered capture of Linux Industrial I/O: a trigger starts each scan; the kernel time-stamps and stores it. The
+sequence follows the kernel's documentation (iio/iio_devbuf, iio/iio_configfs): select the channels in
 ``scan_elements``, name the trigger, enable the buffer, read whole scans from ``/dev/iio:deviceN``. A scan holds the
-enabled channels in the order of their index, each aligned to its own size, the 64-bit time stamp last.
-"""
+enabled channels in the order of their index, each aligned to its own size, the 64-bit time stamp last."""
 
 from __future__ import annotations
 
@@ -59,12 +57,9 @@ def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
 
 
 class BufferedDevice(PolledDevice):
-    """Channels of one device through its buffer. ``trigger`` is its name; empty for a device that needs none.
-
-    ``read`` returns the newest scan that is not later than the requested time (if scans carry time stamps of the
-    monotonic clock), so that a filter that catches up processes each scan once. Raises EnvironmentLackError if the
-    device has no buffer or the kernel rejects the set-up.
-    """
+    """Channels of one device through its buffer; ``trigger`` is a name, or empty. ``read`` returns the newest scan up
+    to the requested time (by monotonic time stamps), so that a filter that catches up processes each scan once. Raises
+    EnvironmentLackError if the device has no buffer or the kernel rejects the set-up."""
 
     polled = False
     _fd = -1
@@ -121,10 +116,8 @@ class BufferedDevice(PolledDevice):
         iio_sysfs.write_attribute(self.path / name, text)
 
     def read(self, now_us: int) -> tuple[int, ...] | None:
-        """Return the newest scan up to ``now_us``, or None if there was none since the last call.
-
-        Raises OSError if the device is removed, TimestampError for time stamps that do not increase.
-        """
+        """Return the newest scan up to ``now_us``, or None if there was none since the last call. Raises OSError if the
+        device is removed, TimestampError for time stamps that do not increase."""
         if not self.path.is_dir():
             raise FileNotFoundError(2, "No such device")
         size = self._layout.size
@@ -177,10 +170,8 @@ def own_trigger(device: Device, root: Path = iio_sysfs.ROOT) -> str | None:
 
 
 def make_hrtimer(name: str, frequency_hz: float, root: Path = iio_sysfs.ROOT, configfs: Path = HRTIMER) -> str:
-    """Return a high-resolution timer trigger of that name and rate, existing or created through configfs.
-
-    Raises EnvironmentLackError if the kernel has no such triggers, or rejects the request.
-    """
+    """Return a high-resolution timer trigger of that name and rate, existing or created through configfs. Raises
+    EnvironmentLackError if the kernel has no such triggers, or rejects the request."""
     try:
         if not configfs.is_dir():
             raise FileNotFoundError(2, f"{configfs} is missing")

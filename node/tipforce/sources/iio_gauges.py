@@ -66,10 +66,8 @@ def open_iio(
     capture: Capture = Capture(),  # noqa: B008 - immutable
     root: Path | None = None,
 ) -> IioSource:
-    """Return the ``devices`` (text as for ``parse_devices``) as one source of ``gauges`` gauges.
-
-    Raises InputError and EnvironmentLackError for devices that are missing, incompatible or not readable.
-    """
+    """Return the ``devices`` (text as for ``parse_devices``) as one source of ``gauges`` gauges. Raises InputError and
+    EnvironmentLackError for devices that are missing, incompatible or not readable."""
     if bridge is None:
         raise InputError(
             f"--layout {layout_name}: the gauges of a real converter need a [bridge] table: a layout file with "
@@ -115,8 +113,6 @@ def open_iio(
 
 
 class _Channel(NamedTuple):
-    """One channel, and what the driver states about it."""
-
     name: str
     millivolts_per_count: float | None
     offset_counts: float
@@ -127,10 +123,7 @@ class _Channel(NamedTuple):
 
 
 def _converter(bridge: BridgeTable, channels: Sequence[_Channel], bits: int) -> table.Converter:
-    """Return the converter for the dictionary, with the scaling points of each gauge.
-
-    Raises InputError if a channel has no scale and the table states none.
-    """
+    """Return the dictionary's converter, with scaling points per gauge. Raises InputError where a scale is missing."""
     from tipforce.sources.front_end import Bridge
 
     volts_per_microstrain = Bridge(bridge.kind, bridge.gauge_factor, bridge.excitation_volts).volts_per_microstrain
@@ -200,7 +193,6 @@ def _stated(
 
 
 def _names(device: Device, channel: str) -> list[str]:
-    """Return the channel that is named, or all voltage channels of a device."""
     present = iio_sysfs.voltage_channels(device.path)
     if channel and channel not in present:
         raise InputError(f"{device}: no channel {channel!r}; it has {', '.join(present) or 'no voltage channel'}")

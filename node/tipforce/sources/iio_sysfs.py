@@ -1,9 +1,7 @@
-"""Linux Industrial I/O through sysfs: the present converters, their channels, scales and raw values.
-
-The kernel's contract is Documentation/ABI/testing/sysfs-bus-iio: (raw + offset) * scale is in millivolts for a voltage
-and in thousandths of a degree Celsius for a temperature. All functions take the root directory, so that a test can
-pass its own. They raise OSError if the kernel returns an error, and InputError for a name that matches nothing.
-"""
+"""Linux Industrial I/O through sysfs: the present converters, their channels, scales and raw values. The kernel's
+contract is Documentation/ABI/testing/sysfs-bus-iio: (raw + offset) * scale is in millivolts for a voltage and in
+thousandths of a degree Celsius for a temperature. All functions take the root directory, so that a test can pass its
+own. They raise OSError if the kernel returns an error, and InputError for a name that matches nothing."""
 
 from __future__ import annotations
 
@@ -67,10 +65,8 @@ def devices(root: Path = ROOT) -> list[Device]:
 
 
 def find(wanted: str, root: Path = ROOT) -> Device:
-    """Return the device of that number, name, label or place.
-
-    Raises InputError if several match, EnvironmentLackError if none does; the text names the existing ones.
-    """
+    """Return the device of that number, name, label or place. Raises InputError for several, EnvironmentLackError for
+    none."""
     present = devices(root)
     number = f"iio:{wanted}" if re.fullmatch(r"device\d+", wanted) else wanted
     exact = [device for device in present if device.number == number]
@@ -102,10 +98,8 @@ def raw_value(path: Path, channel: str) -> int:
 
 
 def attribute(path: Path, channel: str, name: str) -> float | None:
-    """Return such as ``scale`` of a channel, its own or the shared one; None if there is none.
-
-    Raises OSError if the kernel has the file and rejects the read: EINVAL means an unknown reference.
-    """
+    """Return such as ``scale`` of a channel, its own or the shared one; None if there is none. Raises OSError if the
+    kernel has the file and rejects the read: EINVAL means an unknown reference."""
     kind = re.sub(r"\d+", "", channel)
     for file in (f"in_{channel}_{name}", f"in_{kind}_{name}", f"in_{name}"):
         try:
@@ -143,10 +137,8 @@ class PolledDevice:
         self.reopen()
 
     def reopen(self) -> None:
-        """Find the device again at the same place: its number may change, its place does not.
-
-        Raises OSError while there is none there, or if there are several and none has the old number.
-        """
+        """Find the device again at the same place: its number may change, its place does not. Raises OSError while
+        there is none there, or if there are several and none has the old number."""
         if not self.path.is_dir():
             present = sorted(self.path.parent.glob("iio:device*"))
             if len(present) != 1:
@@ -172,10 +164,8 @@ class PolledDevice:
         return (raw + (offset or 0.0)) * scale
 
     def temperature(self) -> int:
-        """Return the temperature in 0.01 degC as in 2122h; unknown if the read fails or INTEGER16 cannot hold it.
-
-        Some drivers reject the read while a buffer runs.
-        """
+        """Return the temperature in 0.01 degC as in 2122h; unknown if the read fails or INTEGER16 cannot hold it. Some
+        drivers reject the read while a buffer runs."""
         if self._temperature is None:
             return UNKNOWN_TEMPERATURE
         try:

@@ -1,10 +1,6 @@
-"""Gauge layouts by name or file: I, II, III (their mirrors I', II', III'), or a TOML file.
-
-The file lists the gauges, SG1 first, and the dimensions of the body if they differ from the paper's::
-
-    points = ["K_H", "S_H", "U"]        # points of Table 1
-
-or gauges at any position along the beams, or both::
+"""Gauge layouts by name or file: I, II, III (their mirrors I', II', III'), or a TOML file. It lists three to eight
+gauges, SG1 first: points of Table 1, gauges at any position, or both; and the body's dimensions if they are not the
+paper's::
 
     points = [
         { beam = "H", side = "left", position_mm = 1.08 },
@@ -13,7 +9,7 @@ or gauges at any position along the beams, or both::
     ]
     gauge_length_mm = 1.0
 
-    [geometry]
+    [geometry]    # all seven keys, in metres and Pa
     a_m = 0.015
     d_m = 0.015
     r_m = 0.015
@@ -22,25 +18,14 @@ or gauges at any position along the beams, or both::
     width_m = 0.01
     youngs_modulus_pascals = 205e9
 
-points: three to eight. beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative
-("left") or positive x ("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam
-from the joint: on H from the middle of the body up to a, on V from the lower side of the horizontal beam up to d.
-face: on H "lower" (towards the fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge
-of the design; it changes no number, because strain is linear along a beam. [geometry] needs all seven keys, in
-metres and Pa. A [bridge] table states the wiring of the gauges to a real converter (``BridgeTable``); only
-`tipforce node --source iio:...` reads it::
-
-    [bridge]
-    kind = "full"            # or "quarter", "half"
-    gauge_factor = 2.1
-    excitation_volts = 3.3
-    gain = 100.0             # of an amplifier before the converter; a list: one per gauge
-    zero_volts = 1.65        # at the converter with no strain
-
-The scaling 6120h to 6123h is computed from it and the converter's scale: (raw + offset) * scale is the voltage at the
-converter in millivolts (Linux, sysfs-bus-iio). The bridge gives gauge factor * arms * excitation volts per unit strain
-(``front_end.Bridge``), times the gain of an amplifier, on top of the voltage at no strain.
-"""
+beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative ("left") or positive x
+("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam from the joint: on H from
+the middle of the body up to a, on V from the lower side of the horizontal beam up to d. face: on H "lower" (towards the
+fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge of the design; it changes no number,
+because strain is linear along a beam. A [bridge] table (``BridgeTable``, docs/hardware.md) states the wiring to a real
+converter, for `tipforce node --source iio:...` alone. The scaling 6120h to 6123h follows from it and from the
+converter's scale: (raw + offset) * scale is the voltage at the converter in millivolts (Linux, sysfs-bus-iio), gauge
+factor * arms * excitation volts (``front_end.Bridge``) * gain per unit strain, on top of the voltage at no strain."""
 
 from __future__ import annotations
 
@@ -108,10 +93,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
 
 
 def read_bridge(name_or_path: str) -> BridgeTable | None:
-    """Return the [bridge] table of a layout file; None for a layout by name and for a file without one.
-
-    Raises InputError naming the place and what is allowed.
-    """
+    """Return the [bridge] table of a layout file, None without one. Raises InputError naming place and limits."""
     if name_or_path in LAYOUTS:
         return None
     content = _content(name_or_path)
@@ -135,10 +117,7 @@ def read_bridge(name_or_path: str) -> BridgeTable | None:
 
 
 def read_layout(name_or_path: str) -> tuple[Geometry, tuple[Gauge, ...]]:
-    """Return (geometry, gauges) for gauge_matrix(): points of Table 1 by name, others as GaugePosition.
-
-    Raises InputError naming the place and what is allowed.
-    """
+    """Return (geometry, gauges) for gauge_matrix(). Raises InputError naming the place and what is allowed."""
     if name_or_path in LAYOUTS:
         return FABRICATED, layout(name_or_path)
     content = _content(name_or_path)
@@ -168,10 +147,8 @@ def _content(name_or_path: str) -> _File:
 def layout_text(
     geometry: Geometry, gauges: Sequence[Gauge], gauge_length_m: float | None = None, comment: str = ""
 ) -> str:
-    """Return the text of a layout file that reads back to these gauges; ``comment`` becomes its first lines.
-
-    Raises InputError for gauges that are not usable.
-    """
+    """Return the text of a layout file with these gauges, after ``comment``. Raises InputError for gauges that are not
+    usable."""
     import tomli_w
 
     points: list[str | _Place] = []

@@ -23,14 +23,10 @@ _ROOM_TEMPERATURE = 2300  # 0.01 degC
 
 class SimulatedSource(Source):
     """Gauges of a structure whose strain per newton is ``strain_per_newton``, (n, 3) as rows, under ``load``.
-
-    ``noise_microstrain`` is the standard deviation of white noise on each gauge (0 draws no random numbers),
-    ``offset_microstrain`` is the reading of each gauge without load. A conversion takes place every ``period_us``.
-
     ``forces`` returns F1, F2, F3 in newtons at the time of a conversion, in place of ``load``; 2201h is rejected then.
-    ``front_end`` converts microstrain to counts; without one it is an ideal 16-bit converter, and ``temperature``
-    (0.01 degC) is the node's reading.
-    """
+    ``noise_microstrain`` is the standard deviation of white noise on each gauge (0 draws no random numbers),
+    ``offset_microstrain`` the reading of each without load. ``front_end`` converts microstrain to counts, by default an
+    ideal 16-bit converter; ``temperature`` (0.01 degC) is the node's reading."""
 
     simulated = True
 
@@ -113,12 +109,10 @@ class SimulatedSource(Source):
         return Reading(self._last_counts, faults, temperature)
 
     def _strained(self, force: "Forces") -> "list[float]":
-        """The strain of each gauge, microstrain, under F1, F2, F3."""
         f1, f2, f3 = force
         return [1e6 * (c1 * f1 + c2 * f2 + c3 * f3) for c1, c2, c3 in self.rows]
 
     def _break(self, counts: "list[int]") -> int:
-        """Change the counts as the injected fault does; return the bits of 2124h that it sets."""
         hit = self.fault_gauge - 1
         if self.fault == STUCK:
             counts[hit] = self._last_counts[hit]
