@@ -43,12 +43,10 @@ TEMPERATURE_EVERY_US = 10000000
 
 
 class Ads1220(Chip):
-    """One chip: ``spi`` at up to 5 MHz in mode 1, ``cs`` and ``drdy`` pins.
-
-    ``reference`` is "ref0" for a bridge supplied from REFP0 and REFN0 (ratiometric), "ref1", "supply" or "internal".
-    The offset is measured at the start with shorted inputs, and subtracted. The chip's temperature is read every ten
-    seconds, at the cost of one conversion. Raises ValueError for a setting that the chip does not have.
-    """
+    """One chip: ``spi`` at up to 5 MHz in mode 1, ``cs`` and ``drdy`` pins. ``reference`` is "ref0" for a bridge
+    supplied from REFP0 and REFN0 (ratiometric), "ref1", "supply" or "internal". The offset is measured at the start
+    with shorted inputs, and subtracted. The chip's temperature is read every ten seconds, at the cost of one
+    conversion. Raises ValueError for a setting that the chip does not have."""
 
     def __init__(
         self, spi: "Spi", cs: "Pin", drdy: "Pin", channels: int = 1, gain: int = 128, rate: int = 1000,
@@ -102,7 +100,6 @@ class Ads1220(Chip):
                 shown = None
 
     def _configure(self) -> None:
-        """Write the registers, with the inputs shorted, read them back, and let the chip convert."""
         wanted = bytes((MUX_SHORTED | self._reg0, self._reg1, self._reg2, 0))
         self._command(bytes((WREG_ALL,)) + wanted)
         self._cs.value(0)

@@ -27,10 +27,8 @@ MODE_TRIES, RESET_WAIT_US = 20, 10  # 128 clocks of the oscillator after a reset
 
 
 class Mcp2515(CanPort):
-    """``oscillator_hz`` is printed on the board's crystal: usually 8 or 16 MHz.
-
-    Raises ValueError for a bit rate that the oscillator does not allow, OSError if the chip does not respond.
-    """
+    """``oscillator_hz`` is printed on the board's crystal: usually 8 or 16 MHz. Raises ValueError for a bit rate that
+    the oscillator does not allow, OSError if the chip does not respond."""
 
     def __init__(self, spi: "Spi", cs: "Pin", bit_rate: int, oscillator_hz: int = 16000000) -> None:
         self._spi, self._cs = spi, cs
@@ -90,7 +88,6 @@ class Mcp2515(CanPort):
         return STATE_PASSIVE if flags & PASSIVE else STATE_WARNING if flags & WARN else STATE_ACTIVE
 
     def _restart(self) -> None:
-        """Restart through configuration mode, which clears the error counters."""
         self._write(bytes((MODIFY, TXB0CTRL, TXREQ, 0)))
         self._enter(CONFIGURATION)
         self._enter(NORMAL)
@@ -109,10 +106,8 @@ class Mcp2515(CanPort):
 
 
 def bit_timing(oscillator_hz: int, bit_rate: int) -> bytes:
-    """Return CNF3, CNF2, CNF1 for exactly this bit rate, with the sample point nearest to 80 %.
-
-    Raises ValueError if no prescaler matches it.
-    """
+    """Return CNF3, CNF2, CNF1 for exactly this bit rate, sample point nearest to 80 %. Raises ValueError if there is
+    none."""
     best: "tuple[int, int, int, int] | None" = None
     for prescaler in range(1, 65):
         quanta, rest = divmod(oscillator_hz, 2 * prescaler * bit_rate)

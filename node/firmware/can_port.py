@@ -19,9 +19,7 @@ _SHOWN = {STATE_ACTIVE: ACTIVE, STATE_WARNING: WARNING, STATE_PASSIVE: 0x30}
 
 class CanPort:
     """One controller. A driver implements ``_start``, ``_next``, ``_put``, and if its ``_can`` lacks them the others.
-
-    No method waits: ``send`` queues, ``receive`` also passes queued frames to the controller.
-    """
+    No method waits: ``send`` queues, ``receive`` also passes queued frames to the controller."""
 
     _can: "Any" = None  # a controller of MicroPython
     _states: "dict[int, int]" = {}  # one of STATE_... by its state; any other is STATE_ACTIVE
@@ -36,7 +34,6 @@ class CanPort:
     # --- implemented by the driver --------------------------------------------------------------------------
 
     def _start(self, bit_rate: int) -> None:
-        """Start the controller with this bit rate, receiving all standard identifiers."""
         raise NotImplementedError
 
     def _next(self) -> "Frame | None":
@@ -48,7 +45,6 @@ class CanPort:
         raise NotImplementedError
 
     def _state(self) -> int:
-        """Return one of STATE_..."""
         return self._states.get(self._can.state(), STATE_ACTIVE)
 
     def _restart(self) -> None:

@@ -24,9 +24,7 @@ RESET_US = 100  # PD_SCK high for 60 us or more
 class Hx711(Chip):
     """One chip with one gauge. ``lock`` and ``unlock`` disable interrupts while 25 bits are read:
     ``machine.disable_irq`` and ``machine.enable_irq``. An interrupt while PD_SCK is high would power the chip down.
-
-    Raises ValueError for a gain or a rate that the chip does not have.
-    """
+    Raises ValueError for a gain or a rate that the chip does not have."""
 
     _retry_us = 0
 

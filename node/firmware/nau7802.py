@@ -36,12 +36,10 @@ CALIBRATION_US = 2000000  # time-out of CALS
 
 
 class Nau7802(Chip):
-    """One chip on an I2C bus; two chips need two buses or a multiplexer, because the address is fixed.
-
-    ``channels`` is 1 or 2; with two each reading takes ``discard`` + 1 conversions per channel. ``ldo_millivolts`` is
-    the bridge supply from the chip's regulator, 0 for an external AVDD. The chip calibrates the offset of amplifier and
-    converter at each start, for each channel. Raises ValueError for a setting that it does not have.
-    """
+    """One chip on an I2C bus; two chips need two buses or a multiplexer, because the address is fixed. ``channels`` is
+    1 or 2; with two each reading takes ``discard`` + 1 conversions per channel. ``ldo_millivolts`` is the bridge supply
+    from the chip's regulator, 0 for an external AVDD. The chip calibrates the offset of amplifier and converter at each
+    start, for each channel. Raises ValueError for a setting that it does not have."""
 
     def __init__(
         self, i2c: "I2C", channels: int = 1, gain: int = 128, rate: int = 320, ldo_millivolts: int = 3000,
@@ -92,7 +90,6 @@ class Nau7802(Chip):
                 shown = tuple(counts)
 
     def _start(self) -> "Steps":
-        """Power the chip up, calibrate each channel, and let it convert."""
         self._write(PU_CTRL, RR)
         self._write(PU_CTRL, PUD)
         self._next_us, deadline_us = self._now_us + 200, self._now_us + POWER_UP_US

@@ -1,8 +1,6 @@
-"""Parameters in flash: two slots, each with all groups and a CRC; a save overwrites the older one.
-
-A power failure at any byte of a save leaves the other slot unchanged, so a load returns all old or all new content.
-A slot: magic, sequence number, length, CRC-32 over these and the content; the content has one record per group.
-"""
+"""Parameters in flash: two slots, each with all groups and a CRC; a save overwrites the older one. A power failure at
+any byte of a save leaves the other slot unchanged, so a load returns all old or all new content. A slot: magic,
+sequence number, length, CRC-32 over these and the content; the content has one record per group."""
 
 import binascii
 import os
@@ -75,7 +73,6 @@ class FlashStore:
         return True
 
     def _read(self, slot: int) -> "tuple[int, dict[str, bytes]]":
-        """Return (sequence, groups) of a slot; sequence 0 if it is empty, incomplete or damaged. Padding may follow."""
         try:
             image = self._slots.read(slot)
         except OSError:
@@ -123,10 +120,8 @@ class FileSlots:
 
 
 class BlockSlots:
-    """Two halves of a block device without a file system, such as ``esp32.Partition.find(label="tip")[0]``.
-
-    Raises ValueError for a device with less than two blocks.
-    """
+    """Two halves of a block device without a file system, such as ``esp32.Partition.find(label="tip")[0]``. Raises
+    ValueError for a device with less than two blocks."""
 
     def __init__(self, device: "BlockDevice") -> None:
         count, self._size = device.ioctl(4, 0) or 0, device.ioctl(5, 0) or 512

@@ -28,12 +28,10 @@ _GROUP = "program"
 
 
 class Programs:
-    """The slots of a board. Call ``choose`` once at power-on, ``confirm`` when the program has proved healthy.
-
-    ``product`` is the product code (1018h:2). ``version`` is that of the program on the file system, and after
-    ``choose`` that of the running program, as is ``crc`` (0 on the file system). ``reason`` says why the last download
-    or trial failed (``image``), 0 if it did not.
-    """
+    """The slots of a board. Call ``choose`` at power-on, ``confirm`` when the program has proved healthy. ``product``
+    is 1018h:2. ``version`` is that of the program on the file system, after ``choose`` of the running one, as is
+    ``crc`` (0 on the file system). ``reason`` says why the last download or trial failed (``image``), 0 if it did
+    not."""
 
     def __init__(self, slots: "ProgramSlots", store: "FlashStore", key: bytes, product: int, version: str) -> None:
         self._slots, self._store, self._key, self._product = slots, store, key, product
@@ -89,7 +87,6 @@ class Programs:
         return True
 
     def _load(self, slot: int) -> int:
-        """Check the image in a slot and take its version and CRC; return 0 or a reason."""
         reason, header = self._check(slot)
         if header is not None:
             self.version, self.crc = header.version_text(), header.crc
