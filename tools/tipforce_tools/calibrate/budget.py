@@ -175,7 +175,6 @@ def _print_table(records: list[dict[str, object]], single: bool) -> None:
 
 
 def _say_limits(error_budget: Budget, causes: Causes, uncalibrated: bool) -> None:
-    """Print remarks on the table, on stderr."""
     from tipforce_lab.design.error_budget import gravity_residual
 
     if not uncalibrated:

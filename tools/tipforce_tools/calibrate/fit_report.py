@@ -100,7 +100,6 @@ def _per_gauge(values: FloatArray, halves: FloatArray) -> str:
 
 
 def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list[str]:
-    """Where the calibration is valid, and what of it is not known."""
     n, lines = fit.C.shape[1], []
     if layout is None:
         lines.append("without --layout the overload force is not known")
@@ -143,7 +142,6 @@ def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list
 
 
 def _print_text(path: str, result: Fitted, notes: list[str]) -> None:
-    """The account for people."""
     data, fit, model = result.data, result.fit, result.model
     unloaded = int(data.unloaded.sum())
     print(f"{path}: {len(data.line) - unloaded} loaded and {unloaded} unloaded rows, {fit.A.shape[0]} gauges")
@@ -178,7 +176,6 @@ def left_out(data: Measurements, fit: Fit) -> list[str]:
 
 
 def _record(path: str, result: Fitted, notes: list[str], warnings: list[str]) -> dict[str, object]:
-    """Everything, for one JSON line."""
     data, fit, calibration = result.data, result.fit, result.calibration
     return {
         **facts(path, result),

@@ -1,7 +1,5 @@
 """Execute the steps of a guided calibration: show the instruction, wait, capture, check, write the row; at the end fit.
-
-A capture is checked for quiet, new and complete samples; otherwise it is refused with a reason and a remedy.
-"""
+A capture is checked for quiet, new and complete samples; otherwise it is refused with a reason and a remedy."""
 
 from __future__ import annotations
 
@@ -62,11 +60,8 @@ def _checked_node(connection: Bus, args: argparse.Namespace) -> tuple[FingertipC
 
 
 def refusals(capture: Capture, max_std_microstrain: float, max_drift_microstrain: float) -> list[str]:
-    """Return the reasons to refuse a capture, each with its remedy, the most specific first; empty for a good one.
-
-    The limits are of the standard deviation of the readings of a gauge, and of the change of the straight line through
-    them from the first to the last.
-    """
+    """Return the reasons to refuse a capture, each with its remedy, the most specific first. The limits are of the
+    standard deviation of a gauge's readings, and of the change of the straight line through them from first to last."""
     texts = _unusable(capture)
     if texts:
         return texts
@@ -138,11 +133,8 @@ def ask(question: str) -> str:
 
 
 class Walk:
-    """One run at the node; the session holds its results.
-
-    Raises NoResponseError without a node, InputError for another device or --auto with real gauges, RefusedError for
-    a node with a front-end fault or without new samples.
-    """
+    """One run at the node; the session holds its results. Raises NoResponseError without a node, InputError for another
+    device or --auto with real gauges, RefusedError for a node with a front-end fault or without new samples."""
 
     def __init__(self, args: argparse.Namespace, steps: Sequence[Step], connection: Bus) -> None:
         self._args, self._steps = args, steps
@@ -169,10 +161,8 @@ class Walk:
 
     def run(self) -> int:
         """Execute the remaining steps, fit and apply: 0, as for a user who quits; 1 if --auto gets no good capture.
-
         Says at each other end how to continue. Raises InputError if the rows do not determine a calibration,
-        RefusedError if the node refuses it.
-        """
+        RefusedError if the node refuses it."""
         try:
             while (code := self._take_steps()) is None:
                 if not self._finish():
@@ -187,7 +177,6 @@ class Walk:
         return code
 
     def _take_steps(self) -> int | None:
-        """Execute the remaining steps; return None when they are done, otherwise the exit code."""
         sdo, auto = self._client.sdo, self._args.auto
         before = [sdo.read(entry) for entry in _LOAD] if auto else []
         try:
@@ -215,7 +204,6 @@ class Walk:
         return None
 
     def _redo_last(self) -> None:
-        """Remove the last row and make its step the next one."""
         number = self._session.drop_last()
         if number is None:
             self._say("  there is no capture to repeat")
@@ -225,7 +213,6 @@ class Walk:
         self._todo.appendleft(step)
 
     def _say_where(self) -> None:
-        """Print the state of the session and how to continue it."""
         steps = f"{len(self._session.done)} of {len(self._steps)} steps are in {self._session.path}"
         self._say(f"{steps}; the same command continues there" if self._session.rows else "nothing was captured")
 

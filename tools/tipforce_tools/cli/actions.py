@@ -135,10 +135,8 @@ def add_choice(parser: argparse.ArgumentParser, dest: str, summaries: Mapping[st
 
 
 def parser_of(path: str, place: str | Actions, summary: str) -> CommandParser:
-    """Return the parser of the words after `tipforce PATH`; of a command with actions, of the action alone.
-
-    The flags of an action belong to its own parser: the bus flags alone take a fifth of a second to build.
-    """
+    """Return the parser of the words after `tipforce PATH`; of a command with actions, of the action alone. The flags
+    of an action belong to its own parser: the bus flags alone take a fifth of a second to build."""
     parser = CommandParser(prog=f"tipforce {path}", description=summary[0].upper() + summary[1:] + ".")
     # argparse's own pattern takes -1.5e-3 and -1,0,0 for unknown flags.
     parser._negative_number_matcher = re.compile(r"-\.?\d")

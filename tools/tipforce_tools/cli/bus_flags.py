@@ -1,9 +1,6 @@
-"""The bus of a command line: python-can's flags, and the bus that they, a file or the environment name.
-
-Python-can is not imported for the flags alone: it adds a fifth of a second to each `--help`. The flags accept the
-values of ``can.cli.add_bus_arguments`` (the tests compare them), with shorter help texts; values that need more than a
-conversion are parsed by python-can.
-"""
+"""The bus of a command line: python-can's flags, and the bus that they, a file or the environment name. Python-can, a
+fifth of a second of each `--help`, is not imported for the flags alone. They accept the values of
+``can.cli.add_bus_arguments`` (the tests compare them); values that need more than a conversion python-can parses."""
 
 from __future__ import annotations
 
@@ -51,7 +48,6 @@ def _valid_interfaces() -> tuple[str, ...]:
 
 
 def _some_plugin() -> bool:
-    """Return whether an installed distribution declares an interface for python-can."""
     for folder in sys.path:
         for file in Path(folder or ".").glob("*-info/entry_points.txt"):
             try:
@@ -135,10 +131,8 @@ def find_bus(
     args: argparse.Namespace, of_file: Mapping[str, Any] | None = None, *, named: bool = False
 ) -> dict[str, Any]:
     """Return the bus of the flags, of a file, or of python-can's files and environment, as keywords of ``can.Bus``.
-
     Without any, that of the only SocketCAN interface that is up, which a line on stderr names. A channel alone is such
-    an interface, also one ``named`` without a flag: `dump vcan0`. Raises EnvironmentLackError naming the interfaces.
-    """
+    an interface, also one ``named`` without a flag: `dump vcan0`. Raises EnvironmentLackError naming the interfaces."""
     options = {**(of_file or {}), **bus_options(args)}
     if "interface" in options and (named or "channel" in options):
         return options
@@ -190,9 +184,7 @@ def open_bus(args: argparse.Namespace) -> can.BusABC:
 @contextmanager
 def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
     """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one.
-
-    After another error, but of a wrong input, a line on stderr says what is wrong with the bus as a whole.
-    """
+    After another error, but of a wrong input, a line on stderr says what is wrong with the bus as a whole."""
     from tipforce.host.network.bus import Bus
 
     patience = (args.timeout, args.retries) if hasattr(args, "retries") else ()
@@ -223,10 +215,8 @@ def link_of(args: argparse.Namespace) -> Link | None:
 
 
 def confirm(args: argparse.Namespace, what: str) -> None:
-    """Ask before a persistent change on a real bus; not on virtual buses, nor with --yes.
-
-    Raises InputError when the answer is no, or stdin is not a terminal.
-    """
+    """Ask before a persistent change on a real bus; not on virtual buses, nor with --yes. Raises InputError when the
+    answer is no, or stdin is not a terminal."""
     options = bus_options(args)
     virtual = options.get("interface") in ("virtual", "udp_multicast") or "vcan" in str(options.get("channel", ""))
     if getattr(args, "yes", False) or virtual:

@@ -43,10 +43,8 @@ class Output:
     color: Literal["auto", "always", "never"] = "auto"
 
     def set_up(self, args: argparse.Namespace) -> None:
-        """Follow the flags; a command without them prints as by default, and sets up no logging.
-
-        Warnings of tipforce are logged to stderr: all messages with -v, only errors with -q; of libraries only with -v.
-        """
+        """Follow the flags; a command without them prints as by default, and sets up no logging. Warnings of tipforce
+        are logged to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
         for name in ("json", "quiet", "verbose", "color"):
             setattr(self, name, getattr(args, name, getattr(Output, name)))
         if not hasattr(args, "verbose"):
@@ -65,11 +63,8 @@ OUTPUT = Output()
 
 
 class VisibleStream:
-    """A text stream that shows control characters as escapes; all else is that of the stream below.
-
-    Every text of a command passes here. Data in bytes (CSV, Parquet) goes to its ``buffer`` as it is, and colours go to
-    the stream below.
-    """
+    """A text stream that shows control characters as escapes; every text of a command passes here. Data in bytes (CSV,
+    Parquet) goes to its ``buffer`` as it is, and colours to the stream below, whose all else is."""
 
     def __init__(self, below: TextIO) -> None:
         self.below = below
@@ -155,9 +150,7 @@ def add_numbers(
 
 class InputFile:
     """For argparse: the name of a file to read. ``kind`` precedes it in the error; ``names``: which texts are names.
-
-    ``check`` is called after the parsing, before the command imports what reads the file.
-    """
+    ``check`` is called after the parsing, before the command imports what reads the file."""
 
     def __init__(
         self, kind: str = "", lacks: str = "No such file or directory", names: Callable[[str], object] = lambda _: True
@@ -251,11 +244,8 @@ def note(text: str) -> None:
 def progress(
     what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
 ) -> Iterator[Callable[..., None]]:
-    """Show a progress bar on stderr, or if that is no terminal a line each 10 s; nothing with -q.
-
-    Call the result after each of ``total`` steps, or with the number of steps since the last call; with ``absolute``
-    with the number of all steps so far.
-    """
+    """Show a progress bar on stderr, or if that is no terminal a line each 10 s; nothing with -q. Call the result after
+    each of ``total`` steps, or with the number of steps since the last call, with ``absolute`` of all so far."""
     if OUTPUT.quiet or not sys.stderr.isatty():
         begun_s = said_s = time.monotonic()
         done = 0.0
@@ -279,10 +269,8 @@ def progress(
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width.
-
-    It is on the stream below VisibleStream: its colours pass, every text is escaped, and none is markup.
-    """
+    """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width. It is on
+    the stream below VisibleStream: its colours pass, every text is escaped, and none is markup."""
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
     from rich.text import Text
@@ -310,11 +298,9 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def print_table(table: Table) -> None:
-    """Print a table on stdout. In a narrow terminal it has no borders and words wrap; numbers do not.
-
-    A truncated number (`4.…`) is useless, and a wrapped one appears beside the label of another. A word longer than
-    its column continues on the next line, so that names can be copied.
-    """
+    """Print a table on stdout. In a narrow terminal it has no borders and words wrap; numbers do not. A truncated
+    number (`4.…`) is useless, and a wrapped one appears beside the label of another. A word longer than its column
+    continues on the next line, so that names can be copied."""
     screen = console()
     unbounded = screen.options.update(width=1000)
     if screen.measure(table, options=unbounded).maximum > screen.width:
@@ -371,10 +357,8 @@ def add_choice_arguments(parser: argparse.ArgumentParser, signals: str) -> None:
 
 
 def eds_files(given: Sequence[str]) -> tuple[tuple[int, str], ...]:
-    """Return (node-id, file) of each flag, after reading the files once: their warnings go to stderr.
-
-    Raises InputError for another form, a repeated node-id, and a file that is no EDS.
-    """
+    """Return (node-id, file) of each flag, after reading the files once: their warnings go to stderr. Raises InputError
+    for another form, a repeated node-id, and a file that is no EDS."""
     from canopen_device.eds.reader import read_eds
 
     files: dict[int, str] = {}

@@ -139,13 +139,9 @@ def _group(
 def open_targets(
     targets: Sequence[Target], args: Namespace, *, tick_s: float | None = None, hints: Hints | None = None
 ) -> ReceiverGroup:
-    """Listen to ``targets``, each on its channel; without targets, to the bus that the flags name.
-
-    ``tick_s`` is the minimum time between two batches (None: that of a live display). ``hints`` see the frames of buses
-    without filters.
-
-    Raises EnvironmentLackError if a bus cannot be opened, after closing the others.
-    """
+    """Listen to ``targets``, each on its channel; without targets, to the bus that the flags name. ``tick_s`` is the
+    minimum time between two batches (None: that of a live display). ``hints`` see the frames of buses without filters.
+    Raises EnvironmentLackError if a bus cannot be opened, after closing the others."""
     from tipforce.host.live.receiver import TICK_S, Selection
 
     options = bus_flags.find_bus(args, named=bool(targets))
@@ -159,10 +155,8 @@ def open_targets(
 def listening(
     args: Namespace, hand_file: Path | None = None, fallback: Fallback | None = None
 ) -> tuple[FrameFeed, str]:
-    """Listen to the bus that the flags name, or to that of a hand file; return the feed and the channel's name.
-
-    Without a hand file --nodes and --gauges apply. Raises as ``open_targets`` does.
-    """
+    """Listen to the bus that the flags name, or to that of a hand file; return the feed and the channel's name. Without
+    a hand file --nodes and --gauges apply. Raises as ``open_targets`` does."""
     from tipforce.host.hand.file import read_hand
     from tipforce.host.live.receiver import TICK_S
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE
@@ -223,10 +217,8 @@ def counted(number: int, what: str) -> str:
 
 
 class StopSignals:
-    """A context manager that records SIGINT and SIGTERM instead of raising, so that no received frame is lost.
-
-    The second signal raises KeyboardInterrupt, in case the command hangs, if its number is one of ``interrupts``.
-    """
+    """A context manager that records SIGINT and SIGTERM instead of raising, so that no received frame is lost. The
+    second signal raises KeyboardInterrupt, in case the command hangs, if its number is one of ``interrupts``."""
 
     def __init__(self, interrupts: Sequence[int] = (signal.SIGINT, signal.SIGTERM)) -> None:
         self.stopped = False

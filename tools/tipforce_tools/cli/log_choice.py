@@ -76,10 +76,8 @@ def when(flag: str, text: str | None) -> When | None:
 
 
 def layouts(args: Namespace) -> tuple[Layouts, Mapping[int | None, Calibration]]:
-    """Return the layouts that --gauges, --nodes, --dcf, --dbc, --eds and --ask select, and the calibrations.
-
-    Without those flags the layouts are of nodes with the gauges of --calibration. Raises InputError.
-    """
+    """Return the layouts that --gauges, --nodes, --dcf, --dbc, --eds and --ask select, and the calibrations. Without
+    those flags the layouts are of nodes with the gauges of --calibration. Raises InputError."""
     if args.dbc and (args.dcf or args.ask):
         raise InputError("--dbc: defines all layouts; leave out --dcf and --ask")
     if args.eds and (args.dbc or args.dcf or args.ask or args.gauges):

@@ -29,10 +29,8 @@ _SYSLOG = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR:
 
 
 def set_priority(priority: int) -> None:
-    """Schedule this process SCHED_FIFO with ``priority`` (1 to 99), ahead of every ordinary process.
-
-    Raises InputError for another number, EnvironmentLackError if the system lacks or does not permit SCHED_FIFO.
-    """
+    """Schedule this process SCHED_FIFO with ``priority`` (1 to 99), ahead of every ordinary process. Raises InputError
+    for another number, EnvironmentLackError if the system lacks or does not permit SCHED_FIFO."""
     if not 1 <= priority <= 99:
         raise InputError(f"--priority {priority}: allowed are 1 to 99 (above 50 it runs before interrupt threads)")
     if not hasattr(os, "sched_setscheduler"):
@@ -63,9 +61,7 @@ def lock_memory() -> None:
 
 class Notifier:
     """Send systemd notifications (sd_notify) to the socket in NOTIFY_SOCKET; does nothing without that variable.
-
-    ``alive`` sends the watchdog notification at half of WATCHDOG_USEC and may be called at any rate.
-    """
+    ``alive`` sends the watchdog notification at half of WATCHDOG_USEC and may be called at any rate."""
 
     def __init__(self, clock_us: Callable[[], int] = lambda: time.monotonic_ns() // 1000) -> None:
         address = os.environ.get("NOTIFY_SOCKET", "")
@@ -119,10 +115,8 @@ def mark_levels_for_journal() -> None:
 
 
 def serve(who: str, what: str, devices: Sequence[Runnable], nodes: Sequence[Device], port: Port) -> None:
-    """Run ``devices`` until a signal; report start and end to the service manager, the bus and the terminal.
-
-    ``nodes`` are those that report STOPPED at the end.
-    """
+    """Run ``devices`` until a signal; report start and end to the service manager, the bus and the terminal. ``nodes``
+    are those that report STOPPED at the end."""
     notifier = Notifier()
     common.note(f"{who}: {what}; Ctrl-C ends it")
 

@@ -104,7 +104,6 @@ def _limits(args: argparse.Namespace) -> Limits:
 
 
 def _comment(args: argparse.Namespace, best: Assessment) -> str:
-    """Return the first lines of the layout file: its command and its expected uncertainties."""
     merit = best.theory
     return (
         f"tipforce design optimise --objective {args.objective} --gauges {args.gauges} --seed {args.seed}\n"

@@ -144,7 +144,6 @@ def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence
 
 
 def _print(section: Section) -> None:
-    """Print as JSON lines (records, then one line with the notes), or as a table."""
     if common.OUTPUT.json:
         for record in section.records:
             common.print_json({"table": section.name, **record})
@@ -174,7 +173,6 @@ def _cell(record: Record, key: str) -> Any:
 
 
 def _shown(value: object) -> str:
-    """Format a cell: four significant digits, lists joined, empty for None."""
     if value is None:
         return ""
     if isinstance(value, (list, tuple)):

@@ -109,7 +109,6 @@ def _text(args: argparse.Namespace, converter: Converter) -> str:
 
 
 def _xdd(args: argparse.Namespace, converter: Converter) -> str:
-    """Return the XDD of a file, or of a fingertip."""
     from canopen_device.eds.reader import describe, read_eds
     from canopen_device.eds.sections import parse
     from canopen_device.eds.xdd import xdd_text

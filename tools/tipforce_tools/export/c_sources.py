@@ -1,6 +1,4 @@
-"""What `tipforce export c` writes: the object dictionary as a header and a table in flash, from the one table, and the
-estimator as it lies in this folder.
-"""
+"""What `tipforce export c` writes: the dictionary as a header and a table in flash, and this folder's estimator."""
 
 from __future__ import annotations
 

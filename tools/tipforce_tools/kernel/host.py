@@ -101,10 +101,8 @@ def short_temporary_folder() -> str:
 
 
 def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
-    """Run `command` on this kernel with this terminal and environment; return its exit code (128 + n for signal n).
-
-    130 after SIGINT or SIGTERM; 1, with a message, after the timeout; 126 or 127 when it cannot be started.
-    """
+    """Run `command` on this kernel with this terminal and environment; return its exit code (128 + n for signal n). 130
+    after SIGINT or SIGTERM; 1, with a message, after the timeout; 126 or 127 when it cannot be started."""
     # On a terminal the command must stay in the foreground process group, which receives Ctrl-C.
     own_group = sys.stdin is None or not sys.stdin.isatty()
     terminate_as_interrupt()
@@ -133,10 +131,8 @@ def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
 
 
 def choose(interfaces: Sequence[str], place: str = "auto") -> str:
-    """Return ``"direct"`` (the interfaces are up), ``"namespace"`` (this kernel can create them) or ``"uml"``.
-
-    `place` restricts the choice. Raises EnvironmentLackError when it is ``"host"`` and this kernel has no vcan.
-    """
+    """Return ``"direct"`` (the interfaces are up), ``"namespace"`` (this kernel can create them) or ``"uml"``. `place`
+    restricts the choice. Raises EnvironmentLackError when it is ``"host"`` and this kernel has no vcan."""
     if place == "uml":
         return "uml"
     known = can_interfaces()

@@ -1,9 +1,7 @@
-"""User-mode Linux: a Linux kernel that runs as an ordinary program, used for its CAN modules.
-
-The virtual machine mounts the caller's files (hostfs) below an overlay in memory, so that a command may write anywhere
-and the caller's files stay unchanged. Debian's package ``user-mode-linux`` contains kernel and modules; it needs
-neither KVM nor root. `init.sh`, the first process of the machine, runs the command.
-"""
+"""User-mode Linux: a Linux kernel that runs as an ordinary program, used for its CAN modules. The virtual machine
+mounts the caller's files (hostfs) below an overlay in memory, so that a command may write anywhere and the caller's
+files stay unchanged. Debian's package ``user-mode-linux`` contains kernel and modules; it needs neither KVM nor root.
+`init.sh`, the first process of the machine, runs the command."""
 
 import contextlib
 import os
@@ -51,10 +49,8 @@ exec 9<&- "$@"
 
 
 def write_lists(folder: Path, **lists: Sequence[str | bytes]) -> None:
-    """Write each list, NUL-terminated as `init.sh` reads it, to the file of its name; also the environment.
-
-    Raises InputError for an item that holds a NUL.
-    """
+    """Write each list, NUL-terminated as `init.sh` reads it, to the file of its name; also the environment. Raises
+    InputError for an item that holds a NUL."""
     for name, items in {"environment": [b"=".join(pair) for pair in os.environb.items()], **lists}.items():
         encoded = [os.fsencode(item) for item in items]
         if any(b"\0" in item for item in encoded):
@@ -85,8 +81,6 @@ def run_in_uml(
 
 
 class _Machine:
-    """A running linux.uml: its process group, and the pipes that carry the command's output."""
-
     def __init__(self, folder: Path, memory: str, terminal: bool, writable: bool) -> None:
         self.folder = folder
         kernel = [
@@ -206,10 +200,8 @@ def _terminal_size() -> str:
 
 
 def memory_folder(memory: str, otherwise: Path) -> str:
-    """Return the folder of the machine's memory: /dev/shm if it is large enough and executable, else `otherwise`.
-
-    A container's /dev/shm is often 64 MB and noexec; the machine would crash at the first page beyond it.
-    """
+    """Return the folder of the machine's memory: /dev/shm if it is large enough and executable, else `otherwise`. A
+    container's /dev/shm is often 64 MB and noexec; the machine would crash at the first page beyond it."""
     try:
         shm = os.statvfs("/dev/shm")
     except OSError:
@@ -228,7 +220,6 @@ def memory_bytes(memory: str) -> int:
 
 @contextlib.contextmanager
 def _terminal_kept(terminal: bool) -> Iterator[None]:
-    """Restore the terminal, which User-mode Linux sets to raw mode."""
     if not terminal:
         yield
         return
@@ -241,10 +232,8 @@ def _terminal_kept(terminal: bool) -> Iterator[None]:
 
 def preloading(folder: Path, cpuinfo: Path = Path("/proc/cpuinfo")) -> dict[str, str]:
     """Return the variable that preloads whole_xstate.c, built in `folder`; without a compiler nothing, and say so.
-
     Without it linux.uml crashes at boot on a processor with AMX; built for all, the code of a few is tested on all.
-    Raises EnvironmentLackError, in one line, where the processor needs it and no compiler works.
-    """
+    Raises EnvironmentLackError, in one line, where the processor needs it and no compiler works."""
     lack, library = "none is installed", folder / "whole_xstate.so"
     if compiler := next(filter(None, map(shutil.which, _COMPILERS)), None):
         with as_file(files("tipforce_tools.kernel").joinpath("whole_xstate.c")) as source:
@@ -266,11 +255,9 @@ def run_with_vcan(
     timeout_s: float | None = None, place: str = "auto", writable: bool = False, announced: bool = False,
 ) -> int:  # fmt: skip
     """Run `command` where all `interfaces` are vcan buses and up; return its exit code, or that of `run_here`.
-
-    Directory and environment are the caller's. `memory` and `writable` (let the command write the caller's files)
-    apply to User-mode Linux only. `announced`: first print on stderr where the command runs. Raises InputError for an
-    unusable argument and EnvironmentLackError if the machine cannot provide vcan; its text names what to install.
-    """
+    Directory and environment are the caller's. `memory` and `writable` (let the command write the caller's files) apply
+    to User-mode Linux only. `announced`: first print on stderr where the command runs. Raises InputError for an
+    unusable argument and EnvironmentLackError if the machine cannot provide vcan; its text names what to install."""
     for name in interfaces:
         if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
             raise InputError(f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -")
@@ -303,10 +290,8 @@ def run_with_vcan(
 
 
 def run_attached(command: Sequence[str], shell: Callable[[], list[str]], timeout_s: float | None = None) -> int:
-    """Run ``command``, or ``shell()``, on the buses of the user's latest `tipforce vcan`; return its exit code.
-
-    Raises EnvironmentLackError if none runs.
-    """
+    """Run ``command``, or ``shell()``, on the buses of the user's latest `tipforce vcan`; return its exit code. Raises
+    EnvironmentLackError if none runs."""
     folders = sorted(Path(short_temporary_folder()).glob(f"{PREFIX}*"), key=lambda path: path.stat().st_mtime)
     for folder in reversed([folder for folder in folders if folder.stat().st_uid == os.geteuid()]):
         of_namespace, of_machine = folder / host.PROCESS, folder / "machine" / "pid"

@@ -120,7 +120,6 @@ def _apply_or_verify(args: argparse.Namespace) -> int:
 
 
 def _objects(sdo: SdoChannel, gauges: int, eds: str | None, error: InputError | None = None) -> DeviceObjects:
-    """Return the dictionary of the node. Raises InputError for a device that is no fingertip and has no EDS."""
     if not eds and gauges_read(sdo, error):
         return FingertipObjects(sdo.node_id, gauges)
     described = description(eds, sdo)
@@ -172,7 +171,6 @@ def _line(entry: Entry[Value], text: str) -> str:
 
 
 def _shown(entry: Entry[Value], value: Value) -> str:
-    """Return a value as text; COB-IDs and mapped objects in hexadecimal with the meaning of their parts."""
     if entry.stem.endswith("cob_id") and isinstance(value, int):  # CiA 301, 7.5.2: bits by name, and the identifier
         meanings = {communication.COB_ID_SYNC: ("", "produced"), communication.COB_ID_TIME: ("consumed", "produced")}
         high = meanings.get(entry.index, ("off", "no RTR"))
@@ -218,7 +216,6 @@ def _save(args: argparse.Namespace) -> int:
 
 
 def _read(sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
-    """Read all settings, one transfer each, with a progress bar on a terminal."""
     from tipforce.host.configuration.configuration_file import read_settings
 
     with common.progress("read", len(objects.settings)) as advance:

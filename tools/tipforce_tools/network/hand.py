@@ -169,7 +169,6 @@ def _print_reports(reports: list[FingerReport], stream: TextIO, elapsed_s: float
 
 
 def _print_event(hand: Hand, event: Event, as_json: bool) -> None:
-    """Print an event at once, also into a pipe: on stdout as a line of the JSON stream, else on stderr."""
     labels = {finger.node_id: (finger.name, finger.label) for finger in hand.file.finger}
     name, label = labels.get(event.node_id, ("", "bus"))
     if as_json:
@@ -207,7 +206,6 @@ def _rows(hand: Hand, seconds: float | None) -> None:
 
 
 def _line(hand: Hand, row: HandRow) -> str:
-    """Return a row as text: P, phi and theta of each finger, and the reason where one is unknown."""
     from tipforce.samples.reasons import Status
 
     parts = []

@@ -151,7 +151,6 @@ def run_tare(args: argparse.Namespace) -> int:
 
 
 def _print(record: dict[str, Any], text: str) -> None:
-    """Print the record of a node, or a line with its node-id and the text."""
     common.print_record(record, f"{common.shown_id(record['node_id']):>11}  {text}")
 
 

@@ -93,10 +93,8 @@ def gauges_read(sdo: SdoChannel, error: InputError | None = None) -> int:
 
 
 def description(eds: str | None, sdo: SdoChannel) -> Description | None:
-    """Return what the file of --eds, or without one the EDS that the node stores, says; None without either.
-
-    Its warnings are notes. Raises InputError for a file that is no EDS, NoResponseError.
-    """
+    """Return what the file of --eds, or without one the EDS that the node stores, says; None without either. Its
+    warnings are notes. Raises InputError for a file that is no EDS, NoResponseError."""
     from canopen_device.eds.reader import read_eds
 
     described = read_eds(eds, sdo.node_id) if eds else _stored(sdo)
@@ -150,7 +148,6 @@ def _transfer(args: argparse.Namespace, words: list[str], value_text: str | None
 
 
 def _data(args: argparse.Namespace, entry: Entry[Value], value_text: str | None) -> bytes | None:
-    """Return the bytes to write, None for a read; ask first where the write persists."""
     if value_text is None:
         return None
     data = types.encode(entry.type, types.parse_value(entry.type, value_text))
@@ -160,7 +157,6 @@ def _data(args: argparse.Namespace, entry: Entry[Value], value_text: str | None)
 
 
 def _known(words: list[str], node_id: int, gauges: int | None, eds: str | None) -> Entry[Value]:
-    """Return the object of --eds, or that of a fingertip: NAME, or INDEX SUB [TYPE]."""
     if eds:
         from canopen_device.eds.reader import read_eds
 
@@ -182,7 +178,6 @@ def _known(words: list[str], node_id: int, gauges: int | None, eds: str | None) 
 
 
 def _eds_entry(words: list[str], described: Description) -> Entry[Value]:
-    """Return an object of an EDS: by its name, or INDEX [SUB]."""
     if len(words) > 2:
         raise InputError(f"sdo: {' '.join(words)!r}: with --eds write NAME, or INDEX SUB; the type is in the file")
     entry = described.find(words[0] if len(words) == 1 else _index_sub(words, "0x6064"))
@@ -197,7 +192,6 @@ def _index_sub(words: list[str], example: str) -> tuple[int, int]:
 
 
 def _dump(args: argparse.Namespace) -> int:
-    """Print the objects of the node; return 0. An entry that it refuses to read shows the abort, not a value."""
     with bus_flags.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
         readable = [
@@ -237,7 +231,6 @@ def record_of(entry: Entry[Value], value: object) -> dict[str, object]:
 
 
 def _read(sdo: SdoChannel, entry: Entry[Value]) -> tuple[Value | SdoAbortError, str]:
-    """Return the value of an entry and its text, or the abort of the node."""
     try:
         data = sdo.upload(entry.index, entry.sub, entry.type == "D")
     except SdoAbortError as error:
