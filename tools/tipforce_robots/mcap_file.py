@@ -1,7 +1,5 @@
-"""Write MCAP for Foxglove and other readers: ROS 2 messages of each fingertip, a drawing, and the CAN frames.
-
-The frames, as can_msgs/Frame, keep everything: each command of tipforce reads the file as the log that it was.
-"""
+"""Write MCAP for Foxglove and other readers: ROS 2 messages of each fingertip, a drawing, and the CAN frames. The
+frames, as can_msgs/Frame, keep everything: each command of tipforce reads the file as the log that it was."""
 
 from __future__ import annotations
 
@@ -122,10 +120,8 @@ class McapWriter:
         return self._tips[key]
 
     def _pictures(self, chunk: Table, samples: Mapping[int, Block]) -> None:
-        """Draw the state at every 30th of a second of a chunk.
-
-        All fingertips are side by side in one frame, because a recording of CAN does not say where they are mounted.
-        """
+        """Draw the state at every 30th of a second of a chunk. All fingertips are side by side in one frame, because a
+        recording of CAN does not say where they are mounted."""
         first_ns, last_ns = int(chunk.t_ns.min()), int(chunk.t_ns.max())
         begin_ns = self._picture_ns if abs(first_ns - self._picture_ns) < _GAP_NS else first_ns
         times = np.arange(begin_ns, last_ns + 1, _PICTURE_NS)
@@ -145,7 +141,6 @@ class McapWriter:
         self._newest.update({key: (of, -1) for key, of in samples.items()})
 
     def _report(self) -> None:
-        """Write the diagnostics of the second that ends."""
         if self._tips:
             t_ns = self._last_ns
             status = [tip.status("") for _, tip, _ in self._tips.values()]
@@ -220,7 +215,6 @@ def _entity(t_ns: int, number: int, name: str, contact: tuple[float, float, floa
 
 
 def _schema(example: Any) -> dict[str, Any]:
-    """Return the JSON schema of values like this one."""
     if isinstance(example, dict):
         return {"type": "object", "properties": {name: _schema(value) for name, value in example.items()}}
     if isinstance(example, list):

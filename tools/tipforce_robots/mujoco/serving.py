@@ -27,12 +27,10 @@ _LONGEST_LAG_S = 0.2
 
 
 class TwinNodes:
-    """``tips`` as nodes on ``bus`` (any ``can.Bus``), at the time of ``data``. A context manager that stops them.
-
-    Time is that of the simulation: either call ``exchange`` after each step, or let the SYNCs of the bus advance the
+    """``tips`` as nodes on ``bus`` (any ``can.Bus``), at the time of ``data``. A context manager that stops them. Time
+    is that of the simulation: either call ``exchange`` after each step, or let the SYNCs of the bus advance the
     simulation (``follow_sync``: the same frames give the same run, however fast the programs are), or the clock
-    (``follow_clock``). ``on_frame`` gets every received frame, (COB-ID, data): commands to the model's actuators.
-    """
+    (``follow_clock``). ``on_frame`` gets every received frame, (COB-ID, data): commands to the model's actuators."""
 
     def __init__(
         self,
@@ -48,9 +46,7 @@ class TwinNodes:
 
     def exchange(self, timeout_s: float = 0.0) -> None:
         """Hand the frames received over to the nodes, and send theirs; wait up to ``timeout_s`` for the first one.
-
-        Raises InputError where the time of ``data`` went back without a ``Fingertips.reset``.
-        """
+        Raises InputError where the time of ``data`` went back without a ``Fingertips.reset``."""
         self._keep_time()
         frame = self._port.receive(timeout_s)
         while frame is not None:
@@ -58,11 +54,8 @@ class TwinNodes:
             frame = self._port.receive(0.0)
 
     def follow_sync(self, step: Step, period_s: float, stop: Callable[[], bool]) -> None:
-        """Advance the model by ``period_s`` for each SYNC, and sample after it, until ``stop()`` returns true.
-
-        Between SYNCs the simulation stands still, and SDO and NMT are served. Raises InputError for a period that is
-        not positive.
-        """
+        """Advance the model by ``period_s`` for each SYNC, and sample after it, until ``stop()``. Between SYNCs the
+        simulation stands still, and SDO and NMT are served. Raises InputError for a period that is not positive."""
         if not (isfinite(period_s) and period_s > 0.0):
             raise InputError(f"period_s = {period_s!r}: allowed is a positive finite number")
         due_s = self._data.time
@@ -78,10 +71,8 @@ class TwinNodes:
             self._deliver(frame)
 
     def follow_clock(self, step: Step, stop: Callable[[], bool]) -> float:
-        """Advance the model with the monotonic clock until ``stop()`` returns true; return the seconds that it lost.
-
-        A simulation that is more than 0.2 s late goes on from there, slower than the clock.
-        """
+        """Advance the model with the monotonic clock until ``stop()`` returns true; return the seconds that it lost. A
+        simulation that is more than 0.2 s late goes on from there, slower than the clock."""
         start_s, lost_s = time.monotonic() - self._data.time, 0.0
         while not stop():
             step()

@@ -1,8 +1,5 @@
-"""Fingertips of a MuJoCo model: contacts to strain, converter counts, status and contact, by the node's own code.
-
-Each fingertip is a whole node (``tipforce.fingertip``) whose gauge source reads the contacts of the model. Weight and
-inertia of the tip itself are not in the contacts.
-"""
+"""Fingertips of a MuJoCo model: whole nodes (``tipforce.fingertip``) whose gauge source reads the contacts of the
+model. Weight and inertia of the tip itself are not in the contacts."""
 
 from __future__ import annotations
 
@@ -64,12 +61,10 @@ def _added(
 
 
 class Load:
-    """The load on one tip at one time step; vectors (3,) are along x, y and z of the site (``models.py``).
-
-    ``F_newtons`` are F1, F2, F3, equation (16) of the paper: all that the gauges see. ``force_newtons`` is the sum of
-    the contact forces, ``moment_newton_metres`` their moment about the site, ``sum_newtons`` the sum of their
-    magnitudes, ``contacts`` their number.
-    """
+    """The load on one tip at one time step; vectors (3,) along x, y and z of the site (``models.py``). ``F_newtons``:
+    F1, F2, F3, equation (16), all that the gauges see; ``force_newtons``: the sum of the contact forces,
+    ``sum_newtons`` of their magnitudes; ``moment_newton_metres``: their moment about the site; ``contacts``: their
+    number."""
 
     __slots__ = ("F_newtons", "_rows", "contacts", "force_newtons", "moment_newton_metres", "sum_newtons")
 
@@ -234,11 +229,9 @@ class Fingertips:
             self.devices.append(device)
 
     def read(self, data: mujoco.MjData) -> dict[str, TwinSample]:
-        """Take a sample of each finger, as at a SYNC; call it after ``mj_step``.
-
-        A second sample within the sample period of the node (6114h, 500 us) is stale. Raises InputError where the time
-        of ``data`` went back (call ``reset``), or for data of another model.
-        """
+        """Take a sample of each finger, as at a SYNC, after ``mj_step``; a second one within the sample period (6114h,
+        500 us) is stale. Raises InputError where the time of ``data`` went back (call ``reset``), or for data of
+        another model."""
         now_us = self.at(data)
         loads, t_s, samples = self._present(), 1e-6 * now_us, {}
         for k, (name, node_id) in enumerate(self.node_ids.items()):
@@ -269,7 +262,6 @@ class Fingertips:
         return now_us
 
     def _present(self) -> list[Load]:
-        """Return the loads, found when first asked for."""
         if self._loads is None:
             assert self._data is not None
             axes, r_m, rows = self._data.site_xmat, FABRICATED.r_m, self._rows
@@ -280,10 +272,8 @@ class Fingertips:
         return self._loads
 
     def _wrenches(self, data: mujoco.MjData) -> list[Wrench | None]:
-        """Return the wrench on each finger; None for one without a contact.
-
-        Torque of a contact (``condim`` 4 and 6) counts. A contact of two fingers loads both, with opposite signs.
-        """
+        """Return the wrench on each finger; None for one without a contact. Torque of a contact (``condim`` 4 and 6)
+        counts. A contact of two fingers loads both, with opposite signs."""
         wrenches: list[Wrench | None] = [None] * len(self._sites)
         if not data.ncon:
             return wrenches
@@ -309,10 +299,8 @@ class Fingertips:
 
 
 def _tips(model: mujoco.MjModel, sites: Mapping[str, str]) -> tuple[list[int], list[int]]:
-    """Return the number of each finger's site; and by geom the finger whose tip it is, -1 for none.
-
-    The tip is the geoms of the site's body and of those below it.
-    """
+    """Return the number of each finger's site; and by geom the finger whose tip it is, -1 for none. The tip is the
+    geoms of the site's body and of those below it."""
     numbers, tips = list[int](), dict[int, str]()
     for finger, site in sites.items():
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)

@@ -66,9 +66,7 @@ class Tip:
 
     def messages(self, samples: Block, numbers: npt.NDArray[np.int64]) -> Iterator[tuple[str, int, bytes]]:
         """Yield kind, stamp and content of the messages of this period's samples: contacts first, then wrenches.
-
-        ``numbers`` (k,) of the samples, -1 for none. There is a wrench where P, phi and theta are all known.
-        """
+        ``numbers`` (k,) of the samples, -1 for none. There is a wrench where P, phi and theta are all known."""
         if not len(samples):
             return
         known = np.flatnonzero(np.isfinite(samples.contact).all(axis=1))
@@ -279,11 +277,9 @@ _FINGER = """
 
 
 def write_ros2_bus(hand: HandFile, folder: Path) -> list[Path]:
-    """Write bus.yml and an EDS for each number of gauges; return the paths.
-
-    ``sync_period`` is in microseconds; 0: another device sends the SYNC. Raises InputError if the folder cannot be
-    written or holds other files of these names, WriteError, and InputError for a finger with the node-id of the master.
-    """
+    """Write bus.yml and an EDS for each number of gauges; return the paths. ``sync_period`` is in microseconds; 0:
+    another device sends the SYNC. Raises InputError if the folder cannot be written or holds other files of these
+    names, WriteError, and InputError for a finger with the node-id of the master."""
     from tipforce.dictionary.eds import eds_text, file_name, lely_dialect
     from tipforce.output_file import BUS_CONFIGURATION, EDS, write_files
 

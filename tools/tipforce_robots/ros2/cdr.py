@@ -1,8 +1,5 @@
-"""ROS 2 messages: their definitions, tipforce_msgs from its .msg files, and their bytes, plain CDR (XCDR1).
-
-Little-endian, with its header of four bytes. ``encode`` writes one message of any content; ``Layout`` writes many at
-once, if only their numbers differ.
-"""
+"""ROS 2 messages: definitions, tipforce_msgs from its .msg files, and bytes, little-endian plain CDR (XCDR1) with its
+header of four bytes. ``encode`` writes one message; ``Layout`` many at once, if only their numbers differ."""
 
 from __future__ import annotations
 
@@ -106,11 +103,8 @@ def stamp(t_ns: int) -> dict[str, int]:
 
 
 class Layout:
-    """Messages of one kind of which only numbers differ.
-
-    ``constants`` by path ("header.frame_id") holds every string and may hold numbers; ``counts`` the lengths of
-    sequences. All other numbers are fields of the rows by their path: "header.stamp.sec", "wrench.force.x".
-    """
+    """Messages of one kind of which only numbers differ. ``constants`` by path ("header.frame_id") holds every string
+    and may hold numbers; ``counts`` the lengths of sequences; the rows all other numbers ("wrench.force.x")."""
 
     def __init__(self, kind: str, constants: Mapping[str, Any], counts: Mapping[str, int] | None = None) -> None:
         self._template = bytearray(HEADER)

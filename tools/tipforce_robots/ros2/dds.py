@@ -1,8 +1,5 @@
-"""Topics of ROS 2 on DDS by Eclipse Cyclone DDS: names, types, quality of service and discovery as ROS users expect.
-
-A topic ``/hand/thumb/wrench`` is ``rt/hand/thumb/wrench`` in DDS, and its type ``geometry_msgs/msg/WrenchStamped`` is
-``geometry_msgs::msg::dds_::WrenchStamped_``.
-"""
+"""Topics of ROS 2 on DDS by Eclipse Cyclone DDS. ``/hand/thumb/wrench`` is ``rt/hand/thumb/wrench`` in DDS, its type
+``geometry_msgs/msg/WrenchStamped`` is ``geometry_msgs::msg::dds_::WrenchStamped_``."""
 
 from __future__ import annotations
 
@@ -108,17 +105,14 @@ def domain_id(given: int | None, environment: Mapping[str, str] = os.environ) ->
 
 
 def loopback_only(environment: Mapping[str, str]) -> bool:
-    """Return whether the user keeps ROS 2 on this machine: ROS_AUTOMATIC_DISCOVERY_RANGE, before that
-    ROS_LOCALHOST_ONLY."""
+    """Return whether ROS 2 stays on this machine: ROS_AUTOMATIC_DISCOVERY_RANGE, else ROS_LOCALHOST_ONLY."""
     wanted = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
     return wanted.upper() == "LOCALHOST" if wanted else environment.get("ROS_LOCALHOST_ONLY", "0") == "1"
 
 
 def configuration(environment: Mapping[str, str], cyclone_version: int = _VERSION) -> str:
-    """Return the configuration of Cyclone DDS: that of the user, CYCLONEDDS_URI, before what ROS 2 needs beside it.
-
-    Of two values Cyclone takes the later one. Versions before 11 do not start with an element that they do not know.
-    """
+    """Return the configuration of Cyclone DDS: that of the user, CYCLONEDDS_URI, before what ROS 2 needs beside it. Of
+    two values Cyclone takes the later one. Versions before 11 do not start with an element that they do not know."""
     parts = [
         _FAST_DDS if cyclone_version >= 11 else "",
         environment.get("CYCLONEDDS_URI", ""),
