@@ -31,8 +31,6 @@ class CanPort:
         self.bit_rate = bit_rate
         self._start(bit_rate)
 
-    # --- implemented by the driver --------------------------------------------------------------------------
-
     def _start(self, bit_rate: int) -> None:
         raise NotImplementedError
 
@@ -50,8 +48,6 @@ class CanPort:
     def _restart(self) -> None:
         """Leave the bus-off state; frames that wait in the controller are dropped."""
         self._can.restart()
-
-    # --- used by the node -----------------------------------------------------------------------------------
 
     def receive(self) -> "list[Frame]":
         """Return the frames since the last call, with error frames for changes of the controller's state first."""

@@ -43,8 +43,6 @@ class Programs:
         self.version, self.crc = version, 0
         self.ready = False
 
-    # --- at power-on, and while the program runs --------------------------------------------------------------
-
     def choose(self) -> int:
         """Return the slot to start, or INSTALLED."""
         if self._trial != NONE and self._begun:
@@ -98,8 +96,6 @@ class Programs:
                 return image.check(file, self._key)
         except OSError:
             return image.FLASH_FAILED, None
-
-    # --- for ``canopen_device.core.program`` ----------------------------------------------------------------------
 
     @property
     def busy(self) -> bool:

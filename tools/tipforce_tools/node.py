@@ -184,9 +184,6 @@ def _numbers(flag: str, text: str, count: int) -> Sequence[float]:
     return numbers
 
 
-# --- simulate ---------------------------------------------------------------------------------------------------------
-
-
 def add_simulate_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce simulate`."""
     parser.epilog = _SIMULATE

@@ -134,9 +134,6 @@ def _print_outcome(outcome: Outcome) -> None:
     )  # fmt: skip
 
 
-# --- run --explain ----------------------------------------------------------------------------------------------------
-
-
 def _explain(path: Path, scene: Scene, name: str, with_cost: bool) -> int:
     from tipforce.scene.registry import bus_load, identifiers, parts
 

@@ -74,8 +74,6 @@ class Fingertip(Application):
         self._waiting: "Reading | None" = None  # read for a tare or zero; the next latch has not taken it yet
         self.sample = Sample(None, self.channels.scaling, self.calibration.active)
 
-    # --- the device calls these -----------------------------------------------------------------------------
-
     def on_reset(self, now_us: int) -> None:
         """Parameters are restored: forget tare and samples, take the scaling as it stands."""
         self.channels.load()
@@ -235,8 +233,6 @@ class Fingertip(Application):
                 self.frozen |= 1 << k
         return faults | 1 << table.FAULT_FROZEN if self.frozen else faults
 
-    # --- commands -------------------------------------------------------------------------------------------
-
     def command(self, value: int) -> int:
         """2130h: 1 tare, 2 clear tare, 3 zero gauges. Returns the abort code of one that cannot be done now."""
         if value == table.COMMAND_TARE:
@@ -280,8 +276,6 @@ class Fingertip(Application):
         if self.channels.scaling != scaling:
             self.reports.changed()
         return abort
-
-    # --- objects --------------------------------------------------------------------------------------------
 
     def _read_uncertainty(self, sub: int) -> float:
         if sub == 1:

@@ -178,8 +178,6 @@ class Calibration:
         """The active record (2140h); zeros on a node that was never calibrated."""
         return bytes(struct.calcsize(self.packing)) if self.active is None else self.active.record
 
-    # --- storage --------------------------------------------------------------------------------------------
-
     def dump(self) -> bytes:
         """What 1010h:4 stores: the active record (nothing if there is none), the condition limit, the generation."""
         tail = struct.pack(_STORED_TAIL, self._od.values[_CONDITION_LIMIT], self._generation)
@@ -211,8 +209,6 @@ class Calibration:
     def _stage(self, record: bytes) -> None:
         for key, value in zip(self._keys, struct.unpack(self.packing, record)):  # noqa: B905
             self._od.values[key] = value
-
-    # --- objects --------------------------------------------------------------------------------------------
 
     def _staged_matrix(self) -> "list[list[float]]":
         n = self._n

@@ -72,8 +72,6 @@ class Channels:
             od.writers[index] = lambda _sub, value, i=index: self._write_filter(i, value)  # type: ignore[misc]
         self.load()
 
-    # --- live values ----------------------------------------------------------------------------------------
-
     def _counts(self, sub: int, unknown: "int | float") -> "int | float":
         """x100h: what the converter gave last, saturated or not; unknown once it is stale."""
         reading = self._fingertip.sample.reading
@@ -147,8 +145,6 @@ class Channels:
             force = sample.force()[sub - self._n - 1] if sub <= self._n + 3 else 1.0
             return OVERLOAD_LOW if force < 0.0 else OVERLOAD_HIGH
         return (NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW)[self._overload(sub)]
-
-    # --- settings -------------------------------------------------------------------------------------------
 
     def load(self) -> None:
         """Take scaling (6120h-6124h) and span of the gauges, and set the sample period of the source."""

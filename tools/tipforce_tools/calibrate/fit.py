@@ -107,9 +107,6 @@ def _date(text: str) -> datetime.date:
         raise argparse.ArgumentTypeError(f"{text!r}: write it as 2025-12-31") from None
 
 
-# --- apply and verify ------------------------------------------------------------------------------------------
-
-
 def add_apply_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of apply."""
     parser.epilog = (

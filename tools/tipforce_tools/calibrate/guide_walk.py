@@ -216,8 +216,6 @@ class Walk:
         steps = f"{len(self._session.done)} of {len(self._steps)} steps are in {self._session.path}"
         self._say(f"{steps}; the same command continues there" if self._session.rows else "nothing was captured")
 
-    # --- one step -----------------------------------------------------------------------------------------------
-
     def _captured(self, step: Step) -> bool:
         """Capture until the result is good: with --auto a limited number of times, otherwise the user decides."""
         for _ in range(_AUTO_TRIES if self._args.auto else 1):
@@ -287,8 +285,6 @@ class Walk:
         """Print a line for the user; with -q only if prompts follow, which need it."""
         if not (common.OUTPUT.quiet and self._args.auto):
             print(text, file=sys.stderr)
-
-    # --- the end: the fit, its report, and after confirmation the transfer to the node ----------------------------
 
     def _finish(self) -> bool:
         """Fit the session, show it, write the file, apply and store it after confirmation; True: redo the last step."""

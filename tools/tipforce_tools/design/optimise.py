@@ -100,9 +100,6 @@ def _limits(args: argparse.Namespace) -> Limits:
     )
 
 
-# --- output ---------------------------------------------------------------------------------------------------------
-
-
 def _comment(args: argparse.Namespace, best: Assessment) -> str:
     merit = best.theory
     return (

@@ -225,8 +225,6 @@ class Session:
         mean = np.average([row.covariance_microstrain2 for row in self.rows], axis=0, weights=freedom)
         return np.asarray(mean * 1e-12, dtype=np.float64), float(sum(freedom))
 
-    # --- the file -----------------------------------------------------------------------------------------------
-
     def _columns_of(self, temperature: bool) -> list[str]:
         gauges = [f"SG{k + 1}" for k in range(self._n)]
         degrees = ["temperature_degC"] if temperature else []

@@ -171,8 +171,6 @@ class SdoChannel:
     def _suspected(self) -> bool:
         return self._duplicates.suspected(self.node_id)
 
-    # --- for Exchange ----------------------------------------------------------------------------------------
-
     @property
     def deadline_s(self) -> float:
         """The longest time for a transfer with its retries; a long time-out extends it."""
@@ -187,8 +185,6 @@ class SdoChannel:
         can_id = codes.SDO_REQUEST_BASE + self.node_id
         self._duplicates.frame(can_id, request, time.time_ns())
         self.network.send_message(can_id, request)
-
-    # --- transfers -------------------------------------------------------------------------------------------
 
     def _entry(self, name: str) -> Entry[Value]:
         if not isinstance(name, str):
