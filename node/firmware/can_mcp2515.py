@@ -106,8 +106,7 @@ class Mcp2515(CanPort):
 
 
 def bit_timing(oscillator_hz: int, bit_rate: int) -> bytes:
-    """Return CNF3, CNF2, CNF1 for exactly this bit rate, sample point nearest to 80 %. Raises ValueError if there is
-    none."""
+    """Return CNF3, CNF2, CNF1 for this bit rate, sample point nearest to 80 %. Raises ValueError for others."""
     best: "tuple[int, int, int, int] | None" = None
     for prescaler in range(1, 65):
         quanta, rest = divmod(oscillator_hz, 2 * prescaler * bit_rate)

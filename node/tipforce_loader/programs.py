@@ -30,8 +30,7 @@ _GROUP = "program"
 class Programs:
     """The slots of a board. Call ``choose`` at power-on, ``confirm`` when the program has proved healthy. ``product``
     is 1018h:2. ``version`` is that of the program on the file system, after ``choose`` of the running one, as is
-    ``crc`` (0 on the file system). ``reason`` says why the last download or trial failed (``image``), 0 if it did
-    not."""
+    ``crc`` (0 on the file system). ``reason`` says why the last download or trial failed (``image``), else 0."""
 
     def __init__(self, slots: "ProgramSlots", store: "FlashStore", key: bytes, product: int, version: str) -> None:
         self._slots, self._store, self._key, self._product = slots, store, key, product

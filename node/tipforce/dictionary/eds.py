@@ -30,8 +30,7 @@ def file_name(n: int = 3, simulated: bool = False, suffix: str = "eds", bits: in
 def eds_text(
     n: int = 3, simulated: bool = False, converter: Converter = table.CONVERTER_16, programs: bool = False
 ) -> str:
-    """The EDS of a node with ``n`` gauges; ``programs``: with program slots. Raises InputError for ``n`` outside
-    3..8."""
+    """The EDS of a node with ``n`` gauges (3..8, or InputError is raised); ``programs``: with program slots."""
     return _text(n, simulated, converter, programs, None, {})
 
 

@@ -49,9 +49,8 @@ class Active:
         self.left: "dict[int, tuple[Solver | None, Check | None]]" = {}  # of ``without``
 
     def without(self, lost: int) -> "tuple[Solver | None, Check | None]":
-        """What solves and what judges the gauges that are left without those of mask ``lost``; None where nothing can.
-        A solver is (matrix, covariance of F in N^2). 2116h is for n - 3 degrees of freedom: with fewer gauges the limit
-        of the same false-alarm rate holds."""
+        """What solves, (matrix, covariance of F in N^2), and what judges the gauges without those of mask ``lost``, or
+        None. 2116h is for n - 3 degrees of freedom: with fewer gauges the limit of the same false-alarm rate holds."""
         if lost not in self.left:
             if len(self.left) >= _MOST_LEFT:
                 self.left.clear()

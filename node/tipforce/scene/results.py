@@ -277,8 +277,7 @@ def write_table(path: str, messages: Mapping[tuple[int, str], Samples]) -> None:
 
 
 def write_plot(path: str, title: str, contacts: Mapping[int, Contact | None]) -> None:
-    """Plot one row of P, phi, theta per finger. Raises EnvironmentLackError without matplotlib, InputError for a file
-    that cannot be written."""
+    """Plot P, phi, theta per finger. Raises EnvironmentLackError without matplotlib, InputError for the path."""
     try:
         from matplotlib.figure import Figure
     except ImportError:

@@ -182,8 +182,7 @@ class FrontEnd:
     microstrain; without ``gain`` the full scale is 3276.8 microstrain. ``temperature`` (degC) is the value of 2122h;
     ``apparent_strain`` (microstrain per degC, one or one per gauge) and ``gain_drift_ppm`` (per degC) need it.
     ``white_noise`` is in microstrain, ``one_over_f`` in microstrain at 1 Hz, or (that, lowest Hz, highest Hz). Raises
-    ValueError for arguments that are not allowed. ``parts`` change the signal; ``converter`` is (bits, counts per
-    microstrain)."""
+    ValueError. ``parts`` change the signal; ``converter`` is (bits, counts per microstrain)."""
 
     def __init__(
         self, bits: int = 16, bridge: "Bridge | None" = None, gain: "float | None" = None,

@@ -65,8 +65,7 @@ def devices(root: Path = ROOT) -> list[Device]:
 
 
 def find(wanted: str, root: Path = ROOT) -> Device:
-    """Return the device of that number, name, label or place. Raises InputError for several, EnvironmentLackError for
-    none."""
+    """The device of a number, name, label or place. Raises InputError for several, EnvironmentLackError for none."""
     present = devices(root)
     number = f"iio:{wanted}" if re.fullmatch(r"device\d+", wanted) else wanted
     exact = [device for device in present if device.number == number]
@@ -164,8 +163,7 @@ class PolledDevice:
         return (raw + (offset or 0.0)) * scale
 
     def temperature(self) -> int:
-        """Return the temperature in 0.01 degC as in 2122h; unknown if the read fails or INTEGER16 cannot hold it. Some
-        drivers reject the read while a buffer runs."""
+        """Return the temperature in 0.01 degC as in 2122h; unknown beyond INTEGER16 and where the read fails."""
         if self._temperature is None:
             return UNKNOWN_TEMPERATURE
         try:

@@ -147,8 +147,7 @@ def _content(name_or_path: str) -> _File:
 def layout_text(
     geometry: Geometry, gauges: Sequence[Gauge], gauge_length_m: float | None = None, comment: str = ""
 ) -> str:
-    """Return the text of a layout file with these gauges, after ``comment``. Raises InputError for gauges that are not
-    usable."""
+    """Return the text of a layout file with these gauges, after ``comment``. Raises InputError for unusable gauges."""
     import tomli_w
 
     points: list[str | _Place] = []

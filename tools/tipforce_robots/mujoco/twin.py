@@ -63,8 +63,7 @@ def _added(
 class Load:
     """The load on one tip at one time step; vectors (3,) along x, y and z of the site (``models.py``). ``F_newtons``:
     F1, F2, F3, equation (16), all that the gauges see; ``force_newtons``: the sum of the contact forces,
-    ``sum_newtons`` of their magnitudes; ``moment_newton_metres``: their moment about the site; ``contacts``: their
-    number."""
+    ``sum_newtons`` of their magnitudes; ``moment_newton_metres``: about the site; ``contacts``: their number."""
 
     __slots__ = ("F_newtons", "_rows", "contacts", "force_newtons", "moment_newton_metres", "sum_newtons")
 
@@ -229,9 +228,8 @@ class Fingertips:
             self.devices.append(device)
 
     def read(self, data: mujoco.MjData) -> dict[str, TwinSample]:
-        """Take a sample of each finger, as at a SYNC, after ``mj_step``; a second one within the sample period (6114h,
-        500 us) is stale. Raises InputError where the time of ``data`` went back (call ``reset``), or for data of
-        another model."""
+        """Take a sample of each finger, as at a SYNC, after ``mj_step``; within the sample period (6114h, 500 us) it is
+        stale. Raises InputError where the time of ``data`` went back (call ``reset``), or for data of another model."""
         now_us = self.at(data)
         loads, t_s, samples = self._present(), 1e-6 * now_us, {}
         for k, (name, node_id) in enumerate(self.node_ids.items()):
@@ -299,8 +297,7 @@ class Fingertips:
 
 
 def _tips(model: mujoco.MjModel, sites: Mapping[str, str]) -> tuple[list[int], list[int]]:
-    """Return the number of each finger's site; and by geom the finger whose tip it is, -1 for none. The tip is the
-    geoms of the site's body and of those below it."""
+    """The number of each finger's site, and by geom of it or below it the finger, elsewhere -1."""
     numbers, tips = list[int](), dict[int, str]()
     for finger, site in sites.items():
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)

@@ -161,8 +161,7 @@ class Walk:
 
     def run(self) -> int:
         """Execute the remaining steps, fit and apply: 0, as for a user who quits; 1 if --auto gets no good capture.
-        Says at each other end how to continue. Raises InputError if the rows do not determine a calibration,
-        RefusedError if the node refuses it."""
+        Raises InputError if the rows do not determine a calibration, RefusedError if the node refuses it."""
         try:
             while (code := self._take_steps()) is None:
                 if not self._finish():

@@ -215,8 +215,7 @@ def link_of(args: argparse.Namespace) -> Link | None:
 
 
 def confirm(args: argparse.Namespace, what: str) -> None:
-    """Ask before a persistent change on a real bus; not on virtual buses, nor with --yes. Raises InputError when the
-    answer is no, or stdin is not a terminal."""
+    """Ask before a persistent change on a bus that is not virtual, without --yes. Raises InputError without a yes."""
     options = bus_options(args)
     virtual = options.get("interface") in ("virtual", "udp_multicast") or "vcan" in str(options.get("channel", ""))
     if getattr(args, "yes", False) or virtual:

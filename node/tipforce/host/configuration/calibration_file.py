@@ -88,8 +88,7 @@ def fit_table(fit: Fit, angle_scatter_deg: float, **facts: object) -> dict[str, 
 
 
 def read_file(path: str | Path, fields: Fields) -> tuple[dict[str, Any], str | None, FitTable | None]:
-    """The fields of a file by name; its CRC-32; its [fit] table. Raises InputError naming the key and what is
-    allowed."""
+    """The fields of a file by name; its CRC-32; its [fit] table. Raises InputError naming the key and the limits."""
     place = f"calibration {path}"
     content: Any = convert(_file_type(fields), read_table(path, place), place, finite=False)
     try:

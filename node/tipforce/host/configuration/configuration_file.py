@@ -114,8 +114,7 @@ def read_configuration(
     path: str | Path, node_id: int, gauges: int = 3, objects: DeviceObjects | None = None
 ) -> Configuration:
     """Return the content of a file: a DCF or XDC by its extension, otherwise TOML with a table [objects]. ``objects``:
-    of the node, by default a fingertip's. Raises InputError naming the file, the object, the value and what is
-    allowed."""
+    by default a fingertip's. Raises InputError naming the file, the object, the value and what is allowed."""
     known = FingertipObjects(node_id, gauges) if objects is None else objects
     is_dcf = str(path).lower().endswith((".dcf", ".eds", ".xdc", ".xdd"))
     stated: list[tuple[str, object]]

@@ -155,8 +155,7 @@ class FingertipClient:
             ) from None  # fmt: skip
 
     def tare(self) -> None:
-        """Take the force of the latest sample as zero (6139h). Raises SdoAbortError, with a remedy, if there is
-        none."""
+        """Take the force of the latest sample as zero (6139h). Raises SdoAbortError, with a remedy, without one."""
         try:
             self.sdo.write(od.AUTOTARE[self.identity().gauges + 1], table.SIGNATURE_TARA)
         except SdoAbortError as error:

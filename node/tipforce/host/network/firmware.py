@@ -89,9 +89,8 @@ def install(
     progress: Callable[[int], None] = lambda _bytes: None,
 ) -> NodeProgram:
     """Install an image and start it; return the program that the node has confirmed. The node enters PRE-OPERATIONAL.
-    ``progress`` receives the number of bytes sent. Raises RefusedError with the reason for a node without slots,
-    another product, a downgrade, a refused image or one that is given up; NoResponseError if the node does not
-    return."""
+    ``progress`` receives the number of bytes sent. Raises RefusedError for a node without slots, another product, a
+    downgrade, an image that is refused or given up; NoResponseError if the node does not return."""
     sdo = bus.sdo(node_id)
     place = f"node {node_id} (0x{node_id:02X})"
     before = node_program(sdo)
