@@ -4,8 +4,7 @@ Register facts (data sheet revision 1.7, section 11): 00h PU_CTRL: RR 0, PUD 1, 
 AVDDS 7. 01h CTRL1: GAINS 2-0, VLDO 5-3. 02h CTRL2: CALMOD 1-0, CALS 2, CAL_ERR 3, CRS 6-4, CHS 7. 12h-14h ADCO, most
 significant byte first. 15h: 30h turns the chopper's clock off. 1Ch: PGA_CAP_EN 7, the capacitor across the second
 channel's inputs. Power-up: RR, then PUD, PUR within 200 us. CALS goes back to zero when a calibration ends; CAL_ERR
-then tells whether it failed. After a change of channel the filter needs some conversions to settle.
-"""
+then tells whether it failed. After a change of channel the filter needs some conversions to settle."""
 
 from .source import CONVERSIONS_LOST, SUPPLY, Chip, choice, signed24
 

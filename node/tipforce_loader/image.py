@@ -10,8 +10,7 @@
     20      32     HMAC-SHA256 (RFC 2104) of bytes 0 to 19 and the body
     52             body: for each file the length of its path (1 byte), its size (4 bytes), its path, its content
 
-Numbers are little-endian.
-"""
+Numbers are little-endian."""
 
 import binascii
 import hashlib

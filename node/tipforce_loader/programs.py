@@ -3,8 +3,7 @@
 The slot that starts is a record in a store of its own, which replaces it as a whole (``flash``). A download changes no
 record, so a power cut at any byte leaves the old program. ``start`` puts the new one on trial: it is started once, and
 the next restart returns to the old one unless ``confirm`` came before. If no slot is sound, the program starts that was
-copied to the board's file system with the loader.
-"""
+copied to the board's file system with the loader."""
 
 from . import image
 from .flash import FileSlots

@@ -20,9 +20,7 @@ from tipforce.dictionary.entries import Entry, Object, objects
 
 _HEADER = '''\
 """Entries of the dictionary as typed constants, those that are used. Written by ``tipforce.dictionary.generate``.
-
-Made for 3 gauges, simulated, with program slots. More gauges: the arrays are longer, names and indices are the same.
-"""
+Made for 3 gauges, simulated, with program slots. More gauges: the arrays are longer, names and indices are the same."""
 
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Entries of the dictionary as typed constants, those that are used. Written by ``tipforce.dictionary.generate``.
-
-Made for 3 gauges, simulated, with program slots. More gauges: the arrays are longer, names and indices are the same.
-"""
+Made for 3 gauges, simulated, with program slots. More gauges: the arrays are longer, names and indices are the same."""
 
 from typing import Final
 

@@ -136,8 +136,7 @@ class OneOverFNoise:
     (2 s^2 / (pi f_c)) / (1 + (f / f_c)^2); corners a factor q apart add up to s^2 / (ln(q) f) between the ends, so
     s^2 = a^2 ln(q). A decade inside either end the spectrum is 3 % below 1/f, below ``lowest_hz`` it is flat, above
     ``highest_hz`` it falls with 1/f^2. Each process is stepped exactly from one conversion to the next, for any time
-    between them, and starts stationary.
-    """
+    between them, and starts stationary."""
 
     def __init__(
         self, microstrain_at_1_hz: float, random: "Random", lowest_hz: float = 1e-3, highest_hz: float = 100.0

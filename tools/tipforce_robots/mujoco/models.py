@@ -4,8 +4,7 @@ models with fingertips, a gripper that grasps a ball and a hand of five fingers 
 Axes: x along the horizontal beam, y from the fixture to the tip, z along the width; SI units. The body ``fixture`` has
 its origin in the middle of its mounting face; the site ``tip`` is in the middle of the horizontal beam, where the
 sensor's forces and angles count from. The tip is the half cylinder of ``sensor.dynamics``; the fixture's block is
-assumed, as drawn in docs/mechanics.md. The beams have no mass and touch nothing.
-"""
+assumed, as drawn in docs/mechanics.md. The beams have no mass and touch nothing."""
 
 from __future__ import annotations
 

@@ -182,8 +182,7 @@ class Fingertips:
     ``layout``: of the gauges, see ``tipforce.sensor``. Each node has ``calibration``, by default that of beam theory
     for contacts that push; ``noise_microstrain`` is the white noise of each gauge, the same in each run with the same
     ``seed``. ``node_ids`` by finger, default 1, 2, ... Raises InputError for a site that does not exist, one on a body
-    without geoms or with another finger's, node-ids and numbers that are not allowed.
-    """
+    without geoms or with another finger's, node-ids and numbers that are not allowed."""
 
     def __init__(
         self,
